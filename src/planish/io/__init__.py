@@ -1,1 +1,8 @@
-"""TODO."""
+"""Files to volumes and images: every format is read here, and every length becomes micrometres."""
+
+from planish.io.describe import describe
+from planish.io.fingerprint import fingerprint
+from planish.io.image import read_image
+from planish.io.volume import read_volume
+
+__all__ = ["describe", "fingerprint", "read_image", "read_volume"]

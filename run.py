@@ -1,0 +1,264 @@
+#!/usr/bin/env python3
+r"""Set planish up in this folder and run it. Needs Python 3.11, 3.12 or 3.13, and nothing else.
+
+    python3 run.py demo     link a made-up specimen; prints the table and the path of the report
+    python3 run.py test     run the tests; what follows goes to pytest: python3 run.py test -k flatten
+    python3 run.py check    format, lint, types, import contracts, tests (--no-tests leaves the tests out)
+    python3 run.py bench    run the benchmarks
+    python3 run.py docs     write docs/cli.md from the program's own help
+    python3 run.py lock     renew requirements/*.lock (needs uv; --upgrade for newer versions)
+
+The first call makes .venv and fills it from the locked requirements, which takes the network and under a
+minute; later calls start at once. Afterwards the program itself is .venv/bin/planish
+(.venv\Scripts\planish.exe on Windows).
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+# Everything above and at the left margin below is read by any Python 3.6, so that an old one gets this sentence.
+OLDEST, NEWEST = (3, 11), (3, 13)
+if not OLDEST <= sys.version_info[:2] <= NEWEST or sys.maxsize < 2**32:
+    _found = [name for name in ("python3.13", "python3.12", "python3.11") if shutil.which(name)]
+    sys.exit(
+        "planish needs a 64-bit Python 3.11, 3.12 or 3.13; this one is {} ({} bit). {}".format(
+            ".".join(map(str, sys.version_info[:3])),
+            64 if sys.maxsize > 2**32 else 32,
+            f"Try: {_found[0]} run.py" if _found else "Install one of them and start run.py with it.",
+        )
+    )
+
+ROOT = Path(__file__).resolve().parent
+VENV = ROOT / ".venv"
+SCRIPTS = VENV / ("Scripts" if os.name == "nt" else "bin")
+SUFFIX = ".exe" if os.name == "nt" else ""
+PYTHON = SCRIPTS / f"python{SUFFIX}"
+PLANISH = SCRIPTS / f"planish{SUFFIX}"
+LOCKS = ROOT / "requirements"
+STAMP = VENV / "planish-setup.json"  # what was installed; written last, so without it the folder is unfinished
+
+# Settings of the user's pip that would send the packages elsewhere or choose others than the lock does.
+# Where to get them from (index, folder of wheels, proxy, certificate) stays the user's choice.
+UNWANTED_PIP = [
+    *("CONSTRAINT", "DRY_RUN", "EDITABLE", "IGNORE_INSTALLED", "NO_BINARY", "NO_DEPS", "ONLY_BINARY", "PREFIX"),
+    *("PYTHON", "REQUIRE_HASHES", "REQUIREMENT", "ROOT", "TARGET"),
+]
+
+
+def main(arguments: list[str]) -> int:
+    """Carry out one subcommand and return its exit code."""
+    name, rest = (arguments[0], arguments[1:]) if arguments else ("--help", [])
+    os.chdir(ROOT)
+    if name == "demo":
+        set_up("run.lock")
+        return hand_over([str(PLANISH), "demo", *rest])
+    if name == "test":
+        set_up("dev.lock")
+        return hand_over([str(PYTHON), "-m", "pytest", *rest])
+    if name == "check" and set(rest) <= {"--no-tests"}:
+        set_up("dev.lock")
+        return check(tests="--no-tests" not in rest)
+    if name == "bench":
+        set_up("dev.lock")
+        return hand_over([str(PYTHON), "-m", "benchmarks", *rest])
+    if name == "docs":
+        set_up("dev.lock")
+        return hand_over([str(PYTHON), "-m", "planish.cli.docs", *rest])
+    if name == "lock":
+        return lock(rest)
+    print((__doc__ or "").strip())
+    if name in {"-h", "--help", "help"}:
+        return 0
+    print("\nNot understood: run.py " + " ".join(arguments), file=sys.stderr)
+    return 2
+
+
+# --- the checks ----------------------------------------------------------------------------------------------
+
+
+def check(*, tests: bool) -> int:
+    """Run every check to its end, then name those that failed."""
+    python = str(PYTHON)
+    steps = {
+        "format": [python, "-m", "ruff", "format", "--check", "."],
+        "lint": [python, "-m", "ruff", "check", "."],
+        "types": [python, "-m", "pyright"],
+        "imports": [python, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"],
+    }
+    if tests:
+        steps["tests"] = [python, "-m", "pytest"]
+    failed: list[str] = []
+    for name, command in steps.items():
+        say(f"--- {name}")
+        if call(command):
+            failed.append(name)
+    say(f"--- failed: {', '.join(failed)}" if failed else f"--- passed: {', '.join(steps)}")
+    return 1 if failed else 0
+
+
+def lock(options: list[str]) -> int:
+    """Work the two locks out again, with hashes, for every system and Python at once."""
+    uv = shutil.which("uv", path=environment()["PATH"])
+    if uv is None:
+        say("Renewing the locks needs uv, which is not on the path.")
+        return 1
+    compile_ = [uv, "pip", "compile", "--quiet", "--universal", "--generate-hashes", "--python-version", "3.11"]
+    compile_ += ["--no-header", "--no-annotate", "--no-emit-index-url", "--no-emit-find-links", *options]
+    compile_ += ["pyproject.toml", "--group", "build"]
+    return call([*compile_, "-o", "requirements/run.lock"]) or call(
+        [*compile_, "--extra", "dev", "-c", "requirements/run.lock", "-o", "requirements/dev.lock"]
+    )
+
+
+# --- setting up ----------------------------------------------------------------------------------------------
+
+
+def set_up(lock_name: str) -> None:
+    """Bring .venv to the state that the lock and pyproject.toml describe; does nothing where it is there already."""
+    stamp = read_stamp()
+    locks = {path.name: digest(path) for path in (LOCKS / "run.lock", LOCKS / "dev.lock")}
+    project = digest(ROOT / "pyproject.toml", ROOT / "src" / "planish" / "__init__.py")
+    moved = stamp.get("root", str(ROOT)) != str(ROOT)  # scripts in .venv carry the path they were made for
+    packages_there = not moved and stamp.get(lock_name) == locks[lock_name]
+    if packages_there and stamp.get("project") == project and PYTHON.exists() and PLANISH.exists():
+        return
+
+    STAMP.unlink(missing_ok=True)
+    if moved or not usable():
+        make_venv()
+        packages_there = False
+    pip = find_pip()
+    if not packages_there:
+        say(f"Installing the packages of requirements/{lock_name} into .venv ...")
+        install(pip, "--require-hashes", "--only-binary=:all:", "-r", str(LOCKS / lock_name))
+    install(pip, "--no-deps", "--no-build-isolation", "-e", str(ROOT))
+
+    # dev.lock holds everything that run.lock does, in the same versions.
+    installed = (
+        locks
+        if lock_name == "dev.lock" or stamp.get("dev.lock") == locks["dev.lock"]
+        else {lock_name: locks[lock_name]}
+    )
+    part = STAMP.with_suffix(".part")
+    part.write_text(json.dumps({"root": str(ROOT), "project": project, **installed}, indent=1), encoding="utf-8")
+    part.replace(STAMP)
+
+
+def read_stamp() -> dict[str, str]:
+    """Return what the last complete set-up noted; empty where there was none."""
+    try:
+        noted = json.loads(STAMP.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return noted if isinstance(noted, dict) else {}
+
+
+def digest(*paths: Path) -> str:
+    """Return the SHA-256 of the files' bytes, one after the other."""
+    return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
+
+
+def usable() -> bool:
+    """Tell whether .venv holds an interpreter that starts, is of a fitting version and is its own environment."""
+    question = "import sys; print(sys.version_info[0], sys.version_info[1], sys.prefix != sys.base_prefix)"
+    try:
+        answer = subprocess.run(
+            [str(PYTHON), "-c", question], env=environment(), capture_output=True, text=True, check=True
+        ).stdout.split()
+    except (OSError, subprocess.CalledProcessError):
+        return False
+    return len(answer) == 3 and OLDEST <= (int(answer[0]), int(answer[1])) <= NEWEST and answer[2] == "True"
+
+
+def make_venv() -> None:
+    """Make an empty .venv in place of whatever is there."""
+    if Path(sys.prefix).resolve() == VENV.resolve():
+        sys.exit("The environment .venv has to be made anew and is in use: leave it (deactivate) and start again.")
+    try:
+        import venv
+    except ImportError:
+        sys.exit("This Python lacks the module venv. On Debian and Ubuntu: apt install python3-venv")
+    say("Making .venv ...")
+    # Without pip: where ensurepip is missing (Debian without python3-venv) making it with pip stops half way.
+    venv.EnvBuilder(clear=True, symlinks=os.name != "nt", with_pip=False).create(VENV)
+
+
+def find_pip() -> list[str]:
+    """Return the command of a pip that installs into .venv: its own, one made by ensurepip, or this Python's."""
+    own = [str(PYTHON), "-m", "pip"]
+    if runs([*own, "--version"]) or runs([str(PYTHON), "-m", "ensurepip", "--default-pip"]):
+        return own
+    outer = [sys.executable, "-m", "pip", "--python", str(PYTHON)]  # pip 22.3 and later
+    if runs([*outer, "--version"]):
+        return outer
+    sys.exit(
+        "This Python has neither ensurepip nor pip 22.3 or later, so nothing can be installed.\n"
+        "On Debian and Ubuntu: apt install python3-venv"
+    )
+
+
+def install(pip: list[str], *options: str) -> None:
+    """Run one pip install; end with a sentence where it fails."""
+    quiet = ["--quiet", "--disable-pip-version-check", "--no-input", "--progress-bar=off", "--no-warn-script-location"]
+    # Not compiled to bytecode ahead: that takes as long as the rest, and most modules are never imported.
+    if call([*pip, "install", *quiet, "--no-compile", *options]):
+        sys.exit(
+            "\nThe installation into .venv failed; pip's reason stands above. Wheels of the locked versions have to\n"
+            "be within reach of pip (its configuration, PIP_INDEX_URL or PIP_FIND_LINKS). The next call tries again."
+        )
+
+
+# --- running -------------------------------------------------------------------------------------------------
+
+
+def environment() -> dict[str, str]:
+    """Return the environment for everything started here: .venv comes first, and nothing leaks in from outside."""
+    kept = {
+        key: value
+        for key, value in os.environ.items()
+        if key not in {"PYTHONPATH", "PYTHONHOME", "__PYVENV_LAUNCHER__"}
+        and key not in {f"PIP_{name}" for name in UNWANTED_PIP}
+    }
+    return kept | {
+        "PATH": str(SCRIPTS) + os.pathsep + kept.get("PATH", os.defpath),
+        "VIRTUAL_ENV": str(VENV),
+        "PIP_USER": "0",
+        "PYRIGHT_PYTHON_IGNORE_WARNINGS": "1",  # else it asks the network for a newer pyright
+    }
+
+
+def runs(command: list[str]) -> bool:
+    """Tell whether a command ends well; its output is dropped."""
+    return subprocess.run(command, env=environment(), capture_output=True, check=False).returncode == 0
+
+
+def call(command: list[str]) -> int:
+    """Run a command with our output and return its exit code; on Ctrl-C the command ends itself first."""
+    with subprocess.Popen(command, env=environment()) as process:
+        while True:
+            try:
+                return process.wait()
+            except KeyboardInterrupt:
+                continue
+
+
+def hand_over(command: list[str]) -> int:
+    """Become the command, so that signals and exit codes are its own; Windows cannot, there it is waited for."""
+    if os.name == "nt":
+        return call(command)
+    sys.stdout.flush()
+    os.execve(command[0], command, environment())
+
+
+def say(text: str) -> None:
+    """Print a line at once, so that it stands before the output of what it announces."""
+    print(text, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

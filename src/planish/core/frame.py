@@ -1,0 +1,70 @@
+"""How the sheet lies in the volume: which axis runs through it, and which side is the top.
+
+The lateral axes keep the order they have in the array: ``rows`` is the first of the two that remain and ``cols`` the
+second. Heights are coordinates along the axis through the sheet, in um; ``sign`` turns them so that the top is up.
+
+Seen from its top the sheet is mirrored when the three axes (cols, rows, towards the viewer) are an odd permutation
+of (x, y, z): a camera above the high end of z sees x to the right and y downwards, and looking from the other side
+reverses one of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import xarray as xr
+
+Axis = Literal["z", "y", "x"]
+Side = Literal["high", "low"]
+
+_LATERAL: dict[str, tuple[Axis, Axis]] = {"z": ("y", "x"), "y": ("z", "x"), "x": ("z", "y")}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """Pose of the sheet in the array.
+
+    Attributes
+    ----------
+    through : {"z", "y", "x"}
+        Axis that runs through the sheet.
+    top : {"high", "low"}
+        End of that axis at which the sheet's top side lies.
+    """
+
+    through: Axis = "z"
+    top: Side = "high"
+
+    @property
+    def rows(self) -> Axis:
+        """Axis along the rows of every map."""
+        return _LATERAL[self.through][0]
+
+    @property
+    def cols(self) -> Axis:
+        """Axis along the columns of every map."""
+        return _LATERAL[self.through][1]
+
+    @property
+    def sign(self) -> float:
+        """Factor on heights that makes the top the larger one."""
+        return 1.0 if self.top == "high" else -1.0
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the lateral grid is a mirror image of what is seen from the top."""
+        return (self.through == "y") != (self.top == "low")
+
+    def columns(self, volume: xr.DataArray) -> xr.DataArray:
+        """Return a view of the volume with dims (rows, cols, through); no copy."""
+        return volume.transpose(self.rows, self.cols, self.through)
+
+    def attrs(self) -> dict[str, str]:
+        """Return what a dataset on this frame records."""
+        return {"through": self.through, "top_side": self.top, "row_axis": self.rows, "col_axis": self.cols}
+
+    @classmethod
+    def of(cls, data: xr.Dataset) -> Frame:
+        """Read the frame back from a dataset's attributes."""
+        return cls(through=data.attrs["through"], top=data.attrs["top_side"])

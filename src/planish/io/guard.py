@@ -1,0 +1,163 @@
+"""The border to the decoders: their failures become one error, and nothing larger than the memory is asked for."""
+
+from __future__ import annotations
+
+import logging
+import os
+import warnings
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+from planish.core.errors import FileError, PlanishError, ResourceError
+
+MEMORY_SHARE = 0.75
+"""Part of the available memory that one file may fill; the rest is for the work on it."""
+
+MEMORY_UNKNOWN_BYTES = 8 * 2**30
+"""What is assumed where the system does not tell."""
+
+BLOWN_UP_RATIO = 2000
+"""Decoded over stored bytes. Deflate ends at 1032, LZW at about 1400, and scans, which are noisy, far below."""
+
+BLOWN_UP_FROM_BYTES = 16 * 2**20
+"""Below this size a decoded image does no harm whatever its ratio, so small constant images pass."""
+
+
+@contextmanager
+def reading(path: Path) -> Generator[None]:
+    """Turn whatever a decoder raises into one FileError, and keep its log lines and warnings quiet.
+
+    Parameters
+    ----------
+    path : Path
+        The file that is read; the message carries its name, not its folder.
+
+    Raises
+    ------
+    FileError
+        If the decoder fails.
+    ResourceError
+        If it runs out of memory.
+    """
+    log = logging.getLogger("tifffile")
+    was_disabled = log.disabled
+    log.disabled = True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except PlanishError:
+        raise
+    except MemoryError as error:
+        raise ResourceError(
+            f"{path.name} does not fit into the memory. Crop or bin it, or use a machine with more memory."
+        ) from error
+    except PermissionError as error:
+        raise FileError(f"{path.name} may not be read. Give yourself the right to read it.") from error
+    except Exception as error:  # broken files make the decoders raise almost every type there is
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        raise FileError(
+            f"{path.name} cannot be decoded ({reason}). It is damaged or of a rare kind: copy or export it again."
+        ) from error
+    finally:
+        log.disabled = was_disabled
+
+
+def size_of_file(path: Path) -> int:
+    """Bytes of a file that is there and not empty.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    FileError
+        If the file does not exist, is no file, or is empty.
+    """
+    if not path.exists():
+        raise FileError(f"{path.name} does not exist. Check the name and the folder.")
+    if not path.is_file():
+        raise FileError(f"{path.name} is not a file. Give one image file.")
+    with reading(path):
+        size = path.stat().st_size
+    if size == 0:
+        raise FileError(f"{path.name} is empty (0 bytes). Copy or export it again.")
+    return size
+
+
+def check_blown_up(path: Path, *, decoded_bytes: int, stored_bytes: int) -> None:
+    """Refuse compressed data that claim far more than so few bytes can hold.
+
+    Parameters
+    ----------
+    path : Path
+    decoded_bytes, stored_bytes : int
+
+    Raises
+    ------
+    FileError
+        If the ratio is above :data:`BLOWN_UP_RATIO`, and the decoded size worth the worry.
+    """
+    if decoded_bytes > BLOWN_UP_FROM_BYTES and decoded_bytes > BLOWN_UP_RATIO * stored_bytes:
+        raise FileError(
+            f"{path.name} claims {decoded_bytes} bytes of image in {stored_bytes} stored bytes, "
+            f"more than {BLOWN_UP_RATIO} to 1. It is damaged: copy or export it again."
+        )
+
+
+def check_memory(path: Path, *, needed_bytes: int, limit_bytes: int | None) -> None:
+    """Refuse what does not fit into the memory before it is asked for.
+
+    Parameters
+    ----------
+    path : Path
+    needed_bytes : int
+    limit_bytes : int, optional
+        Default: :func:`default_memory_limit`.
+
+    Raises
+    ------
+    ResourceError
+        If more is needed than the limit.
+    """
+    limit = default_memory_limit() if limit_bytes is None else limit_bytes
+    if needed_bytes > limit:
+        raise ResourceError(
+            f"{path.name} needs {needed_bytes / 2**30:.3g} GiB of memory, {limit / 2**30:.3g} GiB may be used. "
+            "Crop or bin it, or store a volume uncompressed as one BigTIFF, which is read in place."
+        )
+
+
+def default_memory_limit() -> int:
+    """Bytes that one file may fill: three quarters of the memory that is available now."""
+    return int(MEMORY_SHARE * min(available_memory_bytes(), control_group_limit_bytes()))
+
+
+def available_memory_bytes() -> int:
+    """Physical memory that is free or can be freed, or a cautious number where the system does not tell."""
+    table = Path("/proc/meminfo")
+    if table.is_file():
+        for line in table.read_text(encoding="ascii", errors="replace").splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        return MEMORY_UNKNOWN_BYTES
+
+
+def control_group_limit_bytes() -> int:
+    """Memory limit of the container the process runs in; a huge number where there is none."""
+    for name in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
+        limit = Path(name)
+        if limit.is_file():
+            text = limit.read_text(encoding="ascii", errors="replace").strip()
+            if text.isdigit():
+                return int(text)
+    return 2**62

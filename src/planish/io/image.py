@@ -1,0 +1,167 @@
+"""The 2D image of the sheet: a picture, one of its channels, and its pixel size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import FileError, InputError
+from planish.io.guard import check_memory, size_of_file
+from planish.io.picture import Picture, load_picture
+from planish.io.sizes import PIXEL, Stated, agreed_size
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Weights of red, green and blue, Rec. ITU-R BT.709."""
+
+COLOURS = {"red": 0, "green": 1, "blue": 2}
+
+
+def read_image(
+    path: str | Path,
+    *,
+    pixel_um: float | tuple[float, float] | None = None,
+    channel: str = "luminance",
+    override_size: bool = False,
+    memory_limit_bytes: int | None = None,
+) -> xr.DataArray:
+    """Read the 2D image of a sheet.
+
+    Parameters
+    ----------
+    path : path
+        TIFF, PNG, JPEG or BMP; grey or colour; one picture.
+    pixel_um : float or (y, x), optional
+        Pixel size in um; not needed where the metadata state it. Pixels need not be square.
+    channel : str
+        "luminance", "red", "green", "blue", or the number of a channel, counted from 0.
+    override_size : bool
+        Whether `pixel_um` is taken although the metadata state another size.
+    memory_limit_bytes : int, optional
+        Largest decoded size; default: three quarters of the memory available.
+
+    Returns
+    -------
+    DataArray, dims (y, x), float32
+        Coordinates in um, pixel i has its centre at i × size. Attributes: ``units``, ``long_name``, ``pixel_um``
+        (y, x), ``pixel_um_source``, ``channel``, ``full_scale`` (largest value the file can store, None for
+        floating point), ``orientation`` (the orientation tag), ``file_name``, ``file_bytes``.
+
+    Raises
+    ------
+    FileError
+        If the file is damaged, of another format, or holds more than one picture.
+    SizeError
+        If the pixel size is missing, contradictory or impossible.
+    InputError
+        If the image has no such channel.
+    ResourceError
+        If it does not fit into the memory.
+
+    Notes
+    -----
+    Values stay as stored: no gamma is undone (luminance is the weighted sum of stored values), alpha is ignored,
+    and an orientation tag turns nothing, it is only reported. In TIFF files whose white is zero the values are
+    turned round; palettes are looked up.
+    """
+    path = Path(path)
+    picture = load_picture(path, memory_limit_bytes=memory_limit_bytes)
+    size, source = agreed_size(
+        across(picture.stated), pixel_um, file_name=path.name, asked=PIXEL, override=override_size
+    )
+    height, width = picture.values.shape[:2]
+    check_memory(path, needed_bytes=4 * height * width, limit_bytes=memory_limit_bytes)
+    values, long_name = pick_channel(picture, channel, file_name=path.name)
+    return xr.DataArray(
+        values,
+        dims=("y", "x"),
+        coords={
+            "y": ("y", np.arange(height) * size[0], {"units": "um"}),
+            "x": ("x", np.arange(width) * size[1], {"units": "um"}),
+        },
+        name="image",
+        attrs={
+            "units": "1",
+            "long_name": long_name,
+            "pixel_um": list(size),
+            "pixel_um_source": source,
+            "channel": channel,
+            "full_scale": picture.full_scale,
+            "orientation": picture.orientation,
+            "file_name": path.name,
+            "file_bytes": size_of_file(path),
+        },
+    )
+
+
+def across(stated: Sequence[Stated]) -> list[Stated]:
+    """Leave out what is stated about z."""
+    return [Stated(source=s.source, um=s.um[1:], note=s.note if None in s.um[1:] else "") for s in stated]
+
+
+def pick_channel(picture: Picture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
+    """Take one channel as float32, and name it.
+
+    Parameters
+    ----------
+    picture : Picture
+    channel : str
+        As in :func:`read_image`.
+    file_name : str
+        For the messages.
+
+    Returns
+    -------
+    values : ndarray of float32, dims (y, x)
+    long_name : str
+
+    Raises
+    ------
+    FileError
+        If the image has no pixel with a number.
+    InputError
+        If there is no such channel.
+    """
+    values = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
+    samples = values.shape[-1]
+    word = channel.strip().casefold()
+    if word.isdecimal() and word.isascii():
+        if int(word) >= samples:
+            raise InputError(
+                f"{file_name} has {samples} channel{'s' if samples > 1 else ''}, number {word} is not among them. "
+                f"Choose 0{f' to {samples - 1}' if samples > 1 else ''} with --channel."
+            )
+        picked, long_name = as_float32(values[..., int(word)]), f"Channel {int(word)}"
+    elif word in COLOURS and picture.colour == "rgb":
+        picked, long_name = as_float32(values[..., COLOURS[word]]), word.capitalize()
+    elif word == "luminance" and picture.colour == "rgb":
+        picked = np.zeros(values.shape[:2], np.float32)
+        for sample, weight in enumerate(LUMINANCE):
+            picked += np.float32(weight) * as_float32(values[..., sample])
+        long_name = "Luminance"
+    elif word == "luminance" and picture.colour == "grey":
+        picked, long_name = as_float32(values[..., 0]), "Grey value"
+    elif word == "luminance" or word in COLOURS:
+        what = (
+            "is a grey image" if picture.colour == "grey" else f"has {samples} channels that are not red, green, blue"
+        )
+        choice = "luminance" if picture.colour == "grey" else f"a number from 0 to {samples - 1}"
+        raise InputError(f"{file_name} {what}, so it has no {word}. Choose {choice} with --channel.")
+    else:
+        raise InputError(f"{channel!r} is no channel. Choose luminance, red, green, blue or a number with --channel.")
+    if not np.isfinite(picked).any():
+        raise FileError(f"{file_name} has no pixel with a number in it, all are missing. Export it again.")
+    return picked, long_name
+
+
+def as_float32(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Convert to a new float32 array in which everything that is no finite number is NaN."""
+    with np.errstate(over="ignore"):
+        result = np.array(values, dtype=np.float32)
+    if values.dtype.kind == "f":
+        result[~np.isfinite(result)] = np.nan
+    return result

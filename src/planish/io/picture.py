@@ -1,0 +1,257 @@
+"""One 2D picture out of a TIFF, PNG, JPEG or BMP file: its stored values, what they mean, and its pixel size."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Literal
+
+import imagecodecs
+import numpy as np
+from numpy.typing import NDArray
+from PIL import BmpImagePlugin, ImageFile, JpegImagePlugin, PngImagePlugin
+from tifffile import TiffPage, TiffPageSeries
+
+from planish.core.errors import FileError
+from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
+from planish.io.sizes import Stated, from_density
+from planish.io.tiff import (
+    BLACK_IS_ZERO,
+    JPEG_COMPRESSIONS,
+    PALETTE,
+    RGB,
+    WHITE_IS_ZERO,
+    YCBCR,
+    check_data,
+    map_or_decode,
+    only_series,
+    open_tiff,
+    shape_words,
+)
+from planish.io.tiff_chain import is_tiff
+from planish.io.tiff_sizes import UNKNOWN_NOTE, stated_by_tiff
+
+PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
+
+Colour = Literal["grey", "rgb", "other"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """A decoded picture.
+
+    Attributes
+    ----------
+    values : ndarray, dims (y, x) or (y, x, sample)
+        As stored; palettes are looked up.
+    colour : {"grey", "rgb", "other"}
+        Meaning of the samples: the first is grey, the first three are red, green, blue, or neither.
+    full_scale : int or None
+        Largest value the file can store; None for floating point.
+    stated : tuple of Stated
+        Size along z (which a slice of a stack may know), y, x in the metadata.
+    orientation : int
+        The orientation tag, 1 to 8. Values stay as stored, whatever it says.
+    """
+
+    values: NDArray[Any]
+    colour: Colour
+    full_scale: int | None
+    stated: tuple[Stated, ...]
+    orientation: int
+
+
+def kind_of(path: Path) -> Literal["tiff", "png", "jpeg", "bmp"]:
+    """Tell the format from the first bytes, whatever the name says.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    {"tiff", "png", "jpeg", "bmp"}
+
+    Raises
+    ------
+    FileError
+        If it is none of these.
+    """
+    size_of_file(path)
+    with reading(path), path.open("rb") as file:
+        head = file.read(8)
+    if is_tiff(head):
+        return "tiff"
+    if head.startswith(b"\x89PNG\r\n\x1a\n"):
+        return "png"
+    if head.startswith(b"\xff\xd8\xff"):
+        return "jpeg"
+    if head.startswith(b"BM"):
+        return "bmp"
+    raise FileError(f"{path.name} is no TIFF, PNG, JPEG or BMP file. Export the image in one of these formats.")
+
+
+def load_picture(path: Path, *, memory_limit_bytes: int | None = None) -> Picture:
+    """Decode a picture.
+
+    Parameters
+    ----------
+    path : Path
+    memory_limit_bytes : int, optional
+        Largest decoded size; default: three quarters of the memory available.
+
+    Returns
+    -------
+    Picture
+
+    Raises
+    ------
+    FileError
+        If it is damaged, of another format, or holds more than one picture.
+    ResourceError
+        If it does not fit into the memory.
+    """
+    if kind_of(path) == "tiff":
+        return load_tiff(path, memory_limit_bytes=memory_limit_bytes)
+    return load_raster(path, memory_limit_bytes=memory_limit_bytes)
+
+
+def load_tiff(path: Path, *, memory_limit_bytes: int | None) -> Picture:
+    """Decode the one picture of a TIFF file."""
+    advice = "One picture is needed: save it alone."
+    with open_tiff(path) as tif:
+        series = only_series(tif, path, error=FileError, advice=advice)
+        check_data(series, path)
+        axes = sample_axes(series, path, advice=advice)
+        page = series.keyframe
+        stated = stated_by_tiff(tif, page, path)
+        values = map_or_decode(series, path, memory_limit_bytes=memory_limit_bytes)
+        values = values.reshape([n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes])
+        if axes[0] in "SC" and len(axes) == 3:
+            values = np.moveaxis(values, 0, -1)
+        if values.dtype.kind not in "buif":
+            raise FileError(f"{path.name} has {values.dtype} values. Export it with integer or real values.")
+        colour: Colour = "grey" if len(axes) == 2 else sample_meaning(page, samples=values.shape[-1], axes=axes)
+        bits = int(page.bitspersample)
+        if page.photometric == PALETTE and len(axes) == 2:
+            with reading(path):
+                values, bits, colour = look_up(values, np.asarray(page.colormap))
+        orientation = page.tags.valueof(274, default=1)
+    return Picture(
+        values=values,
+        colour=colour,
+        full_scale=full_scale(values.dtype, bits=bits),
+        stated=stated,
+        orientation=orientation if isinstance(orientation, int) else 1,
+    )
+
+
+def is_picture(series: TiffPageSeries) -> bool:
+    """Whether a series is one picture, with up to four samples or channels a pixel."""
+    axes = long_axes(series)
+    return axes in PICTURE_AXES and (len(axes) == 2 or series.size <= 4 * plane_size(series))
+
+
+def long_axes(series: TiffPageSeries) -> str:
+    """Letters of y and x and of all other axes longer than 1."""
+    return "".join(a for a, n in zip(series.axes, series.shape, strict=True) if n > 1 or a in "YX")
+
+
+def plane_size(series: TiffPageSeries) -> int:
+    """Pixels along y times pixels along x."""
+    return math.prod(n for a, n in zip(series.axes, series.shape, strict=True) if a in "YX")
+
+
+def sample_axes(series: TiffPageSeries, path: Path, *, advice: str) -> str:
+    """Axes of a picture: y and x, and one for samples or channels if there are several."""
+    axes = long_axes(series)
+    if axes not in PICTURE_AXES:
+        raise FileError(f"{path.name} is not one picture but {shape_words(series)}. {advice}")
+    return axes
+
+
+def sample_meaning(page: TiffPage, *, samples: int, axes: str) -> Colour:
+    """Tell what the samples of a page with several mean."""
+    photometric = page.photometric
+    if photometric == RGB or (photometric == YCBCR and page.compression in JPEG_COMPRESSIONS):
+        return "rgb" if samples >= 3 and "S" in axes else "other"
+    if photometric in {WHITE_IS_ZERO, BLACK_IS_ZERO} and samples == 2 and "S" in axes:
+        return "grey"
+    return "other"
+
+
+def look_up(index: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any], int, Colour]:
+    """Replace palette entries by their 16-bit colours, or 8-bit where nothing is lost; grey stays grey."""
+    if np.all(colormap % 257 == 0):
+        colormap, bits = (colormap // 257).astype(np.uint8), 8
+    else:
+        bits = 16
+    if np.array_equal(colormap[0], colormap[1]) and np.array_equal(colormap[0], colormap[2]):
+        return colormap[0][index.astype(np.intp)], bits, "grey"
+    return np.moveaxis(colormap[:, index.astype(np.intp)], 0, -1), bits, "rgb"
+
+
+def load_raster(path: Path, *, memory_limit_bytes: int | None) -> Picture:
+    """Decode a PNG, JPEG or BMP file.
+
+    The classes of Pillow are called directly: its own limit of pixels, which is a global, does not apply then,
+    and the size is checked here against the memory instead.
+    """
+    kind = kind_of(path)
+    plugin = {
+        "png": PngImagePlugin.PngImageFile,
+        "jpeg": JpegImagePlugin.JpegImageFile,
+        "bmp": BmpImagePlugin.BmpImageFile,
+    }[kind]
+    size = size_of_file(path)
+    with reading(path):
+        data = path.read_bytes()
+        image: ImageFile.ImageFile = plugin(BytesIO(data))
+    deep = kind == "png" and data[24] == 16 and data[25] in (2, 4, 6)
+    bands = len(image.getbands())
+    needed = image.width * image.height * max(bands, 3 if image.mode == "P" else 1) * (2 if deep else 1)
+    check_blown_up(path, decoded_bytes=needed, stored_bytes=size)
+    check_memory(path, needed_bytes=needed, limit_bytes=memory_limit_bytes)
+    with reading(path):
+        orientation = image.getexif().get(274, 1)
+        dpi: Any = image.info.get("dpi")
+        image.load()
+        if deep:  # Pillow cuts 16-bit colour to 8 bits
+            values = np.asarray(imagecodecs.png_decode(data))
+        elif image.mode in {"P", "PA"}:
+            lut = np.asarray(image.convert("RGB"))
+            values = lut[..., 0].copy() if np.all(lut == lut[..., :1]) else lut
+        else:
+            values = np.asarray(image)
+    if image.mode not in {"1", "L", "LA", "I", "I;16", "F", "P", "PA", "RGB", "RGBA"}:
+        colour: Colour = "other"
+    else:
+        colour = "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
+    return Picture(
+        values=values,
+        colour=colour,
+        full_scale=full_scale(values.dtype, bits=16 if image.mode == "I" else 8 * values.dtype.itemsize),
+        stated=(stated_by_dpi(dpi, source=f"the {kind.upper()} resolution"),),
+        orientation=orientation if isinstance(orientation, int) else 1,
+    )
+
+
+def stated_by_dpi(dpi: Any, *, source: str) -> Stated:
+    """Read a resolution that Pillow gives as dots per inch along x, y."""
+    try:
+        x, y = float(dpi[0]), float(dpi[1])
+    except (TypeError, ValueError, IndexError):
+        return Stated(source=source, um=(None, None, None), note="there is none")
+    um = (None, from_density(y, "inch"), from_density(x, "inch"))
+    return Stated(source=source, um=um, note="" if None not in um[1:] else UNKNOWN_NOTE)
+
+
+def full_scale(dtype: np.dtype[Any], *, bits: int) -> int | None:
+    """Largest value that can be stored, None for floating point."""
+    if dtype.kind == "f":
+        return None
+    if dtype.kind == "b":
+        return 1
+    return min(int(np.iinfo(dtype).max), 2**bits - 1)

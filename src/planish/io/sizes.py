@@ -1,0 +1,283 @@
+"""Voxel and pixel sizes: every length becomes micrometres here, and one size comes out or an error.
+
+A missing size is never taken as 1, and of two sizes that disagree none is preferred in silence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from planish.core.errors import SizeError
+
+UNITS_UM = {
+    "pm": 1e-6, "picometer": 1e-6, "picometre": 1e-6,
+    "å": 1e-4, "angstrom": 1e-4, "ångström": 1e-4,
+    "nm": 1e-3, "nanometer": 1e-3, "nanometre": 1e-3, "nanometers": 1e-3, "nanometres": 1e-3,
+    "um": 1.0, "μm": 1.0, "micron": 1.0, "microns": 1.0,
+    "micrometer": 1.0, "micrometre": 1.0, "micrometers": 1.0, "micrometres": 1.0,
+    "mm": 1e3, "millimeter": 1e3, "millimetre": 1e3, "millimeters": 1e3, "millimetres": 1e3,
+    "cm": 1e4, "centimeter": 1e4, "centimetre": 1e4, "centimeters": 1e4, "centimetres": 1e4,
+    "m": 1e6, "meter": 1e6, "metre": 1e6, "meters": 1e6, "metres": 1e6,
+    "in": 25400.0, "inch": 25400.0, "inches": 25400.0,
+}  # fmt: skip
+"""Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu."""
+
+TOLERANCE = 0.01
+"""Sizes that differ by more than this share are different sizes; less is rounding in the metadata."""
+
+VOXEL_RANGE_UM = (0.01, 100.0)
+PIXEL_RANGE_UM = (0.01, 500.0)
+"""What a scan or an image of a sheet can have; outside, the unit is wrong."""
+
+WEB_DPI = (72.0, 96.0)
+"""What programs write when they do not know the resolution."""
+
+
+OVERRIDE = "--override-size"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stated:
+    """What one kind of metadata says about the size.
+
+    Attributes
+    ----------
+    source : str
+        For example "ImageJ metadata".
+    um : tuple of float or None
+        One entry an axis, slowest axis first; None where the metadata are silent.
+    note : str
+        Why it is silent, if there is something to say.
+    """
+
+    source: str
+    um: tuple[float | None, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """What the sizes are for: names, range and option, for the checks and the messages."""
+
+    name: str
+    axes: tuple[str, ...]
+    option: str
+    range_um: tuple[float, float]
+
+    @property
+    def how_to_give(self) -> str:
+        """The sentence that says what to do."""
+        return f"Give it with {self.option} SIZE (or {','.join(a.upper() for a in self.axes)}), in um."
+
+
+VOXEL = Asked(name="voxel", axes=("z", "y", "x"), option="--voxel-um", range_um=VOXEL_RANGE_UM)
+PIXEL = Asked(name="pixel", axes=("y", "x"), option="--pixel-um", range_um=PIXEL_RANGE_UM)
+
+
+def unit_um(unit: str) -> float | None:
+    r"""Length of a unit in um, or None if the word is no unit of length.
+
+    Parameters
+    ----------
+    unit : str
+        As it stands in a file; ``\\u00B5m``, as ImageJ escapes the micro sign, is understood.
+
+    Returns
+    -------
+    float or None
+
+    Examples
+    --------
+    >>> unit_um("mm"), unit_um("µm"), unit_um("pixel")
+    (1000.0, 1.0, None)
+    """
+    word = unit.strip().strip('"').casefold().replace("\\u00b5", "μ").replace("\\u03bc", "μ")
+    return UNITS_UM.get(word)
+
+
+def from_density(per_unit: float | None, unit: str) -> float | None:
+    """Pixel size in um from pixels per unit of length, or None where nothing is meant by it.
+
+    Exactly 1 pixel per unit, and 72 or 96 pixels per inch in whatever unit, are what programs write when they
+    do not know.
+
+    Parameters
+    ----------
+    per_unit : float or None
+        Pixels per unit.
+    unit : str
+
+    Returns
+    -------
+    float or None
+    """
+    length = unit_um(unit)
+    if per_unit is None or length is None or not math.isfinite(per_unit) or per_unit <= 0 or per_unit == 1:
+        return None
+    um = length / per_unit
+    return None if is_web_dpi(um) else um
+
+
+def is_web_dpi(um: float) -> bool:
+    """Whether a pixel size is 72 or 96 pixels per inch, within the rounding of whole pixels per cm."""
+    return any(abs(25400.0 / um - dpi) <= 1.0 for dpi in WEB_DPI)
+
+
+def agree(first: float, second: float) -> bool:
+    """Whether two sizes are the same within :data:`TOLERANCE`."""
+    return abs(first - second) <= TOLERANCE * min(first, second)
+
+
+def agreed_size(
+    stated: Sequence[Stated],
+    given: float | Sequence[float] | None,
+    *,
+    file_name: str,
+    asked: Asked,
+    override: bool = False,
+) -> tuple[tuple[float, ...], str]:
+    """Find the one size that metadata and user agree on.
+
+    Parameters
+    ----------
+    stated : sequence of Stated
+        What the metadata say.
+    given : float, sequence of float, or None
+        What the user says: one value for all axes or one each.
+    file_name : str
+        For the messages.
+    asked : Asked
+        :data:`VOXEL` or :data:`PIXEL`.
+    override : bool
+        Whether the given size is taken even if the metadata state another.
+
+    Returns
+    -------
+    size : tuple of float
+        In um, one an axis.
+    source : str
+        Where it comes from.
+
+    Raises
+    ------
+    SizeError
+        If it is missing on an axis, contradictory, or outside the possible range.
+    """
+    spoken = [s for s in stated if any(v is not None for v in s.um)]
+    if given is not None:
+        size = as_given(given, asked)
+        other = [s for s in spoken if any(v is not None and not agree(v, g) for v, g in zip(s.um, size, strict=True))]
+        if other and not override:
+            raise SizeError(
+                f"{file_name}: {asked.option} gives {in_words(size, asked)}, "
+                f"but {and_join(f'{s.source} states {in_words(s.um, asked)}' for s in other)}. "
+                f"Correct one of them, or add {OVERRIDE} to take the given size."
+            )
+        check_range(size, file_name=file_name, asked=asked, from_metadata=False)
+        if other:
+            return size, f"given, in place of {and_join(f'{s.source} ({in_words(s.um, asked)})' for s in other)}"
+        return size, "given"
+    found = merged(spoken, file_name=file_name, asked=asked)
+    missing = [axis for axis, value in zip(asked.axes, found, strict=True) if value is None]
+    if missing:
+        raise SizeError(missing_words(stated, spoken, missing, file_name=file_name, asked=asked))
+    size = tuple(value for value in found if value is not None)
+    check_range(size, file_name=file_name, asked=asked, from_metadata=True)
+    return size, " and ".join(s.source for s in spoken)
+
+
+def as_given(given: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
+    """Spread a given size over the axes.
+
+    Raises
+    ------
+    SizeError
+        If the number of values is wrong, or one is not a positive number.
+    """
+    values = (given,) * len(asked.axes) if isinstance(given, (int, float)) else tuple(given)
+    if len(values) == 1:
+        values = values * len(asked.axes)
+    if len(values) != len(asked.axes):
+        raise SizeError(
+            f"{asked.option} has {len(values)} values, it needs 1 or {len(asked.axes)} ({','.join(asked.axes)}), in um."
+        )
+    if not all(math.isfinite(v) and v > 0 for v in values):
+        raise SizeError(
+            f"{asked.option} {','.join(f'{v:g}' for v in values)} is not a size. Give numbers above 0, in um."
+        )
+    return tuple(float(v) for v in values)
+
+
+def merged(spoken: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[float | None, ...]:
+    """Join what several kinds of metadata say; the first that speaks about an axis gives its number.
+
+    Raises
+    ------
+    SizeError
+        If two disagree.
+    """
+    found: list[float | None] = [None] * len(asked.axes)
+    for one in spoken:
+        for i, value in enumerate(one.um):
+            known = found[i]
+            if value is None:
+                continue
+            if known is not None and not agree(known, value):
+                raise SizeError(
+                    f"{file_name} contradicts itself: "
+                    f"{and_join(f'{s.source} states {in_words(s.um, asked)}' for s in spoken)}. "
+                    f"Give the right {asked.name} size with {asked.option} and add {OVERRIDE}."
+                )
+            if known is None:
+                found[i] = value
+    return tuple(found)
+
+
+def missing_words(
+    stated: Sequence[Stated], spoken: Sequence[Stated], missing: Sequence[str], *, file_name: str, asked: Asked
+) -> str:
+    """Say what is known, what is not, why, and how to give it."""
+    notes = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
+    why = f" ({notes})" if notes else ""
+    if not spoken:
+        return f"{file_name} states no {asked.name} size{why}. {asked.how_to_give}"
+    known = and_join(f"{s.source} states {in_words(s.um, asked)}" for s in spoken)
+    return f"{file_name} states no {asked.name} size along {and_join(missing)}: {known} only{why}. {asked.how_to_give}"
+
+
+def check_range(size: Sequence[float], *, file_name: str, asked: Asked, from_metadata: bool) -> None:
+    """Refuse sizes that no image of a sheet has.
+
+    Raises
+    ------
+    SizeError
+        If one lies outside the range; the message says which unit it looks like.
+    """
+    low, high = asked.range_um
+    also = f", and add {OVERRIDE}" if from_metadata else ""
+    for axis, value in zip(asked.axes, size, strict=True):
+        if low <= value <= high:
+            continue
+        guess = "The unit is probably wrong"
+        for unit, factor in (("nm", 1e-3), ("mm", 1e3), ("m", 1e6)):
+            if low <= value * factor <= high:
+                guess = f"It looks like {unit} given as um ({value:g} {unit} is {value * factor:g} um)"
+                break
+        raise SizeError(
+            f"{file_name}: the {asked.name} size along {axis} is {value:g} um, possible are {low:g} to {high:g} um. "
+            f"{guess}. Give the right one with {asked.option}, in um{also}."
+        )
+
+
+def in_words(size: Sequence[float | None], asked: Asked) -> str:
+    """Write a size with its axes, for example ``z 2, y 1.5, x 1.5 um``."""
+    parts = [f"{axis} {value:.6g}" for axis, value in zip(asked.axes, size, strict=True) if value is not None]
+    return ", ".join(parts) + " um"
+
+
+def and_join(parts: Iterable[str]) -> str:
+    """Join words with commas and a last "and"."""
+    words = list(parts)
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

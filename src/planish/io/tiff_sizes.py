@@ -1,0 +1,127 @@
+"""What a TIFF file states about the size of its voxels: OME, ImageJ, and the plain resolution tags."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from tifffile import TiffFile, TiffPage
+
+from planish.core.errors import FileError
+from planish.io.guard import reading
+from planish.io.sizes import Stated, from_density, unit_um
+
+RESOLUTION_UNITS = {2: "inch", 3: "cm"}
+
+UNKNOWN_NOTE = "the resolution is none that a program writes when it knows (none, 1, 72 or 96 dpi)"
+
+
+def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, ...]:
+    """Collect what the metadata state, along z, y, x.
+
+    Parameters
+    ----------
+    tif : TiffFile
+    page : TiffPage
+        The page whose tags count: the first of the series.
+    path : Path
+        For the messages.
+
+    Returns
+    -------
+    tuple of Stated
+        The most specific first.
+
+    Raises
+    ------
+    FileError
+        If the OME metadata cannot be read.
+    """
+    with reading(path):
+        ome = tif.ome_metadata
+        imagej: Mapping[str, Any] | None = tif.imagej_metadata
+    stated: list[Stated] = []
+    if ome is not None:
+        stated.append(stated_by_ome(ome, path))
+    density = densities(page)
+    if imagej is not None and str(imagej.get("unit", "")).strip():
+        stated.append(stated_by_imagej(imagej, density))
+    else:
+        stated.append(stated_by_tags(page, density))
+    return tuple(stated)
+
+
+def stated_by_ome(xml: str, path: Path) -> Stated:
+    """Read PhysicalSizeX, Y and Z of the first image; the unit is um where none is written, as OME has it."""
+    if "<!ENTITY" in xml or "<!DOCTYPE" in xml:
+        raise FileError(f"{path.name}: its OME metadata define entities, which OME never does. Export it again.")
+    with reading(path):
+        root = ElementTree.fromstring(xml)
+    found: dict[str, float | None] = {}
+    notes: list[str] = []
+    for element in root.iter():
+        if element.tag.rpartition("}")[2] != "Pixels":
+            continue
+        for axis in "ZYX":
+            value = number(element.get(f"PhysicalSize{axis}"))
+            unit = element.get(f"PhysicalSize{axis}Unit", "um")
+            length = unit_um(unit)
+            if value is not None and length is None:
+                notes.append(f"{unit!r} is no unit of length")
+            found[axis] = None if value is None or length is None else value * length
+        break
+    return Stated(source="OME metadata", um=tuple(found.get(a) for a in "ZYX"), note=", ".join(sorted(set(notes))))
+
+
+def stated_by_imagej(meta: Mapping[str, Any], density: tuple[float | None, float | None]) -> Stated:
+    """Read `unit` (`yunit`, `zunit`), `spacing`, and pixels per unit from the resolution tags."""
+    unit = str(meta.get("unit", ""))
+    if unit_um(unit) is None:
+        return Stated(source="ImageJ metadata", um=(None, None, None), note=f"{unit!r} is no unit of length")
+    unit_y, unit_z = (str(meta.get(key) or unit) for key in ("yunit", "zunit"))
+    across: list[float | None] = []
+    for per_unit, its_unit in zip(density, (unit_y, unit), strict=True):
+        length = unit_um(its_unit)
+        if its_unit.strip().casefold() in {"inch", "in", "inches", "cm"}:
+            across.append(from_density(per_unit, its_unit))
+        else:
+            across.append(None if per_unit is None or length is None else length / per_unit)
+    spacing = number(meta.get("spacing"))
+    length = unit_um(unit_z)
+    z = None if spacing is None or length is None else spacing * length
+    note = "" if z is not None else "it has no slice spacing (ImageJ leaves out a spacing of exactly 1)"
+    return Stated(source="ImageJ metadata", um=(z, *across), note=note)
+
+
+def stated_by_tags(page: TiffPage, density: tuple[float | None, float | None]) -> Stated:
+    """Read the resolution tags with their unit, inch or cm; they never speak about z."""
+    unit = RESOLUTION_UNITS.get(int(page.resolutionunit) if 296 in page.tags else 0, "")
+    across = [from_density(per_unit, unit) for per_unit in density]
+    note = "" if all(v is not None for v in across) else UNKNOWN_NOTE
+    return Stated(source="the TIFF resolution", um=(None, *across), note=note)
+
+
+def densities(page: TiffPage) -> tuple[float | None, float | None]:
+    """Pixels per unit along y and x, None where the tag is missing or no positive number."""
+    return rational(page, 283), rational(page, 282)
+
+
+def rational(page: TiffPage, code: int) -> float | None:
+    """Value of a tag that holds a fraction."""
+    value: Any = page.tags.valueof(code)
+    if not isinstance(value, tuple) or len(value) != 2:  # pyright: ignore[reportUnknownArgumentType]
+        return None
+    top, bottom = number(value[0]), number(value[1])
+    return None if top is None or bottom is None else top / bottom
+
+
+def number(value: Any) -> float | None:
+    """Read a positive finite number, or None."""
+    try:
+        result = float(value)
+    except (TypeError, ValueError):
+        return None
+    return result if math.isfinite(result) and result > 0 else None

@@ -1,0 +1,307 @@
+"""Compiled inner loops of the surface search: faces of one column, and presence along the normals.
+
+A column is read from outside to inside. Its model is a blurred staircase: ``air | coating | base`` with steps at the
+face ``h`` and the interface ``h + t``,
+
+    g(d) = a + (c - a) P((d - h) / w) + (b - c) P((d - h - t) / w),
+
+with P the normal distribution and w the width of the blur along the column.
+"""
+
+from math import erf, exp, floor, isfinite, sqrt
+
+import numpy as np
+from numba import njit
+
+_ROOT2 = sqrt(2.0)
+_ROOT2PI = sqrt(2.0 * np.pi)
+_STEPS = 14
+
+
+@njit(cache=True, nogil=True)
+def _normal(x):
+    return 0.5 * (1.0 + erf(x / _ROOT2))
+
+
+@njit(cache=True, nogil=True)
+def _bell(x):
+    return exp(-0.5 * x * x) / _ROOT2PI
+
+
+@njit(cache=True, nogil=True)
+def _solve4(m, r, n):
+    """Solve the symmetric positive system m[:n, :n] x = r[:n] in place by Cholesky; False where it is not positive."""
+    for i in range(n):
+        for j in range(i + 1):
+            s = m[i, j]
+            for k in range(j):
+                s -= m[i, k] * m[j, k]
+            if i == j:
+                if s <= 0.0:
+                    return False
+                m[i, i] = sqrt(s)
+            else:
+                m[i, j] = s / m[j, j]
+    for i in range(n):
+        s = r[i]
+        for k in range(i):
+            s -= m[i, k] * r[k]
+        r[i] = s / m[i, i]
+    for i in range(n - 1, -1, -1):
+        s = r[i]
+        for k in range(i + 1, n):
+            s -= m[k, i] * r[k]
+        r[i] = s / m[i, i]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _cost(g, lo, hi, air, noise, w, p, prior, spread, coated):
+    total = 0.0
+    for d in range(lo, hi + 1):
+        outer = _normal((d - p[0]) / w)
+        inner = _normal((d - p[0] - p[1]) / w) if coated else outer
+        model = air + (p[2] - air) * outer + (p[3] - p[2]) * inner
+        e = (g[d] - model) / noise
+        total += e * e
+    for i in range(4):
+        if spread[i] > 0.0:
+            e = (p[i] - prior[i]) / spread[i]
+            total += e * e
+    return total
+
+
+@njit(cache=True, nogil=True)
+def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step):
+    """Fit p = (h, t, c, b) to g[lo:hi+1] by Levenberg-Marquardt; return the cost per sample.
+
+    ``prior`` and ``spread`` (4): Gaussian prior on p; a spread of 0 means none, below 0 holds the value fixed.
+    Without a coating, t and c are left as they are and the staircase has one step, air to base.
+    """
+    damping = 1e-3
+    cost = _cost(g, lo, hi, air, noise, w, p, prior, spread, coated)
+    old = np.empty(4)
+    for _ in range(_STEPS):
+        matrix[:] = 0.0
+        step[:] = 0.0
+        for d in range(lo, hi + 1):
+            x1 = (d - p[0]) / w
+            outer, bell1 = _normal(x1), _bell(x1) / w
+            if coated:
+                x2 = (d - p[0] - p[1]) / w
+                inner, bell2 = _normal(x2), _bell(x2) / w
+            else:
+                inner, bell2 = outer, bell1
+            e = g[d] - (air + (p[2] - air) * outer + (p[3] - p[2]) * inner)
+            j0 = -(p[2] - air) * bell1 - (p[3] - p[2]) * bell2
+            j1 = -(p[3] - p[2]) * bell2 if coated else 0.0
+            j2 = outer - inner
+            j3 = inner
+            step[0] += j0 * e
+            step[1] += j1 * e
+            step[2] += j2 * e
+            step[3] += j3 * e
+            matrix[0, 0] += j0 * j0
+            matrix[1, 0] += j1 * j0
+            matrix[1, 1] += j1 * j1
+            matrix[2, 0] += j2 * j0
+            matrix[2, 1] += j2 * j1
+            matrix[2, 2] += j2 * j2
+            matrix[3, 0] += j3 * j0
+            matrix[3, 1] += j3 * j1
+            matrix[3, 2] += j3 * j2
+            matrix[3, 3] += j3 * j3
+        scale = 1.0 / (noise * noise)
+        for i in range(4):
+            step[i] *= scale
+            for j in range(i + 1):
+                matrix[i, j] *= scale
+        for i in range(4):
+            if spread[i] > 0.0:
+                k = 1.0 / (spread[i] * spread[i])
+                matrix[i, i] += k
+                step[i] += k * (prior[i] - p[i])
+            held = spread[i] < 0.0 or (not coated and (i == 1 or i == 2))
+            if held:
+                for j in range(4):
+                    if j <= i:
+                        matrix[i, j] = 0.0
+                    else:
+                        matrix[j, i] = 0.0
+                matrix[i, i] = 1.0
+                step[i] = 0.0
+        for i in range(4):
+            matrix[i, i] *= 1.0 + damping
+            matrix[i, i] += 1e-12
+            old[i] = p[i]
+        if not _solve4(matrix, step, 4):
+            break
+        step[0] = min(max(step[0], -1.5 * w), 1.5 * w)
+        step[1] = min(max(step[1], -2.0 * w), 2.0 * w)
+        for i in range(4):
+            p[i] += step[i]
+        if p[1] < 0.0:
+            p[1] = 0.0
+        new = _cost(g, lo, hi, air, noise, w, p, prior, spread, coated)
+        if new <= cost:
+            small = abs(step[0]) + abs(step[1]) < 2e-4
+            cost = new
+            damping *= 0.3
+            if small:
+                break
+        else:
+            for i in range(4):
+                p[i] = old[i]
+            damping *= 8.0
+            if damping > 1e7:
+                break
+    return cost / (hi - lo + 1)
+
+
+@njit(cache=True, nogil=True)
+def _outermost(g, start, stop, level):
+    """First index in [start, stop] from which the lightly smoothed g stays above level for two samples, or -1."""
+    for d in range(max(start, 1), min(stop, g.size - 3) + 1):
+        here = 0.25 * g[d - 1] + 0.5 * g[d] + 0.25 * g[d + 1]
+        then = 0.25 * g[d] + 0.5 * g[d + 1] + 0.25 * g[d + 2]
+        if here > level and then > level:
+            return d
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def fit_faces(slab, expected, other, tilt, air, width, noise, prior, spread, coated, search, result):
+    """Fit the outer face and the interface of every column of a slab, read from outside to inside.
+
+    Parameters
+    ----------
+    slab : (rows, cols, depth) float32
+        Grey, oriented so that the sheet is brighter than the air.
+    expected, other : (rows, cols)
+        Depth in voxels of this face and of the opposite one, from the coarse search; NaN where there is no sheet.
+    tilt : (rows, cols)
+        Cosine of the sheet's tilt: the blur along the column is ``width`` / tilt, in voxels.
+    air, noise : float
+        Level and standard deviation of a voxel.
+    prior, spread : (4,)
+        Of (h, t, c, b); those of h are not used.
+    coated : bool
+    search : float
+        How far outside the expected face the search starts, in voxels.
+    result : (5, rows, cols)
+        Set to h, t, c, b and cost; NaN where nothing is found.
+    """
+    rows, cols, depth = slab.shape
+    matrix = np.zeros((4, 4))
+    step = np.zeros(4)
+    p = np.zeros(4)
+    best = np.zeros(4)
+    local = spread.copy()
+    local[0] = 0.0
+    base_level = air + 0.5 * (prior[3] - air)
+    for i in range(rows):
+        for j in range(cols):
+            for n in range(5):
+                result[n, i, j] = np.nan
+            e = expected[i, j]
+            if not isfinite(e):
+                continue
+            g = slab[i, j]
+            w = width / tilt[i, j]
+            middle = 0.5 * (e + other[i, j])
+            start = int(floor(e - search / tilt[i, j]))
+            stop = int(floor(min(e + search / tilt[i, j], middle))) + 1
+            d0 = _outermost(g, start, stop, base_level)
+            if d0 < 0:
+                continue
+            # Half height between the air and what lies just inside, so that a coating does not pull the start outwards.
+            inside = g[d0]
+            for d in range(d0, min(d0 + int(2.5 * w) + 2, depth)):
+                inside = max(inside, g[d])
+            half = 0.5 * (air + inside)
+            h0 = float(d0)
+            for d in range(d0 - 1, min(d0 + int(3 * w) + 3, depth - 1)):
+                if d >= 0 and g[d] <= half < g[d + 1]:
+                    h0 = d + (half - g[d]) / (g[d + 1] - g[d])
+                    break
+            thick = 0.0
+            if coated:
+                mid = 0.5 * (prior[2] + prior[3])
+                d = int(h0 + 0.5 * w) + 1
+                seen = False
+                while d < min(int(middle), depth - 2):
+                    smooth = 0.25 * g[d - 1] + 0.5 * g[d] + 0.25 * g[d + 1]
+                    if smooth > mid:
+                        seen = True
+                    elif seen or d - h0 > 2.5 * w:
+                        break
+                    d += 1
+                thick = max(d - 0.5 - h0, 0.7 * w) if seen else 0.7 * w
+            cost = 1e300
+            for attempt in range(2 if coated else 1):
+                p[0], p[1], p[2], p[3] = h0, thick, prior[2], prior[3]
+                if attempt == 1:
+                    p[1] = 0.5 * w  # a second start, for a coating thinner than the blur
+                    if thick > 4 * w:
+                        continue
+                lo = max(int(floor(h0 - 3.0 * w)), 0)
+                hi = min(int(floor(h0 + thick + 3.0 * w)) + 1, depth - 1)
+                hi = max(min(hi, int(middle) + 1), min(int(h0 + 2.0 * w) + 2, depth - 1))
+                fine = True
+                for d in range(lo, hi + 1):
+                    fine = fine and isfinite(g[d])
+                if not fine or hi - lo < 4 or lo == 0 or hi == depth - 1:
+                    continue
+                now = fit_column(g, lo, hi, air, noise, w, p, prior, local, coated, matrix, step)
+                if now < cost:
+                    cost = now
+                    best[:] = p
+            if cost < 1e299 and lo - 2 <= best[0] <= hi + 2:
+                for n in range(4):
+                    result[n, i, j] = best[n]
+                result[4, i, j] = cost
+
+
+@njit(cache=True, nogil=True)
+def trilinear(slab, r, c, d):
+    """Value of slab (rows, cols, depth) at fractional indices; NaN outside."""
+    rows, cols, depth = slab.shape
+    if not (0.0 <= r <= rows - 1 and 0.0 <= c <= cols - 1 and 0.0 <= d <= depth - 1):
+        return np.nan
+    i, j, k = min(int(r), rows - 2), min(int(c), cols - 2), min(int(d), depth - 2)
+    fr, fc, fd = r - i, c - j, d - k
+    a = (slab[i, j, k] * (1 - fd) + slab[i, j, k + 1] * fd) * (1 - fc)
+    a += (slab[i, j + 1, k] * (1 - fd) + slab[i, j + 1, k + 1] * fd) * fc
+    b = (slab[i + 1, j, k] * (1 - fd) + slab[i + 1, j, k + 1] * fd) * (1 - fc)
+    b += (slab[i + 1, j + 1, k] * (1 - fd) + slab[i + 1, j + 1, k + 1] * fd) * fc
+    return a * (1 - fr) + b * fr
+
+
+@njit(cache=True, nogil=True)
+def presence(slab, lead, centre, normal_r, normal_c, normal_d, offsets, air, base, out):
+    """Share of material along each normal: mean of (g - air) / (base - air), cut to 0..1.
+
+    Parameters
+    ----------
+    slab : (rows + halo, cols, depth) float32
+        Carries ``lead`` more rows before the first row of the maps.
+    centre, normal_r, normal_c, normal_d : (rows, cols)
+        Height of the centre surface and the normal, per um, all in voxels.
+    offsets : (n,)
+        Distances from the centre surface along the normal, in um.
+    out : (rows, cols)
+        Set; NaN where the normal leaves the slab.
+    """
+    rows, cols = centre.shape
+    for i in range(rows):
+        for j in range(cols):
+            total, count = 0.0, 0
+            for n in range(offsets.size):
+                s = offsets[n]
+                r = lead + i + s * normal_r[i, j]
+                c = j + s * normal_c[i, j]
+                g = trilinear(slab, r, c, centre[i, j] + s * normal_d[i, j])
+                if isfinite(g):
+                    total += min(max((g - air) / (base - air), 0.0), 1.0)
+                    count += 1
+            out[i, j] = total / count if count > 0 else np.nan

@@ -1,0 +1,211 @@
+"""Compiled inner loops of the synthetic specimen: the warp and its inverse, voxels, fibres.
+
+A warp travels as one flat array ``w`` and one table ``curve`` (see :meth:`planish.synthetic.warp.Warp.packed`):
+``w = [cos a, sin a, psi, k, phase, p0, dp, x0, y0, z0, bump, bump_u, bump_v, bump_r]`` and
+``curve[i] = (X, Z)`` of the profile curve at arc length ``p0 + i * dp``.
+"""
+
+from math import cos, exp, floor, sin, sqrt
+
+import numpy as np
+from numba import njit, prange
+
+_MAX_STEPS = 25
+_CLOSE_UM = 1e-4
+
+
+@njit(cache=True, nogil=True)
+def frame_at(w, curve, u, v):
+    """Return m (3), m_u (3), m_v (3) of the centre surface at (u, v), as nine scalars."""
+    ca, sa = w[0], w[1]
+    p = u * ca + v * sa
+    q = -u * sa + v * ca
+    h = w[6]
+    t = (p - w[5]) / h
+    i = int(floor(t))
+    i = min(max(i, 0), curve.shape[0] - 2)
+    f = t - i
+    psi0 = w[2] * sin(w[3] * (w[5] + i * h) + w[4])
+    psi1 = w[2] * sin(w[3] * (w[5] + (i + 1) * h) + w[4])
+    # Cubic Hermite between exact values and exact tangents: error below 1e-8 um at 2 um steps.
+    h00 = (1 + 2 * f) * (1 - f) * (1 - f)
+    h10 = f * (1 - f) * (1 - f)
+    h01 = f * f * (3 - 2 * f)
+    h11 = f * f * (f - 1)
+    big_x = h00 * curve[i, 0] + h10 * h * cos(psi0) + h01 * curve[i + 1, 0] + h11 * h * cos(psi1)
+    big_z = h00 * curve[i, 1] + h10 * h * sin(psi0) + h01 * curve[i + 1, 1] + h11 * h * sin(psi1)
+    psi = w[2] * sin(w[3] * p + w[4])
+    c, s = cos(psi), sin(psi)
+    du, dv = u - w[11], v - w[12]
+    bump = w[10] * exp(-(du * du + dv * dv) / (2 * w[13] * w[13]))
+    bu = -bump * du / (w[13] * w[13])
+    bv = -bump * dv / (w[13] * w[13])
+    return (
+        big_x * ca - q * sa + w[7],
+        big_x * sa + q * ca + w[8],
+        big_z + w[9] + bump,
+        ca * c * ca + sa * sa,
+        sa * c * ca - ca * sa,
+        s * ca + bu,
+        ca * c * sa - sa * ca,
+        sa * c * sa + ca * ca,
+        s * sa + bv,
+    )
+
+
+@njit(cache=True, nogil=True)
+def invert(w, curve, x, y, z, u, v):
+    """Return (u, v, s) with m(u, v) + s n(u, v) = (x, y, z), from the guess (u, v)."""
+    s = 0.0
+    for _ in range(_MAX_STEPS):
+        mx, my, mz, ux, uy, uz, vx, vy, vz = frame_at(w, curve, u, v)
+        dx, dy, dz = x - mx, y - my, z - mz
+        g11 = ux * ux + uy * uy + uz * uz
+        g12 = ux * vx + uy * vy + uz * vz
+        g22 = vx * vx + vy * vy + vz * vz
+        r1 = dx * ux + dy * uy + dz * uz
+        r2 = dx * vx + dy * vy + dz * vz
+        det = g11 * g22 - g12 * g12
+        du = (g22 * r1 - g12 * r2) / det
+        dv = (g11 * r2 - g12 * r1) / det
+        u += du
+        v += dv
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        s = (dx * nx + dy * ny + dz * nz) / sqrt(nx * nx + ny * ny + nz * nz)
+        if abs(du) + abs(dv) < _CLOSE_UM:
+            break
+    return u, v, s
+
+
+@njit(cache=True, nogil=True)
+def ground(w, curve, x, y, u, v):
+    """Return (u, v, z) of the centre surface above the lateral point (x, y), from the guess (u, v)."""
+    mz = 0.0
+    for _ in range(_MAX_STEPS):
+        mx, my, mz, ux, uy, _uz, vx, vy, _vz = frame_at(w, curve, u, v)
+        dx, dy = x - mx, y - my
+        det = ux * vy - uy * vx
+        du = (vy * dx - vx * dy) / det
+        dv = (ux * dy - uy * dx) / det
+        u += du
+        v += dv
+        if abs(du) + abs(dv) < _CLOSE_UM:
+            break
+    return u, v, frame_at(w, curve, u, v)[2]
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def frames(w, curve, u, v):
+    """Centre surface points (n, 3) and unit normals (n, 3) at the coordinates u, v (n,)."""
+    points = np.empty((u.size, 3))
+    normals = np.empty((u.size, 3))
+    for i in prange(u.size):
+        mx, my, mz, ux, uy, uz, vx, vy, vz = frame_at(w, curve, u[i], v[i])
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        n = sqrt(nx * nx + ny * ny + nz * nz)
+        points[i, 0], points[i, 1], points[i, 2] = mx, my, mz
+        normals[i, 0], normals[i, 1], normals[i, 2] = nx / n, ny / n, nz / n
+    return points, normals
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def materials(w, curve, points):
+    """Material coordinates (n, 3) as (u, v, s) of the points in space (n, 3) as (x, y, z)."""
+    out = np.empty((points.shape[0], 3))
+    for i in prange(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        u, v, s = invert(w, curve, x, y, z, x - w[7], y - w[8])
+        out[i, 0], out[i, 1], out[i, 2] = u, v, s
+    return out
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def columns(w, curve, ys, xs):
+    """Ground truth (rows, cols, 3) as (u, v, z) below each column at (ys[i], xs[j])."""
+    out = np.empty((ys.size, xs.size, 3))
+    for i in prange(ys.size):
+        u, v = xs[0] - w[7], ys[i] - w[8]
+        for j in range(xs.size):
+            u, v, z = ground(w, curve, xs[j], ys[i], u, v)
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = u, v, z
+    return out
+
+
+@njit(cache=True, nogil=True)
+def bilinear(field, x, y):
+    """Value of field (rows, cols) at fractional column x and row y, clamped to the edge."""
+    x = min(max(x, 0.0), field.shape[1] - 1.000001)
+    y = min(max(y, 0.0), field.shape[0] - 1.000001)
+    j, i = int(x), int(y)
+    fx, fy = x - j, y - i
+    top = field[i, j] * (1 - fx) + field[i, j + 1] * fx
+    low = field[i + 1, j] * (1 - fx) + field[i + 1, j + 1] * fx
+    return top * (1 - fy) + low * fy
+
+
+@njit(cache=True, nogil=True)
+def paint(slab, w, curve, ys, xs, zs, ground_z, half_um, faces, texture, open_air, taper_um, char, origin, pitch, grey, soft_um):
+    """Fill slab (rows, cols, depth) with the unblurred grey of the sheet; nothing is written outside the sheet.
+
+    ``faces`` (4, fr, fc): s_T, s_TI, s_BI, s_B; ``texture`` (layers, fr, fc): relative base density through the depth;
+    ``open_air`` (fr, fc): signed distance to the nearest hole's rim, negative inside, in um; ``taper_um``: how much
+    smaller the hole's radius is at the bottom than at the top, per um of depth; ``char``
+    (fr, fc): factor on the coating's grey; ``origin`` (u, v) of the fields' first node; ``grey`` (air, base, coating).
+    Each boundary is averaged over ``soft_um`` along the normal, the width of a voxel.
+    """
+    layers = texture.shape[0]
+    for i in range(ys.size):
+        for j in range(xs.size):
+            zc = ground_z[i, j, 2]
+            u, v = ground_z[i, j, 0], ground_z[i, j, 1]
+            k0 = max(int(floor((zc - half_um - zs[0]) / (zs[1] - zs[0]))), 0)
+            k1 = min(int(floor((zc + half_um - zs[0]) / (zs[1] - zs[0]))) + 1, zs.size - 1)
+            for k in range(k0, k1 + 1):
+                u, v, s = invert(w, curve, xs[j], ys[i], zs[k], u, v)
+                fx, fy = (u - origin[0]) / pitch, (v - origin[1]) / pitch
+                top = bilinear(faces[0], fx, fy)
+                low = bilinear(faces[3], fx, fy)
+                if s > top + soft_um or s < low - soft_um:
+                    continue
+                inner_top = bilinear(faces[1], fx, fy)
+                inner_low = bilinear(faces[2], fx, fy)
+                in_sheet = _ramp((top - s) / soft_um) * _ramp((s - low) / soft_um)
+                in_base = _ramp((inner_top - s) / soft_um) * _ramp((s - inner_low) / soft_um)
+                depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (layers - 1)
+                layer = min(int(depth), layers - 2)
+                f = depth - layer
+                density = bilinear(texture[layer], fx, fy) * (1 - f) + bilinear(texture[layer + 1], fx, fy) * f
+                solid = _ramp((bilinear(open_air, fx, fy) + taper_um * (top - s)) / soft_um)
+                coating = grey[2] * bilinear(char, fx, fy)
+                value = in_base * grey[1] * density + max(in_sheet - in_base, 0.0) * coating
+                slab[i, j, k] = grey[0] * (1 - in_sheet * solid) + value * solid
+
+
+@njit(cache=True, nogil=True)
+def _ramp(t):
+    return min(max(t + 0.5, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def lay_fibres(field, starts, angles, lengths, widths, curls, height):
+    """Add fibres (n) of elliptical cross-section to field (rows, cols); all lengths in nodes of the field."""
+    rows, cols = field.shape
+    for n in range(starts.shape[0]):
+        half = widths[n] / 2
+        steps = int(lengths[n] * 2)
+        x, y, a = starts[n, 0], starts[n, 1], angles[n]
+        px, py = -10**6, -10**6
+        for _ in range(steps):
+            x += 0.5 * cos(a)
+            y += 0.5 * sin(a)
+            a += 0.5 * curls[n]
+            cx, cy = int(floor(x + 0.5)), int(floor(y + 0.5))
+            if cx == px and cy == py:
+                continue
+            px, py = cx, cy
+            r = int(half) + 1
+            for i in range(max(cy - r, 0), min(cy + r + 1, rows)):
+                for j in range(max(cx - r, 0), min(cx + r + 1, cols)):
+                    d2 = ((i - y) ** 2 + (j - x) ** 2) / (half * half)
+                    if d2 < 1:
+                        field[i, j] = max(field[i, j], height * sqrt(1 - d2))
