@@ -22,6 +22,12 @@ RGB = 2
 PALETTE = 3
 YCBCR = 6
 
+LAYOUT_NUMBERS = (
+    "imagewidth", "imagelength", "imagedepth", "tilewidth", "tilelength", "tiledepth", "rowsperstrip", "bitspersample",
+    "samplesperpixel", "sampleformat", "compression", "photometric", "planarconfig", "predictor", "fillorder",
+)  # fmt: skip
+"""Attributes of a page on which the position and meaning of every pixel depend."""
+
 JPEG_COMPRESSIONS = frozenset({6, 7, 34892, 33007})
 
 
@@ -123,6 +129,7 @@ def check_data(series: TiffPageSeries, path: Path) -> None:
     """
     size = size_of_file(path)
     key = series.keyframe
+    check_numbers(key, path)
     if series.size == 0 or key.dtype is None or series.dtype.itemsize == 0:
         raise damaged(path, f"its image is {' x '.join(map(str, series.shape)) or 'without extent'} pixels")
     if key.bitspersample not in range(1, 65):
@@ -134,8 +141,9 @@ def check_data(series: TiffPageSeries, path: Path) -> None:
         raise damaged(path, f"the image ends at byte {offset + series.nbytes}, the file has {size}")
     if len(pages) * math.prod(key.shape) != series.size and offset is None:
         raise damaged(path, f"{series.size} pixels are declared, its pages hold {len(pages) * math.prod(key.shape)}")
+    with reading(path):
+        segments = math.prod(key.chunked)
     needed = stored_bytes_if_uncompressed(key)
-    segments = math.prod(key.chunked)
     total = 0
     for number, page in enumerate(pages, start=1):
         if page is None:
@@ -146,6 +154,14 @@ def check_data(series: TiffPageSeries, path: Path) -> None:
         total += check_page_data(page, path, number=number, segments=segments, needed=needed, size=size)
     if key.compression != 1:
         check_blown_up(path, decoded_bytes=series.nbytes, stored_bytes=total)
+
+
+def check_numbers(page: TiffPage, path: Path) -> None:
+    """Refuse a page whose layout is not told in whole numbers, as damaged tags may have any type."""
+    for name in LAYOUT_NUMBERS:
+        value: Any = getattr(page, name)
+        if not isinstance(value, int):
+            raise damaged(path, f"its {name} is {str(value)[:40]!r}, which is no number")
 
 
 def check_page_data(

@@ -98,7 +98,8 @@ def stated_by_imagej(meta: Mapping[str, Any], density: tuple[float | None, float
 
 def stated_by_tags(page: TiffPage, density: tuple[float | None, float | None]) -> Stated:
     """Read the resolution tags with their unit, inch or cm; they never speak about z."""
-    unit = RESOLUTION_UNITS.get(int(page.resolutionunit) if 296 in page.tags else 0, "")
+    code: Any = page.tags.valueof(296)
+    unit = RESOLUTION_UNITS.get(code, "") if isinstance(code, int) else ""
     across = [from_density(per_unit, unit) for per_unit in density]
     note = "" if all(v is not None for v in across) else UNKNOWN_NOTE
     return Stated(source="the TIFF resolution", um=(None, *across), note=note)

@@ -1,0 +1,185 @@
+"""Flatten the centre surface of a sheet: choose the mesh, relax it, carry every column along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planish.core.errors import CannotFlatten
+from planish.core.frame import Frame
+from planish.core.outcome import Outcome
+from planish.flatten.distortion import cell_strain, edge_strain
+from planish.flatten.relax import relax_grid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlattenParams:
+    """Choices of the flattening.
+
+    Attributes
+    ----------
+    mesh_um : float or None
+        Pitch of the spring mesh. By default four columns, coarser where the mesh would have more than ``most_nodes``:
+        the centre surface holds no detail below its cut-off of 400 um, so that a mesh of 12 um loses nothing.
+    most_nodes : int
+    """
+
+    mesh_um: float | None = None
+    most_nodes: int = 45_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flattened:
+    """Flat coordinates and their quality.
+
+    Attributes
+    ----------
+    flat : Dataset, dims (y, x)
+        ``u``, ``v`` in um as seen from the top: u to the right, v downwards. NaN where there is no sheet or a folded
+        cell. ``projected_u``, ``projected_v``: the same without flattening.
+    strain : Dataset, dims (row, col)
+        Strains of the mesh's cells, with their place ``y``, ``x``.
+    outcome : Outcome
+    steps : int
+    energy : float
+        um2
+    mesh_um : float
+    folded_cells : int
+    edge_strain_p95, edge_strain_max : float
+        Of all axial edges, absolute.
+    """
+
+    flat: xr.Dataset
+    strain: xr.Dataset
+    outcome: Outcome
+    steps: int
+    energy: float
+    mesh_um: float
+    folded_cells: int
+    edge_strain_p95: float
+    edge_strain_max: float
+
+
+def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) -> Flattened:
+    """Develop the centre surface into the plane.
+
+    Parameters
+    ----------
+    surfaces : Dataset, dims (y, x), in um
+        ``centre`` and the frame in its attributes.
+    params : FlattenParams
+
+    Returns
+    -------
+    Flattened
+
+    Raises
+    ------
+    CannotFlatten
+        If the centre surface is too small or falls into pieces.
+    """
+    params = params or FlattenParams()
+    frame = Frame.of(surfaces)
+    y, x = surfaces["y"].values, surfaces["x"].values
+    centre = surfaces["centre"].values
+    known = _largest_piece(np.isfinite(centre))
+    step = _strides(y, x, np.count_nonzero(known), params)
+    rows, cols = _every(y.size, step[0]), _every(x.size, step[1])
+    mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
+    height = np.where(known, centre, np.nan)[np.ix_(rows, cols)]
+    points = np.stack([mesh_x, mesh_y, height], axis=-1)
+    points[~_largest_piece(np.isfinite(height))] = np.nan
+    relaxed = relax_grid(points)
+    flip = -1.0 if frame.mirrored else 1.0
+    offset = float(x[-1] + x[0]) if frame.mirrored else 0.0
+    fine_y, fine_x = np.meshgrid(y, x, indexing="ij")
+    moved = [
+        _carried(relaxed.uv[..., i] - points[..., i], rows, cols, (y.size, x.size)) for i in range(2)
+    ]
+    bad = _fold_mask(relaxed.folded, rows, cols, (y.size, x.size))
+    inside = known & ~bad
+    values = {
+        "u": (offset + flip * (fine_x + moved[0]), "Flat coordinate u"),
+        "v": (fine_y + moved[1], "Flat coordinate v"),
+        "projected_u": (offset + flip * fine_x, "Projected coordinate u"),
+        "projected_v": (fine_y, "Projected coordinate v"),
+    }
+    flat = xr.Dataset(
+        {k: (("y", "x"), np.where(inside, v, np.nan), {"units": "um", "long_name": t}) for k, (v, t) in values.items()},
+        coords=surfaces.coords,
+        attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored)},
+    )
+    strain = cell_strain(points, relaxed.uv).assign_coords(
+        y=("row", 0.5 * (y[rows][1:] + y[rows][:-1])), x=("col", 0.5 * (x[cols][1:] + x[cols][:-1]))
+    )
+    edges = np.concatenate([np.abs(e[np.isfinite(e)]) for e in edge_strain(points, relaxed.uv)])
+    return Flattened(
+        flat=flat,
+        strain=strain,
+        outcome=relaxed.outcome,
+        steps=relaxed.steps,
+        energy=relaxed.energy,
+        mesh_um=float(step[0] * (y[1] - y[0])),
+        folded_cells=int(np.count_nonzero(relaxed.folded)),
+        edge_strain_p95=float(np.percentile(edges, 95)),
+        edge_strain_max=float(edges.max()),
+    )
+
+
+def _largest_piece(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Keep the largest connected piece; crumbs beside it have no place in the plane."""
+    labels, count = ndimage.label(known, structure=np.ones((3, 3)))
+    if count == 0:
+        raise CannotFlatten("The centre surface is empty; there is nothing to flatten.")
+    return labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:])) if count > 1 else known
+
+
+def _strides(y: Array, x: Array, nodes: int, params: FlattenParams) -> tuple[int, int]:
+    """Columns per mesh cell, along rows and columns, so that cells are about square."""
+    pitch = float(y[1] - y[0]), float(x[1] - x[0])
+    wanted = params.mesh_um or max(4 * max(pitch), np.sqrt(nodes * pitch[0] * pitch[1] / params.most_nodes))
+    return tuple(  # type: ignore[return-value]
+        int(np.clip(round(wanted / p), 1, max(1, (n - 1) // 2))) for p, n in zip(pitch, (y.size, x.size), strict=True)
+    )
+
+
+def _every(count: int, step: int) -> NDArray[np.intp]:
+    """Indices of the mesh's nodes: every ``step``-th column, and the last one."""
+    indices = np.arange(0, count, step)
+    if indices[-1] != count - 1:
+        # The last cell would be a sliver: it is widened instead.
+        indices = np.append(indices[:-1] if count - 1 - indices[-1] < step / 2 and indices.size > 2 else indices, count - 1)
+    return indices
+
+
+def _carried(move: Array, rows: NDArray[np.intp], cols: NDArray[np.intp], shape: tuple[int, int]) -> Array:
+    """Displacement of every column, bilinear between the nodes of the mesh (filled by the nearest node outside)."""
+    known = np.isfinite(move)
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    filled = move[tuple(nearest)]
+    r = np.interp(np.arange(shape[0]), rows, np.arange(rows.size))
+    c = np.interp(np.arange(shape[1]), cols, np.arange(cols.size))
+    i, j = np.minimum(r.astype(int), rows.size - 2), np.minimum(c.astype(int), cols.size - 2)
+    fr, fc = (r - i)[:, None], (c - j)[None, :]
+    a, b = filled[i], filled[i + 1]
+    low = a[:, j] * (1 - fc) + a[:, j + 1] * fc
+    high = b[:, j] * (1 - fc) + b[:, j + 1] * fc
+    return low * (1 - fr) + high * fr
+
+
+def _fold_mask(
+    folded: NDArray[np.bool_], rows: NDArray[np.intp], cols: NDArray[np.intp], shape: tuple[int, int]
+) -> NDArray[np.bool_]:
+    mask = np.zeros(shape, dtype=bool)
+    for i, j in zip(*np.nonzero(folded), strict=True):
+        mask[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = True
+    return mask
+
+
+__all__ = ["FlattenParams", "Flattened", "Outcome", "flatten_sheet"]
