@@ -31,7 +31,7 @@ class FlattenParams:
     """
 
     mesh_um: float | None = None
-    most_nodes: int = 45_000
+    most_nodes: int = 16_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import struct
+import zlib
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -30,7 +32,7 @@ from planish.io.tiff import (
     open_tiff,
     shape_words,
 )
-from planish.io.tiff_chain import is_tiff
+from planish.io.tiff_chain import damaged, is_tiff
 from planish.io.tiff_sizes import UNKNOWN_NOTE, stated_by_tiff
 
 PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
@@ -138,7 +140,8 @@ def load_tiff(path: Path, *, memory_limit_bytes: int | None) -> Picture:
         if page.photometric == PALETTE and len(axes) == 2:
             with reading(path):
                 values, bits, colour = look_up(values, np.asarray(page.colormap))
-        orientation = page.tags.valueof(274, default=1)
+        with reading(path):
+            orientation = page.tags.valueof(274, default=1)
     return Picture(
         values=values,
         colour=colour,
@@ -208,6 +211,8 @@ def load_raster(path: Path, *, memory_limit_bytes: int | None) -> Picture:
     size = size_of_file(path)
     with reading(path):
         data = path.read_bytes()
+        if kind == "png":
+            check_png_chunks(data, path)
         image: ImageFile.ImageFile = plugin(BytesIO(data))
     deep = kind == "png" and data[24] == 16 and data[25] in (2, 4, 6)
     bands = len(image.getbands())
@@ -236,6 +241,25 @@ def load_raster(path: Path, *, memory_limit_bytes: int | None) -> Picture:
         stated=(stated_by_dpi(dpi, source=f"the {kind.upper()} resolution"),),
         orientation=orientation if isinstance(orientation, int) else 1,
     )
+
+
+def check_png_chunks(data: bytes, path: Path) -> None:
+    """Check the checksum of every part of a PNG file, up to its end mark; decoders pass over some of them.
+
+    Raises
+    ------
+    FileError
+        If a checksum is wrong or the end mark is missing.
+    """
+    at, name = 8, b""
+    while name != b"IEND":
+        if at + 12 > len(data):
+            raise damaged(path, f"its end mark is missing after {len(data)} bytes")
+        length, name = struct.unpack_from(">I4s", data, at)
+        end = at + 8 + length
+        if end + 4 > len(data) or zlib.crc32(data[at + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
+            raise damaged(path, f"the checksum of its part {name.decode('latin-1')!r} at byte {at} is wrong")
+        at = end + 4
 
 
 def stated_by_dpi(dpi: Any, *, source: str) -> Stated:

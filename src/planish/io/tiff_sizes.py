@@ -46,11 +46,13 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
     stated: list[Stated] = []
     if ome is not None:
         stated.append(stated_by_ome(ome, path))
-    density = densities(page)
+    with reading(path):
+        density = densities(page)
     if imagej is not None and str(imagej.get("unit", "")).strip():
         stated.append(stated_by_imagej(imagej, density))
     else:
-        stated.append(stated_by_tags(page, density))
+        with reading(path):
+            stated.append(stated_by_tags(page, density))
     return tuple(stated)
 
 

@@ -1,0 +1,96 @@
+"""The run folder: written beside its place first and moved there when it is whole.
+
+A run that fails half way leaves nothing behind that could be taken for a result.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from planish.core.errors import FileError, ResourceError
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Give a hidden folder to write into; it becomes ``path`` when the block ends well, and vanishes when not.
+
+    Raises
+    ------
+    FileError
+        If ``path`` exists or cannot be written.
+    ResourceError
+        If the disk is full.
+    """
+    refuse_existing(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
+    except OSError as error:
+        raise _as_planish(error, path) from error
+    try:
+        yield partial
+        refuse_existing(path)
+        partial.chmod(0o755)
+        partial.rename(path)
+    except OSError as error:
+        raise _as_planish(error, path) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise FileError if something stands at ``path`` already."""
+    if path.exists() or path.is_symlink():
+        raise FileError(
+            f"{path} exists already. Results are never written over: give another name with --out, or remove it first."
+        )
+
+
+def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
+    """Write datasets as groups of one zarr store that ``xarray.open_datatree(path, engine="zarr")`` opens."""
+    tree = xr.DataTree.from_dict({f"/{name}": data for name, data in groups.items()})
+    tree.to_zarr(path, zarr_format=3, consolidated=True, write_inherited_coords=False)
+
+
+def read_tree(path: Path) -> dict[str, xr.Dataset]:
+    """Read all groups of a store into memory.
+
+    Raises
+    ------
+    FileError
+        If there is no store, or it is damaged.
+    """
+    if not (path / "zarr.json").is_file():
+        raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
+    try:
+        with xr.open_datatree(path, engine="zarr") as tree:
+            return {node.path.strip("/"): node.to_dataset(inherit=False).load() for node in tree.subtree if node.data_vars}
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        raise FileError(f"{path} cannot be read: {error}. It may be damaged; repeat the run.") from error
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write JSON with sorted keys off, two spaces, and no NaN (they are errors: use None)."""
+    path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
+
+
+def _as_planish(error: OSError, path: Path) -> FileError | ResourceError:
+    if error.errno in _FULL:
+        free = shutil.disk_usage(path.parent if path.parent.exists() else Path.cwd()).free
+        return ResourceError(
+            f"The disk is full while writing {path} ({free / 1e6:.0f} MB are free). Nothing was kept of it. "
+            "Free some space or give --out on another disk."
+        )
+    return FileError(f"{path} cannot be written: {os.strerror(error.errno) if error.errno else error}.")

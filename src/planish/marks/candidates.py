@@ -1,0 +1,104 @@
+"""Places where a round hole may be: extremes of a scale space that knows about missing data.
+
+A disc of radius R answers most strongly to a Laplacian of Gaussian of width R / sqrt(2) (Lindeberg 1998,
+doi:10.1023/A:1008045108935). The search is generous; measuring the rim decides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planish.marks import _kernels
+
+Floats = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+# Pixels across the smallest hole where candidates are looked for, and where rims are measured.
+ACROSS_COARSE = 8.0
+ACROSS_FINE = 40.0
+MOST_CANDIDATES = 4000
+
+
+def reduce_to(image: Image, pixel_um: tuple[float, float], target_um: float) -> tuple[Image, tuple[float, float], Floats]:
+    """Area-mean an image until its pixels are nearly as large as ``target_um``.
+
+    Parameters
+    ----------
+    image : ndarray, shape (rows, columns)
+    pixel_um : tuple of float
+        Pixel size ``(y, x)``.
+    target_um : float
+        Largest pixel wanted.
+
+    Returns
+    -------
+    tuple
+        The image, its pixel size ``(y, x)`` in um, and the ``(x, y)`` of its first pixel's centre in um.
+    """
+    factors = [max(1, min(int(target_um / size + 1e-6), n // 4)) for size, n in zip(pixel_um, image.shape, strict=True)]
+    small = image if factors == [1, 1] else _kernels.area_mean(image, factors[0], factors[1])
+    size = (pixel_um[0] * factors[0], pixel_um[1] * factors[1])
+    return small, size, np.array([(factors[1] - 1) / 2 * pixel_um[1], (factors[0] - 1) / 2 * pixel_um[0]])
+
+
+def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[float, float]) -> list[tuple[float, Image]]:
+    """Laplacian-of-Gaussian responses at radii that cover a range; positive where a disc is darker than around it.
+
+    Missing data are filled with the local mean of what is there, so that they raise no edge of their own.
+
+    Returns
+    -------
+    list of (radius in um, response)
+    """
+    there = np.isfinite(image)
+    filled = image
+    if not np.all(there):
+        wide = tuple(1.5 * radii_um[1] / size for size in pixel_um)
+        share = ndimage.gaussian_filter(there.astype(np.float32), wide)
+        values = ndimage.gaussian_filter(np.where(there, image, np.float32(0)), wide)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            local = values / share
+        typical = np.float32(np.median(image[there]))
+        filled = np.where(there, image, np.where(share > 1e-3, local, typical)).astype(np.float32)
+    count = max(2, int(np.ceil(np.log(radii_um[1] / radii_um[0]) / np.log(1.35))) + 1)
+    responses: list[tuple[float, Image]] = []
+    for radius in np.geomspace(radii_um[0], radii_um[1], count):
+        sigmas = tuple(radius / np.sqrt(2) / size for size in pixel_um)
+        # The difference of two Gaussians is the Laplacian to within a constant, and keeps anisotropic pixels simple.
+        narrow = ndimage.gaussian_filter(filled, tuple(s * 0.9 for s in sigmas), mode="nearest", truncate=3.0)
+        wide = ndimage.gaussian_filter(filled, tuple(s * 1.3 for s in sigmas), mode="nearest", truncate=3.0)
+        responses.append((float(radius), wide - narrow))
+    return responses
+
+
+def peaks(responses: list[tuple[float, Image]], pixel_um: tuple[float, float], sign: float) -> Floats:
+    """Return the strongest extremes over place and scale as rows ``(x, y)`` in um, strongest first.
+
+    Parameters
+    ----------
+    responses : list of (radius, response)
+        From `blob_responses`.
+    pixel_um : tuple of float
+        Pixel size ``(y, x)`` of the responses.
+    sign : {1, -1}
+        Which extremes: dark or bright discs.
+    """
+    found: list[Floats] = []
+    for radius, response in responses:
+        values = response * np.float32(sign)
+        reach = tuple(2 * max(1, round(0.5 * radius / size)) + 1 for size in pixel_um)
+        top = (values == ndimage.maximum_filter(values, size=reach)) & (values > 0)
+        rows, columns = np.nonzero(top)
+        found.append(np.stack([columns * pixel_um[1], rows * pixel_um[0], values[rows, columns]], axis=1))
+    every = np.concatenate(found)
+    order = np.argsort(-every[:, 2], kind="stable")[:MOST_CANDIDATES]
+    return _thinned(every[order, :2], 0.25 * responses[0][0])
+
+
+def _thinned(points: Floats, least: float) -> Floats:
+    """Drop points that share a cell of size ``least`` with a stronger one."""
+    cells = np.floor(points / least).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    return points[np.sort(first)]

@@ -1,0 +1,619 @@
+"""The whole line, from files to linked maps; the only place where stages meet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish import __version__
+from planish.analyze import correlate, correlate_at
+from planish.core.errors import CannotRegister, MarkError, VolumeError
+from planish.core.frame import Frame
+from planish.core.transform import Similarity
+from planish.flatten import Flattened, FlattenParams, flatten_sheet
+from planish.io import fingerprint, read_image, read_volume
+from planish.io.run_folder import new_folder, refuse_existing, write_json, write_tree
+from planish.marks import find_holes, read_marks, write_marks
+from planish.measure import PROPERTIES, measure_properties
+from planish.register import FittedTransform, fit_transform, match_marks
+from planish.report import write_report
+from planish.resample import covering_grid, find_places, resample, resample_dataset
+from planish.study import Study, write_study
+from planish.surface import SurfaceParams, find_surfaces
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, str], None]
+
+_THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room on both sides
+_LEAST_SHARE = 0.15  # of the columns: with less there is no map
+_SLICES = 3
+ROWS = ("projection, no scale", "projection, similarity", "flattened, similarity")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gate:
+    """One condition that a result must meet to be used without a second look."""
+
+    name: str
+    value: float
+    limit: float
+    passed: bool
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """All that a run gives.
+
+    Attributes
+    ----------
+    study : Study
+        The parameters, resolved.
+    groups : dict of Dataset
+        ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and after a link
+        ``linked`` (y, x of the image).
+    marks : Dataset (mark) or None
+    results : dict
+        Numbers only, ready for JSON.
+    gates : tuple of Gate
+    """
+
+    study: Study
+    groups: dict[str, xr.Dataset]
+    marks: xr.Dataset | None
+    results: dict[str, Any]
+    gates: tuple[Gate, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every quality gate was passed."""
+        return all(gate.passed for gate in self.gates)
+
+
+def run_study(study: Study, out: Path, *, progress: Progress | None = None) -> Run:
+    """Do what a study says and write the run folder ``out``.
+
+    Raises
+    ------
+    PlanishError
+        Any of the tree in :mod:`planish.core.errors`; nothing is left at ``out`` then.
+    """
+    refuse_existing(out)
+    tell = progress or (lambda _stage, _detail: None)
+    run = link_sheet(study, progress=tell) if study.image is not None else map_sheet(study, progress=tell)
+    tell("write", str(out))
+    with new_folder(out) as folder:
+        save_run(run, folder, home=out)
+    return run
+
+
+def save_run(run: Run, folder: Path, *, home: Path) -> None:
+    """Write all files of a run into ``folder``, which will stand at ``home``."""
+    write_tree(folder / "maps.zarr", run.groups)
+    if run.marks is not None:
+        write_marks(run.marks, folder / "marks.csv")
+    write_json(folder / "results.json", run.results)
+    write_study(run.study, folder, home=home, version=__version__)
+    write_report(folder / "report.html", groups=run.groups, marks=run.marks, results=run.results)
+
+
+def map_sheet(study: Study, *, progress: Progress | None = None) -> Run:
+    """Go from a volume to flattened maps of its properties."""
+    tell = progress or (lambda _stage, _detail: None)
+    tell("read", Path(study.volume.path).name)
+    volume = read_volume(
+        Path(study.volume.path), voxel_um=study.volume.voxel_um, override_size=study.volume.override_size
+    )
+    voxel = tuple(float(v) for v in volume.attrs["voxel_um"])
+    frame = Frame(through=study.volume.through, top=study.volume.top)
+    tell("surface", " x ".join(map(str, volume.shape)) + " voxels")
+    s = study.surface
+    params = SurfaceParams(sheet_grey=s.sheet_grey, cutoff_um=s.cutoff_um, rim_um=s.rim_um)
+    surfaces = find_surfaces(volume, frame=frame, params=params)
+    _check_thickness(surfaces)
+    tell("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
+    properties = measure_properties(surfaces)
+    tell("flatten", "eight-spring mesh")
+    flattened = flatten_sheet(surfaces, params=FlattenParams(mesh_um=study.flatten.mesh_um))
+    pitch = _pitch(surfaces)
+    map_um = study.flatten.map_um or float(np.sqrt(pitch[0] * pitch[1]))
+    tell("resample", f"{map_um:.3g} um pixels")
+    study = study.model_copy(
+        update={
+            "volume": study.volume.model_copy(update={"voxel_um": voxel}),
+            "flatten": study.flatten.model_copy(update={"mesh_um": flattened.mesh_um, "map_um": map_um}),
+        }
+    )
+    surfaces = surfaces.drop_vars("status").merge(properties, combine_attrs="override")
+    maps = _flat_maps(surfaces, flattened, map_um)
+    groups = {
+        "surfaces": surfaces,
+        "flat": flattened.flat,
+        "strain": flattened.strain,
+        "maps": maps,
+        "slices": _slices(volume, frame),
+    }
+    results: dict[str, Any] = {
+        "planish": __version__,
+        "versions": {name: version(name) for name in ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")},
+        "inputs": {"volume": _input(volume, Path(study.volume.path), voxel_um=list(voxel))},
+        "surfaces": _surface_results(surfaces),
+        "properties": _property_results(surfaces),
+        "flatten": _flatten_results(flattened),
+    }
+    gates = _map_gates(results)
+    results["quality"] = [asdict(gate) for gate in gates]
+    results["parameters"] = _parameters(study)
+    return Run(study=study, groups=groups, marks=None, results=results, gates=gates)
+
+
+def link_sheet(study: Study, *, progress: Progress | None = None) -> Run:
+    """Go from a volume and an image to maps on the image's own pixels, and their correlation."""
+    tell = progress or (lambda _stage, _detail: None)
+    assert study.image is not None
+    # The image first: it is quick, and a missing pixel size should not cost the time of the volume.
+    tell("read", Path(study.image.path).name)
+    image = read_image(
+        Path(study.image.path),
+        pixel_um=study.image.pixel_um,
+        channel=study.image.channel,
+        override_size=study.image.override_size,
+    )
+    pixel = (float(image.attrs["pixel_um"][0]), float(image.attrs["pixel_um"][1]))
+    r = study.registration
+    tell("marks", "holes of the image")
+    given = read_marks(Path(r.marks)) if r.marks else None
+    fixed = None if given is not None else find_holes(image.values, pixel_um=pixel, diameter_um=r.hole_um)
+    if fixed is not None:
+        _enough(fixed, "image", r.hole_um)
+    run = map_sheet(study, progress=progress)
+    tell("register", "holes of the sheet" if given is None else f"{given.sizes['mark']} pairs from {Path(r.marks or '').name}")
+    maps, surfaces, flat = run.groups["maps"], run.groups["surfaces"], run.groups["flat"]
+    seen: dict[str, Any] = {"source": "file" if given is not None else "found"}
+    if given is None:
+        assert fixed is not None
+        moving = _holes_of_map(maps, r.hole_um)
+        _enough(moving, "volume", r.hole_um)
+        a, b = (np.stack([d["x"].values, d["y"].values], axis=1) for d in (moving, fixed))
+        matched = match_marks(a, b, scale_tolerance=r.scale_tolerance, tolerance_um=r.tolerance_um, mirror=r.mirror)
+        pairs, mirrored = matched.pairs, matched.mirrored
+        moving_um, fixed_um = a[pairs[:, 0]], b[pairs[:, 1]]
+        diameters = np.maximum(moving["diameter"].values[pairs[:, 0]], fixed["diameter"].values[pairs[:, 1]])
+        labels = [f"hole {k + 1}" for k in range(len(pairs))]
+        # Every hole is kept out of the correlation, also one that has no partner.
+        spare = [k for k in range(len(b)) if k not in set(pairs[:, 1].tolist())]
+        blocked = np.concatenate([fixed_um, b[spare]])
+        blocked_d = np.concatenate([diameters, fixed["diameter"].values[spare]])
+        seen |= {"found_volume": len(a), "found_image": len(b), "sentence": matched.sentence,
+                 "rival_inliers": matched.rival_inliers}  # fmt: skip
+    else:
+        moving_um, fixed_um, mirrored = _given_pairs(given, flat, surfaces, mirror=r.mirror)
+        labels = [str(v) for v in given["label"].values]
+        blocked, blocked_d = fixed_um, np.full(len(fixed_um), float(np.mean(r.hole_um)))
+    fit = fit_transform(moving_um, fixed_um, model="similarity", mirrored=mirrored)
+    projected_um = _at_flat(maps, ("projected_u", "projected_v"), moving_um)
+    scale_off = abs(fit.transform.scale - 1)
+    if scale_off > r.scale_tolerance:
+        raise CannotRegister(
+            f"The marks ask for a scale of {fit.transform.scale:.4f}, which is {100 * scale_off:.1f} % off the calibration; "
+            f"{100 * r.scale_tolerance:.0f} % are allowed. Check --voxel-um and --pixel-um, and the marks."
+        )
+    tell("link", f"{image.shape[0]} x {image.shape[1]} pixels")
+    shape = (int(image.shape[0]), int(image.shape[1]))
+    away = _outside(shape, pixel, blocked, 0.5 * blocked_d + study.surface.rim_um)
+    linked = _linked(surfaces, flat, fit.transform, image, pixel, away)
+    headline = "coating_top" if np.isfinite(linked["coating_top"]).any() else "thickness"
+    tell("correlate", headline)
+    table = [
+        row
+        for name, uv, marks, model in (
+            (ROWS[0], ("projected_u", "projected_v"), projected_um, "rigid"),
+            (ROWS[1], ("projected_u", "projected_v"), projected_um, "similarity"),
+            (ROWS[2], ("u", "v"), moving_um, "similarity"),
+        )
+        for row in _table_rows(
+            name, surfaces, flat, uv, fit_transform(marks, fixed_um, model=model, mirrored=mirrored), image, pixel, away,
+            headline, study.correlate.point_um,
+        )
+    ]  # fmt: skip
+    study = run.study.model_copy(
+        update={"image": study.image.model_copy(update={"pixel_um": pixel}), "registration": r}
+    )
+    results = run.results
+    results["inputs"]["image"] = _input(image, Path(study.image.path), pixel_um=list(pixel)) if study.image else None
+    results["marks"] = seen | _mark_results(fit)
+    results["headline"] = headline
+    results["table"] = table
+    results["correlation"] = _correlations(linked, pixel, study.correlate.point_um)
+    results["linked"] = _linked_results(linked)
+    gates = (*_map_gates(results), *_link_gates(results))
+    results["quality"] = [asdict(gate) for gate in gates]
+    results["parameters"] = _parameters(study)
+    groups = run.groups | {"linked": linked}
+    return Run(study=study, groups=groups, marks=_marks_table(labels, moving_um, fixed_um, fit), results=results, gates=gates)
+
+
+def _enough(holes: xr.Dataset, where: str, hole_um: tuple[float, float]) -> None:
+    """Stop early when there cannot be a match."""
+    count = holes.sizes["mark"]
+    if count < 3:
+        what = "No hole was" if count == 0 else f"Only {count} hole{'s' if count > 1 else ''} {'were' if count > 1 else 'was'}"
+        at = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in zip(holes["x"].values, holes["y"].values, strict=True))
+        raise CannotRegister(
+            f"{what} found in the {where}{' at' + at if at else ''}; at least 3 are needed, and 4 to notice a wrong match. Looked "
+            f"for round holes of {hole_um[0]:g} to {hole_um[1]:g} um (--hole-um). Check the {'pixel' if where == 'image' else 'voxel'}"
+            " size, or give pairs of points with --marks."
+        )
+
+
+def _check_thickness(surfaces: xr.Dataset) -> None:
+    thickness = float(surfaces.attrs["thickness_um"])
+    low, high = _THICKNESS_UM
+    if not low <= thickness <= high:
+        voxel = ", ".join(f"{v:g}" for v in surfaces.attrs["voxel_um"])
+        raise VolumeError(
+            f"The sheet would be {thickness:.3g} um thick; paper and board have {low:g} to {high:g} um. The voxel size of "
+            f"{voxel} um (z, y, x) is probably in another unit. Give the right one with --voxel-um and --override-size."
+        )
+    measured = float((surfaces["status"].values == 0).mean())
+    if measured < _LEAST_SHARE:
+        raise VolumeError(
+            f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns only; {100 * _LEAST_SHARE:.0f} % are "
+            "needed for a map. Check --through and --sheet-grey, and that the sheet does not leave the volume."
+        )
+
+
+def _pitch(data: xr.Dataset) -> tuple[float, float]:
+    y, x = data["y"].values, data["x"].values
+    return float(y[1] - y[0]), float(x[1] - x[0])
+
+
+def _uv(flat: xr.Dataset, names: tuple[str, str] = ("u", "v")) -> Array:
+    return np.stack([flat[n].values for n in names], axis=-1)
+
+
+def _on_mesh(surfaces: xr.Dataset, flat: xr.Dataset) -> xr.Dataset:
+    """Variables that travel to maps: properties, where in the volume, and where in the projection."""
+    frame = Frame.of(surfaces)
+    lateral = {frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :]}
+    shape = surfaces["centre"].shape
+    data = surfaces[list(PROPERTIES)].assign({k: flat[k] for k in ("u", "v", "projected_u", "projected_v")})
+    for axis in "xyz":
+        values = surfaces["centre"].values if axis == frame.through else np.broadcast_to(lateral[axis], shape)
+        values = np.where(np.isfinite(flat["u"].values), values, np.nan)
+        title = f"Centre surface, {axis} in the volume"
+        data[f"volume_{axis}"] = (("y", "x"), values, {"units": "um", "long_name": title})
+    return data
+
+
+def _single(data: xr.Dataset) -> xr.Dataset:
+    """Properties in single precision, as they are stored; geometry stays double."""
+    return data.assign({k: data[k].astype(np.float32) for k in (*PROPERTIES, "presence") if k in data})
+
+
+def _flat_maps(surfaces: xr.Dataset, flattened: Flattened, map_um: float) -> xr.Dataset:
+    uv = _uv(flattened.flat)
+    shape, origin = covering_grid(uv, map_um)
+    places = find_places(uv, shape=shape, pixel_um=(map_um, map_um), origin_um=origin, least_um=min(_pitch(surfaces)))
+    coords = {"v": origin[1] + map_um * np.arange(shape[0]), "u": origin[0] + map_um * np.arange(shape[1])}
+    source = _on_mesh(surfaces, flattened.flat).drop_vars(["u", "v"])
+    source["presence"] = surfaces["presence"]
+    maps = resample_dataset(source, places, dims=("v", "u"), coords=coords)
+    maps["valid"] = (("v", "u"), np.isfinite(maps["thickness"].values), {"long_name": "Measured"})
+    maps.attrs = {"overlaps": places.overlaps}
+    return _single(maps)
+
+
+def _holes_of_map(maps: xr.Dataset, hole_um: tuple[float, float]) -> xr.Dataset:
+    """Holes of the flattened sheet, in (u, v)."""
+    step = float(maps["u"].values[1] - maps["u"].values[0])
+    holes = find_holes(maps["presence"].values, pixel_um=step, diameter_um=hole_um, polarity="dark")
+    return holes.assign(
+        x=holes["x"] + float(maps["u"].values[0]), y=holes["y"] + float(maps["v"].values[0])
+    )
+
+
+def _given_pairs(
+    given: xr.Dataset, flat: xr.Dataset, surfaces: xr.Dataset, *, mirror: bool
+) -> tuple[Array, Array, bool]:
+    """Pairs from a table: in the flat map as they are, in the volume by the column they lie in."""
+    fixed = np.stack([given["fixed_x"].values, given["fixed_y"].values], axis=1)
+    if "moving_x" in given:
+        moving = np.stack([given["moving_x"].values, given["moving_y"].values], axis=1)
+    else:
+        frame = Frame.of(surfaces)
+        row = (given[f"volume_{frame.rows}"].values - surfaces["y"].values[0]) / _pitch(surfaces)[0]
+        col = (given[f"volume_{frame.cols}"].values - surfaces["x"].values[0]) / _pitch(surfaces)[1]
+        moving = np.stack([_bilinear(flat[k].values, row, col) for k in ("u", "v")], axis=1)
+        lost = [str(n) for n, p in zip(given["label"].values, moving, strict=True) if not np.isfinite(p).all()]
+        if lost:
+            raise MarkError(f"The marks {', '.join(lost)} do not lie on the sheet. Check the axes and the unit (um) of the table.")
+    if len(fixed) < 3:
+        raise MarkError(f"{len(fixed)} control points given, a similarity needs 3 to say how good it is. Add more, far apart.")
+    plain = fit_transform(moving, fixed, model="similarity", mirrored=False)
+    if not mirror:
+        return moving, fixed, False
+    turned = fit_transform(moving, fixed, model="similarity", mirrored=True)
+    return moving, fixed, turned.rms_um < plain.rms_um
+
+
+def _bilinear(field: Array, row: Array, col: Array) -> Array:
+    """Value of a field at fractional rows and columns; NaN outside."""
+    rows, cols = field.shape
+    inside = (row >= 0) & (row <= rows - 1) & (col >= 0) & (col <= cols - 1)
+    i = np.clip(np.floor(np.where(inside, row, 0)).astype(int), 0, rows - 2)
+    j = np.clip(np.floor(np.where(inside, col, 0)).astype(int), 0, cols - 2)
+    fr, fc = row - i, col - j
+    value = (field[i, j] * (1 - fc) + field[i, j + 1] * fc) * (1 - fr)
+    value += (field[i + 1, j] * (1 - fc) + field[i + 1, j + 1] * fc) * fr
+    return np.where(inside, value, np.nan)
+
+
+def _at_flat(maps: xr.Dataset, names: tuple[str, str], points: Array) -> Array:
+    """Values of two maps at points (n, 2) of the flat sheet."""
+    u, v = maps["u"].values, maps["v"].values
+    row, col = (points[:, 1] - v[0]) / (v[1] - v[0]), (points[:, 0] - u[0]) / (u[1] - u[0])
+    found = np.stack([_bilinear(maps[n].values, row, col) for n in names], axis=1)
+    if not np.isfinite(found).all():
+        raise MarkError("A mark lies outside the flattened sheet. Remove it from the table of marks.")
+    return found
+
+
+def _outside(shape: tuple[int, int], pixel: tuple[float, float], centres: Array, radii: Array) -> NDArray[np.bool_]:
+    """Pixels that are away from every hole and its rim."""
+    away = np.ones(shape, dtype=bool)
+    for (x, y), radius in zip(centres, radii, strict=True):
+        i0, i1 = max(int((y - radius) / pixel[0]), 0), min(int((y + radius) / pixel[0]) + 2, shape[0])
+        j0, j1 = max(int((x - radius) / pixel[1]), 0), min(int((x + radius) / pixel[1]) + 2, shape[1])
+        if i1 <= i0 or j1 <= j0:
+            continue
+        dy = np.arange(i0, i1)[:, None] * pixel[0] - y
+        dx = np.arange(j0, j1)[None, :] * pixel[1] - x
+        away[i0:i1, j0:j1] &= np.hypot(dx, dy) > radius
+    return away
+
+
+def _linked(
+    surfaces: xr.Dataset, flat: xr.Dataset, transform: Similarity, image: xr.DataArray, pixel: tuple[float, float],
+    away: NDArray[np.bool_],
+) -> xr.Dataset:  # fmt: skip
+    """All maps on the image's pixel grid, in one step from the mesh: nothing is resampled twice."""
+    shape = (int(image.shape[0]), int(image.shape[1]))
+    scale = transform.scale
+    places = find_places(
+        transform(_uv(flat)), shape=shape, pixel_um=pixel, least_um=min(_pitch(surfaces)) * scale
+    )
+    coords = {"y": image["y"].values, "x": image["x"].values}
+    source = _on_mesh(surfaces, flat).drop_vars(["projected_u", "projected_v"])
+    linked = resample_dataset(source, places, dims=("y", "x"), coords=coords)
+    attrs = {"long_name": str(image.attrs.get("long_name", "Image")), "units": "1"}
+    linked["image"] = (("y", "x"), image.values, attrs)
+    valid = np.isfinite(linked["thickness"].values) & np.isfinite(image.values) & away
+    linked["valid"] = (("y", "x"), valid, {"long_name": "Measured, and away from holes and their rims"})
+    return _single(linked)
+
+
+def _table_rows(
+    name: str, surfaces: xr.Dataset, flat: xr.Dataset, uv: tuple[str, str], fit: FittedTransform, image: xr.DataArray,
+    pixel: tuple[float, float], away: NDArray[np.bool_], headline: str, point_um: float,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Correlation of the headline property with one way of bringing it to the image."""
+    places = find_places(
+        fit.transform(_uv(flat, uv)), shape=(int(image.shape[0]), int(image.shape[1])), pixel_um=pixel,
+        least_um=min(_pitch(surfaces)),
+    )  # fmt: skip
+    prop = np.where(away, resample(surfaces[headline].values, places), np.nan)
+    brightness = np.asarray(image.values, dtype=np.float64)
+    rows = [correlate(prop, brightness, point_um=float(np.sqrt(pixel[0] * pixel[1])))]
+    rows.append(correlate_at(prop, brightness, pixel_um=pixel, point_um=point_um)[0])
+    return [{"registration": name, "property": headline, "marks_rms_um": fit.rms_um, **row.to_dict()} for row in rows]
+
+
+def _correlations(linked: xr.Dataset, pixel: tuple[float, float], point_um: float) -> list[dict[str, Any]]:
+    valid = linked["valid"].values
+    brightness = linked["image"].values.astype(np.float64)
+    out: list[dict[str, Any]] = []
+    for name in PROPERTIES:
+        values = np.where(valid, linked[name].values.astype(np.float64), np.nan)
+        if not np.isfinite(values).any():
+            continue
+        pairs = (
+            correlate(values, brightness, point_um=float(np.sqrt(pixel[0] * pixel[1]))),
+            correlate_at(values, brightness, pixel_um=pixel, point_um=point_um)[0],
+        )
+        out += [{"property": name, **pair.to_dict()} for pair in pairs]
+    return out
+
+
+def _marks_table(labels: list[str], moving: Array, fixed: Array, fit: FittedTransform) -> xr.Dataset:
+    um = {"units": "um"}
+    residual = fit.residuals_um
+    values = {
+        "moving_x": moving[:, 0],
+        "moving_y": moving[:, 1],
+        "fixed_x": fixed[:, 0],
+        "fixed_y": fixed[:, 1],
+        "residual_x": residual[:, 0],
+        "residual_y": residual[:, 1],
+        "residual": np.hypot(residual[:, 0], residual[:, 1]),
+        "leave_one_out": fit.leave_one_out_um,
+    }
+    data = xr.Dataset({k: ("mark", v, um) for k, v in values.items()})
+    data["label"] = ("mark", np.array(labels, dtype=object))
+    return data
+
+
+def _input(data: xr.DataArray, path: Path, **size: Any) -> dict[str, Any]:
+    key = next(iter(size))
+    return {
+        "name": str(data.attrs["file_name"]),
+        "shape": [int(n) for n in data.shape],
+        "dtype": str(data.attrs.get("dtype", data.dtype)),
+        "bytes": int(data.attrs["file_bytes"]),
+        "sha256": fingerprint(path),
+        **size,
+        f"{key}_source": str(data.attrs[f"{key}_source"]),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _surface_results(surfaces: xr.Dataset) -> dict[str, Any]:
+    attrs = surfaces.attrs
+    status = surfaces["status"].values
+    shares = {
+        f"share_{name}": float((status == k).mean())
+        for k, name in enumerate(("measured", "no_sheet", "rim", "face_not_found", "normal_leaves_sheet"))
+    }
+    keys = ("thickness_um", "blur_um", "cutoff_um", "rim_um", "saturated_share", "missing_share", "polarity")
+    greys = ("grey_air", "grey_base", "grey_coating_top", "grey_coating_bottom", "grey_noise")
+    frame = {k: str(attrs[k]) for k in ("through", "top_side", "row_axis", "col_axis")}
+    return frame | {k: _finite(float(attrs[k])) for k in (*keys, *greys)} | {"columns": int(status.size)} | shares
+
+
+def _property_results(surfaces: xr.Dataset) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for name in PROPERTIES:
+        values = surfaces[name].values
+        values = values[np.isfinite(values)]
+        if values.size == 0:
+            out[name] = None
+            continue
+        p5, p50, p95 = np.percentile(values, [5, 50, 95])
+        out[name] = {"n": int(values.size), "mean_um": float(values.mean()), "sd_um": float(values.std()),
+                     "p5_um": float(p5), "median_um": float(p50), "p95_um": float(p95)}  # fmt: skip
+    return out
+
+
+def _flatten_results(flattened: Flattened) -> dict[str, Any]:
+    flat = flattened.flat
+    move = np.hypot(*(flat[a].values - flat[b].values for a, b in (("u", "projected_u"), ("v", "projected_v"))))
+    return {
+        "outcome": flattened.outcome.name,
+        "sentence": flattened.outcome.value,
+        "steps": flattened.steps,
+        "energy_um2": flattened.energy,
+        "mesh_um": flattened.mesh_um,
+        "folded_cells": flattened.folded_cells,
+        "edge_strain_p95": flattened.edge_strain_p95,
+        "edge_strain_max": flattened.edge_strain_max,
+        "largest_move_um": float(np.nanmax(move)),
+    }
+
+
+def _mark_results(fit: FittedTransform) -> dict[str, Any]:
+    t = fit.transform
+    return {
+        "matched": len(fit.residuals_um),
+        "rms_um": float(fit.rms_um),
+        "leave_one_out_rms_um": _finite(float(np.sqrt(np.mean(fit.leave_one_out_um**2)))),
+        "scale": t.scale,
+        "rotation_deg": float(np.rad2deg(t.rotation_rad)),
+        "shift_um": [float(v) for v in t.shift_um],
+        "mirrored": t.mirrored,
+    }
+
+
+def _linked_results(linked: xr.Dataset) -> dict[str, Any]:
+    on_sheet = np.isfinite(linked["u"].values)
+    return {
+        "pixels": int(on_sheet.size),
+        "share_on_sheet": float(on_sheet.mean()),
+        "share_valid": float(linked["valid"].values.mean()),
+        "share_valid_of_sheet": float(linked["valid"].values.sum() / max(int(on_sheet.sum()), 1)),
+    }
+
+
+def _parameters(study: Study) -> dict[str, Any]:
+    """All parameters but the paths, which say where files lie and not what was done."""
+    data: dict[str, Any] = study.model_dump(mode="json", exclude_none=True)
+    for section in ("volume", "image"):
+        data.get(section, {}).pop("path", None)
+    return data
+
+
+def _gate(name: str, value: float, limit: float, *, least: bool, good: str, bad: str) -> Gate:
+    passed = value >= limit if least else value <= limit
+    return Gate(name=name, value=float(value), limit=limit, passed=bool(passed), sentence=good if passed else bad)
+
+
+def _map_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
+    s, f = results["surfaces"], results["flatten"]
+    percent = 100 * s["share_measured"]
+    return (
+        _gate(
+            "coverage", s["share_measured"], 0.5, least=True,
+            good=f"{percent:.0f} % of the columns are measured.",
+            bad=f"Only {percent:.0f} % of the columns are measured: the maps are mostly blank. Look at the slices in the report.",
+        ),
+        _gate(
+            "fold-over", f["folded_cells"], 0, least=False,
+            good="No cell of the flattened mesh is folded.",
+            bad=f"{f['folded_cells']} cells of the flattened mesh are folded; they are marked invalid.",
+        ),
+        _gate(
+            "saturation", s["saturated_share"], 0.05, least=False,
+            good=f"{100 * s['saturated_share']:.1f} % of the sheet's voxels are saturated.",
+            bad=f"{100 * s['saturated_share']:.1f} % of the sheet's voxels are saturated (at the end of the grey scale): the "
+            "faces may be displaced. Export the volume with a wider grey window.",
+        ),
+        _gate(
+            "missing voxels", s["missing_share"], 0.05, least=False,
+            good=f"{100 * s['missing_share']:.1f} % of the voxels are NaN.",
+            bad=f"{100 * s['missing_share']:.1f} % of the voxels are NaN or infinite; columns with such voxels near a face are "
+            "not measured.",
+        ),
+    )  # fmt: skip
+
+
+def _link_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
+    m, k = results["marks"], results["linked"]
+    loo = m["leave_one_out_rms_um"] if m["leave_one_out_rms_um"] is not None else float("inf")
+    return (
+        _gate(
+            "marks", loo, 20.0, least=False,
+            good=f"{m['matched']} marks agree to {loo:.1f} um (leave-one-out, rms).",
+            bad=f"{m['matched']} marks agree to {loo:.1f} um only (leave-one-out, rms): worse than the 10-20 um that the paper "
+            "reached by hand. Look at the residual arrows in the report.",
+        ),
+        _gate(
+            "scale", abs(m["scale"] - 1), 0.03, least=False,
+            good=f"The marks ask for a scale of {m['scale']:.4f}.",
+            bad=f"The marks ask for a scale of {m['scale']:.4f}: the calibrations do not agree.",
+        ),
+        _gate(
+            "linked area", k["share_valid_of_sheet"], 0.5, least=True,
+            good=f"{100 * k['share_valid_of_sheet']:.0f} % of the sheet that the image shows is valid.",
+            bad=f"Only {100 * k['share_valid_of_sheet']:.0f} % of the sheet that the image shows is valid.",
+        ),
+        _gate(
+            "common field", k["share_on_sheet"], 0.05, least=True,
+            good=f"{100 * k['share_on_sheet']:.0f} % of the image shows the scanned sheet.",
+            bad=f"Only {100 * k['share_on_sheet']:.1f} % of the image shows the scanned sheet.",
+        ),
+    )  # fmt: skip
+
+
+def _slices(volume: xr.DataArray, frame: Frame) -> xr.Dataset:
+    """A few slices through the sheet, to draw its surfaces on."""
+    columns = frame.columns(volume)
+    rows = columns.shape[0]
+    at = np.unique(np.linspace(0, rows - 1, _SLICES + 2).astype(int)[1:-1])
+    values = np.ascontiguousarray(columns.values[at].transpose(0, 2, 1))
+    coords = {
+        "slice": columns.coords[frame.rows].values[at],
+        "height": columns.coords[frame.through].values,
+        "x": columns.coords[frame.cols].values,
+    }
+    data = xr.Dataset({"grey": (("slice", "height", "x"), values, {"long_name": "Grey value", "units": "1"})},
+                      coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()}, attrs=frame.attrs())  # fmt: skip
+    return data.assign(row=("slice", at))

@@ -1,0 +1,136 @@
+"""Every parameter of a run, checked: what the command line fills in and ``run.toml`` repeats."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from planish.core.errors import FileError, InputError
+
+Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class Section(BaseModel):
+    """A table of the file: unknown keys are errors, nothing changes once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class VolumeSection(Section):
+    """The volume and how the sheet lies in it."""
+
+    path: str
+    voxel_um: tuple[Length, Length, Length] | None = None
+    through: Literal["z", "y", "x"] = "z"
+    top: Literal["high", "low"] = "high"
+    override_size: bool = False
+
+
+class ImageSection(Section):
+    """The image that is linked to the volume."""
+
+    path: str
+    pixel_um: tuple[Length, Length] | None = None
+    channel: str = "luminance"
+    override_size: bool = False
+
+
+class SurfaceSection(Section):
+    """Choices of the surface search."""
+
+    sheet_grey: tuple[float, float] | None = None
+    cutoff_um: Length = 400.0
+    rim_um: Annotated[float, Field(ge=0)] = 100.0
+
+
+class FlattenSection(Section):
+    """Choices of the flattening and of the flat maps."""
+
+    mesh_um: Length | None = None
+    map_um: Length | None = None
+
+
+class RegistrationSection(Section):
+    """Choices of hole finding and matching."""
+
+    marks: str | None = None
+    hole_um: tuple[Length, Length] = (100.0, 300.0)
+    scale_tolerance: Annotated[float, Field(gt=0, lt=0.5)] = 0.03
+    tolerance_um: Length = 25.0
+    mirror: bool = False
+
+
+class CorrelateSection(Section):
+    """Choices of the correlation."""
+
+    point_um: Length = 100.0
+    thin_um: Length = 5.0
+
+
+class Study(Section):
+    """One run, whole."""
+
+    volume: VolumeSection
+    image: ImageSection | None = None
+    surface: SurfaceSection = SurfaceSection()
+    flatten: FlattenSection = FlattenSection()
+    registration: RegistrationSection = RegistrationSection()
+    correlate: CorrelateSection = CorrelateSection()
+
+
+def read_study(path: Path) -> Study:
+    """Read a study file; paths in it are relative to its folder and come back absolute.
+
+    Raises
+    ------
+    FileError
+        If it cannot be read as TOML.
+    InputError
+        If a parameter is unknown, missing or out of range; all faults are named.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {error.strerror}. Give the run.toml of a run.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FileError(f"{path} is not a TOML file: {error}.") from error
+    data.pop("planish", None)
+    try:
+        study = Study.model_validate(data)
+    except ValidationError as error:
+        faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+        raise InputError(f"{path} has {error.error_count()} wrong parameters: {faults}.") from error
+    return _with_paths(study, lambda p: str((path.parent / p).resolve()))
+
+
+def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None:
+    """Write ``run.toml`` into ``folder``, with paths relative to ``home``, the place where the folder will stand.
+
+    Where no relative path exists (another drive) the absolute one is written.
+    """
+
+    def relative(p: str) -> str:
+        try:
+            return Path(os.path.relpath(p, home)).as_posix()
+        except ValueError:
+            return Path(p).as_posix()
+
+    data: dict[str, Any] = {"planish": version}
+    data |= _with_paths(study, relative).model_dump(mode="json", exclude_none=True)
+    (folder / "run.toml").write_text(tomli_w.dumps(data), encoding="utf-8", newline="\n")
+
+
+def _with_paths(study: Study, change: Any) -> Study:
+    update: dict[str, Any] = {"volume": study.volume.model_copy(update={"path": change(study.volume.path)})}
+    if study.image is not None:
+        update["image"] = study.image.model_copy(update={"path": change(study.image.path)})
+    if study.registration.marks is not None:
+        update["registration"] = study.registration.model_copy(
+            update={"marks": change(study.registration.marks)}
+        )
+    return study.model_copy(update=update)
