@@ -205,7 +205,8 @@ def find_pip() -> list[str]:
 def install(pip: list[str], *options: str) -> None:
     """Run one pip install; end with a sentence where it fails."""
     quiet = ["--quiet", "--disable-pip-version-check", "--no-input", "--progress-bar=off", "--no-warn-script-location"]
-    # Not compiled to bytecode ahead: that takes as long as the rest, and most modules are never imported.
+    # Not compiled to bytecode ahead: that takes as long as the rest, and most modules are never imported. The first
+    # run compiles what it uses; environment() lets it keep that.
     if call([*pip, "install", *quiet, "--no-compile", *options]):
         sys.exit(
             "\nThe installation into .venv failed; pip's reason stands above. Wheels of the locked versions have to\n"
@@ -221,7 +222,7 @@ def environment() -> dict[str, str]:
     kept = {
         key: value
         for key, value in os.environ.items()
-        if key not in {"PYTHONPATH", "PYTHONHOME", "__PYVENV_LAUNCHER__"}
+        if key not in {"PYTHONPATH", "PYTHONHOME", "PYTHONDONTWRITEBYTECODE", "__PYVENV_LAUNCHER__"}
         and key not in {f"PIP_{name}" for name in UNWANTED_PIP}
     }
     return kept | {

@@ -96,7 +96,8 @@ def run_study(study: Study, out: Path, *, progress: Progress | None = None) -> R
 
 def save_run(run: Run, folder: Path, *, home: Path) -> None:
     """Write all files of a run into ``folder``, which will stand at ``home``."""
-    write_tree(folder / "maps.zarr", run.groups)
+    marks = {} if run.marks is None else {"marks": run.marks}
+    write_tree(folder / "maps.zarr", run.groups | marks)
     if run.marks is not None:
         write_marks(run.marks, folder / "marks.csv")
     write_json(folder / "results.json", run.results)
@@ -237,7 +238,7 @@ def link_sheet(study: Study, *, progress: Progress | None = None) -> Run:
     results["quality"] = [asdict(gate) for gate in gates]
     results["parameters"] = _parameters(study)
     groups = run.groups | {"linked": linked}
-    return Run(study=study, groups=groups, marks=_marks_table(labels, moving_um, fixed_um, fit), results=results, gates=gates)
+    return Run(study=study, groups=groups, marks=marks_table(labels, moving_um, fixed_um, fit), results=results, gates=gates)
 
 
 def _enough(holes: xr.Dataset, where: str, hole_um: tuple[float, float]) -> None:
@@ -432,7 +433,7 @@ def _correlations(linked: xr.Dataset, pixel: tuple[float, float], point_um: floa
     return out
 
 
-def _marks_table(labels: list[str], moving: Array, fixed: Array, fit: FittedTransform) -> xr.Dataset:
+def marks_table(labels: list[str], moving: Array, fixed: Array, fit: FittedTransform) -> xr.Dataset:
     um = {"units": "um"}
     residual = fit.residuals_um
     values = {

@@ -267,7 +267,7 @@ def stated_by_dpi(dpi: Any, *, source: str) -> Stated:
     try:
         x, y = float(dpi[0]), float(dpi[1])
     except (TypeError, ValueError, IndexError):
-        return Stated(source=source, um=(None, None, None), note="there is none")
+        return Stated(source=source, um=(None, None, None), note=UNKNOWN_NOTE)
     um = (None, from_density(y, "inch"), from_density(x, "inch"))
     return Stated(source=source, um=um, note="" if None not in um[1:] else UNKNOWN_NOTE)
 

@@ -10,12 +10,14 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
+from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError, ResourceError
 
@@ -23,7 +25,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 @contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
+def new_folder(path: Path) -> Generator[Path]:
     """Give a hidden folder to write into; it becomes ``path`` when the block ends well, and vanishes when not.
 
     Raises
@@ -38,14 +40,14 @@ def new_folder(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
     except OSError as error:
-        raise _as_planish(error, path) from error
+        raise as_planish(error, path) from error
     try:
         yield partial
         refuse_existing(path)
         partial.chmod(0o755)
         partial.rename(path)
     except OSError as error:
-        raise _as_planish(error, path) from error
+        raise as_planish(error, path) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 
@@ -61,7 +63,10 @@ def refuse_existing(path: Path) -> None:
 def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     """Write datasets as groups of one zarr store that ``xarray.open_datatree(path, engine="zarr")`` opens."""
     tree = xr.DataTree.from_dict({f"/{name}": data for name, data in groups.items()})
-    tree.to_zarr(path, zarr_format=3, consolidated=True, write_inherited_coords=False)
+    with warnings.catch_warnings():
+        # zarr 3 warns that consolidated metadata are no part of its specification yet; without them every open warns.
+        warnings.simplefilter("ignore", ZarrUserWarning)
+        tree.to_zarr(path, zarr_format=3, consolidated=True, write_inherited_coords=False)
 
 
 def read_tree(path: Path) -> dict[str, xr.Dataset]:
@@ -86,7 +91,8 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
 
 
-def _as_planish(error: OSError, path: Path) -> FileError | ResourceError:
+def as_planish(error: OSError, path: Path) -> FileError | ResourceError:
+    """Turn a failed write into the error that says what to do about it."""
     if error.errno in _FULL:
         free = shutil.disk_usage(path.parent if path.parent.exists() else Path.cwd()).free
         return ResourceError(

@@ -16,7 +16,7 @@ from planish.io.sizes import Stated, from_density, unit_um
 
 RESOLUTION_UNITS = {2: "inch", 3: "cm"}
 
-UNKNOWN_NOTE = "the resolution is none that a program writes when it knows (none, 1, 72 or 96 dpi)"
+UNKNOWN_NOTE = "missing, or a default such as 72 dpi"
 
 
 def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, ...]:

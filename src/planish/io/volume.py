@@ -22,6 +22,7 @@ from planish.io.tiff_sizes import stated_by_tiff
 SLICE_AXES = "ZIQ"
 """Letters for an axis of slices: declared as such, or pages without a declared meaning."""
 
+MANY_CHANNELS = 16
 MEANINGS = {"C": "channels", "T": "time points", "S": "colour samples"}
 
 ADVICE = "Save one grey volume alone, as a stack of slices."
@@ -170,6 +171,9 @@ def volume_axes(series: TiffPageSeries, path: Path) -> str:
     """
     axes = long_axes(series)
     if len(axes) == 3 and axes[0] in SLICE_AXES and axes[1:] == "YX":
+        return axes
+    # ImageJ and tifffile file a stack of unnamed pages as channels; nothing has so many channels, so these are slices.
+    if len(axes) == 3 and axes[0] == "C" and axes[1:] == "YX" and series.shape[series.axes.index("C")] >= MANY_CHANNELS:
         return axes
     further = {a: n for a, n in zip(series.axes, series.shape, strict=True) if n > 1 and a in MEANINGS}
     if further:

@@ -1,3 +1,4 @@
+# pyright: standard
 """Area means and radial edges of round holes: numpy and numba only, arrays in, arrays out.
 
 Images are float32 ``(y, x)`` with NaN where there is no data; pixel ``(i, j)`` has its centre at
@@ -13,8 +14,8 @@ from numba import njit
 X, Y, RADIUS, HALF_DIFFERENCE, COV_XX, COV_YY, COV_XY, COVERAGE, STEP, INSIDE, OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS = (
     range(14)
 )
-UNEVENNESS = 14
-COLUMNS = 15
+UNEVENNESS, FAR_STEP = 14, 15
+COLUMNS = 16
 
 RAYS = 96
 
@@ -222,7 +223,7 @@ def _level(image, x, y, sx, sy, start, stop, dt):
 def _half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
     """Return the half-level radius and the step on each ray, within ``search`` of the modelled radii."""
     rays = model.shape[0]
-    radii, steps = np.full(rays, np.nan), np.full(rays, np.nan)
+    radii, steps, far_steps = np.full(rays, np.nan), np.full(rays, np.nan), np.full(rays, np.nan)
     gap = max(4.0, 0.9 * pixel)  # from the edge to where the plateaus begin
     width = max(7.0, 0.8 * pixel)  # over which a plateau is averaged; well under the width of the char
     reach = max(1, int(round(max(5.0, pixel) / dt)))
@@ -265,7 +266,12 @@ def _half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
         if abs(nearest - edge) <= 1.5 * gap:
             radii[k] = nearest
             steps[k] = outer - inner
-    return radii, steps
+            wide = 18.0 + 0.5 * pixel
+            far_steps[k] = sign * (
+                _level(image, x0, y0, sx, sy, edge + wide, edge + wide + width, dt)
+                - _level(image, x0, y0, sx, sy, max(0.0, edge - wide - width), max(0.0, edge - wide), dt)
+            )
+    return radii, steps, far_steps
 
 
 @njit(cache=True)
@@ -346,11 +352,11 @@ def measure(image, px, py, xs, ys, sign, low, high):
         model = np.full(RAYS, radius)
         search = max(0.15 * radius, 2 * pixel, 10.0, min(3 * scale, 0.3 * radius))
         dt = max(0.5 * pixel, 0.5)
-        radii, steps = np.empty(RAYS), np.empty(RAYS)
+        radii, steps, far_steps = np.empty(RAYS), np.empty(RAYS), np.empty(RAYS)
         fit, weight = np.zeros(5), np.zeros(RAYS)
         inverse = np.zeros((5, 5))
         for turn in range(3):
-            radii, steps = _half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel)
+            radii, steps, far_steps = _half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel)
             step = np.nanmedian(steps)
             for k in range(RAYS):
                 if not (steps[k] >= 0.35 * step):
@@ -400,4 +406,5 @@ def measure(image, px, py, xs, ys, sign, low, high):
         out[h, ROUGHNESS] = np.sqrt(squares / max(1, used))
         out[h, FLATNESS] = flatness
         out[h, UNEVENNESS] = spread
+        out[h, FAR_STEP] = np.nanmedian(far_steps)
     return out

@@ -110,7 +110,7 @@ def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
 
     Raises
     ------
-    FileError
+    OSError
         If the file cannot be written.
     MarkError
         If a variable is missing.
@@ -134,10 +134,7 @@ def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
             value = held[key].values[row] if key in held else row + 1
             cells.append(str(value) if key == "label" else str(int(value)) if key == "used" else repr(float(value)))
         writer.writerow(cells)
-    try:
-        Path(path).write_text(text.getvalue(), encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {error.strerror or error}. Choose another place.") from error
+    Path(path).write_text(text.getvalue(), encoding="utf-8", newline="\n")
 
 
 def _lines(place: Path) -> list[tuple[int, list[str]]]:

@@ -1,3 +1,4 @@
+# pyright: standard
 """Compiled inner loop of the measurement: where the normals of the centre surface meet another surface."""
 
 import numpy as np
@@ -9,11 +10,15 @@ _CLOSE_UM = 1e-4
 
 @njit(cache=True, nogil=True)
 def height_at(field, r, c):
-    """Bilinear height at fractional row and column; NaN outside or beside a missing node."""
+    """Bilinear height at fractional row and column; NaN beside a missing node.
+
+    The outermost cells reach one node further than the field, so that a normal at the border, which leans outwards by a
+    fraction of the sheet's thickness, still meets its faces. Beyond that NaN.
+    """
     rows, cols = field.shape
-    if not (0.0 <= r <= rows - 1 and 0.0 <= c <= cols - 1):
+    if not (-1.0 <= r <= rows and -1.0 <= c <= cols):
         return np.nan
-    i, j = min(int(r), rows - 2), min(int(c), cols - 2)
+    i, j = min(max(int(r), 0), rows - 2), min(max(int(c), 0), cols - 2)
     fr, fc = r - i, c - j
     a = field[i, j] * (1 - fc) + field[i, j + 1] * fc
     b = field[i + 1, j] * (1 - fc) + field[i + 1, j + 1] * fc

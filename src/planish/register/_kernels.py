@@ -1,3 +1,4 @@
+# pyright: standard
 """Exhaustive two-point hypotheses: numpy and numba only, arrays in, arrays out.
 
 Marks are ``(n, 2)`` float64 in um; ``a`` is the smaller set, ``b`` the larger. A hypothesis says that marks ``i, j`` of

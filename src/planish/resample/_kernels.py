@@ -1,3 +1,4 @@
+# pyright: standard
 """Compiled inner loops of resampling: which quad covers a pixel, and what stands there."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# pyright: standard
 """Compiled inner loops of the surface search: faces of one column, and presence along the normals.
 
 A column is read from outside to inside. Its model is a blurred staircase: ``air | coating | base`` with steps at the
@@ -5,7 +6,8 @@ face ``h`` and the interface ``h + t``,
 
     g(d) = a + (c - a) P((d - h) / w) + (b - c) P((d - h - t) / w),
 
-with P the normal distribution and w the width of the blur along the column.
+with P the normal distribution and w the width of the blur along the column. Without a coating it has one step, and c is
+the level outside, which need not be that of the air: ``g(d) = c + (b - c) P((d - h) / w)``.
 """
 
 from math import erf, exp, floor, isfinite, sqrt
@@ -60,8 +62,10 @@ def _cost(g, lo, hi, air, noise, w, p, prior, spread, coated):
     total = 0.0
     for d in range(lo, hi + 1):
         outer = _normal((d - p[0]) / w)
-        inner = _normal((d - p[0] - p[1]) / w) if coated else outer
-        model = air + (p[2] - air) * outer + (p[3] - p[2]) * inner
+        if coated:
+            model = air + (p[2] - air) * outer + (p[3] - p[2]) * _normal((d - p[0] - p[1]) / w)
+        else:
+            model = p[2] + (p[3] - p[2]) * outer
         e = (g[d] - model) / noise
         total += e * e
     for i in range(4):
@@ -76,7 +80,7 @@ def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step)
     """Fit p = (h, t, c, b) to g[lo:hi+1] by Levenberg-Marquardt; return the cost per sample.
 
     ``prior`` and ``spread`` (4): Gaussian prior on p; a spread of 0 means none, below 0 holds the value fixed.
-    Without a coating, t and c are left as they are and the staircase has one step, air to base.
+    Without a coating t is left as it is.
     """
     damping = 1e-3
     cost = _cost(g, lo, hi, air, noise, w, p, prior, spread, coated)
@@ -90,13 +94,17 @@ def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step)
             if coated:
                 x2 = (d - p[0] - p[1]) / w
                 inner, bell2 = _normal(x2), _bell(x2) / w
+                e = g[d] - (air + (p[2] - air) * outer + (p[3] - p[2]) * inner)
+                j0 = -(p[2] - air) * bell1 - (p[3] - p[2]) * bell2
+                j1 = -(p[3] - p[2]) * bell2
+                j2 = outer - inner
+                j3 = inner
             else:
-                inner, bell2 = outer, bell1
-            e = g[d] - (air + (p[2] - air) * outer + (p[3] - p[2]) * inner)
-            j0 = -(p[2] - air) * bell1 - (p[3] - p[2]) * bell2
-            j1 = -(p[3] - p[2]) * bell2 if coated else 0.0
-            j2 = outer - inner
-            j3 = inner
+                e = g[d] - (p[2] + (p[3] - p[2]) * outer)
+                j0 = -(p[3] - p[2]) * bell1
+                j1 = 0.0
+                j2 = 1.0 - outer
+                j3 = outer
             step[0] += j0 * e
             step[1] += j1 * e
             step[2] += j2 * e
@@ -121,7 +129,7 @@ def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step)
                 k = 1.0 / (spread[i] * spread[i])
                 matrix[i, i] += k
                 step[i] += k * (prior[i] - p[i])
-            held = spread[i] < 0.0 or (not coated and (i == 1 or i == 2))
+            held = spread[i] < 0.0 or (not coated and i == 1)
             if held:
                 for j in range(4):
                     if j <= i:
@@ -184,7 +192,7 @@ def fit_faces(slab, expected, other, tilt, air, width, noise, prior, spread, coa
     air, noise : float
         Level and standard deviation of a voxel.
     prior, spread : (4,)
-        Of (h, t, c, b); those of h are not used.
+        Of (h, t, c, b); those of h are not used. c is the coating, or without one the level outside.
     coated : bool
     search : float
         How far outside the expected face the search starts, in voxels.

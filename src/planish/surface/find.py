@@ -40,8 +40,8 @@ class SurfaceParams:
         Grey range of the sheet, where it has to be told from other material. The faces then lie where the grey has
         fallen half way from the sheet's own level to that of the air.
     cutoff_um : float
-        Wavelength of the centre surface that passes by half; never more than eight times the thickness. 400 um is
-        the default of the reading of Hirn et al. (2009), whose centre lines are "a smoothed mean" of the faces.
+        Wavelength of the centre surface that passes by half. Hirn et al. (2009) call their centre line a smoothed mean
+        of the faces and give no number; 400 um is the cut-off of a Gaussian of 75 um.
     rim_um : float
         Zone around holes and gaps that is kept out of the centre surface and of all properties: the laser burns it.
     threads : int or None
@@ -103,11 +103,10 @@ def find_surfaces(volume: xr.DataArray, *, frame: Frame | None = None, params: S
     if not np.isfinite(thickness):
         raise VolumeError("There is no sheet in the volume: no column shows two faces. Check --through and --sheet-grey.")
     sheet, rim, outline = _regions(seen, pitch[:2], params.rim_um)
-    cutoff = min(params.cutoff_um, 8.0 * thickness)
     middle = np.where(sheet & ~rim, 0.5 * (top + bottom), np.nan)
     if not np.isfinite(middle).any():
         raise VolumeError("The sheet consists of holes and their rims only; nothing is left to measure. Check --sheet-grey.")
-    centre = np.where(outline, gaussian_regression(middle, pitch[:2], cutoff_um=cutoff), np.nan)
+    centre = np.where(outline, gaussian_regression(middle, pitch[:2], cutoff_um=params.cutoff_um), np.nan)
     status = np.where(~np.isfinite(centre) | ~sheet, 1, np.where(rim, 2, np.where(seen, 0, 3))).astype(np.uint8)
     present = search.presence(levels, centre, thickness, up)
     heights = {
@@ -125,7 +124,7 @@ def find_surfaces(volume: xr.DataArray, *, frame: Frame | None = None, params: S
     data["status"] = (
         ("y", "x"), status, {"long_name": "Status", "flag_values": [0, 1, 2, 3], "flag_meanings": meanings},
     )  # fmt: skip
-    attrs: dict[str, object] = {**frame.attrs(), "thickness_um": thickness, "cutoff_um": cutoff, "rim_um": params.rim_um}
+    attrs: dict[str, object] = {**frame.attrs(), "thickness_um": thickness, "cutoff_um": params.cutoff_um, "rim_um": params.rim_um}
     attrs |= {f"grey_{k}" if k in ("air", "base", "coating_top", "coating_bottom", "noise") else k: v
               for k, v in asdict(levels).items()}  # fmt: skip
     attrs |= {"voxel_um": [_pitch(volume, axis) for axis in ("z", "y", "x")]}
@@ -310,7 +309,7 @@ class _Search:
         self.width_um = self._blur(sample)
         for high in sample:
             self.prior[high] = self._learnt(sample[high], self.prior[high])
-        greys = {high: self.polarity * prior[0][2] + self.air if prior[2] else float("nan")
+        greys = {high: float(self.polarity * prior[0][2] + self.air) if prior[2] else float("nan")
                  for high, prior in self.prior.items()}  # fmt: skip
         return GreyLevels(
             air=self.air, base=self.polarity * self.base + self.air, coating_top=greys[True],
@@ -356,8 +355,11 @@ class _Search:
         solid = self.base + 1.28 * min(base_sd, 0.3 * self.base)
         coated = self.params.sheet_grey is None and is_coating(peak, 0.0, solid)
         coated = coated or (self.params.sheet_grey is not None and is_coating(peak, 0.0, 1.2 * solid))
-        prior = np.array([0.0, 0.0, peak, self.base])
-        return prior, np.array([0.0, 0.0, 0.25 * peak, max(base_sd, 0.25 * self.base)]), coated
+        # Without a coating the third level is what lies outside: the air, unless the sheet was told from other material.
+        outside = -1.0 if self.params.sheet_grey is None else 0.5 * self.base
+        prior = np.array([0.0, 0.0, peak if coated else 0.0, self.base])
+        wide = np.array([0.0, 0.0, 0.25 * peak if coated else outside, max(base_sd, 0.25 * self.base)])
+        return prior, wide, coated
 
     def _fit(
         self, sample: tuple[NDArray[np.float32], Array, Array, Array], prior: tuple[Array, Array, bool], width: float

@@ -1,3 +1,4 @@
+# pyright: standard
 """Compiled inner loops of the synthetic specimen: the warp and its inverse, voxels, fibres.
 
 A warp travels as one flat array ``w`` and one table ``curve`` (see :meth:`planish.synthetic.warp.Warp.packed`):

@@ -176,12 +176,14 @@ def _camera(p: SpecimenParams, spread: Array) -> tuple[tuple[int, int], Similari
 def _hole_pattern(p: SpecimenParams, warp: Warp, rng: np.random.Generator) -> Array:
     """Draw irregular positions, at a distance from the volume's border and from each other, as (u, v)."""
     found: list[Array] = []
+    field = (p.size_um[0] - 2 * _HOLE_BORDER_UM) * (p.size_um[1] - 2 * _HOLE_BORDER_UM)
+    apart = min(_HOLE_DISTANCE_UM, 0.7 * float(np.sqrt(max(field, 0.0) / max(p.holes, 1))))
     for _ in range(20_000):
         if len(found) == p.holes:
             break
         border = _HOLE_BORDER_UM
         xy = rng.uniform([border, border], [p.size_um[0] - border, p.size_um[1] - border])
-        if all(np.hypot(*(xy - other)) > _HOLE_DISTANCE_UM for other in found):
+        if all(np.hypot(*(xy - other)) > apart for other in found):
             found.append(xy)
     assert len(found) == p.holes, "the field is too small for so many holes"
     return np.array([warp.columns(xy[1:], xy[:1])[0, 0, :2] for xy in found]).reshape(-1, 2)

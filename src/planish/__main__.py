@@ -1,0 +1,5 @@
+"""``python -m planish`` is the same as ``planish``."""
+
+from planish.cli.main import main
+
+main()

@@ -1,0 +1,189 @@
+"""Commands that do the whole line: link, map, run, demo; and info."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from planish.cli.options import (
+    existing,
+    hole_option,
+    image_options,
+    json_option,
+    match_options,
+    out_option,
+    surface_options,
+    volume_options,
+)
+from planish.cli.show import finish, stages
+
+_OUT = "Folder to make for the results; it must not exist."
+
+
+def _volume(path: Path, options: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "path": str(path.absolute()),
+        "voxel_um": options["voxel_um"],
+        "through": options["through"],
+        "top": options["top"],
+        "override_size": options["override_size"],
+    }
+
+
+def _surface(options: dict[str, Any]) -> dict[str, Any]:
+    return {k: options[k] for k in ("sheet_grey", "cutoff_um", "rim_um")}
+
+
+def _checked(data: dict[str, Any]) -> Any:
+    """Build the study; a value out of range is wrong usage."""
+    from pydantic import ValidationError
+
+    from planish.study import Study
+
+    try:
+        return Study.model_validate(data)
+    except ValidationError as error:
+        faults = "; ".join(f"--{str(e['loc'][1]).replace('_', '-')}: {e['msg']}" for e in error.errors())
+        raise click.UsageError(faults) from error
+
+
+def _run(study: Any, out: Path, *, as_json: bool) -> int:
+    from planish.pipeline import run_study
+
+    with stages(10 if study.image is not None else 7) as tell:
+        run = run_study(study, out, progress=tell)
+    return finish(run, out, as_json=as_json)
+
+
+@click.command()
+@existing("volume")
+@existing("image")
+@out_option(_OUT)
+@volume_options
+@image_options
+@click.option("--marks", type=click.Path(path_type=Path), help="CSV of pairs of points, instead of finding and matching the holes.")
+@match_options
+@hole_option
+@click.option("--point-um", type=click.FloatRange(min=0, min_open=True), default=100.0, show_default=True, help="Edge of the larger points that are correlated.")
+@surface_options
+@json_option
+def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool, **options: Any) -> int:
+    """Link VOLUME to IMAGE: all 3D properties on the image's own pixels, correlation, report.
+
+    VOLUME is a TIFF stack or a folder of slices; IMAGE is TIFF, PNG or JPEG. Both show the same specimen, marked with laser
+    holes. RUN gets maps.zarr, marks.csv, results.json, report.html and run.toml.
+    """
+    registration = {"marks": str(marks.absolute()) if marks else None}
+    registration |= {k: options[k] for k in ("mirror", "tolerance_um", "hole_um")}
+    study = _checked(
+        {
+            "volume": _volume(volume, options),
+            "image": {
+                "path": str(image.absolute()),
+                "pixel_um": options["pixel_um"],
+                "channel": options["channel"],
+                "override_size": options["override_size"],
+            },
+            "surface": _surface(options),
+            "registration": registration,
+            "correlate": {"point_um": options["point_um"]},
+        }
+    )
+    return _run(study, out, as_json=as_json)
+
+
+@click.command("map")
+@existing("volume")
+@out_option(_OUT)
+@volume_options
+@surface_options
+@json_option
+def map_(volume: Path, out: Path, as_json: bool, **options: Any) -> int:
+    """Map VOLUME: flattened maps of all properties, without an image."""
+    study = _checked({"volume": _volume(volume, options), "surface": _surface(options)})
+    return _run(study, out, as_json=as_json)
+
+
+@click.command()
+@existing("study")
+@click.option("--out", "-o", type=click.Path(path_type=Path), help="Folder to make; beside the old one where not given.")
+@json_option
+def run(study: Path, out: Path | None, as_json: bool) -> int:
+    """Repeat the run described by STUDY, the run.toml of a run folder.
+
+    The result has the same bytes; files that differ from those beside STUDY are named.
+    """
+    from planish.study import read_study
+
+    checked = read_study(study)
+    old = study.absolute().parent
+    target = out or _free(old.with_name(f"{old.name}-again"))
+    code = _run(checked, target, as_json=as_json)
+    if (old / "results.json").is_file():
+        different = _different(old, target)
+        text = "same bytes as" if not different else f"{', '.join(different)} differ from"
+        click.echo(f"{target}: {text} {old}", err=True)
+    return code
+
+
+def _different(old: Path, new: Path) -> list[str]:
+    """Name the files of either folder that are not the same in both."""
+    files = {p.relative_to(root).as_posix() for root in (old, new) for p in root.rglob("*") if p.is_file()}
+    return sorted(
+        name
+        for name in files
+        if not ((old / name).is_file() and (new / name).is_file() and filecmp.cmp(old / name, new / name, shallow=False))
+    )
+
+
+def _free(path: Path) -> Path:
+    """Give the first of path, path-2, path-3 ... that does not exist."""
+    candidate, k = path, 1
+    while candidate.exists():
+        k += 1
+        candidate = path.with_name(f"{path.name}-{k}")
+    return candidate
+
+
+@click.command()
+@click.option("--out", "-o", type=click.Path(path_type=Path), help="Folder to make; planish-demo here where not given.")
+@click.option("--seed", default=1, show_default=True, help="Another number gives another specimen.")
+@json_option
+def demo(out: Path | None, seed: int, as_json: bool) -> int:
+    """Make a synthetic specimen with laser holes, link it, and show what comes out."""
+    from planish.synthetic import SpecimenParams, make_specimen, write_specimen
+
+    folder = out or _free(Path("planish-demo"))
+    from planish.io.run_folder import refuse_existing
+
+    refuse_existing(folder)
+    click.echo(f"specimen: a warped sheet of 2.0 x 1.4 mm, seed {seed}", err=True)
+    specimen = make_specimen(SpecimenParams(size_um=(2000.0, 1400.0), holes=6, seed=seed))
+    volume, image = write_specimen(specimen, folder / "specimen")
+    study = _checked({"volume": {"path": str(volume.absolute())}, "image": {"path": str(image.absolute())}})
+    return _run(study, folder / "run", as_json=as_json)
+
+
+@click.command()
+@existing("path")
+@click.option("--voxel-um", type=float, hidden=True)
+@json_option
+def info(path: Path, voxel_um: float | None, as_json: bool) -> int:
+    """Tell what PATH holds: shape, type, voxel or pixel size and where it was read, grey values, what looks wrong."""
+    from planish.io import describe
+
+    facts = describe(path, voxel_um=voxel_um)
+    if as_json:
+        click.echo(json.dumps(facts, indent=2, allow_nan=False))
+        return 0
+    for key, value in facts.items():
+        if key != "warnings":
+            text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value
+            click.echo(f"{key.replace('_', ' ')}: {text}")
+    for warning in facts.get("warnings", []):
+        click.echo(f"look: {warning}")
+    return 0

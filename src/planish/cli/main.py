@@ -1,0 +1,81 @@
+"""The command group, and the one place where an error becomes a message and an exit code.
+
+0 done; 1 a fault of planish; 2 wrong usage; 3 input that cannot be used; 4 finished, but a quality gate failed; 5 memory or
+disk used up; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+
+import click
+
+from planish import __version__
+from planish.cli.line import demo, info, link, map_, run
+from planish.cli.stages import correlate, flatten, holes, measure, register, report, resample, surface
+from planish.io.run_folder import as_planish
+from planish.core.errors import PlanishError, ResourceError
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="planish")
+def planish() -> None:
+    """Link the 3D structure of a paper sheet to a 2D image of it.
+
+    'planish link VOLUME IMAGE --out RUN' does the whole line; the other commands do one stage each.
+    'planish demo' shows it on a synthetic specimen.
+
+    Exit codes: 0 done, 1 a fault of planish, 2 wrong usage, 3 input that cannot be used, 4 finished but a quality gate
+    failed, 5 memory or disk used up, 130 interrupted.
+    """
+
+
+for _command in (link, map_, demo, info, run, surface, measure, flatten, resample, holes, register, correlate, report):
+    planish.add_command(_command)
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the command line and end the process with its exit code."""
+    arguments = sys.argv[1:] if args is None else args
+    try:
+        code = planish.main(args=arguments, prog_name="planish", standalone_mode=False)
+    except click.exceptions.Exit as error:
+        code = error.exit_code
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("planish: interrupted; nothing was written.", err=True)
+        code = 130
+    except PlanishError as error:
+        code = _fail(str(error), error.exit_code, "--json" in arguments)
+    except MemoryError:
+        text = "The memory is used up. Use a smaller or coarser volume, or a machine with more memory."
+        code = _fail(text, ResourceError.exit_code, "--json" in arguments)
+    except OSError as error:
+        known = as_planish(error, Path(error.filename or "the results"))
+        code = _fail(str(known), known.exit_code, "--json" in arguments)
+    except Exception as error:  # noqa: BLE001  the last resort: a user gets a sentence and a log, never a traceback
+        code = _fail(_logged(error), PlanishError.exit_code, "--json" in arguments)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(text: str, code: int, as_json: bool) -> int:
+    click.echo(f"planish: {text}", err=True)
+    if as_json:
+        click.echo(json.dumps({"error": text, "exit_code": code}))
+    return code
+
+
+def _logged(error: Exception) -> str:
+    with tempfile.NamedTemporaryFile("w", prefix="planish-", suffix=".log", delete=False, encoding="utf-8") as log:
+        log.write(f"planish {__version__}\n")
+        log.write("".join(traceback.format_exception(error)))
+    return (
+        f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. "
+        f"The details are in {Path(log.name)}; please report them."
+    )

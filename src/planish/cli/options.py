@@ -1,0 +1,88 @@
+"""Options that several commands share, and how their text becomes numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+Command = Callable[..., Any]
+
+
+class Numbers(click.ParamType[tuple[float, ...]]):
+    """Some numbers, separated by commas; one stands for all where ``repeat`` is set."""
+
+    name = "numbers"
+
+    def __init__(self, count: int, *, repeat: bool = False, metavar: str = "NUMBERS") -> None:
+        self.count, self.repeat, self.metavar = count, repeat, metavar
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
+        """Show what is expected in the help."""
+        return self.metavar
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Parse ``"3"`` or ``"3,1.5,1.5"``."""
+        if isinstance(value, tuple):
+            return value  # type: ignore[return-value]
+        try:
+            numbers = tuple(float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(f"{value!r} is not {self.metavar}: write numbers with a decimal point, commas between them.", param, ctx)
+        if len(numbers) == 1 and self.repeat:
+            return numbers * self.count
+        if len(numbers) != self.count:
+            self.fail(f"{value!r} holds {len(numbers)} numbers; {self.metavar} is needed.", param, ctx)
+        return numbers
+
+
+def _stack(*options: Command) -> Command:
+    def decorate(function: Command) -> Command:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return decorate
+
+
+volume_options = _stack(
+    click.option("--voxel-um", type=Numbers(3, repeat=True, metavar="SIZE|Z,Y,X"), help="Voxel size in um, where the file does not state it."),
+    click.option("--through", type=click.Choice(["z", "y", "x"]), default="z", show_default=True, help="Axis that runs through the sheet."),
+    click.option("--top", type=click.Choice(["high", "low"]), default="high", show_default=True, help="End of that axis at which the top side lies: the side that the image shows."),
+    click.option("--override-size", is_flag=True, help="Take the sizes given here where a file states others."),
+)  # fmt: skip
+
+surface_options = _stack(
+    click.option("--sheet-grey", type=Numbers(2, metavar="LOW,HIGH"), help="Grey range of the sheet, to tell it from other material in the volume."),
+    click.option("--cutoff-um", type=click.FloatRange(min=0, min_open=True), default=400.0, show_default=True, help="Wavelength of the centre surface that its smoothing passes by half."),
+    click.option("--rim-um", type=click.FloatRange(min=0), default=100.0, show_default=True, help="Zone around holes and gaps that is left out of all results."),
+)  # fmt: skip
+
+image_options = _stack(
+    click.option("--pixel-um", type=Numbers(2, repeat=True, metavar="SIZE|Y,X"), help="Pixel size in um, where the image does not state it."),
+    click.option("--channel", default="luminance", show_default=True, help="Channel of a colour image: luminance, red, green, blue or a number from 0."),
+)  # fmt: skip
+
+hole_option = click.option(
+    "--hole-um", type=Numbers(2, metavar="LEAST,MOST"), default="100,300", show_default=True,
+    help="Range of hole diameters in um.",
+)  # fmt: skip
+
+match_options = _stack(
+    click.option("--mirror", is_flag=True, help="Also try mirror images: for a volume whose slices are numbered against the usual sense."),
+    click.option("--tolerance-um", type=click.FloatRange(min=0, min_open=True), default=25.0, show_default=True, help="How far apart two marks may be to belong together."),
+)  # fmt: skip
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
+
+
+def out_option(what: str) -> Command:
+    """Where the results go; what stands there already is never overwritten."""
+    return click.option("--out", "-o", required=True, type=click.Path(path_type=Path), help=what)
+
+
+def existing(name: str) -> Command:
+    """Take a file or folder that is read; its own reader says what is wrong with it."""
+    return click.argument(name, type=click.Path(path_type=Path))

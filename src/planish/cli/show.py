@@ -1,0 +1,91 @@
+"""What a terminal shows: stages as they pass, tables, and the state of the quality gates."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from planish.pipeline import Progress as Tell
+from planish.pipeline import Run
+
+
+@contextmanager
+def stages(total: int) -> Generator[Tell]:
+    """Show a progress bar on a terminal, one line a stage otherwise; always on standard error."""
+    if not sys.stderr.isatty():
+        yield lambda stage, detail: click.echo(f"{stage}: {detail}", err=True)
+        return
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("start", total=total)
+
+        def tell(stage: str, detail: str) -> None:
+            bar.update(task, advance=1, description=f"{stage}: {detail}")
+
+        yield tell
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table on standard output; plain columns when it is no terminal."""
+    console = Console(width=None if sys.stdout.isatty() else 110, highlight=False)
+    grid = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for k, name in enumerate(columns):
+        grid.add_column(name, justify="left" if k == 0 else "right", no_wrap=True)
+    for row in rows:
+        grid.add_row(*row)
+    console.print(grid)
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Write a number, or a dash where there is none."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def finish(run: Run, out: Path, *, as_json: bool) -> int:
+    """Print the outcome of a run; the exit code is 4 when a quality gate failed."""
+    results = run.results
+    if as_json:
+        click.echo(json.dumps(results, indent=2, allow_nan=False))
+    else:
+        _properties(results)
+        if "table" in results:
+            _correlation(results)
+        click.echo(f"report: {out / 'report.html'}")
+    for gate in run.gates:
+        if not gate.passed:
+            click.echo(f"planish: quality gate '{gate.name}' failed: {gate.sentence}", err=True)
+    return 0 if run.passed else 4
+
+
+def _properties(results: dict[str, Any]) -> None:
+    rows = [
+        (name, number(p["mean_um"], 2), number(p["sd_um"], 2), number(p["p5_um"], 2), number(p["p95_um"], 2), str(p["n"]))
+        for name, p in results["properties"].items()
+        if p is not None
+    ]
+    table("Properties along the normals, um", ("", "mean", "sd", "p5", "p95", "columns"), rows)
+    f = results["flatten"]
+    click.echo(f"flattened: {f['sentence']} Edge strain {100 * f['edge_strain_p95']:.3f} % (p95); points moved by up to {f['largest_move_um']:.0f} um.")
+
+
+def _correlation(results: dict[str, Any]) -> None:
+    m = results["marks"]
+    click.echo(
+        f"marks: {m['matched']} matched, residual {m['rms_um']:.2f} um rms, leave-one-out {number(m['leave_one_out_rms_um'], 2)} um, "
+        f"scale {m['scale']:.4f}, rotation {m['rotation_deg']:.2f} deg{', mirrored' if m['mirrored'] else ''}"
+    )
+    rows = [
+        (r["registration"], f"{r['point_um']:g}", str(r["n"]), number(r["r"]), number(r["r2"]), number(r["slope"], 4), number(r["marks_rms_um"], 1))
+        for r in results["table"]
+    ]
+    title = f"Image against {results['headline']}"
+    table(title, ("registration", "point um", "n", "r", "r2", "slope", "marks um"), rows)

@@ -1,0 +1,91 @@
+"""How numbers and units are written: digits that mean something, real minus signs, typeset units."""
+
+from __future__ import annotations
+
+import math
+
+NONE = "–"
+_UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "deg": "°", "1": ""}
+_SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Write a number with so many significant digits, and a dash where there is none.
+
+    Digits before the decimal point are never rounded away.
+
+    Examples
+    --------
+    >>> number(0.83793), number(-12.04), number(56782.4), number(None)
+    ('0.838', '−12.0', '56\\u202f782', '–')
+    """
+    if value is None or not math.isfinite(value):
+        return NONE
+    if value == 0:
+        return "0"
+    size = math.floor(math.log10(abs(value)))
+    if size < -5:
+        mantissa = f"{value / 10.0**size:.{max(digits - 1, 0)}f}"
+        return _signed(f"{mantissa}·10") + _superscript(size)
+    # Rounding may add a digit: 0.9996 to three digits is 1.00.
+    rounded = round(value, digits - 1 - size)
+    size = math.floor(math.log10(abs(rounded))) if rounded else size
+    return _signed(f"{rounded:,.{max(digits - 1 - size, 0)}f}")
+
+
+def fixed(value: float | None, decimals: int) -> str:
+    """Write a number with so many decimals, and a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return NONE
+    return _signed(f"{value:,.{decimals}f}")
+
+
+def count(value: int | None) -> str:
+    """Write a whole number with thin spaces between thousands."""
+    return NONE if value is None else _signed(f"{value:,d}")
+
+
+def percent(share: float | None, digits: int = 3) -> str:
+    """Write a share as per cent."""
+    return NONE if share is None or not math.isfinite(share) else f"{number(100 * share, digits)}{_SPACE}%"
+
+
+def unit(name: str) -> str:
+    """Typeset a unit that is ASCII in attributes; the unit of plain numbers is nothing."""
+    return _UNITS.get(name, name)
+
+
+def length(value_um: float | None, digits: int = 3) -> str:
+    """Write a length in µm, from 1000 µm on in mm."""
+    if value_um is None or not math.isfinite(value_um):
+        return NONE
+    if abs(value_um) >= 1000:
+        return f"{number(value_um / 1000, digits)}{_SPACE}mm"
+    return f"{number(value_um, digits)}{_SPACE}µm"
+
+
+def plain(value_um: float) -> str:
+    """Write a round length (a scale bar's, a pixel's) without trailing zeros."""
+    value, name = (value_um / 1000, "mm") if abs(value_um) >= 1000 else (value_um, "µm")
+    return f"{value:.6g}{_SPACE}{name}"
+
+
+def size(count_bytes: int) -> str:
+    """Write a number of bytes in decimal multiples."""
+    for name, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count_bytes >= factor:
+            return f"{count_bytes / factor:.1f}{_SPACE}{name}"
+    return f"{count_bytes}{_SPACE}bytes"
+
+
+def in_figure(text: str) -> str:
+    """Keep what the figures' typeface can show; anything else becomes a question mark."""
+    return "".join(c if c.isprintable() and ord(c) < 0x250 or c in "–−²µ\u202f" else "?" for c in text)
+
+
+def _signed(text: str) -> str:
+    return text.replace(",", _SPACE).replace("-", "−")
+
+
+def _superscript(value: int) -> str:
+    return str(value).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

@@ -1,0 +1,210 @@
+"""Broken files: one sentence each, at once, without memory; never a short or filled-up volume."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from collections import Counter
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import imagecodecs
+import numpy as np
+import pytest
+import tifffile
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from planish.core.errors import FileError, InputError, ResourceError
+from planish.io import describe, read_image, read_volume
+
+VALUES = np.random.default_rng(0).integers(0, 255, (6, 18, 20)).astype(np.uint16)
+
+GOOD: dict[str, dict[str, Any]] = {
+    "plain": {"metadata": None, "photometric": "minisblack"},
+    "tifffile": {"photometric": "minisblack"},
+    "BigTIFF": {"bigtiff": True, "photometric": "minisblack", "metadata": None},
+    "BigTIFF deflate": {"bigtiff": True, "photometric": "minisblack", "compression": "zlib"},
+    "ImageJ in one piece": {"imagej": True, "metadata": {"axes": "ZYX"}},
+    "ImageJ deflate": {"imagej": True, "metadata": {"axes": "ZYX"}, "compression": "zlib"},
+    "OME": {"ome": True, "metadata": {"axes": "ZYX"}},
+    "OME LZW": {"ome": True, "metadata": {"axes": "ZYX"}, "compression": "lzw"},
+    "deflate": {"photometric": "minisblack", "compression": "zlib", "metadata": None},
+    "LZW strips": {"photometric": "minisblack", "compression": "lzw", "rowsperstrip": 5},
+    "packbits": {"photometric": "minisblack", "compression": "packbits"},
+    "tiles": {"photometric": "minisblack", "tile": (16, 16)},
+    "zstd tiles": {"photometric": "minisblack", "tile": (16, 16), "compression": "zstd"},
+    "big-endian": {"photometric": "minisblack", "byteorder": ">"},
+    "one page table": {"photometric": "minisblack", "metadata": {"truncated": True}},
+}
+
+
+@pytest.mark.parametrize("kind", GOOD)
+@pytest.mark.parametrize("by_page", [False, True])
+def test_a_file_cut_anywhere_is_an_error_not_a_shorter_volume(tmp_path: Path, kind: str, by_page: bool) -> None:
+    good, cut = tmp_path / "good.tif", tmp_path / "cut.tif"
+    options = dict(GOOD[kind])
+    if by_page:
+        order, big = options.pop("byteorder", None), options.pop("bigtiff", False)
+        for key in ("imagej", "ome", "metadata"):
+            options.pop(key, None)
+        with tifffile.TiffWriter(good, bigtiff=big, byteorder=order) as tif:
+            for page in VALUES:
+                tif.write(page, contiguous=False, metadata=None, **options)
+    else:
+        tifffile.imwrite(good, VALUES, **options)
+    data = good.read_bytes()
+    np.testing.assert_array_equal(read_volume(good, voxel_um=1).values, VALUES)
+    for length in {*range(0, len(data), 97), *(len(data) - back for back in range(1, 30))}:
+        cut.write_bytes(data[:length])
+        try:
+            volume = read_volume(cut, voxel_um=1)
+        except FileError:
+            continue
+        np.testing.assert_array_equal(volume.values, VALUES)
+        assert len(data) - length < 32  # only padding after the last value was cut
+
+
+@pytest.mark.parametrize("name", ["i.png", "i.jpg", "i.bmp", "deep.png"])
+def test_a_cut_picture_is_an_error(tmp_path: Path, name: str) -> None:
+    page = (VALUES[0] % 250).astype(np.uint8)
+    if name == "deep.png":
+        (tmp_path / name).write_bytes(imagecodecs.png_encode(np.dstack([VALUES[0]] * 3)))
+    else:
+        Image.fromarray(page).save(tmp_path / name)
+    data = (tmp_path / name).read_bytes()
+    for length in range(0, len(data) - 3, 7):
+        (tmp_path / name).write_bytes(data[:length])
+        with pytest.raises(FileError):
+            read_image(tmp_path / name, pixel_um=1)
+
+
+def sources() -> dict[str, bytes]:
+    page = (VALUES[0] % 250).astype(np.uint8)
+    return {
+        "deflate.tif": tiff_bytes(compression="zlib", metadata=None),
+        "imagej.tif": tiff_bytes(imagej=True, metadata={"axes": "ZYX", "unit": "um", "spacing": 2.0}),
+        "ome.tif": tiff_bytes(ome=True, metadata={"axes": "ZYX", "PhysicalSizeX": 1.0}),
+        "tiles.tif": tiff_bytes(tile=(16, 16), compression="lzw", photometric="minisblack"),
+        "grey.png": imagecodecs.png_encode(page),
+        "deep.png": imagecodecs.png_encode(np.dstack([VALUES[0]] * 3)),
+        "grey.jpg": imagecodecs.jpeg_encode(page),
+    }
+
+
+def tiff_bytes(**options: Any) -> bytes:
+    buffer = BytesIO()
+    tifffile.imwrite(buffer, VALUES, **({"photometric": "minisblack"} | options))
+    return buffer.getvalue()
+
+
+SOURCES = sources()
+
+
+@given(
+    name=st.sampled_from(sorted(SOURCES)),
+    flips=st.lists(st.tuples(st.floats(0, 1), st.booleans(), st.integers(0, 255)), min_size=1, max_size=6),
+)
+def test_whatever_bytes_are_changed_nothing_but_our_errors_comes_out(
+    tmp_path_factory: pytest.TempPathFactory, name: str, flips: list[tuple[float, bool, int]]
+) -> None:
+    data = bytearray(SOURCES[name])
+    for place, near_head, value in flips:
+        data[int(place * (min(400, len(data)) - 1 if near_head else len(data) - 1))] = value
+    path = tmp_path_factory.mktemp("flipped") / name
+    path.write_bytes(data)
+    for read in (lambda: read_volume(path, voxel_um=1), lambda: read_image(path, pixel_um=1), lambda: describe(path)):
+        with contextlib.suppress(InputError, ResourceError):
+            read()
+
+
+def test_a_chain_of_pages_in_a_circle_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "v.tif"
+    tifffile.imwrite(path, VALUES, photometric="minisblack", metadata=None, compression="zlib")
+    with tifffile.TiffFile(path) as tif:
+        first, last = tif.pages[0].offset, tif.pages[-1]
+        at = last.offset + 2 + 12 * len(last.tags)
+    data = bytearray(path.read_bytes())
+    assert data[at : at + 4] == bytes(4)
+    data[at : at + 4] = first.to_bytes(4, "little")
+    path.write_bytes(data)
+    with pytest.raises(FileError, match="page 7 of its chain is one of the pages before it"):
+        read_volume(path, voxel_um=1)
+
+
+def test_a_tiff_bomb_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    path = tmp_path / "v.tif"
+    tifffile.imwrite(path, np.zeros((2, 16, 16), np.uint8), photometric="minisblack", compression="zlib", metadata=None)
+    data = bytearray(path.read_bytes())
+    with tifffile.TiffFile(path) as tif:
+        for page in tif.pages:
+            for code in (256, 257, 278):
+                tag = page.tags[code]  # type: ignore[union-attr]
+                data[tag.valueoffset : tag.valueoffset + 2] = (60000).to_bytes(2, "little")
+    path.write_bytes(data)
+    started = time.perf_counter()
+    with pytest.raises(FileError, match=r"claims 7200000000 bytes of image in .* stored bytes, more than 2000 to 1"):
+        read_volume(path, voxel_um=1)
+    assert time.perf_counter() - started < 1
+
+
+def test_a_png_bomb_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    data = bytearray(imagecodecs.png_encode(np.zeros((8, 8), np.uint8)))
+    data[16:24] = struct.pack(">II", 100_000, 100_000)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    (tmp_path / "i.png").write_bytes(data)
+    with pytest.raises(FileError, match="claims 10000000000 bytes of image"):
+        read_image(tmp_path / "i.png", pixel_um=1)
+
+
+def test_every_file_of_a_fuzzing_corpus_is_an_input_error_at_once(shared_data: Callable[[str], Path]) -> None:
+    files = sorted(shared_data("tiff_corpus/fuzz").iterdir())
+    assert len(files) > 100
+    kinds: Counter[str] = Counter()
+    slowest = 0.0
+    for path in files:
+        started = time.perf_counter()
+        with pytest.raises(InputError) as caught:
+            read_volume(path, voxel_um=1)
+        slowest = max(slowest, time.perf_counter() - started)
+        kinds[type(caught.value).__name__] += 1
+        assert str(caught.value).startswith(path.name)
+    print(f"{len(files)} broken TIFF files: {dict(kinds)}, slowest {slowest * 1000:.1f} ms")
+    assert slowest < 1
+
+
+PEAK = """
+import contextlib, sys
+from pathlib import Path
+from planish.core.errors import InputError
+from planish.io import describe, read_image, read_volume
+
+def memory_kib(name):
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(name))
+
+Path("/proc/self/clear_refs").write_text("5")  # forget the peak of the imports, and that of the parent process
+before = memory_kib("VmRSS:")
+for path in sorted(Path(sys.argv[1]).iterdir()):
+    for read in (lambda: read_volume(path, voxel_um=1), lambda: read_image(path, pixel_um=1), lambda: describe(path)):
+        with contextlib.suppress(InputError):
+            read()
+print((memory_kib("VmHWM:") - before) / 1024)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the peak memory is read from /proc")
+def test_a_fuzzing_corpus_needs_no_memory(shared_data: Callable[[str], Path]) -> None:
+    folder = shared_data("tiff_corpus/fuzz")
+    done = subprocess.run([sys.executable, "-c", PEAK, folder], capture_output=True, text=True, check=True)
+    peak_mib = float(done.stdout)
+    print(f"peak memory over that before: {peak_mib:.1f} MiB")
+    assert peak_mib < 300
+    assert done.stderr == ""

@@ -1,0 +1,143 @@
+"""What ``planish info`` tells, and the fingerprint."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from planish.core.errors import FileError, VolumeError
+from planish.io import describe, fingerprint
+
+
+def ramp(shape: tuple[int, ...], dtype: str = "uint16") -> np.ndarray:
+    return (np.arange(np.prod(shape)) % 200).reshape(shape).astype(dtype)
+
+
+def test_a_volume_is_described(tmp_path: Path) -> None:
+    path = tmp_path / "v.tif"
+    tifffile.imwrite(
+        path,
+        ramp((5, 20, 30)),
+        imagej=True,
+        resolution=(0.5, 0.5),
+        metadata={"axes": "ZYX", "unit": "um", "spacing": 3},
+    )
+    told = describe(path)
+    assert told["kind"] == "volume"
+    assert told["shape"] == [5, 20, 30]
+    assert told["dims"] == ["z", "y", "x"]
+    assert told["dtype"] == "uint16"
+    assert told["size_um"] == [3, 2, 2]
+    assert told["size_source"] == "ImageJ metadata"
+    assert told["extent_um"] == [15, 40, 60]
+    assert (told["min"], told["max"]) == (0, 199)
+    assert told["percentiles"]["50"] == np.percentile(ramp((5, 20, 30)), 50)
+    assert told["nan_share"] == told["saturated_share"] == 0
+    assert told["bytes"] == path.stat().st_size
+    assert told["warnings"] == []
+    json.dumps(told, allow_nan=False)
+
+
+def test_an_image_is_described(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[274] = 3
+    Image.fromarray(ramp((20, 30), "uint8")).save(tmp_path / "i.jpg", exif=exif, dpi=(2540, 2540))
+    told = describe(tmp_path / "i.jpg")
+    assert told["kind"] == "image"
+    assert told["shape"] == [20, 30]
+    assert told["colour"] == "grey"
+    assert told["size_um"] == pytest.approx([10, 10])
+    assert any("JPEG loses detail" in w for w in told["warnings"])
+    assert any("orientation tag (3)" in w for w in told["warnings"])
+
+
+def test_a_missing_size_is_told_not_raised(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "v.tif", ramp((5, 20, 30)), photometric="minisblack")
+    told = describe(tmp_path / "v.tif")
+    assert told["size_um"] is None
+    assert told["size_problem"].startswith("v.tif states no voxel size")
+    assert told["size_problem"] in told["warnings"]
+    assert describe(tmp_path / "v.tif", voxel_um=2)["extent_um"] == [10, 40, 60]
+
+
+def test_missing_and_saturated_values_are_counted(tmp_path: Path) -> None:
+    values = ramp((5, 20, 30), "float32")
+    values[:, :2] = np.nan
+    tifffile.imwrite(tmp_path / "v.tif", values, photometric="minisblack")
+    told = describe(tmp_path / "v.tif", voxel_um=1)
+    assert told["nan_share"] == pytest.approx(0.1)
+    assert any("10 % of the values are missing" in w for w in told["warnings"])
+    bright = ramp((5, 20, 30), "uint8")
+    bright[:, :, :3] = 255
+    tifffile.imwrite(tmp_path / "v.tif", bright, photometric="minisblack")
+    told = describe(tmp_path / "v.tif", voxel_um=1)
+    assert told["saturated_share"] == pytest.approx(0.1)
+    assert any("10 % of the values are at 255" in w for w in told["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (np.full((4, 20, 30), 7, np.uint8), "All values are 7"),
+        (np.full((4, 20, 30), np.nan, np.float32), "all values are missing"),
+        (ramp((4, 20, 30), "uint8") % 3, "3 grey levels only"),
+    ],
+)
+def test_what_looks_wrong_is_said(tmp_path: Path, values: np.ndarray, words: str) -> None:
+    tifffile.imwrite(tmp_path / "v.tif", values, photometric="minisblack")
+    told = describe(tmp_path / "v.tif", voxel_um=1)
+    assert any(words in w for w in told["warnings"])
+    json.dumps(told, allow_nan=False)
+
+
+def test_slices_in_steps_are_mentioned(tmp_path: Path) -> None:
+    for i in range(3):
+        tifffile.imwrite(tmp_path / f"{i * 5}.tif", ramp((20, 30)))
+    assert any("steps of 5" in w for w in describe(tmp_path, voxel_um=1)["warnings"])
+
+
+def test_broken_data_are_found(tmp_path: Path) -> None:
+    path = tmp_path / "v.tif"
+    tifffile.imwrite(path, ramp((5, 20, 30)), photometric="minisblack", compression="zlib", metadata=None)
+    with tifffile.TiffFile(path) as tif:
+        at = tif.pages[3].dataoffsets[0]
+    data = bytearray(path.read_bytes())
+    data[at + 4 : at + 30] = bytes(26)
+    path.write_bytes(data)
+    with pytest.raises(FileError, match=r"v\.tif cannot be decoded"):
+        describe(path)
+
+
+def test_several_channels_are_told_as_the_reader_would(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "v.tif", ramp((5, 2, 20, 30)), imagej=True, metadata={"axes": "ZCYX"})
+    with pytest.raises(VolumeError, match="2 channels"):
+        describe(tmp_path / "v.tif")
+
+
+def test_the_fingerprint_of_a_file_is_its_sha256(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"paper" * 100_000)
+    assert fingerprint(tmp_path / "a") == hashlib.sha256(b"paper" * 100_000).hexdigest()
+    with pytest.raises(FileError, match="does not exist"):
+        fingerprint(tmp_path / "b")
+
+
+def test_the_fingerprint_of_a_folder_is_that_of_its_slices(tmp_path: Path) -> None:
+    folder = tmp_path / "v"
+    folder.mkdir()
+    for i in range(3):
+        tifffile.imwrite(folder / f"{i}.tif", ramp((20, 30)) + np.uint16(i))
+    first = fingerprint(folder)
+    (folder / "notes.txt").write_text("other files do not count")
+    folder = folder.rename(tmp_path / "moved")
+    assert fingerprint(folder) == first
+    (folder / "0.tif").rename(folder / "3.tif")
+    assert fingerprint(folder) != first
+    (folder / "3.tif").rename(folder / "0.tif")
+    tifffile.imwrite(folder / "1.tif", ramp((20, 30)))
+    assert fingerprint(folder) != first

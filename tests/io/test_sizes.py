@@ -1,0 +1,120 @@
+"""Sizes: every unit to micrometres, and what happens when they are missing or disagree."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planish.core.errors import SizeError
+from planish.io.sizes import PIXEL, VOXEL, Stated, agreed_size, from_density, unit_um
+
+sizes = st.floats(0.02, 90)
+
+
+@pytest.mark.parametrize(
+    ("unit", "um"),
+    [
+        ("nm", 1e-3), ("um", 1), ("µm", 1), ("μm", 1), ("micron", 1), ("Microns", 1), ("micrometer", 1),
+        ("\\u00B5m", 1), ("\\u00b5m", 1), ("mm", 1e3), ("cm", 1e4), ("m", 1e6), ("inch", 25400), (" um ", 1),
+    ],
+)  # fmt: skip
+def test_every_unit_of_length_is_known(unit: str, um: float) -> None:
+    assert unit_um(unit) == um
+
+
+@pytest.mark.parametrize("unit", ["", "pixel", "pixels", "voxel", "reference frame", "sec", "M m"])
+def test_other_words_are_no_units(unit: str) -> None:
+    assert unit_um(unit) is None
+
+
+@pytest.mark.parametrize(
+    ("per_unit", "unit"),
+    [(72, "inch"), (96, "inch"), (28.35, "cm"), (28, "cm"), (37.8, "cm"), (2835, "m"), (3780, "m"), (1, "inch"),
+     (1, "cm"), (0, "inch"), (-300, "inch"), (None, "inch"), (float("nan"), "cm"), (300, "")],
+)  # fmt: skip
+def test_resolutions_of_programs_that_do_not_know_count_as_missing(per_unit: float | None, unit: str) -> None:
+    assert from_density(per_unit, unit) is None
+
+
+def test_a_true_resolution_is_a_pixel_size() -> None:
+    assert from_density(2540, "inch") == 10
+    assert from_density(5000, "cm") == 2
+
+
+@given(z=sizes, y=sizes, x=sizes)
+def test_what_is_stated_comes_out(z: float, y: float, x: float) -> None:
+    stated = [Stated(source="OME metadata", um=(z, y, x))]
+    assert agreed_size(stated, None, file_name="v.tif", asked=VOXEL) == ((z, y, x), "OME metadata")
+
+
+@given(size=sizes)
+def test_one_given_value_means_all_axes(size: float) -> None:
+    assert agreed_size([], size, file_name="v.tif", asked=VOXEL) == ((size,) * 3, "given")
+    assert agreed_size([], size, file_name="i.tif", asked=PIXEL) == ((size,) * 2, "given")
+
+
+@given(size=st.floats(0.1, 20), factor=st.floats(0.2, 5))
+def test_a_given_size_more_than_one_percent_off_is_refused(size: float, factor: float) -> None:
+    stated = [Stated(source="ImageJ metadata", um=(size, size, size))]
+    given_size = size * factor
+    if 1 / 1.0099 < factor < 1.0099:
+        assert agreed_size(stated, given_size, file_name="v.tif", asked=VOXEL)[1] == "given"
+    elif factor > 1.0101 or factor < 1 / 1.0101:
+        with pytest.raises(SizeError, match=r"--voxel-um gives .* but ImageJ metadata states .*--override-size"):
+            agreed_size(stated, given_size, file_name="v.tif", asked=VOXEL)
+        taken, source = agreed_size(stated, given_size, file_name="v.tif", asked=VOXEL, override=True)
+        assert taken == (given_size,) * 3
+        assert source.startswith("given, in place of ImageJ metadata")
+
+
+def test_the_refusal_names_both_sizes() -> None:
+    stated = [Stated(source="ImageJ metadata", um=(2.0, 1.5, 1.5))]
+    with pytest.raises(SizeError) as caught:
+        agreed_size(stated, 3, file_name="v.tif", asked=VOXEL)
+    assert str(caught.value) == (
+        "v.tif: --voxel-um gives z 3, y 3, x 3 um, but ImageJ metadata states z 2, y 1.5, x 1.5 um. "
+        "Correct one of them, or add --override-size to take the given size."
+    )
+
+
+def test_a_missing_size_is_never_one() -> None:
+    with pytest.raises(SizeError) as caught:
+        agreed_size([], None, file_name="v.tif", asked=VOXEL)
+    assert str(caught.value) == "v.tif states no voxel size. Give it with --voxel-um SIZE (or Z,Y,X), in um."
+
+
+def test_a_missing_axis_is_named() -> None:
+    stated = [Stated(source="the TIFF resolution", um=(None, 2.0, 2.5))]
+    with pytest.raises(SizeError) as caught:
+        agreed_size(stated, None, file_name="v.tif", asked=VOXEL)
+    assert str(caught.value) == (
+        "v.tif states no voxel size along z: the TIFF resolution states y 2, x 2.5 um only. "
+        "Give it with --voxel-um SIZE (or Z,Y,X), in um."
+    )
+
+
+def test_two_sources_fill_each_other_up_but_may_not_disagree() -> None:
+    tags = Stated(source="the TIFF resolution", um=(None, 2.0, 2.0))
+    ome = Stated(source="OME metadata", um=(3.0, None, 2.01))
+    assert agreed_size([ome, tags], None, file_name="v.tif", asked=VOXEL)[0] == (3.0, 2.0, 2.01)
+    other = Stated(source="OME metadata", um=(3.0, 4.0, 4.0))
+    with pytest.raises(SizeError, match=r"contradicts itself: OME .* z 3, y 4, x 4 um and the TIFF .* y 2, x 2 um"):
+        agreed_size([other, tags], None, file_name="v.tif", asked=VOXEL)
+
+
+@pytest.mark.parametrize(("size", "unit"), [(3000, "nm"), (0.003, "mm"), (0.000003, "m")])
+def test_a_size_out_of_range_says_which_unit_it_looks_like(size: float, unit: str) -> None:
+    with pytest.raises(SizeError, match=rf"It looks like {unit} given as um \({size:g} {unit} is 3 um\)"):
+        agreed_size([], size, file_name="v.tif", asked=VOXEL)
+
+
+def test_metadata_out_of_range_are_refused_too() -> None:
+    with pytest.raises(SizeError, match=r"looks like nm .*--override-size"):
+        agreed_size([Stated(source="OME metadata", um=(3e3,) * 3)], None, file_name="v.tif", asked=VOXEL)
+
+
+@pytest.mark.parametrize("bad", [0, -1, float("nan"), float("inf"), (1, 2), (1, 2, 3, 4), (1, 0, 1)])
+def test_what_is_no_size_is_refused(bad: float | tuple[float, ...]) -> None:
+    with pytest.raises(SizeError, match="--voxel-um"):
+        agreed_size([], bad, file_name="v.tif", asked=VOXEL)

@@ -1,0 +1,208 @@
+"""Folders of slices: the right order, nothing missing, nothing odd, and not twice in memory."""
+
+from __future__ import annotations
+
+import random
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import imagecodecs
+import numpy as np
+import pytest
+import tifffile
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from PIL import Image
+
+from planish.core.errors import FileError, ResourceError, SizeError, VolumeError
+from planish.io import read_volume
+from planish.io.slices import list_slices
+
+
+def stack(dtype: str = "uint8", shape: tuple[int, ...] = (12, 7, 9)) -> NDArray[Any]:
+    return np.random.default_rng(3).integers(0, 120, shape).astype(dtype)
+
+
+def write_folder(folder: Path, values: NDArray[Any], extension: str = ".tif", name: str = "s{}") -> Path:
+    folder.mkdir(exist_ok=True)
+    for i, page in enumerate(values):
+        path = folder / (name.format(i) + extension)
+        if extension.startswith(".tif"):
+            tifffile.imwrite(path, page, photometric="minisblack")
+        else:
+            Image.fromarray(page).save(path)
+    return folder
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "int16", "float32", "float64", "float16"])
+def test_tiff_slices_survive_in_the_order_of_their_numbers(tmp_path: Path, dtype: str) -> None:
+    volume = read_volume(write_folder(tmp_path / "v", stack(dtype)), voxel_um=1)
+    np.testing.assert_array_equal(volume.values, stack(dtype))  # s10 comes after s9
+    assert volume.dtype == ("float32" if dtype == "float16" else dtype)
+    assert volume.attrs["file_name"] == "v"
+    assert volume.attrs["file_bytes"] == sum(p.stat().st_size for p in (tmp_path / "v").iterdir())
+
+
+@pytest.mark.parametrize(("extension", "dtype"), [(".png", "uint8"), (".png", "uint16"), (".bmp", "uint8")])
+def test_other_formats_survive(tmp_path: Path, extension: str, dtype: str) -> None:
+    volume = read_volume(write_folder(tmp_path / "v", stack(dtype), extension), voxel_um=1)
+    np.testing.assert_array_equal(volume.values, stack(dtype))
+    assert volume.dtype == dtype
+
+
+def test_jpeg_slices_are_read(tmp_path: Path) -> None:
+    values = np.repeat(np.arange(12, dtype=np.uint8)[:, None, None] * 20, 16, axis=1).repeat(16, axis=2)
+    volume = read_volume(write_folder(tmp_path / "v", values, ".JPG"), voxel_um=1)
+    np.testing.assert_allclose(volume.values.astype(int), values, atol=1)  # JPEG keeps constant blocks to one level
+
+
+def test_grey_palettes_are_grey(tmp_path: Path) -> None:
+    folder = tmp_path / "v"
+    folder.mkdir()
+    for i, page in enumerate(stack()):
+        image = Image.fromarray(page).convert("P")
+        image.putpalette([level for grey in range(256) for level in (grey, grey, grey)])
+        image.save(folder / f"{i}.png")
+    np.testing.assert_array_equal(read_volume(folder, voxel_um=1).values, stack())
+
+
+@given(first=st.integers(0, 2000), step=st.integers(1, 50), count=st.integers(2, 30), width=st.integers(1, 6))
+def test_any_numbering_with_a_constant_step_is_ordered(
+    tmp_path_factory: pytest.TempPathFactory, first: int, step: int, count: int, width: int
+) -> None:
+    folder = tmp_path_factory.mktemp("v")
+    numbers = [first + i * step for i in range(count)]
+    for number in random.Random(1).sample(numbers, count):
+        (folder / f"scan_2um_{number:0{width}d}.tif").touch()
+    assert [int(p.stem.split("_")[-1]) for p in list_slices(folder)] == numbers
+
+
+def test_other_files_are_ignored(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "v", stack())
+    for name in ("LICENSE.upstream", "SOURCE.txt", "Thumbs.db", "scan_rec.log", ".hidden1.tif", "desktop.ini"):
+        (folder / name).write_text("7")
+    (folder / "sub5.tif").mkdir()
+    assert read_volume(folder, voxel_um=1).shape == (12, 7, 9)
+
+
+def test_missing_numbers_are_named(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "v", stack())
+    (folder / "s4.tif").unlink()
+    (folder / "s9.tif").unlink()
+    with pytest.raises(VolumeError, match=r"^v has 10 slices from 0 to 11, 2 missing: 4, 9\. Add them"):
+        read_volume(folder, voxel_um=1)
+
+
+def test_a_wide_gap_does_not_fill_the_screen(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "v", stack(shape=(3, 4, 4)))
+    (folder / "s2.tif").rename(folder / "s99999999999.tif")
+    with pytest.raises(VolumeError, match=r"99999999997 missing: 2, 3, 4, 5, 6, 7, 8, 9, \.\.\.\. Add"):
+        read_volume(folder, voxel_um=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "page", "words"),
+    [
+        ("s5.tif", stack(shape=(7, 8)), r"^s5\.tif is 7 x 8 pixels, s0\.tif is 7 x 9\. All slices need the same size"),
+        ("s5.tif", stack("uint16", (7, 9)), r"^s5\.tif has uint16 values, s0\.tif has uint8\. All slices"),
+        ("s5.tif", stack(shape=(7, 9, 3)), r"^s5\.tif is not grey: 7 x 9 pixels with 3 colour samples"),
+        (
+            "preview.tif",
+            stack(shape=(7, 9)),
+            r"holds 12 images named like s0\.tif, and 1 named otherwise, first preview",
+        ),
+        ("s05.tif", stack(shape=(7, 9)), r"more than one slice with the number 5"),
+        ("s5.tif", stack(shape=(7, 9)) > 3, r"^s5\.tif has black and white only"),
+    ],
+)
+def test_the_odd_slice_is_named(tmp_path: Path, name: str, page: NDArray[Any], words: str) -> None:
+    folder = write_folder(tmp_path / "v", stack())
+    tifffile.imwrite(folder / name, page, photometric="rgb" if page.ndim == 3 else "minisblack")
+    with pytest.raises(VolumeError, match=words):
+        read_volume(folder, voxel_um=1)
+
+
+def test_a_slice_with_several_pages_is_named(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "v", stack())
+    tifffile.imwrite(folder / "s5.tif", stack(), photometric="minisblack")
+    with pytest.raises(FileError, match=r"^s5\.tif is not one picture but 12 x 7 x 9"):
+        read_volume(folder, voxel_um=1)
+
+
+def test_colour_slices_are_refused(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "v", stack(shape=(4, 7, 9, 3)), ".png")
+    with pytest.raises(VolumeError, match=r"^s0\.png is not grey"):
+        read_volume(folder, voxel_um=1)
+
+
+@pytest.mark.parametrize(
+    ("names", "error", "words"),
+    [
+        ([], FileError, "holds no slices"),
+        (["a1.tif"], VolumeError, "holds one slice only, a1.tif"),
+        (["a1b2.tif", "a2b3.tif"], VolumeError, "2 numbers change"),
+        (["a.tif", "b.tif"], VolumeError, "named otherwise"),
+    ],
+)
+def test_names_that_are_no_series_are_refused(
+    tmp_path: Path, names: list[str], error: type[Exception], words: str
+) -> None:
+    for name in names:
+        (tmp_path / name).touch()
+    with pytest.raises(error, match=words):
+        list_slices(tmp_path)
+
+
+def test_sizes_of_slices_are_read_and_must_agree(tmp_path: Path) -> None:
+    for i, page in enumerate(stack()):
+        tifffile.imwrite(
+            tmp_path / f"{i}.tif", page, resolution=(5000, 5000), resolutionunit="CENTIMETER", photometric="minisblack"
+        )
+    with pytest.raises(SizeError, match=r"no voxel size along z: the TIFF resolution states y 2, x 2 um only"):
+        read_volume(tmp_path)
+    assert read_volume(tmp_path, voxel_um=(3, 2, 2)).attrs["voxel_um"] == [3, 2, 2]
+    tifffile.imwrite(tmp_path / "5.tif", stack()[5], resolution=(2500, 2500), resolutionunit="CENTIMETER")
+    with pytest.raises(SizeError, match=r"^5\.tif states a pixel size of 4 um, 0\.tif one of 2 um"):
+        read_volume(tmp_path, voxel_um=(3, 2, 2))
+
+
+def test_a_damaged_slice_is_named(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "v", stack(), ".png")
+    data = (folder / "s7.png").read_bytes()
+    (folder / "s7.png").write_bytes(data[:-20])
+    with pytest.raises(FileError, match=r"^s7\.png is cut off or damaged"):
+        read_volume(folder, voxel_um=1)
+
+
+def test_a_folder_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ResourceError, match=r"^v needs"):
+        read_volume(write_folder(tmp_path / "v", stack()), voxel_um=1, memory_limit_bytes=500)
+
+
+def test_a_folder_is_in_memory_once(tmp_path: Path) -> None:
+    folder = tmp_path / "v"
+    folder.mkdir()
+    page = np.zeros((512, 512), np.uint16)
+    for i in range(24):
+        (folder / f"{i}.png").write_bytes(imagecodecs.png_encode(page))
+    tracemalloc.start()
+    try:
+        volume = read_volume(folder, voxel_um=1)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    print(f"peak {peak / volume.nbytes:.3f} times the volume")
+    assert peak < 1.25 * volume.nbytes  # the volume, two slices of 24, and their files
+
+
+def test_a_real_scan_has_its_size(shared_data: Callable[[str], Path]) -> None:
+    folder = shared_data("battery_sector_right")
+    volume = read_volume(folder, voxel_um=1)
+    assert volume.shape == (45, 300, 128)
+    assert volume.dtype == np.uint8
+    np.testing.assert_array_equal(volume.values[17], tifffile.imread(folder / "z072.tif"))
+    with pytest.raises(SizeError, match="states no voxel size"):
+        read_volume(folder)

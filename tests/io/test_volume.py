@@ -1,0 +1,274 @@
+"""Volumes: every kind of TIFF stack gives back what was stored, with its voxel size, and nothing else passes."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+
+from planish.core.errors import FileError, ResourceError, SizeError, VolumeError
+from planish.io import read_volume
+
+DTYPES = ["uint8", "int8", "uint16", "int16", "float32", "float64"]
+
+KINDS: dict[str, dict[str, Any]] = {
+    "plain": {"metadata": None},
+    "tifffile": {},
+    "BigTIFF": {"bigtiff": True, "metadata": None},
+    "big-endian": {"byteorder": ">"},
+    "deflate": {"compression": "zlib", "metadata": None},
+    "LZW strips": {"compression": "lzw", "rowsperstrip": 3},
+    "predictor": {"compression": "zlib", "predictor": True},
+    "zstd": {"compression": "zstd"},
+    "tiles": {"tile": (16, 16)},
+    "deflate tiles": {"tile": (16, 16), "compression": "zlib"},
+    "OME": {"ome": True, "metadata": {"axes": "ZYX"}},
+    "OME deflate": {"ome": True, "metadata": {"axes": "ZYX"}, "compression": "zlib"},
+}
+
+
+def stack(dtype: str = "uint16", shape: tuple[int, ...] = (5, 7, 9)) -> NDArray[Any]:
+    values = np.random.default_rng(3).integers(-120, 120, shape)
+    return (values if np.dtype(dtype).kind != "u" else values + 120).astype(dtype)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("kind", KINDS)
+def test_values_type_and_order_survive(tmp_path: Path, kind: str, dtype: str) -> None:
+    path = tmp_path / "v.tif"
+    values = stack(dtype)
+    tifffile.imwrite(path, values, photometric="minisblack", **KINDS[kind])
+    volume = read_volume(path, voxel_um=(3, 2, 1))
+    assert volume.dims == ("z", "y", "x")
+    assert volume.dtype == np.dtype(dtype)
+    np.testing.assert_array_equal(volume.values, values)
+    assert volume.z.dtype == np.float64
+    np.testing.assert_array_equal(volume.z, np.arange(5) * 3.0)
+    np.testing.assert_array_equal(volume.y, np.arange(7) * 2.0)
+    np.testing.assert_array_equal(volume.x, np.arange(9) * 1.0)
+    assert volume.attrs["voxel_um"] == [3, 2, 1]
+    assert volume.attrs["voxel_um_source"] == "given"
+    assert volume.attrs["units"] == "1"
+    assert volume.attrs["long_name"] == "Grey value"
+    assert volume.attrs["file_name"] == "v.tif"
+    assert volume.attrs["file_bytes"] == path.stat().st_size
+
+
+@given(
+    values=hnp.arrays(
+        dtype=st.sampled_from(["u1", "i1", "u2", "i2", "f4"]),
+        shape=st.tuples(st.integers(2, 5), st.integers(2, 6), st.integers(5, 7)),
+        elements={"allow_nan": True},
+    ),
+    compression=st.sampled_from([None, "zlib", "lzw", "packbits"]),
+    big=st.booleans(),
+    order=st.sampled_from("<>"),
+)
+def test_any_volume_survives(values: NDArray[Any], compression: str | None, big: bool, order: str) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "v.tif"
+        tifffile.imwrite(
+            path,
+            values,
+            photometric="minisblack",
+            compression=compression,
+            bigtiff=big,
+            byteorder=order,  # type: ignore[arg-type]
+        )
+        np.testing.assert_array_equal(np.array(read_volume(path, voxel_um=1).values), values)
+
+
+def test_pages_written_one_by_one_are_a_volume(tmp_path: Path) -> None:
+    values = stack()
+    with tifffile.TiffWriter(tmp_path / "v.tif") as tif:
+        for page in values:
+            tif.write(page, contiguous=False, metadata=None)
+    np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, values)
+
+
+def test_float16_becomes_float32(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "v.tif", stack("float16"), photometric="minisblack")
+    volume = read_volume(tmp_path / "v.tif", voxel_um=1)
+    assert volume.dtype == np.float32
+    np.testing.assert_array_equal(volume.values, stack("float16"))
+
+
+def test_white_is_zero_is_turned_round(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "v.tif", stack("uint8"), photometric="miniswhite")
+    np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, 255 - stack("uint8"))
+
+
+@pytest.mark.parametrize("kind", ["plain", "tifffile", "BigTIFF", "OME"])
+def test_an_uncompressed_stack_is_mapped_not_copied(tmp_path: Path, kind: str) -> None:
+    tifffile.imwrite(tmp_path / "v.tif", stack(), photometric="minisblack", **KINDS[kind])
+    volume = read_volume(tmp_path / "v.tif", voxel_um=1, memory_limit_bytes=0)
+    assert isinstance(volume.data, np.memmap)
+
+
+def test_a_compressed_stack_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "v.tif", stack(), photometric="minisblack", compression="zlib")
+    with pytest.raises(ResourceError, match=r"v\.tif needs .* GiB of memory, .* GiB may be used\. Crop"):
+        read_volume(tmp_path / "v.tif", voxel_um=1, memory_limit_bytes=100)
+
+
+@pytest.mark.parametrize(
+    ("unit", "um"), [("um", 1), ("micron", 1), ("\\u00B5m", 1), ("mm", 1e3), ("nm", 1e-3), ("cm", 1e4), ("inch", 25400)]
+)
+def test_imagej_sizes_come_in_their_unit(tmp_path: Path, unit: str, um: float) -> None:
+    across, along = 2.0 / um, 2.5 / um
+    tifffile.imwrite(
+        tmp_path / "v.tif", stack(), imagej=True, resolution=(1 / across, 2 / across),
+        metadata={"axes": "ZYX", "unit": unit, "spacing": along},
+    )  # fmt: skip
+    volume = read_volume(tmp_path / "v.tif")
+    assert volume.attrs["voxel_um"] == pytest.approx([2.5, 1.0, 2.0], rel=1e-5)  # resolutions are stored as fractions
+    assert volume.attrs["voxel_um_source"] == "ImageJ metadata"
+
+
+def test_imagej_hyperstack_written_by_imagej_is_big_endian_behind_one_page(tmp_path: Path) -> None:
+    path = tmp_path / "v.tif"
+    tifffile.imwrite(
+        path,
+        stack(),
+        imagej=True,
+        byteorder=">",
+        resolution=(1, 1),
+        metadata={"axes": "ZYX", "unit": "um", "spacing": 3},
+    )
+    volume = read_volume(path)
+    np.testing.assert_array_equal(volume.values, stack())
+    assert volume.dtype.isnative
+    assert volume.attrs["voxel_um"] == [3, 1, 1]
+
+
+def test_imagej_without_spacing_is_missing_along_z(tmp_path: Path) -> None:
+    tifffile.imwrite(
+        tmp_path / "v.tif", stack(), imagej=True, resolution=(0.5, 0.5), metadata={"axes": "ZYX", "unit": "um"}
+    )
+    with pytest.raises(SizeError, match=r"no voxel size along z: ImageJ metadata states y 2, x 2 um only .*exactly 1"):
+        read_volume(tmp_path / "v.tif")
+    assert read_volume(tmp_path / "v.tif", voxel_um=(1, 2, 2)).attrs["voxel_um"] == [1, 2, 2]
+
+
+def test_imagej_pixels_are_no_size(tmp_path: Path) -> None:
+    tifffile.imwrite(
+        tmp_path / "v.tif",
+        stack(),
+        imagej=True,
+        resolution=(1, 1),
+        metadata={"axes": "ZYX", "unit": "pixel", "spacing": 1},
+    )
+    with pytest.raises(SizeError, match=r"states no voxel size \(ImageJ metadata: 'pixel' is no unit of length\)"):
+        read_volume(tmp_path / "v.tif")
+
+
+@pytest.mark.parametrize(("unit", "um"), [("µm", 1), ("nm", 1e-3), ("mm", 1e3), ("cm", 1e4), (None, 1)])
+def test_ome_sizes_come_in_their_unit(tmp_path: Path, unit: str | None, um: float) -> None:
+    meta: dict[str, Any] = {"axes": "ZYX"}
+    for axis, size in zip("ZYX", (3.0, 2.0, 1.5), strict=True):
+        meta[f"PhysicalSize{axis}"] = size / um
+        if unit is not None:
+            meta[f"PhysicalSize{axis}Unit"] = unit
+    tifffile.imwrite(tmp_path / "v.ome.tif", stack(), ome=True, metadata=meta)
+    volume = read_volume(tmp_path / "v.ome.tif")
+    assert volume.attrs["voxel_um"] == pytest.approx([3.0, 2.0, 1.5])
+    assert volume.attrs["voxel_um_source"] == "OME metadata"
+
+
+def test_ome_against_the_resolution_tags_is_an_error(tmp_path: Path) -> None:
+    meta = {"axes": "ZYX", "PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0, "PhysicalSizeZ": 2.0}
+    path = tmp_path / "v.ome.tif"
+    tifffile.imwrite(path, stack(), ome=True, metadata=meta, resolution=(2500, 2500), resolutionunit="CENTIMETER")
+    with pytest.raises(
+        SizeError, match=r"contradicts itself: OME metadata .* x 2 um and the TIFF resolution .* x 4 um"
+    ):
+        read_volume(path)
+    assert read_volume(path, voxel_um=2, override_size=True).attrs["voxel_um"] == [2, 2, 2]
+    tifffile.imwrite(path, stack(), ome=True, metadata=meta, resolution=(5000, 5000), resolutionunit="CENTIMETER")
+    assert read_volume(path).attrs["voxel_um_source"] == "OME metadata and the TIFF resolution"
+
+
+def test_resolution_tags_speak_about_x_and_y_only(tmp_path: Path) -> None:
+    path = tmp_path / "v.tif"
+    tifffile.imwrite(path, stack(), photometric="minisblack", resolution=(2540, 1270), resolutionunit="INCH")
+    with pytest.raises(
+        SizeError, match=r"no voxel size along z: the TIFF resolution states y 20, x 10 um only\. Give it"
+    ):
+        read_volume(path)
+    assert read_volume(path, voxel_um=(5, 20, 10)).attrs["voxel_um"] == [5, 20, 10]
+    with pytest.raises(SizeError, match="--override-size"):
+        read_volume(path, voxel_um=5)
+
+
+@pytest.mark.parametrize("dpi", [1, 72, 96])
+def test_default_resolutions_are_no_size(tmp_path: Path, dpi: int) -> None:
+    path = tmp_path / "v.tif"
+    tifffile.imwrite(path, stack(), photometric="minisblack", resolution=(dpi, dpi), resolutionunit="INCH")
+    with pytest.raises(SizeError, match="states no voxel size "):
+        read_volume(path)
+    assert read_volume(path, voxel_um=5).attrs["voxel_um_source"] == "given"
+
+
+def test_singleton_axes_are_dropped(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "v.tif", stack()[None, :, None], imagej=True, metadata={"axes": "TZCYX"})
+    np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, stack())
+
+
+def write_two_sizes(path: Path) -> None:
+    with tifffile.TiffWriter(path) as tif:
+        tif.write(stack(), photometric="minisblack")
+        tif.write(stack(shape=(4, 6, 6)), photometric="minisblack")
+
+
+@pytest.mark.parametrize(
+    ("write", "words"),
+    [
+        (lambda p: tifffile.imwrite(p, stack(shape=(7, 9))), "has one page, not a stack: 7 x 9"),
+        (
+            lambda p: tifffile.imwrite(p, stack(shape=(5, 2, 7, 9)), imagej=True, metadata={"axes": "ZCYX"}),
+            "has 2 channels: 5 x 2 x 7 x 9",
+        ),
+        (
+            lambda p: tifffile.imwrite(p, stack(shape=(4, 5, 7, 9)), imagej=True, metadata={"axes": "TZYX"}),
+            "has 4 time points: 4 x 5 x 7 x 9",
+        ),
+        (lambda p: tifffile.imwrite(p, stack(), imagej=True, metadata={"axes": "CYX"}), "has 5 channels.*If these are"),
+        (lambda p: tifffile.imwrite(p, stack("uint8", (5, 7, 9, 3)), photometric="rgb"), "has 3 colour samples"),
+        (lambda p: tifffile.imwrite(p, stack().astype("complex64"), photometric="minisblack"), "complex64 values"),
+        (lambda p: tifffile.imwrite(p, stack() > 5, photometric="minisblack"), "black and white only"),
+        (write_two_sizes, r"2 different images: 5 x 7 x 9 .* from page 1 on, 4 x 6 x 6 .* at page 6"),
+    ],
+)  # fmt: skip
+def test_what_is_not_one_grey_volume_is_refused(tmp_path: Path, write: Any, words: str) -> None:
+    write(tmp_path / "v.tif")
+    with pytest.raises(VolumeError, match=rf"^v\.tif .*{words}"):
+        read_volume(tmp_path / "v.tif", voxel_um=1)
+
+
+def test_pages_of_another_file_are_not_filled_up(tmp_path: Path) -> None:
+    path = tmp_path / "v.ome.tif"
+    tifffile.imwrite(path, stack(), ome=True, metadata={"axes": "ZYX"})
+    path.write_bytes(
+        path.read_bytes().replace(b'SizeZ="5"', b'SizeZ="9"').replace(b'PlaneCount="5"', b'PlaneCount="9"')
+    )
+    with pytest.raises(FileError):
+        read_volume(path, voxel_um=1)
+
+
+def test_what_is_not_there_or_empty_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"^v\.tif does not exist"):
+        read_volume(tmp_path / "v.tif", voxel_um=1)
+    (tmp_path / "v.tif").touch()
+    with pytest.raises(FileError, match=r"^v\.tif is empty"):
+        read_volume(tmp_path / "v.tif", voxel_um=1)
+    (tmp_path / "v.tif").write_text("version https://git-lfs.github.com/spec/v1")
+    with pytest.raises(FileError, match=r"^v\.tif is no TIFF, PNG, JPEG or BMP file"):
+        read_volume(tmp_path / "v.tif", voxel_um=1)
