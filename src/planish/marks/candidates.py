@@ -55,13 +55,7 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
     there = np.isfinite(image)
     filled = image
     if not np.all(there):
-        wide = tuple(1.5 * radii_um[1] / size for size in pixel_um)
-        share = ndimage.gaussian_filter(there.astype(np.float32), wide)
-        values = ndimage.gaussian_filter(np.where(there, image, np.float32(0)), wide)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            local = values / share
-        typical = np.float32(np.median(image[there]))
-        filled = np.where(there, image, np.where(share > 1e-3, local, typical)).astype(np.float32)
+        filled = np.where(there, image, _local_mean(image, pixel_um, 1.5 * radii_um[1]))
     count = max(2, int(np.ceil(np.log(radii_um[1] / radii_um[0]) / np.log(1.35))) + 1)
     responses: list[tuple[float, Image]] = []
     for radius in np.geomspace(radii_um[0], radii_um[1], count):
@@ -71,6 +65,49 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
         wide = ndimage.gaussian_filter(filled, tuple(s * 1.3 for s in sigmas), mode="nearest", truncate=3.0)
         responses.append((float(radius), wide - narrow))
     return responses
+
+
+def texture(image: Image, pixel_um: tuple[float, float], width_um: float, circles: Floats) -> float:
+    """Robust standard deviation of an image about its mean over ``width_um``, outside some circles.
+
+    Parameters
+    ----------
+    image : ndarray, shape (rows, columns)
+    pixel_um : tuple of float
+        Pixel size ``(y, x)``.
+    width_um : float
+        Width of the Gaussian mean that is taken for uneven light.
+    circles : ndarray, shape (n, 3), in um
+        ``x, y, radius`` of places to leave out.
+
+    Returns
+    -------
+    float
+        0 where less than a tenth of the image is left.
+    """
+    rest = image.copy()
+    for x, y, radius in circles:
+        i0, i1 = (max(0, int((y + side * radius) / pixel_um[0]) + (side > 0)) for side in (-1, 1))
+        j0, j1 = (max(0, int((x + side * radius) / pixel_um[1]) + (side > 0)) for side in (-1, 1))
+        part = rest[i0:i1, j0:j1]
+        rows, columns = np.ogrid[i0 : i0 + part.shape[0], j0 : j0 + part.shape[1]]
+        part[np.hypot(columns * pixel_um[1] - x, rows * pixel_um[0] - y) <= radius] = np.nan
+    there = np.isfinite(rest)
+    if 10 * np.count_nonzero(there) < there.size:
+        return 0.0
+    deviation = (rest - _local_mean(rest, pixel_um, width_um))[there]
+    return 1.4826 * float(np.median(np.abs(deviation - np.median(deviation))))
+
+
+def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float) -> Image:
+    """Gaussian mean of what is there; the median of all of it where nothing is near."""
+    there = np.isfinite(image)
+    sigmas = tuple(width_um / size for size in pixel_um)
+    share = ndimage.gaussian_filter(there.astype(np.float32), sigmas, truncate=3.0)
+    values = ndimage.gaussian_filter(np.where(there, image, np.float32(0)), sigmas, truncate=3.0)
+    near = share > 1e-3
+    typical = np.float32(np.median(image[there])) if np.any(there) else np.float32(0)
+    return np.where(near, values / np.where(near, share, np.float32(1)), typical).astype(np.float32)
 
 
 def peaks(responses: list[tuple[float, Image]], pixel_um: tuple[float, float], sign: float) -> Floats:

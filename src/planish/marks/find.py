@@ -10,22 +10,33 @@ from numpy.typing import ArrayLike, NDArray
 
 from planish.core.errors import MarkError, SizeError
 from planish.marks import _kernels as k
-from planish.marks.candidates import ACROSS_COARSE, ACROSS_FINE, Floats, Image, blob_responses, peaks, reduce_to
+from planish.marks.candidates import ACROSS_COARSE, ACROSS_FINE, Floats, Image, blob_responses, peaks, reduce_to, texture
 
 Polarity = Literal["auto", "dark", "bright"]
 
 LARGEST_AXIS_RATIO = 1.3
 LEAST_COVERAGE = 0.7
-# Step from the floor to the sheet, in robust standard deviations of the sheet around: mottle rarely makes three.
-LEAST_CONTRAST = 3.0
-# The floor of a hole is flat and its rim a step; a blotch of mottle is neither. Shares of the step.
-LARGEST_FLATNESS = 0.4
-LARGEST_UNEVENNESS = 0.35
-LEAST_SHARPNESS = 0.3
+# Step from the floor to the sheet, in robust standard deviations of the sheet around and of the whole: mottle rarely
+# makes three.
+LEAST_CONTRAST = 3.2
+# The floor of a hole is flat and its rim a step; a blotch of mottle is neither. Shares of the whole step; the char around
+# a hole may take two thirds of it.
+LARGEST_FLATNESS = 0.25
+LARGEST_UNEVENNESS = 0.2
+LEAST_STEP = 0.28
+# Step over +-10 um across the rim as a share of that over +-25 um: a gentle slope makes less.
+LEAST_SHARPNESS = 0.45
 # Rim about its ellipse, rms: share of the radius, beside 0.3 pixels.
 LARGEST_ROUGHNESS = 0.09
-# Holes of one laser look alike: a mark with less than this share of the median step is dirt or a pit.
-LEAST_SHARE_OF_MEDIAN = 0.5
+# Fewer pixels across a hole leave nothing to tell a rim from a slope by.
+LEAST_PIXELS = 7.0
+# Holes of one laser look alike: beside others, a mark with less than this share of their median step is dirt or a pit,
+# and one whose diameter differs by this factor is something else.
+LEAST_SHARE_OF_MEDIAN = 0.55
+LARGEST_FACTOR = 1.6
+
+# Beyond a rim this much may be burnt.
+CHAR_UM = 60.0
 
 VARIABLES: tuple[tuple[str, str, str], ...] = (
     ("x", "um", "Hole centre along the columns"),
@@ -116,7 +127,11 @@ def _holes(grey: Image, size: tuple[float, float], low: float, high: float, sign
         fine, fine_size[1], fine_size[0], places[:, 0].copy(), places[:, 1].copy(), sign, low, high
     )
     rows = rows[_is_hole(rows, fine_size, low, high)]
-    rows = _unlike_removed(_strongest_apart(rows))
+    # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
+    circles = np.stack([*(rows[:, k.X : k.Y + 1] - coarse_origin).T, rows[:, k.RADIUS] + CHAR_UM], axis=1)
+    whole = texture(coarse, coarse_size, 2 * high, circles)
+    rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], whole)
+    rows = _strongest_apart(rows[_is_hole(rows, fine_size, low, high)])
     extent = [(n - 1) * step for n, step in zip(fine.shape, fine_size, strict=True)]
     radius = rows[:, k.RADIUS] + rows[:, k.HALF_DIFFERENCE]
     inside = (
@@ -125,7 +140,7 @@ def _holes(grey: Image, size: tuple[float, float], low: float, high: float, sign
         & (rows[:, k.X] <= extent[1] - radius)
         & (rows[:, k.Y] <= extent[0] - radius)
     )
-    rows = rows[inside]
+    rows = _unlike_removed(rows[inside])
     rows[:, k.X] += fine_origin[0]
     rows[:, k.Y] += fine_origin[1]
     return rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))]
@@ -136,12 +151,13 @@ def _is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -
     total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     with np.errstate(invalid="ignore"):
         return (
-            (radius >= low)
+            (radius >= max(low, LEAST_PIXELS / 2 * max(size)))
             & (radius <= high)
             & ((radius + half) < LARGEST_AXIS_RATIO * (radius - half))
             & (rows[:, k.COVERAGE] >= LEAST_COVERAGE)
             & (total > LEAST_CONTRAST * rows[:, k.TEXTURE])
-            & (rows[:, k.STEP] > LEAST_SHARPNESS * total)
+            & (rows[:, k.STEP] > LEAST_STEP * total)
+            & (rows[:, k.STEP] > LEAST_SHARPNESS * rows[:, k.FAR_STEP])
             & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * total)
             & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * total)
             & (rows[:, k.ROUGHNESS] < LARGEST_ROUGHNESS * radius + 0.3 * max(size))
@@ -161,11 +177,13 @@ def _strongest_apart(rows: Floats) -> Floats:
 
 
 def _unlike_removed(rows: Floats) -> Floats:
-    """Drop marks much fainter than the rest."""
+    """Drop marks much fainter, smaller or larger than the rest."""
     if len(rows) < 3:
         return rows
-    step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
-    return rows[step >= LEAST_SHARE_OF_MEDIAN * np.median(step)]
+    step, radius = rows[:, k.OUTSIDE] - rows[:, k.INSIDE], rows[:, k.RADIUS]
+    rows, radius = rows[(strong := step >= LEAST_SHARE_OF_MEDIAN * np.median(step))], radius[strong]
+    factor = radius / np.median(radius)
+    return rows[(factor < LARGEST_FACTOR) & (factor > 1 / LARGEST_FACTOR)]
 
 
 def _dataset(rows: Floats, sign: float) -> xr.Dataset:

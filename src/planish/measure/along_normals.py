@@ -79,7 +79,12 @@ def measure_properties(surfaces: xr.Dataset) -> xr.Dataset:
         "topography_bottom": -distance["bottom"],
     }
     status = surfaces["status"].values.copy()
-    status[(status == 0) & ~np.isfinite(values["thickness"])] = 4
+    # A column counts as measured when everything that the sheet has was measured there.
+    whole = np.isfinite(values["thickness"])
+    for name in ("coating_top", "coating_bottom"):
+        if np.isfinite(values[name]).any():
+            whole &= np.isfinite(values[name])
+    status[(status == 0) & ~whole] = 4
     valid = status == 0
     if not valid.any():
         raise CannotMeasure("No normal of the centre surface meets both faces. Look at the surfaces with 'planish surface'.")

@@ -1,5 +1,5 @@
-"""From results to one page."""
-from pathlib import Path
-from typing import Any
-def write_report(path: Path, **kw: Any) -> None:
-    path.write_text("<html></html>")
+"""From results to one HTML page that can be handed on."""
+
+from planish.report.page import write_report
+
+__all__ = ["write_report"]

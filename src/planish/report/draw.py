@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -21,6 +21,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
@@ -31,6 +32,7 @@ Array = NDArray[np.float64]
 
 FULL = 10.4  # inches; one inch is 100 CSS pixels, so that a full figure fills the page's column
 HALF = 5.1
+BESIDE = 0.86  # to the right of a map on half a page: its colour bar
 DPI = 135  # a full figure is 1404 pixels wide
 INK, SOFT, FAINT = "#22292f", "#66707a", "#c9ced3"
 MISSING = "#d4d6d8"
@@ -56,7 +58,6 @@ _STYLE: dict[str, Any] = {
     "ytick.major.width": 0.6,
     "xtick.major.size": 3,
     "ytick.major.size": 3,
-    "image.composite_image": False,
 }
 
 
@@ -133,7 +134,7 @@ class Canvas:
 
 
 @contextmanager
-def house_style() -> Iterator[None]:
+def house_style() -> Generator[None]:
     """Draw in one style, whatever the user's settings; they are restored afterwards."""
     with style.context(["default", _STYLE]):
         yield
@@ -190,22 +191,38 @@ def fit_box(shown: Field, width: float, height: float) -> tuple[float, float]:
     return (width, width * ratio) if width * ratio <= height else (height / ratio, height)
 
 
-def scale_bar(canvas: Canvas, left: float, top: float, *, inches: float, um: float, most: float = 0.3) -> None:
+def scale_bar(
+    canvas: Canvas, left: float, top: float, *, inches: float, um: float, most: float = 0.3,
+    colour: str = INK, label: str = "{}",
+) -> None:  # fmt: skip
     """Draw a round length below axes that show ``um`` on so many inches."""
     bar = round_below(most * um)
     across = bar / um * inches
-    line = canvas.axes(left, top, inches, 0.24)
+    line = canvas.axes(left, top, inches, 0.24, facecolor="none")
     line.set_axis_off()
     line.set_xlim(0, inches)
     line.set_ylim(0, 1)
-    line.plot([0, across], [0.62, 0.62], color=INK, lw=2.2, solid_capstyle="butt")
-    line.text(across + 0.07, 0.58, plain(bar), va="center", ha="left", fontsize=8)
+    line.plot([0, across], [0.62, 0.62], color=colour, lw=2.2, solid_capstyle="butt")
+    line.text(across + 0.07, 0.58, label.format(plain(bar)), va="center", ha="left", fontsize=8)
 
 
 def round_below(value: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten that is not above ``value``."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(k for k in (1, 2, 5) if k * power <= value * (1 + 1e-9)))
+
+
+def half_page(shown: Field, *, norm: Normalize, cmap: str, label: str) -> tuple[Canvas, Axes]:
+    """Half a page: a map, its colour bar to the right unless there is no label, its scale bar below."""
+    box = fit_box(shown, HALF - BESIDE, 4.8)
+    canvas = Canvas(HALF, box[1] + 0.34)
+    axes = canvas.axes(0.02, 0.03, *box)
+    show(axes, shown, norm=norm, cmap=cmap)
+    scale_bar(canvas, 0.02, box[1] + 0.06, inches=box[0], um=shown.width)
+    if label:
+        colour_bar(canvas.axes(box[0] + 0.12, 0.03, 0.12, box[1]), norm=norm, cmap=cmap)
+        canvas.text(box[0] + BESIDE, 0.03 + box[1] / 2, label, rotation=90, va="center", ha="right")
+    return canvas, axes
 
 
 def limits(values: ArrayLike, *, percent: float = 1.0, symmetric: bool = False) -> Normalize:
@@ -223,7 +240,7 @@ def limits(values: ArrayLike, *, percent: float = 1.0, symmetric: bool = False) 
     return Normalize(low, high)
 
 
-def colour_bar(axes: Axes, *, norm: Normalize, cmap: str, label: str, across: bool = False, right: bool = True) -> None:
+def colour_bar(axes: Axes, *, norm: Normalize, cmap: str, label: str = "", across: bool = False) -> None:
     """Fill axes with a colour bar that tells which colours also stand for what lies beyond."""
     bar = axes.figure.colorbar(
         ScalarMappable(norm=norm, cmap=cmap), cax=axes, orientation="horizontal" if across else "vertical"
@@ -231,8 +248,9 @@ def colour_bar(axes: Axes, *, norm: Normalize, cmap: str, label: str, across: bo
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     bar.set_label(label)
     bar.ax.tick_params(length=2.5)
-    if not across and not right:
-        bar.ax.yaxis.set_ticks_position("left")
+    if across:
+        bar.locator = MaxNLocator(5)
+        bar.update_ticks()
 
 
 def halo(width: float = 2.2, colour: str = "white") -> list[patheffects.AbstractPathEffect]:

@@ -10,14 +10,14 @@ _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, a
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Write a number with so many significant digits, and a dash where there is none.
+    r"""Write a number with so many significant digits, and a dash where there is none.
 
     Digits before the decimal point are never rounded away.
 
     Examples
     --------
     >>> number(0.83793), number(-12.04), number(56782.4), number(None)
-    ('0.838', '−12.0', '56\\u202f782', '–')
+    ('0.838', '−12.0', '56\u202f782', '–')
     """
     if value is None or not math.isfinite(value):
         return NONE
@@ -78,9 +78,22 @@ def size(count_bytes: int) -> str:
     return f"{count_bytes}{_SPACE}bytes"
 
 
+def in_words(title: str) -> str:
+    """Put a title into a sentence: what follows a comma goes into brackets.
+
+    Examples
+    --------
+    >>> in_words("Coating thickness, top side")
+    'coating thickness (top side)'
+    """
+    head, comma, tail = title.partition(", ")
+    head = head[:1].lower() + head[1:]
+    return f"{head} ({tail})" if comma else head
+
+
 def in_figure(text: str) -> str:
     """Keep what the figures' typeface can show; anything else becomes a question mark."""
-    return "".join(c if c.isprintable() and ord(c) < 0x250 or c in "–−²µ\u202f" else "?" for c in text)
+    return "".join(c if (c.isprintable() and ord(c) < 0x250) or c in "–−²µ\u202f" else "?" for c in text)
 
 
 def _signed(text: str) -> str:

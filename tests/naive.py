@@ -1,0 +1,108 @@
+"""Slow and obvious twins of the kernels: what the fast code is compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import optimize, special
+from scipy.interpolate import LinearNDInterpolator, RegularGridInterpolator
+
+
+def area_mean(values, factor, least=0.5):
+    """Mean over cells, pixel by pixel, each pixel weighted with its overlap."""
+    rows, cols = (int(n / f + 1e-9) for n, f in zip(values.shape, factor, strict=True))
+    out = np.full((rows, cols), np.nan)
+    for r in range(rows):
+        for c in range(cols):
+            total = weight = 0.0
+            for i in range(values.shape[0]):
+                for j in range(values.shape[1]):
+                    h = min(i + 1, (r + 1) * factor[0]) - max(i, r * factor[0])
+                    w = min(j + 1, (c + 1) * factor[1]) - max(j, c * factor[1])
+                    if h > 0 and w > 0 and np.isfinite(values[i, j]):
+                        total += h * w * values[i, j]
+                        weight += h * w
+            if weight >= least * factor[0] * factor[1] - 1e-9:
+                out[r, c] = total / weight
+    return out
+
+
+def staircase(d, params, width, air, coated=True):
+    """Blurred profile air-coating-base at the depths d."""
+    h, t, c, b = params
+
+    def step(x):
+        return special.ndtr(x / width)
+
+    if coated:
+        return air + (c - air) * step(d - h) + (b - c) * step(d - h - t)
+    return c + (b - c) * step(d - h)
+
+
+def fit_staircase(g, start, width, air, noise, prior, spread, coated=True):
+    """Least squares of the staircase with priors by scipy."""
+
+    def residuals(p):
+        model = staircase(np.arange(g.size), p, width, air, coated)
+        ties = [(p[i] - prior[i]) / spread[i] for i in range(4) if spread[i] > 0]
+        return np.concatenate([(g - model) / noise, ties])
+
+    low = [-np.inf, 0.0, -np.inf, -np.inf]
+    return optimize.least_squares(residuals, start, bounds=(low, np.inf), xtol=1e-12, ftol=1e-12, gtol=1e-12).x
+
+
+def paraboloid_at(height, pitch, cutoff, row, col, gamma=0.7309):
+    """Gaussian regression of second order at one node, by weighted least squares over all nodes."""
+    y, x = np.mgrid[0 : height.shape[0], 0 : height.shape[1]].astype(float)
+    y, x = (y - row) * pitch[0], (x - col) * pitch[1]
+    weight = np.exp(-np.pi * (x * x + y * y) / (gamma * cutoff) ** 2)
+    known = np.isfinite(height)
+    terms = np.stack([np.ones_like(x), y, x, y * y, y * x, x * x], axis=-1)[known]
+    root = np.sqrt(weight[known])
+    return np.linalg.lstsq(terms * root[:, None], height[known] * root, rcond=None)[0][0]
+
+
+def distance_along_normal(surface, centre, normals, pitch, i, j):
+    """Signed distance from one node to a surface along its normal, by root bracketing."""
+    rows, cols = surface.shape
+    at = RegularGridInterpolator((np.arange(rows), np.arange(cols)), surface, bounds_error=False, fill_value=None)
+    nr, nc, nh = (n[i, j] for n in normals)
+
+    def gap(s):
+        return at((i + s * nr / pitch[0], j + s * nc / pitch[1])).item() - (centre[i, j] + s * nh)
+
+    return optimize.brentq(gap, -200.0, 200.0, xtol=1e-9)
+
+
+def resample_delaunay(uv, field, points):
+    """The mode of Hirn et al. (2009): triangulate the moved points anew, then linear within the triangles."""
+    known = np.isfinite(uv).all(axis=-1) & np.isfinite(field)
+    return LinearNDInterpolator(uv[known], field[known])(points)
+
+
+def springs(points):
+    """All springs of a grid as tuples (node, node, rest length), by loops."""
+    rows, cols = points.shape[:2]
+    out = []
+    for i in range(rows):
+        for j in range(cols):
+            for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                k, m = i + di, j + dj
+                if 0 <= k < rows and 0 <= m < cols and np.isfinite(points[i, j]).all() and np.isfinite(points[k, m]).all():
+                    out.append(((i, j), (k, m), float(np.linalg.norm(points[k, m] - points[i, j]))))
+    return out
+
+
+def relax(points):
+    """Minimum spring energy by scipy's least squares, from the projection."""
+    tied = springs(points)
+    first = np.array([np.ravel_multi_index(a, points.shape[:2]) for a, _, _ in tied])
+    second = np.array([np.ravel_multi_index(b, points.shape[:2]) for _, b, _ in tied])
+    rest = np.array([length for _, _, length in tied])
+
+    def stretch(flat):
+        uv = flat.reshape(-1, 2)
+        return np.linalg.norm(uv[second] - uv[first], axis=1) - rest
+
+    start = points[..., :2].reshape(-1)
+    found = optimize.least_squares(stretch, start, method="trf", xtol=1e-15, ftol=1e-15, gtol=1e-12)
+    return found.x.reshape(*points.shape[:2], 2), float(2 * found.cost)
