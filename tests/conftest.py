@@ -9,6 +9,11 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from planish.cli import main
+from planish.pipeline import run_study
+from planish.study import ImageSection, Study, VolumeSection
+from planish.synthetic import SpecimenParams, Warp, make_specimen, write_specimen
+
 ROOT = Path(__file__).resolve().parents[1]
 
 # The same cases on every run, and no time limit on a case: the first one compiles the kernels.
@@ -35,3 +40,39 @@ def shared_data() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def specimen():
+    """A small specimen with its truth: 1.1 x 0.9 mm, five holes."""
+    warp = Warp(slope=0.35, wavelength_um=1800.0)
+    return make_specimen(SpecimenParams(size_um=(1300.0, 1000.0), voxel_um=4.0, pixel_um=5.0, holes=5, warp=warp, seed=5))
+
+
+@pytest.fixture(scope="session")
+def specimen_files(specimen, tmp_path_factory):
+    """The same as files: paths of ``volume.tif`` and ``image.tif``."""
+    return write_specimen(specimen, tmp_path_factory.mktemp("specimen"))
+
+
+@pytest.fixture(scope="session")
+def linked_run(specimen_files, tmp_path_factory):
+    """Link the small specimen once; give its run folder."""
+    out = tmp_path_factory.mktemp("linked") / "run"
+    volume, image = specimen_files
+    study = Study(volume=VolumeSection(path=str(volume)), image=ImageSection(path=str(image)))
+    run_study(study, out)
+    return out
+
+
+@pytest.fixture
+def planish(capsys):
+    """Call the command line in-process: a function from arguments to (exit code, stdout, stderr)."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as end:
+            main([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return int(end.value.code or 0), out, err
+
+    return call

@@ -79,6 +79,24 @@ def place(rng: np.random.Generator, n: int, size_um: tuple[float, float], margin
     return np.array(points).reshape(-1, 2)
 
 
+def blemished(rng: np.random.Generator, sheet: Floats, count: int, py: float, px: float) -> Floats:
+    """Dirt spots (irregular, soft or sharp, to 250 um) and dark curved fibres (12 to 24 um wide), ``count`` of each."""
+    yy, xx = np.mgrid[: sheet.shape[0], : sheet.shape[1]] * np.array([py, px])[:, None, None]
+    for _ in range(count):
+        x, y = rng.uniform((0, 0), (xx.max(), yy.max()))
+        turn, ratio, diameter = rng.uniform(0, np.pi), rng.uniform(0.4, 1), rng.uniform(20, 250)
+        u = (xx - x) * np.cos(turn) + (yy - y) * np.sin(turn)
+        v = (yy - y) * np.cos(turn) - (xx - x) * np.sin(turn)
+        r = np.hypot(u, v / ratio) + texture(rng, sheet.shape, 40 / px, 8.0)
+        inside = 1 / (1 + np.exp(np.clip((r - diameter / 2) / rng.uniform(3, 15), -50, 50)))
+        sheet = sheet * (1 - rng.uniform(0.2, 0.6) * inside)
+        x, y = rng.uniform((0, 0), (xx.max(), yy.max()))
+        away = np.abs(np.hypot(xx - x, yy - y) - rng.uniform(100, 600))
+        bow = np.abs(np.angle(np.exp(1j * (np.arctan2(yy - y, xx - x) - turn))))
+        sheet = sheet * (1 - 0.5 * (away < rng.uniform(6, 12)) * (bow < rng.uniform(0.5, 3)))
+    return sheet
+
+
 def scene(
     rng: np.random.Generator,
     *,
@@ -91,6 +109,7 @@ def scene(
     light: float = 0.2,
     blur_um: float = 3.0,
     noise: float = 0.02,
+    blemishes: int = 0,
 ) -> Scene:
     """Render holes into a textured sheet; grey 1 is the mean brightness of the paper.
 
@@ -101,6 +120,7 @@ def scene(
     sheet = 1.0 + texture(rng, shape, length_um / px, mottle)
     fine = 1.0 + texture(rng, shape, max(1.0, 20.0 / px), 0.3 * mottle)
     sheet = np.maximum(sheet * fine, 0.05)
+    sheet = blemished(rng, sheet, blemishes, py, px)
     floor, wall, char = {"reflected": (0.12, 0.2, 0.6), "transmitted": (2.2, 1.6, 0.5), "presence": (0.0, 0.0, 1.0)}[kind]
     image = sheet.copy()
     sub = 5

@@ -30,9 +30,9 @@ LEAST_SHARPNESS = 0.45
 LARGEST_ROUGHNESS = 0.09
 # Fewer pixels across a hole leave nothing to tell a rim from a slope by.
 LEAST_PIXELS = 7.0
-# Holes of one laser look alike: beside others, a mark with less than this share of their median step is dirt or a pit,
-# and one whose diameter differs by this factor is something else.
-LEAST_SHARE_OF_MEDIAN = 0.55
+# Holes of one laser look alike: beside others, a mark with less than this share of their median step or depth is dirt or
+# a pit, and one whose diameter differs by this factor is something else.
+LEAST_SHARE_OF_MEDIAN = 0.65
 LARGEST_FACTOR = 1.6
 
 # Beyond a rim this much may be burnt.
@@ -180,8 +180,14 @@ def _unlike_removed(rows: Floats) -> Floats:
     """Drop marks much fainter, smaller or larger than the rest."""
     if len(rows) < 3:
         return rows
-    step, radius = rows[:, k.OUTSIDE] - rows[:, k.INSIDE], rows[:, k.RADIUS]
-    rows, radius = rows[(strong := step >= LEAST_SHARE_OF_MEDIAN * np.median(step))], radius[strong]
+    inside, outside = rows[:, k.INSIDE], rows[:, k.OUTSIDE]
+    step = outside - inside
+    typical = np.median(step)
+    # In weak light a hole's step is small, but its floor is as dark as the others'.
+    floor = np.median(inside[step >= typical])
+    share = np.maximum(step / typical, step / np.maximum(outside - floor, step))
+    rows = rows[share >= LEAST_SHARE_OF_MEDIAN]
+    radius = rows[:, k.RADIUS]
     factor = radius / np.median(radius)
     return rows[(factor < LARGEST_FACTOR) & (factor > 1 / LARGEST_FACTOR)]
 

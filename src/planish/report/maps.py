@@ -7,9 +7,22 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 
-from planish.report.draw import ACCENT, FULL, HALF, SOFT, Array, Canvas, Picture, colour_bar, field, fit_box, limits
+from planish.report.draw import (
+    ACCENT,
+    FULL,
+    HALF,
+    SOFT,
+    Array,
+    Canvas,
+    Picture,
+    colour_bar,
+    field,
+    fit_box,
+    limits,
+    scale_bar,
+    show,
+)
 from planish.report.draw import pitch as step_of
-from planish.report.draw import scale_bar, show
 from planish.report.text import count, in_figure, number, plain, unit
 
 PROPERTY = "viridis"

@@ -17,6 +17,7 @@ from planish.report.registration import draw_outlines, draw_registration
 from planish.report.relation import draw_relation
 from planish.report.slices import draw_slices
 from planish.report.text import in_words
+from planish.report.verdict import give_verdict
 from planish.report.warp import draw_strain, draw_warp
 
 
@@ -82,7 +83,7 @@ def render_report(*, groups: dict[str, xr.Dataset], marks: xr.Dataset | None, re
         sections=sections,
         pictures=pictures,
         inputs=inputs,
-        verdict=tables.verdict(results, names),
+        verdict=give_verdict(results, names),
         gates=tables.gates(results),
         surfaces=results["surfaces"],
         columns=tables.columns(results),

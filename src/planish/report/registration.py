@@ -85,7 +85,8 @@ def draw_registration(linked: xr.Dataset, marks: xr.Dataset, *, hole_um: float) 
         caption=(
             f"The image with n = {fx.size} marks (orange, drawn with a diameter of {plain(hole_um)}). Red arrows point "
             "from each mark to where the transformation puts its partner in the volume, drawn "
-            f"{plain_factor(magnified)} times as long as they are; the longest residual is {length(longest)}. Blue: edge of the scanned sheet. Grey values of "
+            f"{plain_factor(magnified)} times as long as they are; the longest is {length(longest)}. Blue: edge "
+            "of the scanned sheet. Grey values of "
             f"{count(int(np.isfinite(linked['image'].values).sum()))} pixels of {plain(round(pitch(x), 4))}, no mask."
         ),
     )

@@ -103,9 +103,9 @@ def draw_relation(linked: xr.Dataset, name: str, rows: list[dict[str, Any]], *, 
         title=f"{linked['image'].attrs.get('long_name', 'Image')} over {in_words(title)}",
         caption=(
             "Left, how many pixels fall where (logarithmic colours); right, area means over the valid pixels of each "
-            "larger point, which counts when half of its area is valid. Lines are least squares of the image's value on "
-            "the property. The left axes span the 0.05th to the 99.95th percentile of the pixels, the right ones the "
-            "points. Mask: measured, and away from holes and their rims. "
+            "larger point, which counts when half of its area is valid. Lines are least squares of the image's value "
+            "on the property. The left axes span the 0.05th to the 99.95th percentile of the pixels, the right ones "
+            "the points. Mask: measured, and away from holes and their rims. "
             "n counts points, which resemble their neighbours: it is not a sample size."
         ),
     )

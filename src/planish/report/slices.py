@@ -120,8 +120,9 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
         title="Slices with the surfaces found",
         caption=(
             f"{len(cuts)} slices across {rows}; {through} runs through the sheet, the top side is up. Heights and "
-            f"widths have the same scale.{part} n = {count(cuts[0].x.size)} columns of {plain(pitch(cuts[0].x))} in each "
-            "slice; lines in µm; mask: faces are pale where the column is left out (rims), and missing where none was found."
+            f"widths have the same scale.{part} n = {count(cuts[0].x.size)} columns of {plain(pitch(cuts[0].x))} in "
+            "each slice; lines in µm; mask: faces are pale where the column is left out (rims), and missing where none "
+            "was found."
         ),
     )
     return [overview, _details(cuts, windows, norm)]

@@ -28,7 +28,7 @@ def number(value: float | None, digits: int = 3) -> str:
         mantissa = f"{value / 10.0**size:.{max(digits - 1, 0)}f}"
         return _signed(f"{mantissa}·10") + _superscript(size)
     # Rounding may add a digit: 0.9996 to three digits is 1.00.
-    rounded = round(value, digits - 1 - size)
+    rounded = round(value, max(digits - 1 - size, 0))
     size = math.floor(math.log10(abs(rounded))) if rounded else size
     return _signed(f"{rounded:,.{max(digits - 1 - size, 0)}f}")
 

@@ -119,7 +119,9 @@ def draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
         norm = limits(values, symmetric=True) if signed else Normalize(0.0, limits(values).vmax)
         cmap = SIGNED if signed else GEOMETRY
         show(canvas.axes(left, 0.26, *box), shown, norm=norm, cmap=cmap)
-        colour_bar(canvas.axes(left + 0.16, box[1] + 0.34, box[0] - 0.32, 0.1), norm=norm, cmap=cmap, label="%", across=True)
+        colour_bar(
+            canvas.axes(left + 0.16, box[1] + 0.34, box[0] - 0.32, 0.1), norm=norm, cmap=cmap, label="%", across=True
+        )
     scale_bar(canvas, 0, box[1] + 0.82, inches=box[0], um=fields[0].width)
     n = int(np.isfinite(panels[0][1]).sum())
     return canvas.picture(
@@ -128,7 +130,8 @@ def draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
         caption=(
             "What the plane asks of the sheet beyond bending: zero for a sheet that can be developed. Shear is the "
             f"change of the angle between rows and columns (1 % = 0.01 rad). n = {count(n)} cells of "
-            f"{length(pitch(x))}; unit %; mask: cells with all four corners on the sheet. Colours end at the 99th percentile."
+            f"{length(pitch(x))}; unit %; mask: cells with all four corners on the sheet. Colours end at the 99th "
+            "percentile."
         ),
     )
 

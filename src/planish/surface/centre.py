@@ -42,7 +42,7 @@ def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_
     # The result has no wavelengths below the cut-off, so blocks of a 25th of it lose nothing.
     block = tuple(max(1, int(cutoff_um / 25 / p)) for p in pitch_um)
     mean, weight = _blocks(height, block)
-    pad = 2
+    pad = 8  # the spline forgets its end condition by a factor of four a node
     mean, weight = np.pad(mean, pad), np.pad(weight, pad)
     coarse = _regress(mean, weight, (pitch_um[0] * block[0], pitch_um[1] * block[1]), cutoff_um)
     where = [

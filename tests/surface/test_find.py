@@ -1,0 +1,160 @@
+"""The surface search on sheets whose surfaces are formulas."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from naive import staircase
+from scipy import ndimage, special
+
+from planish.core.errors import VolumeError
+from planish.core.frame import Frame
+from planish.surface import SurfaceParams, find_surfaces
+
+VOXEL = 3.0
+
+
+def volume(array, voxel=VOXEL):
+    return xr.DataArray(array, dims=("z", "y", "x"), coords={k: np.arange(n) * voxel for k, n in zip("zyx", array.shape, strict=True)})
+
+
+def slab(shape=(70, 80, 90), *, height=105.0, base=55.0, coat=17.0, slope=0.0, wave=0.0, greys=(40.0, 90.0, 200.0), blur=2.6, noise=4.0, seed=0):  # fmt: skip
+    """A sheet of constant normal layers along a smooth mid-surface, blurred exactly along its normal."""
+    z, y, x = np.meshgrid(*(np.arange(n) * VOXEL for n in shape), indexing="ij")
+    middle = height + slope * (x - x.mean()) + wave * np.sin(2 * np.pi * y / 400.0)
+    steep = np.hypot(slope, wave * 2 * np.pi / 400.0 * np.cos(2 * np.pi * y / 400.0))
+    s = (z - middle) / np.hypot(1, steep)
+    half = base / 2 + coat
+
+    def step(d):
+        return special.ndtr(d / blur)
+
+    inner = step(base / 2 - s) * step(s + base / 2)
+    outer = step(half - s) * step(s + half)
+    air, paper, coating = greys
+    grey = air + (coating - air) * outer + (paper - coating) * inner
+    return grey + np.random.default_rng(seed).normal(0, noise, shape), middle, half
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5])
+def test_flat_and_tilted_faces_within_a_fraction_of_a_voxel(slope):
+    grey, middle, half = slab(shape=(110, 60, 100), height=165.0, slope=slope)
+    found = find_surfaces(volume(np.rint(grey).astype(np.uint8)))
+    inside = (slice(10, -10), slice(10, -10))
+    stretch = np.hypot(1, slope)
+    for name, offset in {"top": half, "bottom": -half, "interface_top": 27.5, "interface_bottom": -27.5, "centre": 0.0}.items():
+        error = (found[name].values - middle[0] - offset * stretch)[inside]
+        print(f"slope {slope} {name}: bias {error.mean():.3f} um, rms {np.sqrt(np.mean(error**2)):.3f} um")
+        assert abs(error.mean()) < 0.15
+        assert np.sqrt(np.mean(error**2)) < 0.2 * VOXEL
+    assert found.attrs["grey_coating_top"] == pytest.approx(200, abs=4)
+    assert found.attrs["blur_um"] == pytest.approx(2.6, abs=0.4)
+
+
+def test_flip_swaps_the_faces():
+    grey, *_ = slab(coat=12.0)
+    high = find_surfaces(volume(grey), frame=Frame(top="high"))
+    low = find_surfaces(volume(grey), frame=Frame(top="low"))
+    np.testing.assert_array_equal(high["top"], low["bottom"])
+    np.testing.assert_array_equal(high["interface_bottom"], low["interface_top"])
+
+
+@pytest.mark.parametrize("through", ["z", "y", "x"])
+def test_any_axis_gives_the_same_surfaces(through):
+    grey, *_ = slab(wave=15.0)
+    reference = find_surfaces(volume(grey))
+    turned = np.moveaxis(grey, 0, "zyx".index(through))
+    found = find_surfaces(volume(turned), frame=Frame(through=through))
+    np.testing.assert_allclose(found["top"], reference["top"], atol=1e-9)
+
+
+def test_threads_change_nothing():
+    grey, *_ = slab(wave=10.0)
+    one = find_surfaces(volume(grey), params=SurfaceParams(threads=1))
+    three = find_surfaces(volume(grey), params=SurfaceParams(threads=3))
+    xr.testing.assert_identical(one, three)
+
+
+def test_inverted_greys():
+    grey, middle, half = slab()
+    found = find_surfaces(volume(255.0 - grey))
+    assert found.attrs["polarity"] == -1
+    assert abs(float((found["top"] - middle[0] - half).mean())) < 0.1
+
+
+def test_sheet_of_one_material_has_no_coating():
+    grey, middle, _ = slab(coat=0.0, greys=(20.0, 120.0, 120.0))
+    found = find_surfaces(volume(grey))
+    assert np.isnan(found["interface_top"]).all()
+    assert np.isnan(found.attrs["grey_coating_top"])
+    assert abs(float((found["top"] - middle[0] - 27.5).mean())) < 0.1
+
+
+def test_a_hole_is_missing_in_the_faces_and_bridged_by_the_centre():
+    grey, middle, _ = slab(shape=(70, 140, 140), wave=10.0)
+    y, x = np.mgrid[0:140, 0:140] * VOXEL
+    hole = np.hypot(x - 210, y - 210) < 80
+    grey = np.where(hole, 40.0, grey) + np.random.default_rng(1).normal(0, 1, grey.shape)
+    found = find_surfaces(volume(grey))
+    assert np.isnan(found["top"].values[70, 70])
+    assert abs(found["centre"].values[70, 70] - middle[0, 70, 70]) < 3.0
+    assert set(np.unique(found["status"].values[60:80, 60:80])) == {1}
+    assert found["status"].values[70, 103] == 2
+    assert found["presence"].values[70, 70] < 0.1 < 0.9 < found["presence"].values[20, 20]
+
+
+def test_missing_voxels_are_not_guessed():
+    grey, *_ = slab()
+    grey[:, 30:34, 40:44] = np.nan
+    found = find_surfaces(volume(grey))
+    assert np.isnan(found["top"].values[30:34, 40:44]).all()
+    assert np.isfinite(found["top"].values[10, 10])
+    assert found.attrs["missing_share"] == pytest.approx(16 / (80 * 90))
+
+
+def test_no_sheet():
+    noise = np.random.default_rng(0).normal(50, 3, (40, 60, 60))
+    with pytest.raises(VolumeError, match="no sheet"):
+        find_surfaces(volume(noise))
+    with pytest.raises(VolumeError, match="no sheet"):
+        find_surfaces(volume(np.full((40, 60, 60), 7, np.uint8)))
+
+
+def test_dust_is_not_a_sheet():
+    grey = np.random.default_rng(0).normal(50, 3, (60, 80, 80))
+    grey[20:28, 30:38, 30:38] = 200
+    with pytest.raises(VolumeError, match="no sheet"):
+        find_surfaces(volume(grey))
+
+
+def test_two_sheets_are_counted_and_a_way_out_is_named():
+    grey, *_ = slab(shape=(120, 60, 60), height=90.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))
+    other, *_ = slab(shape=(120, 60, 60), height=260.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))
+    with pytest.raises(VolumeError, match=r"2 separate sheets.*--sheet-grey"):
+        find_surfaces(volume(np.maximum(grey, other)))
+
+
+def test_sheet_grey_chooses_one_of_two():
+    grey, middle, _ = slab(shape=(120, 60, 60), height=90.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))
+    other, *_ = slab(shape=(120, 60, 60), height=260.0, coat=0.0, base=40, greys=(20.0, 220.0, 220.0))
+    both = volume(np.maximum(grey, other))
+    bright = find_surfaces(both, params=SurfaceParams(sheet_grey=(170.0, 255.0)))
+    assert float(bright["centre"].mean()) == pytest.approx(260.0, abs=0.5)
+    assert bright.attrs["thickness_um"] == pytest.approx(40.0, abs=0.5)
+
+
+def test_a_wrong_axis_is_noticed():
+    grey, *_ = slab()
+    with pytest.raises(VolumeError, match="--through|leaves the volume|one after"):
+        find_surfaces(volume(grey), frame=Frame(through="x"))
+
+
+def test_a_tiny_volume_is_refused():
+    with pytest.raises(VolumeError, match="at least 8"):
+        find_surfaces(volume(np.zeros((4, 50, 50))))
+
+
+def test_staircase_twin_is_a_staircase():
+    d = np.arange(30.0)
+    g = staircase(d, (8.0, 6.0, 1.0, 0.4), 0.8, 0.0)
+    assert (g[0], g[11], g[29]) == pytest.approx((0.0, 1.0, 0.4), abs=1e-3)
+    assert ndimage.gaussian_filter1d(g, 1).max() < 1.001

@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+from naive import fit_staircase, staircase
+
+from planish.surface._kernels import fit_column, fit_faces
+
+WIDTH, AIR, NOISE = 0.9, 0.0, 0.04
+PRIOR = np.array([0.0, 0.0, 1.0, 0.35])
+SPREAD = np.array([0.0, 0.0, 0.08, 0.12])
+
+
+@pytest.mark.parametrize("thickness", [0.4, 1.5, 5.8])
+def test_equals_the_slow_twin(thickness):
+    rng = np.random.default_rng(int(10 * thickness))
+    g = staircase(np.arange(24), (7.3, thickness, 0.98, 0.4), WIDTH, AIR) + rng.normal(0, NOISE, 24)
+    p = np.array([7.0, thickness + 0.3, 1.0, 0.35])
+    fit_column(g.astype(np.float32), 0, 23, AIR, NOISE, WIDTH, p, PRIOR, SPREAD, True, np.zeros((4, 4)), np.zeros(4))
+    slow = fit_staircase(g, [7.0, thickness + 0.3, 1.0, 0.35], WIDTH, AIR, NOISE, PRIOR, SPREAD)
+    # the kernel stops when a step is below 2e-4 voxel
+    np.testing.assert_allclose(p, slow, atol=2e-3)
+
+
+@pytest.mark.parametrize("coated", [True, False])
+def test_uncoated_equals_the_slow_twin(coated):
+    g = staircase(np.arange(24), (9.4, 3.0, 1.0, 0.4) if coated else (9.4, 0.0, 0.1, 0.7), WIDTH, AIR, coated)
+    p = np.array([9.0, 2.0, 1.0, 0.35]) if coated else np.array([9.0, 0.0, 0.0, 0.6])
+    spread = np.array([0.0, 0.0, 0.0, 0.0])
+    fit_column(g.astype(np.float32), 0, 23, AIR, NOISE, WIDTH, p, PRIOR, spread, coated, np.zeros((4, 4)), np.zeros(4))
+    truth = [9.4, 3.0, 1.0, 0.4] if coated else [9.4, 0.0, 0.1, 0.7]
+    # a noise-free profile in float32 gives back what made it
+    np.testing.assert_allclose(p, truth, atol=2e-3)
+
+
+def run(profile, expected, other, *, coated=True):
+    slab = np.ascontiguousarray(profile[None, None, :], dtype=np.float32)
+    result = np.empty((5, 1, 1))
+    one = np.ones((1, 1))
+    fit_faces(
+        slab, expected * one, other * one, one, AIR, WIDTH, NOISE, PRIOR, SPREAD, coated, 6.0, result
+    )  # fmt: skip
+    return result[:, 0, 0]
+
+
+@pytest.mark.parametrize("shift", np.linspace(0, 1, 5))
+def test_faces_of_a_clean_column_to_a_fiftieth_of_a_voxel(shift):
+    d = np.arange(60)
+    g = staircase(d, (15 + shift, 5.6, 1.0, 0.35), WIDTH, AIR)
+    h, t, *_ = run(g, 14.0, 45.0)
+    assert h == pytest.approx(15 + shift, abs=0.02)
+    assert t == pytest.approx(5.6, abs=0.02)
+
+
+def test_a_bare_spot_in_a_coating_is_zero_and_not_the_blur():
+    g = staircase(np.arange(60), (15.3, 0.0, 1.0, 0.35), WIDTH, AIR)
+    h, t, *_ = run(g, 15.0, 45.0)
+    assert t < 0.15
+    assert h == pytest.approx(15.3, abs=0.1)
+
+
+def test_nothing_is_found_in_air_and_next_to_missing_voxels():
+    assert np.isnan(run(np.zeros(60), 15.0, 45.0)).all()
+    g = staircase(np.arange(60), (15.3, 5.0, 1.0, 0.35), WIDTH, AIR)
+    g[16] = np.nan
+    assert np.isnan(run(g, 15.0, 45.0)).all()
+    assert np.isnan(run(g, np.nan, 45.0)).all()
