@@ -38,7 +38,11 @@ def one(seed: int) -> tuple[Ledger, float]:
 
 def faults(entry: Ledger) -> list[str]:
     """Name the limits that a run missed."""
-    missed = [f"{name} {getattr(entry, name):.3f} > {limit}" for name, limit in LIMITS.items() if abs(getattr(entry, name)) > limit]
+    missed = [
+        f"{name} {getattr(entry, name):.3f} > {limit}"
+        for name, limit in LIMITS.items()
+        if abs(getattr(entry, name)) > limit
+    ]
     if entry.found != entry.holes or entry.false:
         missed.append(f"{entry.found} of {entry.holes} holes, {entry.false} false")
     if abs(entry.r2 - entry.r2_true) > R2_LIMIT:

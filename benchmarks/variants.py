@@ -50,21 +50,29 @@ VARIANTS = [
     Variant(name="noise 10 %", params=replace(_SMALL, noise=0.10)),
     Variant(name="no noise", params=replace(_SMALL, noise=0.0)),
     Variant(name="blur 4 um", params=replace(_SMALL, blur_um=4.0)),
-    Variant(name="thin coating 8 um", params=replace(_SMALL, sheet=SheetParams(coating_top_um=8.0, coating_bottom_um=8.0))),
+    Variant(
+        name="thin coating 8 um", params=replace(_SMALL, sheet=SheetParams(coating_top_um=8.0, coating_bottom_um=8.0))
+    ),
     Variant(name="inverted grey", params=replace(_SMALL, grey=(220.0, 160.0, 40.0))),
     Variant(name="16 bit", params=replace(_SMALL, grey=(9000.0, 20000.0, 48000.0), dtype=np.uint16)),
     Variant(name="float, air at zero", params=replace(_SMALL, grey=(0.0, 0.3, 1.0), dtype=np.float32)),
-    Variant(name="voxel 2 um, pixel 8 um", params=replace(_SMALL, size_um=(1400.0, 1100.0), voxel_um=2.0, pixel_um=8.0, holes=5)),
+    Variant(
+        name="voxel 2 um, pixel 8 um",
+        params=replace(_SMALL, size_um=(1400.0, 1100.0), voxel_um=2.0, pixel_um=8.0, holes=5),
+    ),
     Variant(name="voxel 5 um, pixel 2.6 um", params=replace(_SMALL, voxel_um=5.0, pixel_um=2.6)),
     Variant(name="turned by 155 deg", params=replace(_SMALL, rotation_deg=155.0, scale=0.985)),
-    Variant(name="slope 30 deg, steep ruling", params=replace(_SMALL, warp=Warp(slope=0.577, ruling_deg=65.0, wavelength_um=2400.0))),
+    Variant(
+        name="slope 30 deg, steep ruling",
+        params=replace(_SMALL, warp=Warp(slope=0.577, ruling_deg=65.0, wavelength_um=2400.0)),
+    ),
     Variant(name="bump 60 um", params=replace(_SMALL, warp=Warp(bump_um=60.0, bump_radius_um=700.0))),
     Variant(name="flat", params=replace(_SMALL, warp=Warp(slope=0.0))),
     Variant(name="12 holes", params=replace(_SMALL, size_um=(2400.0, 1800.0), holes=12)),
     Variant(name="through x", params=_SMALL, volume=lambda v: np.moveaxis(v, 0, 2), through="x"),
     Variant(name="top at the low end", params=_SMALL, volume=_turned, top="low"),
     Variant(name="JPEG in colour", params=_SMALL, image="jpg"),
-]  # fmt: skip
+]
 
 
 def run_variant(variant: Variant, seed: int) -> tuple[Specimen, Run]:
@@ -105,14 +113,19 @@ def main(seed: int = 3) -> int:
             c = run.results["properties"]["coating_top"]
             rows = [r for r in run.results["table"] if r["registration"].startswith("flattened")]
             print(
-                f"{variant.name:28s} {m['matched']:2d}/{specimen.params.holes:2d} {m['leave_one_out_rms_um']:5.2f}  coating mean "
-                f"{c['mean_um']:.2f}  r2 {rows[0]['r2']:.3f} mirrored {m['mirrored']}", flush=True,
-            )  # fmt: skip
+                f"{variant.name:28s} {m['matched']:2d}/{specimen.params.holes:2d} "
+                f"{m['leave_one_out_rms_um']:5.2f}  coating mean "
+                f"{c['mean_um']:.2f}  r2 {rows[0]['r2']:.3f} mirrored {m['mirrored']}",
+                flush=True,
+            )
             continue
         e = ledger(specimen, run)
         print(
-            f"{variant.name:28s} {e.found:2d}/{e.holes:2d} {e.leave_one_out:5.2f} {e.position_median:6.2f} {e.position_p95:6.2f} | "
-            f"{e.coating_bias:12.2f} {e.coating_rmse:5.2f} | {e.base_bias:9.2f} {e.base_rmse:5.2f} | {e.r2:.3f}  {e.r2_true:.3f} "
-            f"{e.r2_projection:.3f}  {e.coverage:.2f}" + ("" if run.passed else "  gate failed"), flush=True,
-        )  # fmt: skip
+            f"{variant.name:28s} {e.found:2d}/{e.holes:2d} {e.leave_one_out:5.2f} {e.position_median:6.2f} "
+            f"{e.position_p95:6.2f} | "
+            f"{e.coating_bias:12.2f} {e.coating_rmse:5.2f} | {e.base_bias:9.2f} {e.base_rmse:5.2f} | "
+            f"{e.r2:.3f}  {e.r2_true:.3f} "
+            f"{e.r2_projection:.3f}  {e.coverage:.2f}" + ("" if run.passed else "  gate failed"),
+            flush=True,
+        )
     return failed

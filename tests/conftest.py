@@ -46,7 +46,9 @@ def shared_data() -> Callable[[str], Path]:
 def specimen():
     """A small specimen with its truth: 1.1 x 0.9 mm, five holes."""
     warp = Warp(slope=0.35, wavelength_um=1800.0)
-    return make_specimen(SpecimenParams(size_um=(1300.0, 1000.0), voxel_um=4.0, pixel_um=5.0, holes=5, warp=warp, seed=5))
+    return make_specimen(
+        SpecimenParams(size_um=(1300.0, 1000.0), voxel_um=4.0, pixel_um=5.0, holes=5, warp=warp, seed=5)
+    )
 
 
 @pytest.fixture(scope="session")

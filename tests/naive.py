@@ -87,7 +87,12 @@ def springs(points):
         for j in range(cols):
             for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1)):
                 k, m = i + di, j + dj
-                if 0 <= k < rows and 0 <= m < cols and np.isfinite(points[i, j]).all() and np.isfinite(points[k, m]).all():
+                if (
+                    0 <= k < rows
+                    and 0 <= m < cols
+                    and np.isfinite(points[i, j]).all()
+                    and np.isfinite(points[k, m]).all()
+                ):
                     out.append(((i, j), (k, m), float(np.linalg.norm(points[k, m] - points[i, j]))))
     return out
 

@@ -55,7 +55,13 @@ def holes_um(specimen):
 def test_no_sheet_in_the_volume(planish, specimen_files, tmp_path):
     noise = np.random.default_rng(0).normal(60, 4, (40, 60, 70)).astype(np.uint8)
     volume = write_volume(tmp_path / "noise.tif", noise)
-    stop(planish("map", volume, "--out", tmp_path / "run"), 3, "no sheet in the volume", "--through", out=tmp_path / "run")
+    stop(
+        planish("map", volume, "--out", tmp_path / "run"),
+        3,
+        "no sheet in the volume",
+        "--through",
+        out=tmp_path / "run",
+    )
     stop(planish("link", volume, specimen_files[1], "-o", tmp_path / "run"), 3, "no sheet", out=tmp_path / "run")
 
 
@@ -81,7 +87,9 @@ def test_slices_of_unequal_size(planish, tmp_path):
     folder.mkdir()
     for k in range(9):
         tifffile.imwrite(folder / f"s{k:03d}.tif", np.zeros((50, 60 if k != 6 else 61), np.uint8))
-    stop(planish("map", folder, "--voxel-um", 3, "-o", tmp_path / "run"), 3, "s006.tif", "60", "61", out=tmp_path / "run")
+    stop(
+        planish("map", folder, "--voxel-um", 3, "-o", tmp_path / "run"), 3, "s006.tif", "60", "61", out=tmp_path / "run"
+    )
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
@@ -102,7 +110,13 @@ def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, tmp_path
         donor = volume[:, ys][:, :, [max(xs[0] - 1, 0)]]
         volume[:, i, j] = np.broadcast_to(donor, volume[:, i, j].shape)
     path = write_volume(tmp_path / "filled.tif", volume)
-    stop(planish("link", path, specimen_files[1], "-o", tmp_path / "run"), 3, "in the volume", "hole", out=tmp_path / "run")
+    stop(
+        planish("link", path, specimen_files[1], "-o", tmp_path / "run"),
+        3,
+        "in the volume",
+        "hole",
+        out=tmp_path / "run",
+    )
 
 
 def test_symmetric_pattern(planish, tmp_path):
@@ -134,7 +148,8 @@ def test_nan_voxels_everywhere_and_in_part(planish, specimen, tmp_path):
     path = write_volume(tmp_path / "part.tif", part)
     code, _, err = planish("map", path, "-o", tmp_path / "run")
     assert code == 4
-    assert "missing voxels" in err and "12.0 %" in err
+    assert "missing voxels" in err
+    assert "12.0 %" in err
     assert (tmp_path / "run" / "report.html").is_file()
 
 
@@ -142,19 +157,43 @@ def test_saturated_voxels(planish, specimen, tmp_path):
     bright = np.clip(specimen.volume.astype(float) * 1.6, 0, 255).astype(np.uint8)
     code, _, err = planish("map", write_volume(tmp_path / "bright.tif", bright), "-o", tmp_path / "run")
     assert code == 4
-    assert "saturation" in err and "wider grey window" in err
+    assert "saturation" in err
+    assert "wider grey window" in err
 
 
 def test_voxel_a_thousand_times_too_large_or_small(planish, specimen_files, tmp_path):
-    stop(planish("map", specimen_files[0], "--voxel-um", 4000, "--override-size", "-o", tmp_path / "run"), 3, "4000", out=tmp_path / "run")
-    stop(planish("map", specimen_files[0], "--voxel-um", 4000, "-o", tmp_path / "run"), 3, "4000", "--override-size", out=tmp_path / "run")
-    stop(planish("map", specimen_files[0], "--voxel-um", 0.02, "--override-size", "-o", tmp_path / "run"), 3, "um thick", out=tmp_path / "run")
+    stop(
+        planish("map", specimen_files[0], "--voxel-um", 4000, "--override-size", "-o", tmp_path / "run"),
+        3,
+        "4000",
+        out=tmp_path / "run",
+    )
+    stop(
+        planish("map", specimen_files[0], "--voxel-um", 4000, "-o", tmp_path / "run"),
+        3,
+        "4000",
+        "--override-size",
+        out=tmp_path / "run",
+    )
+    stop(
+        planish("map", specimen_files[0], "--voxel-um", 0.02, "--override-size", "-o", tmp_path / "run"),
+        3,
+        "um thick",
+        out=tmp_path / "run",
+    )
 
 
 def test_missing_sizes(planish, specimen, specimen_files, tmp_path):
     plain = tmp_path / "plain.png"
     Image.fromarray(np.rint(specimen.image * 255).clip(0, 255).astype(np.uint8)).save(plain)
-    stop(planish("link", specimen_files[0], plain, "-o", tmp_path / "run"), 3, "plain.png", "pixel size", "--pixel-um", out=tmp_path / "run")
+    stop(
+        planish("link", specimen_files[0], plain, "-o", tmp_path / "run"),
+        3,
+        "plain.png",
+        "pixel size",
+        "--pixel-um",
+        out=tmp_path / "run",
+    )
     bare = tmp_path / "bare.tif"
     tifffile.imwrite(bare, specimen.volume)
     stop(planish("map", bare, "-o", tmp_path / "run"), 3, "bare.tif", "voxel size", "--voxel-um", out=tmp_path / "run")
@@ -183,7 +222,9 @@ def test_disk_full_while_writing(specimen_files, tmp_path):
         [sys.executable, "-c", code, "map", str(specimen_files[0]), "--out", str(out)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert errno.EFBIG and resource.RLIMIT_FSIZE and os.name == "posix"
+    assert errno.EFBIG
+    assert resource.RLIMIT_FSIZE
+    assert os.name == "posix"
     stop((done.returncode, done.stdout, done.stderr), 5, "disk is full", "Nothing was kept", out=out)
 
 
@@ -196,7 +237,17 @@ def test_wrong_usage(planish, specimen_files, tmp_path):
 
 def test_marks_that_do_not_fit(planish, specimen_files, tmp_path):
     marks = tmp_path / "marks.csv"
-    marks.write_text("label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\na,100,100,100,100\nb,900,100,500,100\nc,100,700,100,400\n")
-    stop(planish("link", *specimen_files, "--marks", marks, "-o", tmp_path / "run"), 3, "scale", "calibration", out=tmp_path / "run")
+    marks.write_text(
+        "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\na,100,100,100,100\nb,900,100,500,100\nc,100,700,100,400\n"
+    )
+    stop(
+        planish("link", *specimen_files, "--marks", marks, "-o", tmp_path / "run"),
+        3,
+        "scale",
+        "calibration",
+        out=tmp_path / "run",
+    )
     marks.write_text("label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\na,100,100,100,100\nb,900,x,500,100\n")
-    stop(planish("link", *specimen_files, "--marks", marks, "-o", tmp_path / "run"), 3, "marks.csv", out=tmp_path / "run")
+    stop(
+        planish("link", *specimen_files, "--marks", marks, "-o", tmp_path / "run"), 3, "marks.csv", out=tmp_path / "run"
+    )

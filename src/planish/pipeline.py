@@ -18,13 +18,26 @@ from planish.core.errors import CannotRegister, MarkError, VolumeError
 from planish.core.frame import Frame
 from planish.core.transform import Similarity
 from planish.flatten import Flattened, FlattenParams, flatten_sheet
-from planish.io import fingerprint, read_image, read_volume
+from planish.io import read_image, read_volume
 from planish.io.run_folder import new_folder, refuse_existing, write_json, write_tree
 from planish.marks import find_holes, read_marks, write_marks
 from planish.measure import PROPERTIES, measure_properties
-from planish.register import FittedTransform, fit_transform, match_marks
+from planish.register import FittedTransform, Model, fit_transform, match_marks
 from planish.report import write_report
 from planish.resample import covering_grid, find_places, resample, resample_dataset
+from planish.results import (
+    Gate,
+    flatten_results,
+    input_results,
+    link_gates,
+    linked_results,
+    map_gates,
+    mark_results,
+    marks_table,
+    parameter_results,
+    property_results,
+    surface_results,
+)
 from planish.study import Study, write_study
 from planish.surface import SurfaceParams, find_surfaces
 
@@ -34,18 +47,13 @@ Progress = Callable[[str, str], None]
 _THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room on both sides
 _LEAST_SHARE = 0.15  # of the columns: with less there is no map
 _SLICES = 3
+
+
+def _silent(_stage: str, _detail: str) -> None:
+    """Say nothing: what a program that calls a run wants unless it asks."""
+
+
 ROWS = ("projection, no scale", "projection, similarity", "flattened, similarity")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gate:
-    """One condition that a result must meet to be used without a second look."""
-
-    name: str
-    value: float
-    limit: float
-    passed: bool
-    sentence: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +94,7 @@ def run_study(study: Study, out: Path, *, progress: Progress | None = None) -> R
         Any of the tree in :mod:`planish.core.errors`; nothing is left at ``out`` then.
     """
     refuse_existing(out)
-    tell = progress or (lambda _stage, _detail: None)
+    tell = progress or _silent
     run = link_sheet(study, progress=tell) if study.image is not None else map_sheet(study, progress=tell)
     tell("write", str(out))
     with new_folder(out) as folder:
@@ -107,7 +115,7 @@ def save_run(run: Run, folder: Path, *, home: Path) -> None:
 
 def map_sheet(study: Study, *, progress: Progress | None = None) -> Run:
     """Go from a volume to flattened maps of its properties."""
-    tell = progress or (lambda _stage, _detail: None)
+    tell = progress or _silent
     tell("read", Path(study.volume.path).name)
     volume = read_volume(
         Path(study.volume.path), voxel_um=study.volume.voxel_um, override_size=study.volume.override_size
@@ -144,20 +152,20 @@ def map_sheet(study: Study, *, progress: Progress | None = None) -> Run:
     results: dict[str, Any] = {
         "planish": __version__,
         "versions": {name: version(name) for name in ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")},
-        "inputs": {"volume": _input(volume, Path(study.volume.path), voxel_um=list(voxel))},
-        "surfaces": _surface_results(surfaces),
-        "properties": _property_results(surfaces),
-        "flatten": _flatten_results(flattened),
+        "inputs": {"volume": input_results(volume, Path(study.volume.path), voxel_um=list(voxel))},
+        "surfaces": surface_results(surfaces),
+        "properties": property_results(surfaces),
+        "flatten": flatten_results(flattened),
     }
-    gates = _map_gates(results)
+    gates = map_gates(results)
     results["quality"] = [asdict(gate) for gate in gates]
-    results["parameters"] = _parameters(study)
+    results["parameters"] = parameter_results(study)
     return Run(study=study, groups=groups, marks=None, results=results, gates=gates)
 
 
 def link_sheet(study: Study, *, progress: Progress | None = None) -> Run:
     """Go from a volume and an image to maps on the image's own pixels, and their correlation."""
-    tell = progress or (lambda _stage, _detail: None)
+    tell = progress or _silent
     assert study.image is not None
     # The image first: it is quick, and a missing pixel size should not cost the time of the volume.
     tell("read", Path(study.image.path).name)
@@ -175,7 +183,10 @@ def link_sheet(study: Study, *, progress: Progress | None = None) -> Run:
     if fixed is not None:
         _enough(fixed, "image", r.hole_um)
     run = map_sheet(study, progress=progress)
-    tell("register", "holes of the sheet" if given is None else f"{given.sizes['mark']} pairs from {Path(r.marks or '').name}")
+    tell(
+        "register",
+        "holes of the sheet" if given is None else f"{given.sizes['mark']} pairs from {Path(r.marks or '').name}",
+    )
     maps, surfaces, flat = run.groups["maps"], run.groups["surfaces"], run.groups["flat"]
     seen: dict[str, Any] = {"source": "file" if given is not None else "found"}
     if given is None:
@@ -203,7 +214,8 @@ def link_sheet(study: Study, *, progress: Progress | None = None) -> Run:
     scale_off = abs(fit.transform.scale - 1)
     if scale_off > r.scale_tolerance:
         raise CannotRegister(
-            f"The marks ask for a scale of {fit.transform.scale:.4f}, which is {100 * scale_off:.1f} % off the calibration; "
+            f"The marks ask for a scale of {fit.transform.scale:.4f}, which is {100 * scale_off:.1f} % off "
+            f"the calibration; "
             f"{100 * r.scale_tolerance:.0f} % are allowed. Check --voxel-um and --pixel-um, and the marks."
         )
     tell("link", f"{image.shape[0]} x {image.shape[1]} pixels")
@@ -212,15 +224,17 @@ def link_sheet(study: Study, *, progress: Progress | None = None) -> Run:
     linked = _linked(surfaces, flat, fit.transform, image, pixel, away)
     headline = "coating_top" if np.isfinite(linked["coating_top"]).any() else "thickness"
     tell("correlate", headline)
+    ways: tuple[tuple[str, tuple[str, str], Array, Model], ...] = (
+        (ROWS[0], ("projected_u", "projected_v"), projected_um, "rigid"),
+        (ROWS[1], ("projected_u", "projected_v"), projected_um, "similarity"),
+        (ROWS[2], ("u", "v"), moving_um, "similarity"),
+    )
     table = [
         row
-        for name, uv, marks, model in (
-            (ROWS[0], ("projected_u", "projected_v"), projected_um, "rigid"),
-            (ROWS[1], ("projected_u", "projected_v"), projected_um, "similarity"),
-            (ROWS[2], ("u", "v"), moving_um, "similarity"),
-        )
+        for name, uv, marks, model in ways
         for row in _table_rows(
-            name, surfaces, flat, uv, fit_transform(marks, fixed_um, model=model, mirrored=mirrored), image, pixel, away,
+            name, surfaces, flat, uv, fit_transform(marks, fixed_um, model=model, mirrored=mirrored), image,
+            pixel, away,
             headline, study.correlate.point_um,
         )
     ]  # fmt: skip
@@ -228,28 +242,38 @@ def link_sheet(study: Study, *, progress: Progress | None = None) -> Run:
         update={"image": study.image.model_copy(update={"pixel_um": pixel}), "registration": r}
     )
     results = run.results
-    results["inputs"]["image"] = _input(image, Path(study.image.path), pixel_um=list(pixel)) if study.image else None
-    results["marks"] = seen | _mark_results(fit)
+    results["inputs"]["image"] = (
+        input_results(image, Path(study.image.path), pixel_um=list(pixel)) if study.image else None
+    )
+    results["marks"] = seen | mark_results(fit)
     results["headline"] = headline
     results["table"] = table
     results["correlation"] = _correlations(linked, pixel, study.correlate.point_um)
-    results["linked"] = _linked_results(linked)
-    gates = (*_map_gates(results), *_link_gates(results))
+    results["linked"] = linked_results(linked)
+    gates = (*map_gates(results), *link_gates(results))
     results["quality"] = [asdict(gate) for gate in gates]
-    results["parameters"] = _parameters(study)
+    results["parameters"] = parameter_results(study)
     groups = run.groups | {"linked": linked}
-    return Run(study=study, groups=groups, marks=marks_table(labels, moving_um, fixed_um, fit), results=results, gates=gates)
+    return Run(
+        study=study, groups=groups, marks=marks_table(labels, moving_um, fixed_um, fit), results=results, gates=gates
+    )
 
 
 def _enough(holes: xr.Dataset, where: str, hole_um: tuple[float, float]) -> None:
     """Stop early when there cannot be a match."""
     count = holes.sizes["mark"]
     if count < 3:
-        what = "No hole was" if count == 0 else f"Only {count} hole{'s' if count > 1 else ''} {'were' if count > 1 else 'was'}"
+        what = (
+            "No hole was"
+            if count == 0
+            else f"Only {count} hole{'s' if count > 1 else ''} {'were' if count > 1 else 'was'}"
+        )
         at = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in zip(holes["x"].values, holes["y"].values, strict=True))
         raise CannotRegister(
-            f"{what} found in the {where}{' at' + at if at else ''}; at least 3 are needed, and 4 to notice a wrong match. Looked "
-            f"for round holes of {hole_um[0]:g} to {hole_um[1]:g} um (--hole-um). Check the {'pixel' if where == 'image' else 'voxel'}"
+            f"{what} found in the {where}{' at' + at if at else ''}; at least 3 are needed, and 4 to "
+            f"notice a wrong match. Looked "
+            f"for round holes of {hole_um[0]:g} to {hole_um[1]:g} um (--hole-um). Check the "
+            f"{'pixel' if where == 'image' else 'voxel'}"
             " size, or give pairs of points with --marks."
         )
 
@@ -260,13 +284,15 @@ def _check_thickness(surfaces: xr.Dataset) -> None:
     if not low <= thickness <= high:
         voxel = ", ".join(f"{v:g}" for v in surfaces.attrs["voxel_um"])
         raise VolumeError(
-            f"The sheet would be {thickness:.3g} um thick; paper and board have {low:g} to {high:g} um. The voxel size of "
+            f"The sheet would be {thickness:.3g} um thick; paper and board have {low:g} to {high:g} um. "
+            f"The voxel size of "
             f"{voxel} um (z, y, x) is probably in another unit. Give the right one with --voxel-um and --override-size."
         )
     measured = float((surfaces["status"].values == 0).mean())
     if measured < _LEAST_SHARE:
         raise VolumeError(
-            f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns only; {100 * _LEAST_SHARE:.0f} % are "
+            f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns only; "
+            f"{100 * _LEAST_SHARE:.0f} % are "
             "needed for a map. Check --through and --sheet-grey, and that the sheet does not leave the volume."
         )
 
@@ -316,9 +342,7 @@ def _holes_of_map(maps: xr.Dataset, hole_um: tuple[float, float]) -> xr.Dataset:
     """Holes of the flattened sheet, in (u, v)."""
     step = float(maps["u"].values[1] - maps["u"].values[0])
     holes = find_holes(maps["presence"].values, pixel_um=step, diameter_um=hole_um, polarity="dark")
-    return holes.assign(
-        x=holes["x"] + float(maps["u"].values[0]), y=holes["y"] + float(maps["v"].values[0])
-    )
+    return holes.assign(x=holes["x"] + float(maps["u"].values[0]), y=holes["y"] + float(maps["v"].values[0]))
 
 
 def _given_pairs(
@@ -335,9 +359,13 @@ def _given_pairs(
         moving = np.stack([_bilinear(flat[k].values, row, col) for k in ("u", "v")], axis=1)
         lost = [str(n) for n, p in zip(given["label"].values, moving, strict=True) if not np.isfinite(p).all()]
         if lost:
-            raise MarkError(f"The marks {', '.join(lost)} do not lie on the sheet. Check the axes and the unit (um) of the table.")
+            raise MarkError(
+                f"The marks {', '.join(lost)} do not lie on the sheet. Check the axes and the unit (um) of the table."
+            )
     if len(fixed) < 3:
-        raise MarkError(f"{len(fixed)} control points given, a similarity needs 3 to say how good it is. Add more, far apart.")
+        raise MarkError(
+            f"{len(fixed)} control points given, a similarity needs 3 to say how good it is. Add more, far apart."
+        )
     plain = fit_transform(moving, fixed, model="similarity", mirrored=False)
     if not mirror:
         return moving, fixed, False
@@ -388,9 +416,7 @@ def _linked(
     """All maps on the image's pixel grid, in one step from the mesh: nothing is resampled twice."""
     shape = (int(image.shape[0]), int(image.shape[1]))
     scale = transform.scale
-    places = find_places(
-        transform(_uv(flat)), shape=shape, pixel_um=pixel, least_um=min(_pitch(surfaces)) * scale
-    )
+    places = find_places(transform(_uv(flat)), shape=shape, pixel_um=pixel, least_um=min(_pitch(surfaces)) * scale)
     coords = {"y": image["y"].values, "x": image["x"].values}
     source = _on_mesh(surfaces, flat).drop_vars(["projected_u", "projected_v"])
     linked = resample_dataset(source, places, dims=("y", "x"), coords=coords)
@@ -433,177 +459,6 @@ def _correlations(linked: xr.Dataset, pixel: tuple[float, float], point_um: floa
     return out
 
 
-def marks_table(labels: list[str], moving: Array, fixed: Array, fit: FittedTransform) -> xr.Dataset:
-    um = {"units": "um"}
-    residual = fit.residuals_um
-    values = {
-        "moving_x": moving[:, 0],
-        "moving_y": moving[:, 1],
-        "fixed_x": fixed[:, 0],
-        "fixed_y": fixed[:, 1],
-        "residual_x": residual[:, 0],
-        "residual_y": residual[:, 1],
-        "residual": np.hypot(residual[:, 0], residual[:, 1]),
-        "leave_one_out": fit.leave_one_out_um,
-    }
-    data = xr.Dataset({k: ("mark", v, um) for k, v in values.items()})
-    data["label"] = ("mark", np.array(labels, dtype=object))
-    return data
-
-
-def _input(data: xr.DataArray, path: Path, **size: Any) -> dict[str, Any]:
-    key = next(iter(size))
-    return {
-        "name": str(data.attrs["file_name"]),
-        "shape": [int(n) for n in data.shape],
-        "dtype": str(data.attrs.get("dtype", data.dtype)),
-        "bytes": int(data.attrs["file_bytes"]),
-        "sha256": fingerprint(path),
-        **size,
-        f"{key}_source": str(data.attrs[f"{key}_source"]),
-    }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _surface_results(surfaces: xr.Dataset) -> dict[str, Any]:
-    attrs = surfaces.attrs
-    status = surfaces["status"].values
-    shares = {
-        f"share_{name}": float((status == k).mean())
-        for k, name in enumerate(("measured", "no_sheet", "rim", "face_not_found", "normal_leaves_sheet"))
-    }
-    keys = ("thickness_um", "blur_um", "cutoff_um", "rim_um", "saturated_share", "missing_share", "polarity")
-    greys = ("grey_air", "grey_base", "grey_coating_top", "grey_coating_bottom", "grey_noise")
-    frame = {k: str(attrs[k]) for k in ("through", "top_side", "row_axis", "col_axis")}
-    return frame | {k: _finite(float(attrs[k])) for k in (*keys, *greys)} | {"columns": int(status.size)} | shares
-
-
-def _property_results(surfaces: xr.Dataset) -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    for name in PROPERTIES:
-        values = surfaces[name].values
-        values = values[np.isfinite(values)]
-        if values.size == 0:
-            out[name] = None
-            continue
-        p5, p50, p95 = np.percentile(values, [5, 50, 95])
-        out[name] = {"n": int(values.size), "mean_um": float(values.mean()), "sd_um": float(values.std()),
-                     "p5_um": float(p5), "median_um": float(p50), "p95_um": float(p95)}  # fmt: skip
-    return out
-
-
-def _flatten_results(flattened: Flattened) -> dict[str, Any]:
-    flat = flattened.flat
-    move = np.hypot(*(flat[a].values - flat[b].values for a, b in (("u", "projected_u"), ("v", "projected_v"))))
-    return {
-        "outcome": flattened.outcome.name,
-        "sentence": flattened.outcome.value,
-        "steps": flattened.steps,
-        "energy_um2": flattened.energy,
-        "mesh_um": flattened.mesh_um,
-        "folded_cells": flattened.folded_cells,
-        "edge_strain_p95": flattened.edge_strain_p95,
-        "edge_strain_max": flattened.edge_strain_max,
-        "largest_move_um": float(np.nanmax(move)),
-    }
-
-
-def _mark_results(fit: FittedTransform) -> dict[str, Any]:
-    t = fit.transform
-    return {
-        "matched": len(fit.residuals_um),
-        "rms_um": float(fit.rms_um),
-        "leave_one_out_rms_um": _finite(float(np.sqrt(np.mean(fit.leave_one_out_um**2)))),
-        "scale": t.scale,
-        "rotation_deg": float(np.rad2deg(t.rotation_rad)),
-        "shift_um": [float(v) for v in t.shift_um],
-        "mirrored": t.mirrored,
-    }
-
-
-def _linked_results(linked: xr.Dataset) -> dict[str, Any]:
-    on_sheet = np.isfinite(linked["u"].values)
-    return {
-        "pixels": int(on_sheet.size),
-        "share_on_sheet": float(on_sheet.mean()),
-        "share_valid": float(linked["valid"].values.mean()),
-        "share_valid_of_sheet": float(linked["valid"].values.sum() / max(int(on_sheet.sum()), 1)),
-    }
-
-
-def _parameters(study: Study) -> dict[str, Any]:
-    """All parameters but the paths, which say where files lie and not what was done."""
-    data: dict[str, Any] = study.model_dump(mode="json", exclude_none=True)
-    for section in ("volume", "image"):
-        data.get(section, {}).pop("path", None)
-    return data
-
-
-def _gate(name: str, value: float, limit: float, *, least: bool, good: str, bad: str) -> Gate:
-    passed = value >= limit if least else value <= limit
-    return Gate(name=name, value=float(value), limit=limit, passed=bool(passed), sentence=good if passed else bad)
-
-
-def _map_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
-    s, f = results["surfaces"], results["flatten"]
-    percent = 100 * s["share_measured"]
-    return (
-        _gate(
-            "coverage", s["share_measured"], 0.5, least=True,
-            good=f"{percent:.0f} % of the columns are measured.",
-            bad=f"Only {percent:.0f} % of the columns are measured: the maps are mostly blank. Look at the slices in the report.",
-        ),
-        _gate(
-            "fold-over", f["folded_cells"], 0, least=False,
-            good="No cell of the flattened mesh is folded.",
-            bad=f"{f['folded_cells']} cells of the flattened mesh are folded; they are marked invalid.",
-        ),
-        _gate(
-            "saturation", s["saturated_share"], 0.05, least=False,
-            good=f"{100 * s['saturated_share']:.1f} % of the sheet's voxels are saturated.",
-            bad=f"{100 * s['saturated_share']:.1f} % of the sheet's voxels are saturated (at the end of the grey scale): the "
-            "faces may be displaced. Export the volume with a wider grey window.",
-        ),
-        _gate(
-            "missing voxels", s["missing_share"], 0.05, least=False,
-            good=f"{100 * s['missing_share']:.1f} % of the voxels are NaN.",
-            bad=f"{100 * s['missing_share']:.1f} % of the voxels are NaN or infinite; columns with such voxels near a face are "
-            "not measured.",
-        ),
-    )  # fmt: skip
-
-
-def _link_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
-    m, k = results["marks"], results["linked"]
-    loo = m["leave_one_out_rms_um"] if m["leave_one_out_rms_um"] is not None else float("inf")
-    return (
-        _gate(
-            "marks", loo, 20.0, least=False,
-            good=f"{m['matched']} marks agree to {loo:.1f} um (leave-one-out, rms).",
-            bad=f"{m['matched']} marks agree to {loo:.1f} um only (leave-one-out, rms): worse than the 10-20 um that the paper "
-            "reached by hand. Look at the residual arrows in the report.",
-        ),
-        _gate(
-            "scale", abs(m["scale"] - 1), 0.03, least=False,
-            good=f"The marks ask for a scale of {m['scale']:.4f}.",
-            bad=f"The marks ask for a scale of {m['scale']:.4f}: the calibrations do not agree.",
-        ),
-        _gate(
-            "linked area", k["share_valid_of_sheet"], 0.5, least=True,
-            good=f"{100 * k['share_valid_of_sheet']:.0f} % of the sheet that the image shows is valid.",
-            bad=f"Only {100 * k['share_valid_of_sheet']:.0f} % of the sheet that the image shows is valid.",
-        ),
-        _gate(
-            "common field", k["share_on_sheet"], 0.05, least=True,
-            good=f"{100 * k['share_on_sheet']:.0f} % of the image shows the scanned sheet.",
-            bad=f"Only {100 * k['share_on_sheet']:.1f} % of the image shows the scanned sheet.",
-        ),
-    )  # fmt: skip
-
-
 def _slices(volume: xr.DataArray, frame: Frame) -> xr.Dataset:
     """A few slices through the sheet, to draw its surfaces on."""
     columns = frame.columns(volume)
@@ -615,6 +470,9 @@ def _slices(volume: xr.DataArray, frame: Frame) -> xr.Dataset:
         "height": columns.coords[frame.through].values,
         "x": columns.coords[frame.cols].values,
     }
-    data = xr.Dataset({"grey": (("slice", "height", "x"), values, {"long_name": "Grey value", "units": "1"})},
-                      coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()}, attrs=frame.attrs())  # fmt: skip
+    data = xr.Dataset(
+        {"grey": (("slice", "height", "x"), values, {"long_name": "Grey value", "units": "1"})},
+        coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()},
+        attrs=frame.attrs(),
+    )
     return data.assign(row=("slice", at))

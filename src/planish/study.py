@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -105,7 +106,11 @@ def read_study(path: Path) -> Study:
     except ValidationError as error:
         faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
         raise InputError(f"{path} has {error.error_count()} wrong parameters: {faults}.") from error
-    return _with_paths(study, lambda p: str((path.parent / p).resolve()))
+
+    def absolute(p: str) -> str:
+        return str((path.parent / p).resolve())
+
+    return _with_paths(study, absolute)
 
 
 def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None:
@@ -125,12 +130,10 @@ def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None
     (folder / "run.toml").write_text(tomli_w.dumps(data), encoding="utf-8", newline="\n")
 
 
-def _with_paths(study: Study, change: Any) -> Study:
+def _with_paths(study: Study, change: Callable[[str], str]) -> Study:
     update: dict[str, Any] = {"volume": study.volume.model_copy(update={"path": change(study.volume.path)})}
     if study.image is not None:
         update["image"] = study.image.model_copy(update={"path": change(study.image.path)})
     if study.registration.marks is not None:
-        update["registration"] = study.registration.model_copy(
-            update={"marks": change(study.registration.marks)}
-        )
+        update["registration"] = study.registration.model_copy(update={"marks": change(study.registration.marks)})
     return study.model_copy(update=update)

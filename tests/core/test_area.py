@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from naive import area_mean as slow
 
+from naive import area_mean as slow
 from planish.core.area import area_mean
 
 

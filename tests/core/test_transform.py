@@ -6,7 +6,11 @@ from planish.core.transform import Similarity
 
 
 @given(
-    scale=st.floats(0.1, 10), angle=st.floats(-4, 4), x=st.floats(-1e4, 1e4), y=st.floats(-1e4, 1e4), mirrored=st.booleans()
+    scale=st.floats(0.1, 10),
+    angle=st.floats(-4, 4),
+    x=st.floats(-1e4, 1e4),
+    y=st.floats(-1e4, 1e4),
+    mirrored=st.booleans(),
 )
 def test_inverse_undoes(scale, angle, x, y, mirrored):
     there = Similarity(scale=scale, rotation_rad=angle, shift_um=(x, y), mirrored=mirrored)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 import xarray as xr
-from naive import distance_along_normal
 
+from naive import distance_along_normal
 from planish.core.errors import SurfaceError
 from planish.measure import measure_properties
 from planish.measure._kernels import along_normals

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from naive import paraboloid_at
 
+from naive import paraboloid_at
 from planish.surface.centre import gaussian_regression
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import xarray as xr
-from naive import staircase
 from scipy import ndimage, special
 
+from naive import staircase
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.surface import SurfaceParams, find_surfaces
@@ -14,10 +14,13 @@ VOXEL = 3.0
 
 
 def volume(array, voxel=VOXEL):
-    return xr.DataArray(array, dims=("z", "y", "x"), coords={k: np.arange(n) * voxel for k, n in zip("zyx", array.shape, strict=True)})
+    return xr.DataArray(
+        array, dims=("z", "y", "x"), coords={k: np.arange(n) * voxel for k, n in zip("zyx", array.shape, strict=True)}
+    )
 
 
-def slab(shape=(70, 80, 90), *, height=105.0, base=55.0, coat=17.0, slope=0.0, wave=0.0, greys=(40.0, 90.0, 200.0), blur=2.6, noise=4.0, seed=0):  # fmt: skip
+def slab(shape=(70, 80, 90), *, height=105.0, base=55.0, coat=17.0, slope=0.0, wave=0.0, greys=(40.0, 90.0,
+200.0), blur=2.6, noise=4.0, seed=0):  # fmt: skip
     """A sheet of constant normal layers along a smooth mid-surface, blurred exactly along its normal."""
     z, y, x = np.meshgrid(*(np.arange(n) * VOXEL for n in shape), indexing="ij")
     middle = height + slope * (x - x.mean()) + wave * np.sin(2 * np.pi * y / 400.0)
@@ -41,7 +44,13 @@ def test_flat_and_tilted_faces_within_a_fraction_of_a_voxel(slope):
     found = find_surfaces(volume(np.rint(grey).astype(np.uint8)))
     inside = (slice(10, -10), slice(10, -10))
     stretch = np.hypot(1, slope)
-    for name, offset in {"top": half, "bottom": -half, "interface_top": 27.5, "interface_bottom": -27.5, "centre": 0.0}.items():
+    for name, offset in {
+        "top": half,
+        "bottom": -half,
+        "interface_top": 27.5,
+        "interface_bottom": -27.5,
+        "centre": 0.0,
+    }.items():
         error = (found[name].values - middle[0] - offset * stretch)[inside]
         print(f"slope {slope} {name}: bias {error.mean():.3f} um, rms {np.sqrt(np.mean(error**2)):.3f} um")
         assert abs(error.mean()) < 0.15
@@ -134,7 +143,7 @@ def test_two_sheets_are_counted_and_a_way_out_is_named():
 
 
 def test_sheet_grey_chooses_one_of_two():
-    grey, middle, _ = slab(shape=(120, 60, 60), height=90.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))
+    grey, _middle, _ = slab(shape=(120, 60, 60), height=90.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))
     other, *_ = slab(shape=(120, 60, 60), height=260.0, coat=0.0, base=40, greys=(20.0, 220.0, 220.0))
     both = volume(np.maximum(grey, other))
     bright = find_surfaces(both, params=SurfaceParams(sheet_grey=(170.0, 255.0)))
@@ -144,7 +153,7 @@ def test_sheet_grey_chooses_one_of_two():
 
 def test_a_wrong_axis_is_noticed():
     grey, *_ = slab()
-    with pytest.raises(VolumeError, match="--through|leaves the volume|one after"):
+    with pytest.raises(VolumeError, match=r"--through|leaves the volume|one after"):
         find_surfaces(volume(grey), frame=Frame(through="x"))
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from naive import fit_staircase, staircase
 
+from naive import fit_staircase, staircase
 from planish.surface._kernels import fit_column, fit_faces
 
 WIDTH, AIR, NOISE = 0.9, 0.0, 0.04

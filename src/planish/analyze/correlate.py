@@ -71,7 +71,12 @@ def correlate(x: Array, y: Array, *, point_um: float) -> Correlation:
     r = sab / np.sqrt(saa * sbb)
     slope = sab / saa
     return Correlation(
-        n=n, r=float(r), r2=float(r * r), slope=float(slope), intercept=float(mean_b - slope * mean_a), point_um=point_um
+        n=n,
+        r=float(r),
+        r2=float(r * r),
+        slope=float(slope),
+        intercept=float(mean_b - slope * mean_a),
+        point_um=point_um,
     )
 
 

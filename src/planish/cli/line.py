@@ -65,16 +65,27 @@ def _run(study: Any, out: Path, *, as_json: bool) -> int:
 @out_option(_OUT)
 @volume_options
 @image_options
-@click.option("--marks", type=click.Path(path_type=Path), help="CSV of pairs of points, instead of finding and matching the holes.")
+@click.option(
+    "--marks",
+    type=click.Path(path_type=Path),
+    help="CSV of pairs of points, instead of finding and matching the holes.",
+)
 @match_options
 @hole_option
-@click.option("--point-um", type=click.FloatRange(min=0, min_open=True), default=100.0, show_default=True, help="Edge of the larger points that are correlated.")
+@click.option(
+    "--point-um",
+    type=click.FloatRange(min=0, min_open=True),
+    default=100.0,
+    show_default=True,
+    help="Edge of the larger points that are correlated.",
+)
 @surface_options
 @json_option
 def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool, **options: Any) -> int:
     """Link VOLUME to IMAGE: all 3D properties on the image's own pixels, correlation, report.
 
-    VOLUME is a TIFF stack or a folder of slices; IMAGE is TIFF, PNG or JPEG. Both show the same specimen, marked with laser
+    VOLUME is a TIFF stack or a folder of slices; IMAGE is TIFF, PNG or JPEG. Both show the same specimen,
+    marked with laser
     holes. RUN gets maps.zarr, marks.csv, results.json, report.html and run.toml.
     """
     registration = {"marks": str(marks.absolute()) if marks else None}
@@ -110,7 +121,9 @@ def map_(volume: Path, out: Path, as_json: bool, **options: Any) -> int:
 
 @click.command()
 @existing("study")
-@click.option("--out", "-o", type=click.Path(path_type=Path), help="Folder to make; beside the old one where not given.")
+@click.option(
+    "--out", "-o", type=click.Path(path_type=Path), help="Folder to make; beside the old one where not given."
+)
 @json_option
 def run(study: Path, out: Path | None, as_json: bool) -> int:
     """Repeat the run described by STUDY, the run.toml of a run folder.
@@ -136,7 +149,9 @@ def _different(old: Path, new: Path) -> list[str]:
     return sorted(
         name
         for name in files
-        if not ((old / name).is_file() and (new / name).is_file() and filecmp.cmp(old / name, new / name, shallow=False))
+        if not (
+            (old / name).is_file() and (new / name).is_file() and filecmp.cmp(old / name, new / name, shallow=False)
+        )
     )
 
 

@@ -1,6 +1,7 @@
 """The command group, and the one place where an error becomes a message and an exit code.
 
-0 done; 1 a fault of planish; 2 wrong usage; 3 input that cannot be used; 4 finished, but a quality gate failed; 5 memory or
+0 done; 1 a fault of planish; 2 wrong usage; 3 input that cannot be used; 4 finished, but a quality gate failed;
+5 memory or
 disk used up; 130 interrupted.
 """
 
@@ -17,8 +18,8 @@ import click
 from planish import __version__
 from planish.cli.line import demo, info, link, map_, run
 from planish.cli.stages import correlate, flatten, holes, measure, register, report, resample, surface
-from planish.io.run_folder import as_planish
 from planish.core.errors import PlanishError, ResourceError
+from planish.io.run_folder import as_planish
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

@@ -30,7 +30,9 @@ class Numbers(click.ParamType[tuple[float, ...]]):
         try:
             numbers = tuple(float(part) for part in str(value).split(","))
         except ValueError:
-            self.fail(f"{value!r} is not {self.metavar}: write numbers with a decimal point, commas between them.", param, ctx)
+            self.fail(
+                f"{value!r} is not {self.metavar}: write numbers with a decimal point, commas between them.", param, ctx
+            )
         if len(numbers) == 1 and self.repeat:
             return numbers * self.count
         if len(numbers) != self.count:
@@ -48,32 +50,86 @@ def _stack(*options: Command) -> Command:
 
 
 volume_options = _stack(
-    click.option("--voxel-um", type=Numbers(3, repeat=True, metavar="SIZE|Z,Y,X"), help="Voxel size in um, where the file does not state it."),
-    click.option("--through", type=click.Choice(["z", "y", "x"]), default="z", show_default=True, help="Axis that runs through the sheet."),
-    click.option("--top", type=click.Choice(["high", "low"]), default="high", show_default=True, help="End of that axis at which the top side lies: the side that the image shows."),
+    click.option(
+        "--voxel-um",
+        type=Numbers(3, repeat=True, metavar="SIZE|Z,Y,X"),
+        help="Voxel size in um, where the file does not state it.",
+    ),
+    click.option(
+        "--through",
+        type=click.Choice(["z", "y", "x"]),
+        default="z",
+        show_default=True,
+        help="Axis that runs through the sheet.",
+    ),
+    click.option(
+        "--top",
+        type=click.Choice(["high", "low"]),
+        default="high",
+        show_default=True,
+        help="End of that axis at which the top side lies: the side that the image shows.",
+    ),
     click.option("--override-size", is_flag=True, help="Take the sizes given here where a file states others."),
-)  # fmt: skip
+)
 
 surface_options = _stack(
-    click.option("--sheet-grey", type=Numbers(2, metavar="LOW,HIGH"), help="Grey range of the sheet, to tell it from other material in the volume."),
-    click.option("--cutoff-um", type=click.FloatRange(min=0, min_open=True), default=400.0, show_default=True, help="Wavelength of the centre surface that its smoothing passes by half."),
-    click.option("--rim-um", type=click.FloatRange(min=0), default=100.0, show_default=True, help="Zone around holes and gaps that is left out of all results."),
-)  # fmt: skip
+    click.option(
+        "--sheet-grey",
+        type=Numbers(2, metavar="LOW,HIGH"),
+        help="Grey range of the sheet, to tell it from other material in the volume.",
+    ),
+    click.option(
+        "--cutoff-um",
+        type=click.FloatRange(min=0, min_open=True),
+        default=400.0,
+        show_default=True,
+        help="Wavelength of the centre surface that its smoothing passes by half.",
+    ),
+    click.option(
+        "--rim-um",
+        type=click.FloatRange(min=0),
+        default=100.0,
+        show_default=True,
+        help="Zone around holes and gaps that is left out of all results.",
+    ),
+)
 
 image_options = _stack(
-    click.option("--pixel-um", type=Numbers(2, repeat=True, metavar="SIZE|Y,X"), help="Pixel size in um, where the image does not state it."),
-    click.option("--channel", default="luminance", show_default=True, help="Channel of a colour image: luminance, red, green, blue or a number from 0."),
-)  # fmt: skip
+    click.option(
+        "--pixel-um",
+        type=Numbers(2, repeat=True, metavar="SIZE|Y,X"),
+        help="Pixel size in um, where the image does not state it.",
+    ),
+    click.option(
+        "--channel",
+        default="luminance",
+        show_default=True,
+        help="Channel of a colour image: luminance, red, green, blue or a number from 0.",
+    ),
+)
 
 hole_option = click.option(
-    "--hole-um", type=Numbers(2, metavar="LEAST,MOST"), default="100,300", show_default=True,
+    "--hole-um",
+    type=Numbers(2, metavar="LEAST,MOST"),
+    default="100,300",
+    show_default=True,
     help="Range of hole diameters in um.",
-)  # fmt: skip
+)
 
 match_options = _stack(
-    click.option("--mirror", is_flag=True, help="Also try mirror images: for a volume whose slices are numbered against the usual sense."),
-    click.option("--tolerance-um", type=click.FloatRange(min=0, min_open=True), default=25.0, show_default=True, help="How far apart two marks may be to belong together."),
-)  # fmt: skip
+    click.option(
+        "--mirror",
+        is_flag=True,
+        help="Also try mirror images: for a volume whose slices are numbered against the usual sense.",
+    ),
+    click.option(
+        "--tolerance-um",
+        type=click.FloatRange(min=0, min_open=True),
+        default=25.0,
+        show_default=True,
+        help="How far apart two marks may be to belong together.",
+    ),
+)
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 

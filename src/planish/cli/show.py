@@ -24,7 +24,13 @@ def stages(total: int) -> Generator[Tell]:
     if not sys.stderr.isatty():
         yield lambda stage, detail: click.echo(f"{stage}: {detail}", err=True)
         return
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("start", total=total)
 
@@ -68,23 +74,42 @@ def finish(run: Run, out: Path, *, as_json: bool) -> int:
 
 def _properties(results: dict[str, Any]) -> None:
     rows = [
-        (name, number(p["mean_um"], 2), number(p["sd_um"], 2), number(p["p5_um"], 2), number(p["p95_um"], 2), str(p["n"]))
+        (
+            name,
+            number(p["mean_um"], 2),
+            number(p["sd_um"], 2),
+            number(p["p5_um"], 2),
+            number(p["p95_um"], 2),
+            str(p["n"]),
+        )
         for name, p in results["properties"].items()
         if p is not None
     ]
     table("Properties along the normals, um", ("", "mean", "sd", "p5", "p95", "columns"), rows)
     f = results["flatten"]
-    click.echo(f"flattened: {f['sentence']} Edge strain {100 * f['edge_strain_p95']:.3f} % (p95); points moved by up to {f['largest_move_um']:.0f} um.")
+    click.echo(
+        f"flattened: {f['sentence']} Edge strain {100 * f['edge_strain_p95']:.3f} % (p95); points moved by "
+        f"up to {f['largest_move_um']:.0f} um."
+    )
 
 
 def _correlation(results: dict[str, Any]) -> None:
     m = results["marks"]
     click.echo(
-        f"marks: {m['matched']} matched, residual {m['rms_um']:.2f} um rms, leave-one-out {number(m['leave_one_out_rms_um'], 2)} um, "
+        f"marks: {m['matched']} matched, residual {m['rms_um']:.2f} um rms, leave-one-out "
+        f"{number(m['leave_one_out_rms_um'], 2)} um, "
         f"scale {m['scale']:.4f}, rotation {m['rotation_deg']:.2f} deg{', mirrored' if m['mirrored'] else ''}"
     )
     rows = [
-        (r["registration"], f"{r['point_um']:g}", str(r["n"]), number(r["r"]), number(r["r2"]), number(r["slope"], 4), number(r["marks_rms_um"], 1))
+        (
+            r["registration"],
+            f"{r['point_um']:g}",
+            str(r["n"]),
+            number(r["r"]),
+            number(r["r2"]),
+            number(r["slope"], 4),
+            number(r["marks_rms_um"], 1),
+        )
         for r in results["table"]
     ]
     title = f"Image against {results['headline']}"

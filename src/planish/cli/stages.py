@@ -39,7 +39,9 @@ def _read(path: Path, group: str) -> xr.Dataset:
 
     groups = read_tree(path / "maps.zarr" if (path / "maps.zarr").is_dir() else path)
     if group not in groups:
-        raise FileError(f"{path} has no group '{group}'; it holds {', '.join(sorted(groups))}. Give what the stage before wrote.")
+        raise FileError(
+            f"{path} has no group '{group}'; it holds {', '.join(sorted(groups))}. Give what the stage before wrote."
+        )
     return groups[group]
 
 
@@ -60,7 +62,11 @@ def surface(volume: Path, out: Path, **options: Any) -> None:
     params = SurfaceParams(**{k: options[k] for k in ("sheet_grey", "cutoff_um", "rim_um")})
     found = find_surfaces(data, frame=Frame(through=options["through"], top=options["top"]), params=params)
     share = float((found["status"].values == 0).mean())
-    _write(out, {"surfaces": found}, f"sheet of {found.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns measured")
+    _write(
+        out,
+        {"surfaces": found},
+        f"sheet of {found.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns measured",
+    )
 
 
 @click.command()
@@ -78,13 +84,20 @@ def measure(surfaces: Path, out: Path) -> None:
 @click.command()
 @existing("surfaces")
 @out_option(_STORE)
-@click.option("--mesh-um", type=click.FloatRange(min=0, min_open=True), help="Pitch of the spring mesh; four columns or more where not given.")
+@click.option(
+    "--mesh-um",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Pitch of the spring mesh; four columns or more where not given.",
+)
 def flatten(surfaces: Path, out: Path, mesh_um: float | None) -> int:
     """Develop the centre surface of SURFACES into the plane."""
     from planish.flatten import FlattenParams, flatten_sheet
 
     found = flatten_sheet(_read(surfaces, "surfaces"), params=FlattenParams(mesh_um=mesh_um))
-    summary = f"{found.outcome.value} Edge strain {100 * found.edge_strain_p95:.3f} % (p95), {found.folded_cells} folded cells"
+    summary = (
+        f"{found.outcome.value} Edge strain {100 * found.edge_strain_p95:.3f} % (p95), "
+        f"{found.folded_cells} folded cells"
+    )
     _write(out, {"flat": found.flat, "strain": found.strain}, summary)
     return 4 if found.folded_cells else 0
 
@@ -93,7 +106,11 @@ def flatten(surfaces: Path, out: Path, mesh_um: float | None) -> int:
 @existing("properties")
 @existing("flat")
 @out_option(_STORE)
-@click.option("--map-um", type=click.FloatRange(min=0, min_open=True), help="Pixel of the map; the volume's columns where not given.")
+@click.option(
+    "--map-um",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Pixel of the map; the volume's columns where not given.",
+)
 def resample(properties: Path, flat: Path, out: Path, map_um: float | None) -> None:
     """Bring PROPERTIES onto a regular grid of the FLAT sheet."""
     from planish.core.checks import check_same_grid
@@ -117,7 +134,9 @@ def resample(properties: Path, flat: Path, out: Path, map_um: float | None) -> N
 @out_option("CSV table to make; it must not exist.")
 @image_options
 @hole_option
-def holes(image: Path, out: Path, pixel_um: tuple[float, float] | None, channel: str, hole_um: tuple[float, float]) -> None:
+def holes(
+    image: Path, out: Path, pixel_um: tuple[float, float] | None, channel: str, hole_um: tuple[float, float]
+) -> None:
     """Find the laser holes in IMAGE: a picture, or a run whose flattened sheet is searched."""
     from planish.io import read_image
     from planish.io.run_folder import refuse_existing
@@ -146,8 +165,8 @@ def register(moving: Path, fixed: Path, out: Path, mirror: bool, tolerance_um: f
     """Match the holes in MOVING and FIXED, two tables of 'planish holes', and fit the similarity between them."""
     from planish.io.run_folder import refuse_existing
     from planish.marks import read_holes, write_marks
-    from planish.pipeline import marks_table
     from planish.register import fit_transform, match_marks
+    from planish.results import marks_table
 
     refuse_existing(out)
     a, b = (np.stack([h["x"].values, h["y"].values], axis=1) for h in (read_holes(moving), read_holes(fixed)))
@@ -161,8 +180,16 @@ def register(moving: Path, fixed: Path, out: Path, mirror: bool, tolerance_um: f
 
 @click.command()
 @existing("linked")
-@click.option("--property", "name", default="coating_top", show_default=True, help="Map that the image is compared with.")
-@click.option("--point-um", type=click.FloatRange(min=0, min_open=True), default=100.0, show_default=True, help="Edge of the larger points.")
+@click.option(
+    "--property", "name", default="coating_top", show_default=True, help="Map that the image is compared with."
+)
+@click.option(
+    "--point-um",
+    type=click.FloatRange(min=0, min_open=True),
+    default=100.0,
+    show_default=True,
+    help="Edge of the larger points.",
+)
 @json_option
 def correlate(linked: Path, name: str, point_um: float, as_json: bool) -> None:
     """Correlate the image with one property, point by point, in the LINKED maps of a run."""

@@ -14,6 +14,7 @@ def check_same_grid(first: xr.Dataset, second: xr.Dataset) -> None:
         a, b = first[axis].values, second[axis].values
         if a.shape != b.shape or not np.allclose(a, b, rtol=0, atol=1e-6):
             raise SurfaceError(
-                f"The two stores stand on different columns: {a.size} and {b.size} along {axis}. Make both from the same "
+                f"The two stores stand on different columns: {a.size} and {b.size} along {axis}. Make both "
+                f"from the same "
                 "surfaces."
             )

@@ -44,7 +44,8 @@ class Similarity:
         """The transformation back."""
         linear = np.linalg.inv(self.matrix())
         flip = -1.0 if self.mirrored else 1.0
-        # The inverse is a similarity of the same handedness; its rotation is read off the y column, which M leaves alone.
+        # The inverse is a similarity of the same handedness; its rotation is read off the y column, which M
+        # leaves alone.
         rotation = float(np.arctan2(-linear[0, 1], linear[1, 1]))
         shift = -linear @ np.asarray(self.shift_um)
         assert np.sign(np.linalg.det(linear)) == flip

@@ -73,7 +73,7 @@ def relax_grid(points: Array, *, start: Array | None = None, tolerance: float = 
     to its place, which vanishes at the solution because it is renewed in every step.
     """
     points = np.asarray(points, dtype=np.float64)
-    known = np.isfinite(points).all(axis=-1)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
     _check(known)
     springs = make_springs(np.where(known[..., None], points, np.nan))
     flat_start = points[..., :2] if start is None else np.asarray(start, dtype=np.float64)
@@ -120,14 +120,16 @@ def relax_grid(points: Array, *, start: Array | None = None, tolerance: float = 
 def _check(known: NDArray[np.bool_]) -> None:
     if min(known.shape) < 2 or np.count_nonzero(known) < 4:
         raise CannotFlatten(
-            f"The mesh has {np.count_nonzero(known)} nodes in {known.shape[0]} rows and {known.shape[1]} columns; at least "
+            f"The mesh has {np.count_nonzero(known)} nodes in {known.shape[0]} rows and {known.shape[1]} "
+            f"columns; at least "
             "2 rows and 2 columns are needed. Use a finer mesh."
         )
     labels, count = ndimage.label(known, structure=np.ones((3, 3)))
     if count > 1:
         sizes = np.sort(np.bincount(labels.ravel())[1:])[::-1]
         raise CannotFlatten(
-            f"The sheet falls into {count} unconnected pieces of {', '.join(map(str, sizes[:6]))} nodes. Flatten each piece "
+            f"The sheet falls into {count} unconnected pieces of {', '.join(map(str, sizes[:6]))} nodes. "
+            f"Flatten each piece "
             "apart: their distance in the plane is not known."
         )
 

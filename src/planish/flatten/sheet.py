@@ -89,7 +89,7 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     y, x = surfaces["y"].values, surfaces["x"].values
     centre = surfaces["centre"].values
     known = _largest_piece(np.isfinite(centre))
-    step = _strides(y, x, np.count_nonzero(known), params)
+    step = _strides(y, x, int(np.count_nonzero(known)), params)
     rows, cols = _every(y.size, step[0]), _every(x.size, step[1])
     mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
     height = np.where(known, centre, np.nan)[np.ix_(rows, cols)]
@@ -99,9 +99,7 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     flip = -1.0 if frame.mirrored else 1.0
     offset = float(x[-1] + x[0]) if frame.mirrored else 0.0
     fine_y, fine_x = np.meshgrid(y, x, indexing="ij")
-    moved = [
-        _carried(relaxed.uv[..., i] - points[..., i], rows, cols, (y.size, x.size)) for i in range(2)
-    ]
+    moved = [_carried(relaxed.uv[..., i] - points[..., i], rows, cols, (y.size, x.size)) for i in range(2)]
     bad = _fold_mask(relaxed.folded, rows, cols, (y.size, x.size))
     inside = known & ~bad
     values = {
@@ -154,7 +152,9 @@ def _every(count: int, step: int) -> NDArray[np.intp]:
     indices = np.arange(0, count, step)
     if indices[-1] != count - 1:
         # The last cell would be a sliver: it is widened instead.
-        indices = np.append(indices[:-1] if count - 1 - indices[-1] < step / 2 and indices.size > 2 else indices, count - 1)
+        indices = np.append(
+            indices[:-1] if count - 1 - indices[-1] < step / 2 and indices.size > 2 else indices, count - 1
+        )
     return indices
 
 

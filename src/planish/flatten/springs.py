@@ -36,7 +36,7 @@ def make_springs(points: Array) -> Springs:
 
     Each spring is counted once: two axial and two diagonal families cover all eight directions.
     """
-    known = np.isfinite(points).all(axis=-1)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
     nodes = np.where(known, np.cumsum(known.ravel()).reshape(known.shape) - 1, -1)
     first, second, rest = [], [], []
     here, there = slice(None, -1), slice(1, None)

@@ -81,7 +81,9 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
         raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
     try:
         with xr.open_datatree(path, engine="zarr") as tree:
-            return {node.path.strip("/"): node.to_dataset(inherit=False).load() for node in tree.subtree if node.data_vars}
+            return {
+                node.path.strip("/"): node.to_dataset(inherit=False).load() for node in tree.subtree if node.data_vars
+            }
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         raise FileError(f"{path} cannot be read: {error}. It may be damaged; repeat the run.") from error
 

@@ -179,7 +179,9 @@ def agreed_size(
         if other:
             return size, f"given, in place of {and_join(f'{s.source} ({in_words(s.um, asked)})' for s in other)}"
         # A repeated run gives the very size that the metadata stated the first time; it still comes from there.
-        stated_fully = bool(spoken) and all(v == g for v, g in zip(merged(spoken, file_name=file_name, asked=asked), size, strict=True))
+        stated_fully = bool(spoken) and all(
+            v == g for v, g in zip(merged(spoken, file_name=file_name, asked=asked), size, strict=True)
+        )
         return size, " and ".join(s.source for s in spoken) if stated_fully else "given"
     found = merged(spoken, file_name=file_name, asked=asked)
     missing = [axis for axis, value in zip(asked.axes, found, strict=True) if value is None]

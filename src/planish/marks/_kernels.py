@@ -329,7 +329,7 @@ def measure(image, px, py, xs, ys, sign, low, high):
         scale = 0.0
         for turn in range(4):
             rays = 36 if turn == 0 else 64
-            radii, strong = _innermost_edges(
+            radii, _strong = _innermost_edges(
                 image, px, py, cx, cy, sign, 0.5 * low, 1.25 * high, max(0.7 * pixel, 2.5), window, rays
             )
             fit, weight, scale, _ = fit_outline(radii, 1, 0.5)

@@ -10,7 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from planish.core.errors import MarkError, SizeError
 from planish.marks import _kernels as k
-from planish.marks.candidates import ACROSS_COARSE, ACROSS_FINE, Floats, Image, blob_responses, peaks, reduce_to, texture
+from planish.marks.candidates import (
+    ACROSS_COARSE,
+    ACROSS_FINE,
+    Floats,
+    Image,
+    blob_responses,
+    peaks,
+    reduce_to,
+    texture,
+)
 
 Polarity = Literal["auto", "dark", "bright"]
 
@@ -30,9 +39,10 @@ LEAST_SHARPNESS = 0.45
 LARGEST_ROUGHNESS = 0.09
 # Fewer pixels across a hole leave nothing to tell a rim from a slope by.
 LEAST_PIXELS = 7.0
-# Holes of one laser look alike: beside others, a mark with less than this share of their median step or depth is dirt or
-# a pit, and one whose diameter differs by this factor is something else.
-LEAST_SHARE_OF_MEDIAN = 0.65
+# Holes of one laser look alike: beside others, a mark that reaches less than this share of their depth is dirt or a pit
+# (in transmitted light, of their median step), and one whose diameter differs by this factor is something else.
+LEAST_DEPTH = 0.65
+LEAST_SHARE_OF_MEDIAN = 0.5
 LARGEST_FACTOR = 1.6
 
 # Beyond a rim this much may be burnt.
@@ -140,7 +150,7 @@ def _holes(grey: Image, size: tuple[float, float], low: float, high: float, sign
         & (rows[:, k.X] <= extent[1] - radius)
         & (rows[:, k.Y] <= extent[0] - radius)
     )
-    rows = _unlike_removed(rows[inside])
+    rows = _unlike_removed(rows[inside], sign)
     rows[:, k.X] += fine_origin[0]
     rows[:, k.Y] += fine_origin[1]
     return rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))]
@@ -176,7 +186,7 @@ def _strongest_apart(rows: Floats) -> Floats:
     return rows[kept]
 
 
-def _unlike_removed(rows: Floats) -> Floats:
+def _unlike_removed(rows: Floats, sign: float) -> Floats:
     """Drop marks much fainter, smaller or larger than the rest."""
     if len(rows) < 3:
         return rows
@@ -185,8 +195,11 @@ def _unlike_removed(rows: Floats) -> Floats:
     typical = np.median(step)
     # In weak light a hole's step is small, but its floor is as dark as the others'.
     floor = np.median(inside[step >= typical])
-    share = np.maximum(step / typical, step / np.maximum(outside - floor, step))
-    rows = rows[share >= LEAST_SHARE_OF_MEDIAN]
+    alike = step >= LEAST_DEPTH * np.maximum(outside - floor, step)
+    if sign < 0:
+        # In transmitted light floors fade with the lamp, and nothing but a hole shines.
+        alike |= step >= LEAST_SHARE_OF_MEDIAN * typical
+    rows = rows[alike]
     radius = rows[:, k.RADIUS]
     factor = radius / np.median(radius)
     return rows[(factor < LARGEST_FACTOR) & (factor > 1 / LARGEST_FACTOR)]

@@ -69,7 +69,9 @@ def measure_properties(surfaces: xr.Dataset) -> xr.Dataset:
         for name in needed[:-2]
     }
     inner_top = distance["interface_top"] if np.isfinite(heights["interface_top"]).any() else distance["top"]
-    inner_bottom = distance["interface_bottom"] if np.isfinite(heights["interface_bottom"]).any() else distance["bottom"]
+    inner_bottom = (
+        distance["interface_bottom"] if np.isfinite(heights["interface_bottom"]).any() else distance["bottom"]
+    )
     values = {
         "coating_top": distance["top"] - distance["interface_top"],
         "coating_bottom": distance["interface_bottom"] - distance["bottom"],
@@ -87,14 +89,18 @@ def measure_properties(surfaces: xr.Dataset) -> xr.Dataset:
     status[(status == 0) & ~whole] = 4
     valid = status == 0
     if not valid.any():
-        raise CannotMeasure("No normal of the centre surface meets both faces. Look at the surfaces with 'planish surface'.")
+        raise CannotMeasure(
+            "No normal of the centre surface meets both faces. Look at the surfaces with 'planish surface'."
+        )
     data = {
         name: (("y", "x"), np.where(valid, v, np.nan), {"units": "um", "long_name": PROPERTIES[name]})
         for name, v in values.items()
     }
     meanings = "measured no_sheet rim face_not_found normal_leaves_sheet"
     flags = {"long_name": "Status", "flag_values": [0, 1, 2, 3, 4], "flag_meanings": meanings}
-    return xr.Dataset({**data, "status": (("y", "x"), status, flags)}, coords=surfaces.coords, attrs=dict(surfaces.attrs))
+    return xr.Dataset(
+        {**data, "status": (("y", "x"), status, flags)}, coords=surfaces.coords, attrs=dict(surfaces.attrs)
+    )
 
 
 def unit_normals(height: Array, pitch: tuple[float, float]) -> tuple[Array, Array, Array]:

@@ -27,10 +27,12 @@ MOST_COMPARISONS = 50_000_000
 ACCEPTED_LOG_CHANCE = -3.0
 # A rival with few marks that chance would offer about once a search is no rival.
 PLAUSIBLE_LOG_CHANCE = -1.0
-# A rival that explains nearly as many marks counts even where it is this many tolerances off: a symmetric pattern placed
+# A rival that explains nearly as many marks counts even where it is this many tolerances off: a symmetric
+# pattern placed
 # to 4 um repeats itself to 8 um rms, and its worst hole may be three times as far out.
 REACH = 1.6
-# Share of `tolerance_um` within which an arrangement that agrees at only part of the marks counts as a rival. Holes of a
+# Share of `tolerance_um` within which an arrangement that agrees at only part of the marks counts as a rival.
+# Holes of a
 # regular pattern, placed to 4 um, agree with their neighbours' places to some 8 um, so most stay within 20 um.
 CLOSE = 0.8
 
@@ -143,14 +145,16 @@ def match_marks(
         )
     if rival:
         raise CannotRegister(
-            f"{seen}: the best arrangement agrees at {count} marks, a different one at {rival_count}, so the pattern is "
+            f"{seen}: the best arrangement agrees at {count} marks, a different one at {rival_count}, so "
+            f"the pattern is "
             f"ambiguous (symmetric or regular). Give the pairs with --marks, or add marks that break the symmetry."
             + (" Without --mirror, only one hand would compete." if mirror else "")
         )
     hand = bool(found.mirrored[best])
     if _symmetric(a, b, found, best, scale_tolerance, tolerance_um, mirror):
         raise CannotRegister(
-            f"{seen}: {count} agree, but the pattern of all marks seen is symmetric, and another arrangement may be the "
+            f"{seen}: {count} agree, but the pattern of all marks seen is symmetric, and another "
+            f"arrangement may be the "
             "true one. Give the pairs with --marks, or add marks that break the symmetry."
         )
     rows = np.flatnonzero(found.squares[best] <= tolerance_um**2)

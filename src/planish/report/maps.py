@@ -84,7 +84,7 @@ def _distribution(axes: Axes, known: Array, norm: Normalize, mean: float, sd: fl
     """Draw the histogram along the colour bar, with mean and standard deviation."""
     low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     counts, edges = np.histogram(known, bins=_BINS, range=(low, high))
-    axes.barh(edges[:-1], counts, height=np.diff(edges), align="edge", color="#b9c0c7", linewidth=0)
+    axes.stairs(counts, edges, orientation="horizontal", fill=True, color="#b9c0c7", linewidth=0)
     axes.set_ylim(low, high)
     axes.set_xlim(0, 1.25 * max(int(counts.max()), 1))
     at = 1.14 * max(int(counts.max()), 1)

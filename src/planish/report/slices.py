@@ -42,7 +42,7 @@ _FLATTEST = 9.0  # width over height of the longest stretch that is still drawn 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Slice:
+class Slice:
     """One slice: its grey values with the top side up, and the heights of the surfaces in it."""
 
     grey: Array
@@ -83,7 +83,7 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
         ``grey``, and ``row``: where each slice lies in ``surfaces``.
     surfaces : Dataset, dims (y, x), in um
     """
-    cuts = [_slice(slices, surfaces, k) for k in range(slices.sizes["slice"])]
+    cuts = [take_slice(slices, surfaces, k) for k in range(slices.sizes["slice"])]
     thickness = float(np.nanmedian(surfaces["top"].values - surfaces["bottom"].values))
     norm = limits(np.concatenate([c.grey.ravel()[:: max(1, c.grey.size // 200_000)] for c in cuts]), percent=0.3)
     margin = 0.8 * abs(thickness)
@@ -128,7 +128,7 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
     return [overview, _details(cuts, windows, norm)]
 
 
-def _windows(cuts: list[_Slice], centres: list[float], margin: float) -> list[tuple[float, float, float, float]]:
+def _windows(cuts: list[Slice], centres: list[float], margin: float) -> list[tuple[float, float, float, float]]:
     """Return the windows around the given places: as high as the highest, so that they can stand side by side."""
     half = _WINDOW_UM / 2
     found = [cut.window(c - half, c + half, margin) for cut, c in zip(cuts, centres, strict=True)]
@@ -141,7 +141,7 @@ def _windows(cuts: list[_Slice], centres: list[float], margin: float) -> list[tu
     return out
 
 
-def _details(cuts: list[_Slice], windows: list[tuple[float, float, float, float]], norm: Normalize) -> Picture:
+def _details(cuts: list[Slice], windows: list[tuple[float, float, float, float]], norm: Normalize) -> Picture:
     """Draw the marked windows side by side, with the key to the lines."""
     gap = 0.22
     width = (FULL - gap * (len(cuts) - 1)) / len(cuts) if len(cuts) > 1 else 0.6 * FULL
@@ -177,7 +177,7 @@ def _details(cuts: list[_Slice], windows: list[tuple[float, float, float, float]
     )
 
 
-def _slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> _Slice:
+def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
     """Take one slice out, turned so that heights ascend towards the top side."""
     up = 1.0 if surfaces.attrs["top_side"] == "high" else -1.0
     heights = up * slices["height"].values.astype(np.float64)
@@ -185,7 +185,7 @@ def _slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> _Slice:
     row = int(slices["row"].values[k])
     lines = {name: up * surfaces[name].values[row].astype(np.float64) for name, *_ in LINES if name in surfaces}
     x = slices["x"].values.astype(np.float64)
-    return _Slice(
+    return Slice(
         grey=slices["grey"].values[k].astype(np.float64)[order],
         heights=heights[order],
         x=x,
@@ -195,7 +195,7 @@ def _slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> _Slice:
     )
 
 
-def _span(cut: _Slice, margin: float) -> tuple[float, float, float, float]:
+def _span(cut: Slice, margin: float) -> tuple[float, float, float, float]:
     """Return the whole slice, or its middle where the whole would be a hair line."""
     left, right = float(cut.x[0]), float(cut.x[-1])
     whole = cut.window(left, right, margin)
@@ -212,7 +212,7 @@ def _span(cut: _Slice, margin: float) -> tuple[float, float, float, float]:
     return cut.window(middle - longest / 2, middle + longest / 2, margin)
 
 
-def _clear_place(cut: _Slice, span: tuple[float, float, float, float]) -> float:
+def _clear_place(cut: Slice, span: tuple[float, float, float, float]) -> float:
     """Return the middle of the window, near the middle of the slice, in which most of the lines are there."""
     step = pitch(cut.x)
     size = max(1, min(round(_WINDOW_UM / step), cut.x.size))
@@ -225,7 +225,7 @@ def _clear_place(cut: _Slice, span: tuple[float, float, float, float]) -> float:
     return float(middles[int(np.argmax(np.where(inside, np.round(share, 1) - distance, -np.inf)))])
 
 
-def _lines(axes: Axes, cut: _Slice, window: tuple[float, float, float, float], width: float) -> None:
+def _lines(axes: Axes, cut: Slice, window: tuple[float, float, float, float], width: float) -> None:
     """Draw the surfaces over the grey values."""
     for name, _, colour, dash in LINES:
         if name == "centre":

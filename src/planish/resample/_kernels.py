@@ -76,7 +76,7 @@ def locate(px, py, rows_out, cols_out):
 
 @njit(cache=True, nogil=True)
 def sample(field, place, out):
-    """Bilinear value of field (rows, cols) at place (2, ...) flattened to (2, n); NaN where any corner in use is NaN."""
+    """Set out (n) to the bilinear value of field (rows, cols) at place (2, n); NaN where a corner in use is NaN."""
     rows, cols = field.shape
     for n in range(place.shape[1]):
         r, c = place[0, n], place[1, n]

@@ -6,7 +6,9 @@ used: no triangle can bridge a gap, and overlaps are noticed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -40,7 +42,8 @@ class Places:
     overlaps: int
 
 
-def find_places(uv: Array, *, shape: tuple[int, int], pixel_um: tuple[float, float], origin_um: tuple[float, float] = (0.0, 0.0), least_um: float | None = None) -> Places:  # fmt: skip
+def find_places(uv: Array, *, shape: tuple[int, int], pixel_um: tuple[float, float], origin_um: tuple[float,
+float] = (0.0, 0.0), least_um: float | None = None) -> Places:  # fmt: skip
     """Locate the pixels of a regular grid in a mesh with flat coordinates ``uv``.
 
     Parameters
@@ -83,7 +86,9 @@ def resample(field: Array, places: Places) -> Array:
     return fine if places.fine == 1 else area_mean(fine, (places.fine, places.fine))
 
 
-def resample_dataset(data: xr.Dataset, places: Places, *, dims: tuple[str, str], coords: dict[str, Array]) -> xr.Dataset:
+def resample_dataset(
+    data: xr.Dataset, places: Places, *, dims: tuple[str, str], coords: Mapping[str, NDArray[Any]]
+) -> xr.Dataset:
     """Resample every floating variable of ``data`` (rows, cols); units and names are set anew from the source's.
 
     Other variables (status) are left behind.

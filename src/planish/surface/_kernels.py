@@ -167,7 +167,7 @@ def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step)
 
 
 @njit(cache=True, nogil=True)
-def _outermost(g, start, stop, level):
+def outermost(g, start, stop, level):
     """First index in [start, stop] from which the lightly smoothed g stays above level for two samples, or -1."""
     for d in range(max(start, 1), min(stop, g.size - 3) + 1):
         here = 0.25 * g[d - 1] + 0.5 * g[d] + 0.25 * g[d + 1]
@@ -219,7 +219,7 @@ def fit_faces(slab, expected, other, tilt, air, width, noise, prior, spread, coa
             middle = 0.5 * (e + other[i, j])
             start = int(floor(e - search / tilt[i, j]))
             stop = int(floor(min(e + search / tilt[i, j], middle))) + 1
-            d0 = _outermost(g, start, stop, base_level)
+            d0 = outermost(g, start, stop, base_level)
             if d0 < 0:
                 continue
             # Half height between the air and what lies just inside, so that a coating does not pull the start outwards.

@@ -14,7 +14,8 @@ from scipy import ndimage
 
 Array = NDArray[np.float64]
 
-# Gaussian weight exp(-pi (x / (GAMMA lambda))^2); GAMMA makes the second-order filter pass lambda by half (ISO 16610-31).
+# Gaussian weight exp(-pi (x / (GAMMA lambda))^2); GAMMA makes the second-order filter pass lambda by half (ISO
+# 16610-31).
 _GAMMA = 0.7309
 _REACH = 1.5  # in units of GAMMA lambda; the weight there is 0.0009
 _POWERS = [(i, j) for i in range(5) for j in range(5 - i)]
@@ -40,7 +41,7 @@ def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_
         NaN where the neighbourhood holds too little.
     """
     # The result has no wavelengths below the cut-off, so blocks of a 25th of it lose nothing.
-    block = tuple(max(1, int(cutoff_um / 25 / p)) for p in pitch_um)
+    block = max(1, int(cutoff_um / 25 / pitch_um[0])), max(1, int(cutoff_um / 25 / pitch_um[1]))
     mean, weight = _blocks(height, block)
     pad = 8  # the spline forgets its end condition by a factor of four a node
     mean, weight = np.pad(mean, pad), np.pad(weight, pad)

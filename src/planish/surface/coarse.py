@@ -66,7 +66,9 @@ def coarse_sheet(blocks: NDArray[np.float32], inside: NDArray[np.bool_], thresho
     """
     labels, count = ndimage.label(inside)
     if count == 0:
-        raise VolumeError("There is no sheet in the volume: nothing has the grey that was asked for. Check --sheet-grey.")
+        raise VolumeError(
+            "There is no sheet in the volume: nothing has the grey that was asked for. Check --sheet-grey."
+        )
     cover = _cover(labels, count)
     order = np.argsort(cover)[::-1]
     largest = int(order[0]) + 1
@@ -88,7 +90,8 @@ def coarse_sheet(blocks: NDArray[np.float32], inside: NDArray[np.bool_], thresho
         end = "low" if touches_low >= touches_high else "high"
         raise VolumeError(
             f"Material reaches the {end} end of the axis through the sheet in "
-            f"{100 * max(touches_low, touches_high):.0f} % of the columns: the sheet leaves the volume there, or several "
+            f"{100 * max(touches_low, touches_high):.0f} % of the columns: the sheet leaves the volume "
+            f"there, or several "
             f"sheets lie behind each other. {_GREY_RANGE}"
         )
     filled = mask.sum(axis=-1)
@@ -99,7 +102,8 @@ def coarse_sheet(blocks: NDArray[np.float32], inside: NDArray[np.bool_], thresho
     if gappy < 0.4:
         raise VolumeError(
             f"Along the axis through the sheet the material has gaps: half of the columns are filled by less than "
-            f"{100 * gappy:.0f} % between their first and last voxel, so several sheets lie behind each other. {_GREY_RANGE}"
+            f"{100 * gappy:.0f} % between their first and last voxel, so several sheets lie behind each "
+            f"other. {_GREY_RANGE}"
         )
     low = np.where(some, first.astype(float), np.nan)
     high = np.where(some, last.astype(float), np.nan)
@@ -125,7 +129,7 @@ def to_columns(field: Array, block: int, shape: tuple[int, int]) -> Array:
     return np.where(seen > 0, values, np.nan)
 
 
-def _cover(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
+def _cover(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
     """Count the columns in which each object appears."""
     cover = np.zeros(count + 1, dtype=np.int64)
     for row in labels:

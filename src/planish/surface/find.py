@@ -54,7 +54,9 @@ class SurfaceParams:
     threads: int | None = None
 
 
-def find_surfaces(volume: xr.DataArray, *, frame: Frame | None = None, params: SurfaceParams | None = None) -> xr.Dataset:
+def find_surfaces(
+    volume: xr.DataArray, *, frame: Frame | None = None, params: SurfaceParams | None = None
+) -> xr.Dataset:
     """Find top, bottom, interfaces and centre surface of the sheet in a volume.
 
     Parameters
@@ -87,13 +89,13 @@ def find_surfaces(volume: xr.DataArray, *, frame: Frame | None = None, params: S
     frame = frame or Frame()
     params = params or SurfaceParams()
     columns = frame.columns(volume)
-    pitch = tuple(_pitch(volume, axis) for axis in (frame.rows, frame.cols, frame.through))
+    pitch = _pitch(volume, frame.rows), _pitch(volume, frame.cols), _pitch(volume, frame.through)
     _check_values(volume)
     coarse, first = _coarse(columns, params)
     search = _Search(columns=columns, coarse=coarse, first=first, pitch=pitch, params=params)
     levels = search.levels()
-    top, inner_top = search.face(levels, high=frame.top == "high")
-    bottom, inner_bottom = search.face(levels, high=frame.top != "high")
+    top, inner_top = search.face(high=frame.top == "high")
+    bottom, inner_bottom = search.face(high=frame.top != "high")
     if frame.top == "low":
         levels = _swapped(levels)
     up = frame.sign
@@ -101,14 +103,18 @@ def find_surfaces(volume: xr.DataArray, *, frame: Frame | None = None, params: S
     top, bottom, inner_top, inner_bottom = (np.where(seen, f, np.nan) for f in (top, bottom, inner_top, inner_bottom))
     thickness = float(np.nanmedian(up * (top - bottom))) if seen.any() else float("nan")
     if not np.isfinite(thickness):
-        raise VolumeError("There is no sheet in the volume: no column shows two faces. Check --through and --sheet-grey.")
+        raise VolumeError(
+            "There is no sheet in the volume: no column shows two faces. Check --through and --sheet-grey."
+        )
     sheet, rim, outline = _regions(seen, pitch[:2], params.rim_um)
     middle = np.where(sheet & ~rim, 0.5 * (top + bottom), np.nan)
     if not np.isfinite(middle).any():
-        raise VolumeError("The sheet consists of holes and their rims only; nothing is left to measure. Check --sheet-grey.")
+        raise VolumeError(
+            "The sheet consists of holes and their rims only; nothing is left to measure. Check --sheet-grey."
+        )
     centre = np.where(outline, gaussian_regression(middle, pitch[:2], cutoff_um=params.cutoff_um), np.nan)
     status = np.where(~np.isfinite(centre) | ~sheet, 1, np.where(rim, 2, np.where(seen, 0, 3))).astype(np.uint8)
-    present = search.presence(levels, centre, thickness, up)
+    present = search.presence(centre, thickness, up)
     heights = {
         "top": (top, "Top face"),
         "bottom": (bottom, "Bottom face"),
@@ -124,11 +130,16 @@ def find_surfaces(volume: xr.DataArray, *, frame: Frame | None = None, params: S
     data["status"] = (
         ("y", "x"), status, {"long_name": "Status", "flag_values": [0, 1, 2, 3], "flag_meanings": meanings},
     )  # fmt: skip
-    attrs: dict[str, object] = {**frame.attrs(), "thickness_um": thickness, "cutoff_um": params.cutoff_um, "rim_um": params.rim_um}
+    attrs: dict[str, object] = {
+        **frame.attrs(),
+        "thickness_um": thickness,
+        "cutoff_um": params.cutoff_um,
+        "rim_um": params.rim_um,
+    }
     attrs |= {f"grey_{k}" if k in ("air", "base", "coating_top", "coating_bottom", "noise") else k: v
               for k, v in asdict(levels).items()}  # fmt: skip
     attrs |= {"voxel_um": [_pitch(volume, axis) for axis in ("z", "y", "x")]}
-    attrs["saturated_share"] = search.saturated(levels, top, bottom)
+    attrs["saturated_share"] = search.saturated(top, bottom)
     attrs["missing_share"] = _missing_share(volume)
     coords = {"y": columns.coords[frame.rows].values, "x": columns.coords[frame.cols].values}
     return xr.Dataset(data, coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()}, attrs=attrs)
@@ -142,7 +153,8 @@ def _pitch(volume: xr.DataArray, axis: str) -> float:
 def _check_values(volume: xr.DataArray) -> None:
     if min(volume.shape) < 8:
         raise VolumeError(
-            f"The volume has the shape {' x '.join(map(str, volume.shape))} (z, y, x); at least 8 voxels are needed along "
+            f"The volume has the shape {' x '.join(map(str, volume.shape))} (z, y, x); at least 8 voxels "
+            f"are needed along "
             "every axis. Check that this is the whole stack."
         )
     if np.issubdtype(volume.dtype, np.floating) and _missing_share(volume) > 0.9:
@@ -187,13 +199,14 @@ def _core(blocks: NDArray[np.float32], sheet: CoarseSheet) -> Array:
     rows, cols = np.nonzero(np.isfinite(sheet.low) & np.isfinite(sheet.high))
     if rows.size == 0:
         raise VolumeError(
-            "No column of the volume shows both faces of the sheet. The sheet leaves the volume on one side, or it is not "
+            "No column of the volume shows both faces of the sheet. The sheet leaves the volume on one "
+            "side, or it is not "
             "the axis through the sheet that was named with --through."
         )
     low, high = sheet.low[rows, cols], sheet.high[rows, cols]
     shares = np.linspace(*_CORE, 7)
     depth = np.rint(low[:, None] + (high - low)[:, None] * shares).astype(int)
-    return blocks[rows[:, None], cols[:, None], depth].ravel()
+    return blocks[rows[:, None], cols[:, None], depth].ravel().astype(np.float64)
 
 
 def _swapped(levels: GreyLevels) -> GreyLevels:
@@ -246,7 +259,7 @@ class _Search:
         columns: xr.DataArray,
         coarse: CoarseSheet,
         first: dict[str, float],
-        pitch: tuple[float, ...],
+        pitch: tuple[float, float, float],
         params: SurfaceParams,
     ) -> None:
         self.values = columns.values
@@ -326,7 +339,8 @@ class _Search:
             good = good[np.unique(np.linspace(0, good.size - 1, min(good.size, per_row)).astype(int))]
             slab = self.slab(int(r), int(r) + 1, high=high)
             parts.append((slab[0, good], outer[0, good], other[0, good], self.tilt[r, good]))
-        slab, outer, other, tilt = (np.concatenate([p[i] for p in parts])[None] for i in range(4))
+        slab = np.concatenate([p[0] for p in parts])[None]
+        outer, other, tilt = (np.concatenate([p[i] for p in parts])[None] for i in (1, 2, 3))
         return slab, outer, other, tilt
 
     def _base(self, slab: NDArray[np.float32], outer: Array, other: Array) -> tuple[float, float]:
@@ -344,7 +358,7 @@ class _Search:
         self, slab: NDArray[np.float32], outer: Array, other: Array, base_sd: float
     ) -> tuple[Array, Array, bool]:
         """Look for a coating in the median profile below the face; wide spreads."""
-        start = np.array([_kernels._outermost(g, max(int(e - self.reach), 0), int(e + self.reach) + 1, 0.5 * self.base)
+        start = np.array([_kernels.outermost(g, max(int(e - self.reach), 0), int(e + self.reach) + 1, 0.5 * self.base)
                           for g, e in zip(slab[0], outer[0], strict=True)])  # fmt: skip
         good = start > 0
         half = int(np.median((other - outer)[0])) // 2
@@ -355,7 +369,8 @@ class _Search:
         solid = self.base + 1.28 * min(base_sd, 0.3 * self.base)
         coated = self.params.sheet_grey is None and is_coating(peak, 0.0, solid)
         coated = coated or (self.params.sheet_grey is not None and is_coating(peak, 0.0, 1.2 * solid))
-        # Without a coating the third level is what lies outside: the air, unless the sheet was told from other material.
+        # Without a coating the third level is what lies outside: the air, unless the sheet was told from other
+        # material.
         outside = -1.0 if self.params.sheet_grey is None else 0.5 * self.base
         prior = np.array([0.0, 0.0, peak if coated else 0.0, self.base])
         wide = np.array([0.0, 0.0, 0.25 * peak if coated else outside, max(base_sd, 0.25 * self.base)])
@@ -367,9 +382,7 @@ class _Search:
         slab, outer, other, tilt = sample
         result = np.empty((5, *outer.shape))
         level, wide, coated = prior
-        _kernels.fit_faces(
-            slab, outer, other, tilt, 0.0, width, self.noise, level, wide, coated, self.reach, result
-        )
+        _kernels.fit_faces(slab, outer, other, tilt, 0.0, width, self.noise, level, wide, coated, self.reach, result)
         return result
 
     def _blur(self, sample: dict[bool, tuple[NDArray[np.float32], Array, Array, Array]]) -> float:
@@ -406,7 +419,7 @@ class _Search:
             wide[3] = max(1.2 * spread(fit[3][known]), 0.03 * level[3])
         return level, wide, coated
 
-    def face(self, levels: GreyLevels, *, high: bool) -> tuple[Array, Array]:
+    def face(self, *, high: bool) -> tuple[Array, Array]:
         """Heights in um of one face and of the interface below it, of every column."""
         shape = self.values.shape[:2]
         level, wide, coated = self.prior[high]
@@ -445,7 +458,7 @@ class _Search:
         limit = max(8.0 * spread(off[known]) + 1.0, _SPIKE_UM / self.pitch[2], 3.0)
         return np.where(known & (off <= limit), height, np.nan)
 
-    def presence(self, levels: GreyLevels, centre: Array, thickness: float, up: float) -> Array:
+    def presence(self, centre: Array, thickness: float, up: float) -> Array:
         """Share of material in the upper third of the sheet, along the true normals, of every column."""
         shape = centre.shape
         slope = [np.gradient(centre, p, axis=i) for i, p in enumerate(self.pitch[:2])]
@@ -473,7 +486,7 @@ class _Search:
         self._each(work, range(0, shape[0], _SLAB))
         return out
 
-    def saturated(self, levels: GreyLevels, top: Array, bottom: Array) -> float:
+    def saturated(self, top: Array, bottom: Array) -> float:
         """Share of the sheet's voxels at the largest value of their type (or at its smallest for a dark sheet)."""
         if not np.issubdtype(self.values.dtype, np.integer):
             return 0.0

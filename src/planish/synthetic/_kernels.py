@@ -81,9 +81,8 @@ def invert(w, curve, x, y, z, u, v):
 @njit(cache=True, nogil=True)
 def ground(w, curve, x, y, u, v):
     """Return (u, v, z) of the centre surface above the lateral point (x, y), from the guess (u, v)."""
-    mz = 0.0
     for _ in range(_MAX_STEPS):
-        mx, my, mz, ux, uy, _uz, vx, vy, _vz = frame_at(w, curve, u, v)
+        mx, my, _mz, ux, uy, _uz, vx, vy, _vz = frame_at(w, curve, u, v)
         dx, dy = x - mx, y - my
         det = ux * vy - uy * vx
         du = (vy * dx - vx * dy) / det
@@ -145,7 +144,25 @@ def bilinear(field, x, y):
 
 
 @njit(cache=True, nogil=True)
-def paint(slab, w, curve, ys, xs, zs, ground_z, half_um, faces, texture, open_air, taper_um, char, origin, pitch, grey, soft_um):
+def paint(
+    slab,
+    w,
+    curve,
+    ys,
+    xs,
+    zs,
+    ground_z,
+    half_um,
+    faces,
+    texture,
+    open_air,
+    taper_um,
+    char,
+    origin,
+    pitch,
+    grey,
+    soft_um,
+):
     """Fill slab (rows, cols, depth) with the unblurred grey of the sheet; nothing is written outside the sheet.
 
     ``faces`` (4, fr, fc): s_T, s_TI, s_BI, s_B; ``texture`` (layers, fr, fc): relative base density through the depth;
@@ -195,7 +212,7 @@ def lay_fibres(field, starts, angles, lengths, widths, curls, height):
         half = widths[n] / 2
         steps = int(lengths[n] * 2)
         x, y, a = starts[n, 0], starts[n, 1], angles[n]
-        px, py = -10**6, -10**6
+        px, py = -(10**6), -(10**6)
         for _ in range(steps):
             x += 0.5 * cos(a)
             y += 0.5 * sin(a)

@@ -42,7 +42,7 @@ def scan(
     """
     volume = np.empty(shape, dtype=dtype)
     w, curve = warp.packed()
-    zs, xs = (np.arange(n) * voxel_um for n in (shape[0], shape[2]))
+    zs, _xs = (np.arange(n) * voxel_um for n in (shape[0], shape[2]))
     half = float(np.abs(sheet.faces).max()) + 2 * voxel_um
     half = half * float(np.hypot(1.0, warp.slope)) * 1.2
     halo = int(np.ceil(4 * blur_um / voxel_um)) if blur_um > 0 else 0

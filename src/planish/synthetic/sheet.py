@@ -99,7 +99,9 @@ def make_sheet(
     for surface, mean in zip(base, (params.coating_top_um, params.coating_bottom_um), strict=True):
         outer = surface
         if mean > 0:
-            outer = _lowpass(surface, params.levelling_um) + mean + params.coating_noise_sd_um * _noise(shape, 10.0, rng)
+            outer = (
+                _lowpass(surface, params.levelling_um) + mean + params.coating_noise_sd_um * _noise(shape, 10.0, rng)
+            )
         faces.append(np.maximum(outer, surface))
     texture = np.stack([_density(shape, params.base_density_sd, rng) for _ in range(_LAYERS)])
     rim, char = _burn(params, holes, shape, low, rng)

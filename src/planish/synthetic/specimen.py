@@ -167,9 +167,7 @@ def _camera(p: SpecimenParams, spread: Array) -> tuple[tuple[int, int], Similari
     turn = Similarity(scale=p.scale, rotation_rad=float(np.deg2rad(p.rotation_deg)))
     middle = 0.5 * np.array([shape[1] * p.pixel_um, shape[0] * p.pixel_um])
     shift = middle - turn(0.5 * (spread[:2] + spread[2:]) + np.array([15.0, -20.0]))
-    pose = Similarity(
-        scale=turn.scale, rotation_rad=turn.rotation_rad, shift_um=(float(shift[0]), float(shift[1]))
-    )
+    pose = Similarity(scale=turn.scale, rotation_rad=turn.rotation_rad, shift_um=(float(shift[0]), float(shift[1])))
     return shape, pose
 
 
@@ -210,7 +208,8 @@ def _truth(sheet: Sheet, warp: Warp, pose: Similarity, shape: tuple[int, int], p
 
 
 def _columns(warp: Warp, shape: tuple[int, int, int], voxel_um: float) -> xr.Dataset:
-    y, x = np.arange(shape[1]) * voxel_um, np.arange(shape[2]) * voxel_um
+    y: Array = np.arange(shape[1]) * float(voxel_um)
+    x: Array = np.arange(shape[2]) * float(voxel_um)
     under = warp.columns(y, x)
     names = {"u": 0, "v": 1, "centre": 2}
     return xr.Dataset(

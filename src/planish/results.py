@@ -1,0 +1,211 @@
+"""The numbers of a run: what goes into results.json, and the gates that a result must pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.flatten import Flattened
+from planish.io import fingerprint
+from planish.measure import PROPERTIES
+from planish.register import FittedTransform
+from planish.study import Study
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gate:
+    """One condition that a result must meet to be used without a second look."""
+
+    name: str
+    value: float
+    limit: float
+    passed: bool
+    sentence: str
+
+
+def marks_table(labels: list[str], moving: Array, fixed: Array, fit: FittedTransform) -> xr.Dataset:
+    """Pairs of marks with their residuals, in um."""
+    um = {"units": "um"}
+    residual = fit.residuals_um
+    values = {
+        "moving_x": moving[:, 0],
+        "moving_y": moving[:, 1],
+        "fixed_x": fixed[:, 0],
+        "fixed_y": fixed[:, 1],
+        "residual_x": residual[:, 0],
+        "residual_y": residual[:, 1],
+        "residual": np.hypot(residual[:, 0], residual[:, 1]),
+        "leave_one_out": fit.leave_one_out_um,
+    }
+    data = xr.Dataset({k: ("mark", v, um) for k, v in values.items()})
+    data["label"] = ("mark", np.array(labels, dtype=object))
+    return data
+
+
+def input_results(data: xr.DataArray, path: Path, **size: Any) -> dict[str, Any]:
+    """What a file is: name, shape, size, and a hash that tells it from every other."""
+    key = next(iter(size))
+    return {
+        "name": str(data.attrs["file_name"]),
+        "shape": [int(n) for n in data.shape],
+        "dtype": str(data.attrs.get("dtype", data.dtype)),
+        "bytes": int(data.attrs["file_bytes"]),
+        "sha256": fingerprint(path),
+        **size,
+        f"{key}_source": str(data.attrs[f"{key}_source"]),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def surface_results(surfaces: xr.Dataset) -> dict[str, Any]:
+    """What the surface search learnt and how much of the sheet it measured."""
+    attrs = surfaces.attrs
+    status = surfaces["status"].values
+    shares = {
+        f"share_{name}": float((status == k).mean())
+        for k, name in enumerate(("measured", "no_sheet", "rim", "face_not_found", "normal_leaves_sheet"))
+    }
+    keys = ("thickness_um", "blur_um", "cutoff_um", "rim_um", "saturated_share", "missing_share", "polarity")
+    greys = ("grey_air", "grey_base", "grey_coating_top", "grey_coating_bottom", "grey_noise")
+    frame = {k: str(attrs[k]) for k in ("through", "top_side", "row_axis", "col_axis")}
+    return frame | {k: _finite(float(attrs[k])) for k in (*keys, *greys)} | {"columns": int(status.size)} | shares
+
+
+def property_results(surfaces: xr.Dataset) -> dict[str, Any]:
+    """Mean, spread and percentiles of each property over the columns; None where there is none."""
+    out: dict[str, Any] = {}
+    for name in PROPERTIES:
+        values = surfaces[name].values
+        values = values[np.isfinite(values)]
+        if values.size == 0:
+            out[name] = None
+            continue
+        p5, p50, p95 = np.percentile(values, [5, 50, 95])
+        out[name] = {"n": int(values.size), "mean_um": float(values.mean()), "sd_um": float(values.std()),
+                     "p5_um": float(p5), "median_um": float(p50), "p95_um": float(p95)}  # fmt: skip
+    return out
+
+
+def flatten_results(flattened: Flattened) -> dict[str, Any]:
+    """How the flattening ended and how much it strained the sheet."""
+    flat = flattened.flat
+    move = np.hypot(*(flat[a].values - flat[b].values for a, b in (("u", "projected_u"), ("v", "projected_v"))))
+    return {
+        "outcome": flattened.outcome.name,
+        "sentence": flattened.outcome.value,
+        "steps": flattened.steps,
+        "energy_um2": flattened.energy,
+        "mesh_um": flattened.mesh_um,
+        "folded_cells": flattened.folded_cells,
+        "edge_strain_p95": flattened.edge_strain_p95,
+        "edge_strain_max": flattened.edge_strain_max,
+        "largest_move_um": float(np.nanmax(move)),
+    }
+
+
+def mark_results(fit: FittedTransform) -> dict[str, Any]:
+    """The transformation and how well the marks agree."""
+    t = fit.transform
+    return {
+        "matched": len(fit.residuals_um),
+        "rms_um": float(fit.rms_um),
+        "leave_one_out_rms_um": _finite(float(np.sqrt(np.mean(fit.leave_one_out_um**2)))),
+        "scale": t.scale,
+        "rotation_deg": float(np.rad2deg(t.rotation_rad)),
+        "shift_um": [float(v) for v in t.shift_um],
+        "mirrored": t.mirrored,
+    }
+
+
+def linked_results(linked: xr.Dataset) -> dict[str, Any]:
+    """How much of the image shows the sheet, and how much of that is valid."""
+    on_sheet = np.isfinite(linked["u"].values)
+    return {
+        "pixels": int(on_sheet.size),
+        "share_on_sheet": float(on_sheet.mean()),
+        "share_valid": float(linked["valid"].values.mean()),
+        "share_valid_of_sheet": float(linked["valid"].values.sum() / max(int(on_sheet.sum()), 1)),
+    }
+
+
+def parameter_results(study: Study) -> dict[str, Any]:
+    """All parameters but the paths, which say where files lie and not what was done."""
+    data: dict[str, Any] = study.model_dump(mode="json", exclude_none=True)
+    for section in ("volume", "image"):
+        data.get(section, {}).pop("path", None)
+    return data
+
+
+def _gate(name: str, value: float, limit: float, *, least: bool, good: str, bad: str) -> Gate:
+    passed = value >= limit if least else value <= limit
+    return Gate(name=name, value=float(value), limit=limit, passed=bool(passed), sentence=good if passed else bad)
+
+
+def map_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
+    """Gates of a map."""
+    s, f = results["surfaces"], results["flatten"]
+    percent = 100 * s["share_measured"]
+    return (
+        _gate(
+            "coverage", s["share_measured"], 0.5, least=True,
+            good=f"{percent:.0f} % of the columns are measured.",
+            bad=f"Only {percent:.0f} % of the columns are measured: the maps are mostly blank. "
+            "Look at the slices in the report.",
+        ),
+        _gate(
+            "fold-over", f["folded_cells"], 0, least=False,
+            good="No cell of the flattened mesh is folded.",
+            bad=f"{f['folded_cells']} cells of the flattened mesh are folded; they are marked invalid.",
+        ),
+        _gate(
+            "saturation", s["saturated_share"], 0.05, least=False,
+            good=f"{100 * s['saturated_share']:.1f} % of the sheet's voxels are saturated.",
+            bad=f"{100 * s['saturated_share']:.1f} % of the sheet's voxels are saturated (at the end of the grey scale): "
+            "the faces may be displaced. Export the volume with a wider grey window.",
+        ),
+        _gate(
+            "missing voxels", s["missing_share"], 0.05, least=False,
+            good=f"{100 * s['missing_share']:.1f} % of the voxels are NaN.",
+            bad=f"{100 * s['missing_share']:.1f} % of the voxels are NaN or infinite; columns with such voxels near a face "
+            "are not measured.",
+        ),
+    )  # fmt: skip
+
+
+def link_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
+    """Further gates of a link."""
+    m, k = results["marks"], results["linked"]
+    loo = m["leave_one_out_rms_um"] if m["leave_one_out_rms_um"] is not None else float("inf")
+    return (
+        _gate(
+            "marks", loo, 20.0, least=False,
+            good=f"{m['matched']} marks agree to {loo:.1f} um (leave-one-out, rms).",
+            bad=f"{m['matched']} marks agree to {loo:.1f} um only (leave-one-out, rms): worse than the 10-20 um that the "
+            "paper reached by hand. Look at the residual arrows in the report.",
+        ),
+        _gate(
+            "scale", abs(m["scale"] - 1), 0.03, least=False,
+            good=f"The marks ask for a scale of {m['scale']:.4f}.",
+            bad=f"The marks ask for a scale of {m['scale']:.4f}: the calibrations do not agree.",
+        ),
+        _gate(
+            "linked area", k["share_valid_of_sheet"], 0.5, least=True,
+            good=f"{100 * k['share_valid_of_sheet']:.0f} % of the sheet that the image shows is valid.",
+            bad=f"Only {100 * k['share_valid_of_sheet']:.0f} % of the sheet that the image shows is valid.",
+        ),
+        _gate(
+            "common field", k["share_on_sheet"], 0.05, least=True,
+            good=f"{100 * k['share_on_sheet']:.0f} % of the image shows the scanned sheet.",
+            bad=f"Only {100 * k['share_on_sheet']:.1f} % of the image shows the scanned sheet.",
+        ),
+    )  # fmt: skip
