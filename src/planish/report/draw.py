@@ -38,6 +38,9 @@ INK, SOFT, FAINT = "#22292f", "#66707a", "#c9ced3"
 MISSING = "#d4d6d8"
 ACCENT = "#b3402a"
 
+LOWEST_BAR = 1.3  # inches of a colour bar beside a map that is lower than that
+_ENOUGH = 2_000_000  # values for a percentile
+
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
@@ -215,13 +218,14 @@ def round_below(value: float) -> float:
 def half_page(shown: Field, *, norm: Normalize, cmap: str, label: str) -> tuple[Canvas, Axes]:
     """Half a page: a map, its colour bar to the right unless there is no label, its scale bar below."""
     box = fit_box(shown, HALF - BESIDE, 4.8)
-    canvas = Canvas(HALF, box[1] + 0.34)
+    high = max(box[1], LOWEST_BAR if label else 0.0)
+    canvas = Canvas(HALF, high + 0.34)
     axes = canvas.axes(0.02, 0.03, *box)
     show(axes, shown, norm=norm, cmap=cmap)
     scale_bar(canvas, 0.02, box[1] + 0.06, inches=box[0], um=shown.width)
     if label:
-        colour_bar(canvas.axes(box[0] + 0.12, 0.03, 0.12, box[1]), norm=norm, cmap=cmap)
-        canvas.text(box[0] + BESIDE, 0.03 + box[1] / 2, label, rotation=90, va="center", ha="right")
+        colour_bar(canvas.axes(box[0] + 0.12, 0.03, 0.12, high), norm=norm, cmap=cmap)
+        canvas.text(box[0] + BESIDE, 0.03 + high / 2, label, rotation=90, va="center", ha="right")
     return canvas, axes
 
 
@@ -229,6 +233,7 @@ def limits(values: ArrayLike, *, percent: float = 1.0, symmetric: bool = False) 
     """Return colour limits from percentiles, so that single pixels do not flatten the rest."""
     data = np.asarray(values, dtype=np.float64)
     data = data[np.isfinite(data)]
+    data = data[:: max(1, data.size // _ENOUGH)]
     if data.size == 0:
         return Normalize(0.0, 1.0)
     if symmetric:

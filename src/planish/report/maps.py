@@ -11,6 +11,7 @@ from planish.report.draw import (
     ACCENT,
     FULL,
     HALF,
+    LOWEST_BAR,
     SOFT,
     Array,
     Canvas,
@@ -60,13 +61,14 @@ def _draw(maps: xr.Dataset, name: str, width: float, rim_um: float) -> Picture:
     norm = limits(known)
     title = in_figure(str(data.attrs.get("long_name", name)))
     units = in_figure(unit(str(data.attrs.get("units", "um"))))
-    canvas = Canvas(width, box[1] + 0.32)
+    high = max(box[1], LOWEST_BAR)
+    canvas = Canvas(width, high + 0.34)
     show(canvas.axes(0.02, 0.03, *box), shown, norm=norm, cmap=PROPERTY)
     left = box[0] + 0.14
-    colour_bar(canvas.axes(left, 0.03, 0.13, box[1]), norm=norm, cmap=PROPERTY)
+    colour_bar(canvas.axes(left, 0.03, 0.13, high), norm=norm, cmap=PROPERTY)
     label = f"{title} / {units}" if units else title
-    canvas.text(width - 0.03, 0.03 + box[1] / 2, label, rotation=90, va="center", ha="right", fontsize=8.5)
-    _distribution(canvas.axes(left + 0.55, 0.03, 0.62, box[1]), known, norm, mean, sd)
+    canvas.text(box[0] + _BESIDE - 0.03, 0.03 + high / 2, label, rotation=90, va="center", ha="right", fontsize=8.5)
+    _distribution(canvas.axes(left + 0.55, 0.03, 0.62, high), known, norm, mean, sd)
     scale_bar(canvas, 0.02, box[1] + 0.06, inches=box[0], um=shown.width)
     grid = f"{plain(round(step_of(rows), 4))}"
     return canvas.picture(

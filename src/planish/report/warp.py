@@ -120,7 +120,11 @@ def draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
         cmap = SIGNED if signed else GEOMETRY
         show(canvas.axes(left, 0.26, *box), shown, norm=norm, cmap=cmap)
         colour_bar(
-            canvas.axes(left + 0.16, box[1] + 0.34, box[0] - 0.32, 0.1), norm=norm, cmap=cmap, label="%", across=True
+            canvas.axes(left + 0.16, box[1] + 0.34, max(box[0] - 0.32, 1.9), 0.1),
+            norm=norm,
+            cmap=cmap,
+            label="%",
+            across=True,
         )
     scale_bar(canvas, 0, box[1] + 0.82, inches=box[0], um=fields[0].width)
     n = int(np.isfinite(panels[0][1]).sum())

@@ -127,6 +127,7 @@ def _noise(shape: tuple[int, ...], sigma_um: float, rng: np.random.Generator) ->
     """Gaussian random field of unit standard deviation, smoothed with ``sigma_um``."""
     white = fft.rfft2(rng.standard_normal(shape))
     field = fft.irfft2(white * np.exp(-2 * np.pi**2 * sigma_um**2 * _spectrum(shape)), shape)
+    field -= field.mean()
     return field / field.std()
 
 

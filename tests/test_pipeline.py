@@ -1,0 +1,167 @@
+"""The whole line on a specimen whose answers are known, through its files."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+import tomllib
+
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+
+from planish.pipeline import ROWS
+
+
+@pytest.fixture(scope="module")
+def tree(linked_run):
+    with xr.open_datatree(linked_run / "maps.zarr", engine="zarr") as opened:
+        return opened.load()
+
+
+@pytest.fixture(scope="module")
+def results(linked_run):
+    return json.loads((linked_run / "results.json").read_text())
+
+
+def test_run_folder_holds_what_is_promised(linked_run):
+    assert {p.name for p in linked_run.iterdir()} == {
+        "maps.zarr", "marks.csv", "results.json", "report.html", "run.toml",
+    }  # fmt: skip
+
+
+def test_groups_dims_and_variables(tree, specimen):
+    assert tree["surfaces"].to_dataset().top.dims == ("y", "x")
+    assert {"u", "v"} <= set(tree["flat"].data_vars)
+    assert tree["maps"].to_dataset().thickness.dims == ("v", "u")
+    linked = tree["linked"].to_dataset()
+    assert linked.image.dims == ("y", "x")
+    assert linked.image.shape == specimen.image.shape
+    needed = {"coating_top", "coating_bottom", "base_thickness", "thickness", "topography_top", "topography_bottom"}
+    assert needed | {"image", "valid", "volume_x", "volume_y", "volume_z"} <= set(linked.data_vars)
+    assert linked.valid.dtype == bool
+    # pixel i has its centre at i x size; the image states its size by a ratio of integers
+    np.testing.assert_allclose(linked.x, np.arange(linked.sizes["x"]) * 5.0, rtol=1e-6)
+    assert all(linked[name].attrs["units"] == "um" for name in needed)
+
+
+def test_valid_means_measured_and_away_from_holes(tree, specimen):
+    linked = tree["linked"].to_dataset()
+    ok = linked.valid.values
+    for name in ("coating_top", "base_thickness", "thickness", "volume_z"):
+        assert np.isfinite(linked[name].values[ok]).all()
+    # 100 um from the fitted circle; the true rim is rough by 3 um rms around it
+    assert specimen.truth["rim"].values[ok].min() > 88.0
+
+
+def test_every_pixel_knows_its_place_in_the_volume(tree, specimen):
+    linked, truth = tree["linked"].to_dataset(), specimen.truth
+    ok = linked.valid.values
+    place = np.stack([linked[f"volume_{a}"].values for a in "xyz"], axis=-1)[ok]
+    found = specimen.warp.material(place)
+    error = np.hypot(found[:, 0] - truth.u.values[ok], found[:, 1] - truth.v.values[ok])
+    print(f"position error: median {np.median(error):.2f} um, 95 % {np.percentile(error, 95):.2f} um")
+    assert np.median(error) <= 0.6
+    assert np.percentile(error, 95) <= 2.0
+
+
+@pytest.mark.parametrize(("name", "bias", "rmse"), [("coating_top", 0.3, 1.0), ("base_thickness", 0.6, 1.5)])
+def test_properties_against_the_truth(tree, specimen, name, bias, rmse):
+    linked = tree["linked"].to_dataset()
+    ok = linked.valid.values
+    error = linked[name].values[ok] - specimen.truth[name].values[ok]
+    print(f"{name}: bias {error.mean():.3f} um, rmse {np.sqrt(np.mean(error**2)):.3f} um")
+    assert abs(error.mean()) <= bias
+    assert np.sqrt(np.mean(error**2)) <= rmse
+
+
+def test_all_holes_are_found_and_matched(results, specimen):
+    marks = results["marks"]
+    assert marks["matched"] == len(specimen.sheet.holes)
+    assert marks["found_volume"] == marks["found_image"] == marks["matched"]
+    # 1e-3: five holes with centre errors of 0.3 um over 1 mm
+    assert marks["scale"] == pytest.approx(specimen.pose.scale, abs=1e-3)
+    assert marks["leave_one_out_rms_um"] < 2.0
+
+
+def test_flattening_beats_both_projections(results):
+    at_pixel = {r["registration"]: r["r2"] for r in results["table"] if r["point_um"] < 50}
+    print({k: round(v, 3) for k, v in at_pixel.items()})
+    assert list(at_pixel) == list(ROWS)
+    assert at_pixel[ROWS[2]] > at_pixel[ROWS[1]] + 0.1
+    assert at_pixel[ROWS[2]] > at_pixel[ROWS[0]] + 0.1
+    assert sorted(r["point_um"] for r in results["table"]) == pytest.approx([5.0] * 3 + [100.0] * 3)
+
+
+def test_r2_is_that_of_the_true_maps(tree, specimen):
+    linked = tree["linked"].to_dataset()
+    ok = linked.valid.values
+    ours, true = (
+        np.corrcoef(values[ok], linked.image.values[ok])[0, 1] ** 2
+        for values in (linked.coating_top.values, specimen.truth["coating_top"].values)
+    )
+    print(f"r2 {ours:.3f}, of the true maps {true:.3f}")
+    assert ours == pytest.approx(true, abs=0.03)
+
+
+def test_a_repeated_run_has_the_same_bytes(planish, linked_run, tmp_path_factory):
+    code, _, err = planish("run", linked_run / "run.toml")
+    assert code == 0, err
+    again = linked_run.with_name("run-again")
+    assert f"same bytes as {linked_run}" in err
+    files = [p.relative_to(linked_run) for p in linked_run.rglob("*") if p.is_file()]
+    assert len(files) > 50
+    assert all(filecmp.cmp(linked_run / f, again / f, shallow=False) for f in files)
+
+
+def test_run_toml_is_complete(linked_run):
+    study = tomllib.loads((linked_run / "run.toml").read_text())
+    assert study["volume"]["voxel_um"] == pytest.approx([4.0] * 3)
+    assert {"flatten", "surface", "registration", "correlate", "image"} <= set(study)
+    assert not study["volume"]["path"].startswith("/")
+
+
+def test_given_marks_replace_the_search(planish, linked_run, specimen_files, tmp_path, results):
+    code, out, err = planish(
+        "link", *specimen_files, "--marks", linked_run / "marks.csv", "-o", tmp_path / "run", "--json"
+    )
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["marks"]["source"] == "file"
+    assert found["marks"]["scale"] == pytest.approx(results["marks"]["scale"], rel=1e-12)
+
+
+def test_marks_given_in_the_volume(planish, specimen, specimen_files, tmp_path):
+    in_volume = specimen.warp.points(*specimen.sheet.holes.T)
+    in_image = specimen.pose(specimen.sheet.holes)
+    rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um"]
+    rows += [
+        f"h{k},{p[0]},{p[1]},{p[2]},{q[0]},{q[1]}" for k, (p, q) in enumerate(zip(in_volume, in_image, strict=True))
+    ]
+    (tmp_path / "m.csv").write_text("\n".join(rows))
+    code, out, err = planish("link", *specimen_files, "--marks", tmp_path / "m.csv", "-o", tmp_path / "run", "--json")
+    assert code == 0, err
+    assert json.loads(out)["marks"]["rms_um"] < 1.0
+
+
+def test_a_mirrored_image_is_refused_and_found_when_declared(planish, specimen, specimen_files, tmp_path):
+    grey = np.rint(specimen.image * 60000).clip(0, 65535).astype(np.uint16)[:, ::-1]
+    tifffile.imwrite(tmp_path / "m.tif", grey, resolution=(2000, 2000), resolutionunit="CENTIMETER")
+    code, _, err = planish("link", specimen_files[0], tmp_path / "m.tif", "-o", tmp_path / "run")
+    assert code == 3
+    assert "--mirror" in err
+    code, out, err = planish(
+        "link", specimen_files[0], tmp_path / "m.tif", "-o", tmp_path / "run", "--mirror", "--json"
+    )
+    assert code == 0, err
+    assert json.loads(out)["marks"]["mirrored"] is True
+
+
+def test_map_stops_after_the_flat_maps(planish, specimen_files, tmp_path):
+    code, out, err = planish("map", specimen_files[0], "-o", tmp_path / "run", "--json")
+    assert code == 0, err
+    assert "table" not in json.loads(out)
+    with xr.open_datatree(tmp_path / "run" / "maps.zarr", engine="zarr") as opened:
+        assert "linked" not in opened.children
+    assert not (tmp_path / "run" / "marks.csv").exists()
