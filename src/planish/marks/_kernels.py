@@ -361,7 +361,7 @@ def measure(image, px, py, xs, ys, sign, low, high):
             for k in range(RAYS):
                 if not (steps[k] >= 0.35 * step):
                     radii[k] = np.nan
-            fit, weight, scale, inverse = fit_outline(radii, 2, 0.3 + 0.02 * pixel)
+            fit, weight, scale, inverse = fit_outline(radii, 2, 0.3 + 0.1 * pixel)
             if np.sum(weight) == 0.0 or np.hypot(fit[1], fit[2]) > 0.5 * radius:
                 found = False
                 break

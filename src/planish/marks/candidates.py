@@ -57,13 +57,20 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
     if not np.all(there):
         filled = np.where(there, image, _local_mean(image, pixel_um, 1.5 * radii_um[1]))
     count = max(2, int(np.ceil(np.log(radii_um[1] / radii_um[0]) / np.log(1.35))) + 1)
+    radii = np.geomspace(radii_um[0], radii_um[1], count)
+    ratio = float(radii[1] / radii[0])
+    # Each radius lies between two widths of a ladder, and their difference is the Laplacian to within a constant. Every
+    # width is reached from the one before, which costs little.
+    widths = np.append(radii / np.sqrt(2 * ratio), radii[-1] * np.sqrt(ratio / 2))
+    steps = np.sqrt(np.diff(widths**2, prepend=0.0))
     responses: list[tuple[float, Image]] = []
-    for radius in np.geomspace(radii_um[0], radii_um[1], count):
-        sigmas = tuple(radius / np.sqrt(2) / size for size in pixel_um)
-        # The difference of two Gaussians is the Laplacian to within a constant, and keeps anisotropic pixels simple.
-        narrow = ndimage.gaussian_filter(filled, tuple(s * 0.9 for s in sigmas), mode="nearest", truncate=3.0)
-        wide = ndimage.gaussian_filter(filled, tuple(s * 1.3 for s in sigmas), mode="nearest", truncate=3.0)
-        responses.append((float(radius), wide - narrow))
+    before = filled
+    for rung, step in enumerate(steps):
+        sigmas = tuple(float(step) / size for size in pixel_um)
+        after = ndimage.gaussian_filter(before, sigmas, mode="nearest", truncate=3.0)
+        if rung:
+            responses.append((float(radii[rung - 1]), after - before))
+        before = after
     return responses
 
 

@@ -38,7 +38,7 @@ LEAST_SHARPNESS = 0.45
 # Rim about its ellipse, rms: share of the radius, beside 0.3 pixels.
 LARGEST_ROUGHNESS = 0.09
 # Fewer pixels across a hole leave nothing to tell a rim from a slope by.
-LEAST_PIXELS = 7.0
+LEAST_PIXELS = 6.0
 # Holes of one laser look alike: beside others, a mark that reaches less than this share of their depth is dirt or a pit
 # (in transmitted light, of their median step), and one whose diameter differs by this factor is something else.
 LEAST_DEPTH = 0.65
@@ -122,38 +122,40 @@ def find_holes(
         raise MarkError(f"The polarity is {polarity!r}; it has to be 'auto', 'dark' or 'bright'.")
     grey = _grey(image)
     signs = {"auto": (1.0, -1.0), "dark": (1.0,), "bright": (-1.0,)}[polarity]
-    found = [(sign, _holes(grey, size, low / 2, high / 2, sign)) for sign in signs] if _usable(grey, size, low) else []
+    found = _holes(grey, size, low / 2, high / 2, signs) if _usable(grey, size, low) else []
     best = max(found, key=lambda pair: float(np.sum(pair[1][:, k.STEP])), default=(signs[0], np.empty((0, k.COLUMNS))))
     return _dataset(best[1], best[0])
 
 
-def _holes(grey: Image, size: tuple[float, float], low: float, high: float, sign: float) -> Floats:
-    """Rows of `_kernels.measure` for the holes of one polarity; centres in um of the full image."""
+def _holes(
+    grey: Image, size: tuple[float, float], low: float, high: float, signs: tuple[float, ...]
+) -> list[tuple[float, Floats]]:
+    """Sign and rows of `_kernels.measure` for each polarity; radii and centres in um of the full image."""
     fine, fine_size, fine_origin = reduce_to(grey, size, 2 * low / ACROSS_FINE)
     coarse, coarse_size, coarse_origin = reduce_to(fine, fine_size, 2 * low / ACROSS_COARSE)
     responses = blob_responses(coarse, coarse_size, (low, high))
-    places = peaks(responses, coarse_size, sign) + coarse_origin
-    rows = k.measure(
-        fine, fine_size[1], fine_size[0], places[:, 0].copy(), places[:, 1].copy(), sign, low, high
-    )
-    rows = rows[_is_hole(rows, fine_size, low, high)]
-    # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
-    circles = np.stack([*(rows[:, k.X : k.Y + 1] - coarse_origin).T, rows[:, k.RADIUS] + CHAR_UM], axis=1)
-    whole = texture(coarse, coarse_size, 2 * high, circles)
-    rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], whole)
-    rows = _strongest_apart(rows[_is_hole(rows, fine_size, low, high)])
-    extent = [(n - 1) * step for n, step in zip(fine.shape, fine_size, strict=True)]
-    radius = rows[:, k.RADIUS] + rows[:, k.HALF_DIFFERENCE]
-    inside = (
-        (rows[:, k.X] >= radius)
-        & (rows[:, k.Y] >= radius)
-        & (rows[:, k.X] <= extent[1] - radius)
-        & (rows[:, k.Y] <= extent[0] - radius)
-    )
-    rows = _unlike_removed(rows[inside], sign)
-    rows[:, k.X] += fine_origin[0]
-    rows[:, k.Y] += fine_origin[1]
-    return rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))]
+    found: list[tuple[float, Floats]] = []
+    for sign in signs:
+        x, y = np.ascontiguousarray((peaks(responses, coarse_size, sign) + coarse_origin).T)
+        rows = k.measure(fine, fine_size[1], fine_size[0], x, y, sign, low, high)
+        rows = rows[_is_hole(rows, fine_size, low, high)]
+        # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
+        circles = np.stack([*(rows[:, k.X : k.Y + 1] - coarse_origin).T, rows[:, k.RADIUS] + CHAR_UM], axis=1)
+        whole = texture(coarse, coarse_size, 2 * high, circles) if len(rows) else 0.0
+        rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], whole)
+        rows = _strongest_apart(rows[_is_hole(rows, fine_size, low, high)])
+        rows = _unlike_removed(rows[_is_whole(rows, fine.shape, fine_size)], sign)
+        rows[:, k.X] += fine_origin[0]
+        rows[:, k.Y] += fine_origin[1]
+        found.append((sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))]))
+    return found
+
+
+def _is_whole(rows: Floats, shape: tuple[int, ...], size: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return which circles lie inside the image."""
+    bottom, right = ((n - 1) * step for n, step in zip(shape, size, strict=True))
+    x, y, radius = rows[:, k.X], rows[:, k.Y], rows[:, k.RADIUS] + rows[:, k.HALF_DIFFERENCE]
+    return (x >= radius) & (y >= radius) & (x <= right - radius) & (y <= bottom - radius)
 
 
 def _is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -> NDArray[np.bool_]:

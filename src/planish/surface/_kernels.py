@@ -10,19 +10,32 @@ with P the normal distribution and w the width of the blur along the column. Wit
 the level outside, which need not be that of the air: ``g(d) = c + (b - c) P((d - h) / w)``.
 """
 
-from math import erf, exp, floor, isfinite, sqrt
+from math import exp, floor, isfinite, sqrt
 
 import numpy as np
 from numba import njit
+from scipy.special import ndtr
 
-_ROOT2 = sqrt(2.0)
 _ROOT2PI = sqrt(2.0 * np.pi)
-_STEPS = 14
+_STEPS = 20
+_CLOSE = 1e-3  # voxels: a fiftieth of what noise leaves
+# The normal distribution from a table, linear between 256 nodes a standard deviation: within 5e-7, and several times
+# faster than erf.
+_PER_SIGMA = 256
+_LAST = 6
+_TABLE = ndtr(np.arange(-_LAST * _PER_SIGMA, _LAST * _PER_SIGMA + 2) / _PER_SIGMA)
 
 
 @njit(cache=True, nogil=True)
 def _normal(x):
-    return 0.5 * (1.0 + erf(x / _ROOT2))
+    t = (x + _LAST) * _PER_SIGMA
+    if t <= 0.0:
+        return 0.0
+    if t >= 2.0 * _LAST * _PER_SIGMA:
+        return 1.0
+    i = int(t)
+    f = t - i
+    return _TABLE[i] * (1.0 - f) + _TABLE[i + 1] * f
 
 
 @njit(cache=True, nogil=True)
@@ -58,21 +71,66 @@ def _solve4(m, r, n):
 
 
 @njit(cache=True, nogil=True)
-def _cost(g, lo, hi, air, noise, w, p, prior, spread, coated):
-    total = 0.0
+def _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step):
+    """Return the cost at p; set the lower triangle of ``matrix`` and ``step`` to the normal equations there."""
+    matrix[:] = 0.0
+    step[:] = 0.0
+    cost = 0.0
+    scale = 1.0 / (noise * noise)
     for d in range(lo, hi + 1):
-        outer = _normal((d - p[0]) / w)
+        x1 = (d - p[0]) / w
+        outer, bell1 = _normal(x1), _bell(x1) / w
         if coated:
-            model = air + (p[2] - air) * outer + (p[3] - p[2]) * _normal((d - p[0] - p[1]) / w)
+            x2 = (d - p[0] - p[1]) / w
+            inner, bell2 = _normal(x2), _bell(x2) / w
+            e = g[d] - (air + (p[2] - air) * outer + (p[3] - p[2]) * inner)
+            j1 = -(p[3] - p[2]) * bell2
+            j0 = -(p[2] - air) * bell1 + j1
+            j2 = outer - inner
+            j3 = inner
         else:
-            model = p[2] + (p[3] - p[2]) * outer
-        e = (g[d] - model) / noise
-        total += e * e
+            e = g[d] - (p[2] + (p[3] - p[2]) * outer)
+            j0 = -(p[3] - p[2]) * bell1
+            j1 = 0.0
+            j2 = 1.0 - outer
+            j3 = outer
+        cost += e * e
+        step[0] += j0 * e
+        step[1] += j1 * e
+        step[2] += j2 * e
+        step[3] += j3 * e
+        matrix[0, 0] += j0 * j0
+        matrix[1, 0] += j1 * j0
+        matrix[1, 1] += j1 * j1
+        matrix[2, 0] += j2 * j0
+        matrix[2, 1] += j2 * j1
+        matrix[2, 2] += j2 * j2
+        matrix[3, 0] += j3 * j0
+        matrix[3, 1] += j3 * j1
+        matrix[3, 2] += j3 * j2
+        matrix[3, 3] += j3 * j3
+    cost *= scale
+    for i in range(4):
+        step[i] *= scale
+        for j in range(i + 1):
+            matrix[i, j] *= scale
     for i in range(4):
         if spread[i] > 0.0:
-            e = (p[i] - prior[i]) / spread[i]
-            total += e * e
-    return total
+            k = 1.0 / (spread[i] * spread[i])
+            e = prior[i] - p[i]
+            cost += k * e * e
+            matrix[i, i] += k
+            step[i] += k * e
+    for i in range(4):
+        if spread[i] < 0.0 or (not coated and i == 1):
+            for j in range(4):
+                if j <= i:
+                    matrix[i, j] = 0.0
+                else:
+                    matrix[j, i] = 0.0
+            matrix[i, i] = 1.0
+            step[i] = 0.0
+    return cost
 
 
 @njit(cache=True, nogil=True)
@@ -83,86 +141,34 @@ def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step)
     Without a coating t is left as it is.
     """
     damping = 1e-3
-    cost = _cost(g, lo, hi, air, noise, w, p, prior, spread, coated)
     old = np.empty(4)
+    cost = _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step)
     for _ in range(_STEPS):
-        matrix[:] = 0.0
-        step[:] = 0.0
-        for d in range(lo, hi + 1):
-            x1 = (d - p[0]) / w
-            outer, bell1 = _normal(x1), _bell(x1) / w
-            if coated:
-                x2 = (d - p[0] - p[1]) / w
-                inner, bell2 = _normal(x2), _bell(x2) / w
-                e = g[d] - (air + (p[2] - air) * outer + (p[3] - p[2]) * inner)
-                j0 = -(p[2] - air) * bell1 - (p[3] - p[2]) * bell2
-                j1 = -(p[3] - p[2]) * bell2
-                j2 = outer - inner
-                j3 = inner
-            else:
-                e = g[d] - (p[2] + (p[3] - p[2]) * outer)
-                j0 = -(p[3] - p[2]) * bell1
-                j1 = 0.0
-                j2 = 1.0 - outer
-                j3 = outer
-            step[0] += j0 * e
-            step[1] += j1 * e
-            step[2] += j2 * e
-            step[3] += j3 * e
-            matrix[0, 0] += j0 * j0
-            matrix[1, 0] += j1 * j0
-            matrix[1, 1] += j1 * j1
-            matrix[2, 0] += j2 * j0
-            matrix[2, 1] += j2 * j1
-            matrix[2, 2] += j2 * j2
-            matrix[3, 0] += j3 * j0
-            matrix[3, 1] += j3 * j1
-            matrix[3, 2] += j3 * j2
-            matrix[3, 3] += j3 * j3
-        scale = 1.0 / (noise * noise)
-        for i in range(4):
-            step[i] *= scale
-            for j in range(i + 1):
-                matrix[i, j] *= scale
-        for i in range(4):
-            if spread[i] > 0.0:
-                k = 1.0 / (spread[i] * spread[i])
-                matrix[i, i] += k
-                step[i] += k * (prior[i] - p[i])
-            held = spread[i] < 0.0 or (not coated and i == 1)
-            if held:
-                for j in range(4):
-                    if j <= i:
-                        matrix[i, j] = 0.0
-                    else:
-                        matrix[j, i] = 0.0
-                matrix[i, i] = 1.0
-                step[i] = 0.0
         for i in range(4):
             matrix[i, i] *= 1.0 + damping
             matrix[i, i] += 1e-12
             old[i] = p[i]
         if not _solve4(matrix, step, 4):
             break
+        move = max(abs(step[0]), abs(step[1]))
         step[0] = min(max(step[0], -1.5 * w), 1.5 * w)
         step[1] = min(max(step[1], -2.0 * w), 2.0 * w)
         for i in range(4):
             p[i] += step[i]
-        if p[1] < 0.0:
-            p[1] = 0.0
-        new = _cost(g, lo, hi, air, noise, w, p, prior, spread, coated)
+        p[1] = max(p[1], 0.0)
+        new = _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step)
         if new <= cost:
-            small = abs(step[0]) + abs(step[1]) < 2e-4
             cost = new
-            damping *= 0.3
-            if small:
+            damping *= 0.1
+            if move < _CLOSE:
                 break
         else:
             for i in range(4):
                 p[i] = old[i]
-            damping *= 8.0
+            damping *= 10.0
             if damping > 1e7:
                 break
+            _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step)
     return cost / (hi - lo + 1)
 
 

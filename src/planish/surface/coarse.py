@@ -13,6 +13,7 @@ from planish.core.errors import VolumeError
 
 Array = NDArray[np.float64]
 
+CORE = (0.35, 0.65)  # share of the way through the sheet that counts as its core
 _SECOND_SHEET = 0.25  # share of the largest piece's area above which a second piece counts as another sheet
 _LEAVES = 0.5  # share of columns that may run out of the volume
 _LEAST_COVER = 0.02
