@@ -252,6 +252,7 @@ def fit_faces(slab, expected, other, tilt, air, width, noise, prior, spread, coa
                     d += 1
                 thick = max(d - 0.5 - h0, 0.7 * w) if seen else 0.7 * w
             cost = 1e300
+            lo = hi = 0
             for attempt in range(2 if coated else 1):
                 p[0], p[1], p[2], p[3] = h0, thick, prior[2], prior[3]
                 if attempt == 1:

@@ -117,7 +117,9 @@ class Search:
             slab = self.slab(int(r), int(r) + 1, high=high)
             parts.append((slab[0, good], outer[0, good], other[0, good], self.tilt[r, good]))
         slab = np.concatenate([p[0] for p in parts])[None]
-        outer, other, tilt = (np.concatenate([p[i] for p in parts])[None] for i in (1, 2, 3))
+        outer = np.concatenate([p[1] for p in parts])[None]
+        other = np.concatenate([p[2] for p in parts])[None]
+        tilt = np.concatenate([p[3] for p in parts])[None]
         return slab, outer, other, tilt
 
     def _base(self, slab: NDArray[np.float32], outer: Array, other: Array) -> tuple[float, float]:

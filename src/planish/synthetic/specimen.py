@@ -208,8 +208,8 @@ def _truth(sheet: Sheet, warp: Warp, pose: Similarity, shape: tuple[int, int], p
 
 
 def _columns(warp: Warp, shape: tuple[int, int, int], voxel_um: float) -> xr.Dataset:
-    y: Array = np.arange(shape[1]) * float(voxel_um)
-    x: Array = np.arange(shape[2]) * float(voxel_um)
+    y = np.arange(shape[1], dtype=np.float64) * voxel_um
+    x = np.arange(shape[2], dtype=np.float64) * voxel_um
     under = warp.columns(y, x)
     names = {"u": 0, "v": 1, "centre": 2}
     return xr.Dataset(

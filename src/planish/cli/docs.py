@@ -1,0 +1,37 @@
+"""Write docs/cli.md from the help of every command, so that the page cannot differ from the program."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from planish.cli.main import planish
+
+_HEAD = """# Commands
+
+This page is written by `python3 run.py docs` from the program's own help.
+"""
+
+
+def page() -> str:
+    """Return the text of docs/cli.md."""
+    parts = [_HEAD, _section("planish", planish)]
+    parts += [_section(f"planish {name}", planish.commands[name]) for name in planish.commands]
+    return "\n".join(parts)
+
+
+def _section(name: str, command: click.Command) -> str:
+    context = click.Context(command, info_name=name, terminal_width=100, max_content_width=100)
+    return f"## {name}\n\n```\n{command.get_help(context)}\n```\n"
+
+
+def main() -> None:
+    """Write the page into the docs folder of the checkout."""
+    path = Path(__file__).resolve().parents[3] / "docs" / "cli.md"
+    path.write_text(page(), encoding="utf-8", newline="\n")
+    click.echo(f"{path.name} written")
+
+
+if __name__ == "__main__":
+    main()
