@@ -55,7 +55,7 @@ def input_results(data: xr.DataArray, path: Path, **size: Any) -> dict[str, Any]
     return {
         "name": str(data.attrs["file_name"]),
         "shape": [int(n) for n in data.shape],
-        "dtype": str(data.attrs.get("dtype", data.dtype)),
+        "dtype": str(data.attrs.get("stored_dtype", data.dtype)),
         "bytes": int(data.attrs["file_bytes"]),
         "sha256": fingerprint(path),
         **size,

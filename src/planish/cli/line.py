@@ -19,7 +19,7 @@ from planish.cli.options import (
     surface_options,
     volume_options,
 )
-from planish.cli.show import finish, stages
+from planish.cli.show import fact_lines, finish, stages
 
 _OUT = "Folder to make for the results; it must not exist."
 
@@ -185,20 +185,15 @@ def demo(out: Path | None, seed: int, as_json: bool) -> int:
 
 @click.command()
 @existing("path")
-@click.option("--voxel-um", type=float, hidden=True)
 @json_option
-def info(path: Path, voxel_um: float | None, as_json: bool) -> int:
+def info(path: Path, as_json: bool) -> int:
     """Tell what PATH holds: shape, type, voxel or pixel size and where it was read, grey values, what looks wrong."""
     from planish.io import describe
 
-    facts = describe(path, voxel_um=voxel_um)
+    facts = describe(path)
     if as_json:
         click.echo(json.dumps(facts, indent=2, allow_nan=False))
         return 0
-    for key, value in facts.items():
-        if key != "warnings":
-            text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value
-            click.echo(f"{key.replace('_', ' ')}: {text}")
-    for warning in facts.get("warnings", []):
-        click.echo(f"look: {warning}")
+    for line in fact_lines(facts):
+        click.echo(line)
     return 0

@@ -114,3 +114,28 @@ def _correlation(results: dict[str, Any]) -> None:
     ]
     title = f"Image against {results['headline']}"
     table(title, ("registration", "point um", "n", "r", "r2", "slope", "marks um"), rows)
+
+
+def fact_lines(facts: dict[str, Any]) -> list[str]:
+    """Write the facts of ``planish info`` for a reader."""
+    axes = ", ".join(facts["dims"])
+    shape = " x ".join(map(str, facts["shape"]))
+    lines = [
+        f"{facts['file_name']}: {facts['kind']}, {shape} ({axes}), {facts['dtype']}, {facts['bytes'] / 1e6:.1f} MB"
+    ]
+    what = "voxel" if facts["kind"] == "volume" else "pixel"
+    if facts["size_um"]:
+        size, extent = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
+        lines += [f"{what} size: {size} um ({axes}), from {facts['size_source']}", f"extent: {extent} um"]
+    else:
+        lines.append(f"{what} size: not stated")
+    levels = facts["percentiles"]
+    middle = ", ".join(f"{levels[k]:.5g} ({k} %)" for k in levels)
+    lines.append(f"grey: {facts['min']:.5g} to {facts['max']:.5g}; percentiles {middle}")
+    if facts["nan_share"]:
+        lines.append(f"missing: {100 * facts['nan_share']:.2f} % of the values are NaN or infinite")
+    if facts["saturated_share"]:
+        lines.append(
+            f"saturated: {100 * facts['saturated_share']:.2f} % of the values are the largest the type can store"
+        )
+    return lines + [f"look: {warning}" for warning in facts["warnings"]]

@@ -48,7 +48,7 @@ def read_image(
     -------
     DataArray, dims (y, x), float32
         Coordinates in um, pixel i has its centre at i × size. Attributes: ``units``, ``long_name``, ``pixel_um``
-        (y, x), ``pixel_um_source``, ``channel``, ``full_scale`` (largest value the file can store, None for
+        (y, x), ``pixel_um_source``, ``channel``, ``stored_dtype``, ``full_scale`` (largest value the file can store, None for
         floating point), ``orientation`` (the orientation tag), ``file_name``, ``file_bytes``.
 
     Raises
@@ -91,6 +91,7 @@ def read_image(
             "pixel_um_source": source,
             "channel": channel,
             "full_scale": picture.full_scale,
+            "stored_dtype": str(picture.values.dtype),
             "orientation": picture.orientation,
             "file_name": path.name,
             "file_bytes": size_of_file(path),

@@ -18,7 +18,7 @@ Image = NDArray[np.float32]
 # Pixels across the smallest hole where candidates are looked for, and where rims are measured.
 ACROSS_COARSE = 8.0
 ACROSS_FINE = 40.0
-MOST_CANDIDATES = 4000
+MOST_CANDIDATES = 6000
 
 
 def reduce_to(image: Image, pixel_um: tuple[float, float], target_um: float) -> tuple[Image, tuple[float, float], Floats]:
@@ -74,6 +74,21 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
     return responses
 
 
+def disc_response(radii: list[float], step: float) -> float:
+    """Response at the centre of a disc that differs by ``step`` from its surroundings, at its own radius."""
+    ratio = radii[1] / radii[0]
+    return step * float(np.exp(-1 / ratio) - np.exp(-ratio))
+
+
+def quiet_texture(image: Image, pixel_um: tuple[float, float], width_um: float) -> float:
+    """Standard deviation of the quietest quarter of an image about its mean over ``width_um``, as if it were Gaussian.
+
+    Holes, dots and dirt hardly enter, so it is rather too small than too large.
+    """
+    deviation = (image - _local_mean(image, pixel_um, width_um))[np.isfinite(image)]
+    return float(np.quantile(np.abs(deviation - np.median(deviation)), 0.25)) / 0.3186
+
+
 def texture(image: Image, pixel_um: tuple[float, float], width_um: float, circles: Floats) -> float:
     """Robust standard deviation of an image about its mean over ``width_um``, outside some circles.
 
@@ -117,7 +132,9 @@ def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float) ->
     return np.where(near, values / np.where(near, share, np.float32(1)), typical).astype(np.float32)
 
 
-def peaks(responses: list[tuple[float, Image]], pixel_um: tuple[float, float], sign: float) -> Floats:
+def peaks(
+    responses: list[tuple[float, Image]], pixel_um: tuple[float, float], sign: float, least: float
+) -> Floats:
     """Return the strongest extremes over place and scale as rows ``(x, y)`` in um, strongest first.
 
     Parameters
@@ -128,17 +145,19 @@ def peaks(responses: list[tuple[float, Image]], pixel_um: tuple[float, float], s
         Pixel size ``(y, x)`` of the responses.
     sign : {1, -1}
         Which extremes: dark or bright discs.
+    least : float
+        Weakest response to look at.
     """
     found: list[Floats] = []
     for radius, response in responses:
         values = response * np.float32(sign)
         reach = tuple(2 * max(1, round(0.5 * radius / size)) + 1 for size in pixel_um)
-        top = (values == ndimage.maximum_filter(values, size=reach)) & (values > 0)
+        top = (values == ndimage.maximum_filter(values, size=reach)) & (values > max(least, 0.0))
         rows, columns = np.nonzero(top)
         found.append(np.stack([columns * pixel_um[1], rows * pixel_um[0], values[rows, columns]], axis=1))
     every = np.concatenate(found)
-    order = np.argsort(-every[:, 2], kind="stable")[:MOST_CANDIDATES]
-    return _thinned(every[order, :2], 0.25 * responses[0][0])
+    order = np.argsort(-every[:, 2], kind="stable")
+    return _thinned(every[order, :2], 0.5 * responses[0][0])[:MOST_CANDIDATES]
 
 
 def _thinned(points: Floats, least: float) -> Floats:

@@ -134,9 +134,12 @@ def _holes(
     fine, fine_size, fine_origin = reduce_to(grey, size, 2 * low / ACROSS_FINE)
     coarse, coarse_size, coarse_origin = reduce_to(fine, fine_size, 2 * low / ACROSS_COARSE)
     responses = blob_responses(coarse, coarse_size, (low, high))
+    # Char, neighbours and a radius between two rungs weaken a response; a third is allowed for them.
+    quiet = quiet_texture(coarse, coarse_size, 2 * high)
+    least = 0.67 * disc_response([radius for radius, _ in responses], LEAST_CONTRAST * quiet)
     found: list[tuple[float, Floats]] = []
     for sign in signs:
-        x, y = np.ascontiguousarray((peaks(responses, coarse_size, sign) + coarse_origin).T)
+        x, y = np.ascontiguousarray((peaks(responses, coarse_size, sign, least) + coarse_origin).T)
         rows = k.measure(fine, fine_size[1], fine_size[0], x, y, sign, low, high)
         rows = rows[_is_hole(rows, fine_size, low, high)]
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.

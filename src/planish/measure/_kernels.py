@@ -2,7 +2,7 @@
 """Compiled inner loop of the measurement: where the normals of the centre surface meet another surface."""
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 _STEPS = 12
 _CLOSE_UM = 1e-4
@@ -25,7 +25,7 @@ def height_at(field, r, c):
     return a * (1 - fr) + b * fr
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_c):
     """Signed distance from the centre surface to ``surface`` along the normals.
 
@@ -45,7 +45,7 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
     """
     rows, cols = centre.shape
     out = np.full((rows, cols), np.nan)
-    for i in prange(rows):
+    for i in range(rows):
         for j in range(cols):
             h0, nr, nc, nh = centre[i, j], normal_r[i, j], normal_c[i, j], normal_h[i, j]
             # Secant steps on f(s) = surface - point; the surface is nearly parallel, so they converge in three or four.

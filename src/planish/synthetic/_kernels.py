@@ -9,7 +9,7 @@ A warp travels as one flat array ``w`` and one table ``curve`` (see :meth:`plani
 from math import cos, exp, floor, sin, sqrt
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 _MAX_STEPS = 25
 _CLOSE_UM = 1e-4
@@ -94,12 +94,12 @@ def ground(w, curve, x, y, u, v):
     return u, v, frame_at(w, curve, u, v)[2]
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def frames(w, curve, u, v):
     """Centre surface points (n, 3) and unit normals (n, 3) at the coordinates u, v (n,)."""
     points = np.empty((u.size, 3))
     normals = np.empty((u.size, 3))
-    for i in prange(u.size):
+    for i in range(u.size):
         mx, my, mz, ux, uy, uz, vx, vy, vz = frame_at(w, curve, u[i], v[i])
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         n = sqrt(nx * nx + ny * ny + nz * nz)
@@ -108,22 +108,22 @@ def frames(w, curve, u, v):
     return points, normals
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def materials(w, curve, points):
     """Material coordinates (n, 3) as (u, v, s) of the points in space (n, 3) as (x, y, z)."""
     out = np.empty((points.shape[0], 3))
-    for i in prange(points.shape[0]):
+    for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         u, v, s = invert(w, curve, x, y, z, x - w[7], y - w[8])
         out[i, 0], out[i, 1], out[i, 2] = u, v, s
     return out
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def columns(w, curve, ys, xs):
     """Ground truth (rows, cols, 3) as (u, v, z) below each column at (ys[i], xs[j])."""
     out = np.empty((ys.size, xs.size, 3))
-    for i in prange(ys.size):
+    for i in range(ys.size):
         u, v = xs[0] - w[7], ys[i] - w[8]
         for j in range(xs.size):
             u, v, z = ground(w, curve, xs[j], ys[i], u, v)
