@@ -105,7 +105,7 @@ def test_r2_is_that_of_the_true_maps(tree, specimen):
     assert ours == pytest.approx(true, abs=0.03)
 
 
-def test_a_repeated_run_has_the_same_bytes(planish, linked_run, tmp_path_factory):
+def test_a_repeated_run_has_the_same_bytes(planish, linked_run):
     code, _, err = planish("run", linked_run / "run.toml")
     assert code == 0, err
     again = linked_run.with_name("run-again")

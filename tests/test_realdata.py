@@ -65,7 +65,8 @@ def test_every_slice_is_mapped(wall):
 def test_flattened_without_strain(wall):
     flatten = wall[0]["flatten"]
     print(
-        f"edge strain: {100 * flatten['edge_strain_p95']:.4f} % (p95), {100 * flatten['edge_strain_max']:.4f} % (largest)"
+        f"edge strain: {100 * flatten['edge_strain_p95']:.4f} % (p95), "
+        f"{100 * flatten['edge_strain_max']:.4f} % (largest)"
     )
     assert flatten["outcome"] == "RESTED"
     assert flatten["edge_strain_max"] < 1e-3

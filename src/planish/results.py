@@ -170,14 +170,14 @@ def map_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
         _gate(
             "saturation", s["saturated_share"], 0.05, least=False,
             good=f"{100 * s['saturated_share']:.1f} % of the sheet's voxels are saturated.",
-            bad=f"{100 * s['saturated_share']:.1f} % of the sheet's voxels are saturated (at the end of the grey scale): "
-            "the faces may be displaced. Export the volume with a wider grey window.",
+            bad=f"{100 * s['saturated_share']:.1f} % of the sheet's voxels are saturated (at the end of the grey "
+            "scale): the faces may be displaced. Export the volume with a wider grey window.",
         ),
         _gate(
             "missing voxels", s["missing_share"], 0.05, least=False,
             good=f"{100 * s['missing_share']:.1f} % of the voxels are NaN.",
-            bad=f"{100 * s['missing_share']:.1f} % of the voxels are NaN or infinite; columns with such voxels near a face "
-            "are not measured.",
+            bad=f"{100 * s['missing_share']:.1f} % of the voxels are NaN or infinite; columns with such voxels "
+            "near a face are not measured.",
         ),
     )  # fmt: skip
 
@@ -190,8 +190,8 @@ def link_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
         _gate(
             "marks", loo, 20.0, least=False,
             good=f"{m['matched']} marks agree to {loo:.1f} um (leave-one-out, rms).",
-            bad=f"{m['matched']} marks agree to {loo:.1f} um only (leave-one-out, rms): worse than the 10-20 um that the "
-            "paper reached by hand. Look at the residual arrows in the report.",
+            bad=f"{m['matched']} marks agree to {loo:.1f} um only (leave-one-out, rms): worse than the 10-20 um "
+            "that the paper reached by hand. Look at the residual arrows in the report.",
         ),
         _gate(
             "scale", abs(m["scale"] - 1), 0.03, least=False,

@@ -63,7 +63,7 @@ def test_info(planish, specimen_files):
     assert "pixel size: 5 x 5 um (y, x), from the TIFF resolution" in out
 
 
-def test_a_store_of_the_wrong_kind(planish, linked_run, tmp_path):
+def test_a_store_of_the_wrong_kind(planish, tmp_path):
     code, _, err = planish("measure", tmp_path / "none.zarr", "-o", tmp_path / "p.zarr")
     assert code == 3
     assert "no zarr store" in err

@@ -19,9 +19,13 @@ def test_a_folder_appears_only_when_whole(tmp_path):
 
 @pytest.mark.parametrize("error", [RuntimeError("boom"), KeyboardInterrupt()])
 def test_nothing_is_left_when_it_fails(tmp_path, error):
-    with pytest.raises(type(error)), new_folder(tmp_path / "run") as folder:
-        (folder / "a.txt").write_text("a")
-        raise error
+    def fail() -> None:
+        with new_folder(tmp_path / "run") as folder:
+            (folder / "a.txt").write_text("a")
+            raise error
+
+    with pytest.raises(type(error)):
+        fail()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -16,7 +16,9 @@ from planish.marks.candidates import (
     Floats,
     Image,
     blob_responses,
+    disc_response,
     peaks,
+    quiet_texture,
     reduce_to,
     texture,
 )

@@ -37,10 +37,13 @@ def read_holes(path: str | Path) -> xr.Dataset:
         with Path(path).open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FileError(f"{path} cannot be read as a table: {error}. Give a CSV file with the columns x_um, y_um.") from error
+        raise FileError(
+            f"{path} cannot be read as a table: {error}. Give a CSV file with the columns x_um, y_um."
+        ) from error
     missing = [name for name in ("x_um", "y_um") if rows and name not in rows[0]]
     if missing or not rows:
-        raise MarkError(f"{path} holds no {' and '.join(missing) or 'rows'}. A table of holes has the columns x_um, y_um.")
+        lacks = " and ".join(missing) or "rows"
+        raise MarkError(f"{path} holds no {lacks}. A table of holes has the columns x_um, y_um.")
     points, faults = [], []
     for number, row in enumerate(rows, start=2):
         try:

@@ -49,7 +49,8 @@ def read_marks(path: str | Path) -> xr.Dataset:
     Returns
     -------
     Dataset, dims (mark)
-        ``label`` and ``fixed_x, fixed_y`` with either ``moving_x, moving_y`` or ``volume_x, volume_y, volume_z``, in um.
+        ``label`` and ``fixed_x, fixed_y`` with either ``moving_x, moving_y`` or ``volume_x, volume_y,
+        volume_z``, in um.
 
     Raises
     ------

@@ -45,7 +45,7 @@ def list_hypotheses(base, b, low, high, slack, a, shortest):
 
 @njit(cache=True)
 def build_cells(b, tolerance):
-    """Return a raster in which each cell lists the marks of ``b`` within reach: ``origin, size, shape, start, index``."""
+    """Return a raster whose cells list the marks of ``b`` within reach: ``origin, size, shape, start, index``."""
     size = tolerance
     x0, y0 = b[0, 0], b[0, 1]
     x1, y1 = x0, y0

@@ -71,7 +71,7 @@ class FittedTransform:
 
     @property
     def localisation_error_um(self) -> float:
-        """Error of one pair of marks that the residuals speak for, rms in the plane, in um; NaN where nothing is left over.
+        """Error of one pair of marks that the residuals speak for, rms in the plane, in um; NaN where none are left.
 
         ``rms**2 = (1 - 2/n) * error**2`` for a similarity and ``(1 - 3/(2n))`` for a rigid transformation.
         """

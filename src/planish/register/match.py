@@ -137,7 +137,7 @@ def match_marks(
     count = int(found.inliers[best])
     if count < need or found.log_chance[best] > ACCEPTED_LOG_CHANCE:
         raise CannotRegister(_no_match(seen, int(found.inliers.max()), need, mirror))
-    rival, rival_count = _best_rival(found, best, a, tolerance_um)
+    rival, rival_count = _best_rival(found, best, tolerance_um)
     if len(a) == 3 and _confusable(a, b[found.partner[best]], 3.0 * tolerance_um):
         raise CannotRegister(
             f"{seen}: three marks match, but two of their three distances are alike within {3 * tolerance_um:g} um, so "
@@ -145,17 +145,15 @@ def match_marks(
         )
     if rival:
         raise CannotRegister(
-            f"{seen}: the best arrangement agrees at {count} marks, a different one at {rival_count}, so "
-            f"the pattern is "
-            f"ambiguous (symmetric or regular). Give the pairs with --marks, or add marks that break the symmetry."
+            f"{seen}: the best arrangement agrees at {count} marks, a different one at {rival_count}, so the pattern "
+            f"is ambiguous (symmetric or regular). Give the pairs with --marks, or add marks that break the symmetry."
             + (" Without --mirror, only one hand would compete." if mirror else "")
         )
     hand = bool(found.mirrored[best])
-    if _symmetric(a, b, found, best, scale_tolerance, tolerance_um, mirror):
+    if _symmetric(b, found, best, scale_tolerance, tolerance_um, mirror):
         raise CannotRegister(
-            f"{seen}: {count} agree, but the pattern of all marks seen is symmetric, and another "
-            f"arrangement may be the "
-            "true one. Give the pairs with --marks, or add marks that break the symmetry."
+            f"{seen}: {count} agree, but the pattern of all marks seen is symmetric, and another arrangement may be "
+            "the true one. Give the pairs with --marks, or add marks that break the symmetry."
         )
     rows = np.flatnonzero(found.squares[best] <= tolerance_um**2)
     pairs = np.stack([rows, found.partner[best][rows].astype(np.intp)], axis=1)
@@ -260,7 +258,7 @@ def _log10_choose(n: int, k: int) -> float:
     return (lgamma(n + 1) - lgamma(k + 1) - lgamma(n - k + 1)) / log(10.0)
 
 
-def _best_rival(found: _Arrangements, best: int, a: Floats, tolerance: float) -> tuple[bool, int]:
+def _best_rival(found: _Arrangements, best: int, tolerance: float) -> tuple[bool, int]:
     """Return whether a different arrangement is about as good, and at how many marks the best different one agrees."""
     mine = np.where(found.squares[best] <= tolerance * tolerance, found.partner[best], -1)
     used = mine >= 0
@@ -289,7 +287,7 @@ def _confusable(a: Floats, b: Floats, least: float) -> bool:
 
 
 def _symmetric(
-    a: Floats, b: Floats, found: _Arrangements, best: int, scale_tolerance: float, tolerance: float, mirror: bool
+    b: Floats, found: _Arrangements, best: int, scale_tolerance: float, tolerance: float, mirror: bool
 ) -> bool:
     """Return whether all marks seen on either side, laid together, fit onto themselves in another way."""
     lonely = found.squares[best] > tolerance * tolerance
