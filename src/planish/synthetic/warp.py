@@ -60,6 +60,8 @@ class Warp:
         steps = 0.5 * _STEP_UM * np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W], axis=1)
         curve = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
         curve -= curve[count // 2]
+        turn = psi * np.sin(k * (p0 + _STEP_UM * np.arange(count)) + self.phase_rad)
+        curve = np.concatenate([curve, np.cos(turn)[:, None], np.sin(turn)[:, None]], axis=1)
         parameters = [np.cos(angle), np.sin(angle), psi, k, self.phase_rad, p0, _STEP_UM, *self.shift_um]
         parameters += [self.bump_um, self.bump_u_um, self.bump_v_um, self.bump_radius_um]
         return np.array(parameters, dtype=np.float64), curve
