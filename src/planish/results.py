@@ -127,7 +127,7 @@ def mark_results(fit: FittedTransform) -> dict[str, Any]:
     }
 
 
-def linked_results(linked: xr.Dataset) -> dict[str, Any]:
+def linked_results(linked: xr.Dataset, away: NDArray[np.bool_]) -> dict[str, Any]:
     """How much of the image shows the sheet, and how much of that is valid."""
     on_sheet = np.isfinite(linked["u"].values)
     return {
@@ -135,6 +135,7 @@ def linked_results(linked: xr.Dataset) -> dict[str, Any]:
         "share_on_sheet": float(on_sheet.mean()),
         "share_valid": float(linked["valid"].values.mean()),
         "share_valid_of_sheet": float(linked["valid"].values.sum() / max(int(on_sheet.sum()), 1)),
+        "share_valid_away_from_holes": float(linked["valid"].values.sum() / max(int((on_sheet & away).sum()), 1)),
     }
 
 
@@ -154,13 +155,14 @@ def _gate(name: str, value: float, limit: float, *, least: bool, good: str, bad:
 def map_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
     """Gates of a map."""
     s, f = results["surfaces"], results["flatten"]
-    percent = 100 * s["share_measured"]
+    # Rims of holes are left out on purpose; what counts is how much of the rest was measured.
+    share = s["share_measured"] / max(1.0 - s["share_rim"], 1e-9)
+    text = f"{100 * share:.0f} % of the columns away from rims are measured"
     return (
         _gate(
-            "coverage", s["share_measured"], 0.5, least=True,
-            good=f"{percent:.0f} % of the columns are measured.",
-            bad=f"Only {percent:.0f} % of the columns are measured: the maps are mostly blank. "
-            "Look at the slices in the report.",
+            "coverage", share, 0.5, least=True,
+            good=f"{text}.",
+            bad=f"Only {text}: the maps are mostly blank. Look at the slices in the report.",
         ),
         _gate(
             "fold-over", f["folded_cells"], 0, least=False,
@@ -185,6 +187,7 @@ def map_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
 def link_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
     """Further gates of a link."""
     m, k = results["marks"], results["linked"]
+    area = f"{100 * k['share_valid_away_from_holes']:.0f} % of the sheet that the image shows away from holes"
     loo = m["leave_one_out_rms_um"] if m["leave_one_out_rms_um"] is not None else float("inf")
     return (
         _gate(
@@ -199,9 +202,9 @@ def link_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
             bad=f"The marks ask for a scale of {m['scale']:.4f}: the calibrations do not agree.",
         ),
         _gate(
-            "linked area", k["share_valid_of_sheet"], 0.5, least=True,
-            good=f"{100 * k['share_valid_of_sheet']:.0f} % of the sheet that the image shows is valid.",
-            bad=f"Only {100 * k['share_valid_of_sheet']:.0f} % of the sheet that the image shows is valid.",
+            "linked area", k["share_valid_away_from_holes"], 0.5, least=True,
+            good=f"{area} is valid.",
+            bad=f"Only {area} is valid: the linked maps are mostly blank.",
         ),
         _gate(
             "common field", k["share_on_sheet"], 0.05, least=True,

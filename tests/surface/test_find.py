@@ -167,3 +167,29 @@ def test_staircase_twin_is_a_staircase():
     g = staircase(d, (8.0, 6.0, 1.0, 0.4), 0.8, 0.0)
     assert (g[0], g[11], g[29]) == pytest.approx((0.0, 1.0, 0.4), abs=1e-3)
     assert ndimage.gaussian_filter1d(g, 1).max() < 1.001
+
+
+@pytest.mark.parametrize("through", ["z", "y"])
+def test_the_round_field_of_view_is_not_taken_for_air(through):
+    """Outside the circle of a reconstruction all voxels are 0; the air inside it is not."""
+    grey, middle, half = slab(
+        shape=(160 if through == "y" else 90, 160, 160), height=240.0 if through == "y" else 135.0
+    )
+    turned = np.rint(np.moveaxis(grey, 0, "zyx".index(through))).astype(np.uint8)
+    y, x = np.mgrid[0:160, 0:160] - 79.5
+    turned[:, np.hypot(y, x) > 79.0] = 0
+    found = find_surfaces(volume(turned), frame=Frame(through=through))
+    assert found.attrs["padding"] == 0.0
+    assert found.attrs["grey_air"] == pytest.approx(40, abs=1)
+    error = (found["top"].values - middle[0] - half)[found["status"].values == 0]
+    assert error.size > 1000
+    assert np.abs(error).max() < 3.0
+
+
+def test_air_clipped_to_one_value_is_air():
+    grey, middle, half = slab(greys=(-20.0, 90.0, 200.0), noise=2.0)
+    found = find_surfaces(volume(np.rint(np.clip(grey, 0, 255)).astype(np.uint8)))
+    assert "padding" not in found.attrs
+    assert found.attrs["grey_air"] == 0.0
+    # what is clipped lies below the faces' half height; they move by a fraction of the blur
+    assert abs(float((found["top"] - middle[0] - half).mean())) < 1.0

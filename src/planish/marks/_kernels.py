@@ -227,6 +227,7 @@ def _half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
     gap = max(4.0, 0.9 * pixel)  # from the edge to where the plateaus begin
     width = max(7.0, 0.8 * pixel)  # over which a plateau is averaged; well under the width of the char
     reach = max(1, int(round(max(5.0, pixel) / dt)))
+    first = 0.65 if pixel > 8.0 else 0.95
     for k in range(rays):
         angle = 2 * np.pi * k / rays
         x0, y0 = cx / px, cy / py
@@ -235,6 +236,7 @@ def _half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
         count = int((model[k] + search + reach * dt - start) / dt) + 2
         values = np.empty(count)
         sums = np.zeros(count + 1)
+        rises = np.zeros(count)
         for t in range(count):
             r = start + t * dt
             values[t] = sign * _sample(image, x0 + sx * r, y0 + sy * r)
@@ -243,11 +245,18 @@ def _half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
             continue
         best, top = -np.inf, -1
         for t in range(reach, count - reach):
-            rise = sums[t + reach + 1] - sums[t + 1] - sums[t] + sums[t - reach]
-            if rise > best:
-                best, top = rise, t
-        if top < 0 or best <= 0.0:
+            rises[t] = sums[t + reach + 1] - sums[t + 1] - sums[t] + sums[t - reach]
+            best = max(best, rises[t])
+        if best <= 0.0:
             continue
+        # Char narrower than five pixels lies within the window: the first strong edge is the hole's, even where the
+        # char's own is stronger. With finer pixels the strongest is taken, lest the tapered wall be the rim.
+        for t in range(reach, count - reach):
+            if rises[t] >= first * best:
+                top = t
+                while top + 1 < count - reach and rises[top + 1] >= rises[top]:
+                    top += 1
+                break
         edge = start + top * dt
         inner = sign * _level(image, x0, y0, sx, sy, max(0.0, edge - gap - width), max(0.0, edge - gap), dt)
         outer = sign * _level(image, x0, y0, sx, sy, edge + gap, edge + gap + width, dt)
@@ -393,7 +402,9 @@ def measure(image, px, py, xs, ys, sign, low, high):
                 if product < 0.05 * squares:
                     break
                 together += 2 * product / squares
-        variance = squares / max(1, used - 5) * together
+        # Five coefficients were taken out of as many independent arcs as there are.
+        arcs = used / together
+        variance = squares / max(1, used) * arcs / max(arcs - 5.0, 1.0) * together
         inside, spread, flatness, outside, texture = _levels(image, px, py, cx, cy, sign, radius, pixel)
         floor = (0.02 * pixel) ** 2
         out[h, X], out[h, Y], out[h, RADIUS] = cx, cy, radius

@@ -43,7 +43,7 @@ LARGEST_ROUGHNESS = 0.09
 LEAST_PIXELS = 6.0
 # Holes of one laser look alike: beside others, a mark that reaches less than this share of their depth is dirt or a pit
 # (in transmitted light, of their median step), and one whose diameter differs by this factor is something else.
-LEAST_DEPTH = 0.72
+LEAST_DEPTH = 0.7
 LEAST_SHARE_OF_MEDIAN = 0.5
 LARGEST_FACTOR = 1.6
 

@@ -25,15 +25,13 @@ Ints = NDArray[np.intp]
 MOST_COMPARISONS = 50_000_000
 # A chance agreement as good as the one accepted is expected in fewer than 10**-3 of all searches.
 ACCEPTED_LOG_CHANCE = -3.0
-# A rival with few marks that chance would offer about once a search is no rival.
-PLAUSIBLE_LOG_CHANCE = -1.0
-# A rival that explains nearly as many marks counts even where it is this many tolerances off: a symmetric
-# pattern placed
-# to 4 um repeats itself to 8 um rms, and its worst hole may be three times as far out.
+# A rival with few marks that chance would offer in one search of a hundred is no rival.
+PLAUSIBLE_LOG_CHANCE = -2.0
+# A rival that explains nearly as many marks counts even where it is this many tolerances off: a symmetric pattern
+# placed to 4 um repeats itself to 8 um rms, and its worst hole may be three times as far out.
 REACH = 1.6
-# Share of `tolerance_um` within which an arrangement that agrees at only part of the marks counts as a rival.
-# Holes of a
-# regular pattern, placed to 4 um, agree with their neighbours' places to some 8 um, so most stay within 20 um.
+# Share of `tolerance_um` within which an arrangement that agrees at only part of the marks counts as a rival. Holes of
+# a regular pattern, placed to 4 um, agree with their neighbours' places to some 8 um, so most stay within 20 um.
 CLOSE = 0.8
 
 

@@ -37,10 +37,11 @@ class CoarseSheet:
     block: int
 
 
-def block_means(columns: xr.DataArray, block: int) -> NDArray[np.float32]:
+def block_means(columns: xr.DataArray, block: int, *, padding: float | None = None) -> NDArray[np.float32]:
     """Means of ``block`` x ``block`` neighbouring columns, then of three neighbours in depth.
 
-    The last block of each axis takes what is left over. Shape (block rows, block cols, depth).
+    The last block of each axis takes what is left over. Shape (block rows, block cols, depth). A block that holds
+    ``padding`` or a missing voxel is NaN.
     """
     rows, cols, depth = columns.shape
     edges_r, edges_c = (np.arange(0, max(n - n % block, 1), block) for n in (rows, cols))
@@ -48,7 +49,10 @@ def block_means(columns: xr.DataArray, block: int) -> NDArray[np.float32]:
     widths = np.diff(np.append(edges_c, cols)).astype(np.float32)
     for i, start in enumerate(edges_r):
         stop = rows if i == edges_r.size - 1 else start + block
-        slab = np.asarray(columns.values[start:stop], dtype=np.float32).mean(axis=0)
+        slab = np.array(columns.values[start:stop], dtype=np.float32)
+        if padding is not None:
+            slab[slab == padding] = np.nan
+        slab = slab.mean(axis=0)
         out[i] = np.add.reduceat(slab, edges_c, axis=0) / widths[:, None]
     missing = ~np.isfinite(out)
     if missing.any():

@@ -12,10 +12,10 @@ from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.surface.centre import gaussian_regression
 from planish.surface.coarse import CORE, CoarseSheet, block_means, coarse_sheet
-from planish.surface.levels import GreyLevels, air_level, material
+from planish.surface.levels import GreyLevels, air_level, material, padding_value
 from planish.surface.params import SurfaceParams
 from planish.surface.regions import regions
-from planish.surface.search import Search
+from planish.surface.search import First, Search
 
 Array = NDArray[np.float64]
 
@@ -107,6 +107,8 @@ def find_surfaces(
     attrs |= {"voxel_um": [_pitch(volume, axis) for axis in ("z", "y", "x")]}
     attrs["saturated_share"] = search.saturated(top, bottom)
     attrs["missing_share"] = _missing_share(volume)
+    if first.padding is not None:
+        attrs["padding"] = first.padding
     coords = {"y": columns.coords[frame.rows].values, "x": columns.coords[frame.cols].values}
     return xr.Dataset(data, coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()}, attrs=attrs)
 
@@ -134,22 +136,26 @@ def _missing_share(volume: xr.DataArray) -> float:
     return bad / volume.size
 
 
-def _coarse(columns: xr.DataArray, params: SurfaceParams) -> tuple[CoarseSheet, dict[str, float]]:
+def _coarse(columns: xr.DataArray, params: SurfaceParams) -> tuple[CoarseSheet, First]:
     """Find the sheet in block means; return it with air, noise and polarity."""
     values = columns.values
     stride = max(1, int(np.sqrt(values.shape[0] * values.shape[1] / 40_000)))
     part = values[::stride, ::stride]
-    samples = np.concatenate([part[..., :3].reshape(-1, 3), part[..., -3:].reshape(-1, 3)]).astype(np.float64)
+    flat = part.reshape(-1, part.shape[-1])
+    padding = padding_value(flat)
+    samples = _ends(flat, padding)
     air, noise = air_level(samples)
     block = int(np.clip(round(np.sqrt(values.shape[0] * values.shape[1] / 40_000)), 1, 4))
-    blocks = block_means(columns, block)
+    blocks = block_means(columns, block, padding=padding)
     if params.sheet_grey is not None:
         low, high = params.sheet_grey
         inside = (blocks >= low) & (blocks <= high)
         polarity = 1.0 if 0.5 * (low + high) >= air else -1.0
         edge = (low if polarity > 0 else high) - air
         oriented = polarity * (blocks - air)
-        return coarse_sheet(oriented, inside, abs(edge), block), {"air": air, "noise": noise, "polarity": polarity}
+        return coarse_sheet(oriented, inside, abs(edge), block), First(
+            air=air, noise=noise, polarity=polarity, padding=padding
+        )
     polarity, threshold = material(blocks, air)
     oriented = np.where(np.isfinite(blocks), polarity * (blocks - air), 0.0).astype(np.float32)
     sheet = coarse_sheet(oriented, oriented > threshold, threshold, block)
@@ -157,7 +163,20 @@ def _coarse(columns: xr.DataArray, params: SurfaceParams) -> tuple[CoarseSheet, 
     base = float(np.median(_core(oriented, sheet)))
     threshold = max(threshold * 0.7, 0.5 * base)
     sheet = coarse_sheet(oriented, oriented > threshold, threshold, block)
-    return sheet, {"air": air, "noise": noise, "polarity": polarity}
+    return sheet, First(air=air, noise=noise, polarity=polarity, padding=padding)
+
+
+def _ends(columns: NDArray[np.generic], padding: float | None) -> Array:
+    """First and last three voxels of each column that are not padding."""
+    if padding is None:
+        ends = np.concatenate([columns[:, :3], columns[:, -3:]])
+        return ends.astype(np.float64)
+    inside = columns != padding
+    held = inside.sum(axis=1) > 12
+    kept, inside = columns[held].astype(np.float64), inside[held]
+    first = np.argmax(inside, axis=1)[:, None] + np.arange(1, 4)
+    last = columns.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)[:, None] - np.arange(1, 4)
+    return np.concatenate([np.take_along_axis(kept, first, axis=1), np.take_along_axis(kept, last, axis=1)])
 
 
 def _core(blocks: NDArray[np.float32], sheet: CoarseSheet) -> Array:

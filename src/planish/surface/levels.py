@@ -67,6 +67,50 @@ def spread(values: Array) -> float:
     return float(1.4826 * np.median(np.abs(data - np.median(data))))
 
 
+def padding_value(columns: NDArray[np.generic]) -> float | None:
+    """Value that fills the volume outside the field of view, or None where the field fills the volume.
+
+    Reconstructions are round; what lies outside their circle is set to one value, often 0, which is not the grey of the
+    air. It is told from air that the export has clipped to one value by three signs, over ``columns`` (n, depth): the
+    step from the padding to what lies inside is sharp, what lies inside differs from it, and something stands out from
+    that in turn. Clipped air passes into the sheet through the blur, and nothing stands out from the sheet.
+    """
+    corner = columns[0, 0]
+    same = columns == corner
+    if not np.isfinite(corner) or columns[-1, -1] != corner or same.mean() < 1e-3:
+        return None
+    inside = ~same
+    some = inside.sum(axis=1) > 12
+    if np.count_nonzero(some) < 10:
+        return None
+    kept = columns[some].astype(np.float64)
+    first = np.argmax(inside[some], axis=1)
+    last = columns.shape[1] - 1 - np.argmax(inside[some][:, ::-1], axis=1)
+    cut = (first > 0) | (last < columns.shape[1] - 1)
+    whole = ~same.all(axis=1)
+    if np.count_nonzero(cut) < 0.05 * cut.size:
+        # Few columns end in the padding. If others hold nothing else, the circle lies across the columns.
+        return (
+            float(corner)
+            if np.count_nonzero(~whole) > 0.01 * whole.size and not inside[whole][:, 0].mean() < 0.5
+            else None
+        )
+    rows = np.flatnonzero(cut & (first > 0))
+    if rows.size < 10:
+        rows, first = np.flatnonzero(cut), columns.shape[1] - 1 - last
+        kept = kept[:, ::-1]
+    edge = kept[rows, first[rows]]
+    deeper = kept[rows[:, None], np.minimum(first[rows][:, None] + np.arange(2, 6), columns.shape[1] - 1)]
+    level = float(np.median(deeper))
+    scatter = max(spread(deeper - level), 1e-9)
+    run = (kept[rows, :-2] + kept[rows, 1:-1] + kept[rows, 2:]) / 3
+    run = np.where(same[some][rows][:, 1:-1], level, run)
+    stands_out = float(np.median(np.max(np.abs(run - level), axis=1)))
+    sharp = abs(float(np.median(edge)) - level) < 0.2 * abs(level - float(corner))
+    differs = abs(level - float(corner)) > 3 * scatter
+    return float(corner) if sharp and differs and stands_out > 4 * scatter else None
+
+
 def air_level(ends: Array) -> tuple[float, float]:
     """Return level and noise of the air, from samples (n, k) of k neighbouring voxels at both ends of the columns."""
     air = mode(ends)

@@ -7,12 +7,17 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 _HOLE_UM = 600.0  # a gap wider than this is missing sheet, not a hole
+_EDGE_UM = 20.0  # kept clear of the sheet's edge, which nothing has burnt
 
 
 def regions(
     seen: NDArray[np.bool_], pitch: tuple[float, float], rim_um: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return where the sheet is, the rims of its holes, and its outline with the holes filled."""
+    """Return where the sheet is, the rims of its holes and edges, and its outline with the holes filled.
+
+    A hole is a gap no wider than 600 um; ``rim_um`` around it is burnt. Other gaps are the end of the sheet or of the
+    field of view.
+    """
     step = float(np.sqrt(pitch[0] * pitch[1]))
     # Single columns without a face are gaps of the measurement; only larger ones are gaps of the sheet.
     reach = max(1, round(12.0 / step)) if min(seen.shape) * step > 100 else 1
@@ -20,23 +25,22 @@ def regions(
     inner = (slice(2 * reach, -2 * reach),) * 2
     sheet = ndimage.binary_closing(padded, _disc(reach))
     sheet = ndimage.binary_opening(sheet, _disc(reach))[inner] | ndimage.binary_erosion(sheet, _disc(1))[inner]
-    gap = ~sheet
-    rim = np.zeros_like(sheet)
-    if gap.any():
-        rim = (ndimage.distance_transform_edt(sheet, sampling=pitch) <= rim_um) & sheet
-        if not rim.all() and (rim | gap).mean() > 0.98:
-            rim = np.zeros_like(sheet)
-    labels, count = ndimage.label(gap)
-    outline = sheet.copy()
-    if count:
-        border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-        area = np.bincount(labels.ravel(), minlength=count + 1) * pitch[0] * pitch[1]
-        fill = area <= np.pi / 4 * _HOLE_UM**2
-        small_cut = area <= np.pi / 4 * (0.5 * _HOLE_UM) ** 2
-        fill[border] &= small_cut[border]
-        fill[0] = False
-        outline |= fill[labels]
-    return sheet, rim, outline
+    labels, count = ndimage.label(~sheet)
+    border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    area = np.bincount(labels.ravel(), minlength=count + 1) * pitch[0] * pitch[1]
+    hole = area <= np.pi / 4 * _HOLE_UM**2
+    hole[border] &= area[border] <= np.pi / 8 * _HOLE_UM**2  # half of it lies beyond the border
+    hole[0] = False
+    holes = hole[labels]
+    rim = _near(holes, pitch, rim_um) | _near(~sheet & ~holes, pitch, min(rim_um, _EDGE_UM))
+    return sheet, rim & sheet, sheet | holes
+
+
+def _near(region: NDArray[np.bool_], pitch: tuple[float, float], distance_um: float) -> NDArray[np.bool_]:
+    """Columns within a distance of a region."""
+    if not region.any():
+        return np.zeros_like(region)
+    return np.asarray(ndimage.distance_transform_edt(~region, sampling=pitch)) <= distance_um
 
 
 def _disc(radius: int) -> NDArray[np.bool_]:

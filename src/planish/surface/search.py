@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -27,6 +28,16 @@ _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with th
 _SPIKE_UM = 3.0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class First:
+    """What the coarse search learnt: level and noise of the air, polarity, and the value outside the field of view."""
+
+    air: float
+    noise: float
+    polarity: float
+    padding: float | None
+
+
 class Search:
     """The fine search: every column of the volume, in slabs of rows."""
 
@@ -35,13 +46,13 @@ class Search:
         *,
         columns: xr.DataArray,
         coarse: CoarseSheet,
-        first: dict[str, float],
+        first: First,
         pitch: tuple[float, float, float],
         params: SurfaceParams,
     ) -> None:
         self.values = columns.values
         self.depth_um = columns.coords[columns.dims[2]].values
-        self.air, self.polarity = first["air"], first["polarity"]
+        self.air, self.polarity, self.padding = first.air, first.polarity, first.padding
         self.pitch, self.params = pitch, params
         shape = self.values.shape[:2]
         self.low = to_columns(coarse.low, coarse.block, shape)
@@ -55,7 +66,7 @@ class Search:
         self.tilt = np.where(np.isfinite(cosine), cosine, 1.0)
         # How far the block's face may lie from a column's own: a block's slope and the roughness.
         self.reach = 2.0 + 1.5 * coarse.block * max(pitch[:2]) / pitch[2]
-        self.noise = max(first["noise"], 1e-6 * abs(self.air) + 1e-9)
+        self.noise = max(first.noise, 1e-6 * abs(self.air) + 1e-9)
         self.blend = 0.0
 
     def slab(self, start: int, stop: int, *, high: bool) -> NDArray[np.float32]:
@@ -63,6 +74,7 @@ class Search:
         halo = int(np.ceil(3 * self.blend)) if self.blend else 0
         lo, hi = max(start - halo, 0), min(stop + halo, self.values.shape[0])
         part = np.array(self.values[lo:hi], dtype=np.float32)
+        self._drop_padding(part)
         part -= np.float32(self.air)
         if self.polarity < 0:
             part *= np.float32(-1)
@@ -70,6 +82,10 @@ class Search:
             part = ndimage.gaussian_filter(part, (self.blend, self.blend, 0), mode="nearest", truncate=3.0)
             part = part[start - lo : part.shape[0] - (hi - stop)]
         return np.ascontiguousarray(part[:, :, ::-1] if high else part)
+
+    def _drop_padding(self, slab: NDArray[np.float32]) -> None:
+        if self.padding is not None:
+            slab[slab == self.padding] = np.nan
 
     def expected(self, rows: slice, *, high: bool) -> tuple[Array, Array]:
         """Depth of the outer and the opposite face in the direction of reading."""
@@ -254,6 +270,7 @@ class Search:
             stop = min(start + _SLAB, shape[0])
             lo, hi = max(start - lead, 0), min(stop + lead, shape[0])
             slab = np.array(self.values[lo:hi], dtype=np.float32)
+            self._drop_padding(slab)
             part = np.empty((stop - start, shape[1]))
             rows = slice(start, stop)
             _kernels.presence(
