@@ -121,7 +121,8 @@ def scene(
     fine = 1.0 + texture(rng, shape, max(1.0, 20.0 / px), 0.3 * mottle)
     sheet = np.maximum(sheet * fine, 0.05)
     sheet = blemished(rng, sheet, blemishes, py, px)
-    floor, wall, char = {"reflected": (0.12, 0.2, 0.6), "transmitted": (2.2, 1.6, 0.5), "presence": (0.0, 0.0, 1.0)}[kind]
+    kinds = {"reflected": (0.12, 0.2, 0.6), "transmitted": (2.2, 1.6, 0.5), "presence": (0.0, 0.0, 1.0)}
+    floor, wall, char = kinds[kind]
     image = sheet.copy()
     sub = 5
     offsets = (np.arange(sub) + 0.5) / sub - 0.5

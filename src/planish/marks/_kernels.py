@@ -307,7 +307,7 @@ def _levels(image, px, py, cx, cy, sign, radius, pixel):
         return inside, spread, np.nan, np.nan, np.nan
     level = np.median(around)
     texture = 1.4826 * np.median(np.abs(around - level))
-    centre = np.nanmedian(core[:: rings]) if rings == 1 else 0.0
+    centre = np.nanmedian(core[::rings]) if rings == 1 else 0.0
     total, count = 0.0, 0
     for k in range(rays):
         for s in range(rings // 4):
@@ -324,9 +324,9 @@ def measure(image, px, py, xs, ys, sign, low, high):
     """Measure a round hole at each candidate place.
 
     ``xs, ys`` (n,) in um; ``low, high`` the range of radii in um. Returns ``(n, COLUMNS)``: centre, radius, half the
-    difference between the half axes, covariance of the centre, share of the rim found, step at the rim, levels inside and
-    outside times ``sign``, robust standard deviation of the sheet around, rms of the rim about the ellipse, rise of the
-    floor towards the rim and unevenness of the floor. Lengths in um. NaN rows where there is no hole.
+    difference between the half axes, covariance of the centre, share of the rim found, step at the rim, levels inside
+    and outside times ``sign``, robust standard deviation of the sheet around, rms of the rim about the ellipse, rise
+    of the floor towards the rim and unevenness of the floor. Lengths in um. NaN rows where there is no hole.
     """
     pixel = max(px, py)
     out = np.full((xs.size, COLUMNS), np.nan)
@@ -364,7 +364,7 @@ def measure(image, px, py, xs, ys, sign, low, high):
         radii, steps, far_steps = np.empty(RAYS), np.empty(RAYS), np.empty(RAYS)
         fit, weight = np.zeros(5), np.zeros(RAYS)
         inverse = np.zeros((5, 5))
-        for turn in range(3):
+        for _turn in range(3):
             radii, steps, far_steps = _half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel)
             step = np.nanmedian(steps)
             for k in range(RAYS):
@@ -388,9 +388,7 @@ def measure(image, px, py, xs, ys, sign, low, high):
         for k in range(RAYS):
             if weight[k] > 0.0:
                 angle = 2 * np.pi * k / RAYS
-                error[k] = radii[k] - (
-                    model[k] + fit[1] * np.cos(angle) + fit[2] * np.sin(angle)
-                )
+                error[k] = radii[k] - (model[k] + fit[1] * np.cos(angle) + fit[2] * np.sin(angle))
                 squares += error[k] ** 2
                 used += 1
         together = 1.0

@@ -21,7 +21,9 @@ ACROSS_FINE = 40.0
 MOST_CANDIDATES = 6000
 
 
-def reduce_to(image: Image, pixel_um: tuple[float, float], target_um: float) -> tuple[Image, tuple[float, float], Floats]:
+def reduce_to(
+    image: Image, pixel_um: tuple[float, float], target_um: float
+) -> tuple[Image, tuple[float, float], Floats]:
     """Area-mean an image until its pixels are nearly as large as ``target_um``.
 
     Parameters
@@ -43,7 +45,9 @@ def reduce_to(image: Image, pixel_um: tuple[float, float], target_um: float) -> 
     return small, size, np.array([(factors[1] - 1) / 2 * pixel_um[1], (factors[0] - 1) / 2 * pixel_um[0]])
 
 
-def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[float, float]) -> list[tuple[float, Image]]:
+def blob_responses(
+    image: Image, pixel_um: tuple[float, float], radii_um: tuple[float, float]
+) -> list[tuple[float, Image]]:
     """Laplacian-of-Gaussian responses at radii that cover a range; positive where a disc is darker than around it.
 
     Missing data are filled with the local mean of what is there, so that they raise no edge of their own.
@@ -153,9 +157,7 @@ def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float) ->
     return mean.astype(np.float32)
 
 
-def peaks(
-    responses: list[tuple[float, Image]], pixel_um: tuple[float, float], sign: float, least: float
-) -> Floats:
+def peaks(responses: list[tuple[float, Image]], pixel_um: tuple[float, float], sign: float, least: float) -> Floats:
     """Return the strongest extremes over place and scale as rows ``(x, y)`` in um, strongest first.
 
     Parameters
@@ -175,7 +177,8 @@ def peaks(
         reach = tuple(2 * max(1, round(0.5 * radius / size)) + 1 for size in pixel_um)
         top = (values == ndimage.maximum_filter(values, size=reach)) & (values > max(least, 0.0))
         rows, columns = np.nonzero(top)
-        found.append(np.stack([columns * pixel_um[1], rows * pixel_um[0], values[rows, columns]], axis=1))
+        peaks = np.stack([columns * pixel_um[1], rows * pixel_um[0], values[rows, columns]], axis=1)
+        found.append(peaks.astype(np.float64))
     every = np.concatenate(found)
     order = np.argsort(-every[:, 2], kind="stable")
     return _thinned(every[order, :2], 0.5 * responses[0][0])[:MOST_CANDIDATES]

@@ -30,8 +30,8 @@ LEAST_COVERAGE = 0.7
 # Step from the floor to the sheet, in robust standard deviations of the sheet around and of the whole: mottle rarely
 # makes three.
 LEAST_CONTRAST = 3.2
-# The floor of a hole is flat and its rim a step; a blotch of mottle is neither. Shares of the whole step; the char around
-# a hole may take two thirds of it.
+# The floor of a hole is flat and its rim a step; a blotch of mottle is neither. Shares of the whole step; the char
+# around a hole may take two thirds of it.
 LARGEST_FLATNESS = 0.25
 LARGEST_UNEVENNESS = 0.2
 LEAST_STEP = 0.28
@@ -88,8 +88,9 @@ def find_holes(
     Returns
     -------
     Dataset, dims (mark)
-        ``x, y`` (um), ``cov_xx, cov_yy, cov_xy`` (um2), ``diameter`` (um), ``axis_ratio``, ``arc_coverage`` (0 to 1) and
-        ``contrast`` (negative for dark holes). Sorted by y, then x. Empty, without an error, where there is no hole.
+        ``x, y`` (um), ``cov_xx, cov_yy, cov_xy`` (um2), ``diameter`` (um), ``axis_ratio``, ``arc_coverage`` (0 to 1)
+        and ``contrast`` (negative for dark holes). Sorted by y, then x. Empty, without an error, where there is no
+        hole.
         ``attrs["polarity"]`` says which kind was found.
 
     Raises
@@ -101,9 +102,10 @@ def find_holes(
 
     Notes
     -----
-    A burnt rim surrounds each hole, so the rim is taken at the innermost strong edge met on the way out from the centre,
-    at half level between the floor and what lies just outside it. Rims are fitted by ``r0 + a cos + b sin + c cos 2 +
-    d sin 2`` with Tukey weights, which is an ellipse to first order. The covariance of the centre follows from the
+    A burnt rim surrounds each hole, so the rim is taken at the innermost strong edge met on the way out from the
+    centre, at half level between the floor and what lies just outside it. Rims are fitted by ``r0 + a cos + b sin +
+    c cos 2 + d sin 2`` with Tukey weights, which is an ellipse to first order. The covariance of the centre
+    follows from the
     residuals, raised for their correlation along the rim; it includes the roughness of the rim, which two images of one
     hole share, and is therefore on the safe side. Holes cut by the border of the image or of the data are left out, as
     are holes closed over more than 30 % of their rim.
@@ -235,8 +237,10 @@ def _dataset(rows: Floats, sign: float) -> xr.Dataset:
 
 def _usable(grey: Image, size: tuple[float, float], low: float) -> bool:
     """Return whether a hole could lie in the image at all."""
-    return min(n * step for n, step in zip(grey.shape, size, strict=True)) > low and min(grey.shape) >= 8 and bool(
-        np.any(np.isfinite(grey))
+    return (
+        min(n * step for n, step in zip(grey.shape, size, strict=True)) > low
+        and min(grey.shape) >= 8
+        and bool(np.any(np.isfinite(grey)))
     )
 
 
@@ -264,5 +268,5 @@ def _pixel_size(pixel_um: float | tuple[float, float]) -> tuple[float, float]:
 def _diameters(diameter_um: tuple[float, float]) -> tuple[float, float]:
     low, high = (float(value) for value in diameter_um)
     if not 0.0 < low < high < np.inf:
-        raise MarkError(f"Hole diameters from {low:g} to {high:g} um: the first has to be positive and below the second.")
+        raise MarkError(f"Hole diameters from {low:g} to {high:g} um: the first must be positive and below the second.")
     return low, high

@@ -93,7 +93,7 @@ def read_marks(path: str | Path) -> xr.Dataset:
         more = f"; and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
         raise MarkError(f"{place.name}: {'; '.join(faults[:MOST_FAULTS])}{more}. Correct these rows.")
     if not values:
-        raise MarkError(f"{place.name} has a header and no pair of marks. At least 2 rows are needed, 3 or more are better.")
+        raise MarkError(f"{place.name} has a header and no pair of marks. At least 3 rows are needed.")
     table = np.array(values, dtype=np.float64)
     data = {name.removesuffix("_um"): table[:, column] for column, name in enumerate(wanted)}
     return _dataset(labels, data)
@@ -149,14 +149,15 @@ def _lines(place: Path) -> list[tuple[int, list[str]]]:
     except UnicodeDecodeError as error:
         raise FileError(f"{place} is no text in UTF-8. Save the table as CSV (UTF-8).") from error
     lines = text.splitlines()
-    used = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+    numbered = enumerate(lines, 1)
+    used = [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
     if not used:
         return []
     delimiter = max(",;\t", key=used[0][1].count)
     try:
         parsed = list(csv.reader([line for _, line in used], delimiter=delimiter, strict=True))
     except csv.Error as error:
-        raise MarkError(f"{place.name} is no CSV table: {error}. One pair a row, columns separated by commas.") from error
+        raise MarkError(f"{place.name} is no CSV table: {error}. One pair a row, with commas between.") from error
     if len(parsed) != len(used):
         raise MarkError(f"{place.name} has quoted text over several lines. One pair a row is needed.")
     return [(number, row) for (number, _), row in zip(used, parsed, strict=True)]
