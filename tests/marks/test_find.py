@@ -29,7 +29,8 @@ def specimen(seed, kind, pixel, *, across=1100, apart=None, **more):
     size = float(np.clip(across * pixel, 1400, 6000))
     shape = (int(0.8 * size / pixel), int(size / pixel))
     diameter = rng.uniform(170 if pixel >= 20 else 120, 260)
-    apart = (1.5 if seed % 2 else 3.0) if apart is None else apart
+    # Holes may be 1.5 diameters apart, where their char touches; with pixels of 20 um, three.
+    apart = (1.5 if seed % 2 and pixel < 20 else 3.0) if apart is None else apart
     places = place(rng, 12, (shape[0] * pixel, shape[1] * pixel), diameter / 2 + 60, apart * diameter)
     holes = [make_hole(rng, *p, float(np.clip(rng.normal(diameter, 8), 105, 290))) for p in places]
     looks = {

@@ -193,3 +193,13 @@ def test_air_clipped_to_one_value_is_air():
     assert found.attrs["grey_air"] == 0.0
     # what is clipped lies below the faces' half height; they move by a fraction of the blur
     assert abs(float((found["top"] - middle[0] - half).mean())) < 1.0
+
+
+@pytest.mark.parametrize("air", [0.0, 6.0, 12.0])
+def test_noise_of_the_air_cut_at_zero(air):
+    """An 8-bit export with dark air: a part of the air's voxels is exactly 0, their mean is not."""
+    grey, middle, half = slab(greys=(air, 60.0, 240.0), noise=9.0)
+    found = find_surfaces(volume(np.rint(np.clip(grey, 0, 255)).astype(np.uint8)))
+    error = (found["top"].values - middle[0] - half)[found["status"].values == 0]
+    print(f"air {air:g}: level {found.attrs['grey_air']:.1f}, top face {error.mean():.2f} um off")
+    assert abs(error.mean()) < 0.3

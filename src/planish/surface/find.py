@@ -12,7 +12,7 @@ from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.surface.centre import gaussian_regression
 from planish.surface.coarse import CORE, CoarseSheet, block_means, coarse_sheet
-from planish.surface.levels import GreyLevels, air_level, material, padding_value
+from planish.surface.levels import GreyLevels, material, mode, padding_value, voxel_noise
 from planish.surface.params import SurfaceParams
 from planish.surface.regions import regions
 from planish.surface.search import First, Search
@@ -76,7 +76,8 @@ def find_surfaces(
     middle = np.where(sheet & ~rim, 0.5 * (top + bottom), np.nan)
     if not np.isfinite(middle).any():
         raise VolumeError(
-            "The sheet consists of holes and their rims only; nothing is left to measure. Check --sheet-grey."
+            f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of {params.rim_um:g} um only; "
+            "nothing is left to measure. Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
         )
     centre = np.where(outline, gaussian_regression(middle, pitch[:2], cutoff_um=params.cutoff_um), np.nan)
     status = np.where(~np.isfinite(centre) | ~sheet, 1, np.where(rim, 2, np.where(seen, 0, 3))).astype(np.uint8)
@@ -143,10 +144,11 @@ def _coarse(columns: xr.DataArray, params: SurfaceParams) -> tuple[CoarseSheet, 
     part = values[::stride, ::stride]
     flat = part.reshape(-1, part.shape[-1])
     padding = padding_value(flat)
-    samples = _ends(flat, padding)
-    air, noise = air_level(samples)
     block = int(np.clip(round(np.sqrt(values.shape[0] * values.shape[1] / 40_000)), 1, 4))
     blocks = block_means(columns, block, padding=padding)
+    # The level comes from means over blocks: where the export has cut the air's noise at 0, single voxels crowd there.
+    air = mode(_ends(blocks.reshape(-1, blocks.shape[-1]), np.isfinite(blocks).reshape(-1, blocks.shape[-1])))
+    noise = voxel_noise(_ends(flat, np.ones(flat.shape, bool) if padding is None else flat != padding), air)
     if params.sheet_grey is not None:
         low, high = params.sheet_grey
         inside = (blocks >= low) & (blocks <= high)
@@ -166,17 +168,18 @@ def _coarse(columns: xr.DataArray, params: SurfaceParams) -> tuple[CoarseSheet, 
     return sheet, First(air=air, noise=noise, polarity=polarity, padding=padding)
 
 
-def _ends(columns: NDArray[np.generic], padding: float | None) -> Array:
-    """First and last three voxels of each column that are not padding."""
-    if padding is None:
-        ends = np.concatenate([columns[:, :3], columns[:, -3:]])
-        return ends.astype(np.float64)
-    inside = columns != padding
+def _ends(columns: NDArray[np.generic], inside: NDArray[np.bool_]) -> Array:
+    """First and last three voxels of each column (n, depth) that lie inside the field of view; (2 n, 3)."""
     held = inside.sum(axis=1) > 12
+    if not held.any():
+        return np.full((1, 3), np.nan)
     kept, inside = columns[held].astype(np.float64), inside[held]
-    first = np.argmax(inside, axis=1)[:, None] + np.arange(1, 4)
-    last = columns.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)[:, None] - np.arange(1, 4)
-    return np.concatenate([np.take_along_axis(kept, first, axis=1), np.take_along_axis(kept, last, axis=1)])
+    # One voxel is skipped where the field of view begins within the column: it may be cut.
+    first = np.argmax(inside, axis=1)
+    last = columns.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)
+    first, last = first + (first > 0), last - (last < columns.shape[1] - 1)
+    starts, stops = first[:, None] + np.arange(3), last[:, None] - np.arange(3)
+    return np.concatenate([np.take_along_axis(kept, k, axis=1) for k in (starts, stops)])
 
 
 def _core(blocks: NDArray[np.float32], sheet: CoarseSheet) -> Array:

@@ -111,14 +111,15 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     return float(corner) if sharp and differs and stands_out > 4 * scatter else None
 
 
-def air_level(ends: Array) -> tuple[float, float]:
-    """Return level and noise of the air, from samples (n, k) of k neighbouring voxels at both ends of the columns."""
-    air = mode(ends)
+def voxel_noise(ends: Array, air: float) -> float:
+    """Standard deviation of one voxel, from samples (n, 3) of neighbouring voxels in the air."""
     steps = np.diff(ends, axis=1).ravel()
-    near = np.abs(ends[:, :-1].ravel() - air) <= max(np.nanpercentile(np.abs(ends - air), 60), 1e-12)
-    noise = float(np.sqrt(np.mean(steps[near] ** 2) / 2)) if near.any() else 0.0
-    robust = spread(steps[near]) / np.sqrt(2.0) if near.any() else 0.0
-    return air, (robust if robust > 0 else noise)
+    distance = np.abs(ends - air)
+    near = np.abs(ends[:, :-1].ravel() - air) <= max(float(np.nanpercentile(distance, 60)), 1e-12)
+    if not near.any():
+        return 0.0
+    robust = spread(steps[near]) / np.sqrt(2.0)
+    return float(robust if robust > 0 else np.sqrt(np.mean(steps[near] ** 2) / 2))
 
 
 def material(blocks: NDArray[np.float32], air: float) -> tuple[float, float]:
