@@ -325,7 +325,8 @@ def measure(image, px, py, xs, ys, sign, low, high):
     ``xs, ys`` (n,) in um; ``low, high`` the range of radii in um. Returns ``(n, COLUMNS)``: centre, radius, half the
     difference between the half axes, covariance of the centre, share of the rim found, step at the rim, levels inside
     and outside times ``sign``, robust standard deviation of the sheet around, rms of the rim about the ellipse, rise
-    of the floor towards the rim, unevenness of the floor, and step over a wider distance. Lengths in um. NaN rows where there is no hole.
+    of the floor towards the rim, unevenness of the floor, and step over a wider distance. Lengths in um. NaN rows where
+    there is no hole.
     """
     pixel = max(px, py)
     out = np.full((xs.size, COLUMNS), np.nan)
