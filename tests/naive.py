@@ -50,7 +50,15 @@ def fit_staircase(g, start, width, air, noise, prior, spread, coated=True):
     return optimize.least_squares(residuals, start, bounds=(low, np.inf), xtol=1e-12, ftol=1e-12, gtol=1e-12).x
 
 
-def paraboloid_at(height, pitch, cutoff, row, col, gamma=0.7309):
+def twice_smoothed(height, pitch, cutoff, nodes):
+    """Gaussian regression applied twice, at a few nodes: fit, then fit what is left and add it."""
+    first = np.array(
+        [[paraboloid_at(height, pitch, cutoff, i, j) for j in range(height.shape[1])] for i in range(height.shape[0])]
+    )
+    return [first[i, j] + paraboloid_at(height - first, pitch, cutoff, i, j) for i, j in nodes]
+
+
+def paraboloid_at(height, pitch, cutoff, row, col, gamma=0.887):
     """Gaussian regression of second order at one node, by weighted least squares over all nodes."""
     y, x = np.mgrid[0 : height.shape[0], 0 : height.shape[1]].astype(float)
     y, x = (y - row) * pitch[0], (x - col) * pitch[1]

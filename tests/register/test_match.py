@@ -101,6 +101,21 @@ def test_a_mirror_image_is_only_tried_when_asked():
     assert match_marks(points, seen, mirror=True).mirrored
 
 
+def test_a_wrong_handed_image_is_not_matched_by_chance():
+    """Among many patterns some fit their own mirror image at most of their marks; the true hand gives them away."""
+    rng = np.random.default_rng(6)
+    accepted = 0
+    for _ in range(400):
+        points = scattered(int(rng.integers(5, 9)), rng)
+        try:
+            match_marks(points, pose(rng, mirrored=True)(points) + rng.normal(0, 1, points.shape))
+        except CannotRegister:
+            continue
+        accepted += 1
+    print(f"{accepted} of 400 mirror images accepted without --mirror")
+    assert accepted == 0
+
+
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_too_few_marks_are_named(count):
     points = np.array([(0.0, 0.0), (500.0, 20.0), (100.0, 900.0), (1200.0, 300.0)])

@@ -104,7 +104,8 @@ def match_marks(
     Raises
     ------
     CannotRegister
-        If there are fewer than three marks on a side, if fewer than 4 marks or 60 % of the smaller side agree, if as
+        If there are fewer than three marks on a side, if fewer than 4 marks or 60 % of the smaller side agree, if the
+        mirror image agrees better although ``mirror`` is not set, if as
         good an agreement is expected by chance, or if a different arrangement agrees nearly as well. Three marks on a
         side are enough when all three agree and their distances cannot be confused.
     MarkError
@@ -135,6 +136,12 @@ def match_marks(
     count = int(found.inliers[best])
     if count < need or found.log_chance[best] > ACCEPTED_LOG_CHANCE:
         raise CannotRegister(_no_match(seen, int(found.inliers.max()), need, mirror))
+    if not mirror and _other_hand_is_better(a, b, float(found.log_chance[best]), scale_tolerance, tolerance_um):
+        raise CannotRegister(
+            f"{seen}: {count} agree, but the mirror image of one side agrees better still: one is probably seen from "
+            "the wrong side. Check --top and --through; if the slices are numbered against the usual sense, "
+            "pass --mirror."
+        )
     rival, rival_count = _best_rival(found, best, tolerance_um)
     if len(a) == 3 and _confusable(a, b[found.partner[best]], 3.0 * tolerance_um):
         raise CannotRegister(
@@ -234,6 +241,12 @@ def _search(
     )
 
 
+def _other_hand_is_better(a: Floats, b: Floats, log_chance: float, scale_tolerance: float, tolerance: float) -> bool:
+    """Return whether turning one side over explains the marks better than leaving it: only to refuse, never to use."""
+    other = _search(a, b, scale_tolerance, tolerance, (True,))
+    return other is not None and float(other.log_chance.min()) < log_chance - 1.0
+
+
 def _chance(squares: Floats, b: Floats, tests: int, tolerance: float) -> tuple[Floats, Ints]:
     """Return log10 of the expected number of chance arrangements as good as each row, and the finite counts."""
     n = squares.shape[1]
@@ -316,9 +329,13 @@ def _too_few(name: str, points: Floats, source: Floats, target: Floats) -> str:
 
 
 def _no_match(seen: str, count: int, need: int, mirror: bool) -> str:
+    if need == 3:
+        return (
+            f"{seen}: with three marks on a side an agreement may be chance. Add a fourth, or give pairs with --marks."
+        )
     return (
-        f"{seen}: no arrangement explains them: at most {count} agree, and {need} have to, better than by chance. "
-        "Check the pixel and voxel sizes and the marks found on each side"
-        + ("" if mirror else "; if one side is mirrored pass --mirror")
+        f"{seen}: no arrangement explains them: at most {count} agree, and at least {need} have to, closer than chance "
+        "would bring them. Check the pixel and voxel sizes, and --top: the side that the image shows"
+        + ("" if mirror else "; if the slices are numbered against the usual sense pass --mirror")
         + "; or give the pairs with --marks."
     )

@@ -1,9 +1,10 @@
-"""The centre surface: Gaussian regression of second order through the mean of the two faces.
+"""The centre surface: Gaussian regression of second order, twice, through the mean of the two faces.
 
 Gaussian smoothing flattens what it smooths: a crest sinks and an edge turns inwards. The regression filter of second
 order (ISO 16610-31 without its robust weights) fits a local paraboloid with Gaussian weights instead. It passes slopes
-and curvatures unchanged, runs up to the border, and carries the surface across holes. Its cut-off wavelength, the one
-that passes by half, is the same 400 um that a Gaussian of 75 um has.
+and curvatures unchanged, runs up to the border, and carries the surface across holes. It is applied a second time to
+what it left behind, so that waves much longer than its cut-off keep their height. The cut-off, the wavelength that
+passes by half, is the same 400 um that a Gaussian of 75 um has.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from scipy import ndimage
 
 Array = NDArray[np.float64]
 
-# Gaussian weight exp(-pi (x / (GAMMA lambda))^2); GAMMA makes the second-order filter pass lambda by half (ISO
-# 16610-31).
-_GAMMA = 0.7309
+# Gaussian weight exp(-pi (x / (GAMMA lambda))^2). With 0.7309 the second-order filter H passes lambda by half (ISO
+# 16610-31); applied twice, 1 - (1 - H)^2, it does so with a wider weight.
+_GAMMA = 0.887
 _REACH = 1.5  # in units of GAMMA lambda; the weight there is 0.0009
 _POWERS = [(i, j) for i in range(5) for j in range(5 - i)]
 _TERMS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
@@ -45,7 +46,10 @@ def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_
     mean, weight = _blocks(height, block)
     pad = 8  # the spline forgets its end condition by a factor of four a node
     mean, weight = np.pad(mean, pad), np.pad(weight, pad)
-    coarse = _regress(mean, weight, (pitch_um[0] * block[0], pitch_um[1] * block[1]), cutoff_um)
+    coarse_pitch = pitch_um[0] * block[0], pitch_um[1] * block[1]
+    coarse = _regress(mean, weight, coarse_pitch, cutoff_um)
+    # A second pass over what the first left behind: a wave of 1500 um then loses 0.02 % of its height and not 0.6 %.
+    coarse += _regress(np.where(weight > 0, mean - coarse, 0.0), weight, coarse_pitch, cutoff_um)
     where = [
         np.clip((np.arange(n) - 0.5 * (b - 1)) / b + pad, 0, m - 1)
         for n, b, m in zip(height.shape, block, coarse.shape, strict=True)

@@ -79,7 +79,13 @@ def find_surfaces(
             f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of {params.rim_um:g} um only; "
             "nothing is left to measure. Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
         )
-    centre = np.where(outline, gaussian_regression(middle, pitch[:2], cutoff_um=params.cutoff_um), np.nan)
+    centre = gaussian_regression(middle, pitch[:2], cutoff_um=params.cutoff_um)
+    # A hole with its rim may be wider than a short cut-off reaches: it is bridged with a longer one.
+    for wider in (2.0, 4.0):
+        if np.isnan(centre[outline]).any():
+            bridge = gaussian_regression(middle, pitch[:2], cutoff_um=wider * params.cutoff_um)
+            centre = np.where(np.isnan(centre), bridge, centre)
+    centre = np.where(outline, centre, np.nan)
     status = np.where(~np.isfinite(centre) | ~sheet, 1, np.where(rim, 2, np.where(seen, 0, 3))).astype(np.uint8)
     present = search.presence(centre, thickness, up)
     heights = {
