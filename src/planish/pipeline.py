@@ -194,7 +194,14 @@ def link_sheet(study: Study, *, progress: Progress | None = None) -> Run:
         moving = _holes_of_map(maps, r.hole_um)
         _enough(moving, "volume", r.hole_um)
         a, b = (np.stack([d["x"].values, d["y"].values], axis=1) for d in (moving, fixed))
-        matched = match_marks(a, b, scale_tolerance=r.scale_tolerance, tolerance_um=r.tolerance_um, mirror=r.mirror)
+        matched = match_marks(
+            a,
+            b,
+            scale_tolerance=r.scale_tolerance,
+            tolerance_um=r.tolerance_um,
+            mirror=r.mirror,
+            names=("volume", "image"),
+        )
         pairs, mirrored = matched.pairs, matched.mirrored
         moving_um, fixed_um = a[pairs[:, 0]], b[pairs[:, 1]]
         diameters = np.maximum(moving["diameter"].values[pairs[:, 0]], fixed["diameter"].values[pairs[:, 1]])

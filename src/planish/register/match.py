@@ -83,6 +83,7 @@ def match_marks(
     scale_tolerance: float = 0.03,
     tolerance_um: float = 25.0,
     mirror: bool = False,
+    names: tuple[str, str] = ("moving", "fixed"),
 ) -> Matched:
     """Match two sets of marks whose rotation and shift are unknown.
 
@@ -96,6 +97,8 @@ def match_marks(
         Two marks agree if the arrangement puts them this close.
     mirror : bool
         Whether the moving side may also be turned over. Both hands then compete.
+    names : (str, str)
+        What the two sides are called in messages.
 
     Returns
     -------
@@ -121,14 +124,14 @@ def match_marks(
     Hirn et al. (2009), section 2.4. Moisan and Stival (2004), Int. J. Comput. Vis. 57, 201,
     doi:10.1023/B:VISI.0000013094.38752.54 (agreement judged against chance).
     """
-    source, target = _points(moving, "moving"), _points(fixed, "fixed")
-    for name, points in (("moving", source), ("fixed", target)):
+    source, target = _points(moving, names[0]), _points(fixed, names[1])
+    seen = f"{len(source)} marks of the {names[0]} and {len(target)} of the {names[1]}"
+    for name, points in zip(names, (source, target), strict=True):
         if len(points) < 3:
-            raise CannotRegister(_too_few(name, points, source, target))
+            raise CannotRegister(_too_few(seen, name, points))
     swapped = len(source) > len(target)
     a, b = (target, source) if swapped else (source, target)
     found = _search(a, b, scale_tolerance, tolerance_um, (False, True) if mirror else (False,))
-    seen = f"{len(source)} moving and {len(target)} fixed marks"
     need = max(4, int(np.ceil(0.6 * len(a)))) if len(a) > 3 else 3
     if found is None:
         raise CannotRegister(_no_match(seen, 2, need, mirror))
@@ -166,7 +169,7 @@ def match_marks(
     pairs = np.ascontiguousarray(pairs[np.argsort(pairs[:, 0])])
     fit = fit_transform(source[pairs[:, 0]], target[pairs[:, 1]], mirrored=hand)
     sentence = (
-        f"{count} of {seen} agree (rotation {np.degrees(fit.transform.rotation_rad):.2f} deg, scale "
+        f"{seen}: {count} agree (rotation {np.degrees(fit.transform.rotation_rad):.2f} deg, scale "
         f"{fit.transform.scale:.4f}{', mirrored' if hand else ''}, residual {fit.rms_um:.1f} um rms); "
         f"the next best arrangement agrees at {rival_count}."
     )
@@ -317,10 +320,10 @@ def _symmetric(
     return bool(np.any(~(still & ~again.mirrored) & (again.close >= (0.75 if len(union) < 8 else 0.6) * len(union))))
 
 
-def _too_few(name: str, points: Floats, source: Floats, target: Floats) -> str:
+def _too_few(seen: str, name: str, points: Floats) -> str:
     where = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in points)
     return (
-        f"{len(source)} moving and {len(target)} fixed marks: {len(points)} on the {name} side"
+        f"{seen}: {len(points)} on the side of the {name}"
         + (f" (at {where} um)" if len(points) else "")
         + " cannot be matched without a hint; at least 3 on each side are needed, 4 or more are better. "
         "Check that the holes are in the field and that the pixel and voxel sizes are right, widen the range of hole "
