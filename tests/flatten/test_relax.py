@@ -66,7 +66,7 @@ def test_energy_never_rises_and_no_cell_folds():
 
 
 def test_a_sphere_keeps_strain_and_says_so():
-    """A cap cannot be flat: strain of the order of K a^2 / 16, with Gaussian curvature K and half size a, K a^2 = 0.0256."""
+    """A cap cannot be flat: strain of the order of K a^2 / 16 (K curvature, a half size), where K a^2 = 0.0256."""
     y, x = np.mgrid[-20:21, -20:21] * 4.0
     points = np.stack([x, y, np.sqrt(500.0**2 - x**2 - y**2)], axis=-1)
     strain = cell_strain(points, relax_grid(points).uv)
