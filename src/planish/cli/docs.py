@@ -22,7 +22,8 @@ def page() -> str:
 
 
 def _section(name: str, command: click.Command) -> str:
-    context = click.Context(command, info_name=name, terminal_width=100, max_content_width=100)
+    # As at the terminal, where every command takes these from the group; click keeps the option once it has made it.
+    context = click.Context(command, info_name=name, terminal_width=100, help_option_names=["-h", "--help"])
     return f"## {name}\n\n```\n{command.get_help(context)}\n```\n"
 
 
