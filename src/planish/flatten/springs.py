@@ -68,7 +68,8 @@ def newton_system(springs: Springs, uv: Array) -> tuple[Array, sparse.csc_array]
     """
     count = uv.shape[0]
     step = uv[springs.second] - uv[springs.first]
-    length = np.linalg.norm(step, axis=1)
+    # Two nodes on one spot have no direction; such a spring pulls nowhere instead of to infinity.
+    length = np.maximum(np.linalg.norm(step, axis=1), 1e-9 * springs.rest)
     d = step / length[:, None]
     pull = d * (length - springs.rest)[:, None]
     force = np.zeros((count, 2))
