@@ -119,3 +119,36 @@ def relax(points):
     start = points[..., :2].reshape(-1)
     found = optimize.least_squares(stretch, start, method="trf", xtol=1e-15, ftol=1e-15, gtol=1e-12)
     return found.x.reshape(*points.shape[:2], 2), float(2 * found.cost)
+
+
+def resample_quads(uv, field, points):
+    """Triangle by triangle of the quad mesh, all points at once: value, nearest node, and number of quads on each."""
+    flat = points.reshape(-1, 2)
+    rows, cols = uv.shape[:2]
+    value, node, place = np.full(len(flat), np.nan), np.full(len(flat), -1), np.full((len(flat), 2), np.nan)
+    quads = np.zeros(len(flat), dtype=int)
+    for i in range(rows - 1):
+        for j in range(cols - 1):
+            if not np.isfinite(uv[i : i + 2, j : j + 2]).all():
+                continue
+            met = np.zeros(len(flat), dtype=bool)
+            for triangle in (((0, 0), (0, 1), (1, 1)), ((0, 0), (1, 1), (1, 0))):
+                index = np.array(triangle) + np.array([i, j])
+                corners = uv[index[:, 0], index[:, 1]]
+                system = np.vstack([corners.T, np.ones(3)])
+                if abs(np.linalg.det(system)) < 1e-9:
+                    continue
+                weights = np.linalg.solve(system, np.column_stack([flat, np.ones(len(flat))]).T).T
+                inside = (weights >= -1e-9).all(axis=1) & ~met
+                met |= inside
+                here = weights @ index
+                # A point on a common edge has the same place in both quads and lies on one of them.
+                quads += inside & ~(np.abs(here - place).max(axis=1) <= 1e-6)
+                first = inside & np.isnan(place[:, 0])
+                place[first] = here[first]
+                used = np.where(np.abs(weights) > 1e-9, weights, 0.0)
+                values = sum(np.where(w != 0, w * field[k, m], 0.0) for w, (k, m) in zip(used.T, index, strict=True))
+                value[first] = values[first]
+                nearest = np.floor(here - (i, j) + 0.5).astype(int) + np.array([i, j])
+                node[first] = (nearest[:, 0] * cols + nearest[:, 1])[first]
+    return (a.reshape(points.shape[:-1]) for a in (value, node, quads))

@@ -1,98 +1,260 @@
 # pyright: standard
-"""Compiled inner loops of resampling: which quad covers a pixel, and what stands there."""
+"""Compiled inner loops of resampling: which triangle covers a pixel, and what stands there.
+
+A quad with the corners 0 = (0, 0), 1 = (0, 1), 2 = (1, 1), 3 = (1, 0) in (row, column) is cut along 0-2 into the
+triangles 0-1-2 and 0-2-3. Triangle t of the quad whose first corner is node n of the mesh has the number 2 n + t.
+
+All kernels work on the rows ``begin`` to ``end`` of their output and on nothing else of it, so that several may run at
+the same time; no result depends on how the rows are shared out.
+"""
 
 import numpy as np
 from numba import njit
 
-_EDGE = 1e-9
+_EDGE = 1e-9  # of a triangle's weights: a pixel on a common edge is never lost to rounding
+_SAME = 1e-6  # of a quad: what two quads with a common edge may differ in about a pixel on it
 
 
 @njit(cache=True, nogil=True)
-def locate(px, py, rows_out, cols_out):
-    """Find, for every pixel of a regular grid, the place in a quad mesh that lies on it.
+def extents(uv, first, pitch, segment, low, high, begin, end):
+    """Set ``low`` and ``high`` (rows, segments) to the extent of each row of nodes in rows of the target.
+
+    Segment s holds the nodes ``s * segment`` to ``(s + 1) * segment``, both included; missing nodes do not count.
+    """
+    cols = uv.shape[1]
+    per = 1.0 / pitch  # the same sums as in `locate`, so that both agree to the last bit
+    for i in range(begin, end):
+        for s in range(low.shape[1]):
+            least, most = np.inf, -np.inf
+            for j in range(s * segment, min((s + 1) * segment + 1, cols)):
+                v = uv[i, j, 1]
+                if v < least:
+                    least = v
+                if v > most:
+                    most = v
+            low[i, s] = (least - first) * per
+            high[i, s] = (most - first) * per
+
+
+@njit(cache=True, nogil=True)
+def _place(number, wb, wc, cols):
+    """Row and column in the mesh of a point in a triangle of a quad."""
+    node = number >> 1
+    i = node // cols
+    j = node - i * cols
+    return (i + wb + wc, j + wb) if number & 1 else (i + wc, j + wb + wc)
+
+
+@njit(cache=True, nogil=True)
+def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin, end):
+    """Find, for every pixel of a regular grid, the triangle of a quad mesh that it lies in.
 
     Parameters
     ----------
-    px, py : (rows, cols)
-        Position of the mesh's nodes in pixels of the target (column, row); NaN where there is none.
-    rows_out, cols_out : int
-        Shape of the target; pixel i has its centre at i.
+    uv : (rows, cols, 2)
+        Flat coordinates of the nodes; not finite where there is none.
+    first, pitch : (2)
+        (u, v) of the centre of the target's first pixel, and from one pixel to the next.
+    segment, low, high : int, (rows, segments), (rows, segments)
+        From :func:`extents`.
+    triangle : (rows_out, cols_out) int32
+        Set to the number of the triangle; -1 where there is no quad. Where quads overlap, the first one stays.
+    weight : (2, rows_out, cols_out)
+        Set to the weights of the triangle's second and third corner; the first one has what is left of 1.
+    twice : (rows_out, cols_out) uint8, zeros
+        Set to 1 where more than one quad lies.
+    begin, end : int
+        Rows of the target to do.
 
     Returns
     -------
-    (2, rows_out, cols_out)
-        Fractional row and column in the mesh; NaN where no quad lies. A quad is cut into two triangles along its first
-        diagonal; within a triangle the place is linear (barycentric). Where quads overlap the first one stays and the
-        pixel is counted.
     int
-        Number of pixels covered by more than one quad.
+        Number of pixels on which more than one quad lies.
     """
-    out = np.full((2, rows_out, cols_out), np.nan)
-    twice = 0
-    rows, cols = px.shape
-    cx = np.empty(4)
-    cy = np.empty(4)
-    # Corners in order (0,0) (0,1) (1,1) (1,0); triangles 0-1-2 and 0-2-3.
+    rows, cols = uv.shape[:2]
+    width = triangle.shape[1]
+    first_u, first_v, per_u, per_v = first[0], first[1], 1.0 / pitch[0], 1.0 / pitch[1]
+    count = 0
+    for y in range(begin, end):
+        for x in range(width):
+            triangle[y, x] = -1
     for i in range(rows - 1):
-        for j in range(cols - 1):
-            cx[0], cy[0] = px[i, j], py[i, j]
-            cx[1], cy[1] = px[i, j + 1], py[i, j + 1]
-            cx[2], cy[2] = px[i + 1, j + 1], py[i + 1, j + 1]
-            cx[3], cy[3] = px[i + 1, j], py[i + 1, j]
-            lo_x = min(cx[0], cx[1], cx[2], cx[3])
-            hi_x = max(cx[0], cx[1], cx[2], cx[3])
-            lo_y = min(cy[0], cy[1], cy[2], cy[3])
-            hi_y = max(cy[0], cy[1], cy[2], cy[3])
-            if not (np.isfinite(lo_x + hi_x + lo_y + hi_y)):
+        for s in range(low.shape[1]):
+            if min(low[i, s], low[i + 1, s]) - _EDGE > end - 1 or max(high[i, s], high[i + 1, s]) + _EDGE < begin:
                 continue
-            if np.isnan(cx[0] + cx[1] + cx[2] + cx[3] + cy[0] + cy[1] + cy[2] + cy[3]):
-                continue
-            if hi_x < 0 or hi_y < 0 or lo_x > cols_out - 1 or lo_y > rows_out - 1:
-                continue
-            for y in range(max(int(np.ceil(lo_y)), 0), min(int(np.floor(hi_y)), rows_out - 1) + 1):
-                for x in range(max(int(np.ceil(lo_x)), 0), min(int(np.floor(hi_x)), cols_out - 1) + 1):
-                    for t in range(2):
-                        b = 1 + t
-                        c = 2 + t
-                        det = (cx[b] - cx[0]) * (cy[c] - cy[0]) - (cx[c] - cx[0]) * (cy[b] - cy[0])
-                        if det == 0.0:
-                            continue
-                        wb = ((x - cx[0]) * (cy[c] - cy[0]) - (cx[c] - cx[0]) * (y - cy[0])) / det
-                        wc = ((cx[b] - cx[0]) * (y - cy[0]) - (x - cx[0]) * (cy[b] - cy[0])) / det
-                        if wb < -_EDGE or wc < -_EDGE or wb + wc > 1 + _EDGE:
-                            continue
-                        if t == 0:
-                            r, s = wc, wb + wc  # corners 1 = (0, 1), 2 = (1, 1)
-                        else:
-                            r, s = wb + wc, wb  # corners 2 = (1, 1), 3 = (1, 0)
-                        if np.isnan(out[0, y, x]):
-                            out[0, y, x] = i + r
-                            out[1, y, x] = j + s
-                        elif abs(out[0, y, x] - i - r) > 1e-6 or abs(out[1, y, x] - j - s) > 1e-6:
-                            twice += 1
-                        break
-    return out, twice
+            start = s * segment
+            # Corners of the quad: a = 0, b = 1, c = 2, d = 3; b and c are a and d of the next one.
+            bx, by = (uv[i, start, 0] - first_u) * per_u, (uv[i, start, 1] - first_v) * per_v
+            cx, cy = (uv[i + 1, start, 0] - first_u) * per_u, (uv[i + 1, start, 1] - first_v) * per_v
+            for j in range(start, min(start + segment, cols - 1)):
+                ax, ay, dx, dy = bx, by, cx, cy
+                bx, by = (uv[i, j + 1, 0] - first_u) * per_u, (uv[i, j + 1, 1] - first_v) * per_v
+                cx, cy = (uv[i + 1, j + 1, 0] - first_u) * per_u, (uv[i + 1, j + 1, 1] - first_v) * per_v
+                total = (ax + bx) + (cx + dx) + ((ay + by) + (cy + dy))
+                if total - total != 0.0:  # a corner is missing
+                    continue
+                top = max(np.ceil(min(min(ay, by), min(cy, dy)) - _EDGE), float(begin))
+                bottom = min(np.floor(max(max(ay, by), max(cy, dy)) + _EDGE), end - 1.0)
+                left = max(np.ceil(min(min(ax, bx), min(cx, dx)) - _EDGE), 0.0)
+                right = min(np.floor(max(max(ax, bx), max(cx, dx)) + _EDGE), width - 1.0)
+                if top > bottom or left > right:
+                    continue
+                ex, ey = bx - ax, by - ay
+                fx, fy = cx - ax, cy - ay
+                gx, gy = dx - ax, dy - ay
+                upper = ex * fy - fx * ey  # twice the area of 0-1-2, and of 0-2-3: negative when turned over
+                lower = fx * gy - gx * fy
+                number = 2 * (i * cols + j)
+                for y in range(int(top), int(bottom) + 1):
+                    q = y - ay
+                    for x in range(int(left), int(right) + 1):
+                        p = x - ax
+                        across = p * fy - fx * q
+                        # Weights times the area, which is divided by only where it is known that the pixel is inside.
+                        t, area, nb, nc = 0, upper, across, ex * q - p * ey
+                        if area < 0.0:
+                            area, nb, nc = -area, -nb, -nc
+                        slack = _EDGE * area
+                        if not (area > 0.0 and nb >= -slack and nc >= -slack and nb + nc <= area + slack):
+                            t, area, nb, nc = 1, lower, p * gy - gx * q, -across
+                            if area < 0.0:
+                                area, nb, nc = -area, -nb, -nc
+                            slack = _EDGE * area
+                            if not (area > 0.0 and nb >= -slack and nc >= -slack and nb + nc <= area + slack):
+                                continue
+                        inverse = 1.0 / area
+                        wb, wc = max(nb * inverse, 0.0), max(nc * inverse, 0.0)
+                        if wb + wc > 1.0:
+                            wb, wc = wb / (wb + wc), wc / (wb + wc)
+                        if triangle[y, x] < 0:
+                            triangle[y, x] = number + t
+                            weight[0, y, x] = wb
+                            weight[1, y, x] = wc
+                        elif twice[y, x] == 0:
+                            r0, c0 = _place(np.int64(triangle[y, x]), weight[0, y, x], weight[1, y, x], cols)
+                            r1, c1 = _place(number + t, wb, wc, cols)
+                            if abs(r0 - r1) > _SAME or abs(c0 - c1) > _SAME:
+                                twice[y, x] = 1
+                                count += 1
+    return count
 
 
 @njit(cache=True, nogil=True)
-def sample(field, place, out):
-    """Set out (n) to the bilinear value of field (rows, cols) at place (2, n); NaN where a corner in use is NaN."""
-    rows, cols = field.shape
-    for n in range(place.shape[1]):
-        r, c = place[0, n], place[1, n]
-        out[n] = np.nan
-        if not (0.0 <= r <= rows - 1 and 0.0 <= c <= cols - 1):
-            continue
-        i, j = min(int(r), rows - 2), min(int(c), cols - 2)
-        fr, fc = r - i, c - j
-        value = 0.0
-        # A corner without weight may be missing: a node on the border of the sheet keeps its own value.
-        if (1 - fr) * (1 - fc) > 0:
-            value += (1 - fr) * (1 - fc) * field[i, j]
-        if (1 - fr) * fc > 0:
-            value += (1 - fr) * fc * field[i, j + 1]
-        if fr * (1 - fc) > 0:
-            value += fr * (1 - fc) * field[i + 1, j]
-        if fr * fc > 0:
-            value += fr * fc * field[i + 1, j + 1]
-        out[n] = value
+def _corners(number, corners, cols):
+    """Nodes of a triangle: from the table of those that have one, else of a triangle of the quads."""
+    if corners.shape[0] > 0:
+        return np.int64(corners[number, 0]), np.int64(corners[number, 1]), np.int64(corners[number, 2])
+    node, half = np.int64(number) >> 1, np.int64(number) & 1
+    return node, node + 1 + half * cols, node + 1 + cols - half
+
+
+@njit(cache=True, nogil=True)
+def _value(field, a, b, c, wb, wc):
+    """Linear value in a triangle of nodes; NaN where a corner with weight is."""
+    fa, fb, fc = field[a], field[b], field[c]
+    value = fa + (wb * (fb - fa) + wc * (fc - fa))
+    if value == value:
+        return value
+    # A corner without weight may be missing: a node on the border of the sheet keeps its own value.
+    wa = 1.0 - wb - wc
+    value = 0.0
+    if wa > _EDGE:
+        value += wa * fa
+    if wb > _EDGE:
+        value += wb * fb
+    if wc > _EDGE:
+        value += wc * fc
+    return value
+
+
+@njit(cache=True, nogil=True)
+def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end):
+    """Set ``out`` to the mean of a field over the known sub-pixels of each pixel and ``share`` to their share.
+
+    Parameters
+    ----------
+    field : (rows * cols)
+        Values at the nodes of a mesh with ``cols`` columns; NaN is missing.
+    triangle, weight : (rows_out * fine, cols_out * fine), (2, rows_out * fine, cols_out * fine)
+        As :func:`locate` sets them.
+    corners : (triangles, 3) int32
+        Nodes of each triangle; without rows for the triangles of the quads.
+    fine : int
+        Sub-pixels per pixel and axis.
+    out, share : (rows_out, cols_out)
+        ``out`` is NaN where less than half of the sub-pixels are known. ``share`` may be (0, 0).
+    begin, end : int
+        Rows of ``out`` to do.
+    """
+    wanted = share.shape[0] > 0
+    for y in range(begin, end):
+        for x in range(out.shape[1]):
+            total = 0.0
+            known = 0
+            for m in range(y * fine, (y + 1) * fine):
+                for n in range(x * fine, (x + 1) * fine):
+                    number = triangle[m, n]
+                    if number < 0:
+                        continue
+                    a, b, c = _corners(number, corners, cols)
+                    value = _value(field, a, b, c, weight[0, m, n], weight[1, m, n])
+                    if value == value:
+                        total += value
+                        known += 1
+            out[y, x] = total / known if known > 0 and 2 * known >= fine * fine else np.nan
+            if wanted:
+                share[y, x] = known / (fine * fine)
+
+
+@njit(cache=True, nogil=True)
+def _nearest(number, wb, wc, corners, cols):
+    """Node in whose cell a point lies: half a step of the mesh to each side, or else the corner of greatest weight."""
+    a, b, c = _corners(number, corners, cols)
+    if corners.shape[0] > 0:
+        wa = 1.0 - wb - wc
+        return a if wa >= wb and wa >= wc else (b if wb >= wc else c)
+    if number & 1:
+        row, col = wb + wc, wb
+    else:
+        row, col = wc, wb + wc
+    return a + (cols if row >= 0.5 else 0) + (1 if col >= 0.5 else 0)
+
+
+@njit(cache=True, nogil=True)
+def vote(labels, known, cols, triangle, weight, corners, fine, fill, out, begin, end):
+    """Set ``out`` (rows_out, cols_out) to the most frequent label of each pixel's known sub-pixels.
+
+    A sub-pixel has the label of its nearest node, and is known where ``known`` (rows * cols) says so of that node. Of
+    equally frequent labels the one met first stays, row by row; ``fill`` stands where less than half is known. The
+    other parameters are those of :func:`sample`.
+    """
+    met = np.empty(fine * fine, np.int64)
+    times = np.empty(fine * fine, np.int64)
+    for y in range(begin, end):
+        for x in range(out.shape[1]):
+            kinds = 0
+            total = 0
+            for m in range(y * fine, (y + 1) * fine):
+                for n in range(x * fine, (x + 1) * fine):
+                    number = triangle[m, n]
+                    if number < 0:
+                        continue
+                    node = _nearest(number, weight[0, m, n], weight[1, m, n], corners, cols)
+                    if not known[node]:
+                        continue
+                    total += 1
+                    label = labels[node]
+                    k = 0
+                    while k < kinds and met[k] != label:
+                        k += 1
+                    if k == kinds:
+                        met[k], times[k] = label, 0
+                        kinds += 1
+                    times[k] += 1
+            out[y, x] = fill
+            if total > 0 and 2 * total >= fine * fine:
+                best = 0
+                for k in range(1, kinds):
+                    if times[k] > times[best]:
+                        best = k
+                out[y, x] = met[best]

@@ -1,0 +1,184 @@
+"""Values, labels and their support from the nodes of a mesh to the pixels located in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import SurfaceError
+from planish.resample._kernels import sample, vote
+from planish.resample.bands import each_band
+from planish.resample.places import Places
+
+Array = NDArray[np.float64]
+Label = TypeVar("Label", bound=np.integer[Any] | np.bool_)
+
+_NOT_WANTED = np.empty((0, 0))
+
+
+def resample(field: NDArray[Any], places: Places, *, threads: int | None = None) -> Array:
+    """Values of a mesh field on the grid: linear in each triangle, the mean over a pixel's sub-pixels.
+
+    Parameters
+    ----------
+    field : (rows, cols)
+        Value of each node; NaN is missing.
+    places : Places
+        From :func:`find_places`, of a mesh of (rows, cols).
+    threads : int, optional
+        All processors, at most 8, where not given; the result does not depend on it.
+
+    Returns
+    -------
+    (rows, cols) of the grid, float64
+        A sub-pixel is known where the corners of its triangle are; a pixel is NaN unless half of its area is known.
+
+    Raises
+    ------
+    SurfaceError
+        The field does not have the mesh's shape.
+    """
+    return _sampled(field, places, _NOT_WANTED, threads)
+
+
+def support(known: NDArray[np.bool_], places: Places, *, threads: int | None = None) -> Array:
+    """Share of each pixel's area that is known on the mesh, from 0 to 1.
+
+    ``support(np.isfinite(field), places) >= 0.5`` is where :func:`resample` of the same field has a value.
+
+    Parameters
+    ----------
+    known : (rows, cols)
+        Nodes with a value.
+    places, threads
+        As for :func:`resample`.
+    """
+    share = np.empty(places.shape)
+    _sampled(np.where(known, 0.0, np.nan), places, share, threads)
+    return share
+
+
+def resample_labels(
+    labels: NDArray[Label], places: Places, *, fill: int = 0, known: NDArray[np.bool_] | None = None,
+    threads: int | None = None,
+) -> NDArray[Label]:  # fmt: skip
+    """Labels of the mesh's nodes on the grid, in their own type and never mixed.
+
+    A point of the mesh has the label of the nearest node, counted in rows and columns of the mesh: each node holds the
+    cell that reaches half a step to all sides. (Delaunay's triangles know no rows and columns: there it is the corner
+    of greatest weight.) A pixel that is cut into sub-pixels takes the most frequent label of the known ones; of equally
+    frequent labels, the one met first, row by row.
+
+    Parameters
+    ----------
+    labels : (rows, cols)
+        Whole numbers or truth values.
+    places : Places
+        From :func:`find_places`, of a mesh of (rows, cols).
+    fill : int
+        What stands where less than half of the pixel's area is known. To the vote it is a label like any other.
+    known : (rows, cols), optional
+        Nodes whose label counts; all where not given.
+    threads : int, optional
+        As for :func:`resample`.
+
+    Returns
+    -------
+    (rows, cols) of the grid, type of ``labels``
+
+    Raises
+    ------
+    SurfaceError
+        The labels are not whole numbers or truth values, ``fill`` is not of their type, or a shape is not the mesh's.
+    """
+    if labels.dtype.kind not in "iub":
+        raise SurfaceError(
+            f"Labels of type {labels.dtype} given; whole numbers or truth values are needed. Use resample for values."
+        )
+    info = None if labels.dtype.kind == "b" else np.iinfo(labels.dtype.str)
+    low, high = (info.min, info.max) if info else (0, 1)
+    if not low <= fill <= high:
+        raise SurfaceError(f"The fill value {fill} does not fit into {labels.dtype} labels. Choose another one.")
+    counted = np.ones(places.mesh, dtype=np.bool_) if known is None else known
+    _check_mesh(labels, places)
+    _check_mesh(counted, places)
+    # All types travel as 64 bits, there and back without loss: one compiled kernel serves them all.
+    nodes = np.ascontiguousarray(labels).astype(np.int64).reshape(-1)
+    blank = int(np.array(fill, dtype=labels.dtype).astype(np.int64))
+    flags = np.ascontiguousarray(counted, dtype=np.bool_).reshape(-1)
+    out = np.empty(places.shape, dtype=np.int64)
+
+    def band(begin: int, end: int) -> None:
+        vote(
+            nodes, flags, places.mesh[1], places.triangle, places.weight, places.corners, places.fine, blank, out,
+            begin, end,
+        )  # fmt: skip
+
+    each_band(band, out.shape[0], threads=threads)
+    return out.astype(labels.dtype)
+
+
+def resample_dataset(
+    data: xr.Dataset, places: Places, *, dims: tuple[str, str], coords: Mapping[str, NDArray[Any]],
+    labels: Mapping[str, int] | None = None,
+) -> xr.Dataset:  # fmt: skip
+    """Resample every floating variable of ``data`` (rows, cols); units and names are set anew from the source's.
+
+    Parameters
+    ----------
+    data : Dataset
+        Variables on the nodes of the mesh.
+    places : Places
+        From :func:`find_places`.
+    dims : (str, str)
+        Names of the grid's rows and columns.
+    coords : mapping of str to array
+        Positions of the grid's rows and columns in um.
+    labels : mapping of str to int, optional
+        Variables of whole numbers or truth values to take along as labels, and what stands where there are none:
+        ``{"status": 255}``. Others are left behind.
+
+    Raises
+    ------
+    SurfaceError
+        A name in ``labels`` is not in ``data``, or as for :func:`resample` and :func:`resample_labels`.
+    """
+    named = labels or {}
+    absent = sorted(set(named) - {str(name) for name in data.data_vars})
+    if absent:
+        raise SurfaceError(f"No variable {', '.join(absent)} to take along; there are {', '.join(map(str, data))}.")
+    variables: dict[str, Any] = {}
+    for name, variable in data.data_vars.items():
+        attrs = {k: variable.attrs[k] for k in ("units", "long_name") if k in variable.attrs}
+        if np.issubdtype(variable.dtype, np.floating):
+            variables[str(name)] = (dims, resample(variable.values, places), attrs)
+        elif name in named:
+            attrs |= {k: variable.attrs[k] for k in ("flag_values", "flag_meanings") if k in variable.attrs}
+            variables[str(name)] = (dims, resample_labels(variable.values, places, fill=named[str(name)]), attrs)
+    return xr.Dataset(variables, coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()})
+
+
+def _check_mesh(field: NDArray[Any], places: Places) -> None:
+    if field.shape != places.mesh:
+        raise SurfaceError(
+            f"The field has the shape {field.shape}, the mesh {places.mesh}. Give a field on the nodes of that mesh."
+        )
+
+
+def _sampled(field: NDArray[Any], places: Places, share: Array, threads: int | None) -> Array:
+    """Fill ``share`` where it has the grid's shape; return the values."""
+    _check_mesh(field, places)
+    nodes = np.ascontiguousarray(field, dtype=np.float64).reshape(-1)
+    out = np.empty(places.shape)
+
+    def band(begin: int, end: int) -> None:
+        sample(
+            nodes, places.mesh[1], places.triangle, places.weight, places.corners, places.fine, out, share, begin, end
+        )
+
+    each_band(band, out.shape[0], threads=threads)
+    return out
