@@ -2,11 +2,134 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.flatten.geodesics import GeodesicError, geodesic_error, whole_cells
+
 Array = NDArray[np.float64]
+
+_BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """Distribution of a strain over the cells; NaN where there is no cell.
+
+    Attributes
+    ----------
+    median, p5, p95 : float
+    p95_abs, max_abs : float
+        Of the absolute value.
+    """
+
+    median: float
+    p5: float
+    p95: float
+    p95_abs: float
+    max_abs: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Distortion:
+    """What flattening did to the sheet as a whole.
+
+    Attributes
+    ----------
+    area : Spread
+        Of the area ratio minus 1.
+    axial_u, axial_v : Spread
+        Of the strains of the cells' edges along the mesh's rows and along its columns.
+    shear : Spread
+        Of the change of the angle between them, rad.
+    cells, inverted_cells : int
+        Cells with four known corners, and those with a triangle whose flat area is not above zero.
+    boundary_space_um, boundary_flat_um : float
+        Length of the border of all whole cells, outline and holes, along the chords of the mesh.
+    growth_percent : float
+        Scale of the least-squares similarity from the projection (x, y) to (u, v), minus 1.
+    growth_anisotropy_percent : float
+        Ratio of the singular values of the least-squares affine map between the same, minus 1. A registration with one
+        scale cannot take this part up.
+    growth_direction_deg : float
+        Direction in the projection in which the affine map grows most: from x towards y, 0 to 180.
+    displacement_median_um, displacement_p95_um, displacement_max_um : float
+        From the projection to the plane, in the plane, after turning and shifting one onto the other.
+    geodesics : GeodesicError
+    """
+
+    area: Spread
+    axial_u: Spread
+    axial_v: Spread
+    shear: Spread
+    cells: int
+    inverted_cells: int
+    boundary_space_um: float
+    boundary_flat_um: float
+    growth_percent: float
+    growth_anisotropy_percent: float
+    growth_direction_deg: float
+    displacement_median_um: float
+    displacement_p95_um: float
+    displacement_max_um: float
+    geodesics: GeodesicError
+
+
+def measure_distortion(
+    points: Array, uv: Array, *, rng: np.random.Generator, strain: xr.Dataset | None = None
+) -> Distortion:
+    """Sum up a flattening in a few numbers.
+
+    Parameters
+    ----------
+    points : (rows, cols, 3)
+        Nodes in space, um; NaN where there is no sheet.
+    uv : (rows, cols, 2)
+        The same nodes in the plane, um.
+    rng : Generator
+        Draws the lines whose lengths are compared.
+    strain : Dataset, optional
+        ``cell_strain(points, uv)``, where it is there already.
+
+    Returns
+    -------
+    Distortion
+
+    Notes
+    -----
+    Noise makes the surface rough and its lengths longer: white noise s on nodes of pitch p lets the flat sheet grow by
+    some 2/3 (s / p)^2. Growth that the warp does not explain, and anisotropy above all, points to noise or to slices
+    that jitter.
+    """
+    strain = cell_strain(points, uv) if strain is None else strain
+    area = strain["signed_area"].values
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1))
+    projected, flat = points[..., :2][known], uv[known]
+    grown, uneven, direction = _growth(projected, flat)
+    moved = _displacement(projected, flat)
+    median, p95, largest = np.percentile(moved, [50, 95, 100]) if moved.size else (np.nan, np.nan, np.nan)
+    in_space, in_plane = boundary_lengths(points, uv)
+    return Distortion(
+        area=_spread(strain["area_ratio"].values - 1),
+        axial_u=_spread(strain["axial_u"].values),
+        axial_v=_spread(strain["axial_v"].values),
+        shear=_spread(strain["shear"].values),
+        cells=int(np.count_nonzero(np.isfinite(area))),
+        inverted_cells=int(np.count_nonzero(area <= 0)),
+        boundary_space_um=in_space,
+        boundary_flat_um=in_plane,
+        growth_percent=100 * (grown - 1),
+        growth_anisotropy_percent=100 * (uneven - 1),
+        growth_direction_deg=direction,
+        displacement_median_um=float(median),
+        displacement_p95_um=float(p95),
+        displacement_max_um=float(largest),
+        geodesics=geodesic_error(points, uv, rng=rng),
+    )
 
 
 def edge_strain(points: Array, uv: Array) -> tuple[Array, Array]:
@@ -39,35 +162,122 @@ def cell_strain(points: Array, uv: Array) -> xr.Dataset:
     Returns
     -------
     Dataset, dims (row, col) = (rows - 1, cols - 1)
-        ``stretch_max``, ``stretch_min``: principal stretches; ``area_ratio``: their product; ``axial_u``, ``axial_v``:
-        strain of the edges; ``shear``: change of the angle between them in rad. All are 1 or 0 for an isometry.
+        ``stretch_max``, ``stretch_min``: principal stretches; ``area_ratio``: their product; ``anisotropy``: their
+        ratio; ``axial_u``, ``axial_v``: strain of the edges; ``shear``: change of the angle between them in rad,
+        positive where the flat angle is the smaller one; ``signed_area``: flat area in um2 of the smaller of the two
+        triangles of the first diagonal, not above zero where the cell is folded or turned over, which the others, being
+        without sign, do not tell. Stretches, their product and ratio are 1 for an isometry, strains and shear 0. NaN
+        where a corner is missing and, but for ``signed_area``, where the cell has no area in space.
+
+    Notes
+    -----
+    A cell is represented by its two mean edges, which are the derivatives of its bilinear patch at the centre. That
+    leaves out what bends within the cell: in a twisted or rough cell the edges are longer than their mean, by
+    t^2 / (8 l^2) of their length l where the corners are t out of a parallelogram. Springs see that; these numbers do
+    not. Axial strains and shear apart, because springs along the edges bear the former and diagonal ones the latter
+    (Hirn et al. 2009, section 2.3.1).
     """
+    rows, cols = points.shape[0] - 1, points.shape[1] - 1
+    out = {name: np.empty((rows, cols)) for name in (
+        "stretch_max", "stretch_min", "area_ratio", "axial_u", "axial_v", "shear", "signed_area", "anisotropy",
+    )}  # fmt: skip
+    for part in row_blocks(rows, cols):
+        nodes = slice(part.start, part.stop + 1)
+        for name, values in _block_strain(points[nodes], uv[nodes]).items():
+            out[name][part] = values
+    return xr.Dataset({name: (("row", "col"), values) for name, values in out.items()})
+
+
+def row_blocks(rows: int, cols: int) -> Iterator[slice]:
+    """Cut ``rows`` into slices that hold a bounded number of nodes."""
+    step = max(1, _BLOCK // max(cols, 1))
+    return (slice(k, min(k + step, rows)) for k in range(0, rows, step))
+
+
+def boundary_lengths(points: Array, uv: Array) -> tuple[float, float]:
+    """Length in um, in space and in the plane, of the edges that border on exactly one whole cell."""
+    inside = np.pad(whole_cells(points, uv), 1)
+    across = inside[1:, 1:-1] != inside[:-1, 1:-1]  # (rows, cols - 1): edges along rows
+    down = inside[1:-1, 1:] != inside[1:-1, :-1]  # (rows - 1, cols)
+    total = [0.0, 0.0]
+    for edges, step in ((across, (0, 1)), (down, (1, 0))):
+        i, j = np.nonzero(edges)
+        for k, nodes in enumerate((points, uv)):
+            total[k] += float(np.linalg.norm(nodes[i + step[0], j + step[1]] - nodes[i, j], axis=1).sum())
+    return total[0], total[1]
+
+
+def _block_strain(points: Array, uv: Array) -> dict[str, Array]:
     across, down = _cell_edges(points)
-    flat_across, flat_down = _cell_edges(uv)
-    g11, g12, g22 = (np.sum(p * q, axis=-1) for p, q in ((across, across), (across, down), (down, down)))
-    f11, f12, f22 = (
-        np.sum(p * q, axis=-1)
-        for p, q in ((flat_across, flat_across), (flat_across, flat_down), (flat_down, flat_down))
-    )
-    det = g11 * g22 - g12 * g12
-    # Eigenvalues of g^-1 f are the squared principal stretches.
-    trace = (g22 * f11 - 2 * g12 * f12 + g11 * f22) / det
-    product = (f11 * f22 - f12 * f12) / det
-    root = np.sqrt(np.maximum(trace * trace / 4 - product, 0.0))
-    high, low = np.sqrt(trace / 2 + root), np.sqrt(np.maximum(trace / 2 - root, 0.0))
-    angle = np.arccos(np.clip(g12 / np.sqrt(g11 * g22), -1, 1)) - np.arccos(np.clip(f12 / np.sqrt(f11 * f22), -1, 1))
-    values = {
-        "stretch_max": high,
-        "stretch_min": low,
-        "area_ratio": high * low,
-        "axial_u": np.sqrt(f11 / g11) - 1,
-        "axial_v": np.sqrt(f22 / g22) - 1,
-        "shear": angle,
-    }
-    return xr.Dataset({k: (("row", "col"), v) for k, v in values.items()})
+    (au, av), (du, dv) = (np.moveaxis(e, -1, 0) for e in _cell_edges(uv))
+    g11, g12, g22 = (np.einsum("ijk,ijk->ij", p, q) for p, q in ((across, across), (across, down), (down, down)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        side = np.sqrt(g11)
+        height = np.sqrt(np.maximum(g22 - g12 * g12 / g11, 0.0))  # of the cell over its edge across
+        height[height <= 1e-12 * side] = np.nan
+        # The Jacobian in an orthonormal frame of the cell whose first axis is the edge across; its singular values
+        # from the parts that turn and scale alike and those that do not.
+        j11, j21 = au / side, av / side
+        j12, j22 = (du - au * g12 / g11) / height, (dv - av * g12 / g11) / height
+        alike, apart = np.hypot(j11 + j22, j21 - j12) / 2, np.hypot(j11 - j22, j21 + j12) / 2
+        high, low = alike + apart, np.abs(alike - apart)
+        area = au * dv - av * du
+        return {
+            "stretch_max": high,
+            "stretch_min": low,
+            "area_ratio": high * low,
+            "axial_u": np.hypot(au, av) / side - 1,
+            "axial_v": np.hypot(du, dv) / np.sqrt(g22) - 1,
+            "shear": np.arctan2(side * height, g12) - np.arctan2(np.abs(area), au * du + av * dv),
+            "signed_area": np.where(np.isfinite(g11), _smaller_area(uv), np.nan),
+            "anisotropy": high / low,
+        }
 
 
 def _cell_edges(nodes: Array) -> tuple[Array, Array]:
     """Mean edge of each cell along its rows and along its columns."""
     across, down = np.diff(nodes, axis=1), np.diff(nodes, axis=0)
     return 0.5 * (across[:-1] + across[1:]), 0.5 * (down[:, :-1] + down[:, 1:])
+
+
+def _smaller_area(uv: Array) -> Array:
+    u, v = uv[..., 0], uv[..., 1]
+    here, there = slice(-1), slice(1, None)
+    # From corner a to the others; the triangles are (a, b, c) and (a, c, d).
+    bu, bv = u[here, there] - u[here, here], v[here, there] - v[here, here]
+    cu, cv = u[there, there] - u[here, here], v[there, there] - v[here, here]
+    du, dv = u[there, here] - u[here, here], v[there, here] - v[here, here]
+    return 0.5 * np.minimum(bu * cv - bv * cu, cu * dv - cv * du)
+
+
+def _spread(values: Array) -> Spread:
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return Spread(median=np.nan, p5=np.nan, p95=np.nan, p95_abs=np.nan, max_abs=np.nan)
+    p5, median, p95 = np.percentile(values, [5, 50, 95])
+    p95_abs, max_abs = np.percentile(np.abs(values), [95, 100])
+    return Spread(median=float(median), p5=float(p5), p95=float(p95), p95_abs=float(p95_abs), max_abs=float(max_abs))
+
+
+def _growth(projected: Array, flat: Array) -> tuple[float, float, float]:
+    """Scale of the similarity, ratio of the affine map's singular values, direction of the larger one in degrees."""
+    if flat.shape[0] < 3:
+        return np.nan, np.nan, np.nan
+    a, b = projected - projected.mean(axis=0), flat - flat.mean(axis=0)
+    inertia, mixed = a.T @ a, b.T @ a
+    grown = float(np.hypot(mixed[0, 0] + mixed[1, 1], mixed[1, 0] - mixed[0, 1]) / np.trace(inertia))
+    if np.linalg.cond(inertia) > 1e12:  # a sheet on edge: its projection is a line
+        return grown, np.nan, np.nan
+    _, size, axes = np.linalg.svd(mixed @ np.linalg.inv(inertia))
+    direction = float(np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180)
+    return grown, float(size[0] / size[1]), direction
+
+
+def _displacement(projected: Array, flat: Array) -> Array:
+    """Distances (n,) in um between the two after the rotation and shift, without scale, that make them smallest."""
+    if flat.shape[0] == 0:
+        return np.empty(0)
+    a, b = projected - projected.mean(axis=0), flat - flat.mean(axis=0)
+    turn = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
+    cos, sin = np.cos(turn), np.sin(turn)
+    return np.linalg.norm(b - a @ np.array([[cos, sin], [-sin, cos]]), axis=1)

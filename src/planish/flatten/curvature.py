@@ -1,0 +1,233 @@
+"""Gaussian curvature of the warped sheet, and whether paper can carry it: paper bends freely one way at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planish.flatten.distortion import row_blocks
+
+Array = NDArray[np.float64]
+
+# Views of the nodes: corners a, b, c and a, c, d of all cells, counted around the cell from the upper left.
+_HERE, _THERE = slice(-1), slice(1, None)
+_HALVES = (
+    ((_HERE, _HERE), (_HERE, _THERE), (_THERE, _THERE)),
+    ((_HERE, _HERE), (_THERE, _THERE), (_THERE, _HERE)),
+)
+_TRUNCATE = 3.0  # Gaussian windows end after so many standard deviations
+_RIM = 1 / 3  # width, in half-sizes of a patch, over which patches fade towards the outline
+_LEAST = 0.5  # a patch counts where so much of its weight lies on the sheet
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CurvatureCheck:
+    """Whether a surface can be paper.
+
+    Attributes
+    ----------
+    curvature : (rows, cols)
+        Gaussian curvature averaged over a patch about each node, 1/um2; NaN where less than half of the patch is known.
+    strain : (rows, cols)
+        In-plane strain by which a patch of that curvature has to be stretched and squeezed to be flat,
+        abs(curvature) patch_um^2 / 16.
+    patch_um : float
+        Half the side of the patch.
+    limit : float
+        Strain that paper carries.
+    share : float
+        Share of the surface, by area, on which ``strain`` is above the limit; NaN where no patch is known.
+    largest : float
+        Largest ``strain``.
+    """
+
+    curvature: Array
+    strain: Array
+    patch_um: float
+    limit: float
+    share: float
+    largest: float
+
+    @property
+    def verdict(self) -> str:
+        """One sentence: what was found and what it says about the surface."""
+        patch = f"a patch of {2 * self.patch_um / 1000:.3g} mm"
+        largest, limit = (f"{100 * max(k, 1e-4):.2g} %" for k in (self.largest, self.limit))
+        if np.isnan(self.share):
+            return f"Nothing can be said about the curvature: the surface is smaller than {patch}."
+        if self.share == 0:
+            return (
+                f"The surface can be a sheet of paper: to be flat, {patch} has to be strained by {largest} or less, "
+                f"and paper carries {limit}."
+            )
+        return (
+            f"On {100 * self.share:.2g} % of the surface {patch} would have to be strained by more than {limit}, by up "
+            f"to {largest}, to be flat, and paper does not carry that: look for slices that drift or jitter, and for "
+            "errors of the segmentation."
+        )
+
+
+def gaussian_curvature(points: Array, *, smooth_um: float | None = None) -> Array:
+    """Gaussian curvature at every node of a quad grid, whichever way the grid lies on the surface.
+
+    Parameters
+    ----------
+    points : (rows, cols, 3)
+        Nodes in space, um; NaN where there is no sheet.
+    smooth_um : float, optional
+        Standard deviation of a Gaussian, along the mesh, that smooths the surface first.
+
+    Returns
+    -------
+    (rows, cols)
+        1/um2; positive on a cap, negative on a saddle. NaN beside a missing node and on the outline, and with
+        ``smooth_um`` wherever the Gaussian, three standard deviations long, reaches beyond the sheet: a one-sided mean
+        bends the surface.
+
+    Notes
+    -----
+    det II / det I of the two fundamental forms, with central differences along the grid's rows and columns. The value
+    is one of the second derivative: roughness of s um on a pitch p without smoothing adds about 4 s^2 / p^4. For
+    averages over areas use ``curvature_check``.
+    """
+    if smooth_um is not None:
+        points = _smoothed(points, smooth_um)
+    rows, cols = points.shape[:2]
+    out = np.full((rows, cols), np.nan)
+    for part in row_blocks(rows - 2, cols):
+        block = points[part.start : part.stop + 2]
+        r = 0.5 * (block[2:, 1:-1] - block[:-2, 1:-1])
+        c = 0.5 * (block[1:-1, 2:] - block[1:-1, :-2])
+        rr = block[2:, 1:-1] - 2 * block[1:-1, 1:-1] + block[:-2, 1:-1]
+        cc = block[1:-1, 2:] - 2 * block[1:-1, 1:-1] + block[1:-1, :-2]
+        rc = 0.25 * (block[2:, 2:] - block[2:, :-2] - block[:-2, 2:] + block[:-2, :-2])
+        normal = _cross(r, c)  # its square is det I
+        ll, mm, nn = (_dot(k, normal) for k in (rr, rc, cc))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            curvature = (ll * nn - mm * mm) / _dot(normal, normal) ** 2
+        out[1 + part.start : 1 + part.stop, 1:-1] = np.where(np.isfinite(curvature), curvature, np.nan)
+    return out
+
+
+def curvature_check(points: Array, *, patch_um: float = 1000.0, limit: float = 0.005) -> CurvatureCheck:
+    """Compare the strain that flattening asks of patches of the sheet with what paper carries.
+
+    Parameters
+    ----------
+    points : (rows, cols, 3)
+        Nodes in space, um; NaN where there is no sheet.
+    patch_um : float
+        Half the side of a patch. A millimetre or more: below that, paper may have curvature from forming.
+    limit : float
+        In-plane strain; beyond some 0.5 % paper cockles or yields.
+
+    Returns
+    -------
+    CurvatureCheck
+
+    Notes
+    -----
+    A square patch of half-side a and curvature K that is made flat keeps strains of about K a^2 / 16. K is the
+    integral of curvature over the patch divided by its area. By the theorem of Gauss and Bonnet the integral over the
+    surroundings of a node is what its triangles' angles lack of a full turn, and it depends on the patch's rim alone:
+    roughness inside it cancels, where the mean of a curvature by finite differences would take up its square. The patch
+    is a Gaussian with the second moment of the square and fades towards outline and holes, so that its rim is soft and
+    roughness cancels there too.
+
+    Slices shifted along the sheet's thickness imitate Gaussian curvature only where the sheet is bent within the slices
+    too; a shift that grows evenly shears the stack, leaves a cylinder a cylinder and is not seen here.
+    """
+    rows, cols = points.shape[:2]
+    lacking, area = _turn_and_area(points)
+    inside = np.isfinite(lacking)
+    curvature = np.full((rows, cols), np.nan)
+    if inside.any():
+        pitch = _pitch(points)
+        weight = _soft_outline(inside, pitch, patch_um * _RIM)
+        window = [patch_um / np.sqrt(3) / p for p in pitch]
+
+        def over_patch(values: Array) -> Array:
+            known = np.where(inside, weight * values, 0.0)
+            return ndimage.gaussian_filter(known, window, mode="constant", truncate=_TRUNCATE)
+
+        enough = inside & (over_patch(np.ones((rows, cols))) >= _LEAST)
+        curvature[enough] = over_patch(lacking)[enough] / over_patch(area)[enough]
+    strain = np.abs(curvature) * patch_um**2 / 16
+    judged = np.isfinite(strain)
+    return CurvatureCheck(
+        curvature=curvature,
+        strain=strain,
+        patch_um=patch_um,
+        limit=limit,
+        share=float(area[strain > limit].sum() / area[judged].sum()) if judged.any() else np.nan,
+        largest=float(strain[judged].max()) if judged.any() else np.nan,
+    )
+
+
+def _turn_and_area(points: Array) -> tuple[Array, Array]:
+    """What the angles about each node lack of a full turn, and the area of a third of its triangles.
+
+    Both (rows, cols); NaN unless the node has four whole cells, cut along their first diagonal, about it.
+    """
+    rows, cols = points.shape[:2]
+    angles, area = np.zeros((rows, cols)), np.zeros((rows, cols))
+    for part in row_blocks(rows - 1, cols):
+        block = points[part.start : part.stop + 1]
+        turn, share = angles[part.start : part.stop + 1], area[part.start : part.stop + 1]
+        for p, q, r in _HALVES:
+            pq, pr = block[q] - block[p], block[r] - block[p]
+            normal = _cross(pq, pr)
+            twice = np.sqrt(_dot(normal, normal))
+            with_p = _dot(pq, pr)
+            at_p = np.arctan2(twice, with_p)
+            at_q = np.arctan2(twice, _dot(pq, pq) - with_p)
+            turn[p] += at_p
+            turn[q] += at_q
+            turn[r] += np.pi - at_p - at_q
+            for k in (p, q, r):
+                share[k] += twice / 6
+    lacking = 2 * np.pi - angles
+    for k in (0, -1):  # nodes of the outline have no full turn
+        lacking[k], lacking[:, k] = np.nan, np.nan
+    area[np.isnan(lacking)] = np.nan
+    return lacking, area
+
+
+def _soft_outline(inside: NDArray[np.bool_], pitch: tuple[float, float], rim_um: float) -> Array:
+    """Weights that rise smoothly from 0 beside the nodes that are not ``inside`` to 1 at a distance of ``rim_um``."""
+    away = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
+    share = np.minimum(away / rim_um, 1.0)
+    return share * share * (3 - 2 * share)
+
+
+def _smoothed(points: Array, smooth_um: float) -> Array:
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
+    sigma = [smooth_um / p for p in _pitch(points)]
+    reach = [2 * int(_TRUNCATE * s + 0.5) + 1 for s in sigma]
+    covered = ndimage.minimum_filter(known, size=reach, mode="constant", cval=False)
+    out = np.empty_like(points)
+    for k in range(3):
+        smooth = ndimage.gaussian_filter(np.where(known, points[..., k], 0.0), sigma, truncate=_TRUNCATE)
+        out[..., k] = np.where(covered, smooth, np.nan)
+    return out
+
+
+def _pitch(points: Array) -> tuple[float, float]:
+    """Median length in um of the edges from row to row and from column to column; infinite where there is none."""
+    lengths = (np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1))
+    down, across = (float(np.median(k)) if k.size else np.inf for k in (e[np.isfinite(e)] for e in lengths))
+    return down, across
+
+
+def _dot(p: Array, q: Array) -> Array:
+    return np.einsum("ijk,ijk->ij", p, q)
+
+
+def _cross(p: Array, q: Array) -> Array:
+    out = np.empty_like(p)
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        out[..., k] = p[..., i] * q[..., j] - p[..., j] * q[..., i]
+    return out

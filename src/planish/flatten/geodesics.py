@@ -1,0 +1,194 @@
+"""Do lengths in the flat sheet equal lengths on the warped one: straight lines of the plane, traced on the surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+# Cell (i, j) has the corners a = (i, j), b = (i, j + 1), c = (i + 1, j + 1), d = (i + 1, j) and is cut along a-c:
+# half 0 is (a, b, c), half 1 is (a, c, d). Edge k of a half runs from its corner k to its corner k + 1.
+_CORNERS = np.array([[[0, 0], [0, 1], [1, 1]], [[0, 0], [1, 1], [1, 0]]], dtype=np.intp)
+# Behind each edge of each half: (rows down, columns across, half, the same edge as counted there).
+_BEHIND = np.array(
+    [[[-1, 0, 1, 1], [0, 1, 1, 2], [0, 0, 1, 0]], [[0, 0, 0, 2], [1, 0, 0, 0], [0, -1, 0, 1]]], dtype=np.intp
+)
+_LONGEST = 20  # times rows + cols: no line crosses so many triangles unless it winds through folded cells
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Places:
+    """Places on a mesh.
+
+    Attributes
+    ----------
+    row, col, half : (n,)
+        Triangle: the cell and its half, 0 above the first diagonal and 1 below it.
+    weights : (n, 3)
+        Shares of the triangle's corners; they add up to 1.
+    """
+
+    row: Index
+    col: Index
+    half: Index
+    weights: Array
+
+    def on(self, nodes: Array) -> Array:
+        """Interpolate ``nodes`` (rows, cols, k) at the places: (n, k)."""
+        corner = _CORNERS[self.half]
+        at = nodes[self.row[:, None] + corner[..., 0], self.col[:, None] + corner[..., 1]]
+        return np.einsum("nc,nck->nk", self.weights, at)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeodesicError:
+    """Relative error of length, ``abs(flat / space - 1)``, over random lines.
+
+    Attributes
+    ----------
+    p50, p95, largest : float
+        NaN where no line was left.
+    used : int
+        Lines that stay on the sheet from end to end.
+    dropped : int
+        Lines that leave it through a hole or the outline. What is left favours short lines on such sheets.
+    """
+
+    p50: float
+    p95: float
+    largest: float
+    used: int
+    dropped: int
+
+
+def geodesic_error(points: Array, uv: Array, *, rng: np.random.Generator, pairs: int = 1000) -> GeodesicError:
+    """Compare the lengths of straight lines in the plane with the lengths of the same lines on the surface.
+
+    Parameters
+    ----------
+    points : (rows, cols, 3)
+        Nodes in space, um; NaN where there is no sheet.
+    uv : (rows, cols, 2)
+        The same nodes in the plane, um.
+    rng : Generator
+    pairs : int
+        Number of lines. Their ends are random places in random triangles; between nodes of a regular mesh, many lines
+        would run along the mesh.
+
+    Returns
+    -------
+    GeodesicError
+
+    Notes
+    -----
+    The line traced on the surface is not the geodesic between its ends but close to it. A geodesic is stationary: its
+    length and that of the traced line differ in the second order of the strain, so that for a nearly isometric map
+    the number is the error of the geodesic's length. Lengths are those of the mesh: chords of the two triangles of each
+    cell, which on a surface of radius R are shorter than arcs by up to (pitch / R)^2 / 24.
+    """
+    whole = whole_cells(points, uv)
+    if not whole.any():
+        return GeodesicError(p50=np.nan, p95=np.nan, largest=np.nan, used=0, dropped=pairs)
+    flat, space = trace_lines(points, uv, random_places(whole, pairs, rng), random_places(whole, pairs, rng))
+    used = np.isfinite(space) & (space > 0)
+    if not used.any():
+        return GeodesicError(p50=np.nan, p95=np.nan, largest=np.nan, used=0, dropped=pairs)
+    error = np.abs(flat[used] / space[used] - 1)
+    p50, p95 = np.percentile(error, [50, 95])
+    return GeodesicError(
+        p50=float(p50),
+        p95=float(p95),
+        largest=float(error.max()),
+        used=int(error.size),
+        dropped=pairs - int(error.size),
+    )
+
+
+def whole_cells(points: Array, uv: Array) -> NDArray[np.bool_]:
+    """Cells (rows - 1, cols - 1) whose four corners are known both in space and in the plane."""
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1))
+    return known[:-1, :-1] & known[:-1, 1:] & known[1:, 1:] & known[1:, :-1]
+
+
+def random_places(whole: NDArray[np.bool_], count: int, rng: np.random.Generator) -> Places:
+    """Draw ``count`` places: every triangle of the whole cells is as likely, and every place in it."""
+    cells = np.flatnonzero(whole)
+    row, col = np.divmod(cells[rng.integers(cells.size, size=count)], whole.shape[1])
+    half = rng.integers(2, size=count)
+    return Places(row=row, col=col, half=half, weights=rng.dirichlet(np.ones(3), size=count))
+
+
+def trace_lines(points: Array, uv: Array, start: Places, end: Places) -> tuple[Array, Array]:
+    """Trace straight lines of the plane through the triangles of the mesh.
+
+    Parameters
+    ----------
+    points : (rows, cols, 3)
+    uv : (rows, cols, 2)
+    start, end : Places
+        n each, inside triangles (not at their corners) of cells whose four corners are known.
+
+    Returns
+    -------
+    (n,), (n,)
+        Length in the plane and length on the surface, um; the latter is NaN where the line leaves the sheet.
+
+    Notes
+    -----
+    All lines walk at the same time, a triangle a step. Each corner lies to the left of the line or not, so a line
+    enters and leaves a triangle by the two edges whose ends differ; no intersection is ever searched, and corners on
+    the line do no harm. In folded cells a line follows the sheet there and back.
+    """
+    cols = points.shape[1]
+    inside = np.pad(whole_cells(points, uv), 1)
+    plane, room = uv.reshape(-1, 2), points.reshape(-1, 3)
+    first, goal = start.on(uv), end.on(points)
+    along = end.on(uv) - first
+    flat = np.hypot(along[:, 0], along[:, 1])
+    space = np.full(flat.size, np.nan)
+    target = np.stack([end.row, end.col, end.half], axis=1)
+
+    # Lines still on their way: number, triangle, edge they came through; and last place on the surface, length so far.
+    walk: Index = np.stack([np.arange(flat.size), start.row, start.col, start.half, np.full(flat.size, -1)], axis=1)
+    gone: Array = np.column_stack([start.on(points), np.zeros(flat.size)])
+    offset = _CORNERS[..., 0] * cols + _CORNERS[..., 1]
+    for _ in range(_LONGEST * sum(points.shape[:2])):
+        there = (walk[:, 1:4] == target[walk[:, 0]]).all(axis=1)
+        arrived = walk[there, 0]
+        space[arrived] = gone[there, 3] + np.linalg.norm(goal[arrived] - gone[there, :3], axis=1)
+        walk, gone = walk[~there], gone[~there]
+        if walk.size == 0:
+            break
+        line, row, col, half, edge = walk.T
+        corner = (row * cols + col)[:, None] + offset[half]
+        x, y = plane[corner, 0] - first[line, 0, None], plane[corner, 1] - first[line, 1, None]
+        dx, dy = along[line, 0, None], along[line, 1, None]
+        left = dx * y - dy * x
+        crossed = (left > 0) != (left > 0)[:, [1, 2, 0]]
+        if edge[0] < 0:  # a line starts inside: it came, as it were, through the edge behind its start
+            edge = _edge_behind(left, dx * x + dy * y, crossed)
+        every = np.arange(line.size)
+        crossed[every, edge] = False
+        edge: Index = np.argmax(crossed, axis=1)
+        left_a, left_b = left[every, edge], left[every, (edge + 1) % 3]
+        met = crossed.any(axis=1)  # not so where a line starts so close to an edge that rounding put it outside
+        share = left_a / np.where(met, left_a - left_b, 1.0)
+        a, b = room[corner[every, edge]], room[corner[every, (edge + 1) % 3]]
+        here = a + share[:, None] * (b - a)
+        gone = np.column_stack([here, gone[:, 3] + np.linalg.norm(here - gone[:, :3], axis=1)])
+        step = _BEHIND[half, edge]
+        walk = np.stack([line, row + step[:, 0], col + step[:, 1], step[:, 2], step[:, 3]], axis=1)
+        on = met & inside[walk[:, 1] + 1, walk[:, 2] + 1]
+        walk, gone = walk[on], gone[on]
+    return flat, space
+
+
+def _edge_behind(left: Array, ahead: Array, crossed: NDArray[np.bool_]) -> Index:
+    """Which of the edges (n, 3) that a line crosses it crosses first, from the corners' places across and along it."""
+    apart = left - left[:, [1, 2, 0]]
+    place = ahead + left / np.where(crossed, apart, 1.0) * (ahead[:, [1, 2, 0]] - ahead)
+    return np.argmin(np.where(crossed, place, np.inf), axis=1)

@@ -1,0 +1,168 @@
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planish.flatten.geodesics import Places, geodesic_error, random_places, trace_lines, whole_cells
+
+
+def grid(rows, cols, pitch=1.0):
+    v, u = np.mgrid[0:rows, 0:cols] * pitch
+    return np.stack([u, v], axis=-1)
+
+
+def triangles(whole):
+    for i, j in np.argwhere(whole):
+        a, b, c, d = (i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j)
+        yield a, b, c
+        yield a, c, d
+
+
+def cross(p, q):
+    return p[0] * q[1] - p[1] * q[0]
+
+
+def slow_length(points, uv, p, q, start, end):
+    """Every edge of the mesh is cut with the line; the cuts, in order, are the line on the surface."""
+    whole = whole_cells(points, uv)
+    cuts = [(0.0, start), (1.0, end)]
+    edges = {tuple(sorted(e)) for t in triangles(whole) for e in zip(t, t[1:] + t[:1], strict=True)}
+    for a, b in edges:
+        side = uv[b] - uv[a]
+        across = cross(q - p, side)
+        t, s = cross(uv[a] - p, side) / across, cross(uv[a] - p, q - p) / across
+        if 0 < t < 1 and 0 <= s <= 1:
+            cuts.append((t, points[a] + s * (points[b] - points[a])))
+    cuts.sort(key=lambda cut: cut[0])
+    for (t0, _), (t1, _) in itertools.pairwise(cuts):
+        middle = p + 0.5 * (t0 + t1) * (q - p)
+        if t1 - t0 > 1e-9 and not any(
+            all(cross(uv[b] - uv[a], middle - uv[a]) >= 0 for a, b in zip(t, t[1:] + t[:1], strict=True))
+            for t in triangles(whole)
+        ):
+            return np.nan
+    return sum(float(np.linalg.norm(b - a)) for (_, a), (_, b) in itertools.pairwise(cuts))
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=15, deadline=None)
+def test_traced_lengths_equal_the_slow_twin(seed):
+    """Warped, rough mesh with a ragged outline and a hole, its cells up to a third out of shape but not folded."""
+    rng = np.random.default_rng(seed)
+    uv = grid(8, 10) + rng.uniform(-0.15, 0.15, (8, 10, 2))
+    points = np.concatenate([uv * [1.1, 0.9], rng.normal(0, 0.4, (8, 10, 1))], axis=-1)
+    points[rng.random((8, 10)) < 0.04] = np.nan
+    points[3, 4] = np.nan
+    whole = whole_cells(points, uv)
+    start, end = random_places(whole, 12, rng), random_places(whole, 12, rng)
+    flat, space = trace_lines(points, uv, start, end)
+    p, q = start.on(uv), end.on(uv)
+    slow = [slow_length(points, uv, *ends) for ends in zip(p, q, start.on(points), end.on(points), strict=True)]
+    np.testing.assert_allclose(flat, np.linalg.norm(q - p, axis=1))
+    np.testing.assert_allclose(space, slow, rtol=1e-9)
+
+
+@pytest.mark.parametrize("direction", [(2, 1), (1, 2), (3, 1), (-1, 1), (1, -2)])
+def test_lines_through_nodes_do_no_harm(direction):
+    """A quarter of the way from one node of a regular mesh to one in line with it, to as far before a third."""
+    uv = grid(12, 12, 7.0)
+    points = np.concatenate([uv, np.zeros((12, 12, 1))], axis=-1)
+    node, d = np.array([8 if direction[0] < 0 else 2, 8 if direction[1] < 0 else 2]), np.array(direction)
+    ends = []
+    for at in (node + d / 4, node + 3 * d - d / 4):
+        cell = np.floor(at).astype(int)
+        x, y = at - cell
+        half, weights = (0, [1 - x, x - y, y]) if x > y else (1, [1 - y, x, y - x])
+        ends.append(Places(row=cell[1:], col=cell[:1], half=np.array([half]), weights=np.array([weights], dtype=float)))
+    flat, space = trace_lines(points, uv, *ends)
+    assert flat == pytest.approx([7 * 2.5 * np.hypot(*direction)])
+    assert space == pytest.approx(flat)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4])
+def test_a_cylinder_exactly_unrolled_keeps_all_lengths(angle):
+    """Up to chords: (h / R)^2 / 24 with the longest edge, the diagonal; straight lines become geodesics."""
+    uv = grid(60, 80, 10.0)
+    s = np.cos(angle) * uv[..., 0] + np.sin(angle) * uv[..., 1]
+    t = np.cos(angle) * uv[..., 1] - np.sin(angle) * uv[..., 0]
+    points = np.stack([500 * np.sin(s / 500), t, 500 * np.cos(s / 500)], axis=-1)
+    found = geodesic_error(points, uv, rng=np.random.default_rng(0))
+    assert (found.used, found.dropped) == (1000, 0)
+    assert 0 < found.p50 <= found.p95 <= found.largest <= 2 * (10 / 500) ** 2 / 24 * 1.01
+
+
+def test_uniform_growth_is_the_error_of_every_line():
+    uv = grid(20, 30, 4.0)
+    points = np.concatenate([uv, np.zeros((20, 30, 1))], axis=-1)
+    found = geodesic_error(points, 1.02 * uv, rng=np.random.default_rng(0), pairs=50)
+    assert (found.p50, found.p95, found.largest) == pytest.approx((0.02, 0.02, 0.02), abs=1e-12)
+    assert found.used == 50
+    uneven = geodesic_error(points, uv * [1.02, 0.98], rng=np.random.default_rng(0))
+    assert uneven.largest <= 0.02 + 1e-12
+    assert uneven.p95 > 0.015
+
+
+def test_great_circles_of_a_cap():
+    """Distances from the middle are kept, all others grow: at most by r / sin(r), r the angle of the rim."""
+    radius, uv = 5000.0, grid(81, 81, 20.0) - 800.0
+    r = np.linalg.norm(uv, axis=-1) / radius
+    points = np.concatenate([uv * np.sinc(r / np.pi)[..., None], radius * np.cos(r)[..., None]], axis=-1)
+    whole = whole_cells(points, uv)
+    end = random_places(whole, 300, np.random.default_rng(0))
+    ones = np.ones(300, dtype=np.intp)
+    middle = Places(row=40 * ones, col=40 * ones, half=0 * ones, weights=np.tile([0.998, 0.001, 0.001], (300, 1)))
+    flat, space = trace_lines(points, uv, middle, end)
+    # chords of 20 um, 28 um along the diagonal
+    np.testing.assert_allclose(flat / space, 1.0, atol=2e-6)
+    found = geodesic_error(points, uv, rng=np.random.default_rng(0))
+    assert 1e-4 < found.p50 < found.largest < r.max() / np.sin(r.max()) - 1
+
+    def great_circle(a, b):
+        return radius * np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.sum(a * b, axis=1))
+
+    start = random_places(whole, 300, np.random.default_rng(1))
+    _, space = trace_lines(points, uv, start, end)
+    strain = r.max() / np.sin(r.max()) - 1
+    # second order: the traced line is longer than the great circle by less than a few squares of the strain
+    excess = space / great_circle(start.on(points), end.on(points)) - 1
+    assert excess.min() > -1e-5
+    assert excess.max() < 3 * strain**2 + 1e-5
+
+
+def test_lines_that_leave_the_sheet_are_counted():
+    """Two halves joined by a bridge at one end: lines from one half to the other mostly leave the sheet."""
+    uv = grid(21, 21)
+    points = np.concatenate([uv, np.zeros((21, 21, 1))], axis=-1)
+    points[:19, 10] = np.nan
+    found = geodesic_error(points, uv, rng=np.random.default_rng(0))
+    assert found.used + found.dropped == 1000
+    assert 350 < found.dropped < 500
+    assert found.largest < 1e-12
+    points[:, 10] = np.nan
+    assert geodesic_error(points, uv, rng=np.random.default_rng(0)).used > 400
+
+
+def test_a_single_row_of_cells_and_folded_ones():
+    uv = grid(2, 40)
+    points = np.concatenate([uv, np.zeros((2, 40, 1))], axis=-1)
+    found = geodesic_error(points, uv, rng=np.random.default_rng(0))
+    assert (found.used, found.dropped) == (1000, 0)
+    assert found.largest < 1e-12
+    # folded over in the middle, flat lines between the layers follow the sheet there and back or are given up
+    folded = uv.copy()
+    folded[:, 20:, 0] = 39.5 - folded[:, 20:, 0]
+    over = geodesic_error(points, folded, rng=np.random.default_rng(0))
+    assert 0 < over.used < 1000
+    assert over.largest < 1e-9 or over.largest > 0.1
+    nothing = geodesic_error(points * np.nan, uv, rng=np.random.default_rng(0))
+    assert (nothing.used, nothing.dropped) == (0, 1000)
+    assert np.isnan(nothing.p50)
+
+
+def test_same_generator_same_answer():
+    uv = grid(10, 10)
+    points = np.concatenate([uv, np.sin(uv[..., :1])], axis=-1)
+    first, again = (geodesic_error(points, uv, rng=np.random.default_rng(5)) for _ in range(2))
+    assert first == again
