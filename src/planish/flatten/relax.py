@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import os
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
-from scipy.sparse.linalg import splu
 
 from planish.core.errors import CannotFlatten
 from planish.core.outcome import Outcome
-from planish.flatten.springs import Springs, energy, make_springs, newton_system
+from planish.flatten._kernels import GONE, survey
+from planish.flatten._mesh_kernels import lay_down, moments
+from planish.flatten.infill import fill_smoothly
+from planish.flatten.levels import Level, Team, hierarchy
+from planish.flatten.multigrid import Multigrid, Step
+from planish.flatten.relaxation import History, RelaxationParams, relax_dynamically
+from planish.flatten.springs import TRUSTED, find_pieces, make_springs, mean_pitch, stiffen
 
 Array = NDArray[np.float64]
-
-_STEPS = 40
-_HALVINGS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,130 +29,133 @@ class Relaxed:
     Attributes
     ----------
     uv : (rows, cols, 2)
-        Flat coordinates in um, (u, v); NaN where there is no sheet.
+        Flat coordinates (u, v) in the unit of the points; NaN where there is no sheet.
     energy : float
-        Sum over springs of (l - L)^2 in um2.
+        Sum over the springs of k (l - L)^2 in that unit squared, k being 1 or the lower weight of the two ends.
+    springs : int
     outcome : Outcome
     steps : int
-    history : tuple of (energy, largest move in um)
+        Of ``relaxation``: steps in time; of ``multigrid``: steps on the finest mesh.
+    history : tuple of Step, or History
+        All steps, those on the coarser meshes of ``multigrid`` included, in mean pitches.
     folded : (rows - 1, cols - 1) bool
-        Cells with a triangle of signed area not above zero.
+        Cells with a triangle whose signed area is not above zero.
+    straight_share : float
+        Share of the springs that kept their chord because the curvature of the surface is not certain there; NaN for
+        ``rest="chord"``.
+    pitch : float
+        Mean distance of neighbours along rows and columns.
     """
 
     uv: Array
     energy: float
+    springs: int
     outcome: Outcome
     steps: int
-    history: tuple[tuple[float, float], ...] = field(default=())
+    history: tuple[Step, ...] | History
     folded: NDArray[np.bool_]
+    straight_share: float
+    pitch: float
 
 
-def relax_grid(points: Array, *, start: Array | None = None, tolerance: float = 1e-6) -> Relaxed:
+def relax_grid(
+    points: Array,
+    *,
+    method: Literal["multigrid", "relaxation"] = "multigrid",
+    rest: Literal["arc", "chord"] = "arc",
+    start: Array | None = None,
+    weights: Array | None = None,
+    tolerance: float = 1e-6,
+    threads: int | None = None,
+    apart: bool = False,
+    relaxation: RelaxationParams | None = None,
+) -> Relaxed:
     """Flatten a grid of points in space.
 
     Parameters
     ----------
     points : (rows, cols, 3)
-        (x, y, z) in um; NaN where there is no sheet. Neighbours in the grid are neighbours in the sheet.
+        (x, y, z) in any unit of length; not finite where there is no sheet. Neighbours in the grid are neighbours in
+        the sheet; the grid need be neither regular nor a height field.
+    method : {"multigrid", "relaxation"}
+        How the minimum of the spring energy is found: directly, or by the damped motion of Hirn et al. (2009).
+    rest : {"arc", "chord"}
+        Rest lengths of the springs: along the surface, or straight through space as in the paper. A chord is too short
+        by the square of the surface's normal curvature k, k^2 L^3 / 24; the correction is left out where the
+        curvatures at the two ends of a spring disagree, that is where the surface is rough at the scale of the mesh.
     start : (rows, cols, 2), optional
-        First guess; the projection (x, y) where not given.
+        Places in the plane; the projection (x, y) where not given. ``relaxation`` starts from them. The result of
+        either method lies on them, turned and shifted, and has their handedness; ``multigrid`` starts from the lengths
+        along the grid, so that a sheet may overhang or be rolled up.
+    weights : (rows, cols), optional
+        Confidence in each node; a spring has the lower weight of its ends as stiffness. Nodes below a tenth of the
+        median weight have no say: they are laid smoothly between the others afterwards.
     tolerance : float
-        The mesh is at rest when no node moves by more than this share of the mean spring length.
+        ``multigrid`` is at rest when its energy is expected to exceed the minimum by less than this share, or places to
+        be wrong by less than 1e-5 pitches in the mean (root of the mean square).
+    threads : int, optional
+        All cores where not given. The result does not depend on it.
+    apart : bool
+        Flatten unconnected pieces each for itself; otherwise they are an error.
+    relaxation : RelaxationParams, optional
+        Choices of ``method="relaxation"``.
 
     Returns
     -------
     Relaxed
-        Turned and shifted (not scaled) to lie on the start as closely as possible.
 
     Raises
     ------
     CannotFlatten
-        If there are fewer than two by two nodes, or the sheet falls into unconnected pieces.
-
-    Notes
-    -----
-    Newton's method with the energy's second derivatives; a step is shortened until the energy falls and no cell that
-    was upright turns over. Three springs' worth of freedom (two shifts, one turn) is pinned by a weak tie of every node
-    to its place, which vanishes at the solution because it is renewed in every step.
+        If an argument does not fit, there are fewer than two by two nodes, or the sheet falls into unconnected pieces.
     """
-    points = np.asarray(points, dtype=np.float64)
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
-    _check(known)
-    springs = make_springs(np.where(known[..., None], points, np.nan))
-    flat_start = points[..., :2] if start is None else np.asarray(start, dtype=np.float64)
-    first = flat_start[known]
-    uv = first.copy()
-    mean_rest = float(springs.rest.mean())
-    corners = _triangles(springs)
-    history: list[tuple[float, float]] = []
-    outcome = Outcome.OUT_OF_STEPS
-    now = energy(springs, uv)
-    for _ in range(_STEPS):
-        force, stiffness = newton_system(springs, uv)
-        tie = 1e-9 * sparse.eye_array(2 * uv.shape[0], format="csc")
-        move = splu((stiffness + tie).tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True},
-                    diag_pivot_thresh=0.0).solve(force).reshape(-1, 2)  # fmt: skip
-        if not np.isfinite(move).all():
-            outcome = Outcome.NOT_FINITE
-            break
-        upright = _areas(uv, corners) > 0
-        share = 1.0
-        for _ in range(_HALVINGS):
-            trial = uv + share * move
-            new = energy(springs, trial)
-            if new <= now * (1 + 1e-12) and not np.any(_areas(trial, corners)[upright] <= 0):
-                break
-            share *= 0.5
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    _check(points, start, weights, tolerance)
+    doubted = None
+    if weights is not None:
+        points, weights, doubted = _weigh(points, np.asarray(weights, dtype=np.float64))
+    start = None if start is None else np.ascontiguousarray(start, dtype=np.float64)
+    pitch = mean_pitch(points)
+    with Team(threads or available_cores()) as team:
+        level, springs, straight = make_springs(points, pitch, rest, team)
+        gaps = springs < _all_springs(level.rows, level.cols)
+        if gaps:
+            known = np.isfinite(points).all(axis=-1)
+            labels, sizes = find_pieces(known)
+            _check_pieces(known, sizes, apart)
+            if sizes.size > 1:
+                return _each_apart(points, labels, sizes.size, doubted, method=method, rest=rest, start=start,
+                                   weights=weights, tolerance=tolerance, threads=threads,
+                                   relaxation=relaxation)  # fmt: skip
+        if weights is not None:
+            stiffen(level, weights)
+        history: tuple[Step, ...] | History
+        if method == "multigrid":
+            steps, outcome, history = _multigrid(level, points, start, pitch, team, tolerance, gaps=gaps)
         else:
-            trial, new, share = uv, now, 0.0
-        largest = float(share * np.abs(move).max())
-        uv, now = trial, new
-        history.append((now, largest))
-        if float(np.abs(move).max()) < tolerance * mean_rest or share == 0.0:
-            outcome = Outcome.RESTED
-            break
-    uv = _aligned(uv, first)
-    grid = np.full((*known.shape, 2), np.nan)
-    grid[known] = uv
-    folded = _folded(grid)
+            steps, outcome, history = _relaxation(level, points, start, pitch, relaxation)
+        sums = np.zeros((level.rows + 2, 2))
+        team.run(survey, level.parts, level.xy, level.rest, level.stiff, sums, level.cols)
+        energy, down = sums.sum(axis=0)
+        level.drop_springs()
+        uv = _laid_down(level, points, start, pitch, team)
+    if doubted is not None:
+        uv = fill_smoothly(uv, doubted)
+    folded = folded_cells(uv) if down or doubted is not None else np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
-    return Relaxed(uv=grid, energy=now, outcome=outcome, steps=len(history), history=tuple(history), folded=folded)
+    return Relaxed(uv=uv, energy=float(energy) * pitch * pitch, springs=springs, outcome=outcome, steps=steps,
+                   history=history, folded=folded, straight_share=straight, pitch=pitch)  # fmt: skip
 
 
-def _check(known: NDArray[np.bool_]) -> None:
-    if min(known.shape) < 2 or np.count_nonzero(known) < 4:
-        raise CannotFlatten(
-            f"The mesh has {np.count_nonzero(known)} nodes in {known.shape[0]} rows and {known.shape[1]} "
-            f"columns; at least "
-            "2 rows and 2 columns are needed. Use a finer mesh."
-        )
-    labels, count = ndimage.label(known, structure=np.ones((3, 3)))
-    if count > 1:
-        sizes = np.sort(np.bincount(labels.ravel())[1:])[::-1]
-        raise CannotFlatten(
-            f"The sheet falls into {count} unconnected pieces of {', '.join(map(str, sizes[:6]))} nodes. "
-            f"Flatten each piece "
-            "apart: their distance in the plane is not known."
-        )
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _triangles(springs: Springs) -> NDArray[np.intp]:
-    """Corner nodes (triangles, 3) of the cells whose four corners are known, two triangles a cell."""
-    n = springs.nodes
-    a, b, c, d = n[:-1, :-1], n[:-1, 1:], n[1:, 1:], n[1:, :-1]
-    whole = (a >= 0) & (b >= 0) & (c >= 0) & (d >= 0)
-    a, b, c, d = (k[whole] for k in (a, b, c, d))
-    return np.concatenate([np.stack(t, axis=1) for t in ((a, b, c), (a, c, d))])
-
-
-def _areas(uv: Array, corners: NDArray[np.intp]) -> Array:
-    p, q, r = (uv[corners[:, k]] for k in range(3))
-    return (q[:, 0] - p[:, 0]) * (r[:, 1] - p[:, 1]) - (q[:, 1] - p[:, 1]) * (r[:, 0] - p[:, 0])
-
-
-def _folded(grid: Array) -> NDArray[np.bool_]:
-    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+def folded_cells(uv: Array) -> NDArray[np.bool_]:
+    """Cells of ``uv`` (rows, cols, 2) with a triangle (a, b, c) or (a, c, d) that is empty or turned over."""
+    a, b, c, d = uv[:-1, :-1], uv[:-1, 1:], uv[1:, 1:], uv[1:, :-1]
 
     def area(p: Array, q: Array, r: Array) -> Array:
         return (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
@@ -158,10 +164,128 @@ def _folded(grid: Array) -> NDArray[np.bool_]:
         return (area(a, b, c) <= 0) | (area(a, c, d) <= 0)
 
 
-def _aligned(uv: Array, target: Array) -> Array:
-    """Turn and shift ``uv`` onto ``target``: Procrustes without scale and without reflection."""
-    middle, centre = uv.mean(axis=0), target.mean(axis=0)
-    a, b = uv - middle, target - centre
-    turn = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
-    cos, sin = np.cos(turn), np.sin(turn)
-    return a @ np.array([[cos, sin], [-sin, cos]]) + centre
+def _check(points: Array, start: Array | None, weights: Array | None, tolerance: float) -> None:
+    faults = []
+    if points.ndim != 3 or points.shape[2] != 3:
+        raise CannotFlatten(f"Points of shape {points.shape} were given; needed is a grid (rows, cols, 3) of x, y, z.")
+    if min(points.shape[:2]) < 2:
+        faults.append(
+            f"the mesh has {points.shape[0]} rows and {points.shape[1]} columns; at least 2 rows and 2 columns are "
+            f"needed: use a finer mesh"
+        )
+    if start is not None and np.shape(start) != (*points.shape[:2], 2):
+        faults.append(f"the start has the shape {np.shape(start)}, needed is {(*points.shape[:2], 2)}")
+    if weights is not None and np.shape(weights) != points.shape[:2]:
+        faults.append(f"the weights have the shape {np.shape(weights)}, needed is {points.shape[:2]}")
+    if not 0 < tolerance < 1:
+        faults.append(f"the tolerance is {tolerance}, needed is a share between 0 and 1")
+    if faults:
+        raise CannotFlatten("; ".join(faults).capitalize() + ".")
+
+
+def _check_pieces(known: NDArray[np.bool_], sizes: NDArray[np.intp], apart: bool) -> None:
+    if np.count_nonzero(known) < 4:
+        raise CannotFlatten(
+            f"The mesh has {np.count_nonzero(known)} nodes in {known.shape[0]} rows and {known.shape[1]} columns; at "
+            f"least 2 rows and 2 columns are needed. Use a finer mesh."
+        )
+    if sizes.size > 1 and not apart:
+        listed = ", ".join(map(str, sizes[:6])) + (" ..." if sizes.size > 6 else "")
+        raise CannotFlatten(
+            f"The sheet falls into {sizes.size} unconnected pieces of {listed} nodes. Flatten each piece apart: their "
+            f"distance in the plane is not known."
+        )
+
+
+def _all_springs(rows: int, cols: int) -> int:
+    return rows * (cols - 1) + (rows - 1) * cols + 2 * (rows - 1) * (cols - 1)
+
+
+def _weigh(points: Array, weights: Array) -> tuple[Array, Array | None, NDArray[np.bool_] | None]:
+    """Leave out the nodes of little weight; give points, weights if they differ, and the nodes left out."""
+    known = np.isfinite(points).all(axis=-1)
+    if not (np.isfinite(weights[known]).all() and (weights[known] >= 0).all() and (weights[known] > 0).any()):
+        raise CannotFlatten("A weight is negative or not finite, or all are 0. Give a confidence from 0 upwards.")
+    doubted = known & (weights < TRUSTED * np.median(weights[known & (weights > 0)]))
+    if doubted.any():
+        points = np.where(doubted[..., None], np.nan, points)
+    sure = known & ~doubted
+    even = not sure.any() or np.ptp(weights[sure]) == 0 and weights[sure][0] == 1
+    return points, None if even else np.where(sure, weights, 0.0), doubted if doubted.any() else None
+
+
+def _each_apart(
+    points: Array, labels: NDArray[np.int32], count: int, doubted: NDArray[np.bool_] | None, **choices: object
+) -> Relaxed:
+    """Flatten the pieces one after the other; each lies on its own start."""
+    parts = [
+        relax_grid(np.where((labels == k)[..., None], points, np.nan), **choices)  # type: ignore[arg-type]
+        for k in range(1, count + 1)
+        if min(np.ptp(np.nonzero(labels == k), axis=1)) > 0
+    ]
+    if not parts:
+        raise CannotFlatten("No piece of the sheet has two rows and two columns. Use a finer mesh.")
+    uv = parts[0].uv.copy()
+    for part in parts[1:]:
+        there = np.isfinite(part.uv)
+        uv[there] = part.uv[there]
+    if doubted is not None:
+        uv = fill_smoothly(uv, doubted)
+    worst = next((p.outcome for p in parts if p.outcome is not Outcome.RESTED), Outcome.RESTED)
+    springs = sum(p.springs for p in parts)
+    return replace(
+        parts[0],
+        uv=uv,
+        energy=sum(p.energy for p in parts),
+        springs=springs,
+        outcome=worst,
+        steps=max(p.steps for p in parts),
+        folded=np.logical_or.reduce([p.folded for p in parts]),
+        straight_share=sum(p.straight_share * p.springs for p in parts) / springs,
+    )
+
+
+def _handedness(points: Array, start: Array | None) -> float:
+    """1 where columns and rows of the grid run like u and v, -1 where they run the other way round, as a whole."""
+    rows, cols = (max(1, (n - 1) // 40) for n in points.shape[:2])
+    flat = (points if start is None else start)[::rows, ::cols, :2]
+    across, down = np.diff(flat, axis=1)[:-1], np.diff(flat, axis=0)[:, :-1]
+    area = np.nansum(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0])
+    return -1.0 if area < 0 else 1.0
+
+
+def _multigrid(
+    level: Level, points: Array, start: Array | None, pitch: float, team: Team, tolerance: float, *, gaps: bool
+) -> tuple[int, Outcome, tuple[Step, ...]]:
+    solver = Multigrid(hierarchy(level, team), team, gaps=gaps)
+    outcome = solver.run(_handedness(points, start), tolerance)
+    finest = level.rows * level.cols
+    return sum(step.nodes == finest for step in solver.history), outcome, tuple(solver.history)
+
+
+def _relaxation(
+    level: Level, points: Array, start: Array | None, pitch: float, params: RelaxationParams | None
+) -> tuple[int, Outcome, History]:
+    rows, cols = level.rows, level.cols
+    rest = np.where(level.rest > 0, level.rest, np.nan)[:, 1 : rows + 1, 1 : cols + 1]
+    stiff = None if level.stiff is None else level.stiff[:, 1 : rows + 1, 1 : cols + 1].astype(np.float64)
+    first = (points[..., :2] if start is None else start) / pitch
+    first = np.where(np.isfinite(points).all(axis=-1)[..., None], first, np.nan)
+    done = relax_dynamically(first, rest, stiffness=stiff, params=params)
+    level.open()
+    level.xy[:, 1 : rows + 1, 1 : cols + 1] = np.where(np.isfinite(done.uv), done.uv, 10 * GONE).transpose(2, 0, 1)
+    return done.steps, done.outcome, done.history
+
+
+def _laid_down(level: Level, points: Array, start: Array | None, pitch: float, team: Team) -> Array:
+    """Turn and shift the places to lie on the start: least squares without scale and without reflection."""
+    sums = np.zeros((level.rows + 2, 7))
+    team.run(moments, level.parts, points, 1 / pitch, level.xy, start, sums)
+    count, u, v, p, q, dot, cross = sums.sum(axis=0)
+    angle = np.arctan2(cross - (u * q - v * p) / count, dot - (u * p + v * q) / count) if count else 0.0
+    cos, sin = float(np.cos(angle)), float(np.sin(angle))
+    count = max(count, 1.0)
+    shift = (p - cos * u + sin * v) / count, (q - sin * u - cos * v) / count
+    uv = np.empty((level.rows, level.cols, 2))
+    team.run(lay_down, level.parts, level.xy, cos, sin, *shift, pitch, uv)
+    return uv

@@ -1,0 +1,379 @@
+# pyright: standard
+"""Compiled passes of the multigrid solver over a padded grid of springs.
+
+Every array has one ring of padding and may be wider than the grid: node (i, j) stands at [1 + i, 1 + j]. Lengths are in
+mean pitches.
+
+- ``xy`` (2, rows + 2, width) float64: places in the plane. Where there is no node both are ``FAR``: in float32 the
+  square of a distance to it overflows to infinity, so that such a spring pulls nowhere without being asked for.
+- ``rest`` (4, ...) float64: rest lengths of the springs (i, j)-(i, j + 1), (i, j)-(i + 1, j), (i, j)-(i + 1, j + 1) and
+  (i, j + 1)-(i + 1, j), in this order and at [1 + i, 1 + j]; 0 where there is no spring.
+- ``stiff`` (4, ...) float32 or None: their stiffness, 1 where None.
+- ``near`` (2, ...) float32: ``xy`` once more, for the directions in the preconditioner, which need no more digits.
+- ``move``, ``force`` (2, ...) float32: a correction of the places, and what it has to balance.
+- ``ease`` (...) float32: one over the largest eigenvalue of a node's own 2 x 2 stiffness, 0 where there is no node.
+
+A pass works on the rows r0 <= i < r1 of the padded arrays and writes to these alone; what it writes does not depend on
+how the rows are shared among threads. Each pair of rows is visited once: the springs' scalars go to row buffers, then
+the nodes collect them. ``fastmath`` is limited to contracting and to the sign of zero, which leaves infinities alone.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+FAR = 1e30
+GONE = 1e29
+_NONE = np.float32(0.0)
+_HALF = np.float32(0.5)
+_ONE = np.float32(1.0)
+_TINY = np.float32(1e-30)
+_FAINT = np.float32(1e-12)
+_SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
+_SUMS = {**_SETTINGS, "fastmath": {"contract", "nsz", "reassoc"}}
+# A loop is compiled to vector instructions only where it is seen that its row buffers overlap nothing else: inside the
+# function that made them.
+_INNER = {**_SETTINGS, "forceinline": True}
+_INNER_SUMS = {**_SUMS, "forceinline": True}
+
+
+@njit(**_INNER)
+def _row(stiff, family, i):
+    if stiff is None:
+        return None
+    return stiff[family, i]
+
+
+@njit(**_INNER)
+def _at(k, j):
+    if k is None:
+        return _ONE
+    return k[j]
+
+
+@njit(**_INNER)
+def _pulls(xa, ya, xb, yb, ua, va, ub, vb, k0, k1, k2, k3, t0, t1, t2, t3, n):
+    """Set t to k d.(du) / |d|^2 for the springs within the upper row a and between the rows a and b."""
+    for j in range(n):
+        dx, dy = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
+        t0[j] = _at(k0, j) * (dx * (ua[j + 1] - ua[j]) + dy * (va[j + 1] - va[j])) / (dx * dx + dy * dy + _TINY)
+        dx, dy = xb[j] - xa[j], yb[j] - ya[j]
+        t1[j] = _at(k1, j) * (dx * (ub[j] - ua[j]) + dy * (vb[j] - va[j])) / (dx * dx + dy * dy + _TINY)
+        dx, dy = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
+        t2[j] = _at(k2, j) * (dx * (ub[j + 1] - ua[j]) + dy * (vb[j + 1] - va[j])) / (dx * dx + dy * dy + _TINY)
+        dx, dy = xb[j] - xa[j + 1], yb[j] - ya[j + 1]
+        t3[j] = _at(k3, j) * (dx * (ub[j] - ua[j + 1]) + dy * (vb[j] - va[j + 1])) / (dx * dx + dy * dy + _TINY)
+
+
+@njit(**_INNER)
+def _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n):
+    """Sum of t times the difference of places to the eight neighbours, for row i; p belong to the pair of rows above."""
+    xa, xb, xc, ya, yb, yc = x[i - 1], x[i], x[i + 1], y[i - 1], y[i], y[i + 1]
+    for j in range(1, n + 1):
+        a, b = xb[j], yb[j]
+        gx[j] = (
+            t0[j] * (xb[j + 1] - a) + t0[j - 1] * (xb[j - 1] - a) + t1[j] * (xc[j] - a) + p1[j] * (xa[j] - a)
+            + t2[j] * (xc[j + 1] - a) + p2[j - 1] * (xa[j - 1] - a)
+            + t3[j - 1] * (xc[j - 1] - a) + p3[j] * (xa[j + 1] - a)
+        )  # fmt: skip
+        gy[j] = (
+            t0[j] * (yb[j + 1] - b) + t0[j - 1] * (yb[j - 1] - b) + t1[j] * (yc[j] - b) + p1[j] * (ya[j] - b)
+            + t2[j] * (yc[j + 1] - b) + p2[j - 1] * (ya[j - 1] - b)
+            + t3[j - 1] * (yc[j - 1] - b) + p3[j] * (ya[j + 1] - b)
+        )  # fmt: skip
+
+
+@njit(**_INNER_SUMS)
+def _tensions(xa, ya, xb, yb, l0, l1, l2, l3, k0, k1, k2, k3, t0, t1, t2, t3, n):
+    """Set t to k (1 - L / l), laid out as in ``_pulls``, and give the springs' energy."""
+    energy = 0.0
+    for j in range(n):
+        dx, dy, rest, k = xa[j + 1] - xa[j], ya[j + 1] - ya[j], l0[j], _at(k0, j)
+        long = math.sqrt(dx * dx + dy * dy + 1e-300)
+        t = 1.0 - rest / long
+        t = t if rest > 0.0 else 0.0
+        t0[j] = k * t
+        e = t * long
+        energy += k * e * e
+        dx, dy, rest, k = xb[j] - xa[j], yb[j] - ya[j], l1[j], _at(k1, j)
+        long = math.sqrt(dx * dx + dy * dy + 1e-300)
+        t = 1.0 - rest / long
+        t = t if rest > 0.0 else 0.0
+        t1[j] = k * t
+        e = t * long
+        energy += k * e * e
+        dx, dy, rest, k = xb[j + 1] - xa[j], yb[j + 1] - ya[j], l2[j], _at(k2, j)
+        long = math.sqrt(dx * dx + dy * dy + 1e-300)
+        t = 1.0 - rest / long
+        t = t if rest > 0.0 else 0.0
+        t2[j] = k * t
+        e = t * long
+        energy += k * e * e
+        dx, dy, rest, k = xb[j] - xa[j + 1], yb[j] - ya[j + 1], l3[j], _at(k3, j)
+        long = math.sqrt(dx * dx + dy * dy + 1e-300)
+        t = 1.0 - rest / long
+        t = t if rest > 0.0 else 0.0
+        t3[j] = k * t
+        e = t * long
+        energy += k * e * e
+    return energy
+
+
+@njit(**_SETTINGS)
+def forces(xy, rest, stiff, force, sums, n, r0, r1):
+    """Set ``force`` to minus half the gradient of the spring energy, and ``sums`` (rows + 2, 2) to it by rows."""
+    x, y = xy[0], xy[1]
+    b = np.zeros((9, xy.shape[2]))
+    t0, t1, t2, t3, p1, p2, p3, gx, gy = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8]
+    for i in range(r0 - 1, r1):
+        e = _tensions(x[i], y[i], x[i + 1], y[i + 1], rest[0, i], rest[1, i], rest[2, i], rest[3, i],
+                      _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i),
+                      t0, t1, t2, t3, n + 1)  # fmt: skip
+        if i >= r0:
+            sums[i, 0] = e
+            _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n)
+            f, g = force[0, i], force[1, i]
+            for j in range(1, n + 1):
+                f[j] = gx[j]
+                g[j] = gy[j]
+        t1, p1 = p1, t1
+        t2, p2 = p2, t2
+        t3, p3 = p3, t3
+
+
+@njit(**_INNER)
+def _softness(xa, ya, xb, yb, k0, k1, k2, k3, t0, t1, t2, t3, n):
+    """Set t to k / |d|^2 for the springs within the upper row a and between the rows a and b."""
+    for j in range(n):
+        dx, dy = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
+        t0[j] = _at(k0, j) / (dx * dx + dy * dy + _TINY)
+        dx, dy = xb[j] - xa[j], yb[j] - ya[j]
+        t1[j] = _at(k1, j) / (dx * dx + dy * dy + _TINY)
+        dx, dy = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
+        t2[j] = _at(k2, j) / (dx * dx + dy * dy + _TINY)
+        dx, dy = xb[j] - xa[j + 1], yb[j] - ya[j + 1]
+        t3[j] = _at(k3, j) / (dx * dx + dy * dy + _TINY)
+
+
+@njit(**_INNER)
+def _add(t, dx, dy, axx, axy, ayy):
+    # In this order: where there is no node t is 0 and the square of d would overflow.
+    return axx + (t * dx) * dx, axy + (t * dx) * dy, ayy + (t * dy) * dy
+
+
+@njit(**_SETTINGS)
+def prepare(near, stiff, ease, n, r0, r1):
+    """Set ``ease`` for the places ``near``; a node that no spring holds gets 0."""
+    x, y = near[0], near[1]
+    b = np.zeros((8, near.shape[2]), dtype=np.float32)
+    t0, t1, t2, t3, p1, p2, p3, out = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]
+    for i in range(r0 - 1, r1):
+        _softness(x[i], y[i], x[i + 1], y[i + 1], _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i),
+                  _row(stiff, 3, i), t0, t1, t2, t3, n + 1)  # fmt: skip
+        if i >= r0:
+            xa, xb, xc, ya, yb, yc = x[i - 1], x[i], x[i + 1], y[i - 1], y[i], y[i + 1]
+            for j in range(1, n + 1):
+                u, v = xb[j], yb[j]
+                a, c, d = _add(t0[j], xb[j + 1] - u, yb[j + 1] - v, _NONE, _NONE, _NONE)
+                a, c, d = _add(t0[j - 1], xb[j - 1] - u, yb[j - 1] - v, a, c, d)
+                a, c, d = _add(t1[j], xc[j] - u, yc[j] - v, a, c, d)
+                a, c, d = _add(p1[j], xa[j] - u, ya[j] - v, a, c, d)
+                a, c, d = _add(t2[j], xc[j + 1] - u, yc[j + 1] - v, a, c, d)
+                a, c, d = _add(p2[j - 1], xa[j - 1] - u, ya[j - 1] - v, a, c, d)
+                a, c, d = _add(t3[j - 1], xc[j - 1] - u, yc[j - 1] - v, a, c, d)
+                a, c, d = _add(p3[j], xa[j + 1] - u, ya[j + 1] - v, a, c, d)
+                half = _HALF * (a - d)
+                largest = _HALF * (a + d) + math.sqrt(half * half + c * c)
+                soft = _ONE / (largest + _TINY)
+                out[j] = soft if largest > _FAINT else _NONE
+            row = ease[i]
+            for j in range(1, n + 1):
+                row[j] = out[j]
+        t1, p1 = p1, t1
+        t2, p2 = p2, t2
+        t3, p3 = p3, t3
+
+
+@njit(**_INNER)
+def _first(move, force, ease, weight, i, n):
+    """First step from nothing: row i of ``move`` = weight * ease * force."""
+    u, v, f, g, d = move[0, i], move[1, i], force[0, i], force[1, i], ease[i]
+    for j in range(1, n + 1):
+        w = weight * d[j]
+        u[j] = w * f[j]
+        v[j] = w * g[j]
+
+
+@njit(**_INNER)
+def _spread(coarse, move, buffer, i, n):
+    """Add the bilinear interpolation of ``coarse`` to row i of ``move``."""
+    up = (i - 1) // 2 + 1
+    cols = n // 2 + 2
+    for c in range(2):
+        a, b, fine = coarse[c, up], coarse[c, up + (i - 1) % 2], move[c, i]
+        for j in range(1, cols + 1):
+            buffer[j] = _HALF * (a[j] + b[j])
+        for j in range((n + 1) // 2):
+            fine[2 * j + 1] += buffer[j + 1]
+        for j in range(n // 2):
+            fine[2 * j + 2] += _HALF * (buffer[j + 1] + buffer[j + 2])
+
+
+@njit(**_SETTINGS)
+def _fresh(kind, coarse, move, force, ease, first, buffer, i, n):
+    """Make row i ready to be smoothed: from nothing, with the coarse correction added, or as it is."""
+    if kind == 0:
+        _first(move, force, ease, first, i, n)
+    elif kind == 1:
+        _spread(coarse, move, buffer, i, n)
+
+
+@njit(**_SETTINGS)
+def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n, r0, r1):
+    """Smooth: ``move`` += weight * ease * (force - H move), H being the Gauss-Newton matrix at ``near``.
+
+    ``kind`` 0 starts with move = first * ease * force, 1 adds the interpolated ``coarse`` before, 2 takes it as it is.
+    ``edge`` (2, 2, width) holds the rows r0 - 1 and r1 of ``move`` as they were before any thread began.
+    """
+    x, y = near[0], near[1]
+    b = np.zeros((10, near.shape[2]), dtype=np.float32)
+    t0, t1, t2, t3, p1, p2, p3, gx, gy, buffer = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8], b[9]
+    last = near.shape[1] - 1
+    above, below = np.zeros((2, 1, near.shape[2]), np.float32), np.zeros((2, 1, near.shape[2]), np.float32)
+    above[:, 0], below[:, 0] = edge[:, 0], edge[:, 1]
+    # The rows beyond the border belong to other threads (or to the padding): made ready in copies of our own.
+    if r0 > 1:
+        _fresh_copy(kind, coarse, above, force, ease, first, buffer, r0 - 1, n)
+    if r1 < last:
+        _fresh_copy(kind, coarse, below, force, ease, first, buffer, r1, n)
+    _fresh(kind, coarse, move, force, ease, first, buffer, r0, n)
+    _pulls(x[r0 - 1], y[r0 - 1], x[r0], y[r0], above[0, 0], above[1, 0], move[0, r0], move[1, r0],
+           _row(stiff, 0, r0 - 1), _row(stiff, 1, r0 - 1), _row(stiff, 2, r0 - 1), _row(stiff, 3, r0 - 1),
+           t0, p1, p2, p3, n + 1)  # fmt: skip
+    for i in range(r0, r1):
+        if i + 1 < r1:
+            _fresh(kind, coarse, move, force, ease, first, buffer, i + 1, n)
+            ub, vb = move[0, i + 1], move[1, i + 1]
+        else:
+            ub, vb = below[0, 0], below[1, 0]
+        _pulls(x[i], y[i], x[i + 1], y[i + 1], move[0, i], move[1, i], ub, vb,
+               _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i),
+               t0, t1, t2, t3, n + 1)  # fmt: skip
+        _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n)
+        u, v, f, g, d = move[0, i], move[1, i], force[0, i], force[1, i], ease[i]
+        for j in range(1, n + 1):
+            w = weight * d[j]
+            u[j] += w * (f[j] + gx[j])
+            v[j] += w * (g[j] + gy[j])
+        t1, p1 = p1, t1
+        t2, p2 = p2, t2
+        t3, p3 = p3, t3
+
+
+@njit(**_SETTINGS)
+def _fresh_copy(kind, coarse, row, force, ease, first, buffer, i, n):
+    """As ``_fresh``, for row i held in ``row`` (2, 1, width)."""
+    if kind == 0:
+        for j in range(1, n + 1):
+            w = first * ease[i, j]
+            row[0, 0, j] = w * force[0, i, j]
+            row[1, 0, j] = w * force[1, i, j]
+    elif kind == 1:
+        up = (i - 1) // 2 + 1
+        for c in range(2):
+            for j in range(1, n + 1):
+                left = (j - 1) // 2 + 1
+                right = left + (j - 1) % 2
+                a = _HALF * (coarse[c, up, left] + coarse[c, up + (i - 1) % 2, left])
+                b = _HALF * (coarse[c, up, right] + coarse[c, up + (i - 1) % 2, right])
+                row[c, 0, j] += a if left == right else _HALF * (a + b)
+
+
+@njit(**_SETTINGS)
+def restrict(near, stiff, force, move, coarse_force, n, coarse_n, r0, r1):
+    """Set ``coarse_force`` to what ``move`` leaves unbalanced, by the transpose of bilinear interpolation."""
+    x, y = near[0], near[1]
+    width = near.shape[2]
+    b = np.zeros((12, width), dtype=np.float32)
+    t0, t1, t2, t3, p1, p2, p3, gx, gy = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8]
+    sum_x, sum_y = np.zeros(width + 2, np.float32), np.zeros(width + 2, np.float32)
+    rows = near.shape[1] - 2
+    # Fine rows of the coarse row r0 - 1 + 1: from the odd one above it to the odd one below.
+    start = max(1, 2 * (r0 - 1))
+    for i in range(start - 1, min(rows, 2 * (r1 - 1)) + 1):
+        _pulls(x[i], y[i], x[i + 1], y[i + 1], move[0, i], move[1, i], move[0, i + 1], move[1, i + 1],
+               _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i),
+               t0, t1, t2, t3, n + 1)  # fmt: skip
+        if i >= start:
+            _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n)
+            f, g = force[0, i], force[1, i]
+            share = _ONE if i % 2 == 1 else _HALF
+            for j in range(1, n + 1):
+                gx[j] += f[j]
+                gy[j] += g[j]
+                sum_x[j] += share * gx[j]
+                sum_y[j] += share * gy[j]
+            if i % 2 == 0:
+                if i // 2 >= r0:
+                    _narrow(sum_x, coarse_force[0, i // 2], coarse_n)
+                    _narrow(sum_y, coarse_force[1, i // 2], coarse_n)
+                for j in range(1, n + 1):
+                    sum_x[j] = _HALF * gx[j]
+                    sum_y[j] = _HALF * gy[j]
+        t1, p1 = p1, t1
+        t2, p2 = p2, t2
+        t3, p3 = p3, t3
+    if rows < 2 * (r1 - 1):
+        # The last coarse row lies on the last fine one, or one beyond it.
+        _narrow(sum_x, coarse_force[0, r1 - 1], coarse_n)
+        _narrow(sum_y, coarse_force[1, r1 - 1], coarse_n)
+
+
+@njit(**_INNER)
+def _narrow(total, coarse, coarse_n):
+    coarse[1] = total[1] + _HALF * total[2]
+    for j in range(1, coarse_n):
+        coarse[j + 1] = total[2 * j + 1] + _HALF * (total[2 * j] + total[2 * j + 2])
+
+
+@njit(**_SUMS)
+def advance(xy, near, move, force, share, sums, n, r0, r1):
+    """Move the nodes by ``share`` of ``move``; ``sums`` (rows + 2, 2) by rows: force times move, and move squared."""
+    for i in range(r0, r1):
+        work = square = 0.0
+        for c in range(2):
+            place, short, step, pull = xy[c, i], near[c, i], move[c, i], force[c, i]
+            for j in range(1, n + 1):
+                e = float(step[j])
+                place[j] += share * e
+                short[j] = place[j]
+                work += e * pull[j]
+                square += e * e
+        sums[i, 0], sums[i, 1] = work, square
+
+
+@njit(**_SETTINGS)
+def survey(xy, rest, stiff, sums, n, r0, r1):
+    """Set ``sums`` (rows + 2, 2) by rows: spring energy, and cells that are not upright.
+
+    A cell with all its springs is upright if its triangles (a, b, c) and (a, c, d) are, the corners a, b, c, d being
+    (i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j).
+    """
+    x, y = xy[0], xy[1]
+    b = np.zeros((4, xy.shape[2]))
+    t0, t1, t2, t3 = b[0], b[1], b[2], b[3]
+    for i in range(r0, r1):
+        sums[i, 0] = _tensions(x[i], y[i], x[i + 1], y[i + 1], rest[0, i], rest[1, i], rest[2, i], rest[3, i],
+                               _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i),
+                               t0, t1, t2, t3, n + 1)  # fmt: skip
+        xa, ya, xb, yb, right, left = x[i], y[i], x[i + 1], y[i + 1], rest[2, i], rest[3, i]
+        down = 0
+        for j in range(1, n):
+            px, py = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
+            qx, qy = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
+            sx, sy = xb[j] - xa[j], yb[j] - ya[j]
+            least = min(px * qy - py * qx, qx * sy - qy * sx)
+            whole = min(right[j], left[j]) > 0.0
+            down += 1 if whole and not least > 0.0 else 0
+        sums[i, 1] = down

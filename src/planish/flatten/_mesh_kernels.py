@@ -1,0 +1,283 @@
+# pyright: standard
+"""Compiled passes that make the levels of a mesh: rest lengths, coarser springs, finer places, folds, and the way back.
+
+The padded arrays are those of ``_kernels``.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from planish.flatten._kernels import FAR, GONE
+
+_SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
+_INNER = {**_SETTINGS, "forceinline": True}
+# A spring is straightened by the curvatures at its two ends where these agree this well: |a - b| <= share |a + b|.
+_AGREE = 0.5
+# Differences of curvature that would change a rest length by less than this share do not count as disagreement.
+_FAINT = 1e-6
+
+
+@njit(**_INNER)
+def _load(points, scale, i, row, n):
+    """Copy row i of ``points`` (rows, n, 3), scaled, to ``row`` (3, n + 2).
+
+    x is NaN where any coordinate is not finite, and beyond the grid.
+    """
+    row[:] = np.nan
+    if 0 <= i < points.shape[0]:
+        for j in range(n):
+            x, y, z = points[i, j, 0], points[i, j, 1], points[i, j, 2]
+            row[0, j + 1] = scale * (x + (y - y) + (z - z))
+            row[1, j + 1] = scale * y
+            row[2, j + 1] = scale * z
+
+
+@njit(**_INNER)
+def _chords(a, b, aj, bj, out, n):
+    """Distance of the places a[:, j + aj] and b[:, j + bj] for j = 1 ... n; 0 where one is missing."""
+    ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
+    for j in range(1, n + 1):
+        dx, dy, dz = bx[j + bj] - ax[j + aj], by[j + bj] - ay[j + aj], bz[j + bj] - az[j + aj]
+        long = math.sqrt(dx * dx + dy * dy + dz * dz)
+        # Two nodes on one spot are tied by a spring of no length; 0 itself means that there is no spring.
+        long = 1e-200 if long <= 1e-200 else long
+        out[j] = long if long < GONE else 0.0
+
+
+@njit(**_INNER)
+def _bend(a, b, c, out, n):
+    """Second differences along the normal at row b, for the four directions of springs, in ``out`` (4, n + 2).
+
+    NaN where a neighbour is missing. Divided by the squared length of a step it is the normal curvature.
+    """
+    for j in range(1, n + 1):
+        x, y, z = b[0, j], b[1, j], b[2, j]
+        rx = (b[0, j + 1] if b[0, j + 1] == b[0, j + 1] else x) - (b[0, j - 1] if b[0, j - 1] == b[0, j - 1] else x)
+        ry = (b[1, j + 1] if b[0, j + 1] == b[0, j + 1] else y) - (b[1, j - 1] if b[0, j - 1] == b[0, j - 1] else y)
+        rz = (b[2, j + 1] if b[0, j + 1] == b[0, j + 1] else z) - (b[2, j - 1] if b[0, j - 1] == b[0, j - 1] else z)
+        dx = (c[0, j] if c[0, j] == c[0, j] else x) - (a[0, j] if a[0, j] == a[0, j] else x)
+        dy = (c[1, j] if c[0, j] == c[0, j] else y) - (a[1, j] if a[0, j] == a[0, j] else y)
+        dz = (c[2, j] if c[0, j] == c[0, j] else z) - (a[2, j] if a[0, j] == a[0, j] else z)
+        nx, ny, nz = ry * dz - rz * dy, rz * dx - rx * dz, rx * dy - ry * dx
+        long = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-300)
+        nx, ny, nz = nx * long, ny * long, nz * long
+        out[0, j] = nx * (b[0, j + 1] + b[0, j - 1] - 2 * x) + ny * (b[1, j + 1] + b[1, j - 1] - 2 * y)
+        out[0, j] += nz * (b[2, j + 1] + b[2, j - 1] - 2 * z)
+        out[1, j] = nx * (c[0, j] + a[0, j] - 2 * x) + ny * (c[1, j] + a[1, j] - 2 * y)
+        out[1, j] += nz * (c[2, j] + a[2, j] - 2 * z)
+        out[2, j] = nx * (c[0, j + 1] + a[0, j - 1] - 2 * x) + ny * (c[1, j + 1] + a[1, j - 1] - 2 * y)
+        out[2, j] += nz * (c[2, j + 1] + a[2, j - 1] - 2 * z)
+        out[3, j] = nx * (c[0, j - 1] + a[0, j + 1] - 2 * x) + ny * (c[1, j - 1] + a[1, j + 1] - 2 * y)
+        out[3, j] += nz * (c[2, j - 1] + a[2, j + 1] - 2 * z)
+
+
+@njit(**_INNER)
+def _arcs(p, q, pj, qj, out, n):
+    """Lengthen the chords ``out`` to arcs by the bends p[j + pj], q[j + qj] at their ends; count those left alone."""
+    left = 0
+    for j in range(1, n + 1):
+        a, b = p[j + pj], q[j + qj]
+        a = a if a == a else b
+        b = b if b == b else a
+        long = out[j]
+        fits = abs(a - b) <= _AGREE * abs(a + b)
+        more = a * b / (24.0 * long)
+        out[j] = long + (more if fits and long > 0.0 else 0.0)
+        high = max(abs(a), abs(b))
+        left += 1 if (long > 0.0 and not fits and not high * high <= 24.0 * _FAINT * long * long) else 0
+    return left
+
+
+@njit(**_SETTINGS)
+def rest_lengths(points, scale, arc, rest, counts, r0, r1):
+    """Set ``rest`` for ``points`` (rows, n, 3), NaN where missing; ``counts`` (rows + 2, 2): springs, of them straight.
+
+    With ``arc`` the length of a chord L is corrected to L + (k L^2)^2 / (24 L) by the normal curvature k, the product
+    of the two at the ends of the spring; where they disagree the surface is rough at the scale of the mesh, its
+    curvature unknown, and the chord stays.
+    """
+    n = points.shape[1]
+    rows = np.empty((4, 3, n + 2))
+    bends = np.empty((2, 4, n + 2))
+    _load(points, scale, r0 - 2, rows[(r0 + 2) % 4], n)
+    _load(points, scale, r0 - 1, rows[(r0 + 3) % 4], n)
+    _load(points, scale, r0, rows[r0 % 4], n)
+    if arc:
+        _bend(rows[(r0 + 2) % 4], rows[(r0 + 3) % 4], rows[r0 % 4], bends[r0 % 2], n)
+    for i in range(r0, r1):
+        # Padded row i is row i - 1 of the points; its springs lead to row i of them.
+        here, there = rows[(i + 3) % 4], rows[i % 4]
+        _chords(here, here, 0, 1, rest[0, i], n)
+        _chords(here, there, 0, 0, rest[1, i], n)
+        _chords(here, there, 0, 1, rest[2, i], n)
+        _chords(here, there, 1, 0, rest[3, i], n)
+        left = 0
+        if arc:
+            _load(points, scale, i + 1, rows[(i + 1) % 4], n)
+            p, q = bends[i % 2], bends[(i + 1) % 2]
+            _bend(here, there, rows[(i + 1) % 4], q, n)
+            p[:, 0] = p[:, n + 1] = q[:, 0] = q[:, n + 1] = np.nan
+            left += _arcs(p[0], p[0], 0, 1, rest[0, i], n)
+            left += _arcs(p[1], q[1], 0, 0, rest[1, i], n)
+            left += _arcs(p[2], q[2], 0, 1, rest[2, i], n)
+            left += _arcs(p[3], q[3], 1, 0, rest[3, i], n)
+        else:
+            _load(points, scale, i + 1, rows[(i + 1) % 4], n)
+        springs = 0
+        for family in range(4):
+            for j in range(1, n + 1):
+                springs += 1 if rest[family, i, j] > 0.0 else 0
+        counts[i, 0], counts[i, 1] = springs, left
+
+
+@njit(**_INNER)
+def _lines(rest, stiff, family, i, total, length, n):
+    """Add row i of the springs of a family to the sums of stiffness and of stiffness times length."""
+    long = rest[family, i]
+    if stiff is None:
+        for j in range(1, n + 1):
+            total[j] += 1.0 if long[j] > 0.0 else 0.0
+            length[j] += long[j]
+    else:
+        k = stiff[family, i]
+        for j in range(1, n + 1):
+            total[j] += k[j]
+            length[j] += k[j] * long[j]
+
+
+@njit(**_SETTINGS)
+def coarsen(rest, stiff, coarse_rest, coarse_stiff, n, coarse_n, r0, r1):
+    """Springs of the mesh of every second node, for the rows r0 <= i < r1 of its padded arrays.
+
+    A coarse spring has the stiffness with which the fine ones near it resist an even stretch (each fine spring is
+    shared out to the coarse ones around it by linear interpolation), so that borders and holes keep the strength that
+    they have on the fine mesh, and twice their mean rest length.
+    """
+    last = rest.shape[1] - 2
+    b = np.zeros((4, rest.shape[2] + 2))
+    total, length, side_total, side_length = b[0], b[1], b[2], b[3]
+    for i in range(r0, r1):
+        y = 2 * i - 1
+        for family in range(4):
+            b[:] = 0.0
+            if y <= last:
+                _lines(rest, stiff, family, y, total, length, n)
+            if family == 0:
+                if 1 <= y - 1 <= last:
+                    _lines(rest, stiff, family, y - 1, side_total, side_length, n)
+                if y + 1 <= last:
+                    _lines(rest, stiff, family, y + 1, side_total, side_length, n)
+                for j in range(1, n + 1):
+                    total[j] += 0.5 * side_total[j]
+                    length[j] += 0.5 * side_length[j]
+            elif y + 1 <= last:
+                _lines(rest, stiff, family, y + 1, total, length, n)
+            long, k = coarse_rest[family, i], coarse_stiff[family, i]
+            for j in range(1, coarse_n + 1):
+                x = 2 * j - 1
+                if family == 1:
+                    t = total[x] + 0.5 * (total[x - 1] + total[x + 1])
+                    s = length[x] + 0.5 * (length[x - 1] + length[x + 1])
+                else:
+                    t = total[x] + total[x + 1]
+                    s = length[x] + length[x + 1]
+                k[j] = 0.25 * t
+                long[j] = 2.0 * s / t if t > 0.0 else 0.0
+
+
+@njit(**_SETTINGS)
+def _between(a, b, c, d):
+    """Value half-way from b to c: cubic where a and d are known, quadratic with one of them, else linear."""
+    if b >= GONE:
+        return c
+    if c >= GONE:
+        return b
+    if a < GONE and d < GONE:
+        return 0.5625 * (b + c) - 0.0625 * (a + d)
+    if a < GONE:
+        return 0.75 * b + 0.375 * c - 0.125 * a
+    if d < GONE:
+        return 0.375 * b + 0.75 * c - 0.125 * d
+    return 0.5 * (b + c)
+
+
+@njit(**_INNER)
+def _line(coarse, i, line, coarse_n, gaps):
+    """Set ``line`` to the coarse places along the fine row i."""
+    last = coarse.shape[0] - 2
+    up = (i - 1) // 2 + 1
+    if i % 2 == 1:
+        b = coarse[up]
+        for j in range(1, coarse_n + 1):
+            line[j] = b[j]
+        return
+    a, b, c, d = coarse[max(up - 1, 0)], coarse[up], coarse[up + 1], coarse[min(up + 2, last + 1)]
+    if gaps or up < 2 or up + 2 > last:
+        for j in range(1, coarse_n + 1):
+            line[j] = _between(a[j], b[j], c[j], d[j])
+    else:
+        for j in range(1, coarse_n + 1):
+            line[j] = 0.5625 * (b[j] + c[j]) - 0.0625 * (a[j] + d[j])
+
+
+@njit(**_SETTINGS)
+def interpolate(coarse, xy, near, n, coarse_n, gaps, r0, r1):
+    """Places of the fine mesh from those of every second node, cubic along rows and columns.
+
+    With ``gaps`` places may be FAR; what is FAR in the fine mesh is up to the caller.
+    """
+    for c in range(2):
+        line = np.full(coarse_n + 3, FAR)
+        for i in range(r0, r1):
+            _line(coarse[c], i, line, coarse_n, gaps)
+            place, short = xy[c, i], near[c, i]
+            for j in range((n + 1) // 2):
+                place[2 * j + 1] = line[j + 1]
+            for j in range(n // 2):
+                if gaps or j == 0 or j + 3 > coarse_n:
+                    place[2 * j + 2] = _between(line[j], line[j + 1], line[j + 2], line[j + 3])
+                else:
+                    place[2 * j + 2] = 0.5625 * (line[j + 1] + line[j + 2]) - 0.0625 * (line[j] + line[j + 3])
+            for j in range(1, n + 1):
+                short[j] = place[j]
+
+
+@njit(**_SETTINGS)
+def moments(points, scale, xy, start, sums, r0, r1):
+    """Sums by rows over the nodes, for the turn that lays ``xy`` on ``start`` (rows, n, 2) or on x, y of ``points``.
+
+    ``sums`` (rows + 2, 7): count, u, v, p, q, u p + v q, u q - v p for places (u, v) and targets (p, q).
+    """
+    n = points.shape[1]
+    for i in range(r0, r1):
+        count = su = sv = sp = sq = dot = cross = 0.0
+        for j in range(n):
+            u, v = xy[0, i, j + 1], xy[1, i, j + 1]
+            if u < GONE:
+                p = scale * (points[i - 1, j, 0] if start is None else start[i - 1, j, 0])
+                q = scale * (points[i - 1, j, 1] if start is None else start[i - 1, j, 1])
+                if p == p and q == q:
+                    count += 1.0
+                    su += u
+                    sv += v
+                    sp += p
+                    sq += q
+                    dot += u * p + v * q
+                    cross += u * q - v * p
+        sums[i, 0], sums[i, 1], sums[i, 2], sums[i, 3] = count, su, sv, sp
+        sums[i, 4], sums[i, 5], sums[i, 6] = sq, dot, cross
+
+
+@njit(**_SETTINGS)
+def lay_down(xy, cos, sin, shift_u, shift_v, scale, uv, r0, r1):
+    """Turn, shift and scale the places into ``uv`` (rows, n, 2); NaN where there is no node."""
+    n = uv.shape[1]
+    for i in range(r0, r1):
+        x, y, out = xy[0, i], xy[1, i], uv[i - 1]
+        for j in range(n):
+            u, v = x[j + 1], y[j + 1]
+            there = u < GONE
+            out[j, 0] = scale * (cos * u - sin * v + shift_u) if there else np.nan
+            out[j, 1] = scale * (sin * u + cos * v + shift_v) if there else np.nan

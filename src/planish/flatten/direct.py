@@ -1,0 +1,164 @@
+"""The spring mesh as a sparse matrix: exact steps for the coarsest mesh, for strips, and as the kernels' slow twin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from planish.flatten.levels import Level
+
+Array = NDArray[np.float64]
+
+_TIE = 1e-10
+"""Weak tie of every node to its place, in spring constants: the sheet as a whole is free to shift and turn."""
+
+# Ends of the four families of springs, as steps in row and column from the place where the spring is stored.
+_ENDS = (((0, 0), (0, 1)), ((0, 0), (1, 0)), ((0, 0), (1, 1)), ((0, 1), (1, 0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """The springs of a level as lists: ends by node number, rest lengths and stiffness."""
+
+    mask: NDArray[np.bool_]
+    first: NDArray[np.intp]
+    second: NDArray[np.intp]
+    rest: Array
+    stiff: Array
+
+    @classmethod
+    def of(cls, level: Level) -> Network:
+        """Collect the springs of ``level``."""
+        mask = level.nodes
+        number = np.full((level.rows + 1, level.cols + 1), -1)
+        number[: level.rows, : level.cols][mask] = np.arange(np.count_nonzero(mask))
+        first, second, rest, stiff = [], [], [], []
+        for family, ends in enumerate(_ENDS):
+            long = level.rest[family, 1 : level.rows + 1, 1 : level.cols + 1]
+            rows, cols = np.nonzero(long > 0)
+            first.append(number[rows + ends[0][0], cols + ends[0][1]])
+            second.append(number[rows + ends[1][0], cols + ends[1][1]])
+            rest.append(long[rows, cols])
+            stiff.append(
+                np.ones(rows.size) if level.stiff is None else level.stiff[family, rows + 1, cols + 1].astype(float)
+            )
+        return cls(mask, *(np.concatenate(part) for part in (first, second, rest, stiff)))
+
+    def energy(self, uv: Array) -> float:
+        """Sum over the springs of k (l - L)^2 for the places ``uv`` (nodes, 2)."""
+        long = np.linalg.norm(uv[self.second] - uv[self.first], axis=1)
+        return float(np.sum(self.stiff * (long - self.rest) ** 2))
+
+    def forces(self, uv: Array) -> Array:
+        """Minus half the energy's gradient, (nodes, 2)."""
+        step = uv[self.second] - uv[self.first]
+        # Two nodes on one spot have no direction; such a spring pulls nowhere instead of to infinity.
+        long = np.maximum(np.linalg.norm(step, axis=1), 1e-150)
+        pull = step * (self.stiff * (1 - self.rest / long))[:, None]
+        out = np.zeros_like(uv)
+        for axis in (0, 1):
+            out[:, axis] = np.bincount(self.first, pull[:, axis], len(uv))
+            out[:, axis] -= np.bincount(self.second, pull[:, axis], len(uv))
+        return out
+
+    def matrix(self, uv: Array, *, exact: bool) -> sparse.csc_array:
+        """Half the second derivative of the energy, (2 nodes, 2 nodes), node by node (u, v).
+
+        The Gauss-Newton part k d d', and if ``exact`` also k (1 - L / l) (1 - d d') of the springs under tension;
+        that of compressed ones would make the matrix indefinite.
+        """
+        d, bend = self._directions(uv, exact)
+        rows: list[Any] = []
+        cols: list[Any] = []
+        values: list[Any] = []
+        for a in (0, 1):
+            for b in (0, 1):
+                block = self.stiff * (d[:, a] * d[:, b] * (1 - bend) + (bend if a == b else 0.0))
+                for i, j, sign in (
+                    (self.first, self.first, 1.0),
+                    (self.second, self.second, 1.0),
+                    (self.first, self.second, -1.0),
+                    (self.second, self.first, -1.0),
+                ):
+                    rows.append(2 * i + a)
+                    cols.append(2 * j + b)
+                    values.append(sign * block)
+        size = 2 * len(uv)
+        whole = sparse.coo_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))), (size, size))
+        return (whole + _TIE * sparse.eye_array(size)).tocsc()
+
+    def full_matrix(self, uv: Array, *, exact: bool) -> Array:
+        """As ``matrix``, of a small network and without ties."""
+        d, bend = self._directions(uv, exact)
+        ends = np.zeros((len(self.rest), len(uv)))
+        ends[np.arange(len(self.rest)), self.first] = -1.0
+        ends[np.arange(len(self.rest)), self.second] = 1.0
+        out = np.empty((len(uv), 2, len(uv), 2))
+        for a in (0, 1):
+            for b in (0, 1):
+                block = self.stiff * (d[:, a] * d[:, b] * (1 - bend) + (bend if a == b else 0.0))
+                out[:, a, :, b] = ends.T @ (block[:, None] * ends)
+        return out.reshape(2 * len(uv), 2 * len(uv))
+
+    def _directions(self, uv: Array, exact: bool) -> tuple[Array, Array]:
+        """Unit vectors of the springs, and the share of their stiffness that acts across them."""
+        step = uv[self.second] - uv[self.first]
+        long = np.maximum(np.linalg.norm(step, axis=1), 1e-150)
+        bend = np.maximum(1 - self.rest / long, 0.0) if exact else np.zeros_like(long)
+        return step / long[:, None], bend
+
+
+_FEW = 200
+"""Nodes up to which a full matrix is quicker than a sparse one."""
+
+
+class Exact:
+    """Factorised stiffness at given places: answers forces with moves, the sheet as a whole staying where it is."""
+
+    def __init__(self, network: Network, uv: Array, *, exact: bool = False) -> None:
+        centred = uv - uv.mean(axis=0)
+        turn = np.stack([-centred[:, 1], centred[:, 0]], axis=1)
+        rigid = np.stack([np.tile([1.0, 0.0], len(uv)), np.tile([0.0, 1.0], len(uv)), turn.ravel()], axis=1)
+        self._rigid = rigid / np.maximum(np.linalg.norm(rigid, axis=0), 1e-300)
+        if len(uv) <= _FEW:
+            inverse = np.linalg.pinv(network.full_matrix(uv, exact=exact), rcond=1e-9, hermitian=True)
+            self._solve = inverse.__matmul__
+        else:
+            self._solve = splu(
+                network.matrix(uv, exact=exact),
+                permc_spec="MMD_AT_PLUS_A",
+                options={"SymmetricMode": True},
+                diag_pivot_thresh=0.0,
+            ).solve
+
+    def __call__(self, force: Array) -> Array:
+        """Moves (nodes, 2) under ``force`` (nodes, 2)."""
+        flat = force.ravel()
+        move = self._solve(flat - self._rigid @ (self._rigid.T @ flat))
+        return (move - self._rigid @ (self._rigid.T @ move)).reshape(-1, 2)
+
+
+def relax_exactly(network: Network, uv: Array, *, tolerance: float = 1e-10, most_steps: int = 60) -> Array:
+    """Newton's method from ``uv`` (nodes, 2) until no node moves further than ``tolerance``.
+
+    A step is shortened until the energy falls.
+    """
+    now = network.energy(uv)
+    for _ in range(most_steps):
+        move = Exact(network, uv, exact=True)(network.forces(uv))
+        if not np.isfinite(move).all():
+            return uv
+        share, longest = 1.0, float(np.abs(move).max())
+        while (trial := network.energy(uv + share * move)) > now:
+            share *= 0.5
+            if share < 1e-4:
+                return uv
+        uv, now = uv + share * move, trial
+        if longest < tolerance:
+            break
+    return uv

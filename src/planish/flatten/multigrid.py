@@ -1,0 +1,171 @@
+"""Minimum spring energy by nested iteration: Gauss-Newton steps, each solved by one multigrid cycle.
+
+The mesh of every second node is itself a mesh of springs (in two dimensions a spring constant does not depend on the
+size of the mesh), so each coarser level is relaxed first and tells the next where to begin. There, the balance of
+forces is taken in double precision; the correction comes from a V-cycle in single precision over the linearised springs
+of all levels (Brandt, 1977, doi:10.1090/S0025-5718-1977-0431719-X), with Chebyshev smoothing (Adams et al., 2003,
+doi:10.1016/S0021-9991(03)00194-3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.outcome import Outcome
+from planish.flatten._kernels import FAR, advance, forces, prepare, restrict, smooth
+from planish.flatten._mesh_kernels import interpolate
+from planish.flatten.direct import Exact, Network, relax_exactly
+from planish.flatten.levels import Level, Team
+
+Array = NDArray[np.float64]
+
+# Smoothing works on the part of the spectrum that the coarser mesh does not see: a node's own stiffness divides its
+# matrix so that eigenvalues reach 2 (a little more near borders); those of waves shorter than four nodes begin at 1/2.
+_LOW, _HIGH = 0.42, 2.0
+_ONCE = np.float32(2 / (_LOW + _HIGH))
+_TWICE = tuple(np.float32(2 / (_LOW + _HIGH + side * (_HIGH - _LOW) * np.sqrt(0.5))) for side in (-1, 1))
+
+_DOUBLED = 1
+"""Levels below the one being relaxed that are corrected twice in a cycle; those below them are too small to matter."""
+
+_STILL = 1e-5
+"""Mean error of places, in pitches, below which a mesh is at rest whatever its energy."""
+
+_RATE = 0.1
+"""Share of the excess energy that a cycle is expected to leave, before one has been observed."""
+
+
+_ROUGHLY = 0.1
+_STEPS = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of the solver: nodes of the mesh, energy before it, what it expects to gain, and the mean move."""
+
+    nodes: int
+    energy: float
+    gain: float
+    move: float
+
+
+class Multigrid:
+    """Relaxation of a hierarchy of meshes."""
+
+    def __init__(self, levels: list[Level], team: Team, *, gaps: bool) -> None:
+        self.levels = levels
+        self.team = team
+        self.gaps = gaps
+        self.history: list[Step] = []
+        self.rate = _RATE
+
+    def run(self, handedness: float, tolerance: float) -> Outcome:
+        """Relax all levels, from the lengths along the grid; the finest one to ``tolerance``."""
+        self.start(self.levels[-1], along_grid(self.levels[-1], handedness))
+        outcome = Outcome.RESTED
+        for k in range(len(self.levels) - 2, -1, -1):
+            self.refine(self.levels[k + 1], self.levels[k])
+            # What is left on a coarse level is less than what the finer one adds.
+            outcome = self.relax(k, tolerance if k == 0 else _ROUGHLY, _STEPS)
+        return outcome
+
+    def start(self, level: Level, places: Array) -> None:
+        """Set the places of the coarsest mesh to (nodes, 2), relaxed exactly."""
+        level.open()
+        self._network = Network.of(level)
+        uv = relax_exactly(self._network, places, tolerance=1e-10 if len(self.levels) == 1 else 1e-2)
+        for kept in (level.xy, level.near):
+            inside = kept[:, 1 : level.rows + 1, 1 : level.cols + 1]
+            inside[:] = FAR
+            inside[:, self._network.mask] = uv.T
+        self._exact = Exact(self._network, uv)
+
+    def refine(self, coarse: Level, fine: Level) -> None:
+        """Take the places of ``fine`` from ``coarse``."""
+        coarse.drop_springs()
+        fine.open()
+        self.team.run(
+            interpolate, fine.parts, coarse.xy, fine.xy, fine.near, fine.cols, coarse.cols, self.gaps
+        )
+        if self.gaps:
+            fine.clear()
+        self.team.run(prepare, fine.parts, fine.near, fine.stiff, fine.ease, fine.cols)
+
+    def relax(self, k: int, tolerance: float, most: int) -> Outcome:
+        """Step on level ``k`` until the excess of energy over the minimum is below ``tolerance`` times the energy."""
+        level = self.levels[k]
+        before = 0.0
+        for _ in range(most):
+            energy = self.balance(level)
+            self._cycle(k)
+            gain, square = self.advance(level, 1.0)
+            count = level.rows * level.cols
+            self.history.append(Step(count, energy, gain, float(np.sqrt(square / count))))
+            if not np.isfinite(gain):
+                return Outcome.NOT_FINITE
+            if before:
+                self.rate = float(np.clip(gain / before, 0.01, 1.0))
+            before = gain
+            left = gain * self.rate
+            # The same share of the move is left as the square root of that of the energy.
+            if left <= tolerance * energy or np.sqrt(square / count * self.rate) <= _STILL:
+                return Outcome.RESTED
+        return Outcome.OUT_OF_STEPS
+
+    def balance(self, level: Level) -> float:
+        """Set the forces of a level and give its energy."""
+        self.team.run(forces, level.parts, level.xy, level.rest, level.stiff, level.force, level.sums, level.cols)
+        return float(level.sums[1 : level.rows + 1, 0].sum())
+
+    def advance(self, level: Level, share: float) -> tuple[float, float]:
+        """Move the nodes; give force times move and the squared move, summed over the nodes."""
+        self.team.run(advance, level.parts, level.xy, level.near, level.move, level.force, share, level.sums, level.cols)
+        work, square = level.sums[1 : level.rows + 1].sum(axis=0)
+        return float(work), float(square)
+
+    def _cycle(self, k: int, depth: int = 0) -> None:
+        """Correct level ``k`` for its forces; the levels below it twice, without which errors add up downwards."""
+        level = self.levels[k]
+        if k == len(self.levels) - 1:
+            inside = np.s_[:, 1 : level.rows + 1, 1 : level.cols + 1]
+            move = self._exact(level.force[inside][:, self._network.mask].T.astype(np.float64))
+            level.move[inside][:, self._network.mask] = move.T
+            return
+        coarse = self.levels[k + 1]
+        self._smooth(0, level, level, *_TWICE)
+        for _ in range(2 if 0 < depth <= _DOUBLED else 1):
+            self.team.run(restrict, coarse.parts, level.near, level.stiff, level.force, level.move, coarse.force,
+                          level.cols, coarse.cols)  # fmt: skip
+            self._cycle(k + 1, depth + 1)
+            self._smooth(1, level, coarse, _ONCE, _ONCE)
+
+    def _smooth(self, kind: int, level: Level, coarse: Level, first: np.float32, weight: np.float32) -> None:
+        fixed = (kind, level.near, level.stiff, level.ease, level.force, coarse.move, level.move)
+        if len(level.parts) == 1:
+            smooth(*fixed, level.alone, first, weight, level.cols, *level.parts[0])
+            return
+        # Rows that two threads share are copied before either of them moves its own.
+        edges = [level.move[:, [r0 - 1, r1]] for r0, r1 in level.parts]
+        self.team.each(
+            smooth,
+            [(*fixed, edge, first, weight, level.cols, r0, r1)
+             for edge, (r0, r1) in zip(edges, level.parts, strict=True)],
+        )  # fmt: skip
+
+
+def along_grid(level: Level, handedness: float) -> Array:
+    """Places (nodes, 2) of a mesh laid out by the mean rest lengths between its columns and between its rows."""
+    rows, cols = level.rows, level.cols
+    inside = level.rest[:, 1 : rows + 1, 1 : cols + 1]
+    places = []
+    for lengths, axis, count in ((inside[0], 0, cols), (inside[1], 1, rows)):
+        held = lengths > 0
+        mean = lengths.sum(axis=axis) / np.maximum(held.sum(axis=axis), 1)
+        typical = lengths[held].mean() if held.any() else 1.0
+        mean = np.where(mean > 0, mean, typical)[: count - 1]
+        places.append(np.concatenate([[0.0], np.cumsum(mean)]))
+    u, v = np.meshgrid(handedness * places[0], places[1])
+    return np.stack([u, v], axis=-1)[level.nodes]
