@@ -338,15 +338,15 @@ def _narrow(total, coarse, coarse_n):
 
 
 @njit(**_SUMS)
-def advance(xy, near, move, force, share, sums, n, r0, r1):
-    """Move the nodes by ``share`` of ``move``; ``sums`` (rows + 2, 2) by rows: force times move, and move squared."""
+def advance(xy, near, move, force, sums, n, r0, r1):
+    """Move the nodes by ``move``; ``sums`` (rows + 2, 2) by rows: force times move, and move squared."""
     for i in range(r0, r1):
         work = square = 0.0
         for c in range(2):
             place, short, step, pull = xy[c, i], near[c, i], move[c, i], force[c, i]
             for j in range(1, n + 1):
                 e = float(step[j])
-                place[j] += share * e
+                place[j] += e
                 short[j] = place[j]
                 work += e * pull[j]
                 square += e * e
@@ -354,11 +354,11 @@ def advance(xy, near, move, force, share, sums, n, r0, r1):
 
 
 @njit(**_SETTINGS)
-def survey(xy, rest, stiff, sums, n, r0, r1):
+def survey(xy, rest, stiff, side, sums, n, r0, r1):
     """Set ``sums`` (rows + 2, 2) by rows: spring energy, and cells that are not upright.
 
-    A cell with all its springs is upright if its triangles (a, b, c) and (a, c, d) are, the corners a, b, c, d being
-    (i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j).
+    A cell with all its springs is upright if the signed areas of its triangles (a, b, c) and (a, c, d) have the sign of
+    ``side``, the corners a, b, c, d being (i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j).
     """
     x, y = xy[0], xy[1]
     b = np.zeros((4, xy.shape[2]))
@@ -373,7 +373,7 @@ def survey(xy, rest, stiff, sums, n, r0, r1):
             px, py = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
             qx, qy = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
             sx, sy = xb[j] - xa[j], yb[j] - ya[j]
-            least = min(px * qy - py * qx, qx * sy - qy * sx)
+            least = min(side * (px * qy - py * qx), side * (qx * sy - qy * sx))
             whole = min(right[j], left[j]) > 0.0
             down += 1 if whole and not least > 0.0 else 0
         sums[i, 1] = down

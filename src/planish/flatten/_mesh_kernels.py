@@ -281,3 +281,47 @@ def lay_down(xy, cos, sin, shift_u, shift_v, scale, uv, r0, r1):
             there = u < GONE
             out[j, 0] = scale * (cos * u - sin * v + shift_u) if there else np.nan
             out[j, 1] = scale * (sin * u + cos * v + shift_v) if there else np.nan
+
+
+@njit(**_INNER)
+def _least_area(side, ax, ay, bx, by, cx, cy, dx, dy):
+    """Smaller of the doubled areas of the triangles (a, b, c) and (a, c, d), with the sign of ``side``."""
+    px, py, qx, qy, sx, sy = bx - ax, by - ay, cx - ax, cy - ay, dx - ax, dy - ay
+    return min(side * (px * qy - py * qx), side * (qx * sy - qy * sx))
+
+
+@njit(**_SETTINGS)
+def hold_open(xy, rest, move, share, floor, side, n, r0, r1):
+    """Halve ``share`` (rows + 2, width) at nodes whose cells would close; give how many cells were found closing.
+
+    A cell closes if a triangle's doubled area falls below ``floor`` times the product of the cell's rest lengths and
+    below what it was. Serial over the rows of cells given, because neighbours share nodes.
+    """
+    x, y = xy[0], xy[1]
+    u, v = move[0], move[1]
+    found = 0
+    for i in range(r0, r1):
+        for j in range(1, n):
+            if not (rest[2, i, j] > 0.0 and rest[3, i, j] > 0.0):
+                continue
+            least = _least_area(
+                side,
+                x[i, j] + share[i, j] * u[i, j], y[i, j] + share[i, j] * v[i, j],
+                x[i, j + 1] + share[i, j + 1] * u[i, j + 1], y[i, j + 1] + share[i, j + 1] * v[i, j + 1],
+                x[i + 1, j + 1] + share[i + 1, j + 1] * u[i + 1, j + 1],
+                y[i + 1, j + 1] + share[i + 1, j + 1] * v[i + 1, j + 1],
+                x[i + 1, j] + share[i + 1, j] * u[i + 1, j], y[i + 1, j] + share[i + 1, j] * v[i + 1, j],
+            )  # fmt: skip
+            limit = floor * 0.5 * rest[2, i, j] * rest[3, i, j]
+            if least >= limit:
+                continue
+            before = _least_area(side, x[i, j], y[i, j], x[i, j + 1], y[i, j + 1], x[i + 1, j + 1], y[i + 1, j + 1],
+                                        x[i + 1, j], y[i + 1, j])  # fmt: skip
+            if least >= before:
+                continue
+            found += 1
+            share[i, j] *= 0.5
+            share[i, j + 1] *= 0.5
+            share[i + 1, j + 1] *= 0.5
+            share[i + 1, j] *= 0.5
+    return found

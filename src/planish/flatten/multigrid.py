@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from planish.core.outcome import Outcome
-from planish.flatten._kernels import FAR, advance, forces, prepare, restrict, smooth
-from planish.flatten._mesh_kernels import interpolate
+from planish.flatten._kernels import FAR, advance, forces, prepare, restrict, smooth, survey
+from planish.flatten._mesh_kernels import hold_open, interpolate
 from planish.flatten.direct import Exact, Network, relax_exactly
 from planish.flatten.levels import Level, Team
 
@@ -41,6 +42,11 @@ _RATE = 0.1
 _ROUGHLY = 0.1
 _STEPS = 40
 
+OPEN = 0.02
+"""Share of its area at rest down to which a step may close a cell."""
+
+_HALVINGS = 40
+
 
 @dataclass(frozen=True, slots=True)
 class Step:
@@ -55,16 +61,18 @@ class Step:
 class Multigrid:
     """Relaxation of a hierarchy of meshes."""
 
-    def __init__(self, levels: list[Level], team: Team, *, gaps: bool) -> None:
+    def __init__(self, levels: list[Level], team: Team, *, gaps: bool, side: float, guarded: bool) -> None:
         self.levels = levels
         self.team = team
         self.gaps = gaps
+        self.side = side
+        self.guarded = guarded
         self.history: list[Step] = []
         self.rate = _RATE
 
-    def run(self, handedness: float, tolerance: float) -> Outcome:
+    def run(self, tolerance: float) -> Outcome:
         """Relax all levels, from the lengths along the grid; the finest one to ``tolerance``."""
-        self.start(self.levels[-1], along_grid(self.levels[-1], handedness))
+        self.start(self.levels[-1], along_grid(self.levels[-1], self.side))
         outcome = Outcome.RESTED
         for k in range(len(self.levels) - 2, -1, -1):
             self.refine(self.levels[k + 1], self.levels[k])
@@ -97,32 +105,63 @@ class Multigrid:
     def relax(self, k: int, tolerance: float, most: int) -> Outcome:
         """Step on level ``k`` until the excess of energy over the minimum is below ``tolerance`` times the energy."""
         level = self.levels[k]
-        before = 0.0
+        count = level.rows * level.cols
+        before, slow = 0.0, 0
         for _ in range(most):
             energy = self.balance(level)
             self._cycle(k)
-            gain, square = self.advance(level, 1.0)
-            count = level.rows * level.cols
+            wanted = self._guard(level, energy) if self.guarded else 0.0
+            gain, square = self.advance(level)
             self.history.append(Step(count, energy, gain, float(np.sqrt(square / count))))
             if not np.isfinite(gain):
                 return Outcome.NOT_FINITE
             if before:
                 self.rate = float(np.clip(gain / before, 0.01, 1.0))
+            slow = slow + 1 if before and gain > 0.7 * before else 0
             before = gain
-            left = gain * self.rate
             # The same share of the move is left as the square root of that of the energy.
-            if left <= tolerance * energy or np.sqrt(square / count * self.rate) <= _STILL:
-                return Outcome.RESTED
+            if gain * self.rate <= tolerance * energy or np.sqrt(square / count * self.rate) <= _STILL:
+                return Outcome.RESTED if wanted <= max(100 * tolerance * energy, gain) else Outcome.HELD_OPEN
+            if slow >= 3 and not self.guarded and self.survey(level)[1]:
+                return Outcome.FOLDED
         return Outcome.OUT_OF_STEPS
+
+    def survey(self, level: Level) -> tuple[float, int]:
+        """Energy of a level, and how many of its cells are not upright."""
+        self.team.run(survey, level.parts, level.xy, level.rest, level.stiff, self.side, level.sums, level.cols)
+        energy, down = level.sums[1 : level.rows + 1].sum(axis=0)
+        return float(energy), int(down)
+
+    def _guard(self, level: Level, energy: float) -> float:
+        """Shorten the move where it would close a cell, and as a whole until the energy falls; give the gain wanted."""
+        wanted = float(np.vdot(level.force, level.move))
+        share = np.ones(level.move.shape[1:], np.float32)
+        for _ in range(_HALVINGS):
+            if not hold_open(level.xy, level.rest, level.move, share, OPEN, self.side, level.cols, 1, level.rows):
+                break
+            # What is next to a node that is held back may not run into it.
+            np.minimum(share, 2 * ndimage.minimum_filter(share, size=3), out=share)
+        else:
+            share[share < 1] = 0.0
+        level.move *= share
+        for _ in range(_HALVINGS):
+            self.advance(level)
+            risen = self.survey(level)[0] > energy * (1 + 1e-12)
+            level.move *= -1
+            self.advance(level)
+            level.move *= -0.5 if risen else -1.0
+            if not risen:
+                break
+        return wanted
 
     def balance(self, level: Level) -> float:
         """Set the forces of a level and give its energy."""
         self.team.run(forces, level.parts, level.xy, level.rest, level.stiff, level.force, level.sums, level.cols)
         return float(level.sums[1 : level.rows + 1, 0].sum())
 
-    def advance(self, level: Level, share: float) -> tuple[float, float]:
+    def advance(self, level: Level) -> tuple[float, float]:
         """Move the nodes; give force times move and the squared move, summed over the nodes."""
-        self.team.run(advance, level.parts, level.xy, level.near, level.move, level.force, share, level.sums, level.cols)
+        self.team.run(advance, level.parts, level.xy, level.near, level.move, level.force, level.sums, level.cols)
         work, square = level.sums[1 : level.rows + 1].sum(axis=0)
         return float(work), float(square)
 

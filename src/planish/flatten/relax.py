@@ -15,7 +15,7 @@ from planish.flatten._kernels import GONE, survey
 from planish.flatten._mesh_kernels import lay_down, moments
 from planish.flatten.infill import fill_smoothly
 from planish.flatten.levels import Level, Team, hierarchy
-from planish.flatten.multigrid import Multigrid, Step
+from planish.flatten.multigrid import OPEN, Multigrid, Step
 from planish.flatten.relaxation import History, RelaxationParams, relax_dynamically
 from planish.flatten.springs import TRUSTED, find_pieces, make_springs, mean_pitch, stiffen
 
@@ -39,7 +39,7 @@ class Relaxed:
     history : tuple of Step, or History
         All steps, those on the coarser meshes of ``multigrid`` included, in mean pitches.
     folded : (rows - 1, cols - 1) bool
-        Cells with a triangle whose signed area is not above zero.
+        Cells with a triangle whose signed area is not above zero, and those that are held open at next to none.
     straight_share : float
         Share of the springs that kept their chord because the curvature of the surface is not certain there; NaN for
         ``rest="chord"``.
@@ -135,13 +135,17 @@ def relax_grid(
         else:
             steps, outcome, history = _relaxation(level, points, start, pitch, relaxation)
         sums = np.zeros((level.rows + 2, 2))
-        team.run(survey, level.parts, level.xy, level.rest, level.stiff, sums, level.cols)
+        team.run(survey, level.parts, level.xy, level.rest, level.stiff, _handedness(points, start), sums, level.cols)
         energy, down = sums.sum(axis=0)
         level.drop_springs()
         uv = _laid_down(level, points, start, pitch, team)
     if doubted is not None:
         uv = fill_smoothly(uv, doubted)
-    folded = folded_cells(uv) if down or doubted is not None else np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
+    # Cells that the step rule held open are as good as folded.
+    floor = 1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0
+    folded = np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
+    if down or floor or doubted is not None:
+        folded = folded_cells(points, uv, side=_handedness(points, start), floor=floor)
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
     return Relaxed(uv=uv, energy=float(energy) * pitch * pitch, springs=springs, outcome=outcome, steps=steps,
@@ -153,15 +157,27 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def folded_cells(uv: Array) -> NDArray[np.bool_]:
-    """Cells of ``uv`` (rows, cols, 2) with a triangle (a, b, c) or (a, c, d) that is empty or turned over."""
-    a, b, c, d = uv[:-1, :-1], uv[:-1, 1:], uv[1:, 1:], uv[1:, :-1]
+def folded_cells(points: Array, uv: Array, *, side: float = 1.0, floor: float = 0.0) -> NDArray[np.bool_]:
+    """Cells of ``uv`` (rows, cols, 2) with a triangle (a, b, c) or (a, c, d) that is empty or turned over.
+
+    ``side`` is -1 where columns and rows of the grid run the other way round than u and v; ``floor`` is the share of
+    a cell's half area in space, as the product of its diagonals tells it, that a triangle must exceed.
+    """
+
+    def corners(nodes: Array) -> tuple[Array, Array, Array, Array]:
+        return nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, 1:], nodes[1:, :-1]
+
+    a, b, c, d = corners(uv)
 
     def area(p: Array, q: Array, r: Array) -> Array:
         return (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
 
+    least = 0.0
+    if floor:
+        e, f, g, h = corners(points)
+        least = floor * 0.5 * np.linalg.norm(g - e, axis=-1) * np.linalg.norm(h - f, axis=-1)
     with np.errstate(invalid="ignore"):
-        return (area(a, b, c) <= 0) | (area(a, c, d) <= 0)
+        return np.minimum(side * area(a, b, c), side * area(a, c, d)) <= least
 
 
 def _check(points: Array, start: Array | None, weights: Array | None, tolerance: float) -> None:
@@ -257,10 +273,16 @@ def _handedness(points: Array, start: Array | None) -> float:
 def _multigrid(
     level: Level, points: Array, start: Array | None, pitch: float, team: Team, tolerance: float, *, gaps: bool
 ) -> tuple[int, Outcome, tuple[Step, ...]]:
-    solver = Multigrid(hierarchy(level, team), team, gaps=gaps)
-    outcome = solver.run(_handedness(points, start), tolerance)
-    finest = level.rows * level.cols
-    return sum(step.nodes == finest for step in solver.history), outcome, tuple(solver.history)
+    side, finest = _handedness(points, start), level.rows * level.cols
+    history: tuple[Step, ...] = ()
+    outcome = Outcome.NOT_FINITE
+    for guarded in (False, True):
+        solver = Multigrid(hierarchy(level, team), team, gaps=gaps, side=side, guarded=guarded)
+        outcome = solver.run(tolerance)
+        history += tuple(solver.history)
+        if outcome is Outcome.RESTED and solver.survey(level)[1] == 0:
+            break
+    return sum(step.nodes == finest for step in history), outcome, history
 
 
 def _relaxation(
