@@ -73,6 +73,33 @@ def _bend(a, b, c, out, n):
         out[3, j] += nz * (c[2, j - 1] + a[2, j + 1] - 2 * z)
 
 
+@njit(**_SETTINGS)
+def _mend(above, here, below, out, n):
+    """Copy the bends ``here`` (4, n + 2) to ``out``, a missing one as the mean of those around it."""
+    for family in range(4):
+        b, o = here[family], out[family]
+        total = 0.0
+        for j in range(2, n):
+            o[j] = b[j]
+            total += b[j]
+        whole = total == total
+        o[0] = o[n + 1] = np.nan
+        for j in range(1, n + 1):
+            if whole and 1 < j < n:
+                continue
+            o[j] = b[j]
+            if b[j] == b[j]:
+                continue
+            mean, count = 0.0, 0
+            for k in range(j - 1, j + 2):
+                if 1 <= k <= n:
+                    for c in (above[family, k], b[k], below[family, k]):
+                        if c == c:
+                            mean += c
+                            count += 1
+            o[j] = mean / count if count > 0 else np.nan
+
+
 @njit(**_INNER)
 def _arcs(p, q, pj, qj, out, n):
     """Lengthen the chords ``out`` to arcs by the bends p[j + pj], q[j + qj] at their ends; count those left alone."""
@@ -99,32 +126,31 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
     curvature unknown, and the chord stays.
     """
     n = points.shape[1]
-    rows = np.empty((4, 3, n + 2))
-    bends = np.empty((2, 4, n + 2))
-    _load(points, scale, r0 - 2, rows[(r0 + 2) % 4], n)
-    _load(points, scale, r0 - 1, rows[(r0 + 3) % 4], n)
-    _load(points, scale, r0, rows[r0 % 4], n)
+    # Row i of the padded arrays is row i - 1 of the points, and its springs lead to row i of them. Rings of rows: the
+    # points up to i + 2, their bends up to i + 1, and the mended bends up to i.
+    rows, bends, mended = np.empty((8, 3, n + 2)), np.full((4, 4, n + 2), np.nan), np.empty((2, 4, n + 2))
+    for k in range(r0 - 3, r0 + 2):
+        _load(points, scale, k, rows[k % 8], n)
     if arc:
-        _bend(rows[(r0 + 2) % 4], rows[(r0 + 3) % 4], rows[r0 % 4], bends[r0 % 2], n)
+        for k in range(r0 - 2, r0 + 1):
+            _bend(rows[(k - 1) % 8], rows[k % 8], rows[(k + 1) % 8], bends[k % 4], n)
+        _mend(bends[(r0 - 2) % 4], bends[(r0 - 1) % 4], bends[r0 % 4], mended[(r0 - 1) % 2], n)
     for i in range(r0, r1):
-        # Padded row i is row i - 1 of the points; its springs lead to row i of them.
-        here, there = rows[(i + 3) % 4], rows[i % 4]
+        _load(points, scale, i + 2, rows[(i + 2) % 8], n)
+        here, there = rows[(i - 1) % 8], rows[i % 8]
         _chords(here, here, 0, 1, rest[0, i], n)
         _chords(here, there, 0, 0, rest[1, i], n)
         _chords(here, there, 0, 1, rest[2, i], n)
         _chords(here, there, 1, 0, rest[3, i], n)
         left = 0
         if arc:
-            _load(points, scale, i + 1, rows[(i + 1) % 4], n)
-            p, q = bends[i % 2], bends[(i + 1) % 2]
-            _bend(here, there, rows[(i + 1) % 4], q, n)
-            p[:, 0] = p[:, n + 1] = q[:, 0] = q[:, n + 1] = np.nan
+            _bend(there, rows[(i + 1) % 8], rows[(i + 2) % 8], bends[(i + 1) % 4], n)
+            p, q = mended[(i - 1) % 2], mended[i % 2]
+            _mend(bends[(i - 1) % 4], bends[i % 4], bends[(i + 1) % 4], q, n)
             left += _arcs(p[0], p[0], 0, 1, rest[0, i], n)
             left += _arcs(p[1], q[1], 0, 0, rest[1, i], n)
             left += _arcs(p[2], q[2], 0, 1, rest[2, i], n)
             left += _arcs(p[3], q[3], 1, 0, rest[3, i], n)
-        else:
-            _load(points, scale, i + 1, rows[(i + 1) % 4], n)
         springs = 0
         for family in range(4):
             for j in range(1, n + 1):

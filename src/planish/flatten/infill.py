@@ -1,4 +1,4 @@
-"""Lay the nodes that had no say between the others, without a kink."""
+"""Nodes between and beside the known ones, laid without a kink."""
 
 from __future__ import annotations
 
@@ -12,8 +12,35 @@ from planish.core.errors import CannotFlatten
 Array = NDArray[np.float64]
 
 
+_BRACE = 0.01
+"""Stiffness of springs to nodes that were made up: enough to hold a corner, too little to steer the sheet."""
+
+
+def brace(
+    points: Array, weights: Array | None, known: NDArray[np.bool_], loose: NDArray[np.bool_]
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Hold nodes that the springs leave free to turn by a ring of weak springs to made-up nodes around them.
+
+    Parameters
+    ----------
+    points : (rows, cols, 3)
+    weights : (rows, cols), optional
+    known, loose : (rows, cols) bool
+
+    Returns
+    -------
+    points, weights
+        With the made-up nodes.
+    (rows, cols) bool
+        Which these are.
+    """
+    braces = ~known & ndimage.binary_dilation(loose, structure=np.ones((3, 3)), iterations=2)
+    weights = np.where(known, 1.0, 0.0) if weights is None else weights
+    return fill_smoothly(points, braces), np.where(braces, _BRACE * weights[known].max(), weights), braces
+
+
 def fill_smoothly(uv: Array, missing: NDArray[np.bool_]) -> Array:
-    """Fill the ``missing`` nodes (rows, cols) of ``uv`` (rows, cols, 2) so that rows and columns bend least.
+    """Fill the ``missing`` nodes (rows, cols) of ``uv`` (rows, cols, values) so that rows and columns bend least.
 
     Least sum of squared second differences along rows and columns, to which known neighbours up to two nodes away
     contribute; nodes that are neither known nor missing stay NaN. What is linear in row and column is met exactly.

@@ -9,6 +9,7 @@ doi:10.1016/S0021-9991(03)00194-3).
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ from planish.flatten.direct import Exact, Network, relax_exactly
 from planish.flatten.levels import Level, Team
 
 Array = NDArray[np.float64]
+Single = NDArray[np.float32]
 
 # Smoothing works on the part of the spectrum that the coarser mesh does not see: a node's own stiffness divides its
 # matrix so that eigenvalues reach 2 (a little more near borders); those of waves shorter than four nodes begin at 1/2.
@@ -40,7 +42,10 @@ _RATE = 0.1
 
 
 _ROUGHLY = 0.1
-_STEPS = 40
+_STEPS = 60
+
+_SLOW = 0.25
+"""Share of the gain of the step before above which the directions of the steps are made conjugate."""
 
 OPEN = 0.02
 """Share of its area at rest down to which a step may close a cell."""
@@ -56,6 +61,27 @@ class Step:
     energy: float
     gain: float
     move: float
+
+
+class _Conjugate:
+    """Directions of the conjugate gradient method (Polak and Ribiere), for moves that come from a multigrid cycle.
+
+    A cycle deals badly with a few movements only: of parts that hang together by a strip, or near many holes. These are
+    what the method collects.
+    """
+
+    def __init__(self) -> None:
+        self._force: Single | None = None
+        self._direction: Single | None = None
+        self._work = 0.0
+
+    def turn(self, level: Level) -> None:
+        """Add the share of the previous direction to the move of ``level``."""
+        work = float(np.vdot(level.force, level.move))
+        if self._force is not None and self._direction is not None and self._work > 0:
+            change = work - float(np.vdot(self._force, level.move))
+            level.move += np.float32(max(change / self._work, 0.0)) * self._direction
+        self._force, self._direction, self._work = level.force.copy(), level.move.copy(), work
 
 
 class Multigrid:
@@ -106,25 +132,46 @@ class Multigrid:
         """Step on level ``k`` until the excess of energy over the minimum is below ``tolerance`` times the energy."""
         level = self.levels[k]
         count = level.rows * level.cols
-        before, slow = 0.0, 0
+        gains: list[float] = []
+        slow = 0
+        search = _Conjugate()
         for _ in range(most):
             energy = self.balance(level)
             self._cycle(k)
-            wanted = self._guard(level, energy) if self.guarded else 0.0
+            wanted = 0.0
+            if self.guarded:
+                wanted = self._guard(level, energy)
+            elif slow:
+                search.turn(level)
             gain, square = self.advance(level)
+            if slow and not self.guarded:
+                gain, square = self._reach(level, gain, square)
             self.history.append(Step(count, energy, gain, float(np.sqrt(square / count))))
             if not np.isfinite(gain):
                 return Outcome.NOT_FINITE
-            if before:
-                self.rate = float(np.clip(gain / before, 0.01, 1.0))
-            slow = slow + 1 if before and gain > 0.7 * before else 0
-            before = gain
-            # The same share of the move is left as the square root of that of the energy.
-            if gain * self.rate <= tolerance * energy or np.sqrt(square / count * self.rate) <= _STILL:
+            gains.append(gain)
+            if len(gains) > 1:
+                # One lucky step is no proof where progress is slow.
+                ratios = [b / a for a, b in itertools.pairwise(gains[-4 if slow else -2 :])]
+                self.rate = float(np.clip(max(ratios), 0.01, 0.95))
+            # What is left of the energy and, as its square root, of the way, summed over the steps to come.
+            left, way = gain * self.rate / (1 - self.rate), np.sqrt(square / count)
+            way *= np.sqrt(self.rate) / (1 - np.sqrt(self.rate))
+            if left <= tolerance * energy or way <= _STILL:
                 return Outcome.RESTED if wanted <= max(100 * tolerance * energy, gain) else Outcome.HELD_OPEN
-            if slow >= 3 and not self.guarded and self.survey(level)[1]:
+            slow += slow > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
+            if slow and slow % 4 == 0 and not self.guarded and self.survey(level)[1]:
                 return Outcome.FOLDED
         return Outcome.OUT_OF_STEPS
+
+    def _reach(self, level: Level, gain: float, square: float) -> tuple[float, float]:
+        """Go on in the direction of the move just made, or back, to where the forces no longer act along it."""
+        self.balance(level)
+        left = float(np.vdot(level.force, level.move))
+        share = float(np.clip(gain / (gain - left), 0.1, 4.0)) if gain > left else 1.0
+        level.move *= np.float32(share - 1)
+        self.advance(level)
+        return share * gain, share * share * square
 
     def survey(self, level: Level) -> tuple[float, int]:
         """Energy of a level, and how many of its cells are not upright."""

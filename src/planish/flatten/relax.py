@@ -13,11 +13,11 @@ from planish.core.errors import CannotFlatten
 from planish.core.outcome import Outcome
 from planish.flatten._kernels import GONE, survey
 from planish.flatten._mesh_kernels import lay_down, moments
-from planish.flatten.infill import fill_smoothly
+from planish.flatten.infill import brace, fill_smoothly
 from planish.flatten.levels import Level, Team, hierarchy
 from planish.flatten.multigrid import OPEN, Multigrid, Step
 from planish.flatten.relaxation import History, RelaxationParams, relax_dynamically
-from planish.flatten.springs import TRUSTED, find_pieces, make_springs, mean_pitch, stiffen
+from planish.flatten.springs import TRUSTED, find_pieces, loose_nodes, make_springs, mean_pitch, stiffen
 
 Array = NDArray[np.float64]
 
@@ -111,7 +111,7 @@ def relax_grid(
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     _check(points, start, weights, tolerance)
-    doubted = None
+    doubted = braces = None
     if weights is not None:
         points, weights, doubted = _weigh(points, np.asarray(weights, dtype=np.float64))
     start = None if start is None else np.ascontiguousarray(start, dtype=np.float64)
@@ -127,6 +127,11 @@ def relax_grid(
                 return _each_apart(points, labels, sizes.size, doubted, method=method, rest=rest, start=start,
                                    weights=weights, tolerance=tolerance, threads=threads,
                                    relaxation=relaxation)  # fmt: skip
+            loose, stiff = loose_nodes(known)
+            _check_stiffness(stiff)
+            if loose.any():
+                points, weights, braces = brace(points, weights, known, loose)
+                level = make_springs(points, pitch, rest, team)[0]
         if weights is not None:
             stiffen(level, weights)
         history: tuple[Step, ...] | History
@@ -134,11 +139,15 @@ def relax_grid(
             steps, outcome, history = _multigrid(level, points, start, pitch, team, tolerance, gaps=gaps)
         else:
             steps, outcome, history = _relaxation(level, points, start, pitch, relaxation)
+        if braces is not None:
+            stiffen(level, np.where(braces, 0.0, np.ones(braces.shape) if weights is None else weights))
         sums = np.zeros((level.rows + 2, 2))
         team.run(survey, level.parts, level.xy, level.rest, level.stiff, _handedness(points, start), sums, level.cols)
         energy, down = sums.sum(axis=0)
         level.drop_springs()
         uv = _laid_down(level, points, start, pitch, team)
+    if braces is not None:
+        uv[braces] = np.nan
     if doubted is not None:
         uv = fill_smoothly(uv, doubted)
     # Cells that the step rule held open are as good as folded.
@@ -210,6 +219,16 @@ def _check_pieces(known: NDArray[np.bool_], sizes: NDArray[np.intp], apart: bool
         raise CannotFlatten(
             f"The sheet falls into {sizes.size} unconnected pieces of {listed} nodes. Flatten each piece apart: their "
             f"distance in the plane is not known."
+        )
+
+
+def _check_stiffness(parts: NDArray[np.intp]) -> None:
+    large = parts[parts > 0.02 * parts.sum()] if parts.size else parts
+    if large.size != 1:
+        listed = ", ".join(map(str, large[:6])) + (" ..." if large.size > 6 else "")
+        raise CannotFlatten(
+            f"The sheet falls into {large.size} pieces of {listed} cells that hang together by single nodes at most. "
+            f"Flatten each piece apart: how they are turned against each other is not known."
         )
 
 

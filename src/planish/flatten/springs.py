@@ -76,3 +76,35 @@ def find_pieces(known: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np
     rank = np.zeros(count + 1, dtype=np.int32)
     rank[1 + order] = 1 + np.arange(count)
     return rank[labels], sizes[order]
+
+
+def loose_nodes(known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Find the nodes whose place the springs do not settle: what hangs on the sheet by a single node or spring.
+
+    A cell with three corners is stiff, and so are cells that share an edge; everything else can turn freely. The
+    largest stiff part is the sheet.
+
+    Returns
+    -------
+    (rows, cols) bool
+        Known nodes outside of the largest stiff part.
+    (parts,)
+        Cells of the stiff parts, the largest first.
+    """
+    corners = sum(known[i : i + known.shape[0] - 1, j : j + known.shape[1] - 1].astype(np.int8)
+                  for i in (0, 1) for j in (0, 1))  # fmt: skip
+    # Cells at odd places and the edges between them; a path may pass an edge whose two nodes are known.
+    paths = np.zeros((2 * known.shape[0] - 1, 2 * known.shape[1] - 1), dtype=bool)
+    paths[1::2, 1::2] = corners >= 3
+    paths[1::2, ::2] = known[:-1] & known[1:]
+    paths[::2, 1::2] = known[:, :-1] & known[:, 1:]
+    labels = ndimage.label(paths)[0][1::2, 1::2]
+    sizes = np.bincount(labels[corners >= 3])
+    if sizes.size == 0:
+        return known.copy(), np.zeros(0, dtype=np.intp)
+    cells = (labels == np.argmax(sizes)) & (corners >= 3)
+    held = np.zeros_like(known)
+    for i in (0, 1):
+        for j in (0, 1):
+            held[i : i + cells.shape[0], j : j + cells.shape[1]] |= cells
+    return known & ~held, np.sort(sizes[sizes > 0])[::-1]
