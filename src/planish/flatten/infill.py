@@ -13,30 +13,27 @@ Array = NDArray[np.float64]
 
 
 _BRACE = 0.01
-"""Stiffness of springs to nodes that were made up: enough to hold a corner, too little to steer the sheet."""
+"""Stiffness of springs to nodes that were made up: enough to hold a loose corner, too little to steer the sheet."""
 
 
-def brace(
-    points: Array, weights: Array | None, known: NDArray[np.bool_], loose: NDArray[np.bool_]
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Hold nodes that the springs leave free to turn by a ring of weak springs to made-up nodes around them.
+def make_up(
+    points: Array, weights: Array | None, known: NDArray[np.bool_], missing: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Lay the ``missing`` nodes smoothly between the ``known`` ones, with next to no weight.
 
     Parameters
     ----------
     points : (rows, cols, 3)
     weights : (rows, cols), optional
-    known, loose : (rows, cols) bool
+    known, missing : (rows, cols) bool
 
     Returns
     -------
     points, weights
-        With the made-up nodes.
-    (rows, cols) bool
-        Which these are.
     """
-    braces = ~known & ndimage.binary_dilation(loose, structure=np.ones((3, 3)), iterations=2)
-    weights = np.where(known, 1.0, 0.0) if weights is None else weights
-    return fill_smoothly(points, braces), np.where(braces, _BRACE * weights[known].max(), weights), braces
+    weights = np.where(known, 1.0, 0.0) if weights is None else np.where(known, weights, 0.0)
+    points = np.where(known[..., None], points, np.nan)
+    return fill_smoothly(points, missing), np.where(missing, _BRACE * weights.max(), weights)
 
 
 def fill_smoothly(uv: Array, missing: NDArray[np.bool_]) -> Array:

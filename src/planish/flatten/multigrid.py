@@ -42,7 +42,7 @@ _RATE = 0.1
 
 
 _ROUGHLY = 0.1
-_STEPS = 60
+_STEPS = 300
 
 _SLOW = 0.25
 """Share of the gain of the step before above which the directions of the steps are made conjugate."""

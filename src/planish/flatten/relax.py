@@ -8,12 +8,13 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
 from planish.core.outcome import Outcome
 from planish.flatten._kernels import GONE, survey
 from planish.flatten._mesh_kernels import lay_down, moments
-from planish.flatten.infill import brace, fill_smoothly
+from planish.flatten.infill import make_up
 from planish.flatten.levels import Level, Team, hierarchy
 from planish.flatten.multigrid import OPEN, Multigrid, Step
 from planish.flatten.relaxation import History, RelaxationParams, relax_dynamically
@@ -89,7 +90,7 @@ def relax_grid(
         along the grid, so that a sheet may overhang or be rolled up.
     weights : (rows, cols), optional
         Confidence in each node; a spring has the lower weight of its ends as stiffness. Nodes below a tenth of the
-        median weight have no say: they are laid smoothly between the others afterwards.
+        median weight are moved to where a smooth surface through the others has them, and held there weakly.
     tolerance : float
         ``multigrid`` is at rest when its energy is expected to exceed the minimum by less than this share, or places to
         be wrong by less than 1e-5 pitches in the mean (root of the mean square).
@@ -111,9 +112,9 @@ def relax_grid(
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     _check(points, start, weights, tolerance)
-    doubted = braces = None
+    braces = None
     if weights is not None:
-        points, weights, doubted = _weigh(points, np.asarray(weights, dtype=np.float64))
+        points, weights = _weigh(points, np.asarray(weights, dtype=np.float64))
     start = None if start is None else np.ascontiguousarray(start, dtype=np.float64)
     pitch = mean_pitch(points)
     with Team(threads or available_cores()) as team:
@@ -124,13 +125,14 @@ def relax_grid(
             labels, sizes = find_pieces(known)
             _check_pieces(known, sizes, apart)
             if sizes.size > 1:
-                return _each_apart(points, labels, sizes.size, doubted, method=method, rest=rest, start=start,
+                return _each_apart(points, labels, sizes.size, method=method, rest=rest, start=start,
                                    weights=weights, tolerance=tolerance, threads=threads,
                                    relaxation=relaxation)  # fmt: skip
             loose, stiff = loose_nodes(known)
             _check_stiffness(stiff)
             if loose.any():
-                points, weights, braces = brace(points, weights, known, loose)
+                braces = ~known & ndimage.binary_dilation(loose, structure=np.ones((3, 3)), iterations=2)
+                points, weights = make_up(points, weights, known, braces)
                 level = make_springs(points, pitch, rest, team)[0]
         if weights is not None:
             stiffen(level, weights)
@@ -148,12 +150,10 @@ def relax_grid(
         uv = _laid_down(level, points, start, pitch, team)
     if braces is not None:
         uv[braces] = np.nan
-    if doubted is not None:
-        uv = fill_smoothly(uv, doubted)
     # Cells that the step rule held open are as good as folded.
     floor = 1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0
     folded = np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
-    if down or floor or doubted is not None:
+    if down or floor:
         folded = folded_cells(points, uv, side=_handedness(points, start), floor=floor)
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
@@ -236,22 +236,19 @@ def _all_springs(rows: int, cols: int) -> int:
     return rows * (cols - 1) + (rows - 1) * cols + 2 * (rows - 1) * (cols - 1)
 
 
-def _weigh(points: Array, weights: Array) -> tuple[Array, Array | None, NDArray[np.bool_] | None]:
-    """Leave out the nodes of little weight; give points, weights if they differ, and the nodes left out."""
+def _weigh(points: Array, weights: Array) -> tuple[Array, Array | None]:
+    """Make up the nodes of little weight; give points, and the weights if they differ."""
     known = np.isfinite(points).all(axis=-1)
     if not (np.isfinite(weights[known]).all() and (weights[known] >= 0).all() and (weights[known] > 0).any()):
         raise CannotFlatten("A weight is negative or not finite, or all are 0. Give a confidence from 0 upwards.")
     doubted = known & (weights < TRUSTED * np.median(weights[known & (weights > 0)]))
     if doubted.any():
-        points = np.where(doubted[..., None], np.nan, points)
-    sure = known & ~doubted
-    even = not sure.any() or np.ptp(weights[sure]) == 0 and weights[sure][0] == 1
-    return points, None if even else np.where(sure, weights, 0.0), doubted if doubted.any() else None
+        return make_up(points, weights, known & ~doubted, doubted)
+    even = np.ptp(weights[known]) == 0 and weights[known][0] == 1
+    return points, None if even else np.where(known, weights, 0.0)
 
 
-def _each_apart(
-    points: Array, labels: NDArray[np.int32], count: int, doubted: NDArray[np.bool_] | None, **choices: object
-) -> Relaxed:
+def _each_apart(points: Array, labels: NDArray[np.int32], count: int, **choices: object) -> Relaxed:
     """Flatten the pieces one after the other; each lies on its own start."""
     parts = [
         relax_grid(np.where((labels == k)[..., None], points, np.nan), **choices)  # type: ignore[arg-type]
@@ -264,8 +261,6 @@ def _each_apart(
     for part in parts[1:]:
         there = np.isfinite(part.uv)
         uv[there] = part.uv[there]
-    if doubted is not None:
-        uv = fill_smoothly(uv, doubted)
     worst = next((p.outcome for p in parts if p.outcome is not Outcome.RESTED), Outcome.RESTED)
     springs = sum(p.springs for p in parts)
     return replace(
@@ -299,7 +294,7 @@ def _multigrid(
         solver = Multigrid(hierarchy(level, team), team, gaps=gaps, side=side, guarded=guarded)
         outcome = solver.run(tolerance)
         history += tuple(solver.history)
-        if outcome is Outcome.RESTED and solver.survey(level)[1] == 0:
+        if outcome in (Outcome.RESTED, Outcome.OUT_OF_STEPS) and solver.survey(level)[1] == 0:
             break
     return sum(step.nodes == finest for step in history), outcome, history
 
