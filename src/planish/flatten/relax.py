@@ -125,9 +125,8 @@ def relax_grid(
             labels, sizes = find_pieces(known)
             _check_pieces(known, sizes, apart)
             if sizes.size > 1:
-                return _each_apart(points, labels, sizes.size, method=method, rest=rest, start=start,
-                                   weights=weights, tolerance=tolerance, threads=threads,
-                                   relaxation=relaxation)  # fmt: skip
+                return _each_apart(points, labels, start, weights, method=method, rest=rest, tolerance=tolerance,
+                                   threads=threads, relaxation=relaxation)  # fmt: skip
             loose, stiff = loose_nodes(known)
             _check_stiffness(stiff)
             if loose.any():
@@ -248,19 +247,28 @@ def _weigh(points: Array, weights: Array) -> tuple[Array, Array | None]:
     return points, None if even else np.where(known, weights, 0.0)
 
 
-def _each_apart(points: Array, labels: NDArray[np.int32], count: int, **choices: object) -> Relaxed:
-    """Flatten the pieces one after the other; each lies on its own start."""
-    parts = [
-        relax_grid(np.where((labels == k)[..., None], points, np.nan), **choices)  # type: ignore[arg-type]
-        for k in range(1, count + 1)
-        if min(np.ptp(np.nonzero(labels == k), axis=1)) > 0
-    ]
+def _each_apart(
+    points: Array, labels: NDArray[np.int32], start: Array | None, weights: Array | None, **choices: object
+) -> Relaxed:
+    """Flatten the pieces one after the other; each lies on its own start. Crumbs without a cell are left out."""
+    uv = np.full((*labels.shape, 2), np.nan)
+    folded = np.zeros((labels.shape[0] - 1, labels.shape[1] - 1), dtype=bool)
+    parts: list[Relaxed] = []
+    for k, box in enumerate(ndimage.find_objects(labels), 1):
+        mine = labels[box] == k
+        if min(mine.shape) < 2 or not loose_nodes(mine)[1].any():
+            continue
+        part = relax_grid(
+            np.where(mine[..., None], points[box], np.nan),
+            start=None if start is None else start[box],
+            weights=None if weights is None else weights[box],
+            **choices,  # type: ignore[arg-type]
+        )
+        uv[box][mine] = part.uv[mine]
+        folded[box[0].start : box[0].stop - 1, box[1].start : box[1].stop - 1] |= part.folded
+        parts.append(part)
     if not parts:
         raise CannotFlatten("No piece of the sheet has two rows and two columns. Use a finer mesh.")
-    uv = parts[0].uv.copy()
-    for part in parts[1:]:
-        there = np.isfinite(part.uv)
-        uv[there] = part.uv[there]
     worst = next((p.outcome for p in parts if p.outcome is not Outcome.RESTED), Outcome.RESTED)
     springs = sum(p.springs for p in parts)
     return replace(
@@ -270,7 +278,7 @@ def _each_apart(points: Array, labels: NDArray[np.int32], count: int, **choices:
         springs=springs,
         outcome=worst,
         steps=max(p.steps for p in parts),
-        folded=np.logical_or.reduce([p.folded for p in parts]),
+        folded=folded,
         straight_share=sum(p.straight_share * p.springs for p in parts) / springs,
     )
 

@@ -20,10 +20,13 @@ TRUSTED = 0.1
 
 def mean_pitch(points: Array) -> float:
     """Mean distance of neighbours along rows and columns, from some forty of either, in the unit of ``points``."""
-    rows, cols = (max(1, n // 40) for n in points.shape[:2])
-    steps = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
-    long = np.concatenate([np.sqrt(np.sum(step * step, axis=-1)).ravel() for step in steps])
-    long = long[np.isfinite(long)]
+    for some in (40, max(points.shape)):
+        rows, cols = (max(1, n // some) for n in points.shape[:2])
+        steps = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
+        long = np.concatenate([np.sqrt(np.sum(step * step, axis=-1)).ravel() for step in steps])
+        long = long[np.isfinite(long)]
+        if long.size > 1000:
+            break
     pitch = float(long.mean()) if long.size else 0.0
     if not np.isfinite(pitch) or pitch <= 0:
         raise CannotFlatten(
