@@ -1,23 +1,21 @@
-"""``python -m benchmarks [NAME [ARGUMENT]]`` runs all benchmarks, or one."""
-
-from __future__ import annotations
+"""``python -m benchmarks NAME [ARGUMENTS]``: acceptance, variants, flattening, relaxation or resampling."""
 
 import sys
 
-from benchmarks import acceptance, variants
-
-_ALL = {"acceptance": acceptance.main, "variants": variants.main}
+from benchmarks import acceptance, flattening, relaxation, resampling, variants
 
 
-def main(arguments: list[str]) -> int:
-    """Run what is named; the exit code is 1 when a limit was missed."""
-    names = arguments[:1] or list(_ALL)
-    failed = 0
-    for name in names:
-        print(f"== {name}")
-        failed += _ALL[name](*map(int, arguments[1:]))
-    return int(failed > 0)
+def _number(text):
+    return int(text) if text.lstrip("-").isdigit() else text
+
+
+def main():
+    parts = {k.__name__.rpartition(".")[2]: k for k in (acceptance, variants, flattening, relaxation, resampling)}
+    name, *arguments = sys.argv[1:] or ["acceptance"]
+    if name not in parts:
+        sys.exit(f"There is no benchmark '{name}'. Choose one of {', '.join(parts)}.")
+    return parts[name].main(*map(_number, arguments))
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

@@ -85,61 +85,64 @@ def _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n):
 
 
 @njit(**_INNER_SUMS)
-def _tensions(xa, ya, xb, yb, l0, l1, l2, l3, k0, k1, k2, k3, t0, t1, t2, t3, n):
-    """Set t to k (1 - L / l), laid out as in ``_pulls``, and give the springs' energy."""
-    energy = 0.0
-    for j in range(n):
-        dx, dy, rest, k = xa[j + 1] - xa[j], ya[j + 1] - ya[j], l0[j], _at(k0, j)
-        long = math.sqrt(dx * dx + dy * dy + 1e-300)
-        t = 1.0 - rest / long
-        t = t if rest > 0.0 else 0.0
-        t0[j] = k * t
-        e = t * long
-        energy += k * e * e
-        dx, dy, rest, k = xb[j] - xa[j], yb[j] - ya[j], l1[j], _at(k1, j)
-        long = math.sqrt(dx * dx + dy * dy + 1e-300)
-        t = 1.0 - rest / long
-        t = t if rest > 0.0 else 0.0
-        t1[j] = k * t
-        e = t * long
-        energy += k * e * e
-        dx, dy, rest, k = xb[j + 1] - xa[j], yb[j + 1] - ya[j], l2[j], _at(k2, j)
-        long = math.sqrt(dx * dx + dy * dy + 1e-300)
-        t = 1.0 - rest / long
-        t = t if rest > 0.0 else 0.0
-        t2[j] = k * t
-        e = t * long
-        energy += k * e * e
-        dx, dy, rest, k = xb[j] - xa[j + 1], yb[j] - ya[j + 1], l3[j], _at(k3, j)
-        long = math.sqrt(dx * dx + dy * dy + 1e-300)
-        t = 1.0 - rest / long
-        t = t if rest > 0.0 else 0.0
-        t3[j] = k * t
-        e = t * long
-        energy += k * e * e
-    return energy
+def _strain(dx, dy, rest, k):
+    """Give k (1 - L / l) and k (l - L)^2.
+
+    1 / l comes from single precision by one step of Newton's method, which doubles its 24 bits (to an error of some
+    1e-14) and spares the square root and the division, the slowest part of the pass.
+    """
+    square = dx * dx + dy * dy + 1e-30
+    guess = np.float64(_ONE / np.sqrt(np.float32(square)))
+    inverse = guess * (1.5 - 0.5 * square * guess * guess)
+    strain = 1.0 - rest * inverse
+    strain = strain if rest > 0.0 else 0.0
+    stretch = strain * square * inverse
+    return k * strain, k * stretch * stretch
 
 
-@njit(**_SETTINGS)
+@njit(**_SUMS)
 def forces(xy, rest, stiff, force, sums, n, r0, r1):
     """Set ``force`` to minus half the gradient of the spring energy, and ``sums`` (rows + 2, 2) to it by rows."""
     x, y = xy[0], xy[1]
-    b = np.zeros((9, xy.shape[2]))
-    t0, t1, t2, t3, p1, p2, p3, gx, gy = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8]
+    width = xy.shape[2]
+    # Pulls of the springs to the right, down, down right, and (from the right neighbour) down left; and what the row
+    # above has passed on. In arrays of their own, see _INNER.
+    hx, hy = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    vx, vy = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    dx, dy = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    sx, sy = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    px, py = np.zeros(width, np.float32), np.zeros(width, np.float32)
     for i in range(r0 - 1, r1):
-        e = _tensions(x[i], y[i], x[i + 1], y[i + 1], rest[0, i], rest[1, i], rest[2, i], rest[3, i],
-                      _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i),
-                      t0, t1, t2, t3, n + 1)  # fmt: skip
+        xa, ya, xb, yb = x[i], y[i], x[i + 1], y[i + 1]
+        l0, l1, l2, l3 = rest[0, i], rest[1, i], rest[2, i], rest[3, i]
+        k0, k1, k2, k3 = _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i)
+        energy = 0.0
+        for j in range(n + 1):
+            u, v = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
+            t, e = _strain(u, v, l0[j], _at(k0, j))
+            hx[j], hy[j] = t * u, t * v
+            energy += e
+            u, v = xb[j] - xa[j], yb[j] - ya[j]
+            t, e = _strain(u, v, l1[j], _at(k1, j))
+            vx[j], vy[j] = t * u, t * v
+            energy += e
+            u, v = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
+            t, e = _strain(u, v, l2[j], _at(k2, j))
+            dx[j], dy[j] = t * u, t * v
+            energy += e
+            u, v = xb[j] - xa[j + 1], yb[j] - ya[j + 1]
+            t, e = _strain(u, v, l3[j], _at(k3, j))
+            sx[j], sy[j] = t * u, t * v
+            energy += e
         if i >= r0:
-            sums[i, 0] = e
-            _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n)
+            sums[i, 0] = energy
             f, g = force[0, i], force[1, i]
             for j in range(1, n + 1):
-                f[j] = gx[j]
-                g[j] = gy[j]
-        t1, p1 = p1, t1
-        t2, p2 = p2, t2
-        t3, p3 = p3, t3
+                f[j] = hx[j] - hx[j - 1] + vx[j] + dx[j] + sx[j - 1] - px[j]
+                g[j] = hy[j] - hy[j - 1] + vy[j] + dy[j] + sy[j - 1] - py[j]
+        for j in range(1, n + 1):
+            px[j] = vx[j] + dx[j - 1] + sx[j]
+            py[j] = vy[j] + dy[j - 1] + sy[j]
 
 
 @njit(**_INNER)
@@ -353,7 +356,7 @@ def advance(xy, near, move, force, sums, n, r0, r1):
         sums[i, 0], sums[i, 1] = work, square
 
 
-@njit(**_SETTINGS)
+@njit(**_SUMS)
 def survey(xy, rest, stiff, side, sums, n, r0, r1):
     """Set ``sums`` (rows + 2, 2) by rows: spring energy, and cells that are not upright.
 
@@ -361,19 +364,47 @@ def survey(xy, rest, stiff, side, sums, n, r0, r1):
     ``side``, the corners a, b, c, d being (i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j).
     """
     x, y = xy[0], xy[1]
-    b = np.zeros((4, xy.shape[2]))
-    t0, t1, t2, t3 = b[0], b[1], b[2], b[3]
     for i in range(r0, r1):
-        sums[i, 0] = _tensions(x[i], y[i], x[i + 1], y[i + 1], rest[0, i], rest[1, i], rest[2, i], rest[3, i],
-                               _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i),
-                               t0, t1, t2, t3, n + 1)  # fmt: skip
         xa, ya, xb, yb, right, left = x[i], y[i], x[i + 1], y[i + 1], rest[2, i], rest[3, i]
-        down = 0
-        for j in range(1, n):
+        l0, l1 = rest[0, i], rest[1, i]
+        k0, k1, k2, k3 = _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i)
+        energy = 0.0
+        down = 0.0
+        for j in range(n + 1):
             px, py = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
             qx, qy = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
             sx, sy = xb[j] - xa[j], yb[j] - ya[j]
+            energy += _strain(px, py, l0[j], _at(k0, j))[1]
+            energy += _strain(sx, sy, l1[j], _at(k1, j))[1]
+            energy += _strain(qx, qy, right[j], _at(k2, j))[1]
+            energy += _strain(xb[j] - xa[j + 1], yb[j] - ya[j + 1], left[j], _at(k3, j))[1]
             least = min(side * (px * qy - py * qx), side * (qx * sy - qy * sx))
-            whole = min(right[j], left[j]) > 0.0
-            down += 1 if whole and not least > 0.0 else 0
+            turned = 0.0 if least > 0.0 else 1.0
+            down += turned if min(right[j], left[j]) > 0.0 else 0.0
+        sums[i, 0] = energy
         sums[i, 1] = down
+
+
+@njit(**_SETTINGS)
+def descend(near, stiff, ease, force, move, alone, cols, inverse, row, col, first, second, once):
+    """One V-cycle over levels small enough for one thread: corrects ``move[0]`` for ``force[0]``.
+
+    All but the last three are tuples over the levels, finest first. The coarsest level is solved by ``inverse`` (2
+    nodes, 2 nodes), the nodes standing at [row, col] of its arrays.
+    """
+    last = len(near) - 1
+    for k in range(last):
+        rows = near[k].shape[1] - 2
+        smooth(0, near[k], stiff[k], ease[k], force[k], move[k], move[k], alone[k], first, second, cols[k], 1, rows + 1)
+        restrict(near[k], stiff[k], force[k], move[k], force[k + 1], cols[k], cols[k + 1], 1, near[k + 1].shape[1] - 1)
+    f, u = force[last], move[last]
+    for a in range(row.size):
+        x = y = 0.0
+        for b in range(row.size):
+            p, q = f[0, row[b], col[b]], f[1, row[b], col[b]]
+            x += inverse[2 * a, 2 * b] * p + inverse[2 * a, 2 * b + 1] * q
+            y += inverse[2 * a + 1, 2 * b] * p + inverse[2 * a + 1, 2 * b + 1] * q
+        u[0, row[a], col[a]], u[1, row[a], col[a]] = x, y
+    for k in range(last - 1, -1, -1):
+        rows = near[k].shape[1] - 2
+        smooth(1, near[k], stiff[k], ease[k], force[k], move[k + 1], move[k], alone[k], once, once, cols[k], 1, rows + 1)

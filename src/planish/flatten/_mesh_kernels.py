@@ -52,28 +52,37 @@ def _bend(a, b, c, out, n):
 
     NaN where a neighbour is missing. Divided by the squared length of a step it is the normal curvature.
     """
+    ax, ay, az, bx, by, bz, cx, cy, cz = a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
+    o0, o1, o2, o3 = out[0], out[1], out[2], out[3]
     for j in range(1, n + 1):
-        x, y, z = b[0, j], b[1, j], b[2, j]
-        rx = (b[0, j + 1] if b[0, j + 1] == b[0, j + 1] else x) - (b[0, j - 1] if b[0, j - 1] == b[0, j - 1] else x)
-        ry = (b[1, j + 1] if b[0, j + 1] == b[0, j + 1] else y) - (b[1, j - 1] if b[0, j - 1] == b[0, j - 1] else y)
-        rz = (b[2, j + 1] if b[0, j + 1] == b[0, j + 1] else z) - (b[2, j - 1] if b[0, j - 1] == b[0, j - 1] else z)
-        dx = (c[0, j] if c[0, j] == c[0, j] else x) - (a[0, j] if a[0, j] == a[0, j] else x)
-        dy = (c[1, j] if c[0, j] == c[0, j] else y) - (a[1, j] if a[0, j] == a[0, j] else y)
-        dz = (c[2, j] if c[0, j] == c[0, j] else z) - (a[2, j] if a[0, j] == a[0, j] else z)
-        nx, ny, nz = ry * dz - rz * dy, rz * dx - rx * dz, rx * dy - ry * dx
-        long = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-300)
-        nx, ny, nz = nx * long, ny * long, nz * long
-        out[0, j] = nx * (b[0, j + 1] + b[0, j - 1] - 2 * x) + ny * (b[1, j + 1] + b[1, j - 1] - 2 * y)
-        out[0, j] += nz * (b[2, j + 1] + b[2, j - 1] - 2 * z)
-        out[1, j] = nx * (c[0, j] + a[0, j] - 2 * x) + ny * (c[1, j] + a[1, j] - 2 * y)
-        out[1, j] += nz * (c[2, j] + a[2, j] - 2 * z)
-        out[2, j] = nx * (c[0, j + 1] + a[0, j - 1] - 2 * x) + ny * (c[1, j + 1] + a[1, j - 1] - 2 * y)
-        out[2, j] += nz * (c[2, j + 1] + a[2, j - 1] - 2 * z)
-        out[3, j] = nx * (c[0, j - 1] + a[0, j + 1] - 2 * x) + ny * (c[1, j - 1] + a[1, j + 1] - 2 * y)
-        out[3, j] += nz * (c[2, j - 1] + a[2, j + 1] - 2 * z)
+        x, y, z = bx[j], by[j], bz[j]
+        # Neighbours as seen from the node: left, right, up, down, and the diagonal ones.
+        lx, ly, lz = bx[j - 1] - x, by[j - 1] - y, bz[j - 1] - z
+        rx, ry, rz = bx[j + 1] - x, by[j + 1] - y, bz[j + 1] - z
+        ux, uy, uz = ax[j] - x, ay[j] - y, az[j] - z
+        dx, dy, dz = cx[j] - x, cy[j] - y, cz[j] - z
+        # Tangents, one-sided where a neighbour is missing.
+        px, py, pz = _minus(rx, lx, rx, lx), _minus(ry, ly, rx, lx), _minus(rz, lz, rx, lx)
+        qx, qy, qz = _minus(dx, ux, dx, ux), _minus(dy, uy, dx, ux), _minus(dz, uz, dx, ux)
+        nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+        unit = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-300)
+        nx, ny, nz = nx * unit, ny * unit, nz * unit
+        o0[j] = nx * (rx + lx) + ny * (ry + ly) + nz * (rz + lz)
+        o1[j] = nx * (dx + ux) + ny * (dy + uy) + nz * (dz + uz)
+        x, y, z = 2 * x, 2 * y, 2 * z
+        o2[j] = nx * (cx[j + 1] + ax[j - 1] - x) + ny * (cy[j + 1] + ay[j - 1] - y) + nz * (cz[j + 1] + az[j - 1] - z)
+        o3[j] = nx * (cx[j - 1] + ax[j + 1] - x) + ny * (cy[j - 1] + ay[j + 1] - y) + nz * (cz[j - 1] + az[j + 1] - z)
 
 
-@njit(**_SETTINGS)
+@njit(**_INNER)
+def _minus(a, b, has_a, has_b):
+    """a - b, either counting as 0 where its ``has`` is NaN."""
+    a = a if has_a == has_a else 0.0
+    b = b if has_b == has_b else 0.0
+    return a - b
+
+
+@njit(**_INNER)
 def _mend(above, here, below, out, n):
     """Copy the bends ``here`` (4, n + 2) to ``out``, a missing one as the mean of those around it."""
     for family in range(4):
@@ -297,16 +306,15 @@ def moments(points, scale, xy, start, sums, r0, r1):
 
 
 @njit(**_SETTINGS)
-def lay_down(xy, cos, sin, shift_u, shift_v, scale, uv, r0, r1):
-    """Turn, shift and scale the places into ``uv`` (rows, n, 2); NaN where there is no node."""
-    n = uv.shape[1]
+def lay_down(xy, cos, sin, shift_u, shift_v, scale, n, r0, r1):
+    """Turn, shift and scale the places; NaN where there is no node."""
     for i in range(r0, r1):
-        x, y, out = xy[0, i], xy[1, i], uv[i - 1]
-        for j in range(n):
-            u, v = x[j + 1], y[j + 1]
-            there = u < GONE
-            out[j, 0] = scale * (cos * u - sin * v + shift_u) if there else np.nan
-            out[j, 1] = scale * (sin * u + cos * v + shift_v) if there else np.nan
+        x, y = xy[0, i], xy[1, i]
+        for j in range(1, n + 1):
+            u, v = x[j], y[j]
+            gone = np.nan if u >= GONE else 0.0
+            x[j] = scale * (cos * u - sin * v + shift_u) + gone
+            y[j] = scale * (sin * u + cos * v + shift_v) + gone
 
 
 @njit(**_INNER)

@@ -124,10 +124,16 @@ class Exact:
         centred = uv - uv.mean(axis=0)
         turn = np.stack([-centred[:, 1], centred[:, 0]], axis=1)
         rigid = np.stack([np.tile([1.0, 0.0], len(uv)), np.tile([0.0, 1.0], len(uv)), turn.ravel()], axis=1)
+        # The three are at right angles, the turn being about the middle.
         self._rigid = rigid / np.maximum(np.linalg.norm(rigid, axis=0), 1e-300)
+        self.inverse: Array | None = None
         if len(uv) <= _FEW:
-            inverse = np.linalg.pinv(network.full_matrix(uv, exact=exact), rcond=1e-9, hermitian=True)
-            self._solve = inverse.__matmul__
+            # Stiff against moves of the whole, which neither forces nor moves contain.
+            matrix = network.full_matrix(uv, exact=exact) + self._rigid @ self._rigid.T
+            inverse = np.linalg.inv(matrix + _TIE * np.eye(matrix.shape[0]))
+            free = np.eye(matrix.shape[0]) - self._rigid @ self._rigid.T
+            self.inverse = free @ inverse @ free
+            self._solve = self.inverse.__matmul__
         else:
             self._solve = splu(
                 network.matrix(uv, exact=exact),

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.outcome import Outcome
-from planish.flatten._kernels import FAR, advance, forces, prepare, restrict, smooth, survey
+from planish.flatten._kernels import FAR, advance, descend, forces, prepare, restrict, smooth, survey
 from planish.flatten._mesh_kernels import hold_open, interpolate
 from planish.flatten.direct import Exact, Network, relax_exactly
 from planish.flatten.levels import Level, Team
@@ -28,13 +29,19 @@ Single = NDArray[np.float32]
 # Smoothing works on the part of the spectrum that the coarser mesh does not see: a node's own stiffness divides its
 # matrix so that eigenvalues reach 2 (a little more near borders); those of waves shorter than four nodes begin at 1/2.
 _LOW, _HIGH = 0.42, 2.0
-_ONCE = np.float32(2 / (_LOW + _HIGH))
-_TWICE = tuple(np.float32(2 / (_LOW + _HIGH + side * (_HIGH - _LOW) * np.sqrt(0.5))) for side in (-1, 1))
 
-_DOUBLED = 1
-"""Levels below the one being relaxed that are corrected twice in a cycle; those below them are too small to matter."""
 
-_STILL = 1e-5
+def _weights(steps: int, low: float) -> tuple[np.float32, ...]:
+    """Weights of steps that together are the Chebyshev polynomial on [low, _HIGH] (inverse of its roots)."""
+    roots = np.cos(np.pi * (2 * np.arange(steps) + 1) / (2 * steps))
+    return tuple(np.float32(2 / (_HIGH + low + (_HIGH - low) * root)) for root in roots)
+
+
+(_ONCE,) = _weights(1, _LOW)
+_TWICE = _weights(2, _LOW)
+_FOUR = _weights(4, 0.15)
+
+_STILL = 3e-6
 """Mean error of places, in pitches, below which a mesh is at rest whatever its energy."""
 
 _RATE = 0.1
@@ -43,6 +50,9 @@ _RATE = 0.1
 
 _ROUGHLY = 0.1
 _STEPS = 300
+
+_ROUGH = 0.02
+"""Share of the energy that the first step on a level gains, above which the next finer one is expected to be rough."""
 
 _SLOW = 0.25
 """Share of the gain of the step before above which the directions of the steps are made conjugate."""
@@ -95,6 +105,11 @@ class Multigrid:
         self.guarded = guarded
         self.history: list[Step] = []
         self.rate = _RATE
+        self._twice = True
+        self._rough = False
+        self._chains: dict[int, tuple[Any, ...]] = {}
+        # From here on a level is the work of one thread.
+        self._small = next((k for k, level in enumerate(levels) if k and len(level.parts) == 1), len(levels))
 
     def run(self, tolerance: float) -> Outcome:
         """Relax all levels, from the lengths along the grid; the finest one to ``tolerance``."""
@@ -116,6 +131,8 @@ class Multigrid:
             inside[:] = FAR
             inside[:, self._network.mask] = uv.T
         self._exact = Exact(self._network, uv)
+        if self._exact.inverse is None:
+            self._small = len(self.levels)
 
     def refine(self, coarse: Level, fine: Level) -> None:
         """Take the places of ``fine`` from ``coarse``."""
@@ -135,9 +152,17 @@ class Multigrid:
         gains: list[float] = []
         slow = 0
         search = _Conjugate()
-        for _ in range(most):
+        for step in range(most):
             energy = self.balance(level)
-            self._cycle(k)
+            short = k == 0 and step == 0 and self._rough
+            if short:
+                # What the coarser levels could not see is most of the energy, and short: smoothing deals with it alone.
+                self._smooth(0, level, level, *_FOUR[:2])
+                for weight in _FOUR[2:]:
+                    self._smooth(2, level, level, weight, weight)
+            else:
+                self._twice = k > 0 or step > 1
+                self._cycle(k)
             wanted = 0.0
             if self.guarded:
                 wanted = self._guard(level, energy)
@@ -149,6 +174,10 @@ class Multigrid:
             self.history.append(Step(count, energy, gain, float(np.sqrt(square / count))))
             if not np.isfinite(gain):
                 return Outcome.NOT_FINITE
+            if step == 0:
+                self._rough = gain > _ROUGH * energy
+            if short:
+                continue
             gains.append(gain)
             if len(gains) > 1:
                 # One lucky step is no proof where progress is slow.
@@ -160,7 +189,7 @@ class Multigrid:
             if left <= tolerance * energy or way <= _STILL:
                 return Outcome.RESTED if wanted <= max(100 * tolerance * energy, gain) else Outcome.HELD_OPEN
             slow += slow > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
-            if slow and slow % 4 == 0 and not self.guarded and self.survey(level)[1]:
+            if slow and slow % 4 == 0 and not self.guarded and look_over(level, self.team, self.side)[1]:
                 return Outcome.FOLDED
         return Outcome.OUT_OF_STEPS
 
@@ -172,12 +201,6 @@ class Multigrid:
         level.move *= np.float32(share - 1)
         self.advance(level)
         return share * gain, share * share * square
-
-    def survey(self, level: Level) -> tuple[float, int]:
-        """Energy of a level, and how many of its cells are not upright."""
-        self.team.run(survey, level.parts, level.xy, level.rest, level.stiff, self.side, level.sums, level.cols)
-        energy, down = level.sums[1 : level.rows + 1].sum(axis=0)
-        return float(energy), int(down)
 
     def _guard(self, level: Level, energy: float) -> float:
         """Shorten the move where it would close a cell, and as a whole until the energy falls; give the gain wanted."""
@@ -193,7 +216,7 @@ class Multigrid:
         level.move *= share
         for _ in range(_HALVINGS):
             self.advance(level)
-            risen = self.survey(level)[0] > energy * (1 + 1e-12)
+            risen = look_over(level, self.team, self.side)[0] > energy * (1 + 1e-12)
             level.move *= -1
             self.advance(level)
             level.move *= -0.5 if risen else -1.0
@@ -213,8 +236,14 @@ class Multigrid:
         return float(work), float(square)
 
     def _cycle(self, k: int, depth: int = 0) -> None:
-        """Correct level ``k`` for its forces; the levels below it twice, without which errors add up downwards."""
+        """Correct level ``k`` for its forces by smoothing, a correction from the level below, and smoothing again.
+
+        The level below is corrected twice where it counts: else its own errors, and those below it, add up.
+        """
         level = self.levels[k]
+        if depth > 1 and k >= self._small:
+            descend(*self._chain(k), *_TWICE, _ONCE)
+            return
         if k == len(self.levels) - 1:
             inside = np.s_[:, 1 : level.rows + 1, 1 : level.cols + 1]
             move = self._exact(level.force[inside][:, self._network.mask].T.astype(np.float64))
@@ -222,11 +251,20 @@ class Multigrid:
             return
         coarse = self.levels[k + 1]
         self._smooth(0, level, level, *_TWICE)
-        for _ in range(2 if 0 < depth <= _DOUBLED else 1):
+        for _ in range(2 if depth == 1 and self._twice else 1):
             self.team.run(restrict, coarse.parts, level.near, level.stiff, level.force, level.move, coarse.force,
                           level.cols, coarse.cols)  # fmt: skip
             self._cycle(k + 1, depth + 1)
             self._smooth(1, level, coarse, _ONCE, _ONCE)
+
+    def _chain(self, k: int) -> tuple[Any, ...]:
+        """Arrays of the levels from ``k`` on, as ``descend`` wants them."""
+        if k not in self._chains:
+            part = self.levels[k:]
+            names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
+            row, col = (1 + index for index in np.nonzero(self._network.mask))
+            self._chains[k] = (*(tuple(getattr(v, name) for v in part) for name in names), self._exact.inverse, row, col)
+        return self._chains[k]
 
     def _smooth(self, kind: int, level: Level, coarse: Level, first: np.float32, weight: np.float32) -> None:
         fixed = (kind, level.near, level.stiff, level.ease, level.force, coarse.move, level.move)
@@ -255,3 +293,10 @@ def along_grid(level: Level, handedness: float) -> Array:
         places.append(np.concatenate([[0.0], np.cumsum(mean)]))
     u, v = np.meshgrid(handedness * places[0], places[1])
     return np.stack([u, v], axis=-1)[level.nodes]
+
+
+def look_over(level: Level, team: Team, side: float) -> tuple[float, int]:
+    """Energy of a level, and how many of its cells are not upright."""
+    team.run(survey, level.parts, level.xy, level.rest, level.stiff, side, level.sums, level.cols)
+    energy, down = level.sums[1 : level.rows + 1].sum(axis=0)
+    return float(energy), int(down)

@@ -12,11 +12,11 @@ from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
 from planish.core.outcome import Outcome
-from planish.flatten._kernels import GONE, survey
+from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments
 from planish.flatten.infill import make_up
 from planish.flatten.levels import Level, Team, hierarchy
-from planish.flatten.multigrid import OPEN, Multigrid, Step
+from planish.flatten.multigrid import OPEN, Multigrid, Step, look_over
 from planish.flatten.relaxation import History, RelaxationParams, relax_dynamically
 from planish.flatten.springs import TRUSTED, find_pieces, loose_nodes, make_springs, mean_pitch, stiffen
 
@@ -93,7 +93,7 @@ def relax_grid(
         median weight are moved to where a smooth surface through the others has them, and held there weakly.
     tolerance : float
         ``multigrid`` is at rest when its energy is expected to exceed the minimum by less than this share, or places to
-        be wrong by less than 1e-5 pitches in the mean (root of the mean square).
+        be wrong by less than 3e-6 pitches in the mean (root of the mean square).
     threads : int, optional
         All cores where not given. The result does not depend on it.
     apart : bool
@@ -104,6 +104,7 @@ def relax_grid(
     Returns
     -------
     Relaxed
+        ``uv`` is a view in which u and v are stored apart.
 
     Raises
     ------
@@ -137,14 +138,14 @@ def relax_grid(
             stiffen(level, weights)
         history: tuple[Step, ...] | History
         if method == "multigrid":
-            steps, outcome, history = _multigrid(level, points, start, pitch, team, tolerance, gaps=gaps)
+            steps, outcome, history, energy, down = _multigrid(level, points, start, pitch, team, tolerance, gaps=gaps)
         else:
+            energy, down = 0.0, 0
             steps, outcome, history = _relaxation(level, points, start, pitch, relaxation)
         if braces is not None:
             stiffen(level, np.where(braces, 0.0, np.ones(braces.shape) if weights is None else weights))
-        sums = np.zeros((level.rows + 2, 2))
-        team.run(survey, level.parts, level.xy, level.rest, level.stiff, _handedness(points, start), sums, level.cols)
-        energy, down = sums.sum(axis=0)
+        if braces is not None or method == "relaxation":
+            energy, down = look_over(level, team, _handedness(points, start))
         level.drop_springs()
         uv = _laid_down(level, points, start, pitch, team)
     if braces is not None:
@@ -294,17 +295,18 @@ def _handedness(points: Array, start: Array | None) -> float:
 
 def _multigrid(
     level: Level, points: Array, start: Array | None, pitch: float, team: Team, tolerance: float, *, gaps: bool
-) -> tuple[int, Outcome, tuple[Step, ...]]:
+) -> tuple[int, Outcome, tuple[Step, ...], float, int]:
     side, finest = _handedness(points, start), level.rows * level.cols
     history: tuple[Step, ...] = ()
-    outcome = Outcome.NOT_FINITE
+    outcome, energy, down = Outcome.NOT_FINITE, np.nan, 0
     for guarded in (False, True):
         solver = Multigrid(hierarchy(level, team), team, gaps=gaps, side=side, guarded=guarded)
         outcome = solver.run(tolerance)
         history += tuple(solver.history)
-        if outcome in (Outcome.RESTED, Outcome.OUT_OF_STEPS) and solver.survey(level)[1] == 0:
+        energy, down = look_over(level, team, side)
+        if outcome in (Outcome.RESTED, Outcome.OUT_OF_STEPS) and down == 0:
             break
-    return sum(step.nodes == finest for step in history), outcome, history
+    return sum(step.nodes == finest for step in history), outcome, history, energy, down
 
 
 def _relaxation(
@@ -330,6 +332,6 @@ def _laid_down(level: Level, points: Array, start: Array | None, pitch: float, t
     cos, sin = float(np.cos(angle)), float(np.sin(angle))
     count = max(count, 1.0)
     shift = (p - cos * u + sin * v) / count, (q - sin * u - cos * v) / count
-    uv = np.empty((level.rows, level.cols, 2))
-    team.run(lay_down, level.parts, level.xy, cos, sin, *shift, pitch, uv)
-    return uv
+    team.run(lay_down, level.parts, level.xy, cos, sin, *shift, pitch, level.cols)
+    # In place, u and v apart: a copy would cost as much memory as all the corrections.
+    return np.moveaxis(level.xy[:, 1 : level.rows + 1, 1 : level.cols + 1], 0, -1)
