@@ -130,7 +130,8 @@ def map_sheet(study: Study, *, progress: Progress | None = None) -> Run:
     tell("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
     properties = measure_properties(surfaces)
     tell("flatten", "eight-spring mesh")
-    flattened = flatten_sheet(surfaces, params=FlattenParams(mesh_um=study.flatten.mesh_um))
+    f = study.flatten
+    flattened = flatten_sheet(surfaces, params=FlattenParams(mesh_um=f.mesh_um, method=f.method, rest=f.rest))
     pitch = _pitch(surfaces)
     map_um = study.flatten.map_um or float(np.sqrt(pitch[0] * pitch[1]))
     tell("resample", f"{map_um:.3g} um pixels")

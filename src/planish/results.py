@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,13 @@ def input_results(data: xr.DataArray, path: Path, **size: Any) -> dict[str, Any]
     }
 
 
+def _plain(value: Any) -> Any:
+    """Numbers as JSON knows them, in dicts of dicts."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}  # type: ignore[reportUnknownVariableType]
+    return _finite(value) if isinstance(value, float) else value
+
+
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
@@ -109,6 +116,17 @@ def flatten_results(flattened: Flattened) -> dict[str, Any]:
         "folded_cells": flattened.folded_cells,
         "edge_strain_p95": flattened.edge_strain_p95,
         "edge_strain_max": flattened.edge_strain_max,
+        "method": flattened.method,
+        "springs": flattened.springs,
+        "straight_share": _finite(flattened.straight_share),
+        "distortion": {k: _plain(v) for k, v in asdict(flattened.distortion).items()},
+        "curvature": {
+            "patch_um": flattened.curvature.patch_um,
+            "limit": flattened.curvature.limit,
+            "share": _finite(flattened.curvature.share),
+            "largest": _finite(flattened.curvature.largest),
+            "verdict": flattened.curvature.verdict,
+        },
         "largest_move_um": float(np.nanmax(move)),
     }
 

@@ -53,6 +53,8 @@ class FlattenSection(Section):
     """Choices of the flattening and of the flat maps."""
 
     mesh_um: Length | None = None
+    method: Literal["multigrid", "relaxation"] = "multigrid"
+    rest: Literal["arc", "chord"] = "arc"
     map_um: Length | None = None
 
 

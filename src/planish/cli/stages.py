@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 import numpy as np
@@ -20,6 +20,9 @@ from planish.cli.options import (
     surface_options,
     volume_options,
 )
+
+Method = Literal["multigrid", "relaxation"]
+Rest = Literal["arc", "chord"]
 
 _STORE = "Zarr store to make; it must not exist."
 
@@ -89,11 +92,27 @@ def measure(surfaces: Path, out: Path) -> None:
     type=click.FloatRange(min=0, min_open=True),
     help="Pitch of the spring mesh; four columns or more where not given.",
 )
-def flatten(surfaces: Path, out: Path, mesh_um: float | None) -> int:
+@click.option(
+    "--method",
+    type=click.Choice(["multigrid", "relaxation"]),
+    default="multigrid",
+    show_default=True,
+    help="multigrid: straight to the minimum of the spring energy; relaxation: the damped motion of Hirn et al. (2009).",
+)
+@click.option(
+    "--rest",
+    type=click.Choice(["arc", "chord"]),
+    default="arc",
+    show_default=True,
+    help="Rest lengths of the springs: along the curved surface, or straight through space as in Hirn et al. (2009).",
+)
+def flatten(surfaces: Path, out: Path, mesh_um: float | None, method: Method, rest: Rest) -> int:
     """Develop the centre surface of SURFACES into the plane."""
     from planish.flatten import FlattenParams, flatten_sheet
 
-    found = flatten_sheet(_read(surfaces, "surfaces"), params=FlattenParams(mesh_um=mesh_um))
+    found = flatten_sheet(
+        _read(surfaces, "surfaces"), params=FlattenParams(mesh_um=mesh_um, method=method, rest=rest)
+    )
     summary = (
         f"{found.outcome.value} Edge strain {100 * found.edge_strain_p95:.3f} % (p95), "
         f"{found.folded_cells} folded cells"

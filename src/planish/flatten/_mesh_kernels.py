@@ -13,6 +13,7 @@ from planish.flatten._kernels import FAR, GONE
 
 _SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
 _INNER = {**_SETTINGS, "forceinline": True}
+_INNER_SUMS = {**_INNER, "fastmath": {"contract", "nsz", "reassoc"}}
 # A spring is straightened by the curvatures at its two ends where these agree this well: |a - b| <= share |a + b|.
 _AGREE = 0.5
 # Differences of curvature that would change a rest length by less than this share do not count as disagreement.
@@ -82,7 +83,7 @@ def _minus(a, b, has_a, has_b):
     return a - b
 
 
-@njit(**_INNER)
+@njit(**_INNER_SUMS)
 def _mend(above, here, below, out, n):
     """Copy the bends ``here`` (4, n + 2) to ``out``, a missing one as the mean of those around it."""
     for family in range(4):
@@ -109,10 +110,10 @@ def _mend(above, here, below, out, n):
             o[j] = mean / count if count > 0 else np.nan
 
 
-@njit(**_INNER)
+@njit(**_INNER_SUMS)
 def _arcs(p, q, pj, qj, out, n):
     """Lengthen the chords ``out`` to arcs by the bends p[j + pj], q[j + qj] at their ends; count those left alone."""
-    left = 0
+    left = 0.0
     for j in range(1, n + 1):
         a, b = p[j + pj], q[j + qj]
         a = a if a == a else b
@@ -120,9 +121,12 @@ def _arcs(p, q, pj, qj, out, n):
         long = out[j]
         fits = abs(a - b) <= _AGREE * abs(a + b)
         more = a * b / (24.0 * long)
-        out[j] = long + (more if fits and long > 0.0 else 0.0)
-        high = max(abs(a), abs(b))
-        left += 1 if (long > 0.0 and not fits and not high * high <= 24.0 * _FAINT * long * long) else 0
+        more = more if fits else 0.0
+        more = more if long > 0.0 else 0.0
+        out[j] = long + more
+        doubt = 0.0 if max(a * a, b * b) <= 24.0 * _FAINT * long * long else 1.0
+        doubt = 0.0 if fits else doubt
+        left += doubt if long > 0.0 else 0.0
     return left
 
 
@@ -151,7 +155,7 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
         _chords(here, there, 0, 0, rest[1, i], n)
         _chords(here, there, 0, 1, rest[2, i], n)
         _chords(here, there, 1, 0, rest[3, i], n)
-        left = 0
+        left = 0.0
         if arc:
             _bend(there, rows[(i + 1) % 8], rows[(i + 2) % 8], bends[(i + 1) % 4], n)
             p, q = mended[(i - 1) % 2], mended[i % 2]

@@ -98,12 +98,13 @@ class Network:
         ends = np.zeros((len(self.rest), len(uv)))
         ends[np.arange(len(self.rest)), self.first] = -1.0
         ends[np.arange(len(self.rest)), self.second] = 1.0
-        out = np.empty((len(uv), 2, len(uv), 2))
-        for a in (0, 1):
-            for b in (0, 1):
-                block = self.stiff * (d[:, a] * d[:, b] * (1 - bend) + (bend if a == b else 0.0))
-                out[:, a, :, b] = ends.T @ (block[:, None] * ends)
-        return out.reshape(2 * len(uv), 2 * len(uv))
+        along = (d[:, None, :] * ends[:, :, None]).reshape(len(self.rest), -1)
+        out = along.T @ ((self.stiff * (1 - bend))[:, None] * along)
+        if exact:
+            across = ends.T @ ((self.stiff * bend)[:, None] * ends)
+            out[::2, ::2] += across
+            out[1::2, 1::2] += across
+        return out
 
     def _directions(self, uv: Array, exact: bool) -> tuple[Array, Array]:
         """Unit vectors of the springs, and the share of their stiffness that acts across them."""

@@ -125,7 +125,7 @@ class Multigrid:
         """Set the places of the coarsest mesh to (nodes, 2), relaxed exactly."""
         level.open()
         self._network = Network.of(level)
-        uv = relax_exactly(self._network, places, tolerance=1e-10 if len(self.levels) == 1 else 1e-2)
+        uv = relax_exactly(self._network, places, tolerance=1e-10 if len(self.levels) == 1 else 0.05)
         for kept in (level.xy, level.near):
             inside = kept[:, 1 : level.rows + 1, 1 : level.cols + 1]
             inside[:] = FAR

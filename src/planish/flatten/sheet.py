@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -12,8 +13,10 @@ from scipy import ndimage
 from planish.core.errors import CannotFlatten
 from planish.core.frame import Frame
 from planish.core.outcome import Outcome
-from planish.flatten.distortion import cell_strain, edge_strain
-from planish.flatten.relax import relax_grid
+from planish.flatten.curvature import CurvatureCheck, curvature_check
+from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
+from planish.flatten.relax import Relaxed, relax_grid
+from planish.flatten.relaxation import History
 
 Array = NDArray[np.float64]
 
@@ -28,10 +31,19 @@ class FlattenParams:
         Pitch of the spring mesh. By default four columns, coarser where the mesh would have more than ``most_nodes``:
         the centre surface holds no detail below its cut-off of 400 um, so that a mesh of 12 um loses nothing.
     most_nodes : int
+        Takes half a second and half a gigabyte.
+    method, rest
+        As in ``relax_grid``.
+    doubt : float
+        Weight of the centre surface where it was bridged over holes and gaps, against 1 where both faces were seen: it
+        holds the sheet together there and leaves the say to what was measured.
     """
 
     mesh_um: float | None = None
-    most_nodes: int = 16_000
+    most_nodes: int = 4_000_000
+    method: Literal["multigrid", "relaxation"] = "multigrid"
+    rest: Literal["arc", "chord"] = "arc"
+    doubt: float = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,11 +56,19 @@ class Flattened:
         ``u``, ``v`` in um as seen from the top: u to the right, v downwards. NaN where there is no sheet or a folded
         cell. ``projected_u``, ``projected_v``: the same without flattening.
     strain : Dataset, dims (row, col)
-        Strains of the mesh's cells, with their place ``y``, ``x``.
+        Strains of the mesh's cells, with their place ``y``, ``x``, as ``cell_strain`` gives them;
+        ``gaussian_curvature`` in 1/um2 and ``needed_strain``, what a patch of paper around the cell would need to be
+        flat; and over ``step`` the solver's progress: ``step_nodes``, ``step_energy``, ``step_move``.
+    distortion : Distortion
+    curvature : CurvatureCheck
+    method : str
     outcome : Outcome
     steps : int
     energy : float
         um2
+    springs : int
+    straight_share : float
+        Share of the springs whose length was taken straight through space because the surface is rough there.
     mesh_um : float
     folded_cells : int
     edge_strain_p95, edge_strain_max : float
@@ -57,9 +77,14 @@ class Flattened:
 
     flat: xr.Dataset
     strain: xr.Dataset
+    distortion: Distortion
+    curvature: CurvatureCheck
+    method: str
     outcome: Outcome
     steps: int
     energy: float
+    springs: int
+    straight_share: float
     mesh_um: float
     folded_cells: int
     edge_strain_p95: float
@@ -95,7 +120,11 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     height = np.where(known, centre, np.nan)[np.ix_(rows, cols)]
     points = np.stack([mesh_x, mesh_y, height], axis=-1)
     points[~_largest_piece(np.isfinite(height))] = np.nan
-    relaxed = relax_grid(points)
+    weights = None
+    if "status" in surfaces:
+        seen = surfaces["status"].values[np.ix_(rows, cols)] == 0
+        weights = np.where(seen, 1.0, params.doubt)
+    relaxed = relax_grid(points, method=params.method, rest=params.rest, weights=weights)
     flip = -1.0 if frame.mirrored else 1.0
     offset = float(x[-1] + x[0]) if frame.mirrored else 0.0
     fine_y, fine_x = np.meshgrid(y, x, indexing="ij")
@@ -116,18 +145,50 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     strain = cell_strain(points, relaxed.uv).assign_coords(
         y=("row", 0.5 * (y[rows][1:] + y[rows][:-1])), x=("col", 0.5 * (x[cols][1:] + x[cols][:-1]))
     )
+    # The same lines in the same sheet every time.
+    distortion = measure_distortion(points, relaxed.uv, rng=np.random.default_rng(0), strain=strain)
+    curvature = curvature_check(points)
+    strain["gaussian_curvature"] = (("row", "col"), _at_cells(curvature.curvature), {"units": "1/um2"})
+    strain["needed_strain"] = (("row", "col"), _at_cells(curvature.strain))
+    strain = strain.assign(_progress(relaxed))
     edges = np.concatenate([np.abs(e[np.isfinite(e)]) for e in edge_strain(points, relaxed.uv)])
     return Flattened(
         flat=flat,
         strain=strain,
+        distortion=distortion,
+        curvature=curvature,
+        method=params.method,
         outcome=relaxed.outcome,
         steps=relaxed.steps,
         energy=relaxed.energy,
+        springs=relaxed.springs,
+        straight_share=relaxed.straight_share,
         mesh_um=float(step[0] * (y[1] - y[0])),
         folded_cells=int(np.count_nonzero(relaxed.folded)),
         edge_strain_p95=float(np.percentile(edges, 95)),
         edge_strain_max=float(edges.max()),
     )
+
+
+def _at_cells(nodes: Array) -> Array:
+    return 0.25 * (nodes[:-1, :-1] + nodes[:-1, 1:] + nodes[1:, :-1] + nodes[1:, 1:])
+
+
+def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Array, dict[str, str]]]:
+    """History of either solver over ``step``: nodes of the mesh, energy, and the mean way of a node in the step."""
+    history, pitch = relaxed.history, relaxed.pitch
+    if isinstance(history, History):
+        count = np.full(history.step.size, float(np.isfinite(relaxed.uv[..., 0]).sum()))
+        nodes, energy, move = count, history.energy, history.mean_speed * history.dt
+    else:
+        nodes, energy, move = (
+            np.array([getattr(step, k) for step in history], dtype=np.float64) for k in ("nodes", "energy", "move")
+        )
+    return {
+        "step_nodes": ("step", nodes, {"long_name": "Nodes of the mesh"}),
+        "step_energy": ("step", energy * pitch**2, {"units": "um2", "long_name": "Spring energy"}),
+        "step_move": ("step", move * pitch, {"units": "um", "long_name": "Mean move"}),
+    }
 
 
 def _largest_piece(known: NDArray[np.bool_]) -> NDArray[np.bool_]:

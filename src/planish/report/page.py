@@ -12,6 +12,7 @@ from jinja2 import Environment, StrictUndefined
 
 from planish.report import tables
 from planish.report.draw import Picture, house_style
+from planish.report.flattening import draw_curvature, draw_progress
 from planish.report.maps import draw_maps
 from planish.report.registration import draw_outlines, draw_registration
 from planish.report.relation import draw_relation
@@ -87,7 +88,7 @@ def render_report(*, groups: dict[str, xr.Dataset], marks: xr.Dataset | None, re
         gates=tables.gates(results),
         surfaces=results["surfaces"],
         columns=tables.columns(results),
-        flattening=tables.flattening(results, groups["strain"], groups["surfaces"]),
+        flattening=tables.flattening(results, groups["surfaces"]),
         properties=tables.properties(results, names),
         mark_rows=tables.mark_rows(marks) if marks is not None and linked is not None else [],
         transform=tables.transform(results) if linked is not None else [],
@@ -114,7 +115,12 @@ def _pictures(
     headline = str(results["headline"]) if linked is not None else None
     pictures = {
         "slices": draw_slices(groups["slices"], surfaces),
-        "flattening": [*draw_warp(surfaces, flat), draw_strain(groups["strain"], flat)],
+        "flattening": [
+            *draw_warp(surfaces, flat),
+            draw_strain(groups["strain"], flat),
+            draw_progress(groups["strain"]),
+            *([curved] if (curved := draw_curvature(groups["strain"], flat, results["flatten"]["curvature"])) else []),
+        ],
         "maps": draw_maps(
             groups["maps"], list(results["properties"]), headline=headline, rim_um=float(results["surfaces"]["rim_um"])
         ),

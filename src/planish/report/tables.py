@@ -69,23 +69,34 @@ def columns(results: Row) -> list[Row]:
     ]
 
 
-def flattening(results: Row, strain: xr.Dataset, surfaces: xr.Dataset) -> list[tuple[str, str]]:
+def flattening(results: Row, surfaces: xr.Dataset) -> list[tuple[str, str]]:
     """Return what flattening did, in numbers."""
     f = results["flatten"]
     height = surfaces["centre"].values
-    area = float(np.nanmean(strain["area_ratio"].values)) - 1
+    d = f["distortion"]
+    method = "dynamic relaxation" if f["method"] == "relaxation" else "multigrid"
+    straight = f["straight_share"]
     return [
         ("Outcome", str(f["sentence"])),
+        ("Can it be paper?", str(f["curvature"]["verdict"])),
         ("Warp of the centre surface, lowest to highest", length(float(np.nanmax(height) - np.nanmin(height)))),
         ("Largest displacement against the projection", length(f["largest_move_um"])),
+        ("Displacement, median and 95 %, after turning and shifting",
+         f"{length(d['displacement_median_um'])} and {length(d['displacement_p95_um'])}"),
+        ("Growth against the projection", f"{number(d['growth_percent'], 3)} %"),
+        ("of it in one direction only", f"{number(d['growth_anisotropy_percent'], 3)} %"),
         ("Edge strain, 95th percentile", percent(f["edge_strain_p95"], 2)),
         ("Edge strain, largest", percent(f["edge_strain_max"], 2)),
-        ("Mean change of area", percent(area, 2)),
+        ("Change of area, median and 95 % of its size",
+         f"{percent(d['area']['median'], 2)} and {percent(d['area']['p95_abs'], 2)}"),
+        ("Lengths along random lines, 50 % and 95 % wrong by less than",
+         f"{percent(d['geodesics']['p50'], 2)} and {percent(d['geodesics']['p95'], 2)}"),
         ("Folded cells", count(f["folded_cells"])),
-        ("Pitch of the mesh", length(f["mesh_um"])),
-        ("Spring energy left", f"{number(f['energy_um2'])} µm²"),
-        ("Steps", count(f["steps"])),
-    ]
+        ("Mesh", f"{count(d['cells'])} cells of {length(f['mesh_um'])}"),
+        ("Springs with a straight rest length, the surface being rough there", percent(straight, 2) if straight else "none"),
+        ("Spring energy left, for each spring", f"{number(f['energy_um2'] / max(f['springs'], 1), 3)} µm²"),
+        ("Method and steps on the mesh", f"{method}, {count(f['steps'])}"),
+    ]  # fmt: skip
 
 
 def properties(results: Row, names: dict[str, str]) -> list[Row]:

@@ -42,7 +42,7 @@ def draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> list[Picture]:
     up = 1.0 if surfaces.attrs["top_side"] == "high" else -1.0
     height = up * surfaces["centre"].values
     height = height - np.nanmedian(height)
-    heights, bar = _on_top(height, surfaces["y"].values, surfaces["x"].values, flat, HALF - BESIDE)
+    heights, bar = on_top(height, surfaces["y"].values, surfaces["x"].values, flat, HALF - BESIDE)
     norm = limits(height, percent=0.1)
     canvas, axes = half_page(heights, norm=norm, cmap=GEOMETRY, label="height above the median / µm")
     low, high = np.nanpercentile(height, [0.1, 99.9])
@@ -64,7 +64,7 @@ def _displacement(flat: xr.Dataset) -> Picture:
     y, x = flat["y"].values, flat["x"].values
     du, dv = (flat[a].values - flat[b].values for a, b in (("u", "projected_u"), ("v", "projected_v")))
     size = np.hypot(du, dv)
-    shown, bar = _on_top(size, y, x, flat, HALF - BESIDE)
+    shown, bar = on_top(size, y, x, flat, HALF - BESIDE)
     norm = Normalize(0.0, limits(size, percent=0.1).vmax)
     canvas, axes = half_page(shown, norm=norm, cmap=GEOMETRY, label="displacement / µm")
     stride = max(1, round(max(du.shape) / _ARROWS))
@@ -110,7 +110,7 @@ def draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
     )
     gap = 0.25
     width = (FULL - 2 * gap) / 3
-    fields = [_on_top(values, y, x, flat, width)[0] for _, values, _ in panels]
+    fields = [on_top(values, y, x, flat, width)[0] for _, values, _ in panels]
     box = fit_box(fields[0], width, 4.5)
     canvas = Canvas(FULL, box[1] + 1.08)
     for k, ((name, values, signed), shown) in enumerate(zip(panels, fields, strict=True)):
@@ -140,7 +140,7 @@ def draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
     )
 
 
-def _on_top(values: Array, y: Array, x: Array, flat: xr.Dataset, width: float) -> tuple[Field, str]:
+def on_top(values: Array, y: Array, x: Array, flat: xr.Dataset, width: float) -> tuple[Field, str]:
     """Turn a map on the volume's grid to what is seen from the top side."""
     if flat.attrs.get("mirrored_view", 0):
         values = values[:, ::-1]
