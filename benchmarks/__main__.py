@@ -1,21 +1,25 @@
-"""``python -m benchmarks NAME [ARGUMENTS]``: acceptance, variants, flattening, relaxation or resampling."""
+"""``python -m benchmarks [NAME [ARGUMENTS]]`` runs all benchmarks, or one."""
+
+from __future__ import annotations
 
 import sys
 
 from benchmarks import acceptance, flattening, relaxation, resampling, variants
 
-
-def _number(text):
-    return int(text) if text.lstrip("-").isdigit() else text
+_ALL = {k.__name__.rpartition(".")[2]: k.main for k in (acceptance, variants, flattening, relaxation, resampling)}
 
 
-def main():
-    parts = {k.__name__.rpartition(".")[2]: k for k in (acceptance, variants, flattening, relaxation, resampling)}
-    name, *arguments = sys.argv[1:] or ["acceptance"]
-    if name not in parts:
-        sys.exit(f"There is no benchmark '{name}'. Choose one of {', '.join(parts)}.")
-    return parts[name].main(*map(_number, arguments))
+def main(arguments: list[str]) -> int:
+    """Run what is named; the exit code is 1 when a limit was missed."""
+    names = arguments[:1] or list(_ALL)
+    failed = 0
+    for name in names:
+        if name not in _ALL:
+            sys.exit(f"There is no benchmark '{name}'. Choose one of {', '.join(_ALL)}.")
+        print(f"== {name}")
+        failed += _ALL[name](*(int(a) if a.isdigit() else a for a in arguments[1:]))
+    return int(failed > 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -34,7 +34,9 @@ def timed(call, repeats=5):
 
 def speed(repeats=7):
     """Whole call of ``relax_grid`` (chords and arcs), and excess of its energy over a run to 1e-11."""
-    print("\nspeed: whole call, two threads above M\nsheet        nodes   rest      ms   units  excess   steps  outcome")
+    print(
+        "\nspeed: whole call, two threads above M\nsheet        nodes   rest      ms   units  excess   steps  outcome"
+    )
     for name in ("M", "L", "XL"):
         rows, cols = SIZES[name]
         threads = 1 if rows * cols < 100_000 else available_cores()
@@ -115,8 +117,9 @@ def masks():
         for label, angle in (("along columns", 0.0), ("30 degrees", np.pi / 6)):
             points, truth = surfaces.developable(rows, cols, angle=angle)
             errors = [surfaces.misplaced(relax_grid(points).uv, truth)]
-            for gone in (holes(rows, cols, 7.0), torn(rows, cols), np.random.default_rng(3).random((rows, cols)) < 0.1):
-                errors.append(surfaces.misplaced(relax_grid(_without(points, gone)).uv, truth))
+            salt = np.random.default_rng(3).random((rows, cols)) < 0.1
+            gaps = (holes(rows, cols, 7.0), torn(rows, cols), salt)
+            errors += [surfaces.misplaced(relax_grid(_without(points, gone)).uv, truth) for gone in gaps]
             rng = np.random.default_rng(1)
             wrong = rng.random((rows, cols)) < 1 / 7
             bad = points.copy()
@@ -198,9 +201,9 @@ def peers(name="M"):
     for kind in ("smooth", "rough"):
         points = getattr(surfaces, kind)(rows, cols)
         rests = {"planish multigrid": lambda p=points: relax_grid(p, rest="chord", threads=1).uv}
-        rests["planish relaxation"] = lambda p=points: relax_grid(
-            p, rest="chord", method="relaxation", relaxation=RelaxationParams(stop="residual")
-        ).uv
+        rests["planish relaxation"] = lambda p=points: (
+            relax_grid(p, rest="chord", method="relaxation", relaxation=RelaxationParams(stop="residual")).uv
+        )
         rests["scipy least_squares"] = lambda p=points: _least_squares(p)
         rests |= {f"libigl {k}": (lambda p=points, k=k: _igl(p, k)) for k in ("ARAP", "SLIM")}
         rows_out = []
@@ -300,13 +303,18 @@ def _sheet(rows, cols):
     tile = surfaces.roughness(1024, 1024)
     for i in range(0, rows, 1024):
         n = min(1024, rows - i)
-        wave = 300 * np.sin(2 * np.pi * 2 * np.arange(cols) / cols) * np.cos(2 * np.pi * np.arange(i, i + n) / rows)[:, None]
+        wave = (
+            300
+            * np.sin(2 * np.pi * 2 * np.arange(cols) / cols)
+            * np.cos(2 * np.pi * np.arange(i, i + n) / rows)[:, None]
+        )
         points[i : i + n, :, 2] = wave + np.tile(tile, (1, -(-cols // 1024)))[:n, :cols]
     _resident()
     began = time.perf_counter()
     found = relax_grid(points)
-    print(f"{rows} x {cols} = {rows * cols / 1e6:.0f} M nodes: {time.perf_counter() - began:.1f} s, peak of the process "
-          f"{_peak_now() / 1e9:.1f} GB, {found.steps} steps, {found.outcome.name}")  # fmt: skip
+    seconds, peak = time.perf_counter() - began, _peak_now() / 1e9
+    print(f"{rows} x {cols} = {rows * cols / 1e6:.0f} M nodes: {seconds:.1f} s, peak of the process {peak:.1f} GB, "
+          f"{found.steps} steps, {found.outcome.name}")  # fmt: skip
 
 
 def main(part="all"):

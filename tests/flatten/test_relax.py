@@ -88,7 +88,7 @@ def test_roughness_is_not_taken_for_curvature():
     assert relax_grid(bumpy(60, 60)).straight_share < 0.05
 
 
-@pytest.mark.parametrize("shape", [(7, 9), (2, 40), (3, 3), (2, 2), (30, 5), (20, 23), (33, 41)])
+@pytest.mark.parametrize("shape", [(7, 9), (2, 40), (3, 3), (2, 2), (20, 5), (12, 13), (13, 16)])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_energy_minimum_equals_the_slow_twin(shape, noise):
     points = bumpy(*shape, noise=noise)
@@ -328,7 +328,7 @@ def test_an_interrupted_run_leaves_no_thread(monkeypatch):
 
     def interrupted(self, level):
         calls.append(level)
-        if len(calls) == 8:
+        if len(calls) == 6:
             raise KeyboardInterrupt
         return balance(self, level)
 

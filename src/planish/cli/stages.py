@@ -97,7 +97,7 @@ def measure(surfaces: Path, out: Path) -> None:
     type=click.Choice(["multigrid", "relaxation"]),
     default="multigrid",
     show_default=True,
-    help="multigrid: straight to the minimum of the spring energy; relaxation: the damped motion of Hirn et al. (2009).",
+    help="multigrid: straight to the least spring energy; relaxation: the damped motion of Hirn et al. (2009).",
 )
 @click.option(
     "--rest",
@@ -110,9 +110,7 @@ def flatten(surfaces: Path, out: Path, mesh_um: float | None, method: Method, re
     """Develop the centre surface of SURFACES into the plane."""
     from planish.flatten import FlattenParams, flatten_sheet
 
-    found = flatten_sheet(
-        _read(surfaces, "surfaces"), params=FlattenParams(mesh_um=mesh_um, method=method, rest=rest)
-    )
+    found = flatten_sheet(_read(surfaces, "surfaces"), params=FlattenParams(mesh_um=mesh_um, method=method, rest=rest))
     summary = (
         f"{found.outcome.value} Edge strain {100 * found.edge_strain_p95:.3f} % (p95), "
         f"{found.folded_cells} folded cells"

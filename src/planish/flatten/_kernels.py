@@ -68,7 +68,7 @@ def _pulls(xa, ya, xb, yb, ua, va, ub, vb, k0, k1, k2, k3, t0, t1, t2, t3, n):
 
 @njit(**_INNER)
 def _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n):
-    """Sum of t times the difference of places to the eight neighbours, for row i; p belong to the pair of rows above."""
+    """Sum of t times the difference of places to the eight neighbours, for row i; p are the t of the pair above."""
     xa, xb, xc, ya, yb, yc = x[i - 1], x[i], x[i + 1], y[i - 1], y[i], y[i + 1]
     for j in range(1, n + 1):
         a, b = xb[j], yb[j]
@@ -247,9 +247,9 @@ def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n,
     above[:, 0], below[:, 0] = edge[:, 0], edge[:, 1]
     # The rows beyond the border belong to other threads (or to the padding): made ready in copies of our own.
     if r0 > 1:
-        _fresh_copy(kind, coarse, above, force, ease, first, buffer, r0 - 1, n)
+        _fresh_copy(kind, coarse, above, force, ease, first, r0 - 1, n)
     if r1 < last:
-        _fresh_copy(kind, coarse, below, force, ease, first, buffer, r1, n)
+        _fresh_copy(kind, coarse, below, force, ease, first, r1, n)
     _fresh(kind, coarse, move, force, ease, first, buffer, r0, n)
     _pulls(x[r0 - 1], y[r0 - 1], x[r0], y[r0], above[0, 0], above[1, 0], move[0, r0], move[1, r0],
            _row(stiff, 0, r0 - 1), _row(stiff, 1, r0 - 1), _row(stiff, 2, r0 - 1), _row(stiff, 3, r0 - 1),
@@ -275,7 +275,7 @@ def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n,
 
 
 @njit(**_SETTINGS)
-def _fresh_copy(kind, coarse, row, force, ease, first, buffer, i, n):
+def _fresh_copy(kind, coarse, row, force, ease, first, i, n):
     """As ``_fresh``, for row i held in ``row`` (2, 1, width)."""
     if kind == 0:
         for j in range(1, n + 1):
@@ -407,4 +407,6 @@ def descend(near, stiff, ease, force, move, alone, cols, inverse, row, col, firs
         u[0, row[a], col[a]], u[1, row[a], col[a]] = x, y
     for k in range(last - 1, -1, -1):
         rows = near[k].shape[1] - 2
-        smooth(1, near[k], stiff[k], ease[k], force[k], move[k + 1], move[k], alone[k], once, once, cols[k], 1, rows + 1)
+        smooth(
+            1, near[k], stiff[k], ease[k], force[k], move[k + 1], move[k], alone[k], once, once, cols[k], 1, rows + 1
+        )

@@ -77,7 +77,7 @@ def _bend(a, b, c, out, n):
 
 @njit(**_INNER)
 def _minus(a, b, has_a, has_b):
-    """a - b, either counting as 0 where its ``has`` is NaN."""
+    """A - b, either counting as 0 where its ``has`` is NaN."""
     a = a if has_a == has_a else 0.0
     b = b if has_b == has_b else 0.0
     return a - b

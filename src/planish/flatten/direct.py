@@ -133,8 +133,9 @@ class Exact:
             matrix = network.full_matrix(uv, exact=exact) + self._rigid @ self._rigid.T
             inverse = np.linalg.inv(matrix + _TIE * np.eye(matrix.shape[0]))
             free = np.eye(matrix.shape[0]) - self._rigid @ self._rigid.T
-            self.inverse = free @ inverse @ free
-            self._solve = self.inverse.__matmul__
+            inverse = free @ inverse @ free
+            self.inverse = inverse
+            self._solve = inverse.__matmul__
         else:
             self._solve = splu(
                 network.matrix(uv, exact=exact),

@@ -48,7 +48,7 @@ def fill_smoothly(uv: Array, missing: NDArray[np.bool_]) -> Array:
     known = np.isfinite(uv[..., 0]) & ~missing
     if not known.any():
         raise CannotFlatten("No node of the mesh is certain enough to flatten it. Check the weights.")
-    part = missing | (known & ndimage.binary_dilation(missing, structure=np.ones((3, 3)), iterations=2))
+    part = missing | (known & ndimage.binary_dilation(missing, structure=np.ones((3, 3), dtype=bool), iterations=2))
     number = np.full(missing.shape, -1)
     number[part] = np.arange(np.count_nonzero(part))
     differences = []

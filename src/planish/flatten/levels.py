@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
@@ -43,7 +44,7 @@ class Team:
         """Shares of the padded rows 1 ... rows."""
         count = min(self.threads, rows) if rows * cols >= _WORTH else 1
         cuts = [1 + rows * k // count for k in range(count + 1)]
-        return list(zip(cuts[:-1], cuts[1:], strict=True))
+        return list(itertools.pairwise(cuts))
 
     def run(self, kernel: Callable[..., Any], parts: list[tuple[int, int]], *args: Any) -> None:
         """Call ``kernel(*args, r0, r1)`` for all parts."""

@@ -138,9 +138,7 @@ class Multigrid:
         """Take the places of ``fine`` from ``coarse``."""
         coarse.drop_springs()
         fine.open()
-        self.team.run(
-            interpolate, fine.parts, coarse.xy, fine.xy, fine.near, fine.cols, coarse.cols, self.gaps
-        )
+        self.team.run(interpolate, fine.parts, coarse.xy, fine.xy, fine.near, fine.cols, coarse.cols, self.gaps)
         if self.gaps:
             fine.clear()
         self.team.run(prepare, fine.parts, fine.near, fine.stiff, fine.ease, fine.cols)
@@ -242,7 +240,7 @@ class Multigrid:
         """
         level = self.levels[k]
         if depth > 1 and k >= self._small:
-            descend(*self._chain(k), *_TWICE, _ONCE)
+            descend(*self._chain(k), *_TWICE, _ONCE)  # pyright: ignore[reportCallIssue]
             return
         if k == len(self.levels) - 1:
             inside = np.s_[:, 1 : level.rows + 1, 1 : level.cols + 1]
@@ -263,7 +261,12 @@ class Multigrid:
             part = self.levels[k:]
             names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
             row, col = (1 + index for index in np.nonzero(self._network.mask))
-            self._chains[k] = (*(tuple(getattr(v, name) for v in part) for name in names), self._exact.inverse, row, col)
+            self._chains[k] = (
+                *(tuple(getattr(v, name) for v in part) for name in names),
+                self._exact.inverse,
+                row,
+                col,
+            )
         return self._chains[k]
 
     def _smooth(self, kind: int, level: Level, coarse: Level, first: np.float32, weight: np.float32) -> None:

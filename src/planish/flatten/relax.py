@@ -122,7 +122,7 @@ def relax_grid(
         level, springs, straight = make_springs(points, pitch, rest, team)
         gaps = springs < _all_springs(level.rows, level.cols)
         if gaps:
-            known = np.isfinite(points).all(axis=-1)
+            known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
             labels, sizes = find_pieces(known)
             _check_pieces(known, sizes, apart)
             if sizes.size > 1:
@@ -131,14 +131,14 @@ def relax_grid(
             loose, stiff = loose_nodes(known)
             _check_stiffness(stiff)
             if loose.any():
-                braces = ~known & ndimage.binary_dilation(loose, structure=np.ones((3, 3)), iterations=2)
+                braces = ~known & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
                 points, weights = make_up(points, weights, known, braces)
                 level = make_springs(points, pitch, rest, team)[0]
         if weights is not None:
             stiffen(level, weights)
         history: tuple[Step, ...] | History
         if method == "multigrid":
-            steps, outcome, history, energy, down = _multigrid(level, points, start, pitch, team, tolerance, gaps=gaps)
+            steps, outcome, history, energy, down = _multigrid(level, points, start, team, tolerance, gaps=gaps)
         else:
             energy, down = 0.0, 0
             steps, outcome, history = _relaxation(level, points, start, pitch, relaxation)
@@ -294,7 +294,7 @@ def _handedness(points: Array, start: Array | None) -> float:
 
 
 def _multigrid(
-    level: Level, points: Array, start: Array | None, pitch: float, team: Team, tolerance: float, *, gaps: bool
+    level: Level, points: Array, start: Array | None, team: Team, tolerance: float, *, gaps: bool
 ) -> tuple[int, Outcome, tuple[Step, ...], float, int]:
     side, finest = _handedness(points, start), level.rows * level.cols
     history: tuple[Step, ...] = ()
@@ -316,7 +316,7 @@ def _relaxation(
     rest = np.where(level.rest > 0, level.rest, np.nan)[:, 1 : rows + 1, 1 : cols + 1]
     stiff = None if level.stiff is None else level.stiff[:, 1 : rows + 1, 1 : cols + 1].astype(np.float64)
     first = (points[..., :2] if start is None else start) / pitch
-    first = np.where(np.isfinite(points).all(axis=-1)[..., None], first, np.nan)
+    first = np.where(np.isfinite(points).all(axis=-1, keepdims=True), first, np.nan)
     done = relax_dynamically(first, rest, stiffness=stiff, params=params)
     level.open()
     level.xy[:, 1 : rows + 1, 1 : cols + 1] = np.where(np.isfinite(done.uv), done.uv, 10 * GONE).transpose(2, 0, 1)

@@ -1,4 +1,4 @@
-"""The eight-spring mesh of Hirn et al. (2009), section 2.3.1: its pieces, its pitch, its springs and their stiffness."""
+"""The eight-spring mesh of Hirn et al. (2009), section 2.3.1: pitch, springs, their stiffness, and loose ends."""
 
 from __future__ import annotations
 

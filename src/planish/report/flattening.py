@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.colors import Normalize
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import NullLocator, StrMethodFormatter
 
 from planish.report.draw import ACCENT, BESIDE, HALF, INK, SOFT, Canvas, Picture, half_page, limits
 from planish.report.draw import pitch as spacing
@@ -35,7 +35,7 @@ def draw_progress(strain: xr.Dataset) -> Picture:
         axes.semilogy(steps[here], move[here], "-", color=colour, lw=1.2)
         if nodes.size <= 200:
             axes.semilogy(steps[here], move[here], "o", color=colour, ms=3.5)
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.set_xlabel("step")
     axes.set_ylabel("mean move of a node / µm", color=INK)

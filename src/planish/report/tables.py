@@ -93,7 +93,8 @@ def flattening(results: Row, surfaces: xr.Dataset) -> list[tuple[str, str]]:
          f"{percent(d['geodesics']['p50'], 2)} and {percent(d['geodesics']['p95'], 2)}"),
         ("Folded cells", count(f["folded_cells"])),
         ("Mesh", f"{count(d['cells'])} cells of {length(f['mesh_um'])}"),
-        ("Springs with a straight rest length, the surface being rough there", percent(straight, 2) if straight else "none"),
+        ("Springs with a straight rest length, the surface being rough there",
+         percent(straight, 2) if straight else "none"),
         ("Spring energy left, for each spring", f"{number(f['energy_um2'] / max(f['springs'], 1), 3)} µm²"),
         ("Method and steps on the mesh", f"{method}, {count(f['steps'])}"),
     ]  # fmt: skip
