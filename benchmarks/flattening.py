@@ -257,23 +257,16 @@ def _igl(points, kind):
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     v = np.ascontiguousarray(points.reshape(-1, 3))
     start = np.ascontiguousarray(v[:, :2])
-    fixed, place = np.zeros(0, dtype=faces.dtype), np.zeros((0, 2))
     if kind == "ARAP":
-        if hasattr(igl, "ARAP"):
-            arap = igl.ARAP(v, faces, 2, np.array([rows * cols // 2]), igl.ARAP_ENERGY_TYPE_SPOKES_AND_RIMS)
-            uv = arap.solve(start[[rows * cols // 2]], start)
-        else:
-            data = igl.ARAPData()
-            data.max_iter = 100
-            igl.arap_precomputation(v, faces, 2, np.array([rows * cols // 2]), data)
-            uv = igl.arap_solve(start[[rows * cols // 2]], data, start)
-    elif hasattr(igl, "SLIM"):
-        slim = igl.SLIM(v, faces, start, fixed, place, igl.SLIM_ENERGY_TYPE_SYMMETRIC_DIRICHLET, 0.0)
-        slim.solve(20)
-        uv = slim.vertices()
+        middle = np.array([rows * cols // 2], dtype=np.int32)
+        data = igl.ARAPData()
+        data.max_iter = 100
+        igl.arap_precomputation(v, faces, 2, middle, data)
+        uv = igl.arap_solve(start[middle], data, start)
     else:
-        data = igl.SLIMData()
-        igl.slim_precompute(v, faces, start, data, igl.MappingEnergyType.SYMMETRIC_DIRICHLET, fixed, place, 0.0)
+        columns = [np.asfortranarray(k) for k in (v, faces.astype(np.int32), start)]
+        none, nowhere = np.zeros(0, dtype=np.int32), np.zeros((0, 2), order="F")
+        data = igl.slim_precompute(*columns, igl.MappingEnergyType.SYMMETRIC_DIRICHLET, none, nowhere, 0.0)
         uv = igl.slim_solve(data, 20)
     return np.asarray(uv)[:, :2].reshape(rows, cols, 2)
 
