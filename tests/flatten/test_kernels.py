@@ -110,9 +110,9 @@ def test_restriction_is_the_transpose_of_interpolation(mesh):
     force, move = (put(level, network, rng.normal(size=uv.shape)) for _ in range(2))
     left = np.zeros((11, 14, 2))
     matrix = network.matrix(uv, exact=False)
-    left[network.mask] = at_nodes(level, network, force) - (
-        matrix @ at_nodes(level, network, move).ravel()
-    ).reshape(-1, 2)
+    left[network.mask] = at_nodes(level, network, force) - (matrix @ at_nodes(level, network, move).ravel()).reshape(
+        -1, 2
+    )
     expected = np.stack([halved(11).T @ left[..., c] @ halved(14) for c in (0, 1)])
     for cuts in ((1, 7), (1, 2, 5, 7)):
         coarse = padded(2, 6, 8, np.float32)

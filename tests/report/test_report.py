@@ -111,9 +111,11 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
     cells = (22, 34)
     strain = xr.Dataset(
         {k: (("row", "col"), at + 1e-4 * rng.normal(size=cells)) for k, at in
-         {"area_ratio": 1.0, "stretch_max": 1.0, "stretch_min": 1.0, "shear": 0.0}.items()},
+         {"area_ratio": 1.0, "stretch_max": 1.0, "stretch_min": 1.0, "shear": 0.0, "needed_strain": 0.001}.items()},
         {"y": ("row", 24.0 * np.arange(22)), "x": ("col", 24.0 * np.arange(34))},
     )  # fmt: skip
+    strain["step_nodes"] = (("step",), np.array([80.0, 250.0, 805.0, 805.0]))
+    strain["step_move"] = (("step",), np.array([3.0, 1.0, 0.3, 0.01]))
     maps = xr.Dataset({k: (("v", "u"), a, titles[k]) for k, a in properties.items()}, {"v": y, "u": 1.02 * x})
     at = np.array([20, 45, 70])
     z = 6.0 * np.arange(100)
@@ -138,7 +140,12 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
         "properties": {k: statistics if np.isfinite(properties[k]).any() else None for k in PROPERTIES},
         "flatten": {"outcome": "RESTED", "sentence": "The mesh came to rest.", "steps": 4, "energy_um2": 1e-7,
                     "mesh_um": 24.0, "folded_cells": 0, "edge_strain_p95": 4e-4, "edge_strain_max": 1e-3,
-                    "largest_move_um": 16.8},
+                    "largest_move_um": 16.8, "method": "multigrid", "springs": 3100, "straight_share": 0.001,
+                    "curvature": {"patch_um": 1000.0, "limit": 0.005, "share": 0.0, "largest": 0.001,
+                                  "verdict": "The surface can be a sheet of paper."},
+                    "distortion": {"displacement_median_um": 4.0, "displacement_p95_um": 12.0, "growth_percent": 1.0,
+                                   "growth_anisotropy_percent": 2.0, "area": {"median": 1e-5, "p95_abs": 2e-4},
+                                   "geodesics": {"p50": 1e-5, "p95": 1e-4}, "cells": 748}},
         "quality": [{"name": "coverage", "value": 0.9, "limit": 0.5, "passed": True,
                      "sentence": "90 % of the columns are measured."}],
         "parameters": {"volume": {"voxel_um": [6.0, 6.0, 6.0], "through": "z", "top": top, "override_size": False},
@@ -211,7 +218,7 @@ def test_verdict_states_the_results_and_no_more(link_page: str) -> None:
 def test_every_figure_is_embedded_and_states_n_and_mask(link_page: str) -> None:
     page = Page(link_page)
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", link_page, flags=re.DOTALL)
-    assert len(page.images) == len(captions) == 14
+    assert len(page.images) == len(captions) == 16
     for caption in captions:
         assert re.search(r"\bn\b", caption)
         assert "mask" in caption.lower()
