@@ -119,23 +119,21 @@ _FEW = 200
 
 
 class Exact:
-    """Factorised stiffness at given places: answers forces with moves, the sheet as a whole staying where it is."""
+    """Stiffness at given places: answers forces with moves, the sheet as a whole staying where it is."""
 
     def __init__(self, network: Network, uv: Array, *, exact: bool = False) -> None:
         centred = uv - uv.mean(axis=0)
-        turn = np.stack([-centred[:, 1], centred[:, 0]], axis=1)
-        rigid = np.stack([np.tile([1.0, 0.0], len(uv)), np.tile([0.0, 1.0], len(uv)), turn.ravel()], axis=1)
-        # The three are at right angles, the turn being about the middle.
-        self._rigid = rigid / np.maximum(np.linalg.norm(rigid, axis=0), 1e-300)
-        self.inverse: Array | None = None
+        # Shifts, and the turn about the middle, at right angles to them.
+        rigid = np.zeros((len(uv), 2, 3))
+        rigid[:, 0, 0] = rigid[:, 1, 1] = 1.0
+        rigid[:, 0, 2], rigid[:, 1, 2] = -centred[:, 1], centred[:, 0]
+        flat = rigid.reshape(-1, 3)
+        self._rigid = flat / np.maximum(np.sqrt(np.sum(flat * flat, axis=0)), 1e-300)
+        self._matrix: Array | None = None
         if len(uv) <= _FEW:
             # Stiff against moves of the whole, which neither forces nor moves contain.
-            matrix = network.full_matrix(uv, exact=exact) + self._rigid @ self._rigid.T
-            inverse = np.linalg.inv(matrix + _TIE * np.eye(matrix.shape[0]))
-            free = np.eye(matrix.shape[0]) - self._rigid @ self._rigid.T
-            inverse = free @ inverse @ free
-            self.inverse = inverse
-            self._solve = inverse.__matmul__
+            self._matrix = network.full_matrix(uv, exact=exact) + self._rigid @ self._rigid.T
+            self._matrix.flat[:: len(self._matrix) + 1] += _TIE
         else:
             self._solve = splu(
                 network.matrix(uv, exact=exact),
@@ -144,10 +142,19 @@ class Exact:
                 diag_pivot_thresh=0.0,
             ).solve
 
+    @property
+    def inverse(self) -> Array | None:
+        """Moves for unit forces, (2 nodes, 2 nodes); None for a network that is too large for that."""
+        if self._matrix is None:
+            return None
+        free = np.eye(len(self._matrix)) - self._rigid @ self._rigid.T
+        return free @ np.linalg.inv(self._matrix) @ free
+
     def __call__(self, force: Array) -> Array:
         """Moves (nodes, 2) under ``force`` (nodes, 2)."""
         flat = force.ravel()
-        move = self._solve(flat - self._rigid @ (self._rigid.T @ flat))
+        flat = flat - self._rigid @ (self._rigid.T @ flat)
+        move = self._solve(flat) if self._matrix is None else np.linalg.solve(self._matrix, flat)
         return (move - self._rigid @ (self._rigid.T @ move)).reshape(-1, 2)
 
 

@@ -125,13 +125,14 @@ class Multigrid:
         """Set the places of the coarsest mesh to (nodes, 2), relaxed exactly."""
         level.open()
         self._network = Network.of(level)
-        uv = relax_exactly(self._network, places, tolerance=1e-10 if len(self.levels) == 1 else 0.05)
+        uv = relax_exactly(self._network, places, tolerance=1e-10 if len(self.levels) == 1 else 0.3)
         for kept in (level.xy, level.near):
             inside = kept[:, 1 : level.rows + 1, 1 : level.cols + 1]
             inside[:] = FAR
             inside[:, self._network.mask] = uv.T
         self._exact = Exact(self._network, uv)
-        if self._exact.inverse is None:
+        self._inverse = self._exact.inverse
+        if self._inverse is None:
             self._small = len(self.levels)
 
     def refine(self, coarse: Level, fine: Level) -> None:

@@ -286,7 +286,7 @@ def _each_apart(
 
 def _handedness(points: Array, start: Array | None) -> float:
     """1 where columns and rows of the grid run like u and v, -1 where they run the other way round, as a whole."""
-    rows, cols = (max(1, (n - 1) // 40) for n in points.shape[:2])
+    rows, cols = (max(1, (n - 1) // 20) for n in points.shape[:2])
     flat = (points if start is None else start)[::rows, ::cols, :2]
     across, down = np.diff(flat, axis=1)[:-1], np.diff(flat, axis=0)[:, :-1]
     area = np.nansum(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0])

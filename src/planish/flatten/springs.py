@@ -19,8 +19,8 @@ TRUSTED = 0.1
 
 
 def mean_pitch(points: Array) -> float:
-    """Mean distance of neighbours along rows and columns, from some forty of either, in the unit of ``points``."""
-    for some in (40, max(points.shape)):
+    """Mean distance of neighbours along rows and columns, from some ten of either, in the unit of ``points``."""
+    for some in (10, max(points.shape)):
         rows, cols = (max(1, n // some) for n in points.shape[:2])
         steps = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
         long = np.concatenate([np.sqrt(np.sum(step * step, axis=-1)).ravel() for step in steps])
