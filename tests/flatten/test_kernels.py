@@ -1,5 +1,7 @@
 """The compiled passes against sparse matrices made spring by spring."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -81,7 +83,7 @@ def test_smoothing(mesh, cuts, kind):
     first = {0: 0.6 * ease[:, None] * f, 2: at_nodes(level, network, move)}
     first[1] = first[2] + fine_from(coarse, level)[network.mask]
     expected = first[kind] + 0.8 * ease[:, None] * (f - (matrix @ first[kind].ravel()).reshape(-1, 2))
-    parts = list(zip(cuts[:-1], cuts[1:], strict=True))
+    parts = list(itertools.pairwise(cuts))
     edges = [move[:, [a - 1, b]] for a, b in parts]
     for edge, (a, b) in zip(edges, parts, strict=True):
         smooth(kind, level.near, level.stiff, level.ease, force, coarse, move, edge, np.float32(0.6),
@@ -116,7 +118,7 @@ def test_restriction_is_the_transpose_of_interpolation(mesh):
     expected = np.stack([halved(11).T @ left[..., c] @ halved(14) for c in (0, 1)])
     for cuts in ((1, 7), (1, 2, 5, 7)):
         coarse = padded(2, 6, 8, np.float32)
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+        for a, b in itertools.pairwise(cuts):
             restrict(level.near, level.stiff, force, move, coarse, 14, 8, a, b)
         np.testing.assert_allclose(coarse[:, 1:7, 1:9], expected, atol=1e-5)
 
