@@ -132,8 +132,8 @@ class Exact:
         self._matrix: Array | None = None
         if len(uv) <= _FEW:
             # Stiff against moves of the whole, which neither forces nor moves contain.
-            self._matrix = network.full_matrix(uv, exact=exact) + self._rigid @ self._rigid.T
-            self._matrix.flat[:: len(self._matrix) + 1] += _TIE
+            matrix = network.full_matrix(uv, exact=exact) + self._rigid @ self._rigid.T
+            self._matrix = matrix + _TIE * np.eye(len(matrix))
         else:
             self._solve = splu(
                 network.matrix(uv, exact=exact),

@@ -47,8 +47,9 @@ _STILL = 3e-6
 _RATE = 0.1
 """Share of the excess energy that a cycle is expected to leave, before one has been observed."""
 
-
 _ROUGHLY = 0.1
+"""Tolerance on the coarser levels: one step, as a rule."""
+
 _STEPS = 300
 
 _ROUGH = 0.02
@@ -60,7 +61,7 @@ _SLOW = 0.25
 OPEN = 0.02
 """Share of its area at rest down to which a step may close a cell."""
 
-_HALVINGS = 40
+_HALVINGS = 40  # of a step that would close a cell, or raise the energy
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +72,11 @@ class Step:
     energy: float
     gain: float
     move: float
+
+
+def _dot(a: Single, b: Single) -> float:
+    """Sum of the products; numpy's own order of summation, where BLAS would share it out among its threads."""
+    return float(np.sum(a * b, dtype=np.float64))
 
 
 class _Conjugate:
@@ -87,9 +93,9 @@ class _Conjugate:
 
     def turn(self, level: Level) -> None:
         """Add the share of the previous direction to the move of ``level``."""
-        work = float(np.vdot(level.force, level.move))
+        work = _dot(level.force, level.move)
         if self._force is not None and self._direction is not None and self._work > 0:
-            change = work - float(np.vdot(self._force, level.move))
+            change = work - _dot(self._force, level.move)
             level.move += np.float32(max(change / self._work, 0.0)) * self._direction
         self._force, self._direction, self._work = level.force.copy(), level.move.copy(), work
 
@@ -180,7 +186,7 @@ class Multigrid:
             gains.append(gain)
             if len(gains) > 1:
                 # One lucky step is no proof where progress is slow.
-                ratios = [b / a for a, b in itertools.pairwise(gains[-4 if slow else -2 :])]
+                ratios = [b / a if a else 1.0 for a, b in itertools.pairwise(gains[-4 if slow else -2 :])]
                 self.rate = float(np.clip(max(ratios), 0.01, 0.95))
             # What is left of the energy and, as its square root, of the way, summed over the steps to come.
             left, way = gain * self.rate / (1 - self.rate), np.sqrt(square / count)
@@ -195,7 +201,7 @@ class Multigrid:
     def _reach(self, level: Level, gain: float, square: float) -> tuple[float, float]:
         """Go on in the direction of the move just made, or back, to where the forces no longer act along it."""
         self.balance(level)
-        left = float(np.vdot(level.force, level.move))
+        left = _dot(level.force, level.move)
         share = float(np.clip(gain / (gain - left), 0.1, 4.0)) if gain > left else 1.0
         level.move *= np.float32(share - 1)
         self.advance(level)
@@ -203,7 +209,7 @@ class Multigrid:
 
     def _guard(self, level: Level, energy: float) -> float:
         """Shorten the move where it would close a cell, and as a whole until the energy falls; give the gain wanted."""
-        wanted = float(np.vdot(level.force, level.move))
+        wanted = _dot(level.force, level.move)
         share = np.ones(level.move.shape[1:], np.float32)
         for _ in range(_HALVINGS):
             if not hold_open(level.xy, level.rest, level.move, share, OPEN, self.side, level.cols, 1, level.rows):

@@ -84,7 +84,7 @@ def flattening(results: Row, surfaces: xr.Dataset) -> list[tuple[str, str]]:
         ("Displacement, median and 95 %, after turning and shifting",
          f"{length(d['displacement_median_um'])} and {length(d['displacement_p95_um'])}"),
         ("Growth against the projection", f"{number(d['growth_percent'], 3)} %"),
-        ("of it in one direction only", f"{number(d['growth_anisotropy_percent'], 3)} %"),
+        ("Difference of the growth between two directions", f"{number(d['growth_anisotropy_percent'], 3)} %"),
         ("Edge strain, 95th percentile", percent(f["edge_strain_p95"], 2)),
         ("Edge strain, largest", percent(f["edge_strain_max"], 2)),
         ("Change of area, median and 95 % of its size",
