@@ -84,19 +84,22 @@ def _minus(a, b, has_a, has_b):
 
 
 @njit(**_INNER_SUMS)
-def _mend(above, here, below, out, n):
-    """Copy the bends ``here`` (4, n + 2) to ``out``, a missing one as the mean of those around it."""
+def _mend(above, here, below, spare, n):
+    """Give the bends ``here`` (4, n + 2), or in ``spare`` a copy with missing ones as the mean of those around them.
+
+    In a row without gaps only the outermost may be missing, for which the other end of each spring stands in.
+    """
+    total = 0.0
     for family in range(4):
-        b, o = here[family], out[family]
-        total = 0.0
+        b = here[family]
         for j in range(2, n):
-            o[j] = b[j]
             total += b[j]
-        whole = total == total
+    if total == total and n > 3:
+        return here
+    for family in range(4):
+        b, o = here[family], spare[family]
         o[0] = o[n + 1] = np.nan
         for j in range(1, n + 1):
-            if whole and 1 < j < n:
-                continue
             o[j] = b[j]
             if b[j] == b[j]:
                 continue
@@ -108,6 +111,7 @@ def _mend(above, here, below, out, n):
                             mean += c
                             count += 1
             o[j] = mean / count if count > 0 else np.nan
+    return spare
 
 
 @njit(**_INNER_SUMS)
@@ -147,7 +151,7 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
     if arc:
         for k in range(r0 - 2, r0 + 1):
             _bend(rows[(k - 1) % 8], rows[k % 8], rows[(k + 1) % 8], bends[k % 4], n)
-        _mend(bends[(r0 - 2) % 4], bends[(r0 - 1) % 4], bends[r0 % 4], mended[(r0 - 1) % 2], n)
+    p = _mend(bends[(r0 - 2) % 4], bends[(r0 - 1) % 4], bends[r0 % 4], mended[(r0 - 1) % 2], n)
     for i in range(r0, r1):
         _load(points, scale, i + 2, rows[(i + 2) % 8], n)
         here, there = rows[(i - 1) % 8], rows[i % 8]
@@ -158,12 +162,12 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
         left = 0.0
         if arc:
             _bend(there, rows[(i + 1) % 8], rows[(i + 2) % 8], bends[(i + 1) % 4], n)
-            p, q = mended[(i - 1) % 2], mended[i % 2]
-            _mend(bends[(i - 1) % 4], bends[i % 4], bends[(i + 1) % 4], q, n)
+            q = _mend(bends[(i - 1) % 4], bends[i % 4], bends[(i + 1) % 4], mended[i % 2], n)
             left += _arcs(p[0], p[0], 0, 1, rest[0, i], n)
             left += _arcs(p[1], q[1], 0, 0, rest[1, i], n)
             left += _arcs(p[2], q[2], 0, 1, rest[2, i], n)
             left += _arcs(p[3], q[3], 1, 0, rest[3, i], n)
+            p = q
         springs = 0
         for family in range(4):
             for j in range(1, n + 1):
