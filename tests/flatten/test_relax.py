@@ -225,6 +225,7 @@ def test_doubted_nodes_do_not_steer(weight):
     points[wrong, 2] += rng.normal(0, 30.0, np.count_nonzero(wrong))
     found = relax_grid(points, weights=np.where(wrong, weight, 1.0))
     assert misplaced(found.uv, truth) < 0.01 * 2.0
+    assert np.array_equal(found.made_up, wrong)
     assert misplaced(relax_grid(points).uv, truth) > 1.0
 
 
@@ -346,11 +347,23 @@ def test_an_interrupted_run_leaves_no_thread(monkeypatch):
         ({"weights": np.zeros((30,))}, "weights have the shape"),
         ({"weights": -np.ones((30, 40))}, "weight is negative"),
         ({"tolerance": 0.0}, "tolerance is 0.0"),
+        ({"method": "multgrid"}, "ethod is 'multgrid'"),
+        ({"rest": "arcs"}, "est is 'arcs'"),
+        ({"threads": 0}, "0 threads"),
+        ({"start": np.full((30, 40, 2), np.nan)}, "start is not finite"),
+        ({"weights": np.arange(1200).reshape(30, 40) == 7.0}, "1 nodes have more than a tenth"),
     ],
 )
 def test_what_does_not_fit_is_refused(change, message):
     with pytest.raises(CannotFlatten, match=message):
         relax_grid(bumpy(30, 40), **change)
+
+
+def test_infinite_places_are_missing_places():
+    points = bumpy(30, 40)
+    points[5, 5, 2] = np.inf
+    found = relax_grid(points)
+    assert np.array_equal(np.argwhere(np.isnan(found.uv[..., 0])), [[5, 5]])
 
 
 def test_points_without_a_sheet_are_refused():

@@ -41,6 +41,8 @@ class Relaxed:
         All steps, those on the coarser meshes of ``multigrid`` included, in mean pitches.
     folded : (rows - 1, cols - 1) bool
         Cells with a triangle whose signed area is not above zero, and those that are held open at next to none.
+    made_up : (rows, cols) bool
+        Nodes of little weight, which were laid where the others suggest: their places are no measurement.
     straight_share : float
         Share of the springs that kept their chord because the curvature of the surface is not certain there; NaN for
         ``rest="chord"``.
@@ -55,6 +57,7 @@ class Relaxed:
     steps: int
     history: tuple[Step, ...] | History
     folded: NDArray[np.bool_]
+    made_up: NDArray[np.bool_]
     straight_share: float
     pitch: float
 
@@ -112,10 +115,11 @@ def relax_grid(
         If an argument does not fit, there are fewer than two by two nodes, or the sheet falls into unconnected pieces.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
-    _check(points, start, weights, tolerance)
+    _check(points, start, weights, tolerance, method=method, rest=rest, threads=threads)
     braces = None
+    made_up = np.zeros(points.shape[:2], dtype=bool)
     if weights is not None:
-        points, weights = _weigh(points, np.asarray(weights, dtype=np.float64))
+        points, weights, made_up = _weigh(points, np.asarray(weights, dtype=np.float64))
     start = None if start is None else np.ascontiguousarray(start, dtype=np.float64)
     pitch = mean_pitch(points)
     with Team(threads or available_cores()) as team:
@@ -126,8 +130,9 @@ def relax_grid(
             labels, sizes = find_pieces(known)
             _check_pieces(known, sizes, apart)
             if sizes.size > 1:
-                return _each_apart(points, labels, start, weights, method=method, rest=rest, tolerance=tolerance,
-                                   threads=threads, relaxation=relaxation)  # fmt: skip
+                joined = _each_apart(points, labels, start, weights, method=method, rest=rest, tolerance=tolerance,
+                                     threads=threads, relaxation=relaxation)  # fmt: skip
+                return replace(joined, made_up=joined.made_up | made_up)
             loose, stiff = loose_nodes(known)
             _check_stiffness(stiff)
             if loose.any():
@@ -158,7 +163,7 @@ def relax_grid(
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
     return Relaxed(uv=uv, energy=float(energy) * pitch * pitch, springs=springs, outcome=outcome, steps=steps,
-                   history=history, folded=folded, straight_share=straight, pitch=pitch)  # fmt: skip
+                   history=history, folded=folded, made_up=made_up, straight_share=straight, pitch=pitch)  # fmt: skip
 
 
 def available_cores() -> int:
@@ -189,8 +194,16 @@ def folded_cells(points: Array, uv: Array, *, side: float = 1.0, floor: float = 
         return np.minimum(side * area(a, b, c), side * area(a, c, d)) <= least
 
 
-def _check(points: Array, start: Array | None, weights: Array | None, tolerance: float) -> None:
-    faults = []
+def _check(
+    points: Array, start: Array | None, weights: Array | None, tolerance: float, *, method: str, rest: str,
+    threads: int | None,
+) -> None:  # fmt: skip
+    faults: list[str] = []
+    for name, value, known in (("method", method, ("multigrid", "relaxation")), ("rest", rest, ("arc", "chord"))):
+        if value not in known:
+            faults.append(f"{name} is {value!r}, needed is {' or '.join(map(repr, known))}")
+    if threads is not None and threads < 1:
+        faults.append(f"{threads} threads were asked for, needed is 1 or more")
     if points.ndim != 3 or points.shape[2] != 3:
         raise CannotFlatten(f"Points of shape {points.shape} were given; needed is a grid (rows, cols, 3) of x, y, z.")
     if min(points.shape[:2]) < 2:
@@ -200,6 +213,8 @@ def _check(points: Array, start: Array | None, weights: Array | None, tolerance:
         )
     if start is not None and np.shape(start) != (*points.shape[:2], 2):
         faults.append(f"the start has the shape {np.shape(start)}, needed is {(*points.shape[:2], 2)}")
+    elif start is not None and not np.isfinite(np.asarray(start)[np.isfinite(points).all(axis=-1)]).all():
+        faults.append("the start is not finite at nodes of the sheet: give a place for each of them")
     if weights is not None and np.shape(weights) != points.shape[:2]:
         faults.append(f"the weights have the shape {np.shape(weights)}, needed is {points.shape[:2]}")
     if not 0 < tolerance < 1:
@@ -236,16 +251,21 @@ def _all_springs(rows: int, cols: int) -> int:
     return rows * (cols - 1) + (rows - 1) * cols + 2 * (rows - 1) * (cols - 1)
 
 
-def _weigh(points: Array, weights: Array) -> tuple[Array, Array | None]:
-    """Make up the nodes of little weight; give points, and the weights if they differ."""
+def _weigh(points: Array, weights: Array) -> tuple[Array, Array | None, NDArray[np.bool_]]:
+    """Make up the nodes of little weight; give points, the weights if they differ, and which nodes are made up."""
     known = np.isfinite(points).all(axis=-1)
     if not (np.isfinite(weights[known]).all() and (weights[known] >= 0).all() and (weights[known] > 0).any()):
         raise CannotFlatten("A weight is negative or not finite, or all are 0. Give a confidence from 0 upwards.")
     doubted = known & (weights < TRUSTED * np.median(weights[known & (weights > 0)]))
+    if np.count_nonzero(known & ~doubted) < 4:
+        raise CannotFlatten(
+            f"{np.count_nonzero(known & ~doubted)} nodes have more than a tenth of the median weight; at least 4 are "
+            f"needed. Give the nodes that were measured a higher weight."
+        )
     if doubted.any():
-        return make_up(points, weights, known & ~doubted, doubted)
+        return (*make_up(points, weights, known & ~doubted, doubted), doubted)
     even = np.ptp(weights[known]) == 0 and weights[known][0] == 1
-    return points, None if even else np.where(known, weights, 0.0)
+    return points, None if even else np.where(known, weights, 0.0), doubted
 
 
 def _each_apart(
@@ -254,6 +274,7 @@ def _each_apart(
     """Flatten the pieces one after the other; each lies on its own start. Crumbs without a cell are left out."""
     uv = np.full((*labels.shape, 2), np.nan)
     folded = np.zeros((labels.shape[0] - 1, labels.shape[1] - 1), dtype=bool)
+    made_up = np.zeros(labels.shape, dtype=bool)
     parts: list[Relaxed] = []
     for k, box in enumerate(ndimage.find_objects(labels), 1):
         mine = labels[box] == k
@@ -266,6 +287,7 @@ def _each_apart(
             **choices,  # type: ignore[arg-type]
         )
         uv[box][mine] = part.uv[mine]
+        made_up[box] |= part.made_up & mine
         folded[box[0].start : box[0].stop - 1, box[1].start : box[1].stop - 1] |= part.folded
         parts.append(part)
     if not parts:
@@ -280,6 +302,7 @@ def _each_apart(
         outcome=worst,
         steps=max(p.steps for p in parts),
         folded=folded,
+        made_up=made_up,
         straight_share=sum(p.straight_share * p.springs for p in parts) / springs,
     )
 

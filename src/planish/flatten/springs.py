@@ -22,8 +22,10 @@ def mean_pitch(points: Array) -> float:
     """Mean distance of neighbours along rows and columns, from some ten of either, in the unit of ``points``."""
     for some in (10, max(points.shape)):
         rows, cols = (max(1, n // some) for n in points.shape[:2])
-        steps = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
-        long = np.concatenate([np.sqrt(np.sum(step * step, axis=-1)).ravel() for step in steps])
+        with np.errstate(invalid="ignore", over="ignore"):
+            steps = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
+        with np.errstate(invalid="ignore", over="ignore"):
+            long = np.concatenate([np.sqrt(np.sum(step * step, axis=-1)).ravel() for step in steps])
         long = long[np.isfinite(long)]
         if long.size > 1000:
             break
