@@ -10,6 +10,7 @@ import json
 import os
 import shutil
 import tempfile
+import time
 import warnings
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
@@ -49,7 +50,19 @@ def new_folder(path: Path) -> Generator[Path]:
     except OSError as error:
         raise as_planish(error, path) from error
     finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        _remove(partial)
+
+
+def _remove(folder: Path, *, patience_s: float = 10.0) -> None:
+    """Remove a folder for good.
+
+    zarr writes chunks from threads of its own. When one of them fails, the others still finish theirs and make
+    folders anew for them, so the folder is removed again until it stays away.
+    """
+    end = time.monotonic() + patience_s
+    while folder.exists() and time.monotonic() < end:
+        shutil.rmtree(folder, ignore_errors=True)
+        time.sleep(0.2)
 
 
 def refuse_existing(path: Path) -> None:
