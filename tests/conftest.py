@@ -12,7 +12,15 @@ from hypothesis import settings
 from planish.cli import main
 from planish.pipeline import run_study
 from planish.study import ImageSection, Study, VolumeSection
-from planish.synthetic import SpecimenParams, Warp, make_specimen, write_specimen
+from planish.synthetic import (
+    CameraParams,
+    HoleParams,
+    ScannerParams,
+    SpecimenParams,
+    Warp,
+    make_specimen,
+    write_instruments,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -45,16 +53,23 @@ def shared_data() -> Callable[[str], Path]:
 @pytest.fixture(scope="session")
 def specimen():
     """A small specimen with its truth: 1.1 x 0.9 mm, five holes."""
-    warp = Warp(slope=0.35, wavelength_um=1800.0)
     return make_specimen(
-        SpecimenParams(size_um=(1300.0, 1000.0), voxel_um=4.0, pixel_um=5.0, holes=5, warp=warp, seed=5)
+        SpecimenParams(
+            size_um=(1300.0, 1000.0),
+            holes=HoleParams(pattern="irregular", count=5),
+            warp=Warp(slope=0.35, wavelength_um=1800.0),
+            scanner=ScannerParams(voxel_um=4.0),
+            camera=CameraParams(pixel_um=5.0),
+            seed=5,
+        )
     )
 
 
 @pytest.fixture(scope="session")
 def specimen_files(specimen, tmp_path_factory):
     """The same as files: paths of ``volume.tif`` and ``image.tif``."""
-    return write_specimen(specimen, tmp_path_factory.mktemp("specimen"))
+    files = write_instruments(specimen, tmp_path_factory.mktemp("specimen"))
+    return files.volume, files.image
 
 
 @pytest.fixture(scope="session")

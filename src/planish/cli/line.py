@@ -170,17 +170,17 @@ def _free(path: Path) -> Path:
 @json_option
 def demo(out: Path | None, seed: int, as_json: bool) -> int:
     """Make a synthetic specimen with laser holes, link it, and show what comes out."""
-    from planish.synthetic import SpecimenParams, Warp, make_specimen, write_specimen
+    from planish.synthetic import HoleParams, SpecimenParams, Warp, make_specimen, write_instruments
 
     folder = out or _free(Path("planish-demo"))
     from planish.io.run_folder import refuse_existing
 
     refuse_existing(folder)
     click.echo(f"specimen: a warped sheet of 1.8 x 1.3 mm, seed {seed}", err=True)
-    params = SpecimenParams(size_um=(1800.0, 1300.0), holes=6, warp=Warp(wavelength_um=2000.0), seed=seed)
-    specimen = make_specimen(params)
-    volume, image = write_specimen(specimen, folder / "specimen")
-    study = _checked({"volume": {"path": str(volume.absolute())}, "image": {"path": str(image.absolute())}})
+    holes = HoleParams(pattern="irregular", count=6)
+    params = SpecimenParams(size_um=(1800.0, 1300.0), holes=holes, warp=Warp(wavelength_um=2000.0), seed=seed)
+    files = write_instruments(make_specimen(params), folder / "specimen")
+    study = _checked({"volume": {"path": str(files.volume.absolute())}, "image": {"path": str(files.image.absolute())}})
     return _run(study, folder / "run", as_json=as_json)
 
 

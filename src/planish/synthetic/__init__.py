@@ -1,10 +1,48 @@
-"""A specimen whose every answer is known: it feeds the demo, the tests and the benchmarks.
+"""A specimen whose every answer is known: it feeds the demo, the tests, the benchmarks and the calibration.
 
 Everything is defined in material coordinates ``(u, v, s)`` of the flat sheet and carried into space by an
 exact map, so the truth at any pixel or voxel is a formula and not a measurement.
 """
 
-from planish.synthetic.specimen import Specimen, SpecimenParams, make_specimen, write_specimen
-from planish.synthetic.warp import Warp
+from planish.synthetic.files import InstrumentFiles, write_instruments, write_truth
+from planish.synthetic.nuisances import NUISANCES, amended, nuisances_of, with_only, without
+from planish.synthetic.params import (
+    SIZES_UM,
+    CameraParams,
+    HoleParams,
+    PaperParams,
+    PrintParams,
+    ScannerParams,
+    SectionsParams,
+    SpecimenParams,
+)
+from planish.synthetic.presets import PRESETS, preset
+from planish.synthetic.sheet import Sheet
+from planish.synthetic.specimen import Specimen, make_specimen
+from planish.synthetic.warp import Warp, slope_for
 
-__all__ = ["Specimen", "SpecimenParams", "Warp", "make_specimen", "write_specimen"]
+__all__ = [
+    "NUISANCES",
+    "PRESETS",
+    "SIZES_UM",
+    "CameraParams",
+    "HoleParams",
+    "InstrumentFiles",
+    "PaperParams",
+    "PrintParams",
+    "ScannerParams",
+    "SectionsParams",
+    "Sheet",
+    "Specimen",
+    "SpecimenParams",
+    "Warp",
+    "amended",
+    "make_specimen",
+    "nuisances_of",
+    "preset",
+    "slope_for",
+    "with_only",
+    "without",
+    "write_instruments",
+    "write_truth",
+]

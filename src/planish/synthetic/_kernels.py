@@ -2,7 +2,7 @@
 """Compiled inner loops of the synthetic specimen: the warp and its inverse, voxels, fibres.
 
 A warp travels as one flat array ``w`` and one table ``curve`` (see :meth:`planish.synthetic.warp.Warp.packed`):
-``w = [cos a, sin a, psi, k, phase, p0, dp, x0, y0, z0, bump, bump_u, bump_v, bump_r]`` and
+``w = [cos a, sin a, psi, k, phase, p0, dp, x0, y0, z0, bump, bump_u, bump_v, bump_r, tilt]`` and
 ``curve[i] = (X, Z, X', Z')`` of the profile curve at arc length ``p0 + i * dp``.
 """
 
@@ -33,7 +33,7 @@ def frame_at(w, curve, u, v):
     h11 = f * f * (f - 1)
     big_x = h00 * curve[i, 0] + h10 * h * curve[i, 2] + h01 * curve[i + 1, 0] + h11 * h * curve[i + 1, 2]
     big_z = h00 * curve[i, 1] + h10 * h * curve[i, 3] + h01 * curve[i + 1, 1] + h11 * h * curve[i + 1, 3]
-    psi = w[2] * sin(w[3] * p + w[4])
+    psi = w[14] + w[2] * sin(w[3] * p + w[4])
     c, s = cos(psi), sin(psi)
     du, dv = u - w[11], v - w[12]
     bump = w[10] * exp(-(du * du + dv * dv) / (2 * w[13] * w[13])) if w[10] != 0.0 else 0.0
@@ -122,23 +122,11 @@ def columns(w, curve, ys, xs):
     """Ground truth (rows, cols, 3) as (u, v, z) below each column at (ys[i], xs[j])."""
     out = np.empty((ys.size, xs.size, 3))
     for i in range(ys.size):
-        u, v = xs[0] - w[7], ys[i] - w[8]
         for j in range(xs.size):
-            u, v, z = ground(w, curve, xs[j], ys[i], u, v)
+            # The guess does not come from a neighbour: a column gives the same bytes whatever tile it lies in.
+            u, v, z = ground(w, curve, xs[j], ys[i], xs[j] - w[7], ys[i] - w[8])
             out[i, j, 0], out[i, j, 1], out[i, j, 2] = u, v, z
     return out
-
-
-@njit(cache=True, nogil=True)
-def bilinear(field, x, y):
-    """Value of field (rows, cols) at fractional column x and row y, clamped to the edge."""
-    x = min(max(x, 0.0), field.shape[1] - 1.000001)
-    y = min(max(y, 0.0), field.shape[0] - 1.000001)
-    j, i = int(x), int(y)
-    fx, fy = x - j, y - i
-    top = field[i, j] * (1 - fx) + field[i, j + 1] * fx
-    low = field[i + 1, j] * (1 - fx) + field[i + 1, j + 1] * fx
-    return top * (1 - fy) + low * fy
 
 
 @njit(cache=True, nogil=True)
@@ -148,62 +136,123 @@ def paint(
     curve,
     ys,
     xs,
-    zs,
-    ground_z,
+    first,
+    step,
+    shift_x,
+    shift_z,
+    turn,
+    middle,
+    under,
     half_um,
-    faces,
-    texture,
-    open_air,
-    taper_um,
-    char,
+    fields,
     origin,
     pitch,
     grey,
     soft_um,
 ):
-    """Fill slab (rows, cols, depth) with the unblurred grey of the sheet; nothing is written outside the sheet.
+    """Fill slab (rows, cols, depth) with what the unblurred sheet adds to the grey of air, and nothing around it.
 
-    ``faces`` (4, fr, fc): s_T, s_TI, s_BI, s_B; ``texture`` (layers, fr, fc): relative base density through the depth;
-    ``open_air`` (fr, fc): signed distance to the nearest hole's rim, negative inside, in um; ``taper_um``: how much
-    smaller the hole's radius is at the bottom than at the top, per um of depth; ``char``
-    (fr, fc): factor on the coating's grey; ``origin`` (u, v) of the fields' first node; ``grey`` (air, base, coating).
+    With ``z = (first + k) * step`` and x', z' counted from ``middle`` (x, z), the voxel (i, j, k) shows the point
+    ``(xs[j] + shift_x[i] - turn[i] * z', ys[i], z + shift_z[i] + turn[i] * x')``.
+    ``fields`` (fr, fc, n): s_T, s_TI, s_BI, s_B, the distances to the rim at both faces, the coating's burn and
+    density, then the base's density through its depth; ``origin`` (u, v) of their first node; ``under``
+    (rows, cols, 3): material below each column, a first guess; ``grey`` of base and coating, less that of air.
     Each boundary is averaged over ``soft_um`` along the normal, the width of a voxel.
     """
-    layers = texture.shape[0]
+    depth_voxels = slab.shape[2]
+    last_row, last_col = fields.shape[0] - 1.000001, fields.shape[1] - 1.000001
+    layers = fields.shape[2] - 8
     for i in range(ys.size):
         for j in range(xs.size):
-            zc = ground_z[i, j, 2]
-            u, v = ground_z[i, j, 0], ground_z[i, j, 1]
-            k0 = max(int(floor((zc - half_um - zs[0]) / (zs[1] - zs[0]))), 0)
-            k1 = min(int(floor((zc + half_um - zs[0]) / (zs[1] - zs[0]))) + 1, zs.size - 1)
+            lift = shift_z[i] + turn[i] * (xs[j] - middle[0])
+            zc = under[i, j, 2] - lift
+            u, v = under[i, j, 0], under[i, j, 1]
+            k0 = max(int(floor((zc - half_um) / step)) - first, 0)
+            k1 = min(int(floor((zc + half_um) / step)) + 1 - first, depth_voxels - 1)
             du, dv = 0.0, 0.0
             for k in range(k0, k1 + 1):
+                z = (first + k) * step
+                x = xs[j] + shift_x[i] - turn[i] * (z - middle[1])
                 # Up a column the material moves by the same step again and again: a guess that is nearly the answer.
                 u0, v0 = u, v
-                u, v, s = invert(w, curve, xs[j], ys[i], zs[k], u + du, v + dv)
+                u, v, s = invert(w, curve, x, ys[i], z + lift, u + du, v + dv)
                 du, dv = (u - u0, v - v0) if k > k0 else (0.0, 0.0)
-                fx, fy = (u - origin[0]) / pitch, (v - origin[1]) / pitch
-                top = bilinear(faces[0], fx, fy)
-                low = bilinear(faces[3], fx, fy)
+                fx = min(max((u - origin[0]) / pitch, 0.0), last_col)
+                fy = min(max((v - origin[1]) / pitch, 0.0), last_row)
+                c, r = int(fx), int(fy)
+                fx -= c
+                fy -= r
+                top = _node(fields, r, c, fy, fx, 0)
+                low = _node(fields, r, c, fy, fx, 3)
                 if s > top + soft_um or s < low - soft_um:
                     continue
-                inner_top = bilinear(faces[1], fx, fy)
-                inner_low = bilinear(faces[2], fx, fy)
+                inner_top = _node(fields, r, c, fy, fx, 1)
+                inner_low = _node(fields, r, c, fy, fx, 2)
+                through = min(max((top - s) / max(top - low, 1e-6), 0.0), 1.0)
+                rim = _node(fields, r, c, fy, fx, 4) * (1 - through) + _node(fields, r, c, fy, fx, 5) * through
+                solid = _ramp(rim / soft_um)
                 in_sheet = _ramp((top - s) / soft_um) * _ramp((s - low) / soft_um)
                 in_base = _ramp((inner_top - s) / soft_um) * _ramp((s - inner_low) / soft_um)
                 depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (layers - 1)
                 layer = min(int(depth), layers - 2)
                 f = depth - layer
-                density = bilinear(texture[layer], fx, fy) * (1 - f) + bilinear(texture[layer + 1], fx, fy) * f
-                solid = _ramp((bilinear(open_air, fx, fy) + taper_um * (top - s)) / soft_um)
-                coating = grey[2] * bilinear(char, fx, fy)
-                value = in_base * grey[1] * density + max(in_sheet - in_base, 0.0) * coating
-                slab[i, j, k] = grey[0] * (1 - in_sheet * solid) + value * solid
+                density = _node(fields, r, c, fy, fx, 8 + layer) * (1 - f) + _node(fields, r, c, fy, fx, 9 + layer) * f
+                burnt = _node(fields, r, c, fy, fx, 6) * _node(fields, r, c, fy, fx, 7)
+                value = in_base * grey[0] * density + max(in_sheet - in_base, 0.0) * grey[1] * burnt
+                slab[i, j, k] = value * solid
+
+
+@njit(cache=True, nogil=True)
+def _node(fields, r, c, fy, fx, n):
+    top = fields[r, c, n] * (1 - fx) + fields[r, c + 1, n] * fx
+    low = fields[r + 1, c, n] * (1 - fx) + fields[r + 1, c + 1, n] * fx
+    return top * (1 - fy) + low * fy
 
 
 @njit(cache=True, nogil=True)
 def _ramp(t):
     return min(max(t + 0.5, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def smooth(slab, taps, axis):
+    """Filter slab (a, b, c) float32 along one axis with symmetric taps [centre, 1, 2, ...].
+
+    Only where the filter fits: the result is shorter by ``2 (taps.size - 1)`` along the axis.
+    """
+    reach = taps.size - 1
+    a, b, c = slab.shape
+    if axis == 0:
+        out = np.empty((a - 2 * reach, b, c), np.float32)
+        for i in range(out.shape[0]):
+            for j in range(b):
+                for k in range(c):
+                    out[i, j, k] = taps[0] * slab[i + reach, j, k]
+                for t in range(1, reach + 1):
+                    g = taps[t]
+                    for k in range(c):
+                        out[i, j, k] += g * (slab[i + reach - t, j, k] + slab[i + reach + t, j, k])
+    elif axis == 1:
+        out = np.empty((a, b - 2 * reach, c), np.float32)
+        for i in range(a):
+            for j in range(out.shape[1]):
+                for k in range(c):
+                    out[i, j, k] = taps[0] * slab[i, j + reach, k]
+                for t in range(1, reach + 1):
+                    g = taps[t]
+                    for k in range(c):
+                        out[i, j, k] += g * (slab[i, j + reach - t, k] + slab[i, j + reach + t, k])
+    else:
+        out = np.empty((a, b, c - 2 * reach), np.float32)
+        for i in range(a):
+            for j in range(b):
+                for k in range(out.shape[2]):
+                    out[i, j, k] = taps[0] * slab[i, j, k + reach]
+                for t in range(1, reach + 1):
+                    g = taps[t]
+                    for k in range(out.shape[2]):
+                        out[i, j, k] += g * (slab[i, j, k + reach - t] + slab[i, j, k + reach + t])
+    return out
 
 
 @njit(cache=True, nogil=True)

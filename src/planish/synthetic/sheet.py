@@ -1,44 +1,32 @@
 """The sheet itself in material coordinates: faces, interfaces, fibres, flocs and holes on one fine grid.
 
 Rules after Dahlström and Uesaka (Ind. Eng. Chem. Res. 48, 10472, 2009): the coating's outer face is a smoothed copy of
-the base's surface plus the mean layer, so that the coating is thin where fibres stand up and thick in the pits.
+the base's surface plus the mean layer, so that the coating is thin where fibres stand up and thick in the pits; what
+the layer varies beyond that is random deposition.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
-from planish.synthetic import _kernels
+from planish.synthetic.fields import PITCH_UM, fibrous, generator, lowpass, noise, streaks
+from planish.synthetic.holes import burn
+from planish.synthetic.params import HoleParams, PaperParams
 
 Field = NDArray[np.float32]
-PITCH_UM = 3.0
-_LAYERS = 6
+Array = NDArray[np.float64]
+LAYERS = 10  # of the base's texture, from its bottom to its top: a collapsed fibre is some 5 um thick
+_FLOC_UM, _STREAK_UM, _DEPOSIT_UM = 1500.0, 2000.0, 100.0  # correlation lengths
+_LOOSE_PER_MM2 = 6.0
+_SKEW = 0.6
+_FILLER_CONTRAST = 2.2  # grey of the filler over that of fibres, less 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SheetParams:
-    """What the sheet is made of; lengths in um, means and standard deviations (``_sd``)."""
-
-    base_um: float = 55.0
-    base_floc_sd_um: float = 2.5  # flocs of 1.5 mm: formation
-    base_fibre_sd_um: float = 4.5  # single fibres, 35 um
-    coating_top_um: float = 17.4  # 135 g/m2 wood-free coated paper, Hirn et al. 2009, section 3.3.1
-    coating_bottom_um: float = 17.4
-    levelling_um: float = 250.0  # wavelength at which the coating follows the base by half
-    coating_noise_sd_um: float = 0.5
-    base_density_sd: float = 0.15  # of the base's grey, relative
-    hole_um: float = 175.0  # 150-200 um by the laser, Hirn et al. 2009, section 2.1
-    hole_sd_um: float = 8.0
-    hole_rim_um: float = 3.0  # roughness of the rim
-    hole_taper: float = 0.10  # relative loss of diameter from top to bottom
-    char_um: float = 40.0  # burnt rim
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Sheet:
     """Fields on nodes ``origin + pitch * (col, row)``, all (rows, cols) float32.
 
@@ -46,23 +34,27 @@ class Sheet:
     ----------
     faces : (4, rows, cols)
         Signed distance from the centre surface in um: s_T, s_TI, s_BI, s_B.
-    texture : (layers, rows, cols)
-        Relative density of the base through its depth, bottom to top.
-    rim_um, char : (rows, cols)
-        Signed distance to the nearest hole's rim at the top face (negative inside); burn, 1 = untouched.
+    rim_um : (2, rows, cols)
+        Signed distance to the nearest hole's rim at the top and the bottom face, negative inside.
+    char : (rows, cols)
+        Factor on the coating's grey: 1 = untouched, 0.5 at the rim of a hole.
+    coating_density, base_mass : (rows, cols)
+        Relative, with a mean of 1.
     holes : (n, 2)
-        True centres (u, v) in um.
+        True centres (u, v) at the top face, in um.
     """
 
-    params: SheetParams
+    params: PaperParams
+    seed: int
     origin: tuple[float, float]
     faces: Field
-    texture: Field
     rim_um: Field
     char: Field
-    holes: NDArray[np.float64]
+    coating_density: Field
+    base_mass: Field
+    holes: Array
 
-    def at(self, field: Field, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, field: Field, u: Array, v: Array) -> Array:
         """Bilinear value of one field at material coordinates; the same rule that the renderer uses."""
         x = np.clip((u - self.origin[0]) / PITCH_UM, 0.0, field.shape[1] - 1.000001)
         y = np.clip((v - self.origin[1]) / PITCH_UM, 0.0, field.shape[0] - 1.000001)
@@ -72,113 +64,87 @@ class Sheet:
         low = field[i + 1, j] * (1 - fx) + field[i + 1, j + 1] * fx
         return top * (1 - fy) + low * fy
 
-    @property
-    def taper_per_um(self) -> float:
-        """Loss of the hole's radius per um of depth below the top face."""
-        p = self.params
-        return 0.5 * p.hole_um * p.hole_taper / (p.base_um + p.coating_top_um + p.coating_bottom_um)
+    @cached_property
+    def texture(self) -> Field:
+        """Relative density of the base through its depth (LAYERS, rows, cols), bottom to top."""
+        p, shape = self.params, (self.faces.shape[1], self.faces.shape[2])
+        layers = np.empty((LAYERS, *shape), dtype=np.float32)
+        for k in range(LAYERS):
+            depth = (k + 0.5) / LAYERS
+            grains = _FILLER_CONTRAST * p.filler * (1.2 - 1.6 * (depth - 0.5) ** 2)
+            net = p.base_density_sd * fibrous(shape, p.anisotropy, generator(self.seed, "net", str(k)), per_mm2=50.0)
+            dust = grains * generator(self.seed, "filler", str(k)).standard_normal(shape)
+            layers[k] = np.clip(1 + net + dust, 0.2, 2.5)
+        return layers
+
+    @cached_property
+    def packed(self) -> Field:
+        """All that a renderer needs of a node side by side, (rows, cols, 8 + LAYERS)."""
+        single = [*self.faces, *self.rim_um, self.char, self.coating_density, *self.texture]
+        return np.stack(single, axis=-1)
 
 
 def make_sheet(
-    params: SheetParams,
-    *,
-    low: tuple[float, float],
-    high: tuple[float, float],
-    holes: NDArray[np.float64],
-    rng: np.random.Generator,
-) -> Sheet:
+    paper: PaperParams, holes: HoleParams, *, low: Array, high: Array, centres: Array, seed: int
+) -> Sheet:  # fmt: skip
     """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um."""
-    shape = tuple(int(np.ceil((h - lo) / PITCH_UM)) + 2 for lo, h in zip(low[::-1], high[::-1], strict=True))
-    top_fibres, bottom_fibres = _fibres(shape, rng, 260), _fibres(shape, rng, 260)
-    floc = 0.5 * params.base_floc_sd_um * _noise(shape, 750.0, rng)
-    base = []
-    for fibres in (top_fibres, bottom_fibres):
-        rough = params.base_fibre_sd_um * (0.6 * _noise(shape, 17.0, rng) + 1.8 * (fibres - fibres.mean()))
-        base.append(params.base_um / 2 + floc + rough)
-    faces = []
-    for surface, mean in zip(base, (params.coating_top_um, params.coating_bottom_um), strict=True):
-        outer = surface
-        if mean > 0:
-            outer = (
-                _lowpass(surface, params.levelling_um) + mean + params.coating_noise_sd_um * _noise(shape, 10.0, rng)
-            )
-        faces.append(np.maximum(outer, surface))
-    texture = np.stack([_density(shape, params.base_density_sd, rng) for _ in range(_LAYERS)])
-    rim, char = _burn(params, holes, shape, low, rng)
-    stacked = np.stack([faces[0], base[0], -base[1], -faces[1]])
+    shape = (int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2, int(np.ceil((high[0] - low[0]) / PITCH_UM)) + 2)
+    thickness, own = _base(paper, shape, seed)
+    mass = thickness / thickness.mean() * (1 + 0.03 * noise(shape, 500.0, generator(seed, "mass")))
+    mass /= mass.mean()
+    faces: list[Array] = []
+    for side, sign, mean in (("top", 1.0, paper.coating_top_um), ("bottom", -1.0, paper.coating_bottom_um)):
+        inner = 0.5 * thickness + sign * own
+        coating = _coating(paper, inner, mean, side, seed)
+        outer = inner + coating
+        # A nip presses the outer face flat; the coating keeps its thickness and the base gives way.
+        outer = outer.mean() + paper.calendering * (outer - outer.mean())
+        faces += [outer, outer - coating]
+    depth = float(np.mean(faces[0] + faces[2]))
+    rim, char = burn(holes, centres, shape, (float(low[0]), float(low[1])), depth, seed)
+    grain = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * noise(shape, 300.0, generator(seed, "grain"))
     return Sheet(
-        params=params,
-        origin=low,
-        faces=stacked.astype(np.float32),
-        texture=texture.astype(np.float32),
-        rim_um=rim.astype(np.float32),
-        char=char.astype(np.float32),
-        holes=holes,
+        params=paper,
+        seed=seed,
+        origin=(float(low[0]), float(low[1])),
+        faces=np.stack([faces[0], faces[1], -faces[3], -faces[2]]).astype(np.float32),
+        rim_um=rim,
+        char=char,
+        coating_density=(1 + paper.coating_density_sd * grain).astype(np.float32),
+        base_mass=mass.astype(np.float32),
+        holes=centres,
     )
 
 
-def _spectrum(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    fy = fft.fftfreq(shape[0], PITCH_UM)[:, None]
-    fx = fft.rfftfreq(shape[1], PITCH_UM)[None, :]
-    return fy * fy + fx * fx
+def _base(p: PaperParams, shape: tuple[int, int], seed: int) -> tuple[Array, Array]:
+    """Thickness of the base, and what bends both of its faces the same way: single fibres in the net."""
+    thickness = np.full(shape, p.base_um)
+    thickness += p.base_fibre_sd_um * fibrous(shape, p.anisotropy, generator(seed, "fibres"))
+    thickness += p.base_floc_sd_um * noise(shape, _FLOC_UM, generator(seed, "flocs"))
+    thickness += p.base_streak_sd_um * streaks(shape, _STREAK_UM, generator(seed, "streaks"))
+    thickness = np.maximum(thickness, 0.3 * p.base_um)
+    variance = p.base_fibre_sd_um**2 + p.base_floc_sd_um**2 + p.base_streak_sd_um**2
+    left = p.roughness_um**2 - 0.25 * variance
+    if left <= 0:
+        return thickness, np.zeros(shape)
+    # Few fibres lie on top of the others; they stand up and are what a coating leaves bare.
+    top, bottom = (
+        fibrous(shape, p.anisotropy, generator(seed, "face", side), per_mm2=_LOOSE_PER_MM2)
+        for side in ("top", "bottom")
+    )
+    return thickness, float(np.sqrt(0.5 * left)) * (top - bottom)
 
 
-def _noise(shape: tuple[int, ...], sigma_um: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Gaussian random field of unit standard deviation, smoothed with ``sigma_um``."""
-    white = fft.rfft2(rng.standard_normal(shape))
-    field = fft.irfft2(white * np.exp(-2 * np.pi**2 * sigma_um**2 * _spectrum(shape)), shape)
-    field -= field.mean()
-    return field / field.std()
-
-
-def _lowpass(field: NDArray[np.float64], half_um: float) -> NDArray[np.float64]:
-    """Gaussian filter that halves a wave of length ``half_um``."""
-    gain = np.exp(-np.log(2.0) * half_um**2 * _spectrum(field.shape))
-    return fft.irfft2(fft.rfft2(field) * gain, field.shape)
-
-
-def _fibres(shape: tuple[int, ...], rng: np.random.Generator, per_9mm2: int) -> NDArray[np.float64]:
-    area = shape[0] * shape[1] * PITCH_UM**2 / 9e6
-    count = max(int(per_9mm2 * area), 8)
-    field = np.zeros(shape)
-    starts = rng.uniform(-200, [shape[1] + 200, shape[0] + 200], (count, 2))
-    angles = rng.vonmises(0.0, 0.5, count) / 2 + rng.integers(0, 2, count) * np.pi
-    lengths = rng.uniform(1000, 2500, count) / PITCH_UM
-    widths = rng.uniform(20, 35, count) / PITCH_UM
-    curls = rng.normal(0, 4e-4, count) * PITCH_UM
-    _kernels.lay_fibres(field, starts, angles, lengths, widths, curls, 1.0)
-    return field
-
-
-def _density(shape: tuple[int, ...], sd: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    fibres = _fibres(shape, rng, 450)
-    field = fibres + 0.4 * _noise(shape, 12.0, rng)
-    field = (field - field.mean()) / field.std()
-    return np.clip(1 + sd * field, 0.2, 1.8)
-
-
-def _burn(
-    params: SheetParams,
-    holes: NDArray[np.float64],
-    shape: tuple[int, ...],
-    low: tuple[float, float],
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Signed distance to the holes' rims, and the coating's burn around them."""
-    rim = np.full(shape, 1e4)
-    reach = 2 * params.hole_um
-    for u, v in holes:
-        radius = 0.5 * rng.normal(params.hole_um, params.hole_sd_um)
-        j0, j1 = (int((u - low[0] + d) / PITCH_UM) for d in (-reach, reach))
-        i0, i1 = (int((v - low[1] + d) / PITCH_UM) for d in (-reach, reach))
-        i0, j0, i1, j1 = max(i0, 0), max(j0, 0), min(i1, shape[0]), min(j1, shape[1])
-        y = low[1] + PITCH_UM * np.arange(i0, i1)[:, None] - v
-        x = low[0] + PITCH_UM * np.arange(j0, j1)[None, :] - u
-        angle = np.arctan2(y, x)
-        rough = np.zeros_like(angle)
-        for order in range(2, 14):  # waves around the rim down to about 30 um; order 1 would move the centre
-            a, b = rng.normal(0, params.hole_rim_um / np.sqrt(12), 2)
-            rough += a * np.cos(order * angle) + b * np.sin(order * angle)
-        rim[i0:i1, j0:j1] = np.minimum(rim[i0:i1, j0:j1], np.hypot(x, y) - radius - rough)
-    char = 1 - 0.5 * np.exp(-np.maximum(rim, 0) / (0.5 * params.char_um))
-    return rim, char
+def _coating(p: PaperParams, inner: Array, mean_um: float, side: str, seed: int) -> Array:
+    """Thickness of one coating layer over the base's face ``inner``, both outwards, in um."""
+    shape = (inner.shape[0], inner.shape[1])
+    if mean_um == 0:
+        return np.zeros(shape)
+    levelled = lowpass(inner, p.levelling_um) - inner
+    levelled += p.coating_noise_sd_um * noise(shape, 20.0, generator(seed, "coater", side))
+    left = p.coating_sd_um**2 - float(levelled.var())
+    if left > 0:
+        # Skewed: a spot can lack more than another can carry too much.
+        spots = np.exp(_SKEW * noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side)))
+        levelled -= np.sqrt(left) * (spots - spots.mean()) / spots.std()
+    return np.maximum(mean_um + levelled, 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,15 @@ class Warp:
     """Centre surface ``m(u, v)`` of a bent sheet.
 
     The sheet is rolled along the direction ``ruling_deg`` from the u axis: its profile curve turns by
-    ``psi(p) = atan(slope) sin(2 pi p / wavelength + phase)`` at arc length ``p``, so that lengths in the sheet
+    ``psi(p) = tilt + atan(slope) sin(2 pi p / wavelength + phase)`` at arc length ``p``, so that lengths in the sheet
     are exactly those in ``(u, v)``. The bump is added in height and stretches the sheet.
 
     Attributes
     ----------
     slope : float
-        Steepest slope of the profile (tangent of the angle).
+        Steepest slope of the profile against its mean plane (tangent of the angle).
+    tilt_deg : float
+        Tilt of the whole sheet along the profile.
     wavelength_um, phase_rad, ruling_deg : float
         Of the profile curve; the rulings stand perpendicular to ``ruling_deg``.
     bump_um, bump_u_um, bump_v_um, bump_radius_um : float
@@ -38,6 +41,7 @@ class Warp:
     """
 
     slope: float = 0.5
+    tilt_deg: float = 0.0
     wavelength_um: float = 3000.0
     phase_rad: float = 0.6
     ruling_deg: float = 20.0
@@ -50,21 +54,12 @@ class Warp:
 
     def packed(self) -> tuple[Array, Array]:
         """Return the parameters and the profile curve as the kernels take them."""
-        angle = np.deg2rad(self.ruling_deg)
-        psi, k = np.arctan(self.slope), 2 * np.pi / self.wavelength_um
-        count = int(np.ceil(2 * 1.5 * self.reach_um / _STEP_UM)) + 1
-        p0 = -(count // 2) * _STEP_UM
-        # Gauss-Legendre on every step: exact to rounding, because psi is smooth over a step.
-        p = p0 + _STEP_UM * (np.arange(count - 1)[:, None] + 0.5 * (1 + _GAUSS_X))
-        turn = psi * np.sin(k * p + self.phase_rad)
-        steps = 0.5 * _STEP_UM * np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W], axis=1)
-        curve = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-        curve -= curve[count // 2]
-        turn = psi * np.sin(k * (p0 + _STEP_UM * np.arange(count)) + self.phase_rad)
-        curve = np.concatenate([curve, np.cos(turn)[:, None], np.sin(turn)[:, None]], axis=1)
-        parameters = [np.cos(angle), np.sin(angle), psi, k, self.phase_rad, p0, _STEP_UM, *self.shift_um]
-        parameters += [self.bump_um, self.bump_u_um, self.bump_v_um, self.bump_radius_um]
-        return np.array(parameters, dtype=np.float64), curve
+        return _packed(self)
+
+    @property
+    def steepest(self) -> float:
+        """Steepest slope of the profile, with the tilt."""
+        return float(np.tan(abs(np.deg2rad(self.tilt_deg)) + np.arctan(abs(self.slope))))
 
     def points(self, u: Array, v: Array) -> Array:
         """Return ``m(u, v)`` as (..., 3) in the order x, y, z, in um."""
@@ -86,3 +81,37 @@ class Warp:
     def columns(self, y_um: Array, x_um: Array) -> Array:
         """Return ``(u, v, z)`` of the centre surface at the columns (y, x), shape (len(y), len(x), 3)."""
         return _kernels.columns(*self.packed(), np.asarray(y_um, float), np.asarray(x_um, float))
+
+
+@lru_cache(maxsize=8)
+def _packed(warp: Warp) -> tuple[Array, Array]:
+    angle = np.deg2rad(warp.ruling_deg)
+    psi, k, tilt = np.arctan(warp.slope), 2 * np.pi / warp.wavelength_um, np.deg2rad(warp.tilt_deg)
+    count = int(np.ceil(2 * 1.5 * warp.reach_um / _STEP_UM)) + 1
+    p0 = -(count // 2) * _STEP_UM
+    # Gauss-Legendre on every step: exact to rounding, because psi is smooth over a step.
+    p = p0 + _STEP_UM * (np.arange(count - 1)[:, None] + 0.5 * (1 + _GAUSS_X))
+    turn = tilt + psi * np.sin(k * p + warp.phase_rad)
+    steps = 0.5 * _STEP_UM * np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W], axis=1)
+    curve = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    curve -= curve[count // 2]
+    turn = tilt + psi * np.sin(k * (p0 + _STEP_UM * np.arange(count)) + warp.phase_rad)
+    curve = np.concatenate([curve, np.cos(turn)[:, None], np.sin(turn)[:, None]], axis=1)
+    parameters = [np.cos(angle), np.sin(angle), psi, k, warp.phase_rad, p0, _STEP_UM, *warp.shift_um]
+    parameters += [warp.bump_um, warp.bump_u_um, warp.bump_v_um, warp.bump_radius_um]
+    parameters += [tilt]
+    return np.array(parameters, dtype=np.float64), curve
+
+
+def slope_for(expansion_um: float, field_um: float) -> float:
+    """Slope of a wave that makes a sheet longer than its projection ``field_um`` by ``expansion_um``.
+
+    Whole waves along the profile; solved by bisection on the mean of ``1 / cos(psi)`` over the projection.
+    """
+    p = (np.arange(4096) + 0.5) / 4096 * 2 * np.pi
+    psi, low, high = 0.0, 0.0, 1.2
+    for _ in range(60):
+        psi = 0.5 * (low + high)
+        longer = field_um / float(np.mean(np.cos(psi * np.sin(p)))) - field_um
+        low, high = (psi, high) if longer < expansion_um else (low, psi)
+    return float(np.tan(psi))

@@ -1,0 +1,289 @@
+"""A camera that looks at the sheet's top side: brightness by Kubelka and Munk, print, and what light and lens add.
+
+What belongs to the paper (scattering of the base, nuisance, tone of the print) is drawn in material coordinates:
+two images made with the same seed, one of them printed, show the same paper with noise of its own in each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from planish.core.area import area_mean
+from planish.synthetic.fields import PITCH_UM, noise
+from planish.synthetic.optics import BASE_S_M2_PER_KG, sheet_reflectance
+from planish.synthetic.params import CameraParams, PrintParams
+from planish.synthetic.pose import CameraPose
+from planish.synthetic.sheet import Sheet
+
+Array = NDArray[np.float64]
+Field = NDArray[np.float32]
+
+_HOLE = 0.04  # reflectance of a hole with nothing in it
+_CHAR_GREY = 0.2  # of burnt paper down in a hole: its wall, and what closes its lower end
+_CHAR_RIM = 0.6  # share of the reflectance that is left at the rim, where sheet.char is 0.5
+_BASE_S_SD_M2_PER_KG = 3.0
+_PAPER_UM, _TONE_UM = 200.0, 300.0  # correlation lengths: of the base's scattering and the nuisance; of the tone
+_COARSE = 4  # pitches between nodes of those smooth fields: 12 um, where interpolation loses 0.1 % of the variance
+_ORACLE_UM = 100.0  # points at which r2 of the true maps is stated
+_AWAY_UM = 100.0  # from the holes' rims: two and a half times the burnt width
+_FEWEST = 20  # of those points
+_BLOCK = 128  # rows of the image at a time
+_CELL_SAMPLES = 7  # per side of a print's cell, for the coating under its dot
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What each pixel of the image looks at; (rows, cols), float32 but for the coordinates."""
+
+    u: Array
+    v: Array
+    top_um: Field
+    coating_um: Field
+    rim_um: Field
+    reflectance: Field  # of the paper: no holes, no nuisance
+
+
+def photograph(
+    sheet: Sheet,
+    pose: CameraPose,
+    camera: CameraParams,
+    *,
+    shape: tuple[int, int],
+    seed: np.random.SeedSequence,
+    printed: bool = False,
+) -> Field:
+    """Reflectance (y, x) of the sheet's top side, 0 to 1 in steps of ``camera.bits``.
+
+    Parameters
+    ----------
+    sheet : Sheet
+        The specimen.
+    pose : CameraPose
+        From (u, v) to the image.
+    camera : CameraParams
+        Sizes of all that acts on the image; what is 0 is off and changes nothing else.
+    shape : (int, int)
+        Rows and columns.
+    seed : SeedSequence
+        Not changed: the same seed gives the same image, as often as it is asked for.
+    printed : bool
+        Whether the sheet carries ``camera.screen``, or the usual screen where that is None.
+
+    Raises
+    ------
+    ValueError
+        If ``camera.oracle_r2`` is out of reach.
+    """
+    for_scatter, for_nuisance, for_tone, for_plain, for_print = (_child(seed, k) for k in range(5))
+    pixel = camera.pixel_um
+    seen = _look(sheet, pose, camera, shape, _BASE_S_SD_M2_PER_KG * _coarse(sheet, _PAPER_UM, for_scatter))
+    nuisance = _coarse(sheet, _PAPER_UM, for_nuisance)
+    if camera.oracle_r2 is None:
+        gain = camera.nuisance_sd
+    else:
+        gain = _oracle_gain(seen, _sampled(sheet, nuisance, seen.u, seen.v), pixel, camera.oracle_r2)
+    tone = _coarse(sheet, _TONE_UM, for_tone)
+    dots = _Screen.of(sheet, camera.screen or PrintParams(), tone) if printed else None
+
+    image, hole, solid = (np.empty(shape, dtype=np.float32) for _ in range(3))
+    for rows in _blocks(shape[0]):
+        u, v = seen.u[rows], seen.v[rows]
+        paper = seen.reflectance[rows] + gain * _sampled(sheet, nuisance, u, v)
+        if dots is not None:
+            cover = dots.cover(u, v, pixel)
+            paper = paper * (1 - cover) + dots.ink * cover  # Murray and Davies
+        paper = paper * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, u, v)))
+        solid[rows] = np.clip(seen.rim_um[rows] / pixel + 0.5, 0, 1)
+        below = np.clip(sheet.at(sheet.rim_um[1], u, v) / pixel + 0.5, 0, 1)
+        hole[rows] = _HOLE + (_CHAR_GREY - _HOLE) * below
+        image[rows] = paper
+    image = _pierced(image, hole, solid)
+
+    if camera.lateral_um > 0:
+        # Paper loses light into a hole, but there is nothing in a hole that could scatter it: it stays dark.
+        image = _pierced(_scattered(image, camera.lateral_um, pixel), hole, solid)
+    if camera.shading > 0:
+        # The light stands on the left: what rises to the right faces it.
+        slope = np.gradient(seen.top_um, pixel, axis=1)
+        image *= 1 + camera.shading / 0.1 * slope * solid
+    if camera.lens_um > 0:
+        image = ndimage.gaussian_filter(image, camera.lens_um / pixel, mode="nearest")
+    if camera.vignetting > 0:
+        image *= 1 - camera.vignetting * _radius_square(shape)
+    rng = for_print if printed else for_plain
+    image += np.float32(camera.noise) * rng.standard_normal(shape, dtype=np.float32)
+    steps = 2**camera.bits - 1
+    return (np.rint(np.clip(image, 0, 1) * steps) / steps).astype(np.float32)
+
+
+def image_material(pose: CameraPose, shape: tuple[int, int], pixel_um: float) -> tuple[Array, Array]:
+    """Material coordinates (u, v) in um seen by each pixel of an image of ``shape`` (rows, cols)."""
+    u, v = np.empty(shape), np.empty(shape)
+    x = np.arange(shape[1]) * pixel_um
+    for rows in _blocks(shape[0]):
+        y = np.arange(rows.start, rows.stop) * pixel_um
+        points = np.empty((y.size, x.size, 2))
+        points[..., 0], points[..., 1] = x, y[:, None]
+        back = pose.inverse(points)
+        u[rows], v[rows] = back[..., 0], back[..., 1]
+    return u, v
+
+
+def _look(sheet: Sheet, pose: CameraPose, camera: CameraParams, shape: tuple[int, int], scatter: Array) -> _Seen:
+    u, v = image_material(pose, shape, camera.pixel_um)
+    top, coating, rim, reflectance = (np.empty(shape, dtype=np.float32) for _ in range(4))
+    for rows in _blocks(shape[0]):
+        at = (u[rows], v[rows])
+        faces = [sheet.at(face, *at) for face in sheet.faces]
+        top[rows] = faces[0]
+        coating[rows] = np.maximum(faces[0] - faces[1], 0)
+        rim[rows] = sheet.at(sheet.rim_um[0], *at)
+        reflectance[rows] = sheet_reflectance(
+            sheet.params,
+            camera.backing,
+            coating_top_um=coating[rows],
+            coating_bottom_um=np.maximum(faces[2] - faces[3], 0),
+            coating_density=sheet.at(sheet.coating_density, *at),
+            base_mass=sheet.at(sheet.base_mass, *at),
+            base_s_m2_per_kg=np.maximum(BASE_S_M2_PER_KG + _sampled(sheet, scatter, *at), 0),
+        )
+    return _Seen(u, v, top, coating, rim, reflectance)
+
+
+def _oracle_gain(seen: _Seen, nuisance: Array, pixel_um: float, target: float) -> float:
+    """Size of the nuisance that brings r2 of coating thickness and reflectance, both true, to ``target``.
+
+    Over points of 100 um away from the holes, the covariances of ``R + g N`` with the thickness and with itself are
+    polynomials in ``g``, so ``r2 = target`` is a quadratic equation.
+    """
+    side = (_ORACLE_UM / pixel_um, _ORACLE_UM / pixel_um)
+    away = seen.rim_um > _AWAY_UM
+    maps = [
+        area_mean(np.where(away, m, np.nan), side, least=1.0) for m in (seen.coating_um, seen.reflectance, nuisance)
+    ]
+    known = np.isfinite(maps[0])
+    count = int(known.sum())
+    if count < _FEWEST:
+        raise ValueError(
+            f"oracle_r2 asks for {_FEWEST} points of {_ORACLE_UM:g} um away from the holes and the image has {count}; "
+            "take a larger image or fewer holes, or set nuisance_sd instead."
+        )
+    (tt, tr, tn), (_, rr, rn), (_, _, nn) = np.cov([m[known] for m in maps])
+    now = float(tr * tr / (tt * rr)) if tt > 0 and tr > 0 else 0.0
+    if not 0 < target <= now:
+        raise ValueError(
+            f"oracle_r2 = {target:g} is out of reach: without any nuisance, r2 of coating thickness and reflectance is "
+            f"{now:.3f}, and a nuisance can only lower it. Ask for less, but more than 0."
+        )
+    share = target * tt
+    roots = np.roots([tn * tn - share * nn, 2 * (tr * tn - share * rn), tr * tr - share * rr])
+    gains = [g.real for g in roots if abs(g.imag) < 1e-12 and g.real >= 0 and tr + g.real * tn > 0]
+    if not gains:
+        raise ValueError(
+            f"oracle_r2 = {target:g} is out of reach: over {count} points even the nuisance alone has an r2 of "
+            f"{tn * tn / (tt * nn):.3f} with the thickness. Ask for more, or take a larger image or another seed."
+        )
+    return float(min(gains))
+
+
+@dataclass(frozen=True, slots=True)
+class _Screen:
+    """Round dots on a turned square grid, one tone to each: (rows, cols) of cells from ``first`` on."""
+
+    pitch_um: float
+    angle_rad: float
+    ink: float
+    first: tuple[int, int]
+    radius_um: Array
+
+    @classmethod
+    def of(cls, sheet: Sheet, screen: PrintParams, tone: Array) -> _Screen:
+        """Draw the dots of the whole sheet, whatever part of it an image shows."""
+        pitch, angle = 1e4 / screen.screen_per_cm, float(np.deg2rad(screen.angle_deg))
+        rows, cols = sheet.char.shape
+        u = sheet.origin[0] + PITCH_UM * np.array([0, cols - 1, 0, cols - 1])
+        v = sheet.origin[1] + PITCH_UM * np.array([0, 0, rows - 1, rows - 1])
+        a, b = _turned(u, v, pitch, angle)
+        first = (int(np.floor(b.min())), int(np.floor(a.min())))
+        count = (int(np.floor(b.max())) - first[0] + 1, int(np.floor(a.max())) - first[1] + 1)
+        inside = (np.arange(_CELL_SAMPLES) + 0.5) / _CELL_SAMPLES
+        b, a = np.meshgrid(
+            (first[0] + np.arange(count[0])[:, None] + inside).ravel(),
+            (first[1] + np.arange(count[1])[:, None] + inside).ravel(),
+            indexing="ij",
+        )
+        u, v = pitch * (a * np.cos(angle) - b * np.sin(angle)), pitch * (a * np.sin(angle) + b * np.cos(angle))
+        coating = np.maximum(sheet.at(sheet.faces[0], u, v) - sheet.at(sheet.faces[1], u, v), 0)
+        mean = float(np.mean(sheet.faces[0] - sheet.faces[1], dtype=np.float64))
+        change = screen.gain_sd * _sampled(sheet, tone, u, v) - screen.gain_per_um * (coating - mean)
+        cells = change.reshape(count[0], _CELL_SAMPLES, count[1], _CELL_SAMPLES).mean(axis=(1, 3))
+        # A larger dot would touch its neighbours: then the tone is no longer pi r^2.
+        area = np.clip(screen.tone + cells, 0.0, 0.25 * np.pi)
+        return cls(pitch, angle, screen.ink, first, pitch * np.sqrt(area / np.pi))
+
+    def cover(self, u: Array, v: Array, pixel_um: float) -> Array:
+        """Share of each pixel that is inked; the edge of a dot is one pixel wide."""
+        a, b = _turned(u, v, self.pitch_um, self.angle_rad)
+        col, row = np.floor(a), np.floor(b)
+        distance = self.pitch_um * np.hypot(a - col - 0.5, b - row - 0.5)
+        i = np.clip(row.astype(int) - self.first[0], 0, self.radius_um.shape[0] - 1)
+        j = np.clip(col.astype(int) - self.first[1], 0, self.radius_um.shape[1] - 1)
+        return np.clip((self.radius_um[i, j] - distance) / pixel_um + 0.5, 0, 1)
+
+
+def _turned(u: Array, v: Array, pitch_um: float, angle_rad: float) -> tuple[Array, Array]:
+    cos, sin = np.cos(angle_rad) / pitch_um, np.sin(angle_rad) / pitch_um
+    return u * cos + v * sin, v * cos - u * sin
+
+
+def _pierced(paper: Field, hole: Field, solid: Field) -> Field:
+    """Paper where it is ``solid`` (the share of a pixel), and what is seen in the holes elsewhere."""
+    return np.asarray(hole + (paper - hole) * solid, dtype=np.float32)
+
+
+def _scattered(image: Field, half_um: float, pixel_um: float) -> Field:
+    """Blur by light that leaves the paper elsewhere than it entered, with a point spread of ``exp(-r / L)``.
+
+    Its transfer function is ``(1 + (2 pi L f)^2)^(-3/2)``. ``half_um`` is the period at which that is one half, the
+    width ``k_p`` in which paper's scattering is stated: 0.15 to 0.35 mm (Coppel et al., Opt. Express 19, 25181, 2011).
+    The cosine transform mirrors the image at its borders.
+    """
+    squares = [(np.arange(n) / (2 * n * pixel_um)) ** 2 for n in image.shape]
+    # (2 pi L f)^2 is 2^(2/3) - 1 where f = 1 / k_p.
+    spread = (2 ** (2 / 3) - 1) * half_um**2 * (squares[0][:, None] + squares[1][None, :])
+    transfer = ((1 + spread) ** -1.5).astype(np.float32)
+    return np.asarray(fft.idctn(fft.dctn(image) * transfer), dtype=np.float32)
+
+
+def _radius_square(shape: tuple[int, int]) -> Field:
+    """Squared distance from the frame's middle; 1 in the corners."""
+    y, x = (np.linspace(-1, 1, n) * n for n in shape)
+    return ((y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)).astype(np.float32)
+
+
+def _coarse(sheet: Sheet, correlation_um: float, rng: np.random.Generator) -> Array:
+    """Random field of unit standard deviation over the sheet, on every 4th node of its grid and a little beyond."""
+    rows, cols = sheet.char.shape
+    return noise((rows // _COARSE + 2, cols // _COARSE + 2), correlation_um / _COARSE, rng)
+
+
+def _sampled(sheet: Sheet, coarse: Array, u: Array, v: Array) -> Array:
+    """Bilinear value of a coarse field at material coordinates."""
+    step = PITCH_UM * _COARSE
+    places = np.stack([(v - sheet.origin[1]) / step, (u - sheet.origin[0]) / step])
+    return np.asarray(ndimage.map_coordinates(coarse, places, order=1, mode="nearest"))
+
+
+def _child(seed: np.random.SeedSequence, k: int) -> np.random.Generator:
+    """Stream ``k`` of the seed: as ``seed.spawn``, which counts in the caller's object and gives others next time."""
+    return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)))
+
+
+def _blocks(rows: int) -> Iterator[slice]:
+    for start in range(0, rows, _BLOCK):
+        yield slice(start, min(start + _BLOCK, rows))

@@ -1,0 +1,201 @@
+"""A specimen as instrument files of the field, with the truth apart from them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import tifffile
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.synthetic.specimen import Specimen
+
+Array = NDArray[np.float64]
+Instrument = Literal["stack", "scanner", "sections"]
+COUNTER = "sections.csv"
+_PREFIX = "sheet_rec"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InstrumentFiles:
+    """Where the files are and how their axes lie in space.
+
+    Attributes
+    ----------
+    voxel_um : (float, float, float)
+        Along slices, rows and columns.
+    through : {"z", "y"}
+        Axis of the file that runs through the sheet.
+    to_physical : callable
+        From points (n, 3) of the file (column, row, slice) in um to points (x, y, z) in space. A second argument holds
+        what a run found out about the sections: ``position``, ``shift_row``, ``shift_col`` (dim section), in um.
+    """
+
+    volume: Path
+    image: Path | None
+    voxel_um: tuple[float, float, float]
+    through: Literal["z", "y"]
+    to_physical: Callable[..., Array]
+
+
+def write_instruments(
+    specimen: Specimen, folder: Path, *, volume: Instrument = "stack", image: bool = True, printed: bool = False
+) -> InstrumentFiles:
+    """Write a volume as ``volume`` says, and an image: ``image.tif``.
+
+    "stack": ``volume.tif`` with ImageJ's calibration; "scanner": slices and a log file as NRecon writes them, across
+    the axis of rotation, so that their rows run through the sheet; "sections": photographs with the microtome's
+    counter.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    write = {"stack": _write_stack, "scanner": _write_scan, "sections": _write_sections}[volume]
+    path, voxel, through, to_physical = write(specimen, folder)
+    picture = write_image(specimen, folder / "image.tif", printed=printed) if image else None
+    return InstrumentFiles(volume=path, image=picture, voxel_um=voxel, through=through, to_physical=to_physical)
+
+
+_Written = tuple[Path, tuple[float, float, float], Literal["z", "y"], Callable[..., Array]]
+
+
+def _write_stack(specimen: Specimen, folder: Path) -> _Written:
+    voxel = specimen.params.scanner.voxel_um
+    path = folder / "volume.tif"
+    size = (1 / voxel, 1 / voxel)
+    metadata = {"spacing": voxel, "unit": "um", "axes": "ZYX"}
+    tifffile.imwrite(path, specimen.volume, imagej=True, resolution=size, metadata=metadata)
+
+    def to_physical(points: Array, sections: xr.Dataset | None = None) -> Array:
+        del sections
+        return points
+
+    return path, (voxel, voxel, voxel), "z", to_physical
+
+
+def _write_scan(specimen: Specimen, folder: Path) -> _Written:
+    scanner, voxel = specimen.scanner, specimen.params.scanner.voxel_um
+    place = folder / "scan"
+    place.mkdir()
+    rows = scanner.shape[1]
+    for start, tile in scanner.tiles(threads=specimen.threads):
+        for k, row in enumerate(tile):
+            # Slices count down along y: so the sheet keeps its hand with its normal along the rows.
+            name = f"{_PREFIX}{rows - 1 - start - k:08d}.tif"
+            tifffile.imwrite(place / name, np.ascontiguousarray(row.T))
+    (place / f"{_PREFIX.removesuffix('_rec')}_rec.log").write_text(_rec_log(specimen), encoding="utf-8")
+    last = (rows - 1) * voxel
+
+    def to_physical(points: Array, sections: xr.Dataset | None = None) -> Array:
+        del sections
+        return np.stack([points[:, 0], last - points[:, 2], points[:, 1]], axis=1)
+
+    return place, (voxel, voxel, voxel), "y", to_physical
+
+
+def _rec_log(specimen: Specimen) -> str:
+    """What NRecon tells about its slices, as far as a reader needs it."""
+    p = specimen.params.scanner
+    depth, rows, width = specimen.scanner.shape
+    sections = {
+        "System": {"Scanner": "synthetic", "Camera Pixel Size (um)": "7.4"},
+        "Acquisition": {
+            "Filename Prefix": _PREFIX.removesuffix("_rec"),
+            "Image Pixel Size (um)": f"{p.voxel_um * 1.0006:.6f}",  # before the fine tuning of the reconstruction
+        },
+        "Reconstruction": {
+            "Reconstruction Program": "NRecon",
+            "Program Version": "Version: synthetic",
+            "First Section": "0",
+            "Last Section": str(rows - 1),
+            "Section to Section Step": "1",
+            "Sections Count": str(rows),
+            "Result File Type": "TIF",
+            "Result File Header Length (bytes)": "Variable",
+            "Result Image Width (pixels)": str(width),
+            "Result Image Height (pixels)": str(depth),
+            "Pixel Size (um)": f"{p.voxel_um:.6f}",
+            "Reconstruction from ROI": "OFF",
+            "Undersampling factor": "1",
+            "Minimum for CS to Image Conversion": "0.000000",
+            "Maximum for CS to Image Conversion": "0.100000",
+            "HU Calibration": "OFF",
+        },
+        "File name convention": {"Filename Index Length": "8", "Filename Prefix": _PREFIX},
+    }
+    lines = [f"[{name}]\n" + "".join(f"{k}={v}\n" for k, v in keys.items()) for name, keys in sections.items()]
+    return "".join(lines)
+
+
+def _write_sections(specimen: Specimen, folder: Path) -> _Written:
+    p, poses, microtome = specimen.params.sections, specimen.poses, specimen.microtome
+    place = folder / "sections"
+    place.mkdir()
+    per_cm = 1e4 / p.pixel_um
+    lines = ["# kind: block-face", "file,position_um"]
+    for k, picture in enumerate(microtome.pictures(threads=specimen.threads)):
+        name = f"section_{int(poses.index[k]):05d}.tif"
+        tifffile.imwrite(place / name, picture, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
+        lines.append(f"{name},{poses.counter_um[k]:.3f}")
+    (place / COUNTER).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    middle = 0.5 * (np.array(microtome.shape[::-1]) - 1) * p.pixel_um
+
+    def to_physical(points: Array, sections: xr.Dataset | None = None) -> Array:
+        """Undo what the run took off each section, then put on what was truly there."""
+        at = points[:, 2]
+        x, z = points[:, 0], points[:, 1]
+        if sections is not None:
+            found = sections["position"].values
+            x = x + np.interp(at, found, sections["shift_col"].values)
+            z = z + np.interp(at, found, sections["shift_row"].values)
+        turn = np.interp(at, poses.counter_um, poses.turn_rad)
+        true_x = x + np.interp(at, poses.counter_um, poses.shift_x_um) - turn * (z - middle[1])
+        true_z = z + np.interp(at, poses.counter_um, poses.shift_z_um) + turn * (x - middle[0])
+        return np.stack([true_x, np.interp(at, poses.counter_um, poses.y_um), true_z], axis=1)
+
+    return place, (p.section_um, p.pixel_um, p.pixel_um), "y", to_physical
+
+
+def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Path:
+    """Write the image as 16 bit OME-TIFF with its pixel size."""
+    grey = specimen.printed if printed else specimen.image
+    pixel = specimen.params.camera.pixel_um
+    per_cm = 1e4 / pixel
+    tifffile.imwrite(
+        path,
+        np.clip(np.rint(grey * 65535), 0, 65535).astype(np.uint16),
+        resolution=(per_cm, per_cm),
+        resolutionunit="CENTIMETER",
+    )
+    return path
+
+
+def write_truth(specimen: Specimen, folder: Path) -> None:
+    """Write all that is true: maps on the image's pixels as float TIFF, holes, poses and parameters."""
+    folder.mkdir(parents=True)
+    pixel = specimen.params.camera.pixel_um
+    for name, field in specimen.truth.data_vars.items():
+        tifffile.imwrite(
+            folder / f"{name}.tif", field.values.astype(np.float32), imagej=True, resolution=(1 / pixel, 1 / pixel),
+            metadata={"unit": "um", "axes": "YX"},
+        )  # fmt: skip
+    holes = specimen.sheet.holes
+    at, place = specimen.pose(holes), specimen.warp.points(holes[:, 0], holes[:, 1])
+    _table(folder / "holes.csv", ("u_um", "v_um", "image_x_um", "image_y_um", "x_um", "y_um", "z_um"),
+           np.concatenate([holes, at, place], axis=1))  # fmt: skip
+    poses = specimen.poses
+    names = ("counter_um", "y_um", "shift_x_um", "shift_z_um", "turn_rad")
+    _table(folder / "sections.csv", names, np.stack([getattr(poses, n) for n in names], axis=1))
+    data = {"parameters": asdict(specimen.params), "warp": asdict(specimen.warp), "camera": specimen.pose.as_dict()}
+    (folder / "parameters.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+
+
+def _table(path: Path, names: tuple[str, ...], rows: Array) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        writer.writerows([f"{value:.6f}" for value in row] for row in rows)

@@ -1,0 +1,160 @@
+"""A microtome and a light microscope: one picture of the cut face every few micrometres, each with its own errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planish.synthetic.fields import generator
+from planish.synthetic.paint import Painter, Slab, gaussian_taps, smooth
+from planish.synthetic.params import SectionsParams
+from planish.synthetic.sheet import Sheet
+from planish.synthetic.warp import Warp
+
+Array = NDArray[np.float64]
+
+_EPOCH = 40  # sections cut with one part of the knife's edge
+_MARKS_PER_MM = 1.5
+_RUN = 3  # most sections lost one after the other
+# Red, green and blue of resin, stained fibres and coating.
+_TINTS = ((1.0, 1.0, 1.0), (1.12, 1.0, 0.72), (0.96, 0.94, 1.05))
+_RESIN_PX = 24
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Poses:
+    """Where each section that was kept truly lies; all (n,).
+
+    Attributes
+    ----------
+    counter_um : ndarray
+        Position along the cut as the counter of the microtome says; increasing.
+    y_um : ndarray
+        True position in space; the cut runs towards smaller y.
+    shift_x_um, shift_z_um, turn_rad : ndarray
+        A pixel at (x, z) of the picture shows the point ``(x + shift_x - turn z', z + shift_z + turn x')``; x', z' are
+        counted from the picture's middle.
+    """
+
+    index: NDArray[np.int64]
+    counter_um: Array
+    y_um: Array
+    shift_x_um: Array
+    shift_z_um: Array
+    turn_rad: Array
+
+
+def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
+    """Cut a block of ``length_um`` along y."""
+    count = int(length_um / params.section_um) + 1
+    rng = generator(seed, "poses")
+    white = rng.standard_normal((2, count))
+    walk = np.cumsum(rng.standard_normal((2, count)), axis=1)
+    walk -= walk.mean(axis=1, keepdims=True)
+    turn = rng.standard_normal(count)
+    place = rng.standard_normal(count)
+    lost = _lost(params, count, generator(seed, "missing"))
+    shift = params.jitter_um * white + params.walk_um * walk
+    kept = np.flatnonzero(~lost)
+    counter = params.section_um * np.arange(count, dtype=np.float64)
+    true = length_um - counter - params.thickness * params.section_um * place
+    return Poses(
+        index=kept,
+        counter_um=counter[kept],
+        y_um=true[kept],
+        shift_x_um=shift[0, kept],
+        shift_z_um=shift[1, kept],
+        turn_rad=np.deg2rad(params.rotation_deg) * turn[kept],
+    )
+
+
+def _lost(params: SectionsParams, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Sections lost in runs, never the first or the last one."""
+    lost = np.zeros(count, dtype=bool)
+    starts = np.flatnonzero(rng.random(count) < params.missing / (0.5 * (1 + _RUN)))
+    lengths = rng.integers(1, _RUN + 1, count)
+    for k in starts:
+        # One that is left between two runs keeps them apart.
+        if not lost[max(k - 1, 0)]:
+            lost[k : k + lengths[k]] = True
+    lost[:1] = lost[-1:] = False
+    return lost
+
+
+@dataclass(frozen=True, kw_only=True)
+class Microtome:
+    """Renders the picture of each section for itself.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Pixels of a picture: rows along z, columns along x.
+    """
+
+    sheet: Sheet
+    warp: Warp
+    params: SectionsParams
+    poses: Poses
+    shape: tuple[int, int]
+    seed: int
+
+    def pictures(self, *, threads: int = 2) -> Iterator[NDArray[np.uint8]]:
+        """Give the pictures (rows, cols) or (rows, cols, 3), one after the other."""
+        _ = self.sheet.packed
+        count = self.poses.index.size
+        with ThreadPoolExecutor(threads) as pool:
+            for at in range(0, count, 8 * threads):
+                yield from pool.map(self.picture, range(at, min(at + 8 * threads, count)))
+
+    def picture(self, k: int) -> NDArray[np.uint8]:
+        """Render the k-th picture that was kept."""
+        p = self.params
+        contrast = p.grey[0] - p.grey[2]
+        number = int(self.poses.index[k])
+        rng = generator(self.seed, "section", str(number))
+        gains = 1 + p.drift * rng.standard_normal(3)
+        uneven = ndimage.zoom(rng.standard_normal(tuple(n // _RESIN_PX + 3 for n in self.shape)), _RESIN_PX, order=1)
+        common = p.texture * contrast * uneven[: self.shape[0], : self.shape[1]].astype(np.float32)
+        common += p.knife * contrast * self._knife(number)
+        if not p.colour:
+            return self._exposed(k, p.grey, float(gains[1]), common, rng)
+        channels = [tuple(float(level * tint[c]) for level, tint in zip(p.grey, _TINTS, strict=True)) for c in range(3)]
+        return np.stack([self._exposed(k, g, float(gains[c]), common, rng) for c, g in enumerate(channels)], axis=-1)
+
+    def _exposed(
+        self, k: int, grey: tuple[float, ...], gain: float, common: Slab, rng: np.random.Generator
+    ) -> NDArray[np.uint8]:
+        p = self.params
+        taps = gaussian_taps(p.defocus_um / p.pixel_um)
+        painter = Painter(
+            sheet=self.sheet, warp=self.warp, shape=(self.shape[1], self.shape[0]), step_um=p.pixel_um,
+            grey=(grey[0], grey[1], grey[2]),
+        )  # fmt: skip
+        one = slice(k, k + 1)
+        poses = self.poses
+        picture = np.zeros((self.shape[1], self.shape[0]), dtype=np.float32)
+        for col, depth, block in painter.blocks(
+            poses.y_um[one], halo=taps.size - 1, shift_x=poses.shift_x_um[one], shift_z=poses.shift_z_um[one],
+            turn=poses.turn_rad[one],
+        ):  # fmt: skip
+            seen = smooth(block, taps, (1, 2))[0]
+            picture[col : col + seen.shape[0], depth : depth + seen.shape[1]] = seen
+        grain = rng.standard_normal(self.shape, dtype=np.float32)
+        seen = gain * (grey[0] + picture.T + common) + p.noise * (p.grey[0] - p.grey[2]) * grain
+        return np.clip(np.rint(seen), 0, 255).astype(np.uint8)
+
+    def _knife(self, number: int) -> Slab:
+        """Lines across the sheet, the same over as many sections as one part of the edge lasts."""
+        rng = generator(self.seed, "knife", str(number // _EPOCH))
+        width = self.shape[1]
+        count = rng.poisson(_MARKS_PER_MM * width * self.params.pixel_um * 1e-3)
+        x = np.arange(width, dtype=np.float32)[None, :]
+        row = np.zeros((1, width), dtype=np.float32)
+        for at, size in zip(rng.uniform(0, width, count), rng.choice([-1.0, 1.0], count), strict=True):
+            row += np.float32(size) * np.exp(-0.5 * ((x - np.float32(at)) / np.float32(1.5)) ** 2)
+        return row

@@ -1,0 +1,101 @@
+"""The bare sheet in a box of voxels, and the filters that every instrument shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.synthetic import _kernels
+from planish.synthetic.fields import PITCH_UM
+from planish.synthetic.sheet import Sheet
+from planish.synthetic.warp import Warp
+
+Array = NDArray[np.float64]
+Slab = NDArray[np.float32]
+_BLOCK = 192  # columns painted together: the sheet then fills much of the box around it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Painter:
+    """Paints rows of voxels, in blocks as deep as the sheet needs there.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Voxels along x and z.
+    step_um : float
+        Size of a voxel along x and z.
+    grey : (float, float, float)
+        Air, base, coating; painted is what the sheet adds to the air, so that air stays an exact 0 under any filter.
+    """
+
+    sheet: Sheet
+    warp: Warp
+    shape: tuple[int, int]
+    step_um: float
+    grey: tuple[float, float, float]
+
+    @property
+    def middle_um(self) -> tuple[float, float]:
+        """Middle (x, z) of a row's plane."""
+        return 0.5 * (self.shape[0] - 1) * self.step_um, 0.5 * (self.shape[1] - 1) * self.step_um
+
+    def blocks(
+        self, ys_um: Array, *, halo: int, shift_x: Array, shift_z: Array, turn: Array
+    ) -> list[tuple[int, int, Slab]]:
+        """Paint the planes at ``ys_um``, each moved by its shift and turn.
+
+        Returns
+        -------
+        list of (first column, first depth, block)
+            Blocks (rows, cols + 2 halo, depth + 2 halo); column and depth are those of the block's first voxel inside
+            the halo. Around them there is only air.
+        """
+        w, curve = self.warp.packed()
+        thick = float(np.abs(self.sheet.faces).max()) + 2 * self.step_um
+        half = 1.2 * thick * float(np.hypot(1.0, self.warp.steepest))
+        done: list[tuple[int, int, Slab]] = []
+        for start in range(0, self.shape[0], _BLOCK):
+            stop = min(start + _BLOCK, self.shape[0])
+            xs = np.arange(start - halo, stop + halo) * self.step_um
+            under = np.concatenate(
+                [_kernels.columns(w, curve, ys_um[i : i + 1], xs + shift_x[i]) for i in range(ys_um.size)]
+            )
+            seen = under[..., 2] - shift_z[:, None] - turn[:, None] * (xs - self.middle_um[0])
+            first = max(int(np.floor((seen.min() - half) / self.step_um)) - halo, 0)
+            last = min(int(np.ceil((seen.max() + half) / self.step_um)) + halo, self.shape[1] - 1)
+            if last < first:
+                continue
+            block = np.zeros((ys_um.size, xs.size, last - first + 1 + 2 * halo), dtype=np.float32)
+            _kernels.paint(
+                block, w, curve, ys_um, xs, first - halo, self.step_um, shift_x, shift_z, turn,
+                np.array(self.middle_um), under, half, self.sheet.packed, np.array(self.sheet.origin), PITCH_UM,
+                np.array([self.grey[1] - self.grey[0], self.grey[2] - self.grey[0]]), self.step_um,
+            )  # fmt: skip
+            done.append((start, first, block))
+        return done
+
+
+def gaussian_taps(sigma: float) -> NDArray[np.float32]:
+    """Symmetric taps [centre, 1, 2, ...] of a Gaussian of ``sigma`` voxels, cut at four sigma; [1] for 0."""
+    reach = int(np.ceil(4 * sigma)) if sigma > 0 else 0
+    taps = np.exp(-0.5 * (np.arange(reach + 1) / max(sigma, 1e-9)) ** 2)
+    return (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
+
+
+def smooth(slab: Slab, taps: NDArray[np.float32], axes: tuple[int, ...]) -> Slab:
+    """Filter along the axes; the result is shorter by the taps' reach at each end of them."""
+    if taps.size == 1:
+        return slab
+    for axis in axes:
+        slab = _kernels.smooth(slab, taps, axis)
+    return slab
+
+
+def trimmed(slab: Slab, cut: int, axes: tuple[int, ...]) -> Slab:
+    """Cut voxels off both ends of the axes."""
+    if cut == 0:
+        return slab
+    return slab[tuple(slice(cut, -cut) if axis in axes else slice(None) for axis in range(slab.ndim))]

@@ -1,0 +1,180 @@
+"""Where the camera stands: from material coordinates of the sheet to the image, and exactly back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planish.core.transform import Similarity
+from planish.synthetic.params import CameraParams
+
+Array = NDArray[np.float64]
+
+_TALL, _WIDE = 1.30, 1.12  # of the frame, over the height and width of what the volume shows
+_UPRIGHT_DEG = 15.0  # up to this turn the frame keeps those sides; beyond, it follows the field
+_CENTRED_IN_VIEW, _LEAST_IN_VIEW = 0.98, 0.975  # share of the field in the frame: without and with the shift
+_GROWTH = 1.02
+_NEWTON_STEPS = 50  # never reached: from its start the iteration is monotonic and ends within ten
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraPose:
+    """Map from material coordinates (u, v) to image coordinates (x, y), both in um.
+
+    A point is stretched about the sheet's middle, carried by the similarity, and moved by the lens:
+    ``p' = c + (p - c) (1 + radial r^2)`` with ``r = |p - c| / half_diagonal_um``. That is the first term of the usual
+    polynomial model (Brown, Photogramm. Eng. 37, 855, 1971).
+
+    Attributes
+    ----------
+    similarity : Similarity
+        Rotation, scale error, shift and mirror.
+    stretch : float
+        Strain ``e``: lengths along u grow by ``1 + e``, along v by ``1 - e``.
+    middle_um : (float, float)
+        (u, v) of the sheet's middle, which the stretch leaves alone.
+    radial : float
+        ``k1``: relative displacement at half the frame's diagonal.
+    centre_um : (float, float)
+        (x, y) of the frame's middle, which the lens leaves alone.
+    half_diagonal_um : float
+        Unit of the radius.
+    """
+
+    similarity: Similarity
+    stretch: float = 0.0
+    middle_um: tuple[float, float] = (0.0, 0.0)
+    radial: float = 0.0
+    centre_um: tuple[float, float] = (0.0, 0.0)
+    half_diagonal_um: float = 1.0
+
+    def __call__(self, points: ArrayLike) -> Array:
+        """Carry material points (..., 2), (u, v) in um, to the image: (x, y) in um; NaN stays NaN."""
+        middle, centre = np.array(self.middle_um), np.array(self.centre_um)
+        stretched = middle + (np.asarray(points, dtype=np.float64) - middle) * self._strain()
+        off = self.similarity(stretched) - centre
+        square = np.sum(off * off, axis=-1, keepdims=True) / self.half_diagonal_um**2
+        return centre + off * (1 + self.radial * square)
+
+    def inverse(self, points: ArrayLike) -> Array:
+        """Carry image points (..., 2), (x, y) in um, back to the sheet: (u, v) in um, exact to 1e-9 um.
+
+        NaN where the lens (``radial`` below 0) shows no point of the sheet.
+        """
+        middle, centre = np.array(self.middle_um), np.array(self.centre_um)
+        off = np.asarray(points, dtype=np.float64) - centre
+        if self.radial != 0:
+            off = off * self._shrink(np.hypot(off[..., 0], off[..., 1]) / self.half_diagonal_um)[..., None]
+        stretched = self.similarity.inverse(off + centre)
+        return middle + (stretched - middle) / self._strain()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers, lists and truth values for a file; angles in degrees."""
+        return {
+            "rotation_deg": float(np.rad2deg(self.similarity.rotation_rad)),
+            "scale": float(self.similarity.scale),
+            "shift_um": [float(s) for s in self.similarity.shift_um],
+            "mirrored": bool(self.similarity.mirrored),
+            "stretch": float(self.stretch),
+            "middle_um": [float(m) for m in self.middle_um],
+            "radial": float(self.radial),
+            "centre_um": [float(c) for c in self.centre_um],
+            "half_diagonal_um": float(self.half_diagonal_um),
+        }
+
+    def _strain(self) -> Array:
+        return np.array([1 + self.stretch, 1 - self.stretch])
+
+    def _shrink(self, seen: Array) -> Array:
+        """Radius on the sheet over the radius in the image, ``seen``: Newton's method on ``t + k t^3 = seen``.
+
+        The cubic bends to one side only, and ``t = seen`` lies on the side from which Newton's steps never overshoot.
+        """
+        k = self.radial
+        fold = 2 / (3 * np.sqrt(-3 * k)) if k < 0 else np.inf  # the cubic's maximum
+        t = np.where(seen > fold, np.nan, seen)
+        for _ in range(_NEWTON_STEPS):
+            step = (t + k * t**3 - seen) / (1 + 3 * k * t * t)
+            t -= step
+            if not np.any(np.abs(step) > 1e-14 * (1 + np.abs(t))):
+                break
+        return np.divide(t, seen, out=np.ones_like(t), where=seen > 0)
+
+
+def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator) -> tuple[tuple[int, int], CameraPose]:
+    """Frame the camera so that it sees about what the volume holds: turned, beside it, and with its own errors.
+
+    Every number is drawn whatever its size, in a fixed order: one that is switched off does not move the others.
+
+    Parameters
+    ----------
+    camera : CameraParams
+        Sizes of what is drawn.
+    spread : (4,)
+        Material (u0, v0, u1, v1) in um that the volume shows.
+    rng : Generator
+        Five numbers are taken from it.
+
+    Returns
+    -------
+    shape : (int, int)
+        Rows and columns of the image.
+    pose : CameraPose
+        At least 85 % of the field lies in the frame; the drawn shift is shortened as far as that needs.
+    """
+    turn, shift_x, shift_y, scale, stretch = rng.uniform(-1.0, 1.0, 5)
+    field = np.asarray(spread, dtype=np.float64)
+    rotation = float(np.deg2rad(camera.turn_deg + camera.turn_range_deg * turn))
+    middle = 0.5 * (field[:2] + field[2:])
+    wide, tall = _sides(field, rotation)
+    size = float(1 + camera.scale_range * scale)
+    grid = np.stack(np.meshgrid(*np.linspace(field[:2], field[2:], 101).T), axis=-1)
+
+    def posed(shape: tuple[int, int], shift: Array) -> CameraPose:
+        ends = camera.pixel_um * np.array([shape[1] - 1.0, shape[0] - 1.0])
+        linear = Similarity(scale=size, rotation_rad=rotation, mirrored=camera.mirrored)
+        offset = 0.5 * ends + shift - linear(middle)
+        return CameraPose(
+            similarity=Similarity(
+                scale=size,
+                rotation_rad=rotation,
+                shift_um=(float(offset[0]), float(offset[1])),
+                mirrored=camera.mirrored,
+            ),
+            stretch=float(camera.stretch * stretch),
+            middle_um=(float(middle[0]), float(middle[1])),
+            radial=camera.radial,
+            centre_um=(float(0.5 * ends[0]), float(0.5 * ends[1])),
+            half_diagonal_um=float(0.5 * np.hypot(ends[0], ends[1])),
+        )
+
+    def in_view(shape: tuple[int, int], shift: Array) -> float:
+        points = posed(shape, shift)(grid)
+        ends = camera.pixel_um * np.array([shape[1] - 1.0, shape[0] - 1.0])
+        return float(np.mean(np.all((points >= 0) & (points <= ends), axis=-1)))
+
+    centred = np.zeros(2)
+    shape = (max(int(_TALL * tall / camera.pixel_um), 2), max(int(_WIDE * wide / camera.pixel_um), 2))
+    while in_view(shape, centred) < _CENTRED_IN_VIEW:
+        shape = (int(_GROWTH * shape[0]) + 1, int(_GROWTH * shape[1]) + 1)
+    wanted = camera.shift_range_um * np.array([shift_x, shift_y])
+    # A frame that moves away from the middle of a rectangle loses field all the way, so halving finds the limit.
+    low, high = 0.0, 1.0
+    if in_view(shape, wanted) < _LEAST_IN_VIEW:
+        for _ in range(30):
+            half = 0.5 * (low + high)
+            low, high = (half, high) if in_view(shape, half * wanted) >= _LEAST_IN_VIEW else (low, half)
+        wanted = low * wanted
+    return shape, posed(shape, wanted)
+
+
+def _sides(field: Array, rotation: float) -> tuple[float, float]:
+    """Width and height of the field as it lies under the camera; they change places with a quarter turn."""
+    width, height = field[2:] - field[:2]
+    off_upright = abs(np.remainder(np.rad2deg(rotation) + 90.0, 180.0) - 90.0)
+    follow = np.deg2rad(np.clip((off_upright - _UPRIGHT_DEG) / (90.0 - 2 * _UPRIGHT_DEG), 0.0, 1.0) * 90.0)
+    cos, sin = np.cos(follow), np.sin(follow)
+    return float(width * cos + height * sin), float(width * sin + height * cos)

@@ -1,0 +1,240 @@
+"""The camera: what brightness says about the coating, the print's own figures, and that nuisances keep apart."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from scipy import fft, ndimage
+
+from planish.core.area import area_mean
+from planish.core.transform import Similarity
+from planish.synthetic.camera import image_material, photograph
+from planish.synthetic.fields import PITCH_UM, noise
+from planish.synthetic.params import CameraParams, PaperParams, PrintParams
+from planish.synthetic.pose import CameraPose, draw_pose
+from planish.synthetic.sheet import Sheet
+
+SIZE = (2400.0, 1800.0)  # um that the images show
+SEED = np.random.SeedSequence(11)
+CLEAN = CameraParams(nuisance_sd=0.0, shading=0.0, vignetting=0.0, lens_um=0.0, noise=0.0, bits=16, radial=0.0)
+STRAIGHT = CameraPose(similarity=Similarity())
+HOLES = np.array([[600.0, 500.0], [1500.0, 1200.0]])
+STEP = 1 / 65535  # of 16 bits
+
+
+def sheet_of(coating_um, *, holes=HOLES, rough_um=1.0, closed=False):
+    """A sheet around SIZE with a given top coating (rows, cols) or a number, 175 um holes and a rough top face."""
+    rng = np.random.default_rng(5)
+    shape = tuple(int((s + 300.0) / PITCH_UM) + 2 for s in SIZE[::-1])
+    y, x = (-150.0 + PITCH_UM * i for i in np.indices(shape))
+    coating = np.broadcast_to(coating_um, shape)
+    top = 45.0 + rough_um * noise(shape, 100.0, rng)
+    rim = np.full(shape, 1e4)
+    for u, v in holes:
+        rim = np.minimum(rim, np.hypot(x - u, y - v) - 87.5)
+    floor = np.full(shape, 1e4) if closed else rim + 13.0
+    given = {
+        "params": PaperParams(),
+        "seed": 0,
+        "origin": (-150.0, -150.0),
+        "faces": np.stack([top, top - coating, np.full(shape, -27.0), np.full(shape, -44.4)]),
+        "rim_um": np.stack([rim, floor]),
+        "char": 1 - 0.5 * np.exp(-np.maximum(rim, 0) / 20.0),
+        "coating_density": np.ones(shape),
+        "base_mass": np.ones(shape),
+        "holes": holes,
+    }
+    given = {k: value.astype(np.float32) if isinstance(value, np.ndarray) else value for k, value in given.items()}
+    return Sheet(**{f.name: given[f.name] for f in fields(Sheet)})
+
+
+@pytest.fixture(scope="module")
+def sheet():
+    rng = np.random.default_rng(2)
+    shape = tuple(int((s + 300.0) / PITCH_UM) + 2 for s in SIZE[::-1])
+    return sheet_of(17.4 + 4.0 * noise(shape, 100.0, rng) + 1.5 * noise(shape, 30.0, rng))
+
+
+def seen(sheet, camera=CLEAN, *, pose=STRAIGHT, seed=SEED, printed=False):
+    shape = (int(SIZE[1] / camera.pixel_um), int(SIZE[0] / camera.pixel_um))
+    return photograph(sheet, pose, camera, shape=shape, seed=seed, printed=printed)
+
+
+def truth(sheet, camera=CLEAN, pose=STRAIGHT):
+    u, v = image_material(pose, (int(SIZE[1] / camera.pixel_um), int(SIZE[0] / camera.pixel_um)), camera.pixel_um)
+    return sheet.at(sheet.faces[0] - sheet.faces[1], u, v), sheet.at(sheet.rim_um[0], u, v)
+
+
+def r2_at_100_um(sheet, image, camera=CLEAN):
+    coating, rim = truth(sheet, camera)
+    side = (100.0 / camera.pixel_um,) * 2
+    away = rim > 100.0
+    x, y = (area_mean(np.where(away, m, np.nan), side, least=1.0) for m in (coating, image.astype(float)))
+    known = np.isfinite(x)
+    return np.corrcoef(x[known], y[known])[0, 1] ** 2
+
+
+@pytest.mark.parametrize("backing", ["pile", "black"])
+def test_brightness_rises_with_the_coating(backing):
+    camera = replace(CLEAN, backing=backing)
+    means = [seen(sheet_of(t, holes=HOLES[:0]), camera).mean() for t in (2.0, 8.0, 14.0, 20.0, 26.0)]
+    assert (np.diff(means) > 0.002).all()
+    assert 0.6 < means[0] < means[-1] < 0.95
+
+
+def test_the_same_seed_gives_the_same_bytes_every_time(sheet):
+    camera = CameraParams()
+    seed = np.random.SeedSequence(3)
+    first = seen(sheet, camera, seed=seed)
+    assert first.dtype == np.float32
+    np.testing.assert_array_equal(first, seen(sheet, camera, seed=seed))
+    assert (seen(sheet, camera, seed=np.random.SeedSequence(4)) != first).mean() > 0.9
+
+
+def test_the_image_lies_where_its_pose_says(sheet):
+    camera = replace(CLEAN, pixel_um=5.0)
+    shape, pose = draw_pose(
+        CameraParams(pixel_um=5.0, turn_deg=155.0, mirrored=True), (0, 0, *SIZE), np.random.default_rng(1)
+    )
+    image = photograph(sheet, pose, camera, shape=shape, seed=SEED)
+    u, v = image_material(pose, shape, 5.0)
+    y, x = np.indices(shape) * 5.0
+    np.testing.assert_allclose(pose(np.stack([u, v], axis=-1)), np.stack([x, y], axis=-1), atol=1e-9)
+    labels, count = ndimage.label(image < 0.3)
+    assert count == len(HOLES)
+    found = np.array(ndimage.center_of_mass(image < 0.3, labels, range(1, count + 1)))[:, ::-1] * 5.0
+    off = np.linalg.norm(found[:, None] - pose(HOLES)[None], axis=-1).min(axis=0)
+    assert (off < 1.0).all()  # um: a disc of 35 pixels across, counted pixel by pixel
+
+
+def test_holes_are_dark_and_charred_at_their_rims():
+    open_, closed = seen(sheet_of(17.4)), seen(sheet_of(17.4, closed=True))
+    middle = (int(500 / 4), int(600 / 4))
+    assert open_[middle] == pytest.approx(0.04, abs=STEP)
+    assert 0.04 < closed[middle] < 0.3
+    row = open_[middle[0]]
+    at_rim, away = row[int((600 + 87.5 + 6) / 4)], row[int(1100 / 4)]
+    # The middle of the pixel at 692 um lies 4.5 um from the rim: 1 - 0.4 exp(-4.5 / 20).
+    assert at_rim / away == pytest.approx(1 - 0.4 * np.exp(-4.5 / 20.0), abs=0.01)
+    dark = np.sum(open_[middle[0] - 40 : middle[0] + 40, 100:200] < 0.3) * 16.0
+    assert np.sqrt(4 * dark / np.pi) == pytest.approx(175.0, abs=2.0)  # half a pixel
+
+
+@pytest.mark.parametrize("target", [0.26, 0.21, 0.195, 0.6])
+def test_the_oracle_is_reached(sheet, target):
+    got = r2_at_100_um(sheet, seen(sheet, replace(CLEAN, oracle_r2=target)))
+    print(f"r2 {got:.4f}")
+    assert got == pytest.approx(target, abs=0.002)
+
+
+def test_an_oracle_out_of_reach_is_an_error_that_says_so(sheet):
+    free = r2_at_100_um(sheet, seen(sheet))
+    assert free > 0.8
+    with pytest.raises(ValueError, match=r"out of reach: without any nuisance, r2 .* is 0\.\d\d\d"):
+        seen(sheet, replace(CLEAN, oracle_r2=0.5 * (1 + free)))
+    with pytest.raises(ValueError, match="out of reach"):
+        seen(sheet_of(0.0), replace(CLEAN, oracle_r2=0.2))  # no coating to follow
+    with pytest.raises(ValueError, match="take a larger image"):
+        photograph(sheet, STRAIGHT, replace(CLEAN, oracle_r2=0.2), shape=(90, 90), seed=SEED)
+
+
+def test_the_screen_has_its_frequency_and_angle_and_mean_tone():
+    flat = sheet_of(17.4, holes=HOLES[:0], rough_um=0.0)
+    camera = replace(CLEAN, screen=PrintParams())
+    plain, printed = seen(flat, camera).astype(float), seen(flat, camera, printed=True).astype(float)
+    tone = np.mean((plain - printed) / (plain - 0.08))
+    print(f"mean tone {tone:.4f}")
+    assert tone == pytest.approx(0.40, abs=0.01)
+
+    n = 4096
+    window = np.outer(*(np.hanning(s) for s in printed.shape))
+    power = np.abs(fft.rfft2((printed - printed.mean()) * window, (n, n)))
+    i, j = np.unravel_index(np.argmax(power), power.shape)
+    fy, fx = fft.fftfreq(n, 4.0)[i], fft.rfftfreq(n, 4.0)[j]
+    print(f"{1e4 * np.hypot(fx, fy):.2f} lines/cm at {np.rad2deg(np.arctan2(abs(fy), fx)):.2f} degrees")
+    # 4096 pixels of 4 um make bins of 0.61 / cm: half of one along both axes.
+    assert 1e4 * np.hypot(fx, fy) == pytest.approx(60.0, abs=0.45)
+    assert np.rad2deg(np.arctan2(abs(fy), fx)) == pytest.approx(45.0, abs=1.0)
+
+
+def test_a_thicker_coating_prints_lighter():
+    shape = sheet_of(0.0).char.shape
+    step = np.where(np.arange(shape[1]) < shape[1] / 2, 15.4, 19.4)
+    camera = replace(CLEAN, screen=PrintParams(gain_sd=0.0))
+    both = sheet_of(step, holes=HOLES[:0], rough_um=0.0)
+    plain, printed = seen(both, camera).astype(float), seen(both, camera, printed=True).astype(float)
+    tone = (plain - printed) / (plain - 0.08)
+    # 60 lines/cm at 45 degrees repeat after 235.7 um along the rows: 4 periods on each side of the step.
+    left, right = tone[:412, 20 : 20 + 236].mean(), tone[:412, 340 : 340 + 236].mean()
+    assert left - right == pytest.approx(0.01 * 4.0, abs=0.003)
+
+
+@pytest.mark.parametrize("printed", [False, True])
+def test_a_nuisance_that_is_off_leaves_the_others_as_they_are(sheet, printed):
+    usual = replace(CameraParams(bits=16), screen=PrintParams())
+    whole = seen(sheet, usual, printed=printed).astype(float)
+    grain = whole - seen(sheet, replace(usual, noise=0.0), printed=printed)
+    free = np.abs(whole - 0.5) < 0.45  # noise is cut where it leaves 0 to 1
+    for off in ("nuisance_sd", "shading", "vignetting", "lens_um"):
+        less = seen(sheet, replace(usual, **{off: 0.0}), printed=printed).astype(float)
+        assert np.abs(less - whole).max() > 1e-3
+        same = less - seen(sheet, replace(usual, **{off: 0.0, "noise": 0.0}), printed=printed)
+        inside = free & (np.abs(less - 0.5) < 0.45)
+        np.testing.assert_allclose(same[inside], grain[inside], atol=2.1 * STEP)  # two roundings on each side
+    assert grain[free].std() == pytest.approx(0.005, rel=0.01)
+
+
+def test_vignetting_is_a_factor_and_shading_follows_the_slope(sheet):
+    plain = seen(sheet).astype(float)
+    factor = seen(sheet, replace(CLEAN, vignetting=0.04)) / plain
+    assert factor[0, 0] == pytest.approx(0.96, abs=1e-3)
+    assert factor[225, 300] == pytest.approx(1.0, abs=1e-3)
+    lit = seen(sheet, replace(CLEAN, shading=0.02)) / plain
+    u, v = image_material(STRAIGHT, plain.shape, 4.0)
+    slope = np.gradient(sheet.at(sheet.faces[0], u, v), 4.0, axis=1)
+    away = truth(sheet)[1] > 10.0
+    np.testing.assert_allclose(lit[away], 1 + 0.2 * slope[away], atol=5 * STEP)
+
+
+def test_nuisance_has_its_size_and_both_images_show_the_same_paper(sheet):
+    away = truth(sheet)[1] > 200.0
+    extra = seen(sheet, replace(CLEAN, nuisance_sd=0.012)).astype(float) - seen(sheet)
+    # The field is scaled over the sheet, of which the image shows most.
+    assert extra[away].std() == pytest.approx(0.012, rel=0.15)
+    camera = replace(CLEAN, nuisance_sd=0.012, screen=PrintParams(tone=0.1))
+    between = seen(sheet, camera, printed=True) == seen(sheet, camera)
+    assert 0.7 < between.mean() < 0.9  # all but the dots and their edges
+    noisy = [seen(sheet, replace(camera, noise=0.005), printed=p).astype(float) for p in (False, True)]
+    rest = (noisy[0] - noisy[1])[between]
+    assert rest.std() == pytest.approx(np.sqrt(2) * 0.005, rel=0.02)
+
+
+def test_light_spreads_with_half_contrast_at_its_width():
+    shape = sheet_of(0.0).char.shape
+    u = -150.0 + PITCH_UM * np.arange(shape[1])
+    wave = sheet_of(17.4 + 3.0 * np.cos(2 * np.pi * u / 200.0), holes=HOLES[:0], rough_um=0.0)
+
+    def contrast(image):
+        x = 4.0 * np.arange(image.shape[1])
+        return np.abs(np.mean((image - image.mean()) * np.exp(2j * np.pi * x / 200.0)))
+
+    plain, spread = seen(wave).astype(float), seen(wave, replace(CLEAN, lateral_um=200.0)).astype(float)
+    assert contrast(spread) / contrast(plain) == pytest.approx(0.5, abs=0.005)
+    assert spread.mean() == pytest.approx(plain.mean(), abs=2 * STEP)
+
+
+def test_light_is_lost_into_holes_but_does_not_fill_them(sheet):
+    plain, spread = seen(sheet), seen(sheet, replace(CLEAN, lateral_um=200.0))
+    rim = truth(sheet)[1]
+    np.testing.assert_array_equal(spread[rim < -20.0], plain[rim < -20.0])
+    ring = (rim > 45.0) & (rim < 60.0)
+    assert spread[ring].mean() < plain[ring].mean() - 0.005
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_grey_levels_are_those_of_the_camera(sheet, bits):
+    image = seen(sheet, CameraParams(bits=bits))
+    levels = image.astype(float) * (2**bits - 1)
+    np.testing.assert_allclose(levels, np.rint(levels), atol=0.01)
+    assert image.min() >= 0
+    assert image.max() <= 1

@@ -1,0 +1,119 @@
+"""Kubelka and Munk's closed form against their differential equations, its limits, and published figures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from planish.synthetic.optics import infinite_stack, layer_over, pile_reflectance, sheet_reflectance
+from planish.synthetic.params import PaperParams
+from planish.synthetic.presets import preset
+
+share = st.floats(0.0, 1.0)
+
+
+def grown(backing, s, k, weight):
+    """Slow twin: the layer grows from its backing up, dR/dW = s - 2 (s + k) R + s R^2."""
+    done = solve_ivp(
+        lambda _, r: s - 2 * (s + k) * r + s * r * r, (0.0, weight), [backing], method="DOP853", rtol=1e-11, atol=1e-12
+    )
+    return done.y[0, -1]
+
+
+@pytest.mark.parametrize("backing", [0.0, 0.5, 0.8, 1.0])
+@pytest.mark.parametrize(("s", "k"), [(150.0, 0.3), (45.0, 1.2), (45.0, 0.0), (30.0, 60.0), (0.0, 20.0), (120.0, 1e-7)])
+@pytest.mark.parametrize("weight", [0.0, 1e-6, 0.005, 0.03, 0.2])
+def test_the_closed_form_solves_the_differential_equation(backing, s, k, weight):
+    want = grown(backing, s, k, weight) if weight > 0 else backing
+    assert layer_over(backing, s, k, weight) == pytest.approx(want, abs=1e-8)
+
+
+def test_two_fluxes_through_a_layer_give_the_same():
+    # The equations as they are first stated, di/dW = -(s + k) i + s j down and up, without Riccati's form between.
+    s, k, weight, backing = 90.0, 0.3, 0.02, 0.79
+    done = solve_ivp(
+        lambda _, f: [(s + k) * f[0] - s * f[1], s * f[0] - (s + k) * f[1]],
+        (0.0, weight), [1.0, backing], method="DOP853", rtol=1e-12, atol=1e-13,
+    )  # fmt: skip
+    down, up = done.y[:, -1]
+    assert layer_over(backing, s, k, weight) == pytest.approx(up / down, abs=1e-10)
+
+
+@given(backing=share, s=st.floats(0.0, 500.0), weight=st.floats(0.0, 1.0))
+def test_without_absorption_it_is_the_simple_form(backing, s, weight):
+    lift = (1 - backing) * s * weight
+    assert layer_over(backing, s, 0.0, weight) == pytest.approx((backing + lift) / (1 + lift), abs=1e-12)
+    # A trace of absorption is no jump: it costs at most 2 k W (1 + s W)^2.
+    assert abs(layer_over(backing, s, 1e-12, weight) - layer_over(backing, s, 0.0, weight)) < 1e-6
+
+
+@given(backing=share, s=st.floats(1.0, 500.0), k=st.floats(0.01, 50.0))
+def test_a_thick_layer_hides_its_backing(backing, s, k):
+    thick = 40.0 / np.sqrt(k * (k + 2 * s))  # b s W = 40: tanh is 1 to the last digit
+    ratio = k / s
+    assert infinite_stack(s, k) == pytest.approx(1 + ratio - np.sqrt(ratio * ratio + 2 * ratio), abs=1e-9)
+    assert layer_over(backing, s, k, thick) == pytest.approx(infinite_stack(s, k), abs=1e-9)
+    assert layer_over(backing, s, k, 1e6 * thick) == pytest.approx(infinite_stack(s, k), abs=1e-9)
+
+
+@given(backing=share, s=st.floats(0.0, 500.0), k=st.floats(0.0, 50.0), one=st.floats(0.0, 0.1), two=st.floats(0.0, 0.1))
+def test_two_layers_of_the_same_are_one(backing, s, k, one, two):
+    twice = layer_over(layer_over(backing, s, k, one), s, k, two)
+    assert twice == pytest.approx(layer_over(backing, s, k, one + two), abs=1e-10)
+    assert 0.0 <= twice <= 1.0 + 1e-12
+
+
+def test_the_limits_nothing_and_black():
+    assert infinite_stack(45.0, 0.0) == 1.0
+    assert infinite_stack(0.0, 5.0) == 0.0
+    # A layer that only absorbs is passed twice: exp(-2 k W).
+    assert layer_over(0.6, 0.0, 5.0, 0.1) == pytest.approx(0.6 * np.exp(-1.0), abs=1e-14)
+    # Over black and without absorption: s W / (1 + s W).
+    assert layer_over(0.0, 50.0, 0.0, 0.04) == pytest.approx(2.0 / 3.0, abs=1e-14)
+    assert layer_over(np.zeros((3, 1)), 50.0, 0.3, np.zeros(4)).shape == (3, 4)
+
+
+def test_brightness_over_coat_weight_is_as_computed_elsewhere():
+    # 0 to 30 g/m2 with s 150 and k 0.3 over an infinite base with s 45 and k 1.2; figures to three digits.
+    got = layer_over(infinite_stack(45.0, 1.2), 150.0, 0.3, np.array([0.0, 5.0, 10.0, 20.0, 30.0]) * 1e-3)
+    np.testing.assert_allclose(got, [0.794, 0.820, 0.839, 0.866, 0.884], atol=6e-4)
+
+
+def test_a_pile_of_sheets_is_what_one_more_sheet_does_not_change():
+    for paper in (PaperParams(), preset("board"), preset("sc50")):
+        one_more = sheet_reflectance(
+            paper, "pile", coating_top_um=paper.coating_top_um, coating_bottom_um=paper.coating_bottom_um
+        )
+        assert one_more == pytest.approx(pile_reflectance(paper), abs=1e-12)
+    assert pile_reflectance(preset("sc50")) == pytest.approx(infinite_stack(45.0, 1.2), abs=1e-12)
+
+
+def test_a_coating_makes_the_sheet_brighter_and_black_behind_it_darker():
+    coating = np.linspace(0.0, 40.0, 81)
+    paper = PaperParams()
+    pile, black = (
+        sheet_reflectance(paper, backing, coating_top_um=coating, coating_bottom_um=17.4)
+        for backing in ("pile", "black")
+    )
+    assert (np.diff(pile) > 0).all()
+    assert (np.diff(black) > 0).all()
+    assert (black < pile).all()
+    # Less and less: what is bright already gains less.
+    assert (np.diff(pile, 2) < 0).all()
+    assert (pile > 0.78).all()
+    assert (pile < 0.93).all()
+
+
+def test_each_map_of_the_sheet_acts_in_its_own_sense():
+    paper = PaperParams()
+    usual = {"coating_top_um": 17.4, "coating_bottom_um": 17.4}
+    at = sheet_reflectance(paper, "black", **usual)
+    for more in ({"coating_density": 1.1}, {"base_mass": 1.1}, {"base_s_m2_per_kg": 50.0}, {"coating_bottom_um": 20.0}):
+        assert sheet_reflectance(paper, "black", **{**usual, **more}) > at
+    heavy = replace(paper, base_um=paper.base_um * 2)
+    assert sheet_reflectance(heavy, "black", **usual) == pytest.approx(
+        sheet_reflectance(paper, "black", base_mass=2.0, **usual), abs=1e-14
+    )
