@@ -20,6 +20,7 @@ from planish.core.transform import Similarity
 from planish.flatten import Flattened, FlattenParams, flatten_sheet
 from planish.io import read_image, read_volume
 from planish.io.run_folder import new_folder, refuse_existing, write_json, write_tree
+from planish.io.sections import is_section_folder, read_section_stack
 from planish.marks import find_holes, read_marks, write_marks
 from planish.measure import PROPERTIES, measure_properties
 from planish.register import FittedTransform, Model, fit_transform, match_marks
@@ -36,9 +37,11 @@ from planish.results import (
     marks_table,
     parameter_results,
     property_results,
+    section_results,
     surface_results,
 )
-from planish.study import Study, write_study
+from planish.sections import align_sections, find_band, normalise_sections, regular_volume
+from planish.study import Study, VolumeSection, write_study
 from planish.surface import SurfaceParams, find_surfaces
 
 Array = NDArray[np.float64]
@@ -117,9 +120,7 @@ def map_sheet(study: Study, *, progress: Progress | None = None) -> Run:
     """Go from a volume to flattened maps of its properties."""
     tell = progress or _silent
     tell("read", Path(study.volume.path).name)
-    volume = read_volume(
-        Path(study.volume.path), voxel_um=study.volume.voxel_um, override_size=study.volume.override_size
-    )
+    volume, sections = _volume(study.volume, tell)
     voxel = tuple(float(v) for v in volume.attrs["voxel_um"])
     frame = Frame(through=study.volume.through, top=study.volume.top)
     tell("surface", " x ".join(map(str, volume.shape)) + " voxels")
@@ -158,10 +159,49 @@ def map_sheet(study: Study, *, progress: Progress | None = None) -> Run:
         "properties": property_results(surfaces),
         "flatten": flatten_results(flattened),
     }
+    if sections is not None:
+        groups["sections"] = sections
+        results["sections"] = section_results(sections)
     gates = map_gates(results)
     results["quality"] = [asdict(gate) for gate in gates]
     results["parameters"] = parameter_results(study)
     return Run(study=study, groups=groups, marks=None, results=results, gates=gates)
+
+
+def _volume(section: VolumeSection, tell: Progress) -> tuple[xr.DataArray, xr.Dataset | None]:
+    """Read a volume; serial sections are aligned and joined, and come with what was done to each of them."""
+    path = Path(section.path)
+    if not is_section_folder(path):
+        return read_volume(path, voxel_um=section.voxel_um, override_size=section.override_size), None
+    stack = read_section_stack(path, voxel_um=section.voxel_um, override_size=section.override_size)
+    tell("align", f"{len(stack.values)} sections")
+    where = (stack.values, stack.positions_um, stack.pixel_um)
+    band = find_band(stack.values, np.abs(stack.positions_um - stack.positions_um[0]), stack.pixel_um)
+    found = align_sections(*where, band=band)
+    gains = normalise_sections(*where, band=band)
+    volume = regular_volume(*where, alignment=found, gains=gains, attrs=stack.attrs)
+    um = {"units": "um"}
+    first = float(volume.attrs["first_position_um"])
+    sections = xr.Dataset(
+        {
+            "position": ("section", stack.positions_um - first, um | {"long_name": "Place along the volume"}),
+            "shift_row": ("section", found.shift_um[:, 0], um | {"long_name": "Shift taken off, rows"}),
+            "shift_col": ("section", found.shift_um[:, 1], um | {"long_name": "Shift taken off, columns"}),
+            "rotation": ("section", found.rotation_rad, {"units": "rad", "long_name": "Rotation taken off"}),
+            "aligned": ("section", found.aligned, {"long_name": "Aligned; others count as missing"}),
+            "gain": ("section", gains.gain, {"units": "1", "long_name": "Gain put on the grey"}),
+        },
+        attrs={
+            "kind": stack.kind,
+            "first_position_um": first,
+            "cutoff_um": found.cutoff_um,
+            "missing": int(volume.attrs["sections_missing"]),
+            "jitter_left_um": [float(v) for v in found.jitter_left_um],
+            "pairs_used": found.pairs_used,
+            "pairs_refused": found.pairs_refused,
+        },
+    )
+    return volume, sections
 
 
 def link_sheet(study: Study, *, progress: Progress | None = None) -> Run:

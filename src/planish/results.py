@@ -88,6 +88,29 @@ def surface_results(surfaces: xr.Dataset) -> dict[str, Any]:
     return frame | {k: _finite(float(attrs[k])) for k in (*keys, *greys)} | {"columns": int(status.size)} | shares
 
 
+def section_results(sections: xr.Dataset) -> dict[str, Any]:
+    """How serial sections were joined: what was taken off, and what is left of the quick errors."""
+    attrs, aligned = sections.attrs, sections["aligned"].values
+    taken = {f"shift_{axis}_rms_um": _rms(sections[f"shift_{axis}"].values[aligned]) for axis in ("row", "col")}
+    left = dict(zip(("jitter_left_row_um", "jitter_left_col_um"), attrs["jitter_left_um"], strict=True))
+    return {
+        "kind": str(attrs["kind"]),
+        "count": int(aligned.size),
+        "not_aligned": int(np.count_nonzero(~aligned)),
+        "missing": int(attrs["missing"]),
+        "cutoff_um": float(attrs["cutoff_um"]),
+        "pairs_used": int(attrs["pairs_used"]),
+        "pairs_refused": int(attrs["pairs_refused"]),
+        "gain_sd": _finite(float(np.std(sections["gain"].values[aligned]))),
+        **taken,
+        **{k: _finite(float(v)) for k, v in left.items()},
+    }
+
+
+def _rms(values: Array) -> float | None:
+    return _finite(float(np.sqrt(np.mean(values**2)))) if values.size else None
+
+
 def property_results(surfaces: xr.Dataset) -> dict[str, Any]:
     """Mean, spread and percentiles of each property over the columns; None where there is none."""
     out: dict[str, Any] = {}

@@ -6,7 +6,8 @@ import hashlib
 from pathlib import Path
 
 from planish.io.guard import reading, size_of_file
-from planish.io.slices import list_slices
+from planish.io.sections import COUNTER, is_section_folder
+from planish.io.slices import is_slice_name, list_slices
 
 
 def fingerprint(path: str | Path) -> str:
@@ -20,8 +21,8 @@ def fingerprint(path: str | Path) -> str:
     Returns
     -------
     str
-        64 hexadecimal digits. For a folder: the hash over name and hash of each slice, sorted by name; other files in
-        the folder do not count, nor does the name of the folder.
+        64 hexadecimal digits. For a folder: the hash over name and hash of each slice, sorted by name; the counter
+        of sections counts, other files in the folder do not, nor does the name of the folder.
 
     Raises
     ------
@@ -34,7 +35,13 @@ def fingerprint(path: str | Path) -> str:
     if not path.is_dir():
         return hash_of_file(path)
     total = hashlib.sha256()
-    for name, file in sorted((file.name, file) for file in list_slices(path)):
+    # Sections have gaps that are none: their counter says where each one lies, and is part of what was measured.
+    files = (
+        [file for file in path.iterdir() if is_slice_name(file.name) or file.name == COUNTER]
+        if is_section_folder(path)
+        else list_slices(path)
+    )
+    for name, file in sorted((file.name, file) for file in files):
         total.update(f"{hash_of_file(file)}  {name}\n".encode())
     return total.hexdigest()
 

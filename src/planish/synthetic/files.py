@@ -34,7 +34,7 @@ class InstrumentFiles:
         Axis of the file that runs through the sheet.
     to_physical : callable
         From points (n, 3) of the file (column, row, slice) in um to points (x, y, z) in space. A second argument holds
-        what a run found out about the sections: ``position``, ``shift_row``, ``shift_col`` (dim section), in um.
+        what a run found out about the sections: ``position``, ``shift_row``, ``shift_col`` in um, ``rotation``.
     """
 
     volume: Path
@@ -146,12 +146,14 @@ def _write_sections(specimen: Specimen, folder: Path) -> _Written:
 
     def to_physical(points: Array, sections: xr.Dataset | None = None) -> Array:
         """Undo what the run took off each section, then put on what was truly there."""
-        at = points[:, 2]
-        x, z = points[:, 0], points[:, 1]
+        x, z, at = points[:, 0], points[:, 1], points[:, 2]
         if sections is not None:
-            found = sections["position"].values
-            x = x + np.interp(at, found, sections["shift_col"].values)
-            z = z + np.interp(at, found, sections["shift_row"].values)
+            found = {name: np.interp(at, sections["position"].values, sections[name].values)
+                     for name in ("shift_row", "shift_col", "rotation")}  # fmt: skip
+            dx, dz = x - middle[0], z - middle[1]
+            x = x + found["shift_col"] - found["rotation"] * dz
+            z = z + found["shift_row"] + found["rotation"] * dx
+            at = at + float(sections.attrs["first_position_um"])
         turn = np.interp(at, poses.counter_um, poses.turn_rad)
         true_x = x + np.interp(at, poses.counter_um, poses.shift_x_um) - turn * (z - middle[1])
         true_z = z + np.interp(at, poses.counter_um, poses.shift_z_um) + turn * (x - middle[0])

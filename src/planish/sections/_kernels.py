@@ -1,0 +1,262 @@
+# pyright: standard
+"""Compiled inner loops of the section stage: block means, the straightened band, pairs of bands, and resampling.
+
+Places in a section are in pixels (row, col), pixel i has its centre at i. The pose of a section is ``(row, col,
+row per col, col per row)``: what belongs at (r, c) is found at
+
+    (r + pose[0] + pose[2] (c - middle), c + pose[1] - pose[3] (r - middle)).
+"""
+
+from math import floor, isnan
+
+import numpy as np
+from numba import njit
+
+_SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy"}
+# Sums may be taken in any order, so that they run several at a time; NaN stays NaN.
+_SUMS = {**_SETTINGS, "fastmath": {"contract", "nsz", "reassoc"}}
+
+
+@njit(**_SETTINGS)
+def block_means(section, rows, cols, out):
+    """Set out[i, j] to the mean of block (i, j) of rows x cols pixels; NaN where the block holds a NaN."""
+    line = np.empty(out.shape[1] * cols, np.float32)
+    for i in range(out.shape[0]):
+        line[:] = 0.0
+        for r in range(i * rows, (i + 1) * rows):
+            for c in range(line.size):
+                line[c] += np.float32(section[r, c])
+        for j in range(out.shape[1]):
+            total = 0.0
+            for c in range(j * cols, (j + 1) * cols):
+                total += line[c]
+            out[i, j] = total / (rows * cols)
+
+
+@njit(**_SETTINGS)
+def straighten(section, height, first, rows, cols, pose, out):
+    """Sample the band along the sheet: out[k, b] is the mean over rows x cols samples; NaN outside the section.
+
+    height[c] is the row of the sheet in column c; the first sample lies ``first`` pixels from it. ``out`` has to come
+    filled with zeros.
+    """
+    high, wide = section.shape
+    middle_r, middle_c = 0.5 * (high - 1), 0.5 * (wide - 1)
+    share = np.float32(1.0 / (rows * cols))
+    for k in range(out.shape[0]):
+        for s in range(k * rows, (k + 1) * rows):
+            for b in range(out.shape[1]):
+                total = np.float32(0.0)
+                for c in range(b * cols, (b + 1) * cols):
+                    r = height[c] + first + s
+                    y = r + pose[0] + pose[2] * (c - middle_c)
+                    x = c + pose[1] - pose[3] * (r - middle_r)
+                    i, j = int(floor(y)), int(floor(x))
+                    if i < 0 or j < 0 or i >= high - 1 or j >= wide - 1:
+                        total = np.float32(np.nan)
+                    else:
+                        p, q = np.float32(y - i), np.float32(x - j)
+                        a0, a1 = np.float32(section[i, j]), np.float32(section[i, j + 1])
+                        b0, b1 = np.float32(section[i + 1, j]), np.float32(section[i + 1, j + 1])
+                        low = a0 + q * (a1 - a0)
+                        total += low + p * (b0 + q * (b1 - b0) - low)
+                out[k, b] += share * total
+
+
+@njit(**_SUMS)
+def smooth(values, down, across, line, out):
+    """Weight every value with its neighbours: ``down`` along the rows' axis, ``across`` along the other; clamped."""
+    rows, cols = values.shape
+    far, wide = down.size // 2, across.size // 2
+    for k in range(rows):
+        padded = line[: cols + 2 * wide]
+        padded[:] = 0.0
+        for n in range(down.size):
+            source = values[min(max(k + n - far, 0), rows - 1)]
+            weight = down[n]
+            for c in range(cols):
+                padded[wide + c] += weight * source[c]
+        for c in range(wide):
+            padded[c] = padded[wide]
+            padded[wide + cols + c] = padded[wide + cols - 1]
+        target = out[k]
+        target[:] = 0.0
+        for n in range(across.size):
+            weight = across[n]
+            for c in range(cols):
+                target[c] += weight * padded[c + n]
+
+
+@njit(**_SUMS)
+def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums):
+    """Set sums[chunk] to what the displacement of band b against band a follows from.
+
+    With the gradient g = (row, col, turn) of the mean of both bands and the difference d = b - a, the thirteen numbers
+    are the upper triangle of the sum of g g' (6), the sum of g d (3), the sum of d d, that of the squares of both
+    around 0.5, all weighted with trust[row] and Tukey's (1 - (d / limit[row])^2)^2, 0 where |d| >= limit; then the sum
+    of the weights, and that of trust over all samples without NaN.
+
+    x[c] is the place of the column and y[c] that of the sheet's height there, from the middle of the section; both
+    and the samples' distances, pitch (row, col), in um.
+    """
+    rows, cols = a.shape
+    half_r, half_c = np.float32(0.25 / pitch[0]), np.float32(0.25 / pitch[1])
+    sums[:] = 0.0
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for k in range(1, rows - 1):
+        a0, a1, a2 = a[k - 1], a[k], a[k + 1]
+        b0, b1, b2 = b[k - 1], b[k], b[k + 1]
+        steep, heavy = np.float32(1.0 / (limit[k] * limit[k])), np.float32(trust[k])
+        off = np.float32((k - 0.5 * (rows - 1)) * pitch[0])
+        for chunk in range(chunks):
+            s0 = s1 = s2 = s3 = s4 = s5 = t0 = t1 = t2 = dd = ss = used = held = zero
+            for c in range(max(1, cols * chunk // chunks), min(cols - 1, cols * (chunk + 1) // chunks)):
+                d = b1[c] - a1[c]
+                gr = half_r * (a2[c] - a0[c] + (b2[c] - b0[c]))
+                gc = half_c * (a1[c + 1] - a1[c - 1] + (b1[c + 1] - b1[c - 1]))
+                gt = gr * x[c] - gc * (y[c] + off)
+                sound = d + gr + gc
+                w = one if sound == sound else zero
+                held += heavy * w
+                far = one - steep * d * d
+                w = heavy * far * far if (w > zero and far > zero) else zero
+                d = d if w > zero else zero
+                gr = gr if w > zero else zero
+                gc = gc if w > zero else zero
+                gt = gt if w > zero else zero
+                va = a1[c] - np.float32(0.5) if w > zero else zero
+                vb = b1[c] - np.float32(0.5) if w > zero else zero
+                used += w
+                s0 += w * gr * gr
+                s1 += w * gr * gc
+                s2 += w * gr * gt
+                s3 += w * gc * gc
+                s4 += w * gc * gt
+                s5 += w * gt * gt
+                t0 += w * gr * d
+                t1 += w * gc * d
+                t2 += w * gt * d
+                dd += w * d * d
+                ss += w * (va * va + vb * vb)
+            found = sums[chunk]
+            found[0] += s0
+            found[1] += s1
+            found[2] += s2
+            found[3] += s3
+            found[4] += s4
+            found[5] += s5
+            found[6] += t0
+            found[7] += t1
+            found[8] += t2
+            found[9] += dd
+            found[10] += ss
+            found[11] += used
+            found[12] += held
+
+
+@njit(**_SETTINGS)
+def _clamped(value, last):
+    """Return the pixel below a place and the share of the next one; places outside are taken to the border."""
+    value = min(max(value, 0.0), float(last))
+    i = min(int(value), max(last - 1, 0))
+    return i, np.float32(value - i)
+
+
+@njit(**_SETTINGS)
+def _line(section, r, pose, grade, line):
+    """Set line to row r of a section put right: found where the pose says, grey made gain x value + offset."""
+    high, wide = section.shape
+    middle_r, middle_c = 0.5 * (high - 1), 0.5 * (wide - 1)
+    gain, offset = np.float32(grade[0]), np.float32(grade[1])
+    shift = pose[1] - pose[3] * (r - middle_r)
+    step = int(floor(shift))
+    q = np.float32(shift - step)
+    y0 = r + pose[0] - pose[2] * middle_c
+    # Columns whose neighbours both lie inside; the few others are clamped one by one.
+    begin = min(max(0, -step), wide)
+    end = max(begin, min(wide, wide - 1 - step))
+    # A turn is small: the row changes seldom along the columns, and in between the inner loop has nothing to decide.
+    c = begin
+    while c < end:
+        y = y0 + pose[2] * c
+        i, _ = _clamped(y, high - 1)
+        stop = end
+        if y < 0.0 or y > high - 1:
+            stop = c + 1
+        elif pose[2] > 0.0:
+            stop = min(end, max(c + 1, int((i + 1 - y0) / pose[2])))
+        elif pose[2] < 0.0:
+            stop = min(end, max(c + 1, int((i - y0) / pose[2])))
+        start = np.float32(min(max(y, 0.0), float(high - 1)) - i)
+        slope = np.float32(pose[2])
+        low, up = section[i], section[min(i + 1, high - 1)]
+        for n in range(c, stop):
+            a0, a1 = np.float32(low[n + step]), np.float32(low[n + step + 1])
+            b0, b1 = np.float32(up[n + step]), np.float32(up[n + step + 1])
+            v = a0 + q * (a1 - a0)
+            line[n] = v + (start + slope * np.float32(n - c)) * (b0 + q * (b1 - b0) - v)
+        c = stop
+    for c in range(wide):
+        if c < begin or c >= end:
+            i, p = _clamped(y0 + pose[2] * c, high - 1)
+            j, f = _clamped(c + shift, wide - 1)
+            k, n = min(i + 1, high - 1), min(j + 1, wide - 1)
+            a0, a1 = np.float32(section[i, j]), np.float32(section[i, n])
+            b0, b1 = np.float32(section[k, j]), np.float32(section[k, n])
+            v = a0 + f * (a1 - a0)
+            line[c] = v + p * (b0 + f * (b1 - b0) - v)
+    if gain != 1.0 or offset != 0.0:
+        for c in range(wide):
+            line[c] = gain * line[c] + offset
+
+
+@njit(**_SETTINGS)
+def between(first, second, share, poses, grades, low, high, whole, out):
+    """Set out to (1 - share) first + share second, both put right; rounded and kept in low..high where ``whole``."""
+    wide = out.shape[1]
+    one, two = np.empty(wide, np.float32), np.empty(wide, np.float32)
+    t = np.float32(share)
+    for r in range(out.shape[0]):
+        if share < 1.0:
+            _line(first, r, poses[0], grades[0], one)
+        if share > 0.0:
+            _line(second, r, poses[1], grades[1], two)
+        if share <= 0.0:
+            line = one
+        elif share >= 1.0:
+            line = two
+        else:
+            for c in range(wide):
+                one[c] += t * (two[c] - one[c])
+            line = one
+        target = out[r]
+        if whole:
+            for c in range(wide):
+                target[c] = floor(min(max(line[c], low), high) + np.float32(0.5))
+        else:
+            for c in range(wide):
+                target[c] = line[c]
+
+
+@njit(**_SETTINGS)
+def layers(section, height, near, far, step, core, background):
+    """Collect grey levels of the sheet's core and of the background; return how many of each.
+
+    height[c] is the row of the sheet: pixels within ``near`` of it are the core, of which every step[0]-th is taken;
+    those beyond ``far`` are the background, of which every step[1]-th is.
+    """
+    inner = outer = seen_inner = seen_outer = 0
+    for r in range(section.shape[0]):
+        for c in range(section.shape[1]):
+            away = abs(r - height[c])
+            if away <= near:
+                if seen_inner % step[0] == 0 and inner < core.size and not isnan(np.float32(section[r, c])):
+                    core[inner] = section[r, c]
+                    inner += 1
+                seen_inner += 1
+            elif away >= far:
+                if seen_outer % step[1] == 0 and outer < background.size and not isnan(np.float32(section[r, c])):
+                    background[outer] = section[r, c]
+                    outer += 1
+                seen_outer += 1
+    return inner, outer

@@ -1,0 +1,210 @@
+"""Joint alignment of serial sections: each against its neighbours on both sides, and only what changes quickly.
+
+Aligning each section to the one before adds up errors and straightens the specimen's true bend. Here the offsets
+between all sections up to five apart are fitted together, and waves longer than some fifty sections, in which the
+bend of the sheet cannot be told from a drift of the stage, are left as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.sections.band import Band, check_stack, find_band, for_each
+from planish.sections.network import held_pairs, parts, quick_places, solve_places
+from planish.sections.pairs import Bands, Pairs, compare
+
+Array = NDArray[np.float64]
+Stack = NDArray[Any]
+
+_GAP_SECTIONS = 4.5  # neighbours farther apart show other fibres: three missing sections are bridged, no more
+_REACH_FIRST = 2
+_BLOCK = 32  # sections that a thread takes at a time
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alignment:
+    """Where each section lies against its neighbours.
+
+    What belongs at (row, col) of section i is found at (row, col) + ``shift_um[i]`` / pixel, turned about the middle
+    of the section by ``rotation_rad[i]``: with x, y the distances from the middle along the columns and rows, in um,
+    the row is larger by ``rotation x`` and the column smaller by ``rotation y``.
+
+    Attributes
+    ----------
+    shift_um : ndarray (sections, 2)
+        Along (row, col), in um; 0 where a section could not be aligned.
+    rotation_rad : ndarray (sections,)
+        Shortened by the share that is its own error.
+    aligned : ndarray of bool (sections,)
+        False for a section with less than two good pairs: torn, blurred, or not of this sheet.
+    jitter_left_um : ndarray (2,)
+        Standard deviation of what is left of the quick errors along (row, col), from two solutions with one half of
+        the columns each.
+    pairs_used, pairs_refused : int
+    pixel_um : tuple of float
+        (row, col).
+    cutoff_um : float
+        Waves longer than this along the cut were left alone.
+    """
+
+    shift_um: Array
+    rotation_rad: Array
+    aligned: NDArray[np.bool_]
+    jitter_left_um: Array
+    pairs_used: int
+    pairs_refused: int
+    pixel_um: tuple[float, float]
+    cutoff_um: float
+
+
+def align_sections(
+    stack: Stack,
+    positions_um: NDArray[Any],
+    pixel_um: tuple[float, float],
+    *,
+    band: Band | None = None,
+    reach: int = 5,
+    cutoff_sections: float = 50.0,
+    rotation: bool = True,
+    rounds: int = 3,
+    threads: int | None = None,
+) -> Alignment:
+    """Align serial sections jointly, leaving the slow waves alone.
+
+    Parameters
+    ----------
+    stack : ndarray or memmap, dims (section, row, col)
+        Grey values of any integer or real type; NaN is missing. The sheet is a band along the columns.
+    positions_um : ndarray (sections,)
+        True places along the cut in um, one way; missing sections are gaps.
+    pixel_um : (row, col)
+    band : Band, optional
+        As `find_band` gives it, where it is known already.
+    reach : int
+        Each section is compared with so many on either side.
+    cutoff_sections : float
+        Corrections with longer wavelengths, in sections, are not applied.
+    rotation : bool
+        Whether sections are turned.
+    rounds : int
+        Times that the offsets are measured, each with the corrections of the last.
+    threads : int, optional
+        All processors, at most 8, where not given. The result does not depend on it.
+
+    Returns
+    -------
+    Alignment
+
+    Raises
+    ------
+    VolumeError
+        If the stack is none, positions do not run one way, or no sheet is seen.
+
+    Notes
+    -----
+    Offsets come from the gradients of texture and faces (Lucas and Kanade 1981) in the band along the sheet, robust
+    weighted least squares joins them, and a filter with its half amplitude at the cut-off takes off the slow part.
+    Joint alignment: Saalfeld et al. 2012, Nature Methods 9, 717. A sheet that rises along the cut has a true offset
+    from section to section; it belongs to the slow part, and the band follows it before anything is compared.
+    """
+    positions = np.asarray(positions_um, np.float64)
+    away = check_stack(stack, positions, pixel_um)
+    n, rows, cols = stack.shape
+    pitch = float(np.median(np.diff(away)))
+    cutoff = cutoff_sections * pitch
+    band = band or find_band(stack, away, pixel_um, threads=threads)
+    first, second = neighbours(away, pitch, max(1, reach))
+    bands = Bands(stack=stack, band=band, pixel_um=pixel_um)
+    # Course of the sheet itself as a pose: mean height and slope of the smooth surface, which the pairs do not see.
+    course = _course(band, (rows, cols), pixel_um)
+    pose = np.zeros((n, 3))
+    pose[:, 0] = band.jump * pixel_um[0]
+
+    def measured(one: NDArray[np.intp], two: NDArray[np.intp]) -> Pairs:
+        sums = np.concatenate(_sums(bands, pose, one, two, threads))
+        return compare(sums, one, two, pose, rotation=rotation)
+
+    # The first rounds only bring the sections near, with few pairs; the offsets that count are those of the last.
+    near = second - first <= _REACH_FIRST
+    for _ in range(rounds - 1):
+        whole = measured(first[near], second[near])
+        places, kept = _joined(whole, n, rotation)
+        pose = _quick(places, course, away, parts(whole.first[kept], whole.second[kept], n), cutoff)
+    whole = measured(first, second)
+    places, kept = _joined(whole, n, rotation)
+    groups = parts(first[kept], second[kept], n)
+    pose = _quick(places, course, away, groups, cutoff)
+    half, other = (
+        _quick(_joined(part, n, rotation)[0], course, away, groups, cutoff) for part in whole.halves(rotation)
+    )
+    aligned = np.zeros(n, bool)
+    for group in groups:
+        aligned[group] = True
+    aligned &= np.bincount(np.concatenate([first[kept], second[kept]]), minlength=n) >= min(2, n - 1)
+    pose[~aligned] = 0.0
+    left = np.mean((0.5 * (half - other)[aligned]) ** 2, axis=0) if aligned.any() else np.full(3, np.nan)
+    # A narrow image tells rotations badly: they are shortened to what is more than their own error (Wiener).
+    turned = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
+    pose[:, 2] *= max(0.0, 1.0 - left[2] / turned) if rotation and turned > 0 else 0.0
+    return Alignment(
+        shift_um=pose[:, :2].copy(),
+        rotation_rad=pose[:, 2].copy(),
+        aligned=aligned,
+        jitter_left_um=np.sqrt(left[:2]),
+        pairs_used=int(np.count_nonzero(kept)),
+        pairs_refused=int(kept.size - np.count_nonzero(kept)),
+        pixel_um=pixel_um,
+        cutoff_um=cutoff,
+    )
+
+
+def neighbours(away_um: Array, pitch_um: float, reach: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pairs of sections at most ``reach`` apart with no wide gap between them, ordered by the first."""
+    n = away_um.size
+    wide = np.cumsum(np.concatenate([[0], np.diff(away_um) > _GAP_SECTIONS * pitch_um]))
+    ties = [(i, j) for i in range(n) for j in range(i + 1, min(i + reach, n - 1) + 1) if wide[i] == wide[j]]
+    table = np.array(ties, np.intp).reshape(-1, 2)
+    return table[:, 0], table[:, 1]
+
+
+def _course(band: Band, shape: tuple[int, int], pixel_um: tuple[float, float]) -> Array:
+    """Mean height in um, 0, and slope of the smooth surface in each section; (sections, 3)."""
+    x = (band.at_col - 0.5 * (shape[1] - 1)) * pixel_um[1]
+    y = (band.row - 0.5 * (shape[0] - 1)) * pixel_um[0]
+    slope, mean = np.polynomial.polynomial.polyfit(x, y.T, 1)[::-1]
+    return np.stack([mean, np.zeros(mean.size), slope], axis=1)
+
+
+def _sums(
+    bands: Bands, pose: Array, first: NDArray[np.intp], second: NDArray[np.intp], threads: int | None
+) -> list[Array]:
+    """Sums of all pairs, a block of sections at a time: each band is made once or twice, and few are held."""
+
+    def block(k: int) -> Array:
+        mine = slice(np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK))
+        return bands.sums(pose, first[mine], second[mine])
+
+    return for_each(block, -(-pose.shape[0] // _BLOCK), threads=threads)
+
+
+def _joined(pairs: Pairs, n: int, rotation: bool) -> tuple[Array, NDArray[np.bool_]]:
+    """Places of all sections (sections, 3), and which pairs were used."""
+    places = np.zeros((n, 3))
+    kept = np.zeros((pairs.first.size, 3))
+    kept[:, 2] = 1.0
+    sound = pairs.sound
+    for axis in range(3 if rotation else 2):
+        places[:, axis], kept[sound, axis] = solve_places(
+            pairs.first[sound], pairs.second[sound], pairs.offset[sound, axis], pairs.sigma[sound, axis], n
+        )
+    return places, sound & held_pairs(kept)
+
+
+def _quick(places: Array, course: Array, away: Array, groups: list[NDArray[np.intp]], cutoff: float) -> Array:
+    """Corrections (sections, 3): places with the course of the sheet, less their slow part."""
+    axes = [quick_places(places[:, k] + course[:, k], away, groups, cutoff_um=cutoff) for k in range(3)]
+    return np.stack(axes, axis=1)

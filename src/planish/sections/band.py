@@ -1,0 +1,213 @@
+"""Where the sheet runs in a stack of sections: a smooth surface through its middle, and the grey levels on both sides.
+
+The surface need not be exact. It straightens the band in which neighbours are compared, and it is smooth from section
+to section, so it lends neighbours no difference of its own.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d, label, median_filter
+
+from planish.core.errors import VolumeError
+from planish.sections._kernels import block_means
+from planish.sections.trend import slow_part
+
+Array = NDArray[np.float64]
+Stack = NDArray[Any]
+Result = TypeVar("Result")
+
+_BLOCK_UM = (5.0, 80.0)  # rows, cols of the blocks in which the sheet is looked for
+_BORDER = 0.15  # share of the rows at each end that is taken to be background
+_SMOOTH_SECTIONS = 30.0  # shortest wave of the surface
+_FILLED = 1e-3  # weight of a place where the sheet was not seen, against 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Band:
+    """Course of the sheet.
+
+    Attributes
+    ----------
+    row : ndarray (sections, blocks)
+        Middle of the sheet, in pixels along the rows; smooth along both axes.
+    at_col : ndarray (blocks,)
+        Middle column of each block, in pixels.
+    jump : ndarray (sections,)
+        By how many rows the sheet lies off the smooth surface in this section: a first guess of its shift.
+    half_um : float
+        Half the sheet's thickness across the rows, in um.
+    background, contrast : ndarray (sections,)
+        Rough grey level off the sheet, and that of the sheet less that of the background.
+    """
+
+    row: Array
+    at_col: Array
+    jump: Array
+    half_um: float
+    background: Array
+    contrast: Array
+
+    def heights(self, section: int, cols: int) -> NDArray[np.float32]:
+        """Row of the sheet in each of ``cols`` columns of a section, in pixels."""
+        return np.interp(np.arange(cols), self.at_col, self.row[section]).astype(np.float32)
+
+
+def workers(threads: int | None) -> int:
+    """Number of threads: all processors, at most 8, where not given."""
+    return threads or min(os.cpu_count() or 1, 8)
+
+
+def for_each(work: Callable[[int], Result], count: int, *, threads: int | None) -> list[Result]:
+    """Call ``work(0)`` to ``work(count - 1)`` and return what they give, in order."""
+    if workers(threads) == 1:
+        return [work(i) for i in range(count)]
+    with ThreadPoolExecutor(workers(threads)) as pool:
+        return list(pool.map(work, range(count)))
+
+
+def check_stack(stack: Stack, positions_um: Array, pixel_um: tuple[float, float]) -> Array:
+    """Refuse what is no stack of sections; return the distances from the first section in um, increasing.
+
+    Raises
+    ------
+    VolumeError
+        If dims, types or numbers do not fit.
+    """
+    if stack.ndim != 3 or stack.dtype.kind not in "uif" or min(stack.shape) < 2:
+        raise VolumeError(
+            f"The sections have the shape {' x '.join(map(str, stack.shape))} and type {stack.dtype}. Needed are grey "
+            "values, (sections, rows, cols), with at least two of each."
+        )
+    if positions_um.shape != stack.shape[:1]:
+        raise VolumeError(
+            f"There are {stack.shape[0]} sections and {positions_um.size} positions. Each section needs one."
+        )
+    if not all(np.isfinite(p) and p > 0 for p in pixel_um):
+        raise VolumeError(f"A pixel of {pixel_um[0]:g} x {pixel_um[1]:g} um is none. Give its size (row, col) in um.")
+    away = np.asarray(positions_um, np.float64) - positions_um[0]
+    away = -away if away[-1] < 0 else away
+    wrong = np.flatnonzero(~(np.diff(away) > 0))
+    if wrong.size:
+        i = int(wrong[0])
+        raise VolumeError(
+            f"The sections {i + 1} and {i + 2} lie at {positions_um[i]:g} and {positions_um[i + 1]:g} um. Positions "
+            "have to run one way: correct the cut counter or put the sections in order."
+        )
+    return away
+
+
+def find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float], *, threads: int | None = None) -> Band:
+    """Find the course of the sheet through a stack of sections.
+
+    Parameters
+    ----------
+    stack : ndarray (sections, rows, cols)
+    away_um : ndarray (sections,)
+        Distance from the first section in um, increasing.
+    pixel_um : (row, col)
+    threads : int, optional
+
+    Returns
+    -------
+    Band
+
+    Raises
+    ------
+    VolumeError
+        If no sheet is seen.
+
+    Notes
+    -----
+    Block means of 5 x 80 um are told apart by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on the difference to the
+    section's background; the largest connected part is the sheet.
+    """
+    n, rows, cols = stack.shape
+    tall = max(1, min(round(_BLOCK_UM[0] / pixel_um[0]), rows // 16))
+    wide = max(1, min(round(_BLOCK_UM[1] / pixel_um[1]), cols // 8))
+    blocks = np.empty((n, rows // tall, cols // wide), np.float32)
+    for_each(lambda i: block_means(stack[i], tall, wide, blocks[i]), n, threads=threads)
+    border = max(1, int(_BORDER * blocks.shape[1]))
+    ends = np.concatenate([blocks[:, :border], blocks[:, -border:]], axis=1).reshape(n, -1)
+    background = _middle(ends)
+    difference = np.abs(blocks - background[:, None, None])
+    seen = np.isfinite(difference)
+    difference[~seen] = 0.0
+    smoothed: NDArray[np.float32] = gaussian_filter(difference, 1.0)
+    sheet = _largest(smoothed > _otsu(smoothed[:: max(1, n // 200)].ravel()))
+    if sheet is None:
+        raise VolumeError("No sheet is seen in the sections: all grey levels are alike. Check the files.")
+    count = sheet.sum(axis=1)
+    usual = float(np.median(count[count > 0]))
+    weight = np.where(sheet, difference, 0.0)
+    total = weight.sum(axis=1)
+    sound = (count >= 0.5 * usual) & (count <= 2.0 * usual) & (total > 0)
+    if not sound.any():
+        raise VolumeError("No sheet of an even thickness is seen in the sections. Check the files and the pixel size.")
+    at_row = np.arange(blocks.shape[1])[:, None]
+    middle = np.where(sound, (weight * at_row).sum(axis=1) / np.where(total > 0, total, 1.0), np.nan)
+    middle = (middle + 0.5) * tall - 0.5
+    smooth = _surface(middle, away_um)
+    off = np.where(sound, middle - smooth, np.nan)
+    jump = np.array([np.nanmedian(row) if np.isfinite(row).any() else 0.0 for row in off])
+    core = np.where(sheet, blocks, np.nan).reshape(n, -1)
+    contrast = _middle(core) - background
+    typical = float(np.nanmedian(contrast))
+    # A section without a sheet has no contrast of its own; a drift of colour is far less than a factor of two.
+    fair = np.isfinite(contrast) & (np.abs(contrast - typical) < 0.5 * abs(typical))
+    return Band(
+        row=smooth,
+        at_col=np.arange(blocks.shape[2], dtype=np.float64) * wide + 0.5 * (wide - 1),
+        jump=jump,
+        half_um=0.5 * usual * tall * pixel_um[0],
+        background=np.where(np.isfinite(background), background, np.nanmedian(background)),
+        contrast=np.where(fair, contrast, typical),
+    )
+
+
+def _middle(values: NDArray[np.float32]) -> Array:
+    """Median of the numbers in each row; NaN where there is none."""
+    held = np.isfinite(values)
+    return np.array([np.median(v[h]) if h.any() else np.nan for v, h in zip(values, held, strict=True)], np.float64)
+
+
+def _otsu(values: NDArray[np.float32]) -> float:
+    """Threshold that separates two groups best: the one with the largest variance between them."""
+    counts, edges = np.histogram(values, 512)
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    below = np.cumsum(counts)[:-1]
+    above = values.size - below
+    mass = np.cumsum(counts * centres)
+    low, high = mass[:-1] / np.maximum(below, 1), (mass[-1] - mass[:-1]) / np.maximum(above, 1)
+    return float(edges[1 + int(np.argmax(below.astype(np.float64) * above * (high - low) ** 2))])
+
+
+def _largest(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """Return the largest connected part, None where there is nothing."""
+    names: NDArray[Any]
+    names, count = label(mask)
+    if count == 0:
+        return None
+    sizes = np.bincount(names.ravel())
+    sizes[0] = 0
+    return names == int(np.argmax(sizes))
+
+
+def _surface(middle: Array, away_um: Array) -> Array:
+    """Smooth the middle of the sheet (sections, blocks) along both axes and fill it where it is NaN."""
+    seen = np.isfinite(middle)
+    nearest: NDArray[Any] = distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    filled = median_filter(middle[tuple(nearest)], size=(1, 3), mode="nearest")
+    weights = np.where(seen, 1.0, _FILLED)
+    cutoff = _SMOOTH_SECTIONS * float(np.median(np.diff(away_um)))
+    columns = [
+        slow_part(away_um, filled[:, k], cutoff_um=cutoff, weights=weights[:, k]) for k in range(middle.shape[1])
+    ]
+    return gaussian_filter1d(np.stack(columns, axis=1), 1.0, axis=1, mode="nearest")

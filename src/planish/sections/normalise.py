@@ -1,0 +1,119 @@
+"""Equal grey levels in all sections: gain and offset from the resin's grey and that of the sheet's core."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.sections._kernels import layers
+from planish.sections.band import Band, check_stack, find_band, for_each
+
+Array = NDArray[np.float64]
+
+_CORE = 0.7  # of half the thickness: away from the faces and their coatings
+_OFF_UM = 30.0  # beyond the faces
+_MOST = 50_000  # pixels for a level: the noise of a pixel is divided by 200
+_LEAST = 50  # pixels for a level
+_ROUNDS = 6
+_WIDTH = 2.0  # standard deviations on both sides that the mean of the crowd takes in
+_LARGEST_DRIFT = 0.3  # a gain farther from 1 is no drift of colour but another thing in the picture
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gains:
+    """How to make the grey levels of all sections equal: gain x grey + offset.
+
+    Attributes
+    ----------
+    gain, offset : ndarray (sections,)
+        1 and 0 where the levels could not be measured.
+    background, material : ndarray (sections,)
+        Mode of the background and level of the sheet's core, as stored; NaN where they could not be measured.
+    measured : ndarray of bool (sections,)
+    """
+
+    gain: Array
+    offset: Array
+    background: Array
+    material: Array
+    measured: NDArray[np.bool_]
+
+
+def normalise_sections(
+    stack: NDArray[Any],
+    positions_um: NDArray[Any],
+    pixel_um: tuple[float, float],
+    *,
+    band: Band | None = None,
+    threads: int | None = None,
+) -> Gains:
+    """Find gain and offset of each section from two anchors.
+
+    Parameters
+    ----------
+    stack : ndarray or memmap, dims (section, row, col)
+        As for `align_sections`; one section at a time is looked at.
+    positions_um : ndarray (sections,)
+    pixel_um : (row, col)
+    band : Band, optional
+        As `find_band` gives it, where it is known already.
+    threads : int, optional
+        All processors, at most 8, where not given. The result does not depend on it.
+
+    Returns
+    -------
+    Gains
+        They bring both anchors to their medians over all sections.
+
+    Raises
+    ------
+    VolumeError
+        If the stack is none, positions do not run one way, or no sheet is seen.
+
+    Notes
+    -----
+    The anchors are the mode of the background and the middle of the sheet's core; both are the mean of the crowd around
+    the median, iterated, which is surer than the median. What limits the gain is the sheet: its fibres go up and down
+    together by their standard deviation over the root of the number of flocs in the core, some 0.3 % of the contrast in
+    8 mm, and this, like a slow change of the sheet's own material, is taken for a drift of colour.
+    """
+    away = check_stack(stack, np.asarray(positions_um, np.float64), pixel_um)
+    band = band or find_band(stack, away, pixel_um, threads=threads)
+    n, rows, cols = stack.shape
+    near, far = _CORE * band.half_um / pixel_um[0], (band.half_um + _OFF_UM) / pixel_um[0]
+    inside, outside = 2 * near * cols, max(1.0, rows - 2 * far) * cols
+    step = np.array([max(1, round(inside / _MOST)), max(1, round(outside / _MOST))])
+
+    def levels(i: int) -> tuple[float, float]:
+        core, off = np.empty(2 * _MOST, np.float32), np.empty(2 * _MOST, np.float32)
+        height = band.heights(i, cols) + np.float32(band.jump[i])
+        counts = layers(stack[i], height, near, far, step, core, off)
+        inner, outer = core[: counts[0]], off[: counts[1]]
+        return (
+            _crowd(outer) if outer.size >= _LEAST else np.nan,
+            _crowd(inner) if inner.size >= _LEAST else np.nan,
+        )
+
+    background, material = np.array(for_each(levels, n, threads=threads), np.float64).T
+    contrast = material - background
+    typical = float(np.nanmedian(contrast)) if np.isfinite(contrast).any() else np.nan
+    measured = np.abs(contrast - typical) <= _LARGEST_DRIFT * abs(typical)
+    gain = np.where(measured, typical / np.where(measured, contrast, 1.0), 1.0)
+    level = float(np.median(background[measured])) if measured.any() else 0.0
+    offset = np.where(measured, level - gain * np.where(measured, background, 0.0), 0.0)
+    return Gains(gain=gain, offset=offset, background=background, material=material, measured=measured)
+
+
+def _crowd(values: NDArray[np.float32]) -> float:
+    """Value around which most of the data lie: the mean of those near it, found by iteration from the median."""
+    data = values.astype(np.float64)
+    level = float(np.median(data))
+    spread = 1.4826 * float(np.median(np.abs(data - level)))
+    if spread == 0.0:
+        return level
+    for _ in range(_ROUNDS):
+        level = float(data[np.abs(data - level) <= _WIDTH * spread].mean())
+    return level

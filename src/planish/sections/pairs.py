@@ -1,0 +1,247 @@
+"""Offsets between two sections from the band along the sheet: texture and faces, by gradients, in parts of the columns.
+
+Parts tell how sure an offset is. Neighbouring samples share their fibres, so residuals of single samples say too
+little; parts of some 150 um are independent, and how far they disagree is what counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from planish.sections._kernels import pair_sums, smooth, straighten
+from planish.sections.band import Band
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Samples = NDArray[np.float32]
+
+_PITCH_UM = (2.5, 5.0)  # of the samples, rows and cols: about; a whole number of pixels
+_BLUR_UM = 6.0  # standard deviation; wide against the shifts to be measured, narrow against the texture
+_MARGIN_UM = 30.0  # beyond the faces
+_PART_UM = 150.0  # five times the reach of the texture
+_PARTS = (8, 48)
+_RUN = 4  # parts side by side share some of their errors, through the smooth surface along which they are taken
+_LINE_SIGMAS = 5.0  # a column of the resin that stands out so far is a knife mark
+_OUTLIER_SIGMAS = 4.0
+_TURN_UM = 1000.0  # rotations are carried as the shift at this distance, so that all unknowns are alike in size
+_ALIKE = 0.5  # correlation of two bands below which they do not show the same sheet
+_LARGEST_SIGMA_UM = 5.0
+_LEAST_SIGMA_UM = 0.02  # no pair is better than this, whatever its parts say
+_STIFF = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pairs:
+    """Offsets between pairs of sections.
+
+    Attributes
+    ----------
+    first, second : ndarray (pairs,)
+    offset, sigma : ndarray (pairs, 3)
+        Along row and col in um, and rotation in rad: pose of the second less that of the first.
+    sound : ndarray of bool (pairs,)
+        Whether both show the same sheet.
+    sums : ndarray (pairs, parts, 13)
+        What the offsets follow from.
+    base : ndarray (pairs, 3)
+        Difference of the poses with which the bands were made.
+    """
+
+    first: Index
+    second: Index
+    offset: Array
+    sigma: Array
+    sound: NDArray[np.bool_]
+    sums: Array
+    base: Array
+
+    def halves(self, rotation: bool) -> list[Pairs]:
+        """Return the same pairs from one half of the columns alone, and from the other; runs of parts take turns."""
+        turn = np.arange(self.sums.shape[1]) // _RUN % 2
+        return [_solved(self.sums[:, turn == k], self.first, self.second, self.base, rotation) for k in (0, 1)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bands:
+    """Makes straightened bands of sections and compares them."""
+
+    stack: NDArray[Any]
+    band: Band
+    pixel_um: tuple[float, float]
+
+    @property
+    def step(self) -> tuple[int, int]:
+        """Pixels per sample along rows and cols."""
+        return (
+            max(1, round(_PITCH_UM[0] / self.pixel_um[0])),
+            max(1, min(round(_PITCH_UM[1] / self.pixel_um[1]), self.stack.shape[2] // 64)),
+        )
+
+    @property
+    def pitch_um(self) -> tuple[float, float]:
+        """Distance of the samples."""
+        return self.step[0] * self.pixel_um[0], self.step[1] * self.pixel_um[1]
+
+    @property
+    def parts(self) -> int:
+        """Number of parts of the columns."""
+        return int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
+
+    def samples(self, section: int, pose: Array) -> tuple[Samples, Samples]:
+        """Smoothed band of a section, grey as 0 off the sheet and 1 in it, and the heights of its columns in um.
+
+        Parameters
+        ----------
+        section : int
+        pose : ndarray (3,)
+            Row, col in um and rotation in rad that are taken off.
+        """
+        _, rows, cols = self.stack.shape
+        (down, across), (pitch_r, pitch_c) = self.step, self.pitch_um
+        (pixel_r, pixel_c), half = self.pixel_um, self.band.half_um + _MARGIN_UM
+        height = self.band.heights(section, cols)
+        count = max(5, round(2 * half / pitch_r))
+        out = np.zeros((count, cols // across), np.float32)
+        in_pixels = np.array(
+            [pose[0] / pixel_r, pose[1] / pixel_c, pose[2] * pixel_c / pixel_r, pose[2] * pixel_r / pixel_c]
+        )
+        straighten(self.stack[section], height, -0.5 * (count * down - 1), down, across, in_pixels, out)
+        out -= np.float32(self.band.background[section])
+        out /= np.float32(self.band.contrast[section])
+        self._mend(out)
+        weights = [_gaussian(_BLUR_UM / pitch) for pitch in (pitch_r, pitch_c)]
+        result = np.empty_like(out)
+        smooth(out, weights[0], weights[1], np.empty(out.shape[1] + weights[1].size, np.float32), result)
+        middle = (np.arange(out.shape[1]) + 0.5) * across - 0.5
+        at = np.interp(middle, np.arange(cols), height) * pixel_r
+        return result, (at - 0.5 * (rows - 1) * pixel_r).astype(np.float32)
+
+    def _mend(self, out: Samples) -> None:
+        """Replace columns in which the resin shows a knife mark by those beside: a knife's nick stays where it is."""
+        rim = max(1, int(0.7 * _MARGIN_UM / self.pitch_um[0]))
+        profile = np.concatenate([out[:rim], out[-rim:]]).mean(axis=0)
+        if not np.isfinite(profile).all():
+            return
+        away = np.abs(profile - median_filter(profile, 15, mode="nearest"))
+        marked = away > _LINE_SIGMAS * 1.4826 * float(np.median(away))
+        marked = marked | np.roll(marked, 1) | np.roll(marked, -1)
+        if not marked.any() or np.count_nonzero(marked) > 0.3 * marked.size:
+            return
+        good = np.flatnonzero(~marked)
+        bad = np.flatnonzero(marked)
+        right = np.clip(np.searchsorted(good, bad), 1, good.size - 1)
+        a, b = good[right - 1], good[right]
+        share = np.clip((bad - a) / (b - a), 0.0, 1.0).astype(np.float32)
+        out[:, bad] = out[:, a] * (1 - share) + out[:, b] * share
+
+    def sums(self, pose: Array, first: Index, second: Index) -> Array:
+        """Sums of `pair_sums` for pairs that are ordered by the first section; (pairs, parts, 13)."""
+        cols = self.stack.shape[2] // self.step[1]
+        x = ((np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)) * self.pixel_um[1]
+        x32 = x.astype(np.float32)
+        found = np.zeros((first.size, self.parts, 13))
+        held: dict[int, tuple[Samples, Samples]] = {}
+        for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+            for gone in [s for s in held if s < i]:
+                del held[gone]
+            for s in (i, j):
+                if s not in held:
+                    held[s] = self.samples(s, pose[s])
+            (a, y_a), (b, y_b) = held[i], held[j]
+            limit, trust = _limits(a, b)
+            # Columns move along the sheet here, not at a fixed row: where the sheet is tilted, its faces would else
+            # tell the shift along the columns, and every unevenness of the smooth surface would count as one. What
+            # this neglects vanishes with the shift itself, after two or three rounds.
+            pair_sums(a, b, x32, 0.5 * (y_a + y_b), self.pitch_um, self.parts, limit, trust, found[k])
+        return found
+
+
+def compare(sums: Array, first: Index, second: Index, pose: Array, *, rotation: bool) -> Pairs:
+    """Offsets of pairs from their sums.
+
+    Parameters
+    ----------
+    sums : ndarray (pairs, parts, 13)
+    first, second : ndarray (pairs,)
+    pose : ndarray (sections, 3)
+        Poses with which the bands were made, in um and rad.
+    rotation : bool
+        Whether sections may be turned against each other.
+
+    Returns
+    -------
+    Pairs
+    """
+    return _solved(sums, first, second, pose[second] - pose[first], rotation)
+
+
+def _solved(sums: Array, first: Index, second: Index, base: Array, rotation: bool) -> Pairs:
+    size = 3 if rotation else 2
+    scale = np.array([1.0, 1.0, _TURN_UM])[:size]
+    rows, cols = np.triu_indices(3)
+    matrix = np.zeros((*sums.shape[:2], 3, 3))
+    matrix[..., rows, cols] = sums[..., :6]
+    matrix[..., cols, rows] = sums[..., :6]
+    matrix = matrix[..., :size, :size] / (scale[:, None] * scale)
+    right = -sums[..., 6:9][..., :size] / scale
+    weight = np.ones(sums.shape[:2])
+    stiff = _STIFF * np.eye(size) * np.maximum(matrix.sum(axis=1)[:, :1, :1], 1e-12)
+    answer = np.zeros((first.size, size))
+    covariance = np.zeros((first.size, size, size))
+    for _ in range(3):
+        total = (weight[..., None, None] * matrix).sum(axis=1) + stiff
+        inverse = np.linalg.inv(total)
+        answer = np.einsum("pij,pj->pi", inverse, (weight[..., None] * right).sum(axis=1))
+        # What each part would still pull: the spread of these is the error, and a part that pulls too far is torn.
+        pull = right - np.einsum("pkij,pj->pki", matrix, answer)
+        spread = np.einsum("pk,pki,pkj->pij", weight**2, pull, pull)
+        covariance = np.einsum("pij,pjk,pkl->pil", inverse, spread, inverse)
+        strength = np.sqrt(np.einsum("pkii->pki", matrix) + 1e-12)
+        sigmas = np.max(np.abs(pull / strength) / _scale(pull / strength), axis=2)
+        weight = np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
+    offset = base.copy()
+    offset[:, :size] += answer / scale
+    parts = sums.shape[1]
+    sigma = np.full((first.size, 3), np.inf)
+    sigma[:, :size] = np.sqrt(np.einsum("pii->pi", covariance) * parts / max(parts - 1, 1))
+    sound = _alike(sums) & np.all(np.isfinite(answer), axis=1) & np.all(sigma[:, :2] < _LARGEST_SIGMA_UM, axis=1)
+    sigma = np.maximum(sigma, _LEAST_SIGMA_UM)
+    sigma[:, 2] /= _TURN_UM
+    return Pairs(first=first, second=second, offset=offset, sigma=sigma, sound=sound, sums=sums, base=base)
+
+
+def _limits(a: Samples, b: Samples) -> tuple[Array, Array]:
+    """Difference beyond which a sample is an outlier, and the weight of its residual, for each row of two bands.
+
+    Faces are rough and differ more than the fibres between them: rows in which they lie count less. No row counts more
+    than the median row, or the empty resin would have a say.
+    """
+    difference = np.abs(a[:, ::4] - b[:, ::4])
+    known = np.isfinite(difference)
+    mean = np.where(known, difference, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    mean = np.maximum(mean, max(float(np.median(mean)), 1e-6))
+    return _OUTLIER_SIGMAS * 1.2533 * mean, (mean.min() / mean) ** 2
+
+
+def _scale(values: Array) -> Array:
+    """Robust spread over the parts (axis 1), kept as an axis."""
+    return 1.4826 * np.median(np.abs(values), axis=1, keepdims=True) + 1e-12
+
+
+def _alike(sums: Array) -> NDArray[np.bool_]:
+    """Whether two bands show the same: enough of both is there, and they go up and down together."""
+    total = sums.sum(axis=1)
+    likeness = 1.0 - total[:, 9] / np.maximum(total[:, 10], 1e-12)
+    return (likeness > _ALIKE) & (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
+
+
+def _gaussian(sigma: float) -> Samples:
+    """Weights of a Gaussian out to three standard deviations, sum 1."""
+    far = max(1, int(np.ceil(3 * sigma)))
+    weights = np.exp(-0.5 * (np.arange(-far, far + 1) / sigma) ** 2)
+    return (weights / weights.sum()).astype(np.float32)

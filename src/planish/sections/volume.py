@@ -1,0 +1,160 @@
+"""One regular volume from aligned sections: every voxel is interpolated once, missing sections from both sides."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import VolumeError
+from planish.sections._kernels import between
+from planish.sections.align import Alignment
+from planish.sections.band import check_stack, for_each
+from planish.sections.normalise import Gains
+
+Array = NDArray[np.float64]
+
+_ON_SECTION = 1e-3  # of a pitch: a plane so near to a section is that section
+_MOST_GAPS = 5  # written out in a message
+
+
+def regular_volume(
+    stack: NDArray[Any],
+    positions_um: NDArray[Any],
+    pixel_um: tuple[float, float],
+    *,
+    alignment: Alignment | None = None,
+    gains: Gains | None = None,
+    most_missing: int = 3,
+    attrs: Mapping[str, Any] | None = None,
+    threads: int | None = None,
+) -> xr.DataArray:
+    """Put aligned sections on a regular grid.
+
+    Parameters
+    ----------
+    stack : ndarray or memmap, dims (section, row, col)
+        Integers up to 16 bits or real numbers; others lose digits, for the kernels compute in single precision.
+    positions_um : ndarray (sections,)
+        True places along the cut in um, one way.
+    pixel_um : (row, col)
+    alignment : Alignment, optional
+        Corrections; none are made where not given. Sections that could not be aligned count as missing.
+    gains : Gains, optional
+        Corrections of the grey levels.
+    most_missing : int
+        Runs of so many missing sections are interpolated.
+    attrs : mapping, optional
+        What the reader knows: ``voxel_um_source``, ``full_scale``, ``file_name``, ``file_bytes`` and others.
+    threads : int, optional
+        All processors, at most 8, where not given. The result does not depend on it.
+
+    Returns
+    -------
+    DataArray, dims (z, y, x) = (section, row, col)
+        In the type of the stack. Coordinates in um, voxel i has its centre at i × size; z counts from the first
+        section used, and its pitch is the median step of the positions. Attributes as `planish.io.read_volume` gives
+        them, with ``sections``, ``sections_missing`` (planes between sections farther apart than one and a half
+        pitches), ``first_position_um`` and ``jitter_left_um`` (row, col). Pixels that a shift brings in from outside
+        repeat the border.
+
+    Raises
+    ------
+    VolumeError
+        If the stack is none, positions do not run one way, or more than `most_missing` sections in a row are missing
+        from an integer stack; in one of real numbers these planes are NaN.
+    """
+    positions = np.asarray(positions_um, np.float64)
+    away = check_stack(stack, positions, pixel_um)
+    n = stack.shape[0]
+    pitch = float(np.median(np.diff(away)))
+    used = np.arange(n) if alignment is None else np.flatnonzero(alignment.aligned)
+    if used.size < 2:
+        raise VolumeError(
+            f"{used.size} of {n} sections could be aligned, two are needed. Check that they show one sheet, in order."
+        )
+    at = away[used]
+    missing = np.rint(np.diff(at) / pitch).astype(int) - 1
+    long = np.flatnonzero(missing > most_missing)
+    real = stack.dtype.kind == "f"
+    if long.size and not real:
+        raise VolumeError(_gap_words(long, missing, positions[used], most_missing))
+    planes = at[0] + pitch * np.arange(int((at[-1] - at[0]) / pitch + 0.5 * _ON_SECTION) + 1)
+    before = np.clip(np.searchsorted(at, planes + _ON_SECTION * pitch, side="right") - 1, 0, used.size - 1)
+    after = np.minimum(before + 1, used.size - 1)
+    step = np.where(after > before, at[after] - at[before], 1.0)
+    share = np.clip((planes - at[before]) / step, 0.0, 1.0)
+    share[np.abs(planes - at[before]) <= _ON_SECTION * pitch] = 0.0
+    share[np.abs(planes - at[after]) <= _ON_SECTION * pitch] = 1.0
+    share[after == before] = 0.0
+    inside = (share > 0) & (share < 1)
+    empty = inside & np.isin(before, long)
+    poses, grades = _poses(n, alignment, pixel_um), _grades(n, gains)
+    low, high = (-np.inf, np.inf) if real else (np.iinfo(stack.dtype).min, np.iinfo(stack.dtype).max)
+    values = np.empty((planes.size, *stack.shape[1:]), stack.dtype)
+
+    def plane(k: int) -> None:
+        if empty[k]:
+            values[k] = np.nan
+            return
+        both = [int(used[before[k]]), int(used[after[k]])]
+        between(
+            stack[both[0]], stack[both[1]], float(share[k]), poses[both], grades[both], float(low), float(high),
+            not real, values[k],
+        )  # fmt: skip
+
+    for_each(plane, planes.size, threads=threads)
+    voxel = (pitch, *map(float, pixel_um))
+    held: dict[str, Any] = {
+        "units": "1",
+        "long_name": "Grey value",
+        "voxel_um": list(voxel),
+        "voxel_um_source": "given",
+        "full_scale": None if real else int(np.iinfo(stack.dtype).max),
+        **(attrs or {}),
+        "sections": int(used.size),
+        "sections_missing": int(np.maximum(missing, 0).sum()),
+        "first_position_um": float(positions[used[0]]),
+    }
+    if alignment is not None:
+        held["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
+    return xr.DataArray(
+        values,
+        dims=("z", "y", "x"),
+        coords={
+            axis: (axis, np.arange(size) * um, {"units": "um"})
+            for axis, size, um in zip("zyx", values.shape, voxel, strict=True)
+        },
+        name="volume",
+        attrs=held,
+    )
+
+
+def _poses(n: int, alignment: Alignment | None, pixel_um: tuple[float, float]) -> Array:
+    """Poses of the sections as the kernels take them: pixels, and pixels per pixel."""
+    poses = np.zeros((n, 4))
+    if alignment is not None:
+        poses[:, :2] = alignment.shift_um / np.asarray(pixel_um)
+        poses[:, 2] = alignment.rotation_rad * pixel_um[1] / pixel_um[0]
+        poses[:, 3] = alignment.rotation_rad * pixel_um[0] / pixel_um[1]
+    return poses
+
+
+def _grades(n: int, gains: Gains | None) -> Array:
+    """Gain and offset of the sections; (n, 2)."""
+    if gains is None:
+        return np.tile([1.0, 0.0], (n, 1))
+    return np.stack([gains.gain, gains.offset], axis=1)
+
+
+def _gap_words(long: NDArray[np.intp], missing: NDArray[Any], positions: Array, most: int) -> str:
+    """Say where sections are missing, and what to do."""
+    named = ", ".join(f"{missing[k]} between {positions[k]:g} and {positions[k + 1]:g} um" for k in long[:_MOST_GAPS])
+    more = f" and {long.size - _MOST_GAPS} more" if long.size > _MOST_GAPS else ""
+    return (
+        f"Sections are missing or could not be aligned: {named}{more}. At most {most} in a row can be interpolated: "
+        "add the sections, or split the series there and treat each part as a volume of its own."
+    )
