@@ -11,10 +11,10 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize
 
 from planish.core.outcome import Outcome
 from planish.flatten.relaxation import Relaxation, RelaxationParams, relax_dynamically
+from planish.validate.mesh import cylinder, deformed, grid, node_error, rest_lengths, size_errors, unrolled
 
 _READINGS = {
     "first": RelaxationParams(stop="first"),
@@ -47,7 +47,7 @@ class Case:
 
 def main(full: int = 0) -> int:
     """Print the tables; return how many limits were missed."""
-    relax_dynamically(*_deformed(4, 5, 0), params=RelaxationParams(most_steps=1))  # compiles
+    relax_dynamically(*deformed(0, 4, 5), params=RelaxationParams(most_steps=1))  # compiles
     return _print_accuracy() + _print_speed(full > 0)
 
 
@@ -60,11 +60,11 @@ def _print_accuracy() -> int:
     for name, params in _READINGS.items():
         found, errors, seconds = [], [], []
         for seed in range(10):
-            start, rest = _deformed(24, 32, seed)
+            start, rest = deformed(seed)
             begin = time.perf_counter()
             found.append(relax_dynamically(start, rest, params=params))
             seconds.append(time.perf_counter() - begin)
-            errors.append(np.abs(_errors(found[-1].uv, _grid(24, 32))))
+            errors.append(np.abs(size_errors(found[-1].uv, grid(24, 32))))
         mean, largest = np.mean(errors, axis=0), np.max(errors, axis=0)
         print(
             f"{name:24s} {np.mean([f.steps for f in found]):7.0f} {1e3 * statistics.median(seconds):7.1f} | "
@@ -107,65 +107,18 @@ def _print_speed(full: bool) -> int:
 def _print_run(case: Case, parameters: str, found: Relaxation, seconds: float) -> int:
     print(
         f"{case.name:28s} {parameters:>18s} {found.steps:8d} {seconds:8.2f} {1e3 * seconds / found.steps:8.3f}  "
-        f"{_node_error(found.uv, case.flat):.4f}" + ("" if found.outcome is Outcome.RESTED else f" {found.outcome}"),
+        f"{node_error(found.uv, case.flat):.4f}" + ("" if found.outcome is Outcome.RESTED else f" {found.outcome}"),
         flush=True,
     )
     return int(found.outcome is not Outcome.RESTED)
 
 
-def _grid(rows: int, cols: int) -> np.ndarray:
-    y, x = np.mgrid[0:rows, 0:cols].astype(float)
-    return np.stack([x, y], axis=-1)
-
-
-def _rest(points: np.ndarray) -> np.ndarray:
-    """Rest lengths (4, rows, cols): right, down, and both diagonals."""
-    rest = np.full((4, *points.shape[:2]), np.nan)
-    rest[0, :, :-1] = np.linalg.norm(points[:, 1:] - points[:, :-1], axis=-1)
-    rest[1, :-1] = np.linalg.norm(points[1:] - points[:-1], axis=-1)
-    rest[2, :-1, :-1] = np.linalg.norm(points[1:, 1:] - points[:-1, :-1], axis=-1)
-    rest[3, :-1, :-1] = np.linalg.norm(points[1:, :-1] - points[:-1, 1:], axis=-1)
-    return rest
-
-
-def _deformed(rows: int, cols: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Start and rest lengths after Fig. 5: sheared, scaled, whole rows and single nodes displaced."""
-    rng = np.random.default_rng(seed)
-    flat = _grid(rows, cols)
-    start = flat @ np.array([[0.85, 0.0], [0.15, 1.10]])
-    start[..., 0] += rng.normal(0, 0.3, rows)[:, None]
-    return start + rng.normal(0, 0.15, start.shape), _rest(flat)
-
-
 def _fig5(rows: int, cols: int) -> Case:
-    start, rest = _deformed(rows, cols, 0)
-    return Case(name=f"Fig. 5, {cols} x {rows}", start=start, flat=_grid(rows, cols), rest=rest, fixed_dt=0.0015)
+    start, rest = deformed(0, rows, cols)
+    return Case(name=f"Fig. 5, {cols} x {rows}", start=start, flat=grid(rows, cols), rest=rest, fixed_dt=0.0015)
 
 
-def _cylinder(rows: int = 96, cols: int = 128, expansion: float = 2.6) -> Case:
-    """Nodes equally spaced in x on an arc that is longer than its chord by the expansion."""
-    flat, half = _grid(rows, cols), (cols - 1) / 2
-    flat[..., 0] -= half
-    radius = optimize.brentq(lambda r: 2 * r * np.arcsin(half / r) - 2 * half - expansion, 1.01 * half, 1e4)
-    points = np.concatenate([flat, np.sqrt(radius**2 - flat[..., :1] ** 2)], axis=-1)
-    unrolled = np.stack([radius * np.arcsin(flat[..., 0] / radius), flat[..., 1]], axis=-1)
-    return Case(name=f"cylinder, {cols} x {rows}", start=flat, flat=unrolled, rest=_rest(points), fixed_dt=0.0025)
-
-
-def _errors(uv: np.ndarray, flat: np.ndarray) -> np.ndarray:
-    """Relative errors of width, height and aspect; a size is the mean distance between opposite edges' nodes."""
-
-    def size(nodes: np.ndarray) -> np.ndarray:
-        width = np.linalg.norm(nodes[:, -1] - nodes[:, 0], axis=-1).mean()
-        height = np.linalg.norm(nodes[-1] - nodes[0], axis=-1).mean()
-        return np.array([width, height, width / height])
-
-    return size(uv) / size(flat) - 1
-
-
-def _node_error(uv: np.ndarray, flat: np.ndarray) -> float:
-    """Largest distance of a node from its place after the best turn and shift."""
-    a, b = uv @ [1, 1j], flat @ [1, 1j]
-    a, b = a - a.mean(), b - b.mean()
-    turn = np.vdot(a, b)
-    return float(np.abs(a * turn / abs(turn) - b).max())
+def _cylinder() -> Case:
+    """Nodes equally spaced in x on an arc that is longer than its chord by 2.6 pitches."""
+    flat, points = cylinder()
+    return Case(name="cylinder, 128 x 96", start=flat, flat=unrolled(flat), rest=rest_lengths(points), fixed_dt=0.0025)

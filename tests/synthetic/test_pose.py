@@ -97,7 +97,7 @@ def test_most_of_the_field_is_in_view_however_it_is_turned(turn_deg, mirrored):
     for seed in range(8):
         shape, pose = draw_pose(camera, SPREAD, np.random.default_rng(seed))
         assert share_in_view(shape, pose, 4.0) > 0.845  # 85 %, less what another grid counts
-        assert shape[0] * shape[1] * 16.0 < 2.5 * 3000.0 * 2000.0  # 2.1 is the box around it at 45 degrees
+        assert shape[0] * shape[1] * 16.0 < 3.1 * 3000.0 * 2000.0  # 2.1 is the box around it at 45 degrees
         off_middle.append(np.hypot(*(pose([[1700.0, 700.0]])[0] - pose.centre_um)))
         assert abs(np.rad2deg(pose.similarity.rotation_rad) - turn_deg) <= 8.0
     assert np.median(off_middle) > 100.0  # the specimen is not centred

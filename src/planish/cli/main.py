@@ -17,6 +17,7 @@ import click
 
 from planish import __version__
 from planish.cli.line import demo, info, link, map_, run
+from planish.cli.specimen import specimen
 from planish.cli.stages import correlate, flatten, holes, measure, register, report, resample, surface
 from planish.core.errors import PlanishError, ResourceError
 from planish.io.run_folder import as_planish
@@ -35,7 +36,11 @@ def planish() -> None:
     """
 
 
-for _command in (link, map_, demo, info, run, surface, measure, flatten, resample, holes, register, correlate, report):
+_COMMANDS = (
+    link, map_, demo, info, run, specimen, validate,
+    surface, measure, flatten, resample, holes, register, correlate, report,
+)  # fmt: skip
+for _command in _COMMANDS:
     planish.add_command(_command)
 
 

@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import tifffile
@@ -163,17 +163,29 @@ def _write_sections(specimen: Specimen, folder: Path) -> _Written:
 
 
 def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Path:
-    """Write the image as 16 bit OME-TIFF with its pixel size."""
-    grey = specimen.printed if printed else specimen.image
+    """Write the image with 16 bit and its pixel size; a name that ends in ``.ome.tif`` makes it OME-TIFF."""
+    reflectance = specimen.printed if printed else specimen.image
+    grey = np.clip(np.rint(reflectance * 65535), 0, 65535).astype(np.uint16)
     pixel = specimen.params.camera.pixel_um
-    per_cm = 1e4 / pixel
-    tifffile.imwrite(
-        path,
-        np.clip(np.rint(grey * 65535), 0, 65535).astype(np.uint16),
-        resolution=(per_cm, per_cm),
-        resolutionunit="CENTIMETER",
-    )
+    size: dict[str, Any] = {"resolution": (1e4 / pixel, 1e4 / pixel), "resolutionunit": "CENTIMETER"}
+    if path.name.endswith(".ome.tif"):
+        unit = {"PhysicalSizeXUnit": "µm", "PhysicalSizeYUnit": "µm"}
+        size |= {"ome": True, "metadata": {"axes": "YX", "PhysicalSizeX": pixel, "PhysicalSizeY": pixel, **unit}}
+    tifffile.imwrite(path, grey, **size)
     return path
+
+
+def write_nodes(specimen: Specimen, path: Path, *, pitch_um: float = 10.0) -> None:
+    """Write nodes of the centre surface as ``.npz``: a specimen that is too large for voxels.
+
+    ``points`` (rows, cols, 3) as x, y, z, ``u`` and ``v`` of each, and ``coating_top``; all in um.
+    """
+    x, y, _ = specimen.extent_um
+    columns = specimen.warp.columns(np.arange(0.0, y, pitch_um), np.arange(0.0, x, pitch_um))
+    u, v = columns[..., 0], columns[..., 1]
+    faces = specimen.sheet.faces
+    coating = specimen.sheet.at(faces[0], u, v) - specimen.sheet.at(faces[1], u, v)
+    np.savez_compressed(path, points=specimen.warp.points(u, v), u=u, v=v, coating_top=coating.astype(np.float32))
 
 
 def write_truth(specimen: Specimen, folder: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from planish.synthetic.params import PaperParams
+from planish.synthetic.params import PaperParams, ScannerParams
 
 _WFC135 = PaperParams(base_um=59.5)  # section 3.3.1, before calendering: base 59.5, coating 17.4 um
 
@@ -37,6 +37,11 @@ PRESETS: dict[str, tuple[str, PaperParams]] = {
         ),
     ),
 }  # fmt: skip
+
+# A scanner as scanners are: the plain one of the defaults has only blur and noise.
+MICRO_CT = ScannerParams(
+    fwhm_um=4.0, noise=0.08, noise_px=2.0, fringe=0.12, cupping=0.04, rings=2, streak=0.03, grey=(40.0, 80.0, 180.0)
+)
 
 
 def preset(name: str) -> PaperParams:

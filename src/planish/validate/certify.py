@@ -1,0 +1,250 @@
+"""Run a scenario: specimens into files, files through the whole program, errors against the truth, over seeds."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from planish.core.errors import InputError, PlanishError, ResourceError
+from planish.pipeline import Progress, Run, run_study
+from planish.study import Study
+from planish.synthetic import InstrumentFiles, make_specimen, write_instruments
+from planish.synthetic.params import SpecimenParams
+from planish.validate.example import Example, make_example
+from planish.validate.figures import FIGURES
+from planish.validate.ledger import in_order, make_ledger
+from planish.validate.mesh import mesh_values
+from planish.validate.scenario import Limit, Scenario
+from planish.validate.spread import Values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One specimen: its figures, and how the program ended on it.
+
+    Attributes
+    ----------
+    seed : int
+    values : dict
+        Figure name to value; empty where the program refused.
+    refusal : str or None
+        Message of the error with which the program ended.
+    gates : tuple of str
+        Sentences of the quality gates that the run did not pass.
+    seconds : float
+        Of the program, without the making of the specimen.
+    """
+
+    seed: int
+    values: Values
+    refusal: str | None = None
+    gates: tuple[str, ...] = ()
+    seconds: float
+
+    @property
+    def whole(self) -> bool:
+        """Whether there is a result that passed its own gates."""
+        return self.refusal is None and not self.gates
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """A figure over all seeds that have it; ``worst`` is the value furthest from 0, or nearest to missing a limit."""
+
+    name: str
+    mean: float
+    sd: float
+    worst: float
+    n: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """One limit of a scenario against the worst seed; ``value`` is None where no seed has the figure."""
+
+    name: str
+    limit: Limit
+    value: float | None
+    met: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Certificate:
+    """What came of a scenario.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    entries : tuple of Entry
+        One a seed.
+    example : Example or None
+        Maps of the first specimen that came through, for the page.
+    notes : tuple of str
+        Sentences on how the specimens were chosen.
+    """
+
+    scenario: Scenario
+    entries: tuple[Entry, ...]
+    example: Example | None = None
+    notes: tuple[str, ...] = ()
+
+    def summaries(self) -> dict[str, Summary]:
+        """Mean, standard deviation and worst of each figure, in the order of the line."""
+        found: dict[str, Summary] = {}
+        for name in in_order({name: None for entry in self.entries for name in entry.values}):
+            values = [v for entry in self.entries if (v := entry.values.get(name)) is not None]
+            if not values:
+                continue
+            limit = self.scenario.limits.get(name) or _worse(name)
+            sd = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+            mean = float(np.mean(values))
+            found[name] = Summary(name=name, mean=mean, sd=sd, worst=limit.worst(values), n=len(values))
+        return found
+
+    def checks(self) -> tuple[Check, ...]:
+        """All limits of the scenario."""
+        summaries = self.summaries()
+        made: list[Check] = []
+        for name, limit in self.scenario.limits.items():
+            value = summaries[name].worst if name in summaries else None
+            made.append(Check(name=name, limit=limit, value=value, met=limit.met(value)))
+        return tuple(made)
+
+    @property
+    def passed(self) -> bool:
+        """Whether every specimen came through its gates and every limit is met."""
+        return all(entry.whole for entry in self.entries) and all(check.met for check in self.checks())
+
+
+def run_scenario(
+    scenario: Scenario,
+    seeds: int | Sequence[int] | None = None,
+    out: Path | None = None,
+    progress: Progress | None = None,
+    *,
+    threads: int = 2,
+) -> Certificate:
+    """Make the specimens of a scenario, run the program on their files, and measure its errors.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    seeds : int or sequence of int, optional
+        How many, or which; the scenario's own number where not given.
+    out : Path, optional
+        Existing folder for the temporary files, which are removed after each seed; the system's where not given.
+    progress : callable, optional
+        Told (stage, detail).
+    threads : int
+        Used to make the specimens; they do not depend on it.
+
+    Returns
+    -------
+    Certificate
+        A seed on which the program refuses is an entry with its sentence, no error.
+    """
+    numbers = seed_numbers(scenario, seeds)
+    entries: list[Entry] = []
+    example: Example | None = None
+    for k, seed in enumerate(numbers):
+        _tell(progress, scenario.name, f"seed {seed}, {k + 1} of {len(numbers)}")
+        if scenario.kind == "mesh":
+            start = time.perf_counter()
+            values = in_order(mesh_values(seed, once=k == 0))
+            entries.append(Entry(seed=seed, values=values, seconds=time.perf_counter() - start))
+            continue
+        entry, seen = run_specimen(
+            scenario, scenario.params(seed), seed, out=out, progress=progress, threads=threads, keep=example is None
+        )
+        entries.append(entry)
+        example = example or seen
+    return Certificate(scenario=scenario, entries=tuple(entries), example=example)
+
+
+def run_specimen(
+    scenario: Scenario,
+    params: SpecimenParams,
+    seed: int,
+    *,
+    out: Path | None = None,
+    progress: Progress | None = None,
+    threads: int = 2,
+    keep: bool = False,
+) -> tuple[Entry, Example | None]:
+    """Make one specimen, run the program on its files, remove them; with ``keep``, also its maps for a picture."""
+    folder = Path(tempfile.mkdtemp(prefix="planish-validate-", dir=out))
+    try:
+        try:
+            specimen = make_specimen(params, threads=threads)
+        except ValueError as error:
+            raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
+        made = write_instruments(specimen, folder / "specimen", volume=scenario.instrument, image=True)
+        study = scenario_study(scenario, made)
+        start = time.perf_counter()
+        try:
+            run = run_study(study, folder / "run", progress=progress)
+        except ResourceError:
+            raise  # says something of this machine and nothing of the specimen
+        except PlanishError as error:
+            seconds = time.perf_counter() - start
+            # The folder's name is made up anew each time and says nothing to a reader.
+            refusal = str(error).replace(f"{folder}/", "")
+            return Entry(seed=seed, values={}, refusal=refusal, seconds=seconds), None
+        seconds = time.perf_counter() - start
+        _tell(progress, "compare", "with the truth")
+        values = make_ledger(specimen, made, run, point_um=scenario.point_um).values
+        example = make_example(specimen, made, run, seed) if keep else None
+        return Entry(seed=seed, values=values, gates=_failed(run), seconds=seconds), example
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def scenario_study(scenario: Scenario, made: InstrumentFiles) -> Study:
+    """The study of a scenario's files: what a user would give on the command line.
+
+    All of them state their voxel size, so that none is given.
+
+    Raises
+    ------
+    InputError
+        If the scenario's changes to the study do not fit.
+    """
+    data: dict[str, dict[str, Any]] = {
+        "volume": {"path": str(made.volume), "through": made.through},
+        "image": {"path": str(made.image)},
+        "correlate": {"point_um": scenario.point_um},
+    }
+    for table, changes in scenario.study.items():
+        data[table] = data.get(table, {}) | changes
+    try:
+        return Study.model_validate(data)
+    except ValidationError as error:
+        faults = "; ".join(f"study.{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+        raise InputError(f"The scenario {scenario.name} asks for a study that is not possible: {faults}.") from error
+
+
+def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[int]:
+    """Seeds as numbers: 0 to the scenario's number where none are given."""
+    chosen = scenario.seeds if seeds is None else seeds
+    return list(range(chosen)) if isinstance(chosen, int) else list(chosen)
+
+
+def _worse(name: str) -> Limit:
+    return Limit(limit=0.0) if FIGURES[name].small or "ratio" in name else Limit(least=0.0)
+
+
+def _failed(run: Run) -> tuple[str, ...]:
+    return tuple(f"{gate.name}: {gate.sentence}" for gate in run.gates if not gate.passed)
+
+
+def _tell(progress: Progress | None, stage: str, detail: str) -> None:
+    if progress is not None:
+        progress(stage, detail)

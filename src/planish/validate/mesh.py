@@ -1,0 +1,131 @@
+"""The spring mesh of Hirn et al. (2009), Fig. 5, alone: how near its state of rest comes to the flat sheet."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.outcome import Outcome
+from planish.flatten import relax_grid
+from planish.flatten.relaxation import RelaxationParams, relax_dynamically
+from planish.validate.spread import Values
+
+Array = NDArray[np.float64]
+
+ROWS, COLS = 24, 32
+_RADIUS = 186.20878876922393  # of an arc that is longer by 2.6 pitches than its chord: 2 R asin(63.5 / R) = 129.6
+_FEW_STEPS = 5000  # three times what the right reading needs to come to rest
+
+
+def mesh_values(seed: int, *, once: bool) -> Values:
+    """Figures of the mesh for one random deformation; with ``once`` also those that no seed changes.
+
+    Errors are shares of the true size in per cent, places are in pitches.
+    """
+    start, rest = deformed(seed)
+    flat = grid(ROWS, COLS)
+    if once:  # the first call compiles, which is no part of the time
+        relax_dynamically(start, rest, params=RelaxationParams(most_steps=1))
+    values: Values = {}
+    begin = time.perf_counter()
+    found = relax_dynamically(start, rest)
+    values["mesh_seconds"] = time.perf_counter() - begin
+    values["mesh_inverted"] = float(found.inverted)
+    rested = found.outcome is Outcome.RESTED
+    fine = relax_dynamically(start, rest, params=RelaxationParams(mean_speed=1e-4))
+    for name, one, two in zip(
+        ("width", "height", "aspect"), size_errors(found.uv, flat), size_errors(fine.uv, flat), strict=True
+    ):
+        values[f"mesh_{name}"] = 100.0 * float(one) if rested else None
+        values[f"mesh_{name}_fine"] = 100.0 * float(two) if fine.outcome is Outcome.RESTED else None
+    first = relax_dynamically(start, rest, params=RelaxationParams(stop="first"))
+    values["mesh_first"] = 100.0 * float(np.abs(size_errors(first.uv, flat)).max())
+    feedback = RelaxationParams(control="feedback", fixed_dt=0.3, most_steps=_FEW_STEPS)
+    euler = RelaxationParams(integrator="euler", most_steps=_FEW_STEPS)
+    for name, params in (("feedback", feedback), ("euler", euler)):
+        outcome = relax_dynamically(start, rest, params=params).outcome
+        values[f"mesh_{name}_fails"] = float(outcome is not Outcome.RESTED)
+    return values | (_once() if once else {})
+
+
+def _once() -> Values:
+    """The cylinder, and the two ways to the minimum on a dome, which has no flat state without strain."""
+    flat, points = cylinder()
+    begin = time.perf_counter()
+    found = relax_dynamically(flat, rest_lengths(points))
+    seconds = time.perf_counter() - begin
+    mesh = grid(ROWS, COLS)
+    away = np.sum((mesh - mesh.mean(axis=(0, 1))) ** 2, axis=-1)
+    dome = np.concatenate([mesh, 2.0 * np.exp(-away / 72.0)[..., None]], axis=-1)
+    fine = RelaxationParams(mean_speed=1e-4)
+    ways = [
+        relax_grid(dome, method="multigrid", rest="chord"),
+        relax_grid(dome, method="relaxation", rest="chord", relaxation=fine),
+    ]
+    return {
+        "mesh_cylinder": node_error(found.uv, unrolled(flat)),
+        "mesh_cylinder_seconds": seconds,
+        "mesh_minimum": node_error(ways[0].uv, ways[1].uv),
+    }
+
+
+def grid(rows: int, cols: int) -> Array:
+    """Nodes (rows, cols, 2) of a flat mesh of pitch 1."""
+    y, x = np.mgrid[0:rows, 0:cols].astype(np.float64)
+    return np.stack([x, y], axis=-1)
+
+
+def rest_lengths(points: Array) -> Array:
+    """Rest lengths (4, rows, cols): right, down, and both diagonals; NaN where there is no spring."""
+    rest = np.full((4, *points.shape[:2]), np.nan)
+    rest[0, :, :-1] = np.linalg.norm(points[:, 1:] - points[:, :-1], axis=-1)
+    rest[1, :-1] = np.linalg.norm(points[1:] - points[:-1], axis=-1)
+    rest[2, :-1, :-1] = np.linalg.norm(points[1:, 1:] - points[:-1, :-1], axis=-1)
+    rest[3, :-1, :-1] = np.linalg.norm(points[1:, :-1] - points[:-1, 1:], axis=-1)
+    return rest
+
+
+def deformed(seed: int, rows: int = ROWS, cols: int = COLS) -> tuple[Array, Array]:
+    """Start (rows, cols, 2) and rest lengths after Fig. 5.
+
+    A flat mesh is scaled by 0.85 and 1.10 and sheared by 0.15; whole rows are displaced by a standard deviation of 0.3
+    pitches, single nodes by 0.15.
+    """
+    rng = np.random.default_rng(seed)
+    flat = grid(rows, cols)
+    start = flat @ np.array([[0.85, 0.0], [0.15, 1.10]])
+    start[..., 0] += rng.normal(0, 0.3, rows)[:, None]
+    return start + rng.normal(0, 0.15, start.shape), rest_lengths(flat)
+
+
+def cylinder(rows: int = 96, cols: int = 128) -> tuple[Array, Array]:
+    """Projection (rows, cols, 2) and places (rows, cols, 3) of nodes that are equally spaced in x on an arc."""
+    flat = grid(rows, cols)
+    flat[..., 0] -= (cols - 1) / 2
+    return flat, np.concatenate([flat, np.sqrt(_RADIUS**2 - flat[..., :1] ** 2)], axis=-1)
+
+
+def unrolled(flat: Array) -> Array:
+    """Where the nodes (rows, cols, 2) of the cylinder's projection lie when it is flat."""
+    return np.stack([_RADIUS * np.arcsin(flat[..., 0] / _RADIUS), flat[..., 1]], axis=-1)
+
+
+def size_errors(uv: Array, flat: Array) -> Array:
+    """Relative errors of width, height and aspect; a size is the mean distance between opposite edges' nodes."""
+
+    def size(nodes: Array) -> Array:
+        width = np.linalg.norm(nodes[:, -1] - nodes[:, 0], axis=-1).mean()
+        height = np.linalg.norm(nodes[-1] - nodes[0], axis=-1).mean()
+        return np.array([width, height, width / height])
+
+    return size(uv) / size(flat) - 1
+
+
+def node_error(uv: Array, flat: Array) -> float:
+    """Largest distance of a node from its place after the best turn and shift, in pitches."""
+    a, b = (places[..., 0] + 1j * places[..., 1] for places in (uv, flat))
+    a, b = a - a.mean(), b - b.mean()
+    turn = np.vdot(a, b)
+    return float(np.abs(a * turn / abs(turn) - b).max())

@@ -1,0 +1,102 @@
+"""Record the figures of a scenario, and tell which of them got worse: ``python -m planish.validate.record FILE``."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from planish.core.errors import FileError
+from planish.validate.certify import Certificate, run_scenario
+from planish.validate.figures import FIGURES
+from planish.validate.scenario import read_scenario
+
+_SCENARIO = "small"
+_SHARE = 0.02  # of a value that may come and go with the versions of numpy, scipy and the compiler
+_SPREADS = 2.0
+_FLOOR = {"um": 0.01, "%": 0.01, "deg": 0.01, "1": 0.002, "pitch": 1e-4, "s": 1.0}
+
+
+def record(certificate: Certificate) -> dict[str, Any]:
+    """Mean and standard deviation over the seeds of every figure, ready for TOML."""
+    figures = {
+        name: {"mean": float(f"{found.mean:.5g}"), "sd": float(f"{found.sd:.3g}")}
+        for name, found in certificate.summaries().items()
+    }
+    return {
+        "scenario": certificate.scenario.name,
+        "seeds": [entry.seed for entry in certificate.entries],
+        "figures": figures,
+    }
+
+
+def read_recorded(path: Path) -> dict[str, Any]:
+    """Read a record.
+
+    Raises
+    ------
+    FileError
+        If it cannot be read.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, tomllib.TOMLDecodeError) as error:
+        raise FileError(
+            f"{path} cannot be read: {error}. Make it with 'python -m planish.validate.record {path}'."
+        ) from error
+
+
+def worse(certificate: Certificate, recorded: dict[str, Any]) -> list[str]:
+    """Name the figures that are worse than recorded by more than the seeds scatter; better ones are no fault.
+
+    The allowance is twice the standard deviation over the seeds, 2 % of the value, or a floor, whichever is largest.
+    Only figures that say how good something is are compared: where smaller is better, their absolute value, and shares
+    of what was found, which ought to be large.
+    """
+    found = certificate.summaries()
+    faults: list[str] = []
+    for name, old in recorded["figures"].items():
+        figure = FIGURES.get(name)
+        if figure is None:
+            continue
+        grows = figure.small
+        if not grows and name not in _LARGE:
+            continue
+        if name not in found:
+            faults.append(f"{name}: {old['mean']:.4g} was recorded, now there is none")
+            continue
+        now, then = found[name].mean, float(old["mean"])
+        allowed = max(_SPREADS * float(old["sd"]), _SHARE * abs(then), _FLOOR[figure.unit])
+        by = abs(now) - abs(then) if grows else then - now
+        if by > allowed:
+            unit = "" if figure.unit == "1" else f" {figure.unit}"
+            faults.append(f"{name}: {now:.4g}{unit} now, {then:.4g}{unit} recorded, {allowed:.2g}{unit} allowed")
+    return faults
+
+
+_LARGE = frozenset({"measured_share", "recall_image", "recall_volume", "thin_dice"})
+
+
+def main(arguments: list[str]) -> int:
+    """Run the scenario and write its record."""
+    if len(arguments) != 1:
+        sys.stderr.write("usage: python -m planish.validate.record FILE\n")
+        return 2
+
+    def tell(stage: str, detail: str) -> None:
+        sys.stderr.write(f"{stage}: {detail}\n")
+
+    certificate = run_scenario(read_scenario(_SCENARIO), progress=tell)
+    head = (
+        "# Figures of the small scenario, mean and standard deviation over its seeds.\n"
+        "# Made by: python -m planish.validate.record tests/validate/recorded.toml\n\n"
+    )
+    Path(arguments[0]).write_text(head + tomli_w.dumps(record(certificate)), encoding="utf-8", newline="\n")
+    return 0 if certificate.passed else 4
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

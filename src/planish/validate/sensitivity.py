@@ -1,0 +1,202 @@
+"""Each nuisance alone: how much error it adds to every stage, and whether the sum of them explains the whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from planish.core.errors import InputError
+from planish.pipeline import Progress
+from planish.synthetic.nuisances import NUISANCES
+from planish.validate.certify import Entry, run_specimen, seed_numbers
+from planish.validate.figures import FIGURES, KEYS, STAGES
+from planish.validate.scenario import ALL, NONE, Scenario
+
+# Of a baseline: growth against next to nothing is none. A quarter of it is noticed, that is 0.002 of an r.
+_FLOOR = {"um": 0.05, "1": 0.008}
+_NOTICED = 0.25  # growth, in baselines, below which no stage is said to suffer
+_CARRIED = 0.5  # share of the largest growth with which an error is taken to have come in at an earlier stage
+_AGREES = 1.5  # factor between the sum of squares and the whole
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One nuisance alone.
+
+    Attributes
+    ----------
+    nuisance : str
+        Key of :data:`planish.synthetic.nuisances.NUISANCES`.
+    added : dict
+        Stage to the error that the nuisance adds to the stage's key figure, in squares: sqrt(e^2 - e0^2).
+    growth : dict
+        The same over the error without any nuisance.
+    suffers : str or None
+        The first stage along the line that is hit; None where no stage notices.
+    refusal : str or None
+        Message of a run that the nuisance stopped.
+    """
+
+    nuisance: str
+    added: dict[str, float | None]
+    growth: dict[str, float | None]
+    suffers: str | None
+    refusal: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensitivity:
+    """Table of all nuisances of a scenario.
+
+    Attributes
+    ----------
+    keys : dict
+        Stage to the figure that speaks for it.
+    quiet, loud : dict
+        Stage to that figure without any and with all nuisances.
+    rows : tuple of Row
+    ratio : dict
+        Stage to the sum of squares of the single errors over what all of them together add; None where neither is
+        worth naming.
+    together : dict
+        Stage whose ratio is off to the two nuisances whose leaving out changes most: they do not add as squares.
+    seeds : tuple of int
+    """
+
+    keys: dict[str, str]
+    quiet: dict[str, float]
+    loud: dict[str, float | None]
+    rows: tuple[Row, ...]
+    ratio: dict[str, float | None]
+    together: dict[str, tuple[str, ...]]
+    seeds: tuple[int, ...]
+
+
+def sensitivity(
+    scenario: Scenario,
+    seeds: int | Sequence[int] = 1,
+    out: Path | None = None,
+    progress: Progress | None = None,
+    *,
+    threads: int = 2,
+) -> Sensitivity:
+    """Run a scenario without nuisances, with each alone, and with all; figures are rms over the seeds.
+
+    Where the single errors do not sum up to the whole, each nuisance is also left out in turn.
+
+    Raises
+    ------
+    InputError
+        If the scenario is no line of stages, has no nuisance, or is refused by the program without any of them.
+    """
+    if scenario.kind != "line":
+        raise InputError(f"The scenario {scenario.name} has no nuisances. Give one that runs the whole line.")
+    names, numbers = scenario.active, seed_numbers(scenario, seeds)
+    if not names:
+        raise InputError(f"No nuisance of the scenario {scenario.name} is on. Give one with nuisances, such as small.")
+
+    def measure(what: str, chosen: str | tuple[str, ...]) -> tuple[dict[str, float | None], str | None]:
+        entries: list[Entry] = []
+        for seed in numbers:
+            if progress is not None:
+                progress("sensitivity", f"{what}, seed {seed}")
+            entries.append(
+                run_specimen(scenario, scenario.params(seed, chosen), seed, out=out, threads=threads)[0]
+            )  # fmt: skip
+        refusals = [entry.refusal for entry in entries if entry.refusal is not None]
+        return _pooled(entries), refusals[0] if refusals else None
+
+    base, refusal = measure("no nuisance", NONE)
+    if refusal is not None:
+        raise InputError(f"The scenario {scenario.name} does not even come through without nuisances: {refusal}")
+    keys = {
+        stage: next(name for name in KEYS[stage] if base.get(name) is not None)
+        for stage in STAGES
+        if any(base.get(name) is not None for name in KEYS.get(stage, ()))
+    }
+    quiet = {stage: _value(base, name) for stage, name in keys.items()}
+    rows: list[Row] = []
+    for name in names:
+        found, refusal = measure(f"{NUISANCES[name].title} alone", (name,))
+        rows.append(make_row(name, keys, quiet, found, refusal))
+    # All that are on: scenario.nuisances may be a list.
+    found, _ = measure("all together", scenario.nuisances if scenario.nuisances != NONE else ALL)
+    loud = {stage: found.get(name) for stage, name in keys.items()}
+    ratio = {stage: _ratio(stage, keys, quiet, loud, rows) for stage in keys}
+    off = [stage for stage, value in ratio.items() if value is not None and not 1 / _AGREES <= value <= _AGREES]
+    together: dict[str, tuple[str, ...]] = {}
+    if off and len(names) > 1:
+        less: dict[str, dict[str, float | None]] = {}
+        for name in names:
+            rest = tuple(other for other in names if other != name)
+            less[name] = measure(f"all but {NUISANCES[name].title}", rest)[0]
+        for stage in off:
+            together[stage] = _interaction(keys[stage], loud[stage], less)
+    return Sensitivity(
+        keys=keys, quiet=quiet, loud=loud, rows=tuple(rows), ratio=ratio, together=together, seeds=tuple(numbers)
+    )
+
+
+def make_row(
+    name: str, keys: dict[str, str], quiet: dict[str, float], found: dict[str, float | None], refusal: str | None
+) -> Row:
+    """What a nuisance adds to every stage, and the stage where it comes in.
+
+    Errors are carried along the line: the stage that suffers is the first one that grows at least half as much,
+    relative to its own baseline, as the one that grows most.
+    """
+    added = {stage: added_error(found.get(key), quiet[stage]) for stage, key in keys.items()}
+    growth: dict[str, float | None] = {}
+    for stage, value in added.items():
+        floor = _FLOOR.get(FIGURES[keys[stage]].unit, 0.05)
+        growth[stage] = None if value is None else value / max(quiet[stage], floor)
+    known = {stage: value for stage, value in growth.items() if value is not None}
+    most = max(known.values(), default=0.0)
+    suffers = next((stage for stage, value in known.items() if value >= _CARRIED * most), None)
+    return Row(
+        nuisance=name, added=added, growth=growth, suffers=suffers if most >= _NOTICED else None, refusal=refusal
+    )
+
+
+def added_error(error: float | None, base: float) -> float | None:
+    """What has to be added in squares to ``base`` to give ``error``; 0 where it is not larger."""
+    return None if error is None else float(np.sqrt(max(0.0, error**2 - base**2)))
+
+
+def _pooled(entries: Sequence[Entry]) -> dict[str, float | None]:
+    """Root mean square of each figure over the seeds."""
+    found: dict[str, float | None] = {}
+    for name in {name for entry in entries for name in entry.values}:
+        values = [v for entry in entries if (v := entry.values.get(name)) is not None]
+        found[name] = float(np.sqrt(np.mean(np.square(values)))) if values else None
+    return found
+
+
+def _value(base: dict[str, float | None], name: str) -> float:
+    value = base.get(name)
+    assert value is not None
+    return value
+
+
+def _ratio(
+    stage: str, keys: dict[str, str], quiet: dict[str, float], loud: dict[str, float | None], rows: Sequence[Row]
+) -> float | None:
+    """Sum of squares over the whole; None where both stay below the floor or a quarter of the baseline."""
+    whole = added_error(loud[stage], quiet[stage])
+    summed = float(np.sqrt(sum((row.added[stage] or 0.0) ** 2 for row in rows)))
+    least = max(_FLOOR.get(FIGURES[keys[stage]].unit, 0.05), _NOTICED * quiet[stage])
+    if whole is None or max(whole, summed) < least:
+        return None
+    return summed / whole if whole > 0 else float("inf")
+
+
+def _interaction(key: str, loud: float | None, less: dict[str, dict[str, float | None]]) -> tuple[str, ...]:
+    """The two nuisances whose leaving out changes a figure most."""
+    if loud is None:
+        return ()
+    changes = {name: abs(loud**2 - (value if (value := found.get(key)) is not None else loud) ** 2)
+               for name, found in less.items()}  # fmt: skip
+    return tuple(sorted(changes, key=lambda name: -changes[name])[:2])

@@ -1,0 +1,173 @@
+"""Errors of the stages that know the volume only: sections, surfaces, centre surface, thickness, flattening."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.frame import Frame
+from planish.register import fit_transform
+from planish.synthetic import InstrumentFiles, Specimen
+from planish.validate.figures import FACES, THICKNESSES
+from planish.validate.spread import Values, percentile, rms, three
+from planish.validate.truth import (
+    Lattice,
+    file_points,
+    material_at,
+    physical_at,
+    true_face,
+    true_thickness,
+)
+
+Array = NDArray[np.float64]
+
+_EDGE_UM = 100.0  # length whose error is the strain: well over the scatter of single columns
+_WIDE_UM = 20.0  # of a difference that gives a normal where neighbouring sections scatter against each other
+_LEAST_SECTIONS = 4
+
+
+def section_errors(files: InstrumentFiles, groups: dict[str, xr.Dataset]) -> Values:
+    """How far aligned sections are from their true places, about the best straight line through them.
+
+    A shift and a shear of the whole stack are no error of the sheet's structure: they are taken away.
+    """
+    if "sections" not in groups:
+        return {}
+    sections, surfaces = groups["sections"], groups["surfaces"]
+    frame = Frame.of(surfaces)
+    if frame.through == "z":
+        return {}  # a section then shows the sheet from above, and its pose has other axes
+    across = np.asarray(surfaces["y"].values, dtype=np.float64)
+    middle = {
+        frame.cols: float(surfaces["x"].values.mean()),
+        frame.through: float(np.nanmean(surfaces["centre"].values)),
+        frame.rows: across,
+    }
+    points = np.stack([np.broadcast_to(middle[axis], across.shape) for axis in ("x", "y", "z")], axis=-1)
+    if across.size < _LEAST_SECTIONS:
+        return {}
+    moved = files.to_physical(points, sections) - points
+    line = np.polynomial.polynomial.polyfit(across, moved, 1)
+    left = moved - np.polynomial.polynomial.polyval(across, line).T
+    # In the physical frame x runs along the section, y across the sections and z through the sheet.
+    return {
+        "sections_x_rms": rms(left[:, 0]),
+        "sections_z_rms": rms(left[:, 2]),
+        "sections_place_rms": rms(left[:, 1]),
+    }
+
+
+def surface_errors(
+    specimen: Specimen, files: InstrumentFiles, groups: dict[str, xr.Dataset], lattice: Lattice
+) -> Values:
+    """Heights of the four faces at the measured columns, along the true normals."""
+    surfaces = groups["surfaces"]
+    values: Values = {}
+    pool: list[Array] = []
+    for face in FACES:
+        heights = lattice.take(surfaces[face].values)
+        heights[~lattice.measured] = np.nan
+        points = file_points(surfaces, heights, lattice.rows, lattice.cols)
+        u, v, s = np.moveaxis(material_at(specimen, files, points, groups.get("sections")), -1, 0)
+        errors = s - true_face(specimen.sheet, face, u, v)
+        values |= three(face, errors)
+        pool.append(errors[np.isfinite(errors)])
+    values["surfaces_rmse"] = rms(np.concatenate(pool))
+    status = surfaces["status"].values
+    away = np.count_nonzero(status != 2)
+    values["measured_share"] = 100.0 * float(np.count_nonzero(status == 0) / away) if away else None
+    return values
+
+
+def centre_errors(
+    specimen: Specimen, files: InstrumentFiles, groups: dict[str, xr.Dataset], lattice: Lattice
+) -> Values:
+    """Height of the found centre surface over the true one, and the angle between their normals."""
+    u, v, s = np.moveaxis(np.where(lattice.measured[..., None], lattice.material, np.nan), -1, 0)
+    known = s[np.isfinite(s)]
+    mean = float(known.mean()) if known.size else None
+    angle = _angles(specimen, files, groups, lattice, u, v)
+    return {
+        "centre_mean": mean,
+        "centre_rms": rms(s - mean) if mean is not None else None,
+        "angle_rms": rms(angle),
+        "angle_p95": percentile(angle, 95),
+    }
+
+
+def _angles(
+    specimen: Specimen, files: InstrumentFiles, groups: dict[str, xr.Dataset], lattice: Lattice, u: Array, v: Array
+) -> Array:
+    """Angles in degrees between found and true normals; NaN where a neighbour is missing."""
+    surfaces, sections = groups["surfaces"], groups.get("sections")
+    centre = surfaces["centre"].values
+    pitch = [float(surfaces[d].values[1] - surfaces[d].values[0]) for d in ("y", "x")]
+    reach = [1 if sections is None else max(1, round(_WIDE_UM / p)) for p in pitch]
+    sides: list[Array] = []
+    for axis, (n, r) in enumerate(zip(centre.shape, reach, strict=True)):
+        ends: list[Array] = []
+        for way in (-r, r):
+            index = [lattice.rows, lattice.cols]
+            index[axis] = np.clip(index[axis] + way, 0, n - 1)
+            heights = np.asarray(centre[np.ix_(*index)], dtype=np.float64)
+            ends.append(physical_at(files, file_points(surfaces, heights, index[0], index[1]), sections))
+        sides.append(ends[1] - ends[0])
+    found = np.cross(sides[1], sides[0])
+    length = np.linalg.norm(found, axis=-1)
+    known = np.isfinite(u) & (length > 0)
+    angle = np.full(u.shape, np.nan)
+    true = specimen.warp.normals(u[known], v[known])
+    # The arc sine of the cross product keeps small angles, which the arc cosine loses to rounding.
+    sine = np.linalg.norm(np.cross(found[known] / length[known][:, None], true), axis=-1)
+    angle[known] = np.rad2deg(np.arcsin(np.clip(sine, 0.0, 1.0)))
+    return angle
+
+
+def thickness_errors(specimen: Specimen, groups: dict[str, xr.Dataset], lattice: Lattice) -> Values:
+    """Measured thicknesses of the columns against those of the material that they show."""
+    u, v = lattice.material[..., 0], lattice.material[..., 1]
+    values: Values = {}
+    for name in THICKNESSES:
+        found = lattice.take(groups["surfaces"][name].values)
+        values |= three(f"column_{name}", found - true_thickness(specimen.sheet, name, u, v))
+    return values
+
+
+def flattening_errors(groups: dict[str, xr.Dataset], lattice: Lattice) -> Values:
+    """Flat places of the measured columns against their true ones, after the best turn and shift."""
+    flat = np.stack([lattice.take(groups["flat"][name].values) for name in ("u", "v")], axis=-1)
+    flat[~lattice.measured] = np.nan
+    true = lattice.material[..., :2]
+    known = np.isfinite(flat).all(axis=-1) & np.isfinite(true).all(axis=-1)
+    if np.count_nonzero(known) < 3:
+        return {}
+    mirrored = _turned_over(flat[known], true[known])
+    rigid = fit_transform(flat[known], true[known], model="rigid", mirrored=mirrored)
+    similar = fit_transform(flat[known], true[known], model="similarity", mirrored=mirrored)
+    away = np.hypot(rigid.residuals_um[:, 0], rigid.residuals_um[:, 1])
+    strains: list[Array] = []
+    for axis, pitch in enumerate(lattice.pitch_um):
+        n = max(1, round(_EDGE_UM / pitch))
+        edges = [np.linalg.norm(_apart(places, n, axis), axis=-1) for places in (flat, true)]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            strain = edges[0] / edges[1] - 1.0
+        strains.append(strain[np.isfinite(strain)])
+    strain = rms(np.concatenate(strains))
+    return {
+        "node_rms": rms(away),
+        "node_p95": percentile(away, 95),
+        # The flat map is the source of the fit: it is too large where the fit has to shrink it.
+        "flat_scale": 100.0 * (1.0 / similar.transform.scale - 1.0),
+        "strain_rms": None if strain is None else 100.0 * strain,
+    }
+
+
+def _apart(places: Array, n: int, axis: int) -> Array:
+    return places[n:] - places[:-n] if axis == 0 else places[:, n:] - places[:, :-n]
+
+
+def _turned_over(source: Array, target: Array) -> bool:
+    """Whether the best linear map from one set of points to the other changes their handedness."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    return bool(np.linalg.det(a.T @ b) < 0)

@@ -1,0 +1,159 @@
+"""Certificates: what becomes of the seeds, of refusals and of limits; tables, page and record of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planish.core.errors import CannotRegister
+from planish.validate import certify, record
+from planish.validate.certify import Certificate, Entry, run_scenario
+from planish.validate.drawings import dots
+from planish.validate.figures import STAGES
+from planish.validate.page import render_page
+from planish.validate.scenario import Limit, read_scenario
+from planish.validate.table import as_json, lines, markdown, terminal_rows
+from planish.validate.words import summary, verdict
+
+RECORDED = Path(__file__).with_name("recorded.toml")
+
+
+def test_no_figure_is_worse_than_recorded(certificate):
+    """Where a change makes a figure better for good, record it: python -m planish.validate.record FILE."""
+    assert record.worse(certificate, record.read_recorded(RECORDED)) == []
+
+
+def test_the_small_scenario_meets_its_limits(certificate):
+    assert certificate.passed, summary(certificate)
+    assert len(certificate.entries) == 3
+    assert certificate.example is not None
+    assert not list(Path(certify.tempfile.gettempdir()).glob("planish-validate-*/run"))
+
+
+def made_up(values, *, limits=None, **entry):
+    scenario = read_scenario("small").model_copy(update={"limits": limits or {}})
+    entries = tuple(Entry(seed=k, values=v, seconds=1.0, **entry) for k, v in enumerate(values))
+    return Certificate(scenario=scenario, entries=entries)
+
+
+def test_mean_spread_and_worst():
+    found = made_up([{"tre_p95": 1.0, "top_bias": -0.3}, {"tre_p95": 3.0, "top_bias": 0.1}]).summaries()
+    assert found["tre_p95"].mean == 2.0
+    assert found["tre_p95"].sd == pytest.approx(np.sqrt(2.0))
+    assert found["tre_p95"].worst == 3.0
+    assert found["top_bias"].worst == -0.3
+    assert list(found) == ["top_bias", "tre_p95"]
+
+
+def test_the_worst_seed_has_to_meet_the_limit():
+    limits = {"tre_p95": Limit(limit=2.5), "recall_image": Limit(least=0.9), "thin_dice": Limit(least=0.5)}
+    found = made_up([{"tre_p95": 1.0, "recall_image": 1.0}, {"tre_p95": 3.0, "recall_image": 1.0}], limits=limits)
+    assert {check.name: check.met for check in found.checks()} == {
+        "tre_p95": False,
+        "recall_image": True,
+        "thin_dice": False,  # what could not be measured is not met
+    }
+    assert not found.passed
+    assert "2 of 3 limits are missed" in summary(found)
+
+
+def test_a_refusal_is_an_outcome(monkeypatch, small):
+    def refuse(_study, _out, **_):
+        raise CannotRegister("Only 2 holes were found in the volume.")
+
+    monkeypatch.setattr(certify, "run_study", refuse)
+    found = run_scenario(small, 1)
+    assert found.entries[0].refusal == "Only 2 holes were found in the volume."
+    assert found.entries[0].values == {}
+    assert not found.passed
+    assert "no result" in verdict(found)
+    assert "Only 2 holes" in render_page(found)
+    assert "Only 2 holes" in markdown(found)
+
+
+def test_a_failed_gate_is_kept_with_its_sentence():
+    found = made_up([{"tre_p95": 1.0}], gates=("marks: 7 marks agree to 33.1 um only.",))
+    assert not found.passed
+    assert "a quality gate of the run failed" in summary(found)
+    assert "33.1" in render_page(found)
+
+
+def test_table_of_a_certificate(certificate):
+    rows = terminal_rows(certificate)
+    assert all(len(row) == 7 for row in rows)
+    assert [row[0] for row in rows if not row[0].startswith(" ")] == [
+        STAGES[s] for s in STAGES if s not in ("mesh", "sections")
+    ]
+    assert sum(row[-1] == "met" for row in rows) == len(certificate.scenario.limits)
+    text = markdown(certificate)
+    assert text.count("\n| ") >= len(lines(certificate))
+    data = json.loads(json.dumps(as_json(certificate), allow_nan=False))
+    assert data["passed"] is True
+    assert data["figures"]["tre_median"]["n"] == 3
+    # where it is run leaves no trace: it can be compared with another machine's
+    assert "/" not in json.dumps([entry["refusal"] for entry in data["seeds"]])
+
+
+class Page(HTMLParser):
+    """Collects the sources and the tags of a page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.sources, self.tags = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+
+
+def test_the_page_needs_nothing_else(certificate):
+    text = render_page(certificate)
+    page = Page(text)
+    assert "script" not in page.tags
+    assert all(source.startswith(("data:", "#")) for source in page.sources)
+    assert page.tags.count("figure") == 5
+    assert text == render_page(certificate)
+    assert verdict(certificate).replace("'", "&#39;") in text
+    assert "{{" not in text
+
+
+def test_a_row_of_dots():
+    assert dots((None, None), 1.0) == ""
+    text = dots((0.5, 1.0, None), 2.0)
+    assert text.count("<circle") == 2
+    # zero at the left margin, the limit at the right one, 0.5 a quarter of the way
+    assert 'cx="40.5"' in text
+    assert dots((-1.0, 1.0), 2.0).count('stroke-width="2"') == 2
+    assert dots((0.0,), 0.0)
+
+
+def test_worse_than_recorded():
+    old = made_up([{"tre_p95": 1.0, "recall_image": 1.0, "r_pixel": 0.5}, {"tre_p95": 1.2, "recall_image": 1.0}])
+    kept = record.record(old)
+    assert kept["figures"]["tre_p95"]["mean"] == pytest.approx(1.1)
+    assert record.worse(old, kept) == []
+    # 2 sd are 0.28
+    near, far = made_up([{"tre_p95": 1.35, "recall_image": 1.0}]), made_up([{"tre_p95": 1.4, "recall_image": 0.9}])
+    assert record.worse(near, kept) == []
+    faults = record.worse(far, kept)
+    assert [fault.split(":")[0] for fault in faults] == ["recall_image", "tre_p95"]
+    better = made_up([{"tre_p95": 0.1, "recall_image": 1.0}])
+    assert record.worse(better, kept) == []
+    assert "now there is none" in record.worse(made_up([{"recall_image": 1.0}]), kept)[0]
+
+
+def test_signed_errors_are_compared_by_size():
+    kept = record.record(made_up([{"top_bias": -0.5}, {"top_bias": -0.5}]))
+    assert record.worse(made_up([{"top_bias": 0.5}]), kept) == []
+    assert record.worse(made_up([{"top_bias": 0.6}]), kept) != []
+
+
+def test_notes_stand_on_the_page():
+    found = replace(made_up([{"tre_p95": 1.0}]), notes=("Taken: voxels of 3 um.",))
+    assert "voxels of 3 um" in render_page(found)

@@ -1,0 +1,90 @@
+"""The command around it: what it prints and writes, and how it ends."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from planish.cli.validate import validate
+from planish.core.errors import FileError
+from planish.validate import certify
+from planish.validate.scenario import Limit
+
+
+@pytest.fixture
+def call(capsys, monkeypatch, certificate):
+    """Call the command with the runs replaced by the certificate of the small scenario."""
+
+    def run(scenario, _seeds, **_):
+        return replace(certificate, scenario=scenario)
+
+    monkeypatch.setattr(certify, "run_scenario", run)
+
+    def do(*arguments):
+        code = validate.main([str(a) for a in arguments], prog_name="planish validate", standalone_mode=False)
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return do
+
+
+def test_the_table_and_the_verdict(call):
+    code, out, _ = call()
+    assert code == 0
+    assert "Registration" in out
+    assert "a point of the map is off by" in out
+    assert "All 8 limits are met" in out
+
+
+def test_the_files(call, tmp_path):
+    code, _, err = call("--out", tmp_path / "out")
+    assert code == 0
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "certificate.html", "certificate.json", "certificate.md"
+    }  # fmt: skip
+    assert json.loads((tmp_path / "out" / "certificate.json").read_text())["passed"]
+    assert "certificate" in err
+    with pytest.raises(FileError, match="exists already"):
+        call("--out", tmp_path / "out")
+
+
+def test_several_scenarios_have_folders_of_their_own(call, tmp_path):
+    code, out, _ = call("--scenario", "small", "--scenario", "quiet", "--out", tmp_path / "out", "--json")
+    assert code in (0, 4)
+    assert [found["scenario"]["name"] for found in json.loads(out)] == ["small", "quiet"]
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"small", "quiet"}
+
+
+def test_a_missed_limit_ends_with_4(call, monkeypatch, certificate):
+    strict = certificate.scenario.model_copy(update={"limits": {"tre_p95": Limit(limit=1e-6, source="a dream")}})
+    monkeypatch.setattr(certify, "run_scenario", lambda *_, **__: replace(certificate, scenario=strict))
+    code, out, err = call()
+    assert code == 4
+    assert "MISSED" in out
+    assert "missed" in err
+
+
+def test_the_list(call):
+    code, out, _ = call("--list")
+    assert code == 0
+    assert all(name in out for name in ("as-1", "as-2", "ct", "quiet", "small"))
+    code, out, _ = call("--list", "--json")
+    assert {"name", "title", "seeds"} == set(json.loads(out)[0])
+
+
+def test_a_wrong_scenario_ends_with_3(call):
+    with pytest.raises(FileError, match="There is no scenario") as error:
+        call("--scenario", "smal")
+    assert error.value.exit_code == 3
+
+
+def test_specimens_like_a_run(call, measured):
+    *_, folder = measured
+    code, out, err = call("--like", folder, "--json")
+    assert code in (0, 4)
+    found = json.loads(out)
+    assert any(note.startswith("Taken: ") for note in found["notes"])
+    assert "Assumed: " in err
+    assert found["scenario"]["name"] == "small-like"

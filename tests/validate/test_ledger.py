@@ -1,0 +1,346 @@
+"""Errors of a known size are put into a run that is otherwise exact: the ledger has to say that size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from planish.core.transform import Similarity
+from planish.register import fit_transform
+from planish.validate.figures import FACES, FIGURES, KEYS, STAGES
+from planish.validate.ledger import in_order, make_ledger
+from planish.validate.outlines import contour_points, dice, outline_lag
+
+ROWS, COLS, PITCH = 150, 200, 5.0  # columns of the volume
+PIXEL = 4.0
+SLOPE = 0.25  # of a plane along x: u is longer than x by sqrt(1 + slope^2)
+LONG = float(np.hypot(1.0, SLOPE))
+FACES_UM = (45.0, 28.0, -27.0, -43.0)  # s of a sheet of even layers, which are made to wave below
+HOLES = np.array([[200.0, 150.0], [820.0, 180.0], [230.0, 600.0], [800.0, 560.0]])
+
+
+@dataclass
+class Plane:
+    """A tilted flat sheet: x = u / LONG, z rises with it; s along the normal."""
+
+    def material(self, points):
+        x, y, z = np.moveaxis(points, -1, 0)
+        off = z - SLOPE * x
+        return np.stack([LONG * x + off * SLOPE / LONG, y, off / LONG], axis=-1)
+
+    def normals(self, u, v):
+        shape = np.broadcast_shapes(np.shape(u), np.shape(v))
+        return np.broadcast_to(np.array([-SLOPE, 0.0, 1.0]) / LONG, (*shape, 3))
+
+
+@dataclass
+class EvenSheet:
+    """Faces are numbers; the coating's outer face waves, so that its thickness is known everywhere."""
+
+    holes: np.ndarray
+    faces = np.array(FACES_UM)
+
+    def at(self, field, u, v):
+        # Differences of faces and faces themselves arrive as numbers: the wave belongs to what holds the top face.
+        holds_top = np.isclose(float(field), [45.0, 17.0, 88.0]).any()
+        return float(field) + (wave(u) if holds_top else 0.0) + 0.0 * v
+
+
+def wave(u):
+    return 6.0 * np.sin(2 * np.pi * np.asarray(u) / 400.0)
+
+
+def exact_run(*, shift=(0.0, 0.0), lift=0.0, stretch=1.0, thicker=0.0):
+    """A specimen, its files, and a run that is exact but for what is asked for.
+
+    Parameters
+    ----------
+    shift : of the places in the volume that the pixels are given, in the sheet (u, v)
+    lift : of the top face along the normal
+    stretch : of the flat map along u and v
+    thicker : of the top coating as measured
+    """
+    warp, sheet = Plane(), EvenSheet(holes=HOLES)
+    pose = Similarity(scale=1.01, rotation_rad=0.03, shift_um=(40.0, 30.0))
+    y, x = np.arange(ROWS) * PITCH, np.arange(COLS) * PITCH
+    xx, yy = np.meshgrid(x, y)
+    u, v = LONG * xx, yy
+
+    def height(s):
+        """z at which the column meets the level s: there u is larger by s * slope."""
+        return SLOPE * xx + s * LONG
+
+    def solved(face, extra=0.0):
+        s = np.full(xx.shape, face + extra)
+        for _ in range(20):  # where the level waves, its u at this column depends on its own height
+            s = face + extra + (wave(u + SLOPE * s) if face == 45.0 else 0.0)
+        return s
+
+    dims = ("y", "x")
+    levels = dict(zip(("top", "interface_top", "interface_bottom", "bottom"), FACES_UM, strict=True))
+    values = {name: (dims, height(solved(s, lift if name == "top" else 0.0))) for name, s in levels.items()}
+    values |= {
+        "centre": (dims, height(np.zeros(xx.shape))),
+        "status": (dims, np.zeros(xx.shape, dtype=np.int8)),
+        "coating_top": (dims, 17.0 + wave(u) + thicker),
+        "base_thickness": (dims, np.full(xx.shape, 55.0)),
+        "thickness": (dims, 88.0 + wave(u)),
+    }
+    attrs = {"through": "z", "top_side": "high", "row_axis": "y", "col_axis": "x"}
+    surfaces = xr.Dataset(values, coords={"y": y, "x": x}, attrs=attrs)
+    flat = xr.Dataset(
+        {"u": (dims, stretch * u + 100.0), "v": (dims, stretch * v - 50.0), "projected_u": (dims, xx),
+         "projected_v": (dims, yy)},
+        coords={"y": y, "x": x},
+    )  # fmt: skip
+    shape = 190, 260
+    iy, ix = np.arange(shape[0]) * PIXEL, np.arange(shape[1]) * PIXEL
+    pu, pv = np.moveaxis(pose.inverse(np.stack(np.meshgrid(ix, iy), axis=-1)), -1, 0)
+    inside = (pu > 20) & (pu < u.max() - 20) & (pv > 20) & (pv < v.max() - 20)
+    place = {"x": (pu + shift[0]) / LONG, "y": pv + shift[1], "z": SLOPE * (pu + shift[0]) / LONG}
+    coating = 17.0 + wave(pu)
+    linked = xr.Dataset(
+        {f"volume_{a}": (dims, np.where(inside, p, np.nan)) for a, p in place.items()}
+        | {
+            "coating_top": (dims, coating + thicker),
+            "base_thickness": (dims, np.full(shape, 55.0)),
+            "thickness": (dims, 71.0 + coating),
+            "image": (dims, disc_image(pose(HOLES), ix, iy, coating)),
+            "valid": (dims, inside),
+        },
+        coords={"y": iy, "x": ix},
+    )
+    truth = xr.Dataset({"u": (dims, pu), "v": (dims, pv)}, coords={"y": iy, "x": ix})
+    mu, mv = np.arange(0, stretch * u.max() + 200, PIXEL), np.arange(-50, stretch * v.max(), PIXEL)
+    at_u, at_v = (mu[None, :] - 100.0) / stretch + 0 * mv[:, None], (mv[:, None] + 50.0) / stretch + 0 * mu[None, :]
+    on = (at_u >= 0) & (at_u <= u.max()) & (at_v >= 0) & (at_v <= v.max())
+    presence = 1.0 - (np.hypot(at_u[..., None] - HOLES[:, 0], at_v[..., None] - HOLES[:, 1]).min(axis=-1) < 88)
+    maps = xr.Dataset(
+        {
+            "presence": (("v", "u"), np.where(on, presence, np.nan)),
+            "volume_x": (("v", "u"), at_u / LONG),
+            "volume_y": (("v", "u"), at_v),
+            "volume_z": (("v", "u"), SLOPE * at_u / LONG),
+            "projected_u": (("v", "u"), at_u / LONG),
+            "projected_v": (("v", "u"), at_v),
+        },
+        coords={"v": mv, "u": mu},
+    )
+    moving = stretch * HOLES + [100.0, -50.0]
+    fixed = pose(HOLES)
+    marks = xr.Dataset(
+        {"moving_x": ("mark", moving[:, 0]), "moving_y": ("mark", moving[:, 1]), "fixed_x": ("mark", fixed[:, 0]),
+         "fixed_y": ("mark", fixed[:, 1])}
+    )  # fmt: skip
+    study = SimpleNamespace(
+        registration=SimpleNamespace(hole_um=(100.0, 300.0)), correlate=SimpleNamespace(thin_um=13.0)
+    )
+    run = SimpleNamespace(
+        groups={"surfaces": surfaces, "flat": flat, "linked": linked, "maps": maps},
+        marks=marks, results={"marks": {"mirrored": False}, "headline": "coating_top"}, study=study,
+    )  # fmt: skip
+    specimen = SimpleNamespace(warp=warp, sheet=sheet, pose=pose, truth=truth)
+    files = SimpleNamespace(to_physical=lambda points, _sections=None: points)
+    return specimen, files, run
+
+
+def disc_image(centres, x, y, coating):
+    """Dark discs on a ground that follows the coating."""
+    away = np.hypot(x[None, :, None] - centres[:, 0], y[:, None, None] - centres[:, 1]).min(axis=-1)
+    return np.where(away < 88, 0.05, 0.7 + 0.01 * coating) + np.random.default_rng(0).normal(0, 0.002, away.shape)
+
+
+def test_an_exact_run_has_no_errors():
+    found = make_ledger(*exact_run())
+    for face in FACES:
+        assert found[f"{face}_rmse"] < 1e-6
+    assert found["centre_rms"] < 1e-9
+    assert found["angle_rms"] < 1e-6
+    assert found["column_coating_top_rmse"] < 1e-9
+    assert found["pixel_coating_top_rmse"] < 1e-9
+    assert found["node_rms"] < 1e-6
+    assert abs(found["flat_scale"]) < 1e-9
+    assert found["strain_rms"] < 1e-9
+    assert found["tre_rms"] < 1e-9
+    assert found["fre_rms"] < 1e-9
+    assert abs(found["scale_deviation"]) < 1e-9
+    assert abs(found["r_difference_pixel"]) < 1e-12
+    assert found["thin_dice"] == 1.0
+    assert found["thin_lag"] == 0.0
+    assert found["measured_share"] == 100.0
+    # hole finding is run for real: discs of 175 um in pixels of 4 um
+    assert (found["recall_image"], found["recall_volume"]) == (1.0, 1.0)
+    assert (found["false_image"], found["false_volume"]) == (0.0, 0.0)
+    assert found["fle_image"] < 0.5
+    assert found["fle_volume"] < 0.5
+    # linear interpolation over 5 um columns of a wave of 400 um and 6 um height: (2 pi / 400)^2 5^2 / 8 of it
+    assert found["resampling_rmse"] < 6.0 * (2 * np.pi / 400) ** 2 * PITCH**2 / 8
+
+
+def test_a_shift_of_all_pixels_is_their_error():
+    found = make_ledger(*exact_run(shift=(3.0, 0.0)))
+    for name in ("tre_median", "tre_p95", "tre_max", "tre_rms"):
+        assert found[name] == pytest.approx(3.0, abs=1e-9)
+    assert make_ledger(*exact_run(shift=(3.0, 4.0)))["tre_median"] == pytest.approx(5.0, abs=1e-9)
+
+
+def test_a_lifted_face_has_that_bias():
+    found = make_ledger(*exact_run(lift=0.7))
+    # the lifted top is compared at its own place: along a slope of 0.25 the wave moves by 0.7 * 0.25 um at most
+    assert found["top_bias"] == pytest.approx(0.7, abs=0.01)
+    assert found["top_rmse"] == pytest.approx(0.7, abs=0.02)
+    assert found["bottom_rmse"] < 1e-6
+    # three exact faces and one that is off
+    assert found["surfaces_rmse"] == pytest.approx(found["top_rmse"] / 2, rel=1e-6)
+
+
+def test_a_coating_that_is_too_thick():
+    found = make_ledger(*exact_run(thicker=-0.4))
+    for where in ("column", "pixel"):
+        assert found[f"{where}_coating_top_bias"] == pytest.approx(-0.4, abs=1e-9)
+        assert found[f"{where}_coating_top_p95"] == pytest.approx(0.4, abs=1e-9)
+        assert found[f"{where}_thickness_rmse"] < 1e-9
+    # the thin region grows: the contour of 13 um lies where the true coating is 13.4
+    lag = 400 / (2 * np.pi) * (np.arcsin(4.0 / 6.0) - np.arcsin(3.6 / 6.0))
+    assert found["thin_lag"] == pytest.approx(1.01 * lag, rel=0.05)
+    assert 0.9 < found["thin_dice"] < 1.0
+    # a constant changes no correlation
+    assert abs(found["r_difference_pixel"]) < 1e-12
+
+
+def test_a_flat_map_that_is_too_large():
+    found = make_ledger(*exact_run(stretch=1.002))
+    assert found["flat_scale"] == pytest.approx(0.2, abs=1e-9)
+    assert found["strain_rms"] == pytest.approx(0.2, abs=1e-9)
+    # places are off by 0.2 % of their distance from the middle
+    u, v = np.meshgrid(LONG * PITCH * np.arange(COLS), PITCH * np.arange(ROWS))
+    expected = 0.002 * np.sqrt(u.var() + v.var())
+    assert found["node_rms"] == pytest.approx(expected, rel=1e-6)
+    # the marks take the scale back
+    assert found["scale_deviation"] == pytest.approx(100 * (1 / 1.002 - 1), abs=1e-9)
+
+
+def test_what_the_projection_misses():
+    found = make_ledger(*exact_run())
+    # a tilted plane is projected shorter along u: a similarity takes the mean, the difference of the axes stays
+    marks = HOLES / [LONG, 1.0]
+    fit = fit_transform(marks, HOLES)
+    u, v = np.meshgrid(LONG * PITCH * np.arange(COLS), PITCH * np.arange(ROWS))
+    there = np.stack([u, v], axis=-1)
+    seen = fit(there / [LONG, 1.0])
+    image = Similarity(scale=1.01, rotation_rad=0.03, shift_um=(40.0, 30.0))(there)
+    inside = np.all((image >= 0) & (image <= [259 * PIXEL, 189 * PIXEL]), axis=-1)
+    expected = np.percentile(np.linalg.norm(seen - there, axis=-1)[inside], 95)
+    assert found["tre_projection_p95"] == pytest.approx(expected, rel=1e-6)
+    assert expected > 5.0
+
+
+def test_marks_that_disagree_predict_their_error():
+    specimen, files, run = exact_run()
+    moved = run.marks.copy()
+    moved["fixed_x"] = moved["fixed_x"] + np.array([2.0, -2.0, -2.0, 2.0])
+    run.marks = moved
+    found = make_ledger(specimen, files, run)
+    assert found["fre_rms"] == pytest.approx(2.0, rel=0.05)
+    assert found["loo_rms"] > found["fre_rms"]
+    assert found["predicted_rms"] > 1.0
+    # the places themselves were left exact
+    assert found["predicted_ratio"] < 1e-6
+
+
+def test_a_false_and_a_missed_hole():
+    specimen, files, run = exact_run()
+    specimen.sheet.holes = np.concatenate([HOLES[:3], [[500.0, 380.0]]])
+    found = make_ledger(specimen, files, run)
+    assert found["recall_image"] == 0.75
+    assert found["false_image"] == 1.0
+    assert found["recall_volume"] == 0.75
+    assert found["false_volume"] == 1.0
+
+
+def test_residual_poses_of_sections():
+    _, files, run = exact_run()
+    run.groups["sections"] = xr.Dataset({"position": ("section", np.arange(3.0))})
+    # a stack whose rows run through the sheet; what is left of the poses is white and known
+    surfaces = run.groups["surfaces"]
+    surfaces.attrs |= {"through": "y", "row_axis": "z", "col_axis": "x"}
+    rng = np.random.default_rng(3)
+    left = rng.normal(0, [0.5, 0.3, 0.2], (ROWS, 3))  # x, y, z in space
+
+    def to_physical(points, _sections=None):
+        k = np.rint(points[:, 2] / PITCH).astype(int)
+        return np.stack([points[:, 0], points[:, 2], points[:, 1]], axis=1) + left[k]
+
+    files.to_physical = to_physical
+    from planish.validate.volume_errors import section_errors
+
+    found = section_errors(files, run.groups)
+    # fitted straight lines take 2 of 150 degrees of freedom
+    for name, k in (("sections_x_rms", 0), ("sections_place_rms", 1), ("sections_z_rms", 2)):
+        assert found[name] == pytest.approx(left[:, k].std(), rel=0.05)
+
+
+def test_a_paper_without_coating_has_no_figures_of_it():
+    specimen, files, run = exact_run()
+    for group in ("surfaces", "linked"):
+        run.groups[group]["coating_top"] = np.nan * run.groups[group]["coating_top"]
+    for face in ("interface_top", "interface_bottom"):
+        run.groups["surfaces"][face] = np.nan * run.groups["surfaces"][face]
+    run.results["headline"] = "thickness"
+    found = make_ledger(specimen, files, run)
+    assert found["interface_top_rmse"] is None
+    assert found["pixel_coating_top_bias"] is None
+    assert found["thin_dice"] is None
+    assert found.key("thickness") == ("column_thickness_rmse", pytest.approx(0.0, abs=1e-9))
+    assert found["tre_rms"] < 1e-9
+
+
+def test_a_map_without_an_image():
+    specimen, files, run = exact_run()
+    del run.groups["linked"]
+    run.marks = None
+    found = make_ledger(specimen, files, run)
+    assert found["top_rmse"] < 1e-6
+    assert found["tre_rms"] is None
+    assert not any(FIGURES[name].stage == "registration" for name in found.values)
+
+
+def test_a_run_that_measured_nothing():
+    specimen, files, run = exact_run()
+    run.groups["surfaces"]["status"] += 3
+    run.groups["linked"]["valid"][:] = False
+    found = make_ledger(specimen, files, run)
+    assert found["top_bias"] is None
+    assert found["tre_median"] is None
+    assert found["predicted_ratio"] is None
+
+
+def test_figures_are_named_once_and_keys_exist():
+    assert all(figure.stage in STAGES and figure.sentence and figure.title for figure in FIGURES.values())
+    assert all(name in FIGURES and FIGURES[name].stage == stage for stage, names in KEYS.items() for name in names)
+    assert next(iter(in_order({"tre_rms": 1.0, "top_bias": 2.0}))) == "top_bias"
+
+
+def test_outlines_of_two_discs_are_as_far_apart_as_their_radii():
+    y, x = np.mgrid[:120, :120] * 2.0
+    one, two = (np.hypot(x - 120, y - 118) - r for r in (60.0, 67.0))
+    assert outline_lag(one, two, 0.0, (2.0, 2.0)) == pytest.approx(7.0, abs=0.05)
+    points = contour_points(one, 0.0) * 2.0
+    np.testing.assert_allclose(np.hypot(points[:, 1] - 120, points[:, 0] - 118), 60.0, atol=0.02)
+    assert dice(one < 0, two < 0) == pytest.approx(2 * 60**2 / (60**2 + 67**2), rel=0.01)
+    assert outline_lag(one, two + 1e3, 0.0, (2.0, 2.0)) is None
+    assert dice(one > 1e9, one > 1e9) is None
+
+
+def test_ledger_of_a_real_run(measured):
+    specimen, made, run, _ = measured
+    found = make_ledger(specimen, made, run)
+    assert 0.05 < found["tre_median"] < 5.0
+    assert found["predicted_ratio"] == pytest.approx(found["tre_rms"] / found["predicted_rms"])
+    # the same figures when everything is turned into the frame of another file, and back
+    turned = replace(made, to_physical=lambda points, _sections=None: made.to_physical(points + 0.0))
+    assert make_ledger(specimen, turned, run).values == found.values

@@ -1,0 +1,75 @@
+"""Specimens like a run: what is read from a run of a known specimen is what that specimen was made of."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from planish.core.errors import FileError, InputError, PlanishError
+from planish.validate.like import like_run
+from planish.validate.scenario import read_scenario
+
+
+def test_a_run_of_a_known_specimen(measured):
+    specimen, _, _, folder = measured
+    true, found = specimen.params, like_run(folder).params
+    assert found.scanner.voxel_um == pytest.approx(true.scanner.voxel_um)
+    assert found.camera.pixel_um == pytest.approx(true.camera.pixel_um, rel=1e-4)
+    assert found.paper.coating_top_um == pytest.approx(true.paper.coating_top_um, rel=0.1)
+    # holes are rough, oval and burnt at their rims: the circle fitted to one is within a char of 40 um, mostly less
+    assert found.holes.diameter_um == pytest.approx(true.holes.diameter_um, rel=0.15)
+    assert found.holes.count == true.holes.count
+    assert found.paper.base_um == pytest.approx(true.paper.base_um, rel=0.05)
+    # the search's blur holds that of the voxels and of the sheet's own unevenness within a column
+    assert 0.6 * true.scanner.fwhm_um < found.scanner.fwhm_um < 1.6 * true.scanner.fwhm_um
+    assert 0.5 * true.scanner.noise < found.scanner.noise < 2.0 * true.scanner.noise
+    # slopes are taken about their mean, and the centre surface passes a little less of them
+    assert 0.6 * true.warp.slope < found.warp.slope < 1.3 * true.warp.slope
+    assert abs(found.warp.ruling_deg - true.warp.ruling_deg) < 10.0
+    assert 0.5 * true.warp.wavelength_um < found.warp.wavelength_um < 2.0 * true.warp.wavelength_um
+
+
+def test_it_says_what_was_taken_and_what_assumed(measured):
+    *_, folder = measured
+    found = like_run(folder)
+    assert any("Voxels of 4 um" in sentence for sentence in found.taken)
+    assert any("fringe" in sentence.lower() for sentence in found.assumed)
+    assert all(sentence.endswith(".") for sentence in (*found.taken, *found.assumed))
+    assert "path" not in json.dumps(found.study)
+
+
+def test_the_scenario_takes_the_place_of_paper_and_instruments(measured):
+    *_, folder = measured
+    found = like_run(folder)
+    scenario = found.scenario(read_scenario("ct"))
+    assert scenario.params(2).paper == found.params.paper
+    assert scenario.params(2).warp == found.params.warp
+    assert scenario.params(2).seed == 2
+    assert scenario.limits == read_scenario("ct").limits
+    assert scenario.instrument == "stack"
+
+
+@pytest.mark.parametrize("missing", ["results.json", "run.toml", "maps.zarr"])
+def test_a_folder_that_is_no_run(measured, tmp_path, missing):
+    *_, folder = measured
+    part = tmp_path / "run"
+    shutil.copytree(folder, part)
+    if (part / missing).is_dir():
+        shutil.rmtree(part / missing)
+    else:
+        (part / missing).unlink()
+    with pytest.raises(FileError, match=missing):
+        like_run(part)
+
+
+@pytest.mark.parametrize("text", ["{", "[1, 2]", "{}", '{"inputs": {"volume": {"voxel_um": [1, 2, 3]}}}'])
+def test_damaged_results(measured, tmp_path, text):
+    *_, folder = measured
+    part = tmp_path / "run"
+    shutil.copytree(folder, part)
+    (part / "results.json").write_text(text)
+    with pytest.raises(PlanishError, match=r"results\.json") as error:
+        like_run(part)
+    assert isinstance(error.value, InputError)

@@ -1,0 +1,108 @@
+"""Scenario files: what comes with planish is sound, and what is wrong is said."""
+
+from __future__ import annotations
+
+import pytest
+
+from planish.core.errors import FileError, InputError
+from planish.synthetic.nuisances import NUISANCES
+from planish.validate.certify import scenario_study
+from planish.validate.figures import FIGURES
+from planish.validate.scenario import Limit, read_scenario, scenario_names
+
+
+def test_the_scenarios_that_come_with_planish():
+    assert {"as-1", "as-2", "ct", "quiet", "small"} <= set(scenario_names())
+    for name in scenario_names():
+        scenario = read_scenario(name)
+        assert scenario.name == name
+        assert scenario.limits.keys() <= FIGURES.keys()
+        assert all(limit.source for limit in scenario.limits.values())
+
+
+def test_as_2_is_what_the_specification_asks_for():
+    scenario = read_scenario("as-2")
+    params = scenario.params(0)
+    assert params.size_um == (8000.0, 6000.0)
+    assert (scenario.instrument, params.sections.pixel_um, params.sections.section_um) == ("sections", 2.43, 3.0)
+    assert params.camera.pixel_um == 12.0
+    # slope of a wave that makes 8 mm of projection longer by 250 um, had it run along x
+    from planish.synthetic import slope_for
+
+    assert params.warp.slope == pytest.approx(slope_for(250.0, 8000.0), rel=0.02)
+    assert {"jitter", "walk", "missing", "drift", "knife", "stage", "char"} <= set(scenario.active)
+    assert "scan_blur" not in scenario.active
+
+
+def test_nuisances_all_none_and_some():
+    scenario = read_scenario("small")
+    assert "scan_noise" in scenario.active
+    assert read_scenario("quiet").active == []
+    only = scenario.params(0, ("char",))
+    assert only.scanner.noise == 0.0
+    assert only.holes.char_um == scenario.params(0).holes.char_um
+    assert scenario.params(3).seed == scenario.params(0).seed + 3
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("nonsense = 1", "nonsense"),
+        ('preset = "newsprint"', "wfc135"),
+        ('size = "T9"', "size"),
+        ('nuisances = ["hiccup"]', "scan_noise"),
+        ("[limits]\nblur = { limit = 1 }", "tre_p95"),
+        ("[limits]\ntre_p95 = { limit = 1, least = 1 }", "either limit or least"),
+        ("[specimen.warp]\nslop = 1", "slop"),
+        ('[specimen.warp]\nslope = "steep"', "specimen.warp.slope"),
+        ("[specimen]\nwarp = 3", "a table is needed"),
+        ("[study.surfaces]\ncutoff_um = 100", "registration"),
+        ("[study.surface]\ncutoff = 100", "cutoff_um"),
+        ("seeds = 0", "seeds"),
+    ],
+)
+def test_wrong_scenarios_are_named(tmp_path, text, said):
+    path = tmp_path / "mine.toml"
+    path.write_text(f'name = "mine"\ntitle = "Mine"\n{text}\n')
+    with pytest.raises(InputError, match=said):
+        read_scenario(path)
+
+
+def test_files_that_are_no_scenario(tmp_path):
+    with pytest.raises(FileError, match="small"):
+        read_scenario("smal")
+    path = tmp_path / "bad.toml"
+    path.write_text("name = ")
+    with pytest.raises(FileError, match="not a TOML file"):
+        read_scenario(path)
+
+
+def test_limits():
+    most, least = Limit(limit=0.5), Limit(least=0.95)
+    assert most.met(-0.5)
+    assert not most.met(-0.51)
+    assert not most.met(None)
+    assert least.met(1.0)
+    assert not least.met(0.9)
+    assert most.worst([0.1, -0.4, 0.3]) == -0.4
+    assert least.worst([1.0, 0.96]) == 0.96
+
+
+def test_the_study_of_a_scenario(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('name = "mine"\ntitle = "Mine"\n[study.registration]\nhole_um = [120, 250]\n')
+
+    class Made:
+        volume, image, through, voxel_um = tmp_path / "v", tmp_path / "i", "y", (3.0, 3.0, 3.0)
+
+    study = scenario_study(read_scenario(path), Made)
+    assert study.registration.hole_um == (120.0, 250.0)
+    assert study.volume.through == "y"
+    path.write_text('name = "mine"\ntitle = "Mine"\n[study.surface]\ncutoff_um = -1\n')
+    with pytest.raises(InputError, match=r"study\.surface\.cutoff_um"):
+        scenario_study(read_scenario(path), Made)
+
+
+def test_every_nuisance_has_an_effect_on_the_parameters():
+    scenario = read_scenario("small")
+    assert set(scenario.active) <= NUISANCES.keys()

@@ -1,0 +1,122 @@
+"""Which stage suffers under which nuisance, on made-up figures; the runs themselves are replaced."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planish.core.errors import InputError
+from planish.validate import sensitivity as module
+from planish.validate.certify import Entry
+from planish.validate.page import render_page
+from planish.validate.scenario import read_scenario
+from planish.validate.sensitivity import added_error, make_row, sensitivity
+from planish.validate.table import as_json, markdown, sensitivity_rows
+from planish.validate.words import row_sentence, sum_sentence
+
+BASE = {"surfaces_rmse": 0.4, "column_coating_top_rmse": 0.5, "fle_pair": 0.3, "tre_rms": 0.6}
+
+
+def test_errors_are_taken_apart_as_squares():
+    assert added_error(0.5, 0.4) == pytest.approx(0.3)
+    assert added_error(0.3, 0.4) == 0.0
+    assert added_error(None, 0.4) is None
+
+
+def test_the_first_stage_of_those_that_grow_alike_suffers():
+    keys = {"surfaces": "surfaces_rmse", "thickness": "column_coating_top_rmse", "registration": "tre_rms"}
+    quiet = {"surfaces": 0.4, "thickness": 0.5, "registration": 0.6}
+    row = make_row(
+        "scan_blur", keys, quiet, {"surfaces_rmse": 0.8, "column_coating_top_rmse": 1.2, "tre_rms": 0.6}, None
+    )
+    assert row.suffers == "surfaces"
+    row = make_row("stretch", keys, quiet, BASE | {"tre_rms": 3.0}, None)
+    assert row.suffers == "registration"
+    row = make_row("lens", keys, quiet, BASE | {"tre_rms": 0.601}, None)
+    assert row.suffers is None
+    assert "no stage notices" in row_sentence(row)
+    # against a baseline of next to nothing, 0.01 um are no growth to speak of
+    row = make_row("lens", {"registration": "tre_rms"}, {"registration": 1e-6}, {"tre_rms": 0.01}, None)
+    assert row.suffers is None
+
+
+def fake(monkeypatch, effect):
+    """Replace the runs: ``effect`` gives the figures from the names of the nuisances that are on."""
+    calls = []
+
+    def run(_scenario, params, seed, **_):
+        from planish.synthetic.nuisances import nuisances_of
+
+        on = frozenset(nuisances_of(params, "scanner"))
+        calls.append(on)
+        return Entry(seed=seed, seconds=0.0, **effect(on)), None
+
+    monkeypatch.setattr(module, "run_specimen", run)
+    return calls
+
+
+def test_independent_nuisances_sum_up(monkeypatch, small):
+    adds = {"char": {"fle_pair": 1.0}, "stage": {"tre_rms": 2.0}, "scan_noise": {"surfaces_rmse": 0.5}}
+
+    def effect(on):
+        values = {k: v**2 for k, v in BASE.items()}
+        for name in on & adds.keys():
+            for key, value in adds[name].items():
+                values[key] += value**2
+        return {"values": {k: float(np.sqrt(v)) for k, v in values.items()}}
+
+    calls = fake(monkeypatch, effect)
+    found = sensitivity(small)
+    assert len(calls) == 2 + len(small.active)
+    assert calls[0] == frozenset()
+    suffering = {row.nuisance: row.suffers for row in found.rows}
+    assert {k: v for k, v in suffering.items() if v} == {
+        "char": "holes", "stage": "registration", "scan_noise": "surfaces"
+    }  # fmt: skip
+    assert found.ratio["holes"] == pytest.approx(1.0)
+    assert found.ratio["thickness"] is None
+    assert found.together == {}
+    assert "act independently" in sum_sentence("holes", found)
+    head, rows = sensitivity_rows(found)
+    assert all(len(row) == len(head) for row in rows)
+
+
+def test_an_interaction_is_named(monkeypatch, small):
+    def effect(on):
+        both = {"char", "scan_blur"} <= on
+        return {"values": BASE | {"fle_pair": 3.0 if both else 0.3}}
+
+    calls = fake(monkeypatch, effect)
+    found = sensitivity(small)
+    assert len(calls) == 2 + 2 * len(small.active)
+    assert found.ratio["holes"] == pytest.approx(0.0)
+    assert set(found.together["holes"]) == {"char", "scan_blur"}
+    assert "burnt rims" in sum_sentence("holes", found)
+
+
+def test_a_nuisance_that_stops_the_program(monkeypatch, small, certificate):
+    def effect(on):
+        if on == {"half_closed"}:
+            return {"values": {}, "refusal": "Only 2 holes found."}
+        return {"values": BASE}
+
+    fake(monkeypatch, effect)
+    found = sensitivity(small)
+    row = next(row for row in found.rows if row.nuisance == "half_closed")
+    assert row.refusal == "Only 2 holes found."
+    assert row.suffers is None
+    page = render_page(certificate, found)
+    assert "no result" in page
+    assert page.count('class="n') > 4 * len(found.rows)
+    assert "refused" in markdown(certificate, found)
+    assert len(as_json(certificate, found)["sensitivity"]["rows"]) == len(small.active)
+
+
+def test_what_has_no_sensitivity(monkeypatch, small):
+    with pytest.raises(InputError, match="no nuisances"):
+        sensitivity(read_scenario("as-1"))
+    with pytest.raises(InputError, match="No nuisance"):
+        sensitivity(read_scenario("quiet"))
+    fake(monkeypatch, lambda _on: {"values": {}, "refusal": "No sheet."})
+    with pytest.raises(InputError, match="No sheet"):
+        sensitivity(small)
