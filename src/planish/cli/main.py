@@ -19,6 +19,7 @@ from planish import __version__
 from planish.cli.line import demo, info, link, map_, run
 from planish.cli.specimen import specimen
 from planish.cli.stages import correlate, flatten, holes, measure, register, report, resample, surface
+from planish.cli.validate import validate
 from planish.core.errors import PlanishError, ResourceError
 from planish.io.run_folder import as_planish
 

@@ -25,6 +25,9 @@ _SLAB = 16  # rows worked on together
 _SAMPLE = 3000  # columns that the levels and the blur are read from
 _WIDTHS = np.geomspace(0.35, 3.2, 14)  # blur along a column that is tried, in voxels
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
+_CORRELATED = 1.15  # noise over that of neighbouring voxels' differences, from which on it is no longer white
+_BLENDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # voxels
+_BESIDE_UM = 15.0  # from the face into the air
 _SPIKE_UM = 3.0
 
 
@@ -102,11 +105,8 @@ class Search:
         sample = {high: self._sampled(rows, high=high) for high in (True, False)}
         slab, outer, other = sample[True][:3]
         self.base, base_sd = self._base(slab, outer, other)
-        cnr = self.base / self.noise
-        if cnr < _QUIET:
-            # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
-            self.blend = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5)
-            self.noise /= max(1.0, 2 * np.sqrt(np.pi) * self.blend)
+        self._calm(rows)
+        if self.blend:
             sample = {high: self._sampled(rows, high=high) for high in (True, False)}
         # Coarse profile per side: is there a coating, how bright, how much does it vary?
         self.prior: dict[bool, tuple[Array, Array, bool]] = {}
@@ -121,6 +121,38 @@ class Search:
             air=self.air, base=self.polarity * self.base + self.air, coating_top=greys[True],
             coating_bottom=greys[False], noise=self.noise, polarity=self.polarity, blur_um=self.width_um,
         )  # fmt: skip
+
+    def _calm(self, rows: NDArray[np.intp]) -> None:
+        """Choose how far columns are averaged with their neighbours, and what noise that leaves."""
+        whole = self._air_noise(rows)
+        if not whole > _CORRELATED * self.noise:
+            cnr = self.base / self.noise
+            if cnr < _QUIET:
+                # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
+                self.blend = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5)
+                self.noise /= max(1.0, 2 * np.sqrt(np.pi) * self.blend)
+            return
+        # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps less, so it is tried out.
+        self.noise = whole
+        for blend in _BLENDS:
+            if self.base / self.noise >= _QUIET:
+                return
+            self.blend = blend
+            self.noise = self._air_noise(rows)
+
+    def _air_noise(self, rows: NDArray[np.intp]) -> float:
+        """Standard deviation of the air just outside the faces, as the fit will see it; NaN where there is none."""
+        found: list[NDArray[np.float32]] = []
+        beside = int(np.ceil(_BESIDE_UM / self.pitch[2]))
+        for r in rows:
+            for high in (True, False):
+                outer = self.expected(slice(r, r + 1), high=high)[0][0]
+                slab = self.slab(int(r), int(r) + 1, high=high)[0]
+                first = np.where(np.isfinite(outer), outer - self.reach, -1.0).astype(int) - beside
+                for at in (first, first - beside):
+                    held = np.flatnonzero(at >= 0)
+                    found.append(slab[held, at[held]])
+        return spread(np.concatenate(found).astype(np.float64))
 
     def _sampled(self, rows: NDArray[np.intp], *, high: bool) -> tuple[NDArray[np.float32], Array, Array, Array]:
         """Columns of some rows as one slab of a single row: (1, n, depth), with expected faces and tilt."""
