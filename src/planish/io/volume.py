@@ -13,6 +13,7 @@ from tifffile import TiffPageSeries
 
 from planish.core.errors import SizeError, VolumeError
 from planish.io.guard import check_memory, size_of_file
+from planish.io.nrecon import stated_by_log
 from planish.io.picture import Picture, kind_of, load_picture, long_axes
 from planish.io.sizes import VOXEL, Stated, agree, agreed_size
 from planish.io.slices import list_slices
@@ -194,6 +195,7 @@ def volume_axes(series: TiffPageSeries, path: Path) -> str:
 def load_folder(path: Path, *, memory_limit_bytes: int | None) -> LoadedVolume:
     """Read a folder of slices into one array, slice by slice."""
     files = list_slices(path)
+    log = stated_by_log(path, len(files))
     first = load_slice(files[0], memory_limit_bytes=memory_limit_bytes)
     height, width = first.values.shape
     check_memory(path, needed_bytes=len(files) * first.values.nbytes, limit_bytes=memory_limit_bytes)
@@ -204,7 +206,8 @@ def load_folder(path: Path, *, memory_limit_bytes: int | None) -> LoadedVolume:
         check_same(picture, first, file=file, first_file=files[0])
         values[i] = picture.values
         total += size_of_file(file)
-    return LoadedVolume(values=values, stated=first.stated, full_scale=first.full_scale, file_bytes=total)
+    stated = first.stated if log is None else (log, *first.stated)
+    return LoadedVolume(values=values, stated=stated, full_scale=first.full_scale, file_bytes=total)
 
 
 def load_slice(file: Path, *, memory_limit_bytes: int | None) -> Picture:

@@ -1,0 +1,68 @@
+"""The log of NRecon: the right one of its three pixel sizes."""
+
+import numpy as np
+import pytest
+import tifffile
+
+from planish.core.errors import SizeError, VolumeError
+from planish.io import read_volume
+
+LOG = """[System]
+Scanner=Skyscan1172
+Camera Pixel Size (um)=11.32
+[Acquisition]
+Filename Prefix=sheet
+Image Pixel Size (um)=1.66
+[Reconstruction]
+Sections Count={count}
+Section to Section Step={step}
+pixel size (UM)={size}
+[File name convention]
+Filename Prefix=sheet_rec
+"""
+
+
+@pytest.fixture
+def scan(tmp_path):
+    def make(log=None, count=9, encoding="utf-8", name="sheet_rec.log"):
+        for k in range(9):
+            tifffile.imwrite(tmp_path / f"sheet_rec{k:08d}.tif", np.full((10, 12), k, np.uint8))
+        text = LOG.format(count=count, step=2, size="1.65905") if log is None else log
+        (tmp_path / name).write_bytes(text.encode(encoding))
+        return tmp_path
+
+    return make
+
+
+def test_the_size_is_that_of_the_reconstruction(scan):
+    volume = read_volume(scan())
+    assert volume.attrs["voxel_um"] == pytest.approx([3.3181, 1.65905, 1.65905])
+    assert "NRecon" in volume.attrs["voxel_um_source"]
+
+
+def test_a_path_with_an_accent_does_not_stop_the_reader(scan):
+    log = "[System]\nUser=Núria\n" + LOG.format(count=9, step=1, size="1,5")
+    assert read_volume(scan(log, encoding="cp1252")).attrs["voxel_um"] == pytest.approx([1.5] * 3)
+
+
+def test_a_size_given_by_hand_must_agree(scan):
+    with pytest.raises(SizeError, match="NRecon log"):
+        read_volume(scan(), voxel_um=2.0)
+    assert read_volume(scan(), voxel_um=2.0, override_size=True).attrs["voxel_um"] == [2.0] * 3
+
+
+def test_missing_slices_are_noticed(scan):
+    with pytest.raises(VolumeError, match=r"tells of 12 sections.*holds 9"):
+        read_volume(scan(count=12))
+
+
+def test_a_log_without_a_size_says_so(scan):
+    with pytest.raises(SizeError, match=r"no number for 'Pixel Size \(um\)'"):
+        read_volume(scan("[Acquisition]\nImage Pixel Size (um)=1.66\n[Reconstruction]\nSections Count=9\n"))
+
+
+def test_two_logs_are_two_scans(scan):
+    folder = scan()
+    (folder / "other_rec.log").write_text("[Reconstruction]\n")
+    with pytest.raises(VolumeError, match="2 NRecon logs"):
+        read_volume(folder)
