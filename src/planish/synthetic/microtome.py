@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from planish.synthetic.fields import generator
 from planish.synthetic.paint import Painter, Slab, gaussian_taps, smooth
@@ -118,9 +117,9 @@ class Microtome:
         number = int(self.poses.index[k])
         rng = generator(self.seed, "section", str(number))
         gains = 1 + p.drift * rng.standard_normal(3)
-        uneven = ndimage.zoom(rng.standard_normal(tuple(n // _RESIN_PX + 3 for n in self.shape)), _RESIN_PX, order=1)
-        common = p.texture * contrast * uneven[: self.shape[0], : self.shape[1]].astype(np.float32)
-        common += p.knife * contrast * self._knife(number)
+        knots = rng.standard_normal((self.shape[0] // _RESIN_PX + 2, self.shape[1] // _RESIN_PX + 2), dtype=np.float32)
+        common = np.float32(p.texture * contrast) * _between(_between(knots, self.shape[0]).T, self.shape[1]).T
+        common = common + np.float32(p.knife * contrast) * self._knife(number)
         if not p.colour:
             return self._exposed(k, p.grey, float(gains[1]), common, rng)
         channels = [tuple(float(level * tint[c]) for level, tint in zip(p.grey, _TINTS, strict=True)) for c in range(3)]
@@ -158,3 +157,11 @@ class Microtome:
         for at, size in zip(rng.uniform(0, width, count), rng.choice([-1.0, 1.0], count), strict=True):
             row += np.float32(size) * np.exp(-0.5 * ((x - np.float32(at)) / np.float32(1.5)) ** 2)
         return row
+
+
+def _between(knots: Slab, count: int) -> Slab:
+    """Interpolate rows linearly between knots."""
+    at = np.arange(count, dtype=np.float32) / np.float32(_RESIN_PX)
+    k = at.astype(int)
+    f = (at - k.astype(np.float32))[:, None]
+    return knots[k] * (1 - f) + knots[k + 1] * f

@@ -54,8 +54,8 @@ class Painter:
             the halo. Around them there is only air.
         """
         w, curve = self.warp.packed()
-        thick = float(np.abs(self.sheet.faces).max()) + 2 * self.step_um
-        half = 1.2 * thick * float(np.hypot(1.0, self.warp.steepest))
+        thick = self.sheet.reach_um + 2 * self.step_um
+        half = 1.05 * thick * float(np.hypot(1.0, self.warp.steepest))
         done: list[tuple[int, int, Slab]] = []
         for start in range(0, self.shape[0], _BLOCK):
             stop = min(start + _BLOCK, self.shape[0])

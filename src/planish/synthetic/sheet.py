@@ -65,6 +65,11 @@ class Sheet:
         return top * (1 - fy) + low * fy
 
     @cached_property
+    def reach_um(self) -> float:
+        """Largest distance of a face from the centre surface."""
+        return float(max(self.faces.max(), -self.faces.min()))
+
+    @cached_property
     def texture(self) -> Field:
         """Relative density of the base through its depth (LAYERS, rows, cols), bottom to top."""
         p, shape = self.params, (self.faces.shape[1], self.faces.shape[2])
