@@ -118,8 +118,8 @@ class Microtome:
         rng = generator(self.seed, "section", str(number))
         gains = 1 + p.drift * rng.standard_normal(3)
         knots = rng.standard_normal((self.shape[0] // _RESIN_PX + 2, self.shape[1] // _RESIN_PX + 2), dtype=np.float32)
-        common = np.float32(p.texture * contrast) * _between(_between(knots, self.shape[0]).T, self.shape[1]).T
-        common = common + np.float32(p.knife * contrast) * self._knife(number)
+        uneven = _between(_between(knots, self.shape[0]).T, self.shape[1]).T
+        common = (p.texture * contrast * uneven + p.knife * contrast * self._knife(number)).astype(np.float32)
         if not p.colour:
             return self._exposed(k, p.grey, float(gains[1]), common, rng)
         channels = [tuple(float(level * tint[c]) for level, tint in zip(p.grey, _TINTS, strict=True)) for c in range(3)]
@@ -163,5 +163,5 @@ def _between(knots: Slab, count: int) -> Slab:
     """Interpolate rows linearly between knots."""
     at = np.arange(count, dtype=np.float32) / np.float32(_RESIN_PX)
     k = at.astype(int)
-    f = (at - k.astype(np.float32))[:, None]
-    return knots[k] * (1 - f) + knots[k + 1] * f
+    f = (at - k)[:, None].astype(np.float32)
+    return (knots[k] * (1 - f) + knots[k + 1] * f).astype(np.float32)

@@ -96,11 +96,16 @@ class Certificate:
     example: Example | None = None
     notes: tuple[str, ...] = ()
 
+    @property
+    def judged(self) -> tuple[Entry, ...]:
+        """Entries that count: all, or those that ended without a warning where the scenario allows one."""
+        return tuple(entry for entry in self.entries if entry.whole or not self.scenario.or_warned)
+
     def summaries(self) -> dict[str, Summary]:
         """Mean, standard deviation and worst of each figure, in the order of the line."""
         found: dict[str, Summary] = {}
-        for name in in_order({name: None for entry in self.entries for name in entry.values}):
-            values = [v for entry in self.entries if (v := entry.values.get(name)) is not None]
+        for name in in_order({name: None for entry in self.judged for name in entry.values}):
+            values = [v for entry in self.judged if (v := entry.values.get(name)) is not None]
             if not values:
                 continue
             limit = self.scenario.limits.get(name) or _worse(name)
@@ -120,8 +125,8 @@ class Certificate:
 
     @property
     def passed(self) -> bool:
-        """Whether every specimen came through its gates and every limit is met."""
-        return all(entry.whole for entry in self.entries) and all(check.met for check in self.checks())
+        """Whether every specimen came through its gates, or may end with a warning, and every limit is met."""
+        return all(entry.whole for entry in self.judged) and all(check.met for check in self.checks())
 
 
 def run_scenario(

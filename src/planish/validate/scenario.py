@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from planish.core.errors import FileError, InputError
 from planish.study import Study
+from planish.synthetic.draws import draw_params
 from planish.synthetic.nuisances import NUISANCES, amended, nuisances_of, with_only, without
 from planish.synthetic.params import SIZES_UM, SpecimenParams
 from planish.synthetic.presets import PRESETS, preset
@@ -75,6 +76,10 @@ class Scenario(Table):
         How many specimens, seeds 0 to seeds - 1.
     nuisances : "all", "none" or list of names
         Of :data:`planish.synthetic.nuisances.NUISANCES`.
+    drawn : bool
+        Whether every parameter is drawn by the seed, over the ranges of :data:`planish.synthetic.draws.RANGES`.
+    or_warned : bool
+        Whether a run may also end with a warning of its own: then the limits hold for those that do not.
     point_um : float
         Edge of the larger points of the correlation.
     specimen : dict
@@ -92,6 +97,8 @@ class Scenario(Table):
     instrument: Instrument = "stack"
     seeds: Annotated[int, Field(ge=1, le=1000)] = 3
     nuisances: Literal["all", "none"] | tuple[str, ...] = ALL
+    drawn: bool = False
+    or_warned: bool = False
     point_um: Length = 100.0
     specimen: dict[str, Any] = {}
     study: dict[str, dict[str, Any]] = {}
@@ -137,6 +144,8 @@ class Scenario(Table):
         size = SIZES_UM[self.size] if isinstance(self.size, str) else self.size
         params: SpecimenParams = amended(SpecimenParams(size_um=size, paper=preset(self.preset)), self.specimen)
         params = replace(params, seed=params.seed + seed)
+        if self.drawn:
+            params = draw_params(params)
         if chosen == ALL:
             return params
         return without(params, NUISANCES) if isinstance(chosen, str) else with_only(params, chosen)
