@@ -1,0 +1,193 @@
+"""The sheet has the statistics that were ordered: means, spreads, spectra, and a coating that levels the base."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import fft, ndimage, special, stats
+
+from planish.synthetic import PRESETS, HoleParams, PaperParams, SpecimenParams, make_specimen, preset
+from planish.synthetic.fields import PITCH_UM, fibres, generator, lowpass, noise, streaks
+from planish.synthetic.holes import hole_pattern
+from planish.synthetic.sheet import make_sheet
+
+LOW, HIGH = np.zeros(2), np.array([6000.0, 4500.0])
+NO_HOLES = np.zeros((0, 2))
+
+
+def _sheet(paper, seed=0):
+    return make_sheet(paper, HoleParams(), low=LOW, high=HIGH, centres=NO_HOLES, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def wfc():
+    return _sheet(PaperParams())
+
+
+def _layers(sheet):
+    top, inner_top, inner_bottom, bottom = sheet.faces.astype(float)
+    return top - inner_top, inner_top - inner_bottom, inner_bottom - bottom
+
+
+def _correlation_um(field):
+    """Distance at which the autocorrelation along the rows has fallen to 1/e."""
+    field = field - field.mean()
+    n = field.shape[1]
+    power = np.mean(np.abs(fft.rfft(field, 2 * n, axis=1)) ** 2, axis=0)
+    lags = fft.irfft(power)[:n] / np.arange(n, 0, -1)
+    return PITCH_UM * np.interp(-np.exp(-1), -lags[:400] / lags[0], np.arange(400))
+
+
+def test_base_thickness(wfc):
+    base = _layers(wfc)[1]
+    # 27 mm2 hold a dozen flocs: the mean wanders by some tenths of a micrometre
+    assert base.mean() == pytest.approx(55.0, abs=0.5)
+    assert base.std() == pytest.approx(4.0, rel=0.08)
+    fine = base - lowpass(base, 400.0)
+    assert fine.std() == pytest.approx(3.0, rel=0.08)
+    assert (base - fine).std() == pytest.approx(2.5, rel=0.12)
+
+
+def test_faces_of_the_base(wfc):
+    top, bottom = wfc.faces[1].astype(float), -wfc.faces[2].astype(float)
+    assert top.std() == pytest.approx(3.5, rel=0.05)
+    assert bottom.std() == pytest.approx(3.5, rel=0.05)
+    # outward heights: -0.3 is asked for; -0.37 follows from the two spreads of 3.5 and 4 um
+    assert np.corrcoef(top.ravel(), bottom.ravel())[0, 1] == pytest.approx(-0.35, abs=0.08)
+
+
+@pytest.mark.parametrize("side", [0, 2])
+def test_coating(wfc, side):
+    coating = _layers(wfc)[side]
+    assert coating.mean() == pytest.approx(17.4, abs=0.3)
+    assert coating.std() == pytest.approx(4.5, rel=0.05)
+    assert 0.01 <= (coating < 5).mean() <= 0.03
+    assert coating.min() >= 0
+    assert stats.skew(coating.ravel()[::11]) < -0.3  # thin where fibres stand up
+
+
+def test_the_coating_levels_the_base_at_fibre_scale(wfc):
+    """Below the levelling wavelength the coating is the base's negative; above it follows the base."""
+    coating, base = _layers(wfc)[0], wfc.faces[1].astype(float)
+    fine = [f - lowpass(f, 60.0) for f in (coating, base)]
+    coarse = [lowpass(f, 600.0) for f in (coating, base)]
+    assert np.corrcoef(fine[0].ravel(), fine[1].ravel())[0, 1] < -0.85
+    assert np.corrcoef(coating.ravel(), base.ravel())[0, 1] < -0.5
+    assert abs(np.corrcoef(coarse[0].ravel(), coarse[1].ravel())[0, 1]) < 0.35
+
+
+def test_the_outer_face_follows_the_base_by_half_at_the_levelling_wavelength():
+    """Gain of the outer face over the base's face, per wavelength."""
+    paper = PaperParams(coating_sd_um=0.0, coating_noise_sd_um=0.0, coating_top_um=40.0)
+    sheet = _sheet(paper)
+    outer, base = (np.abs(fft.fft2(f - f.mean())) for f in sheet.faces[:2].astype(float))
+    frequency = np.hypot(*np.meshgrid(*(fft.fftfreq(n, PITCH_UM) for n in outer.shape), indexing="ij"))
+    for wave, gain in ((250.0, 0.5), (500.0, 0.84), (125.0, 0.0625)):
+        ring = np.abs(frequency * wave - 1) < 0.05
+        assert np.sqrt(np.mean(outer[ring] ** 2) / np.mean(base[ring] ** 2)) == pytest.approx(gain, abs=0.05)
+
+
+@pytest.mark.parametrize("length", [20.0, 35.0, 100.0, 300.0])
+def test_correlation_lengths(length):
+    field = noise((1200, 1500), length, generator(0, "test"))
+    assert field.mean() == pytest.approx(0, abs=1e-9)
+    assert field.std() == pytest.approx(1)
+    assert _correlation_um(field) == pytest.approx(length, rel=0.12)  # few waves of 300 um fit in
+
+
+def test_fibre_scale_of_the_thickness():
+    sheet = _sheet(PaperParams(base_floc_sd_um=0.0, anisotropy=1.001))
+    assert _correlation_um(_layers(sheet)[1]) == pytest.approx(35.0, rel=0.35)  # fibres are 20 to 35 um wide
+
+
+@pytest.mark.parametrize("anisotropy", [1.8, 4.0])
+def test_fibres_lie_along_the_machine_direction(anisotropy):
+    """Mean of cos 2a over the edges of all fibres: I1 / I0 of von Mises' concentration ln(anisotropy) / 2."""
+    found = []
+    for seed in range(3):  # some 600 fibres each: a picture alone wanders by 0.05
+        net = ndimage.gaussian_filter(fibres((1500, 1500), 15.0, anisotropy, generator(seed, "net")), 2.0)
+        across, along = np.gradient(net)
+        angle, weight = np.arctan2(along, -across), along**2 + across**2
+        found.append(np.sum(weight * np.cos(2 * angle)) / np.sum(weight))
+    kappa = 0.5 * np.log(anisotropy)
+    assert np.mean(found) == pytest.approx(special.i1(kappa) / special.i0(kappa), abs=0.08)
+
+
+def test_streaks_run_along_the_machine():
+    field = streaks((300, 200), 600.0, generator(0, "streaks"))
+    assert np.ptp(field, axis=1).max() == 0
+    assert field[:, 0].std() == pytest.approx(1)
+
+
+def test_density_of_the_coating(wfc):
+    density, mass = wfc.coating_density.astype(float), wfc.base_mass.astype(float)
+    assert density.std() == pytest.approx(0.04, rel=0.15)
+    # 0.3 is asked for; few flocs lie in 27 mm2
+    assert np.corrcoef(density.ravel(), mass.ravel())[0, 1] == pytest.approx(0.3, abs=0.12)
+    assert mass.mean() == pytest.approx(1, abs=1e-3)
+
+
+def test_calendering_presses_the_outer_faces_and_leaves_the_coating():
+    before, after = (_sheet(preset(name)) for name in ("wfc135", "wfc135-calendered"))
+    assert after.faces[0].std() == pytest.approx(0.5 * before.faces[0].std(), rel=0.1)
+    means = [[layer.mean() for layer in _layers(sheet)[:2]] for sheet in (before, after)]
+    np.testing.assert_allclose(means, [[17.4, 59.5], [16.6, 50.5]], atol=0.6)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_is_a_sheet(name):
+    sheet = _sheet(preset(name), seed=2)
+    paper = preset(name)
+    top, base, bottom = _layers(sheet)
+    assert base.mean() == pytest.approx(paper.base_um, rel=0.03)
+    assert base.min() > 0.2 * paper.base_um
+    for layer, mean in ((top, paper.coating_top_um), (bottom, paper.coating_bottom_um)):
+        assert layer.mean() == pytest.approx(mean, abs=0.3)
+
+
+def test_texture_of_the_base(wfc):
+    texture = wfc.texture
+    assert texture.mean() == pytest.approx(1.0, abs=0.03)
+    # fibres 0.20, and grains of filler that a scanner's blur averages away
+    calm = ndimage.gaussian_filter(texture.astype(float), (0, 2, 2))
+    assert calm[5].std() == pytest.approx(0.2, rel=0.15)
+    middle, face = (texture[k] - calm[k] for k in (5, 0))
+    assert middle.std() > face.std()
+
+
+def test_coded_pattern_has_no_two_equal_pitches():
+    params = HoleParams(stage_um=0.0)
+    holes = hole_pattern(params, np.zeros(2), np.array([8200.0, 6100.0]), 0)
+    assert len(holes) == 21
+    lines = [holes[:7], holes[7:14], holes[14:]]
+    pitches = np.concatenate([np.linalg.norm(np.diff(line, axis=0), axis=1) for line in lines])
+    assert pitches.min() >= 500 - 1e-6
+    assert pitches.max() <= 950 + 1e-6
+    assert len(np.unique(np.round(pitches, 3))) == len(pitches)
+
+
+def test_the_stage_errs_as_it_is_told():
+    designed = hole_pattern(HoleParams(stage_um=0.0), np.zeros(2), np.array([8200.0, 6100.0]), 0)
+    errors = [
+        hole_pattern(HoleParams(stage_um=4.0), np.zeros(2), np.array([8200.0, 6100.0]), seed) - designed
+        for seed in range(12)
+    ]
+    assert np.std(errors) == pytest.approx(4.0, rel=0.12)
+
+
+def test_holes_have_the_size_that_was_ordered():
+    holes = HoleParams(
+        pattern="irregular", count=6, rim_um=0.0, axis_ratio=1.0, diameter_sd_um=0.0, tilt_deg=0.0, half_closed=0.0
+    )
+    params = replace(SpecimenParams(size_um=(2500.0, 2000.0)), holes=holes)
+    sheet = make_specimen(params).sheet
+    for face, diameter in ((0, 175.0), (1, 175.0 * 0.85)):
+        area = np.count_nonzero(sheet.rim_um[face] < 0) * PITCH_UM**2 / 6
+        assert np.sqrt(4 * area / np.pi) == pytest.approx(diameter, rel=0.01)
+
+
+def test_half_closed_holes_are_half_open_at_the_bottom():
+    holes = HoleParams(pattern="irregular", count=6, half_closed=1.0, taper=0.0, tilt_deg=0.0)
+    sheet = make_specimen(replace(SpecimenParams(size_um=(2500.0, 2000.0)), holes=holes)).sheet
+    top, bottom = (np.count_nonzero(rim < 0) for rim in sheet.rim_um)
+    assert bottom / top == pytest.approx(0.5, abs=0.05)
