@@ -104,8 +104,8 @@ def test_fibre_scale_of_the_thickness():
 def test_fibres_lie_along_the_machine_direction(anisotropy):
     """Mean of cos 2a over the edges of all fibres: I1 / I0 of von Mises' concentration ln(anisotropy) / 2."""
     found = []
-    for seed in range(3):  # some 600 fibres each: a picture alone wanders by 0.05
-        net = ndimage.gaussian_filter(fibres((1500, 1500), 15.0, anisotropy, generator(seed, "net")), 2.0)
+    for seed in range(3):  # few fibres, so that they do not hide each other, and many pictures' worth of them
+        net = ndimage.gaussian_filter(fibres((4000, 4000), 2.0, anisotropy, generator(seed, "net")), 2.0)
         across, along = np.gradient(net)
         angle, weight = np.arctan2(along, -across), along**2 + across**2
         found.append(np.sum(weight * np.cos(2 * angle)) / np.sum(weight))

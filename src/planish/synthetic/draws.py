@@ -48,7 +48,7 @@ RANGES: dict[str, dict[str, tuple[float, float] | list[Any]]] = {
         "bump_radius_um": (1500.0, 3000.0),
     },
     "scanner": {
-        "voxel_um": (2.0, 3.0),
+        "voxel_um": (2.4, 3.2),
         "fwhm_um": (3.0, 5.0),
         "noise": (0.03, 0.10),
         "noise_px": (0.0, 2.0),
@@ -58,7 +58,7 @@ RANGES: dict[str, dict[str, tuple[float, float] | list[Any]]] = {
         "streak": (0.0, 0.03),
     },
     "sections": {
-        "pixel_um": (1.6, 2.5),
+        "pixel_um": (2.0, 3.0),
         "section_um": (2.5, 4.0),
         "jitter_um": (0.5, 2.0),
         "walk_um": (0.0, 0.2),

@@ -62,7 +62,8 @@ def fibres(shape: tuple[int, int], per_mm2: float, anisotropy: float, rng: np.ra
     lengths = rng.uniform(short, long, count) / PITCH_UM
     widths = rng.uniform(thin, wide, count) / PITCH_UM
     curls = rng.normal(0, 4e-4, count) * PITCH_UM
-    _kernels.lay_fibres(field, starts, angles, lengths, widths, curls, 1.0)
+    # The angle is that of a fibre's middle: half of the curl lies before it.
+    _kernels.lay_fibres(field, starts, angles - 0.5 * curls * lengths, lengths, widths, curls, 1.0)
     return field
 
 
