@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks import acceptance, flattening, relaxation, resampling, variants
+from benchmarks import flattening, relaxation, resampling, specimens, variants
 
-_ALL = {k.__name__.rpartition(".")[2]: k.main for k in (acceptance, variants, flattening, relaxation, resampling)}
+_ALL = {k.__name__.rpartition(".")[2]: k.main for k in (variants, flattening, relaxation, resampling, specimens)}
 
 
 def main(arguments: list[str]) -> int:
