@@ -173,6 +173,11 @@ def _volume(section: VolumeSection, tell: Progress) -> tuple[xr.DataArray, xr.Da
     path = Path(section.path)
     if not is_section_folder(path):
         return read_volume(path, voxel_um=section.voxel_um, override_size=section.override_size), None
+    if section.through == "z":
+        raise VolumeError(
+            f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to section. "
+            "Give --through y where it runs along the rows of the photographs, x where along their columns."
+        )
     stack = read_section_stack(path, voxel_um=section.voxel_um, override_size=section.override_size)
     tell("align", f"{len(stack.values)} sections")
     where = (stack.values, stack.positions_um, stack.pixel_um)

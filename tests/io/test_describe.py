@@ -141,3 +141,20 @@ def test_the_fingerprint_of_a_folder_is_that_of_its_slices(tmp_path: Path) -> No
     (folder / "3.tif").rename(folder / "0.tif")
     tifffile.imwrite(folder / "1.tif", ramp((20, 30)))
     assert fingerprint(folder) != first
+
+
+def test_a_folder_of_sections(tmp_path):
+    """Gaps of the numbering are none; the counter says where each section lies."""
+    rng = np.random.default_rng(0)
+    lines = ["file,position_um"]
+    for k in (0, 1, 2, 5, 6):
+        tifffile.imwrite(tmp_path / f"s{k}.tif", rng.integers(0, 255, (20, 30), dtype=np.uint8))
+        lines.append(f"s{k}.tif,{3 * k}")
+    (tmp_path / "sections.csv").write_text("\n".join(lines))
+    told = describe(tmp_path, voxel_um=2.0)
+    assert (told["kind"], told["shape"], told["size_um"]) == ("sections", [5, 20, 30], [3.0, 2.0, 2.0])
+    assert told["extent_um"] == [21.0, 40.0, 60.0]
+    assert "2 sections are missing" in told["warnings"][0]
+    unsized = describe(tmp_path)
+    assert unsized["size_um"] is None
+    assert "--voxel-um" in unsized["size_problem"]

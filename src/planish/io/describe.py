@@ -13,6 +13,7 @@ from planish.core.errors import FileError, InputError, SizeError
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
 from planish.io.picture import is_picture, kind_of, load_picture
+from planish.io.sections import is_section_folder, read_section_stack
 from planish.io.sizes import PIXEL, VOXEL, Asked, Stated, agreed_size
 from planish.io.slices import list_slices, slice_numbers, slice_step
 from planish.io.tiff import only_series, open_tiff
@@ -50,7 +51,7 @@ def describe(
     Returns
     -------
     dict
-        Plain numbers and words, ready for JSON: ``kind`` ("volume" or "image"), ``file_name``, ``bytes``, ``dims``,
+        Plain numbers and words, ready for JSON: ``kind`` ("volume", "sections" or "image"), ``file_name``, ``bytes``, ``dims``,
         ``shape``, ``dtype``, ``size_um`` (None where unknown), ``size_source``, ``size_problem``, ``extent_um``,
         ``min``, ``max``, ``percentiles``, ``nan_share``, ``saturated_share`` (values at the largest the type can
         store), and ``warnings``, a list of sentences.
@@ -63,6 +64,8 @@ def describe(
     path = Path(path)
     if is_image(path):
         return describe_image(path, pixel_um, override_size=override_size, memory_limit_bytes=memory_limit_bytes)
+    if is_section_folder(path):
+        return describe_sections(path, voxel_um, override_size=override_size, memory_limit_bytes=memory_limit_bytes)
     loaded = load_volume(path, memory_limit_bytes=memory_limit_bytes)
     warnings: list[str] = []
     if path.is_dir():
@@ -77,6 +80,48 @@ def describe(
         **size_facts(
             loaded.stated, voxel_um, loaded.values.shape, warnings, name=path.name, asked=VOXEL, override=override_size
         ),
+        "warnings": warnings,
+    }
+
+
+def describe_sections(
+    path: Path,
+    voxel_um: float | tuple[float, float, float] | None,
+    *,
+    override_size: bool,
+    memory_limit_bytes: int | None,
+) -> dict[str, Any]:
+    """Tell what a folder of sections with its counter holds, as photographed."""
+    problem = None
+    try:
+        stack = read_section_stack(
+            path, voxel_um=voxel_um, override_size=override_size, memory_limit_bytes=memory_limit_bytes
+        )
+    except SizeError as error:
+        problem = str(error)
+        # The values are told all the same; their size is not.
+        stack = read_section_stack(path, voxel_um=1.0, override_size=True, memory_limit_bytes=memory_limit_bytes)
+    steps = np.diff(stack.positions_um)
+    step = float(np.median(steps))
+    missing = int(np.sum(np.rint(steps / step) - 1))
+    warnings = [problem] if problem else []
+    if missing:
+        longest = int(np.rint(steps.max() / step)) - 1
+        warnings.append(f"{missing} sections are missing between the others, at most {longest} in a row.")
+    size = None if problem else [float(v) for v in stack.attrs["voxel_um"]]
+    extent = None
+    if size is not None:
+        sides = (n * um for n, um in zip(stack.values.shape[1:], size[1:], strict=True))
+        extent = [float(np.ptp(stack.positions_um)) + step, *sides]
+    return {
+        "kind": "sections",
+        "file_name": path.name,
+        "bytes": int(stack.attrs["file_bytes"]),
+        **facts(stack.values, stack.attrs["full_scale"], warnings),
+        "size_um": size,
+        "size_source": None if problem else str(stack.attrs["voxel_um_source"]),
+        "size_problem": problem,
+        "extent_um": extent,
         "warnings": warnings,
     }
 

@@ -1,0 +1,71 @@
+"""``planish specimen``: files that any program can read, and a link from each of them."""
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+
+from planish.io import read_image, read_volume
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    from planish.cli import main
+
+    out = tmp_path_factory.mktemp("made") / "specimen"
+    with pytest.raises(SystemExit) as end:
+        main(["specimen", "--size", "T0", "--seed", "7", "--out", str(out)])
+    assert not end.value.code
+    return out
+
+
+def test_the_files_of_the_instruments(made):
+    scan = read_volume(made / "scan")
+    assert scan.attrs["voxel_um"] == [3.0, 3.0, 3.0]  # of the reconstruction, not of the acquisition
+    assert "NRecon" in scan.attrs["voxel_um_source"]
+    for name in ("image", "printed"):
+        image = read_image(made / f"{name}.ome.tif")
+        assert image.attrs["pixel_um"] == pytest.approx((4.0, 4.0), rel=1e-4)
+        with tifffile.TiffFile(made / f"{name}.ome.tif") as file:
+            assert file.is_ome
+    counter = (made / "sections" / "sections.csv").read_text().splitlines()
+    photographs = sorted(p.name for p in (made / "sections").glob("*.tif"))
+    assert [line.split(",")[0] for line in counter[2:]] == photographs
+
+
+def test_the_truth_stands_apart(made):
+    parameters = json.loads((made / "truth" / "parameters.json").read_text())
+    assert parameters["parameters"]["seed"] == 7
+    u, image = tifffile.imread(made / "truth" / "u.tif"), tifffile.imread(made / "image.ome.tif")
+    assert u.shape == image.shape
+    holes = np.loadtxt(made / "truth" / "holes.csv", delimiter=",", skiprows=1)
+    assert holes.shape == (3, 7)
+    # the picture is dark where the truth has a hole
+    row, col = np.rint(holes[:, [3, 2]] / 4.0).astype(int).T
+    assert image[row, col].max() < 0.3 * np.median(image)
+
+
+def test_a_specimen_too_large_for_voxels(planish, tmp_path, monkeypatch):
+    import planish.synthetic as synthetic
+
+    monkeypatch.setitem(synthetic.SIZES_UM, "T3", (2000.0, 1500.0))  # the same way, in a second
+    code, _, err = planish("specimen", "--size", "T3", "--instrument", "ct", "-o", tmp_path / "large")
+    assert code == 0, err
+    nodes = np.load(tmp_path / "large" / "nodes.npz")
+    assert nodes["points"].shape == (150, 200, 3)
+    assert not (tmp_path / "large" / "scan").exists()
+
+
+def test_wrong_names_are_told(planish, tmp_path):
+    code, _, err = planish("specimen", "--preset", "newsprint", "-o", tmp_path / "x")
+    assert (code, "wfc135" in err) == (2, True)
+    code, _, err = planish("specimen", "--nuisance", "dust", "-o", tmp_path / "x")
+    assert (code, "dust" in err) == (2, True)
+    code, _, err = planish("specimen")
+    assert (code, "--out" in err) == (2, True)
+    code, out, _ = planish("specimen", "--list")
+    assert code == 0
+    assert "wfc135-calendered" in out
+    assert "knife" in out
+    assert not list(tmp_path.iterdir())
