@@ -60,6 +60,9 @@ def test_sections_are_aligned_and_joined(tmp_path):
     assert abs(ledger["pixel_coating_top_bias"]) < 0.3
     sections = run.groups["sections"]
     assert np.all(np.diff(sections["position"]) > 0)
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "sections were aligned to their neighbours" in page
+    assert "sections fit to their neighbours" in page
     # 1.5 um of jitter are taken off; what was put on is told
     assert 1.0 < told["shift_row_rms_um"] < 2.2
 

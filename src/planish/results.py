@@ -222,6 +222,22 @@ def map_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
             bad=f"{100 * s['missing_share']:.1f} % of the voxels are NaN or infinite; columns with such voxels "
             "near a face are not measured.",
         ),
+        *_section_gates(results.get("sections")),
+    )  # fmt: skip
+
+
+def _section_gates(told: dict[str, Any] | None) -> tuple[Gate, ...]:
+    """Gate of serial sections: too many that fit to none of their neighbours."""
+    if told is None:
+        return ()
+    bad = told["not_aligned"]
+    return (
+        _gate(
+            "alignment", bad / told["count"], 0.05, least=False,
+            good=f"{told['count'] - bad} of {told['count']} sections fit to their neighbours.",
+            bad=f"{bad} of {told['count']} sections fit to none of their neighbours: torn, blurred, or not of this "
+            "sheet. They count as missing. Look at them, and at the order of the files.",
+        ),
     )  # fmt: skip
 
 

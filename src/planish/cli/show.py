@@ -123,7 +123,7 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     lines = [
         f"{facts['file_name']}: {facts['kind']}, {shape} ({axes}), {facts['dtype']}, {facts['bytes'] / 1e6:.1f} MB"
     ]
-    what = "voxel" if facts["kind"] == "volume" else "pixel"
+    what = "pixel" if facts["kind"] == "image" else "voxel"
     if facts["size_um"]:
         size, extent = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
         lines += [f"{what} size: {size} um ({axes}), from {facts['size_source']}", f"extent: {extent} um"]

@@ -51,9 +51,9 @@ def describe(
     Returns
     -------
     dict
-        Plain numbers and words, ready for JSON: ``kind`` ("volume", "sections" or "image"), ``file_name``, ``bytes``, ``dims``,
-        ``shape``, ``dtype``, ``size_um`` (None where unknown), ``size_source``, ``size_problem``, ``extent_um``,
-        ``min``, ``max``, ``percentiles``, ``nan_share``, ``saturated_share`` (values at the largest the type can
+        Plain numbers and words, ready for JSON: ``kind`` ("volume", "sections" or "image"), ``file_name``, ``bytes``,
+        ``dims``, ``shape``, ``dtype``, ``size_um`` (None where unknown), ``size_source``, ``size_problem``,
+        ``extent_um``, ``min``, ``max``, ``percentiles``, ``nan_share``, ``saturated_share`` (values at the largest the type can
         store), and ``warnings``, a list of sentences.
 
     Raises
@@ -107,7 +107,8 @@ def describe_sections(
     warnings = [problem] if problem else []
     if missing:
         longest = int(np.rint(steps.max() / step)) - 1
-        warnings.append(f"{missing} sections are missing between the others, at most {longest} in a row.")
+        word = "section is" if missing == 1 else "sections are"
+        warnings.append(f"{missing} {word} missing between the others, at most {longest} in a row.")
     size = None if problem else [float(v) for v in stack.attrs["voxel_um"]]
     extent = None
     if size is not None:

@@ -87,6 +87,7 @@ def render_report(*, groups: dict[str, xr.Dataset], marks: xr.Dataset | None, re
         verdict=give_verdict(results, names),
         gates=tables.gates(results),
         surfaces=results["surfaces"],
+        joined=tables.joined(results),
         columns=tables.columns(results),
         flattening=tables.flattening(results, groups["surfaces"]),
         properties=tables.properties(results, names),

@@ -54,6 +54,23 @@ def inputs(results: Row) -> list[Row]:
     return out
 
 
+def joined(results: Row) -> str:
+    """Return a sentence on how serial sections were joined, empty where there are none."""
+    told = results.get("sections")
+    if not told:
+        return ""
+    taken = " and ".join(length(told[f"shift_{axis}_rms_um"], 2) for axis in ("row", "col"))
+    left = " and ".join(length(told[f"jitter_left_{axis}_um"], 1) for axis in ("row", "col"))
+    lost = told["not_aligned"]
+    return (
+        f"{count(told['count'])} sections were aligned to their neighbours, with {taken} rms taken off along rows and "
+        f"columns; about {left} are left. {count(told['missing'])} missing sections were bridged"
+        + (f", {count(lost)} of them because they fit to no neighbour" if lost else "")
+        + f". Errors that vary more slowly than over {length(told['cutoff_um'])} cannot be told from the sheet's own "
+        "bend and stay."
+    )
+
+
 def columns(results: Row) -> list[Row]:
     """Return how the volume's columns were judged, as shares of all."""
     words = (
