@@ -52,8 +52,8 @@ def test_a_specimen_too_large_for_voxels(planish, tmp_path, monkeypatch):
     monkeypatch.setitem(synthetic.SIZES_UM, "T3", (2000.0, 1500.0))  # the same way, in a second
     code, _, err = planish("specimen", "--size", "T3", "--instrument", "ct", "-o", tmp_path / "large")
     assert code == 0, err
-    nodes = np.load(tmp_path / "large" / "nodes.npz")
-    assert nodes["points"].shape == (150, 200, 3)
+    with np.load(tmp_path / "large" / "nodes.npz") as nodes:
+        assert nodes["points"].shape == (150, 200, 3)
     assert not (tmp_path / "large" / "scan").exists()
 
 

@@ -180,6 +180,7 @@ def demo(out: Path | None, seed: int, as_json: bool) -> int:
     holes = HoleParams(pattern="irregular", count=6)
     params = SpecimenParams(size_um=(1800.0, 1300.0), holes=holes, warp=Warp(wavelength_um=2000.0), seed=seed)
     files = write_instruments(make_specimen(params), folder / "specimen")
+    assert files.image is not None
     study = _checked({"volume": {"path": str(files.volume.absolute())}, "image": {"path": str(files.image.absolute())}})
     return _run(study, folder / "run", as_json=as_json)
 
