@@ -59,7 +59,7 @@ def specimen():
             holes=HoleParams(pattern="irregular", count=5),
             warp=Warp(slope=0.35, wavelength_um=1800.0),
             scanner=ScannerParams(voxel_um=4.0),
-            camera=CameraParams(pixel_um=5.0),
+            camera=CameraParams(pixel_um=5.0, radial=0.0, stretch=0.0, shading=0.0, nuisance_sd=0.004),
             seed=5,
         )
     )

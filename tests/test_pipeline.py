@@ -51,8 +51,8 @@ def test_valid_means_measured_and_away_from_holes(tree, specimen):
     ok = linked.valid.values
     for name in ("coating_top", "base_thickness", "thickness", "volume_z"):
         assert np.isfinite(linked[name].values[ok]).all()
-    # 100 um from the fitted circle; the true rim is rough by 3 um rms around it
-    assert specimen.truth["rim"].values[ok].min() > 88.0
+    # 100 um from the fitted circle; the true rim is rough by 4 um rms around an ellipse, 6 % longer than the circle
+    assert specimen.truth["rim"].values[ok].min() > 84.0
 
 
 def test_every_pixel_knows_its_place_in_the_volume(tree, specimen):
@@ -80,8 +80,8 @@ def test_all_holes_are_found_and_matched(results, specimen):
     marks = results["marks"]
     assert marks["matched"] == len(specimen.sheet.holes)
     assert marks["found_volume"] == marks["found_image"] == marks["matched"]
-    # 1e-3: five holes with centre errors of 0.3 um over 1 mm
-    assert marks["scale"] == pytest.approx(specimen.pose.scale, abs=1e-3)
+    # 2e-3: five holes, leaning and oval, whose centres err by 1 um over 1 mm
+    assert marks["scale"] == pytest.approx(specimen.pose.similarity.scale, abs=2e-3)
     assert marks["leave_one_out_rms_um"] < 2.0
 
 
@@ -89,7 +89,8 @@ def test_flattening_beats_both_projections(results):
     at_pixel = {r["registration"]: r["r2"] for r in results["table"] if r["point_um"] < 50}
     print({k: round(v, 3) for k, v in at_pixel.items()})
     assert list(at_pixel) == list(ROWS)
-    assert at_pixel[ROWS[2]] > at_pixel[ROWS[1]] + 0.1
+    # A scale makes up for much of a gentle warp; without one the projection is lost.
+    assert at_pixel[ROWS[2]] > at_pixel[ROWS[1]] + 0.03
     assert at_pixel[ROWS[2]] > at_pixel[ROWS[0]] + 0.1
     assert sorted(r["point_um"] for r in results["table"]) == pytest.approx([5.0] * 3 + [100.0] * 3)
 
