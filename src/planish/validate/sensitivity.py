@@ -18,6 +18,7 @@ from planish.validate.scenario import ALL, NONE, Scenario
 # Of a baseline: growth against next to nothing is none. A quarter of it is noticed, that is 0.002 of an r.
 _FLOOR = {"um": 0.05, "1": 0.008}
 _NOTICED = 0.25  # growth, in baselines, below which no stage is said to suffer
+_WORTH = 0.5  # of the baseline: what all together have to add for their sum to be worth naming
 _CARRIED = 0.5  # share of the largest growth with which an error is taken to have come in at an earlier stage
 _AGREES = 1.5  # factor between the sum of squares and the whole
 
@@ -184,10 +185,10 @@ def _value(base: dict[str, float | None], name: str) -> float:
 def _ratio(
     stage: str, keys: dict[str, str], quiet: dict[str, float], loud: dict[str, float | None], rows: Sequence[Row]
 ) -> float | None:
-    """Sum of squares over the whole; None where both stay below the floor or a quarter of the baseline."""
+    """Sum of squares over the whole; None where both stay below the floor or half of the baseline."""
     whole = added_error(loud[stage], quiet[stage])
     summed = float(np.sqrt(sum((row.added[stage] or 0.0) ** 2 for row in rows)))
-    least = max(_FLOOR.get(FIGURES[keys[stage]].unit, 0.05), _NOTICED * quiet[stage])
+    least = max(_FLOOR.get(FIGURES[keys[stage]].unit, 0.05), _WORTH * quiet[stage])
     if whole is None or max(whole, summed) < least:
         return None
     return summed / whole if whole > 0 else float("inf")
