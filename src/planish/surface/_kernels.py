@@ -278,13 +278,23 @@ def fit_faces(slab, expected, other, tilt, air, width, noise, prior, spread, coa
 
 
 @njit(cache=True, nogil=True)
-def trilinear(slab, r, c, d):
-    """Value of slab (rows, cols, depth) at fractional indices; NaN outside."""
+def trilinear(slab, r, c, d, fr, fc):
+    """Value of slab (rows, cols, depth) at the indices r + fr, c + fc and d; NaN outside.
+
+    r and c are whole; shares of a voxel come apart from them, because the place in a tile must not round them.
+    """
     rows, cols, depth = slab.shape
-    if not (0.0 <= r <= rows - 1 and 0.0 <= c <= cols - 1 and 0.0 <= d <= depth - 1):
+    step_r, step_c = floor(fr), floor(fc)
+    i, j = r + int(step_r), c + int(step_c)
+    fr, fc = fr - step_r, fc - step_c
+    if i == rows - 1 and fr == 0.0:
+        i, fr = i - 1, 1.0
+    if j == cols - 1 and fc == 0.0:
+        j, fc = j - 1, 1.0
+    if not (0 <= i < rows - 1 and 0 <= j < cols - 1 and 0.0 <= d <= depth - 1):
         return np.nan
-    i, j, k = min(int(r), rows - 2), min(int(c), cols - 2), min(int(d), depth - 2)
-    fr, fc, fd = r - i, c - j, d - k
+    k = min(int(d), depth - 2)
+    fd = d - k
     a = (slab[i, j, k] * (1 - fd) + slab[i, j, k + 1] * fd) * (1 - fc)
     a += (slab[i, j + 1, k] * (1 - fd) + slab[i, j + 1, k + 1] * fd) * fc
     b = (slab[i + 1, j, k] * (1 - fd) + slab[i + 1, j, k + 1] * fd) * (1 - fc)
@@ -293,13 +303,13 @@ def trilinear(slab, r, c, d):
 
 
 @njit(cache=True, nogil=True)
-def presence(slab, lead, centre, normal_r, normal_c, normal_d, offsets, air, base, out):
+def presence(slab, lead_r, lead_c, centre, normal_r, normal_c, normal_d, offsets, air, base, out):
     """Share of material along each normal: mean of (g - air) / (base - air), cut to 0..1.
 
     Parameters
     ----------
-    slab : (rows + halo, cols, depth) float32
-        Carries ``lead`` more rows before the first row of the maps.
+    slab : (rows + halo, cols + halo, depth) float32
+        Carries ``lead_r`` more rows and ``lead_c`` more columns before the first of the maps.
     centre, normal_r, normal_c, normal_d : (rows, cols)
         Height of the centre surface and the normal, per um, all in voxels.
     offsets : (n,)
@@ -313,10 +323,44 @@ def presence(slab, lead, centre, normal_r, normal_c, normal_d, offsets, air, bas
             total, count = 0.0, 0
             for n in range(offsets.size):
                 s = offsets[n]
-                r = lead + i + s * normal_r[i, j]
-                c = j + s * normal_c[i, j]
-                g = trilinear(slab, r, c, centre[i, j] + s * normal_d[i, j])
+                d = centre[i, j] + s * normal_d[i, j]
+                if not isfinite(d):
+                    continue
+                g = trilinear(slab, lead_r + i, lead_c + j, d, s * normal_r[i, j], s * normal_c[i, j])
                 if isfinite(g):
                     total += min(max((g - air) / (base - air), 0.0), 1.0)
                     count += 1
             out[i, j] = total / count if count > 0 else np.nan
+
+
+@njit(cache=True, nogil=True)
+def mean_columns(voxels, step, slope_r, slope_c, missing, out):
+    """Means of ``step`` x ``step`` columns of voxels, each moved along its depth by the sheet's slope.
+
+    Parameters
+    ----------
+    voxels : (rows * step, cols * step, depth)
+    slope_r, slope_c : (rows, cols)
+        Rise of the sheet in voxels of depth, from one voxel row and column to the next.
+    missing : float
+        Value that counts as missing; NaN where there is none.
+    out : (rows, cols, depth) float32
+        Set; NaN where a voxel is missing. Beyond the ends of a column its last voxel counts.
+    """
+    rows, cols, depth = out.shape
+    share = 1.0 / (step * step)
+    middle = 0.5 * (step - 1)
+    total = np.empty(depth, dtype=np.float32)
+    for i in range(rows):
+        for j in range(cols):
+            total[:] = 0.0
+            for a in range(step):
+                for b in range(step):
+                    move = slope_r[i, j] * (a - middle) + slope_c[i, j] * (b - middle)
+                    shift = int(floor(move + 0.5)) if isfinite(move) else 0
+                    column = voxels[i * step + a, j * step + b]
+                    for d in range(depth):
+                        value = column[min(max(d + shift, 0), depth - 1)]
+                        total[d] += np.float32(np.nan) if value == missing else np.float32(value)
+            for d in range(depth):
+                out[i, j, d] = total[d] * share

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -35,30 +34,6 @@ class CoarseSheet:
     low: Array
     high: Array
     block: int
-
-
-def block_means(columns: xr.DataArray, block: int, *, padding: float | None = None) -> NDArray[np.float32]:
-    """Means of ``block`` x ``block`` neighbouring columns, then of three neighbours in depth.
-
-    The last block of each axis takes what is left over. Shape (block rows, block cols, depth). A block that holds
-    ``padding`` or a missing voxel is NaN.
-    """
-    rows, cols, depth = columns.shape
-    edges_r, edges_c = (np.arange(0, max(n - n % block, 1), block) for n in (rows, cols))
-    out = np.empty((edges_r.size, edges_c.size, depth), dtype=np.float32)
-    widths = np.diff(np.append(edges_c, cols)).astype(np.float32)
-    for i, start in enumerate(edges_r):
-        stop = rows if i == edges_r.size - 1 else start + block
-        slab = np.array(columns.values[start:stop], dtype=np.float32)
-        if padding is not None:
-            slab[slab == padding] = np.nan
-        slab = slab.mean(axis=0)
-        out[i] = np.add.reduceat(slab, edges_c, axis=0) / widths[:, None]
-    missing = ~np.isfinite(out)
-    if missing.any():
-        out[missing] = np.nan
-    size = (3, 3, 3) if block < 3 else (1, 1, 3)
-    return ndimage.uniform_filter(out, size, mode="nearest") if not missing.any() else out
 
 
 def coarse_sheet(blocks: NDArray[np.float32], inside: NDArray[np.bool_], threshold: float, block: int) -> CoarseSheet:

@@ -10,18 +10,27 @@ from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
+from planish.core.tiles import Engine
 from planish.surface.centre import gaussian_regression
-from planish.surface.coarse import CORE, CoarseSheet, block_means, coarse_sheet
-from planish.surface.levels import GreyLevels, material, mode, padding_value, voxel_noise
+from planish.surface.columns import Columns, voxel_pitch
+from planish.surface.faces import find_faces
+from planish.surface.learn import learn
+from planish.surface.levels import GreyLevels
+from planish.surface.oriented import make_guide
 from planish.surface.params import SurfaceParams
+from planish.surface.presence import find_presence
 from planish.surface.regions import regions
-from planish.surface.search import First, Search
+from planish.surface.survey import Survey, take_survey
 
 Array = NDArray[np.float64]
 
 
 def find_surfaces(
-    volume: xr.DataArray, *, frame: Frame | None = None, params: SurfaceParams | None = None
+    volume: xr.DataArray,
+    *,
+    frame: Frame | None = None,
+    params: SurfaceParams | None = None,
+    engine: Engine | None = None,
 ) -> xr.Dataset:
     """Find top, bottom, interfaces and centre surface of the sheet in a volume.
 
@@ -32,6 +41,8 @@ def find_surfaces(
     frame : Frame
         Axis through the sheet and side of its top; z and its high end where not given.
     params : SurfaceParams
+    engine : Engine
+        How the tiles are worked on; local threads where not given. The result does not depend on it.
 
     Returns
     -------
@@ -54,15 +65,19 @@ def find_surfaces(
     """
     frame = frame or Frame()
     params = params or SurfaceParams()
-    columns = frame.columns(volume)
-    pitch = _pitch(volume, frame.rows), _pitch(volume, frame.cols), _pitch(volume, frame.through)
-    _check_values(volume)
-    coarse, first = _coarse(columns, params)
-    search = Search(columns=columns, coarse=coarse, first=first, pitch=pitch, params=params)
-    levels = search.levels()
-    top, inner_top = search.face(high=frame.top == "high")
-    bottom, inner_bottom = search.face(high=frame.top != "high")
+    engine = engine or Engine(threads=params.threads)
+    columns = Columns(volume=volume, frame=frame, step=params.step)
+    pitch = columns.pitch
+    survey = take_survey(columns, params, engine)
+    columns = columns.padded(survey.padding)
+    guide = make_guide(survey.coarse, columns)
+    learnt = learn(columns, guide, survey, params)
+    levels = learnt.levels(pitch[2])
+    faces = find_faces(columns, guide, learnt, engine)
+    top, inner_top = faces.high, faces.interface_high
+    bottom, inner_bottom = faces.low, faces.interface_low
     if frame.top == "low":
+        (top, inner_top), (bottom, inner_bottom) = (bottom, inner_bottom), (top, inner_top)
         levels = _swapped(levels)
     up = frame.sign
     seen = np.isfinite(top) & np.isfinite(bottom) & (up * (top - bottom) > 0)
@@ -87,7 +102,7 @@ def find_surfaces(
             centre = np.where(np.isnan(centre), bridge, centre)
     centre = np.where(outline, centre, np.nan)
     status = np.where(~np.isfinite(centre) | ~sheet, 1, np.where(rim, 2, np.where(seen, 0, 3))).astype(np.uint8)
-    present = search.presence(centre, thickness, up)
+    present = find_presence(columns, centre, thickness, up, learnt, engine)
     heights = {
         "top": (top, "Top face"),
         "bottom": (bottom, "Bottom face"),
@@ -111,97 +126,26 @@ def find_surfaces(
     }
     attrs |= {f"grey_{k}" if k in ("air", "base", "coating_top", "coating_bottom", "noise") else k: v
               for k, v in asdict(levels).items()}  # fmt: skip
-    attrs |= {"voxel_um": [_pitch(volume, axis) for axis in ("z", "y", "x")]}
-    attrs["saturated_share"] = search.saturated(top, bottom)
-    attrs["missing_share"] = _missing_share(volume)
-    if first.padding is not None:
-        attrs["padding"] = first.padding
-    coords = {"y": columns.coords[frame.rows].values, "x": columns.coords[frame.cols].values}
+    attrs |= {"voxel_um": [voxel_pitch(volume, axis) for axis in ("z", "y", "x")]}
+    attrs["saturated_share"] = _saturated(survey, columns.depth_um, top, bottom)
+    attrs["missing_share"] = survey.missing_share
+    if survey.padding is not None:
+        attrs["padding"] = survey.padding
+    coords = dict(zip(("y", "x"), columns.lateral_um(), strict=True))
     return xr.Dataset(data, coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()}, attrs=attrs)
-
-
-def _pitch(volume: xr.DataArray, axis: str) -> float:
-    values = volume.coords[axis].values
-    return float(values[1] - values[0]) if values.size > 1 else 1.0
-
-
-def _check_values(volume: xr.DataArray) -> None:
-    if min(volume.shape) < 8:
-        raise VolumeError(
-            f"The volume has the shape {' x '.join(map(str, volume.shape))} (z, y, x); at least 8 voxels "
-            f"are needed along "
-            "every axis. Check that this is the whole stack."
-        )
-    if np.issubdtype(volume.dtype, np.floating) and _missing_share(volume) > 0.9:
-        raise VolumeError("More than 90 % of the volume's voxels are NaN or infinite. Check how it was exported.")
-
-
-def _missing_share(volume: xr.DataArray) -> float:
-    if not np.issubdtype(volume.dtype, np.floating):
-        return 0.0
-    bad = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.values)
-    return bad / volume.size
-
-
-def _coarse(columns: xr.DataArray, params: SurfaceParams) -> tuple[CoarseSheet, First]:
-    """Find the sheet in block means; return it with air, noise and polarity."""
-    values = columns.values
-    stride = max(1, int(np.sqrt(values.shape[0] * values.shape[1] / 40_000)))
-    part = values[::stride, ::stride]
-    flat = part.reshape(-1, part.shape[-1])
-    padding = padding_value(flat)
-    block = int(np.clip(round(np.sqrt(values.shape[0] * values.shape[1] / 40_000)), 1, 4))
-    blocks = block_means(columns, block, padding=padding)
-    # The level comes from means over blocks: where the export has cut the air's noise at 0, single voxels crowd there.
-    air = mode(_ends(blocks.reshape(-1, blocks.shape[-1]), np.isfinite(blocks).reshape(-1, blocks.shape[-1])))
-    noise = voxel_noise(_ends(flat, np.ones(flat.shape, bool) if padding is None else flat != padding), air)
-    if params.sheet_grey is not None:
-        low, high = params.sheet_grey
-        inside = (blocks >= low) & (blocks <= high)
-        polarity = 1.0 if 0.5 * (low + high) >= air else -1.0
-        edge = (low if polarity > 0 else high) - air
-        oriented = polarity * (blocks - air)
-        return coarse_sheet(oriented, inside, abs(edge), block), First(
-            air=air, noise=noise, polarity=polarity, padding=padding
-        )
-    polarity, threshold = material(blocks, air)
-    oriented = np.where(np.isfinite(blocks), polarity * (blocks - air), 0.0).astype(np.float32)
-    sheet = coarse_sheet(oriented, oriented > threshold, threshold, block)
-    # The core tells the base's level, and that a better threshold: half way between air and base.
-    base = float(np.median(_core(oriented, sheet)))
-    threshold = max(threshold * 0.7, 0.5 * base)
-    sheet = coarse_sheet(oriented, oriented > threshold, threshold, block)
-    return sheet, First(air=air, noise=noise, polarity=polarity, padding=padding)
-
-
-def _ends(columns: NDArray[np.generic], inside: NDArray[np.bool_]) -> Array:
-    """First and last three voxels of each column (n, depth) that lie inside the field of view; (2 n, 3)."""
-    held = inside.sum(axis=1) > 12
-    if not held.any():
-        return np.full((1, 3), np.nan)
-    kept, inside = columns[held].astype(np.float64), inside[held]
-    # One voxel is skipped where the field of view begins within the column: it may be cut.
-    first = np.argmax(inside, axis=1)
-    last = columns.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)
-    first, last = first + (first > 0), last - (last < columns.shape[1] - 1)
-    starts, stops = first[:, None] + np.arange(3), last[:, None] - np.arange(3)
-    return np.concatenate([np.take_along_axis(kept, k, axis=1) for k in (starts, stops)])
-
-
-def _core(blocks: NDArray[np.float32], sheet: CoarseSheet) -> Array:
-    """Grey of the blocks in the core of the sheet."""
-    rows, cols = np.nonzero(np.isfinite(sheet.low) & np.isfinite(sheet.high))
-    if rows.size == 0:
-        raise VolumeError(
-            "No column of the volume shows both faces of the sheet. The sheet leaves the volume on one "
-            "side, or it is not "
-            "the axis through the sheet that was named with --through."
-        )
-    low, high = sheet.low[rows, cols], sheet.high[rows, cols]
-    shares = np.linspace(*CORE, 7)
-    depth = np.rint(low[:, None] + (high - low)[:, None] * shares).astype(int)
-    return blocks[rows[:, None], cols[:, None], depth].ravel().astype(np.float64)
 
 
 def _swapped(levels: GreyLevels) -> GreyLevels:
     return replace(levels, coating_top=levels.coating_bottom, coating_bottom=levels.coating_top)
+
+
+def _saturated(survey: Survey, depth_um: Array, top: Array, bottom: Array) -> float:
+    """Share of the sheet's voxels at the largest value of their type (or at its smallest for a dark sheet)."""
+    part, n = survey.sample, survey.stride
+    if not np.issubdtype(part.dtype, np.integer):
+        return 0.0
+    limits = np.iinfo(part.dtype)
+    limit = limits.max if survey.polarity > 0 else limits.min
+    lower, upper = np.fmin(top, bottom)[::n, ::n, None], np.fmax(top, bottom)[::n, ::n, None]
+    inside = (depth_um >= lower) & (depth_um <= upper)
+    return float(np.mean(part[inside] == limit)) if inside.any() else 0.0

@@ -19,6 +19,8 @@ class SurfaceParams:
         of the faces and give no number; 400 um is the cut-off of a Gaussian of 75 um.
     rim_um : float
         Zone around holes and gaps that is kept out of the centre surface and of all properties: the laser burns it.
+    step : int
+        Width of a measured column in voxels: 1 measures every column of voxels, 3 the means of 3 x 3.
     threads : int or None
         Columns are independent; the result does not depend on it.
     """
@@ -26,4 +28,5 @@ class SurfaceParams:
     sheet_grey: tuple[float, float] | None = None
     cutoff_um: float = 400.0
     rim_um: float = 100.0
+    step: int = 1
     threads: int | None = None

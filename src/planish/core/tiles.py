@@ -1,0 +1,165 @@
+"""Work that is done tile by tile: on threads or on a cluster, in order, and kept so that a killed run goes on."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Job = TypeVar("Job")
+Result = NDArray[Any]
+
+_MOST_THREADS = 8
+_AHEAD = 2  # tiles that wait for their turn, beside those that are worked on
+
+
+class Tile(NamedTuple):
+    """Rows ``r0`` to ``r1`` and columns ``c0`` to ``c1`` of a grid, the ends not included."""
+
+    r0: int
+    r1: int
+    c0: int
+    c1: int
+
+    @property
+    def rows(self) -> slice:
+        """Its rows."""
+        return slice(self.r0, self.r1)
+
+    @property
+    def cols(self) -> slice:
+        """Its columns."""
+        return slice(self.c0, self.c1)
+
+    def within(self, outer: Tile) -> Tile:
+        """Return the same tile, counted from the first row and column of another that holds it."""
+        return Tile(self.r0 - outer.r0, self.r1 - outer.r0, self.c0 - outer.c0, self.c1 - outer.c0)
+
+    def grown(self, rows: int, cols: int, shape: tuple[int, int]) -> Tile:
+        """Return the tile with so many more rows and columns on every side, as far as a grid of ``shape`` reaches."""
+        r0, r1 = max(self.r0 - rows, 0), min(self.r1 + rows, shape[0])
+        return Tile(r0, r1, max(self.c0 - cols, 0), min(self.c1 + cols, shape[1]))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of rows and columns."""
+        return self.r1 - self.r0, self.c1 - self.c0
+
+
+def tiles_of(shape: tuple[int, int], size: tuple[int, int]) -> list[Tile]:
+    """Cover a grid of ``shape`` with tiles of ``size``, row by row; the last ones of an axis may be smaller."""
+    return [
+        Tile(r, min(r + size[0], shape[0]), c, min(c + size[1], shape[1]))
+        for r in range(0, shape[0], size[0])
+        for c in range(0, shape[1], size[1])
+    ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Engine:
+    """How tiles are worked on; no result depends on it.
+
+    Attributes
+    ----------
+    threads : int or None
+        Local threads; one a core, eight at most, where not given.
+    memory_bytes : int
+        What the tiles that are in memory at the same time may take.
+    executor : Executor or None
+        Another executor than local threads, such as that of a cluster.
+    workers : int or None
+        Tiles that this executor works on at a time.
+    kept : Path or None
+        Folder for the results of single tiles. A run that finds one there does not work it out again.
+    tell : callable
+        Called with what is done, the number of tiles done, and their number.
+    """
+
+    threads: int | None = None
+    memory_bytes: int = 2**31
+    executor: Executor | None = None
+    workers: int | None = None
+    kept: Path | None = None
+    tell: Callable[[str, int, int], None] = field(default=lambda _what, _done, _all: None)
+
+    @property
+    def at_once(self) -> int:
+        """Tiles that are worked on at the same time."""
+        if self.executor is not None:
+            return self.workers or 1
+        return self.threads or min(os.cpu_count() or 1, _MOST_THREADS)
+
+    def map(
+        self, what: str, work: Callable[[Job, Tile], Result], job: Callable[[Tile], Job], tiles: Sequence[Tile]
+    ) -> Iterator[tuple[Tile, Result]]:
+        """Give every tile and its result, in the order of ``tiles``.
+
+        Parameters
+        ----------
+        what : str
+            Name of the work; names the results that are kept.
+        work : callable
+            A function of a module; it gets the job of a tile and the tile, and returns one array.
+        job : callable
+            Gives what ``work`` needs to know for a tile. For an executor of other processes it is sent there.
+        tiles : sequence of Tile
+        """
+        local = ThreadPoolExecutor(self.at_once) if self.executor is None else None
+        pool = local or self.executor
+        assert pool is not None
+        waiting: deque[tuple[Tile, Future[Result] | Result]] = deque()
+        done = 0
+
+        def take() -> tuple[Tile, Result]:
+            tile, future = waiting.popleft()
+            if isinstance(future, np.ndarray):
+                return tile, future
+            result = future.result()
+            self._keep(what, tile, result)
+            return tile, result
+
+        try:
+            for tile in tiles:
+                found = self._found(what, tile)
+                waiting.append((tile, pool.submit(work, job(tile), tile) if found is None else found))
+                if len(waiting) >= self.at_once + _AHEAD:
+                    yield take()
+                    done += 1
+                    self.tell(what, done, len(tiles))
+            while waiting:
+                yield take()
+                done += 1
+                self.tell(what, done, len(tiles))
+        finally:
+            for _, future in waiting:
+                if not isinstance(future, np.ndarray):
+                    future.cancel()
+            if local is not None:
+                local.shutdown(cancel_futures=True)
+
+    def _place(self, what: str, tile: Tile) -> Path | None:
+        # Named by what it covers: with another memory or number of threads the tiles are others.
+        return None if self.kept is None else self.kept / what / ("-".join(map(str, tile)) + ".npy")
+
+    def _found(self, what: str, tile: Tile) -> Result | None:
+        place = self._place(what, tile)
+        return np.load(place) if place is not None and place.is_file() else None
+
+    def _keep(self, what: str, tile: Tile, result: Result) -> None:
+        place = self._place(what, tile)
+        if place is None:
+            return
+        place.parent.mkdir(parents=True, exist_ok=True)
+        part = place.with_suffix(".part")
+        with part.open("wb") as file:
+            np.save(file, result)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(place)

@@ -1,0 +1,128 @@
+"""The volume as columns through the sheet, read in tiles: the only place where the surface search meets its voxels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.frame import Frame
+from planish.core.tiles import Engine, Tile, tiles_of
+from planish.surface import _kernels
+
+Array = NDArray[np.float64]
+
+_WORKING = 12  # bytes that a voxel of a tile takes while it is worked on, beside its own
+_TILE = 192  # columns along an edge of a tile at most; the memory decides below that
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Columns:
+    """Columns of a volume, each ``step`` x ``step`` voxels wide.
+
+    Attributes
+    ----------
+    volume : DataArray, dims (z, y, x)
+        Only the parts that are asked for are read.
+    frame : Frame
+    step : int
+        A column is the mean of ``step`` x ``step`` neighbouring columns of voxels.
+    padding : float or None
+        Value of the voxels outside the field of view.
+    """
+
+    volume: xr.DataArray
+    frame: Frame
+    step: int = 1
+    padding: float | None = None
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Rows, columns, depth."""
+        size = self.volume.sizes
+        f = self.frame
+        return size[f.rows] // self.step, size[f.cols] // self.step, size[f.through]
+
+    @property
+    def pitch(self) -> tuple[float, float, float]:
+        """Distance of rows, of columns, and of voxels along a column, in um."""
+        f = self.frame
+        rows, cols, depth = (voxel_pitch(self.volume, axis) for axis in (f.rows, f.cols, f.through))
+        return rows * self.step, cols * self.step, depth
+
+    @property
+    def depth_um(self) -> Array:
+        """Coordinates along the columns."""
+        return np.asarray(self.volume.coords[self.frame.through].values, dtype=np.float64)
+
+    def lateral_um(self) -> tuple[Array, Array]:
+        """Coordinates of the rows and of the columns: the middle of the voxels that they hold."""
+        found: list[Array] = []
+        for axis, count in zip((self.frame.rows, self.frame.cols), self.shape[:2], strict=True):
+            voxels = np.asarray(self.volume.coords[axis].values, dtype=np.float64)[: count * self.step]
+            found.append(voxels.reshape(count, self.step).mean(axis=1) if self.step > 1 else voxels)
+        return found[0], found[1]
+
+    def padded(self, value: float | None) -> Columns:
+        """Return the same columns with the voxels of this value left out."""
+        return replace(self, padding=value)
+
+    def voxels(self, tile: Tile) -> NDArray[Any]:
+        """Voxels of a tile as they are stored, (rows * step, cols * step, depth)."""
+        k, f = self.step, self.frame
+        lateral = {f.rows: slice(tile.r0 * k, tile.r1 * k), f.cols: slice(tile.c0 * k, tile.c1 * k)}
+        part = self.volume.isel(lateral)
+        # Turned only after it was read: what is read lazily may not know how to turn.
+        return part.values.transpose([part.get_axis_num(axis) for axis in (f.rows, f.cols, f.through)])
+
+    def grey(self, tile: Tile, slope: tuple[Array, Array] | None = None) -> NDArray[np.float32]:
+        """Grey of the columns of a tile, (rows, cols, depth); NaN is missing.
+
+        Parameters
+        ----------
+        tile : Tile
+        slope : two (rows, cols), optional
+            How far the sheet rises along the column from one voxel row to the next, and from one voxel column to the
+            next, in voxels. The voxels that a column is the mean of are moved by it to the nearest voxel.
+        """
+        raw = self.voxels(tile)
+        if self.step > 1:
+            missing = np.nan if self.padding is None else self.padding
+            along_r, along_c = (np.ascontiguousarray(a) for a in slope or (np.zeros(tile.shape), np.zeros(tile.shape)))
+            out = np.empty((*tile.shape, raw.shape[2]), dtype=np.float32)
+            _kernels.mean_columns(raw, self.step, along_r, along_c, missing, out)
+            return out
+        out = np.ascontiguousarray(raw, dtype=np.float32)
+        if out is raw:
+            out = out.copy()
+        if self.padding is not None:
+            out[out == self.padding] = np.nan
+        return out
+
+    def tiles(self, engine: Engine, *, multiple: int = 1) -> list[Tile]:
+        """Cover all columns with tiles that fit into the engine's memory; their edges are multiples of ``multiple``."""
+        rows, cols, depth = self.shape
+        column = depth * self.step**2 * (self.volume.dtype.itemsize + _WORKING / self.step**2)
+        budget = engine.memory_bytes / (engine.at_once + 1) / 2
+        edge = int(np.clip(np.sqrt(budget / column), 8, _TILE))
+        chunks = self.volume.encoding.get("chunks")
+        if chunks is not None:
+            multiple = int(np.lcm.reduce([multiple, *(self._chunk(chunks, axis) for axis in "rc")]))
+        edge = max(edge // multiple, 1) * multiple
+        # Along the rows of the file as far as memory allows, so that neighbours in the file are read together.
+        wide = max(int(budget / column / edge) // multiple, 1) * multiple
+        return tiles_of((rows, cols), (edge, max(min(wide, 4 * edge), edge)))
+
+    def _chunk(self, chunks: tuple[int, ...], axis: str) -> int:
+        """Columns in a chunk of the file where they fit into it evenly."""
+        size = chunks["zyx".index(self.frame.rows if axis == "r" else self.frame.cols)]
+        return size // self.step if size % self.step == 0 and size // self.step <= _TILE else 1
+
+
+def voxel_pitch(volume: xr.DataArray, axis: str) -> float:
+    """Distance of the voxels along an axis, in um."""
+    values = volume.coords[axis].values
+    return float(values[1] - values[0]) if values.size > 1 else 1.0

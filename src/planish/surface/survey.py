@@ -1,0 +1,206 @@
+"""The first look at a volume, in one pass: block means, a sample of its columns, and what is missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planish.core.errors import VolumeError
+from planish.core.tiles import Engine, Tile
+from planish.surface.coarse import CORE, CoarseSheet, coarse_sheet
+from planish.surface.columns import Columns
+from planish.surface.levels import material, mode, padding_value, voxel_noise
+from planish.surface.params import SurfaceParams
+
+Array = NDArray[np.float64]
+
+_SAMPLE = 40_000  # columns of the sample, and blocks wanted
+_WIDEST = 4  # columns along the edge of a block
+_MOST = 2**26  # block means that are kept; above it the blocks get wider
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Survey:
+    """What the first look found.
+
+    Attributes
+    ----------
+    coarse : CoarseSheet
+    air, noise : float
+        Grey of the air, and standard deviation of one of its voxels.
+    polarity : float
+        +1 where the sheet is brighter than the air, -1 where it is darker.
+    padding : float or None
+        Value of the voxels outside the field of view.
+    sample : (rows, cols, depth)
+        Voxels as stored of every ``stride``-th column.
+    stride : int
+    missing_share : float
+        Voxels that are NaN or infinite.
+    """
+
+    coarse: CoarseSheet
+    air: float
+    noise: float
+    polarity: float
+    padding: float | None
+    sample: NDArray[Any]
+    stride: int
+    missing_share: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Look:
+    """What all tiles of the first look share."""
+
+    columns: Columns
+    block: int
+
+
+def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Survey:
+    """Find the sheet roughly.
+
+    Raises
+    ------
+    VolumeError
+        If the volume holds no sheet, several, or one that fills it from end to end.
+    """
+    rows, cols, depth = columns.shape
+    if min(columns.volume.shape) < 8:
+        raise VolumeError(
+            f"The volume has the shape {' x '.join(map(str, columns.volume.shape))} (z, y, x); at least 8 voxels are "
+            "needed along every axis. Check that this is the whole stack."
+        )
+    wanted = np.sqrt(rows * cols / _SAMPLE)
+    stride = max(1, int(wanted))
+    block = int(np.clip(round(wanted), 1, _WIDEST))
+    while (rows // block) * (cols // block) * depth > _MOST:
+        block += 1
+    sample = _sampled(columns, stride)
+    flat = sample.reshape(-1, depth)
+    padding = padding_value(flat)
+    columns = columns.padded(padding)
+    blocks, missing = _blocks(columns, block, engine)
+    if missing > 0.9:
+        raise VolumeError("More than 90 % of the volume's voxels are NaN or infinite. Check how it was exported.")
+    # The level comes from means over blocks: where the export has cut the air's noise at 0, single voxels crowd there.
+    air = mode(_ends(blocks.reshape(-1, depth), np.isfinite(blocks).reshape(-1, depth)))
+    noise = voxel_noise(_ends(flat, np.ones(flat.shape, bool) if padding is None else flat != padding), air)
+    coarse, polarity = _sheet(blocks, air, block, params)
+    return Survey(
+        coarse=coarse, air=air, noise=noise, polarity=polarity, padding=padding, sample=sample, stride=stride,
+        missing_share=missing,
+    )  # fmt: skip
+
+
+def _sheet(blocks: NDArray[np.float32], air: float, block: int, params: SurfaceParams) -> tuple[CoarseSheet, float]:
+    """Find the sheet in the block means; return it and its polarity."""
+    if params.sheet_grey is not None:
+        low, high = params.sheet_grey
+        inside = (blocks >= low) & (blocks <= high)
+        polarity = 1.0 if 0.5 * (low + high) >= air else -1.0
+        edge = (low if polarity > 0 else high) - air
+        return coarse_sheet(polarity * (blocks - air), inside, abs(edge), block), polarity
+    polarity, threshold = material(blocks, air)
+    oriented = np.where(np.isfinite(blocks), polarity * (blocks - air), 0.0).astype(np.float32)
+    sheet = coarse_sheet(oriented, oriented > threshold, threshold, block)
+    # The core tells the base's level, and that a better threshold: half way between air and base.
+    base = float(np.median(_core(oriented, sheet)))
+    threshold = max(threshold * 0.7, 0.5 * base)
+    return coarse_sheet(oriented, oriented > threshold, threshold, block), polarity
+
+
+def _sampled(columns: Columns, stride: int) -> NDArray[Any]:
+    """Every ``stride``-th column, as stored."""
+    rows, cols, depth = columns.shape
+    k = columns.step
+    at = np.arange(0, rows, stride)
+    out = np.empty((at.size, -(-cols // stride), depth), dtype=columns.volume.dtype)
+    single = replace(columns, step=1)
+    for n, r in enumerate(at):
+        row = single.voxels(Tile(int(r) * k, int(r) * k + 1, 0, cols * k))
+        out[n] = row[0, : cols * k : stride * k]
+    return out
+
+
+def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.float32], float]:
+    """Means of ``block`` x ``block`` neighbouring columns, then of three neighbours in depth; share of missing voxels.
+
+    The last block of each axis takes what is left over. Shape (block rows, block cols, depth). A block that holds
+    padding or a missing voxel is NaN.
+    """
+    rows, cols, depth = columns.shape
+    counts = max(rows // block, 1), max(cols // block, 1)
+    out = np.empty((*counts, depth), dtype=np.float32)
+    bad = 0.0
+    tiles = [
+        # What is left over belongs to the last block of the axis, and so to the last tile.
+        Tile(t.r0, rows if t.r1 > rows - block else t.r1, t.c0, cols if t.c1 > cols - block else t.c1)
+        for t in columns.tiles(engine, multiple=block)
+        if (t.r0 <= max(rows - block, 0)) and (t.c0 <= max(cols - block, 0))
+    ]
+    look = _Look(columns=columns, block=block)
+    for tile, found in engine.map("survey", _look, lambda _tile: look, tiles):
+        r, c = tile.r0 // block, tile.c0 // block
+        part = found[..., :-1]
+        out[r : r + part.shape[0], c : c + part.shape[1]] = part
+        bad += float(found[..., -1].sum(dtype=np.float64))
+    missing = ~np.isfinite(out)
+    if missing.any():
+        out[missing] = np.nan
+    size = (3, 3, 3) if block < 3 else (1, 1, 3)
+    smooth = ndimage.uniform_filter(out, size, mode="nearest") if not missing.any() else out
+    return smooth, bad / (rows * cols * depth * columns.step**2)
+
+
+def _look(look: _Look, tile: Tile) -> NDArray[np.float32]:
+    """Block means of a tile, (block rows, block cols, depth + 1); the last number counts the missing voxels."""
+    columns, block = look.columns, look.block
+    voxels = columns.voxels(tile)
+    wide = block * columns.step
+    edges_r, edges_c = (np.arange(0, max(n - n % wide, 1), wide) for n in voxels.shape[:2])
+    widths = np.diff(np.append(edges_c, voxels.shape[1])).astype(np.float32)
+    out = np.zeros((edges_r.size, edges_c.size, voxels.shape[2] + 1), dtype=np.float32)
+    for i, start in enumerate(edges_r):
+        stop = voxels.shape[0] if i == edges_r.size - 1 else start + wide
+        slab = np.array(voxels[start:stop], dtype=np.float32)
+        if np.issubdtype(voxels.dtype, np.floating):
+            bad = np.count_nonzero(~np.isfinite(slab), axis=(0, 2))
+            out[i, :, -1] = np.add.reduceat(bad, edges_c)
+        if columns.padding is not None:
+            slab[slab == columns.padding] = np.nan
+        mean = slab.mean(axis=0)
+        out[i, :, :-1] = np.add.reduceat(mean, edges_c, axis=0) / widths[:, None]
+    return out
+
+
+def _ends(columns: NDArray[Any], inside: NDArray[np.bool_]) -> Array:
+    """First and last three voxels of each column (n, depth) that lie inside the field of view; (2 n, 3)."""
+    held = inside.sum(axis=1) > 12
+    if not held.any():
+        return np.full((1, 3), np.nan)
+    kept, inside = columns[held].astype(np.float64), inside[held]
+    # One voxel is skipped where the field of view begins within the column: it may be cut.
+    first = np.argmax(inside, axis=1)
+    last = columns.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)
+    first, last = first + (first > 0), last - (last < columns.shape[1] - 1)
+    starts, stops = first[:, None] + np.arange(3), last[:, None] - np.arange(3)
+    return np.concatenate([np.take_along_axis(kept, k, axis=1) for k in (starts, stops)])
+
+
+def _core(blocks: NDArray[np.float32], sheet: CoarseSheet) -> Array:
+    """Grey of the blocks in the core of the sheet."""
+    rows, cols = np.nonzero(np.isfinite(sheet.low) & np.isfinite(sheet.high))
+    if rows.size == 0:
+        raise VolumeError(
+            "No column of the volume shows both faces of the sheet. The sheet leaves the volume on one side, or it is "
+            "not the axis through the sheet that was named with --through."
+        )
+    low, high = sheet.low[rows, cols], sheet.high[rows, cols]
+    shares = np.linspace(*CORE, 7)
+    depth = np.rint(low[:, None] + (high - low)[:, None] * shares).astype(int)
+    return blocks[rows[:, None], cols[:, None], depth].ravel().astype(np.float64)
