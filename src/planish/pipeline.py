@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from planish import __version__
 from planish.analyze import correlate, correlate_at
-from planish.core.errors import CannotRegister, MarkError, VolumeError
+from planish.compute import Compute, column_step, engine, run_key
+from planish.core.errors import CannotRegister, MarkError, PlanishError, VolumeError
 from planish.core.frame import Frame
 from planish.core.transform import Similarity
 from planish.flatten import Flattened, FlattenParams, flatten_sheet
-from planish.io import read_image, read_volume
-from planish.io.run_folder import new_folder, refuse_existing, write_json, write_tree
+from planish.io import fingerprint, read_image, read_volume
+from planish.io.run_folder import new_folder, refuse_existing, work_folder, write_json, write_tree
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.marks import find_holes, read_marks, write_marks
 from planish.measure import PROPERTIES, measure_properties
@@ -88,8 +89,10 @@ class Run:
         return all(gate.passed for gate in self.gates)
 
 
-def run_study(study: Study, out: Path, *, progress: Progress | None = None) -> Run:
+def run_study(study: Study, out: Path, *, progress: Progress | None = None, compute: Compute | None = None) -> Run:
     """Do what a study says and write the run folder ``out``.
+
+    A run that was killed goes on where it stood when it is started again.
 
     Raises
     ------
@@ -98,11 +101,26 @@ def run_study(study: Study, out: Path, *, progress: Progress | None = None) -> R
     """
     refuse_existing(out)
     tell = progress or _silent
-    run = link_sheet(study, progress=tell) if study.image is not None else map_sheet(study, progress=tell)
-    tell("write", str(out))
-    with new_folder(out) as folder:
-        save_run(run, folder, home=out)
+    key = run_key(study.model_dump(mode="json"), _fingerprints(study))
+    with work_folder(out, key) as work:
+        how: dict[str, Any] = {"progress": tell, "compute": compute, "kept": work / "tiles"}
+        run = link_sheet(study, **how) if study.image is not None else map_sheet(study, **how)
+        tell("write", str(out))
+        with new_folder(out) as folder:
+            save_run(run, folder, home=out)
     return run
+
+
+def _fingerprints(study: Study) -> list[str]:
+    """Hashes of the inputs; whatever is wrong with them is said by their own readers."""
+    paths = [study.volume.path, *([study.image.path] if study.image is not None else [])]
+    found: list[str] = []
+    for path in paths:
+        try:
+            found.append(fingerprint(Path(path)))
+        except PlanishError:
+            found.append("")
+    return found
 
 
 def save_run(run: Run, folder: Path, *, home: Path) -> None:
@@ -116,17 +134,34 @@ def save_run(run: Run, folder: Path, *, home: Path) -> None:
     write_report(folder / "report.html", groups=run.groups, marks=run.marks, results=run.results)
 
 
-def map_sheet(study: Study, *, progress: Progress | None = None) -> Run:
-    """Go from a volume to flattened maps of its properties."""
+def map_sheet(
+    study: Study, *, progress: Progress | None = None, compute: Compute | None = None, kept: Path | None = None
+) -> Run:
+    """Go from a volume to flattened maps of its properties.
+
+    Parameters
+    ----------
+    study : Study
+    progress : callable, optional
+        Called with the name of a stage and a few words.
+    compute : Compute, optional
+        What the run may use.
+    kept : Path, optional
+        Folder for the results of single tiles, where a run that was killed finds them again.
+    """
     tell = progress or _silent
     tell("read", Path(study.volume.path).name)
     volume, sections = _volume(study.volume, tell)
     voxel = tuple(float(v) for v in volume.attrs["voxel_um"])
     frame = Frame(through=study.volume.through, top=study.volume.top)
-    tell("surface", " x ".join(map(str, volume.shape)) + " voxels")
+    compute = compute or Compute()
+    step = column_step(volume, frame, study.volume.column_um, compute)
+    wide = f", columns of {step} x {step}" if step > 1 else ""
+    tell("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
     s = study.surface
-    params = SurfaceParams(sheet_grey=s.sheet_grey, cutoff_um=s.cutoff_um, rim_um=s.rim_um)
-    surfaces = find_surfaces(volume, frame=frame, params=params)
+    params = SurfaceParams(sheet_grey=s.sheet_grey, cutoff_um=s.cutoff_um, rim_um=s.rim_um, step=step)
+    with engine(compute, kept=None if kept is None else kept / str(step)) as tiles:
+        surfaces = find_surfaces(volume, frame=frame, params=params, engine=tiles)
     _check_thickness(surfaces)
     tell("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
     properties = measure_properties(surfaces)
@@ -134,11 +169,13 @@ def map_sheet(study: Study, *, progress: Progress | None = None) -> Run:
     f = study.flatten
     flattened = flatten_sheet(surfaces, params=FlattenParams(mesh_um=f.mesh_um, method=f.method, rest=f.rest))
     pitch = _pitch(surfaces)
+    # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
+    column_um = study.volume.column_um or (float(np.sqrt(pitch[0] * pitch[1])) if step > 1 else None)
     map_um = study.flatten.map_um or float(np.sqrt(pitch[0] * pitch[1]))
     tell("resample", f"{map_um:.3g} um pixels")
     study = study.model_copy(
         update={
-            "volume": study.volume.model_copy(update={"voxel_um": voxel}),
+            "volume": study.volume.model_copy(update={"voxel_um": voxel, "column_um": column_um}),
             "flatten": study.flatten.model_copy(update={"mesh_um": flattened.mesh_um, "map_um": map_um}),
         }
     )
@@ -149,7 +186,7 @@ def map_sheet(study: Study, *, progress: Progress | None = None) -> Run:
         "flat": flattened.flat,
         "strain": flattened.strain,
         "maps": maps,
-        "slices": _slices(volume, frame),
+        "slices": _slices(volume, frame, step),
     }
     results: dict[str, Any] = {
         "planish": __version__,
@@ -209,7 +246,9 @@ def _volume(section: VolumeSection, tell: Progress) -> tuple[xr.DataArray, xr.Da
     return volume, sections
 
 
-def link_sheet(study: Study, *, progress: Progress | None = None) -> Run:
+def link_sheet(
+    study: Study, *, progress: Progress | None = None, compute: Compute | None = None, kept: Path | None = None
+) -> Run:
     """Go from a volume and an image to maps on the image's own pixels, and their correlation."""
     tell = progress or _silent
     assert study.image is not None
@@ -228,7 +267,7 @@ def link_sheet(study: Study, *, progress: Progress | None = None) -> Run:
     fixed = None if given is not None else find_holes(image.values, pixel_um=pixel, diameter_um=r.hole_um)
     if fixed is not None:
         _enough(fixed, "image", r.hole_um)
-    run = map_sheet(study, progress=progress)
+    run = map_sheet(study, progress=progress, compute=compute, kept=kept)
     tell(
         "register",
         "holes of the sheet" if given is None else f"{given.sizes['mark']} pairs from {Path(r.marks or '').name}",
@@ -512,20 +551,20 @@ def _correlations(linked: xr.Dataset, pixel: tuple[float, float], point_um: floa
     return out
 
 
-def _slices(volume: xr.DataArray, frame: Frame) -> xr.Dataset:
-    """A few slices through the sheet, to draw its surfaces on."""
-    columns = frame.columns(volume)
-    rows = columns.shape[0]
+def _slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
+    """A few slices through the sheet, to draw its surfaces on; ``row`` is the row of columns that each lies in."""
+    rows = volume.sizes[frame.rows] // step * step
     at = np.unique(np.linspace(0, rows - 1, _SLICES + 2).astype(int)[1:-1])
-    values = np.ascontiguousarray(columns.values[at].transpose(0, 2, 1))
+    parts = [frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load()).values[0] for k in at]
+    values = np.stack([np.ascontiguousarray(part.T) for part in parts])
     coords = {
-        "slice": columns.coords[frame.rows].values[at],
-        "height": columns.coords[frame.through].values,
-        "x": columns.coords[frame.cols].values,
+        "slice": volume.coords[frame.rows].values[at],
+        "height": volume.coords[frame.through].values,
+        "x": volume.coords[frame.cols].values,
     }
     data = xr.Dataset(
         {"grey": (("slice", "height", "x"), values, {"long_name": "Grey value", "units": "1"})},
         coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()},
         attrs=frame.attrs(),
     )
-    return data.assign(row=("slice", at))
+    return data.assign(row=("slice", at // step))

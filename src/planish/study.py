@@ -30,6 +30,7 @@ class VolumeSection(Section):
     through: Literal["z", "y", "x"] = "z"
     top: Literal["high", "low"] = "high"
     override_size: bool = False
+    column_um: Length | None = None
 
 
 class ImageSection(Section):

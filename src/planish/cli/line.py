@@ -5,11 +5,15 @@ from __future__ import annotations
 import filecmp
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
 from planish.cli.options import (
+    Memory,
+    Numbers,
+    column_option,
+    compute_options,
     existing,
     hole_option,
     image_options,
@@ -31,6 +35,7 @@ def _volume(path: Path, options: dict[str, Any]) -> dict[str, Any]:
         "through": options["through"],
         "top": options["top"],
         "override_size": options["override_size"],
+        "column_um": options["column_um"],
     }
 
 
@@ -51,11 +56,14 @@ def _checked(data: dict[str, Any]) -> Any:
         raise click.UsageError(faults) from error
 
 
-def _run(study: Any, out: Path, *, as_json: bool) -> int:
+def _run(study: Any, out: Path, *, as_json: bool, options: dict[str, Any] | None = None) -> int:
+    from planish.compute import Compute
     from planish.pipeline import run_study
 
+    told = options or {}
+    compute = Compute(**{k: told.get(k) for k in ("memory_bytes", "threads", "scheduler")})
     with stages(10 if study.image is not None else 7) as tell:
-        run = run_study(study, out, progress=tell)
+        run = run_study(study, out, progress=tell, compute=compute)
     return finish(run, out, as_json=as_json)
 
 
@@ -64,6 +72,7 @@ def _run(study: Any, out: Path, *, as_json: bool) -> int:
 @existing("image")
 @out_option(_OUT)
 @volume_options
+@column_option
 @image_options
 @click.option(
     "--marks",
@@ -80,6 +89,7 @@ def _run(study: Any, out: Path, *, as_json: bool) -> int:
     help="Edge of the larger points that are correlated.",
 )
 @surface_options
+@compute_options
 @json_option
 def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool, **options: Any) -> int:
     """Link VOLUME to IMAGE: all 3D properties on the image's own pixels, correlation, report.
@@ -104,19 +114,21 @@ def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool
             "correlate": {"point_um": options["point_um"]},
         }
     )
-    return _run(study, out, as_json=as_json)
+    return _run(study, out, as_json=as_json, options=options)
 
 
 @click.command("map")
 @existing("volume")
 @out_option(_OUT)
 @volume_options
+@column_option
 @surface_options
+@compute_options
 @json_option
 def map_(volume: Path, out: Path, as_json: bool, **options: Any) -> int:
     """Map VOLUME: flattened maps of all properties, without an image."""
     study = _checked({"volume": _volume(volume, options), "surface": _surface(options)})
-    return _run(study, out, as_json=as_json)
+    return _run(study, out, as_json=as_json, options=options)
 
 
 @click.command()
@@ -124,8 +136,9 @@ def map_(volume: Path, out: Path, as_json: bool, **options: Any) -> int:
 @click.option(
     "--out", "-o", type=click.Path(path_type=Path), help="Folder to make; beside the old one where not given."
 )
+@compute_options
 @json_option
-def run(study: Path, out: Path | None, as_json: bool) -> int:
+def run(study: Path, out: Path | None, as_json: bool, **options: Any) -> int:
     """Repeat the run described by STUDY, the run.toml of a run folder.
 
     The result has the same bytes; files that differ from those beside STUDY are named.
@@ -135,7 +148,7 @@ def run(study: Path, out: Path | None, as_json: bool) -> int:
     checked = read_study(study)
     old = study.absolute().parent
     target = out or _free(old.with_name(f"{old.name}-again"))
-    code = _run(checked, target, as_json=as_json)
+    code = _run(checked, target, as_json=as_json, options=options)
     if (old / "results.json").is_file():
         different = _different(old, target)
         text = "same bytes as" if not different else f"{', '.join(different)} differ from"
@@ -187,6 +200,39 @@ def demo(out: Path | None, seed: int, as_json: bool) -> int:
     assert files.image is not None
     study = _checked({"volume": {"path": str(files.volume.absolute())}, "image": {"path": str(files.image.absolute())}})
     return _run(study, folder / "run", as_json=as_json)
+
+
+@click.command("import")
+@existing("volume")
+@out_option("Store to make, such as sheet.zarr; it must not exist.")
+@click.option(
+    "--voxel-um",
+    type=Numbers(3, repeat=True, metavar="SIZE|Z,Y,X"),
+    help="Voxel size in um, where the file does not state it.",
+)
+@click.option("--override-size", is_flag=True, help="Take the size given here where the file states another.")
+@click.option("--ome", type=click.Choice(["0.5", "0.4"]), default="0.5", show_default=True, help="Version of OME-Zarr.")
+@click.option("--memory", "memory_bytes", type=Memory(), help="Most memory to use, such as 4GB; half of what is free.")
+def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], memory_bytes: int | None, **options: Any) -> None:
+    """Bring VOLUME into a working store: chunked, in several resolutions, with checksums.
+
+    For volumes that do not fit into memory. The store is OME-Zarr and opens in other programs too. An import that was
+    killed goes on where it stood when the same command is given again.
+    """
+    from planish.compute import Compute
+    from planish.io import read_volume
+    from planish.io.run_folder import refuse_existing
+    from planish.io.store import write_store
+
+    refuse_existing(out)
+    compute = Compute(memory_bytes=memory_bytes)
+    data = read_volume(volume, voxel_um=options["voxel_um"], override_size=options["override_size"])
+    with stages(1) as tell:
+        write_store(
+            data, out, memory_bytes=compute.memory, ome=ome,
+            tell=lambda what, done, count: tell(what, f"block {done} of {count}"),
+        )  # fmt: skip
+    click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
 
 
 @click.command()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import click
 
@@ -38,6 +39,31 @@ class Numbers(click.ParamType[tuple[float, ...]]):
         if len(numbers) != self.count:
             self.fail(f"{value!r} holds {len(numbers)} numbers; {self.metavar} is needed.", param, ctx)
         return numbers
+
+
+class Memory(click.ParamType[int]):
+    """An amount of memory: ``4GB``, ``500 MB``, or a number of bytes."""
+
+    name = "memory"
+    units: ClassVar[dict[str, int]] = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
+        """Show what is expected in the help."""
+        return "SIZE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Parse ``"4GB"``."""
+        if isinstance(value, int):
+            return value
+        found = re.fullmatch(r"\s*([0-9.]+)\s*([A-Za-z]*)\s*", str(value))
+        unit = self.units.get(found[2].upper().replace("IB", "B")) if found else None
+        try:
+            amount = int(float(found[1]) * unit) if found and unit else 0
+        except ValueError:
+            amount = 0
+        if amount < 2**20:
+            self.fail(f"{value!r} is no amount of memory: write 4GB or 500MB.", param, ctx)
+        return amount
 
 
 def _stack(*options: Command) -> Command:
@@ -92,6 +118,20 @@ surface_options = _stack(
         show_default=True,
         help="Zone around holes and gaps that is left out of all results.",
     ),
+)
+
+column_option = click.option(
+    "--column-um",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Width of the measured columns in um; single voxels where not given, or as the memory demands.",
+)
+
+compute_options = _stack(
+    click.option(
+        "--memory", "memory_bytes", type=Memory(), help="Most memory to use, such as 4GB; half of what is free."
+    ),
+    click.option("--threads", type=click.IntRange(min=1), help="Local threads; one a core, eight at most."),
+    click.option("--scheduler", metavar="tcp://HOST:PORT", help="Work on a dask cluster instead of local threads."),
 )
 
 image_options = _stack(

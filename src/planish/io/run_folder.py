@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import xarray as xr
+from filelock import FileLock, Timeout
 from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError, ResourceError
@@ -51,6 +52,44 @@ def new_folder(path: Path) -> Generator[Path]:
         raise as_planish(error, path) from error
     finally:
         _remove(partial)
+
+
+@contextmanager
+def work_folder(path: Path, key: str) -> Generator[Path]:
+    """Give a hidden folder for what a run would not like to work out twice.
+
+    It vanishes when the block ends, well or not. Only a process that was killed leaves it behind; the next run to
+    ``path`` with the same ``key`` then finds what was in it, and with another key an empty one.
+
+    Raises
+    ------
+    FileError
+        If another process is writing to ``path`` at this moment, or the folder cannot be made.
+    """
+    work = path.with_name(f".{path.name}.work")
+    try:
+        work.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(work / "lock")
+        lock.acquire(timeout=0)
+    except Timeout as error:
+        raise FileError(
+            f"Another planish is writing {path} at this moment. Wait for it, or give another name."
+        ) from error
+    except OSError as error:
+        raise as_planish(error, path) from error
+    try:
+        note = work / "key"
+        if not (note.is_file() and note.read_text(encoding="utf-8") == key):
+            for stale in work.iterdir():
+                if stale.is_dir():
+                    shutil.rmtree(stale, ignore_errors=True)
+            note.write_text(key, encoding="utf-8")
+        yield work
+    except OSError as error:
+        raise as_planish(error, path) from error
+    finally:
+        lock.release()
+        _remove(work)
 
 
 def _remove(folder: Path, *, patience_s: float = 10.0) -> None:

@@ -183,14 +183,17 @@ def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
     heights = up * slices["height"].values.astype(np.float64)
     order: NDArray[np.intp] = np.argsort(heights)
     row = int(slices["row"].values[k])
-    lines = {name: up * surfaces[name].values[row].astype(np.float64) for name, *_ in LINES if name in surfaces}
     x = slices["x"].values.astype(np.float64)
+    # A column may be several voxels wide: each voxel shows the surfaces of its column.
+    centres = surfaces["x"].values.astype(np.float64)
+    at = np.clip(np.rint((x - centres[0]) / pitch(centres)), 0, centres.size - 1).astype(int)
+    lines = {name: up * surfaces[name].values[row, at].astype(np.float64) for name, *_ in LINES if name in surfaces}
     return Slice(
         grey=slices["grey"].values[k].astype(np.float64)[order],
         heights=heights[order],
         x=x,
         lines={name: lines.get(name, np.full(x.shape, np.nan)) for name, *_ in LINES},
-        used=np.isfinite(surfaces["thickness"].values[row]),
+        used=np.isfinite(surfaces["thickness"].values[row, at]),
         at=float(slices["slice"].values[k]),
     )
 

@@ -1,0 +1,184 @@
+"""A volume larger than memory through surfaces and six maps: peak memory, and time against one plain pass of reading.
+
+    python -m benchmarks size [--gvoxel 0.5,8] [--folder DIR] [--column-um 4.11] [--memory 2GB] [--scheduler ADDRESS]
+
+The sheet is a formula: a warped mid-surface, coatings of varying thickness, laser holes, a blur and noise. It is
+written into a working store block by block, then mapped by the command line in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+import zarr
+from numba import njit
+from xarray.backends import BackendArray
+from xarray.core.indexing import IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
+
+from planish.io.store import write_store
+
+VOXEL_UM = 1.37
+DEPTH = 320
+BASE_UM, COAT_UM, BLUR_UM = 90.0, 14.0, 1.7
+AIR, PAPER, COATING, NOISE = 60.0, 100.0, 200.0, 7.0
+HOLES_UM, HOLE_UM = 1500.0, 170.0
+
+
+@njit(cache=True, nogil=True)
+def smooth_step(x):
+    """The normal distribution, to 0.02."""
+    return 1.0 / (1.0 + np.exp(-1.702 * x))
+
+
+@njit(cache=True, nogil=True)
+def fill(out, z0, y0, x0, depth):
+    """Grey of the voxels of a block that begins at z0, y0, x0."""
+    nz, ny, nx = out.shape
+    for j in range(ny):
+        y = (y0 + j) * VOXEL_UM
+        for i in range(nx):
+            x = (x0 + i) * VOXEL_UM
+            a, b = 2 * np.pi * x / 3100.0, 2 * np.pi * y / 2300.0
+            middle = depth * VOXEL_UM / 2 + 60.0 * np.sin(a) + 20.0 * np.sin(b)
+            slope = np.hypot(60.0 * 2 * np.pi / 3100.0 * np.cos(a), 20.0 * 2 * np.pi / 2300.0 * np.cos(b))
+            tilt = 1.0 / np.sqrt(1.0 + slope * slope)
+            coat = COAT_UM + 3.0 * np.sin(2 * np.pi * (x + 0.3 * y) / 90.0) + 3.0 * np.sin(2 * np.pi * (y - x) / 400.0)
+            rough = 1.0 * np.sin(2 * np.pi * x / 57.0) * np.sin(2 * np.pi * y / 61.0)
+            fx, fy = (x + 0.5 * HOLES_UM) % HOLES_UM - 0.5 * HOLES_UM, (y + 0.5 * HOLES_UM) % HOLES_UM - 0.5 * HOLES_UM
+            there = smooth_step((np.hypot(fx, fy) - 0.5 * HOLE_UM) / BLUR_UM)
+            state = np.uint64((y0 + j) * 1000003 + (x0 + i)) * np.uint64(6364136223846793005) + np.uint64(z0)
+            for k in range(nz):
+                s = ((z0 + k) * VOXEL_UM - middle) * tilt
+                outer = smooth_step((0.5 * BASE_UM + coat + rough - s) / BLUR_UM)
+                outer *= smooth_step((s + 0.5 * BASE_UM + COAT_UM) / BLUR_UM)
+                inner = smooth_step((0.5 * BASE_UM + rough - s) / BLUR_UM) * smooth_step((s + 0.5 * BASE_UM) / BLUR_UM)
+                noise = 0.0
+                for _ in range(3):
+                    state = state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
+                    noise += np.float64(state >> np.uint64(40)) / 16777216.0 - 0.5
+                grey = AIR + there * ((COATING - AIR) * outer + (PAPER - COATING) * inner) + 2.0 * NOISE * noise
+                out[k, j, i] = np.uint8(min(max(grey, 0.0), 255.0) + 0.5)
+
+
+class Formula(BackendArray):
+    """The volume, worked out where it is asked for."""
+
+    dtype = np.dtype(np.uint8)
+
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        self.shape = shape
+
+    def __getitem__(self, key):
+        return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self.read)
+
+    def read(self, key):
+        z, y, x = (range(n)[k] for n, k in zip(self.shape, key, strict=True))
+        out = np.empty((len(z), len(y), len(x)), np.uint8)
+        half = len(y) // 2
+        parts = ((out[:, :half], y.start), (out[:, half:], y.start + half))
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(lambda p: fill(p[0], z.start, p[1], x.start, self.shape[0]), parts))
+        return out
+
+
+def main(*arguments: str | int) -> int:
+    parser = argparse.ArgumentParser(prog="size")
+    parser.add_argument("--gvoxel", default="0.5,8")
+    parser.add_argument("--folder", type=Path, default=None, help="where stores are made, and kept for the next time")
+    parser.add_argument("--column-um", default="4.11")
+    parser.add_argument("--memory", default="2GB")
+    parser.add_argument("--scheduler", default=None)
+    told = parser.parse_args([str(a) for a in arguments])
+    with folder_for(told.folder) as folder:
+        for gvoxel in map(float, told.gvoxel.split(",")):
+            measure(gvoxel, folder, told)
+    return 0
+
+
+def folder_for(folder: Path | None) -> tempfile.TemporaryDirectory[str] | Kept:
+    return tempfile.TemporaryDirectory() if folder is None else Kept(folder)
+
+
+class Kept:
+    """A folder that stays."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __enter__(self) -> str:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        return str(self.folder)
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+def measure(gvoxel: float, folder: str, told: argparse.Namespace) -> None:
+    edge = round(np.sqrt(gvoxel * 1e9 / DEPTH))
+    shape = (DEPTH, edge, edge)
+    voxels = float(np.prod(shape))
+    store = Path(folder) / f"sheet-{gvoxel:g}.zarr"
+    print(f"{gvoxel:g} Gvoxel: {DEPTH} x {edge} x {edge} voxels of {VOXEL_UM} um")
+    if not store.exists():
+        start = time.perf_counter()
+        write_store(volume(shape), store, memory_bytes=2**30)
+        print(f"  made in {time.perf_counter() - start:.0f} s")
+    read = plain_pass(store)
+    size = sum(p.stat().st_size for p in (store / "0").rglob("*") if p.is_file())
+    print(f"  plain pass of reading {read:.1f} s, {voxels / read / 1e6:.0f} Mvoxel/s, {size / 1e9:.2f} GB on disk")
+    out = Path(folder) / "run"
+    shutil.rmtree(out, ignore_errors=True)
+    command = [sys.executable, "-m", "planish", "map", str(store), "--out", str(out), "--column-um", told.column_um]
+    command += ["--memory", told.memory, *(["--scheduler", told.scheduler] if told.scheduler else [])]
+    start = time.perf_counter()
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    took = time.perf_counter() - start
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
+    print(f"  surfaces and six maps {took:.1f} s, {voxels / took / 1e6:.0f} Mvoxel/s, {took / read:.1f} plain passes")
+    print(f"  peak memory {peak / 1e9:.2f} GB (of this and all smaller ones before), exit code {done.returncode}")
+    if done.returncode not in (0, 4):
+        print(done.stderr)
+        return
+    results = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    coat = results["properties"]["coating_top"]
+    print(f"  coating {coat['mean_um']:.3f} um (true {COAT_UM:g}), measured {results['surfaces']['share_measured']:.3f}")
+
+
+def volume(shape: tuple[int, int, int]) -> xr.DataArray:
+    coords = {k: np.arange(n) * VOXEL_UM for k, n in zip("zyx", shape, strict=True)}
+    attrs = {"voxel_um": [VOXEL_UM] * 3, "file_name": "formula", "file_bytes": 0, "full_scale": 255}
+    return xr.DataArray(xr.Variable(("z", "y", "x"), LazilyIndexedArray(Formula(shape))), coords=coords, attrs=attrs)
+
+
+def plain_pass(store: Path) -> float:
+    """Seconds to read and decompress every chunk, on two threads."""
+    array = zarr.open_group(store, mode="r")["0"]
+    assert isinstance(array, zarr.Array)
+    start = time.perf_counter()
+    with ThreadPoolExecutor(2) as pool:
+        for _ in pool.map(lambda where: int(np.asarray(array[where])[0, 0, 0]), shards(array)):
+            pass
+    return time.perf_counter() - start
+
+
+def shards(array: zarr.Array) -> Iterator[tuple[slice, ...]]:
+    edge = array.shards or array.chunks
+    for z in range(0, array.shape[0], edge[0]):
+        for y in range(0, array.shape[1], edge[1]):
+            for x in range(0, array.shape[2], edge[2]):
+                yield tuple(slice(a, a + e) for a, e in zip((z, y, x), edge, strict=True))
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,139 @@
+"""How a run is worked on: memory, threads, a cluster, and what is kept so that a killed run goes on.
+
+No result depends on it, except that columns get wider where the memory would not hold the maps, which the results say.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish import __version__
+from planish.core.errors import InputError, ResourceError
+from planish.core.frame import Frame
+from planish.core.tiles import Engine
+from planish.io.guard import default_memory_limit
+
+COLUMN_BYTES = 900
+"""What a measured column takes at the peak: heights, properties, coordinates, map pixels, and the work on them."""
+
+_MAPS = 0.6  # of the memory that the maps may take; the tiles get the rest
+_WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps that are compared with images
+
+Tell = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compute:
+    """What a run may use.
+
+    Attributes
+    ----------
+    memory_bytes : int or None
+        Most memory; half of what is free where not given.
+    threads : int or None
+        Local threads; one a core, eight at most, where not given.
+    scheduler : str or None
+        Address of a dask scheduler, ``tcp://host:port``; local threads where not given.
+    """
+
+    memory_bytes: int | None = None
+    threads: int | None = None
+    scheduler: str | None = None
+
+    @property
+    def memory(self) -> int:
+        """Most memory, in bytes."""
+        return self.memory_bytes if self.memory_bytes is not None else int(default_memory_limit() * 2 / 3)
+
+
+def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, compute: Compute) -> int:
+    """Width of the measured columns in voxels.
+
+    Parameters
+    ----------
+    volume : DataArray, dims (z, y, x)
+    frame : Frame
+    column_um : float or None
+        What was asked for; otherwise single columns of voxels, or as wide as the memory demands.
+    compute : Compute
+
+    Raises
+    ------
+    InputError
+        If ``column_um`` is less than a voxel.
+    ResourceError
+        If the memory does not hold the maps even with wide columns.
+    """
+    voxel = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
+    pitch = float(np.sqrt(voxel[frame.rows] * voxel[frame.cols]))
+    if column_um is not None:
+        if column_um < 0.999 * pitch:
+            raise InputError(f"--column-um {column_um:g} is less than a voxel of {pitch:g} um. Give a multiple of it.")
+        return max(1, round(column_um / pitch))
+    columns = volume.sizes[frame.rows] * volume.sizes[frame.cols]
+    step = max(1, int(np.ceil(np.sqrt(columns * COLUMN_BYTES / (_MAPS * compute.memory)))))
+    if step > 1 and step * pitch > _WIDEST_UM:
+        needed = columns * COLUMN_BYTES / (_MAPS * max(int(_WIDEST_UM / pitch), 1) ** 2)
+        raise ResourceError(
+            f"The maps of {columns / 1e6:.0f} million columns need {needed / 1e9:.1f} GB of memory even with columns "
+            f"of {_WIDEST_UM:g} um; {compute.memory / 1e9:.1f} GB are allowed. Give more with --memory, or crop the "
+            "volume."
+        )
+    return step
+
+
+@contextmanager
+def engine(compute: Compute, *, kept: Path | None = None, tell: Tell | None = None) -> Generator[Engine]:
+    """Give the engine that works on tiles.
+
+    Raises
+    ------
+    InputError
+        If the scheduler cannot be reached, or the library for it is missing.
+    """
+    more: dict[str, Any] = {} if tell is None else {"tell": tell}
+    memory = int((1 - _MAPS) * compute.memory)
+    if compute.scheduler is None:
+        yield Engine(threads=compute.threads, memory_bytes=memory, kept=kept, **more)
+        return
+    with _client(compute.scheduler) as client:
+        workers = sum(client.ncores().values())
+        if not workers:
+            raise InputError(f"The scheduler {compute.scheduler} has no workers. Start some with 'dask worker'.")
+        yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, kept=kept, **more)
+
+
+@contextmanager
+def _client(address: str) -> Generator[Any]:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(
+            '--scheduler needs the library distributed, which is not installed. Run: pip install "planish[cluster]"'
+        ) from error
+    try:
+        client = Client(address, timeout="10s", set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"No scheduler answers at {address}: {error}. Start one with 'dask scheduler' and give the address that "
+            "it prints."
+        ) from error
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+def run_key(study: dict[str, Any], fingerprints: list[str]) -> str:
+    """What tells a run whose tiles may be used again: the study, the bytes of its inputs, and the program."""
+    told = json.dumps([__version__, study, fingerprints], sort_keys=True)
+    return hashlib.sha256(told.encode()).hexdigest()

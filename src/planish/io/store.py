@@ -1,0 +1,343 @@
+"""The working store: a volume as sharded, multiscale, checksummed OME-Zarr, written block by block.
+
+A block is a multiple of a shard in every direction, on every level that it fills, and one thread writes it: two writers
+of one shard would lose values without an error. What is finished is noted in a list of checksums, so an import that
+was killed goes on after the last whole block, and a shard that gets lost later does not read as zeros.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import ZstdCodec
+
+from planish.core.errors import FileError, InputError, ResourceError
+from planish.io.run_folder import as_planish, refuse_existing
+
+CHUNK = (64, 96, 96)
+"""Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to 4 voxels."""
+
+SHARD = (64, 384, 384)
+"""Voxels that lie in one file."""
+
+CHECKSUMS = "checksums.sha256"
+"""List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it."""
+
+_SOURCE = "source.json"
+_SMALLEST = 256  # voxels along the longest axis of the last level
+_LEAST_DEPTH = 16
+_UNIT = tuple(2 * n for n in SHARD)  # a block of it fills whole shards on this level and the next
+
+Progress = Callable[[str, int, int], None]
+Where = tuple[slice, slice, slice]
+
+
+@dataclass(frozen=True, slots=True)
+class _Level:
+    """One resolution of a store."""
+
+    array: zarr.Array[Any]
+    shape: tuple[int, ...]
+
+
+def write_store(
+    volume: xr.DataArray,
+    path: Path,
+    *,
+    memory_bytes: int = 2**31,
+    threads: int | None = None,
+    ome: Literal["0.5", "0.4"] = "0.5",
+    tell: Progress | None = None,
+) -> None:
+    """Write a volume into a new working store, part by part.
+
+    Parameters
+    ----------
+    volume : DataArray, dims (z, y, x), coordinates in um
+        Read in blocks; it need not fit into memory.
+    path : Path
+        Folder to make. While it is written it stands beside its place under a hidden name, where a second call with
+        the same volume finds it and goes on.
+    memory_bytes : int
+        What the blocks in memory may take.
+    threads : int, optional
+        Blocks are compressed on so many threads; the bytes do not depend on it.
+    ome : {"0.5", "0.4"}
+        Version of OME-Zarr. 0.4 has no shards, and so many more files.
+    tell : callable, optional
+        Called with what is done, the number of blocks done, and their number.
+
+    Raises
+    ------
+    FileError
+        If ``path`` exists or cannot be written.
+    InputError
+        If an import of another volume stopped half-way under this name.
+    ResourceError
+        If the memory does not hold one block, or the disk is full.
+    """
+    refuse_existing(path)
+    shape = tuple(int(n) for n in volume.shape)
+    partial = path.with_name(f".{path.name}.partial")
+    source = _identity(volume)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.mkdir(exist_ok=True)
+        _same_source(partial, source)
+        levels = _make_levels(partial, volume, shape, ome)
+        done = Journal(partial, ome)
+        if threads is not None:
+            zarr.config.set({"threading.max_workers": threads, "async.concurrency": max(threads, 1)})
+        _first_two(volume, levels, done, memory_bytes=memory_bytes, tell=tell or _silent)
+        for k in range(2, len(levels)):
+            _coarser(levels[k - 1], levels[k], done, k)
+        done.settle()
+        (partial / _SOURCE).unlink()
+        partial.rename(path)
+    except OSError as error:
+        raise as_planish(error, path) from error
+
+
+def missing_shards(path: Path) -> list[str]:
+    """Return the shards that the lists of checksums name and that are not there; empty where there is no list."""
+    return [name for name in _listed(path) if not (path / name).is_file()]
+
+
+def verify_store(path: Path) -> list[str]:
+    """Read every byte of a store and return the shards that are lost or changed.
+
+    Raises
+    ------
+    FileError
+        If the store has no list of checksums.
+    """
+    listed = _listed(path)
+    if not listed:
+        raise FileError(
+            f"{path.name} has no list of checksums ({CHECKSUMS}). Only stores of 'planish import' have one."
+        )
+    return [name for name, sha in listed.items() if not (path / name).is_file() or _sha256(path / name) != sha]
+
+
+def store_fingerprint(path: Path) -> str:
+    """SHA-256 over the checksums of all shards: tells one store from another without reading it."""
+    listed = sorted(_listed(path).items())
+    return hashlib.sha256("".join(f"{sha}  {name}\n" for name, sha in listed).encode()).hexdigest()
+
+
+class Journal:
+    """The lists of shards that are whole."""
+
+    def __init__(self, folder: Path, ome: str) -> None:
+        self.folder, self.prefix = folder, "c/" if ome == "0.5" else ""
+        self.names = set(_listed(folder))
+
+    def has(self, level: int, starts: list[tuple[int, int, int]]) -> bool:
+        """Whether all these shards are listed."""
+        return all(f"{level}/{self._name(at)}" in self.names for at in starts)
+
+    def add(self, level: int, shards: list[tuple[int, int, int]]) -> None:
+        """List shards that were written: only after their bytes are on the disk."""
+        home = self.folder / str(level)
+        lines: list[str] = []
+        for at in shards:
+            name = self._name(at)
+            with (home / name).open("rb+") as file:
+                os.fsync(file.fileno())
+                lines.append(f"{hashlib.file_digest(file, 'sha256').hexdigest()}  {name}\n")
+            self.names.add(f"{level}/{name}")
+        with (home / CHECKSUMS).open("a", encoding="utf-8", newline="\n") as file:
+            file.write("".join(lines))
+            file.flush()
+            os.fsync(file.fileno())
+
+    def settle(self) -> None:
+        """Sort the lists: the order in which blocks were written is nobody's business."""
+        for path in self.folder.glob(f"*/{CHECKSUMS}"):
+            lines = sorted(set(path.read_text(encoding="utf-8").splitlines(keepends=True)), key=lambda line: line[64:])
+            part = path.with_suffix(".part")
+            part.write_text("".join(lines), encoding="utf-8", newline="\n")
+            part.replace(path)
+
+    def _name(self, at: tuple[int, int, int]) -> str:
+        return f"{self.prefix}{at[0]}/{at[1]}/{at[2]}"
+
+
+def _first_two(volume: xr.DataArray, levels: list[_Level], done: Journal, *, memory_bytes: int, tell: Progress) -> None:
+    """Write the volume and its half in one pass over the input."""
+    shape, size = levels[0].shape, volume.dtype.itemsize
+    edge = levels[0].array.shards or levels[0].array.chunks
+    units = [min(2 * s, -(-n // s) * s) for s, n in zip(edge, shape, strict=True)]
+    # Two blocks are in memory, the one that is read and the one that is written, and its means.
+    room = memory_bytes / (2.7 * size * math.prod(units))
+    if room < 1:
+        raise ResourceError(
+            f"The import needs at least {2.7 * size * math.prod(units) / 1e9:.1f} GB for one block of shards. "
+            "Allow more with --memory."
+        )
+    wide = min(int(room), -(-shape[2] // units[2]))
+    high = min(max(int(room / wide), 1), -(-shape[1] // units[1]))
+    block = (units[0], high * units[1], wide * units[2])
+    wheres = list(_blocks(shape, block))
+
+    def read(where: Where) -> NDArray[Any] | None:
+        if all(done.has(k, _shards(levels[k], _halved(where, k))) for k in range(min(len(levels), 2))):
+            return None
+        return np.ascontiguousarray(volume.isel(dict(zip("zyx", where, strict=True))).values)
+
+    with ThreadPoolExecutor(1) as pool:
+        following = pool.submit(read, wheres[0])
+        for n, where in enumerate(wheres):
+            values = following.result()
+            if n + 1 < len(wheres):
+                following = pool.submit(read, wheres[n + 1])
+            if values is not None:
+                _write(levels[0], where, values, done, 0)
+                if len(levels) > 1:
+                    _write(levels[1], _halved(where, 1), halve(values), done, 1)
+            tell("import", n + 1, len(wheres))
+
+
+def _coarser(fine: _Level, coarse: _Level, done: Journal, number: int) -> None:
+    """Write a level from the one before."""
+    edge = coarse.array.shards or coarse.array.chunks
+    for where in _blocks(coarse.shape, edge):
+        if not done.has(number, _shards(coarse, where)):
+            source = tuple(slice(2 * w.start, min(2 * w.stop, n)) for w, n in zip(where, fine.shape, strict=True))
+            _write(coarse, where, halve(np.asarray(fine.array[source])), done, number)
+
+
+def _write(level: _Level, where: Where, values: NDArray[Any], done: Journal, number: int) -> None:
+    """Write one block and list its shards."""
+    level.array[where] = values
+    done.add(number, _shards(level, where))
+
+
+def halve(values: NDArray[Any]) -> NDArray[Any]:
+    """Means of 2 x 2 x 2 voxels; what is left over at an end is the mean of fewer. Integers are rounded."""
+    pad = [(0, n % 2) for n in values.shape]
+    if any(p[1] for p in pad):
+        values = np.pad(values, pad, mode="edge")
+    whole = np.issubdtype(values.dtype, np.integer)
+    total = np.zeros(tuple(n // 2 for n in values.shape), dtype=np.int64 if values.dtype.itemsize > 2 else np.int32)
+    total = total if whole else total.astype(values.dtype)
+    for z in (0, 1):
+        for y in (0, 1):
+            for x in (0, 1):
+                total += values[z::2, y::2, x::2]
+    return ((total + 4) >> 3).astype(values.dtype) if whole else (total / 8).astype(values.dtype)
+
+
+def _blocks(shape: tuple[int, ...], block: tuple[int, ...]) -> Iterator[Where]:
+    z, y, x = ([slice(start, min(start + b, n)) for start in range(0, n, b)] for n, b in zip(shape, block, strict=True))
+    yield from ((a, b, c) for a in z for b in y for c in x)
+
+
+def _halved(where: Where, times: int) -> Where:
+    """Return the same block on a coarser level; its starts are whole shards there."""
+    z, y, x = (slice(w.start >> times, -(-w.stop // 2**times)) for w in where)
+    return z, y, x
+
+
+def _shards(level: _Level, where: Where) -> list[tuple[int, int, int]]:
+    """Numbers of the shards of a block."""
+    edge = level.array.shards or level.array.chunks
+    z, y, x = (range(w.start // s, -(-w.stop // s)) for w, s in zip(where, edge, strict=True))
+    return [(a, b, c) for a in z for b in y for c in x]
+
+
+def _make_levels(folder: Path, volume: xr.DataArray, shape: tuple[int, ...], ome: str) -> list[_Level]:
+    """Make or open the arrays of all levels, and write what is known of the volume."""
+    shapes = [shape]
+    while max(shapes[-1]) > _SMALLEST and min(shapes[-1]) >= 2 * _LEAST_DEPTH:
+        shapes.append(tuple(-(-n // 2) for n in shapes[-1]))
+    voxel = [float(v) for v in volume.attrs["voxel_um"]]
+    datasets = [
+        {
+            "path": str(k),
+            "coordinateTransformations": [
+                {"type": "scale", "scale": [v * 2**k for v in voxel]},
+                {"type": "translation", "translation": [v * (2**k - 1) / 2 for v in voxel]},
+            ],
+        }
+        for k in range(len(shapes))
+    ]
+    axes = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "zyx"]
+    name = str(volume.attrs.get("file_name", "volume"))
+    scales = [{"version": ome, "name": name, "axes": axes, "datasets": datasets, "type": "mean of 2 x 2 x 2"}]
+    if ome == "0.5":
+        del scales[0]["version"]
+        attributes: dict[str, Any] = {"ome": {"version": "0.5", "multiscales": scales}}
+    else:
+        attributes = {"multiscales": scales}
+    kept = ("full_scale", "voxel_um_source", "stored_dtype", "channel")
+    attributes["planish"] = {"source": name} | {k: volume.attrs[k] for k in kept if volume.attrs.get(k) is not None}
+    group = zarr.open_group(folder, mode="a", zarr_format=3 if ome == "0.5" else 2)
+    group.attrs.update(attributes)
+    levels: list[_Level] = []
+    for k, size in enumerate(shapes):
+        if str(k) in group:
+            levels.append(_Level(group[str(k)], size))  # type: ignore[arg-type]
+            continue
+        shard = tuple(min(s, -(-n // c) * c) for s, n, c in zip(SHARD, size, CHUNK, strict=True))
+        if ome == "0.5":
+            how: dict[str, Any] = {"shards": shard, "compressors": [ZstdCodec(level=1, checksum=True)]}
+        else:
+            how = {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
+        array = group.create_array(
+            str(k), shape=size, dtype=volume.dtype, chunks=CHUNK, dimension_names=list("zyx") if ome == "0.5" else None,
+            fill_value=0, config={"write_empty_chunks": True}, **how,
+        )  # fmt: skip
+        levels.append(_Level(array, size))
+    return levels
+
+
+def _identity(volume: xr.DataArray) -> dict[str, Any]:
+    """What tells one input from another without reading it whole."""
+    keys = ("file_name", "file_bytes", "voxel_um")
+    return {"shape": list(volume.shape), "dtype": str(volume.dtype), **{k: volume.attrs.get(k) for k in keys}}
+
+
+def _same_source(folder: Path, source: dict[str, Any]) -> None:
+    """Note what is imported, or compare with what an import that stopped has noted."""
+    note = folder / _SOURCE
+    if not note.is_file():
+        if any(folder.iterdir()):
+            raise InputError(f"{folder} is in the way and no import that stopped. Remove it, or give another name.")
+        note.write_text(json.dumps(source), encoding="utf-8")
+    elif json.loads(note.read_text(encoding="utf-8")) != json.loads(json.dumps(source)):
+        raise InputError(
+            f"An import of another volume stopped half-way at {folder}. Remove that folder, or give another name with "
+            "--out."
+        )
+
+
+def _listed(folder: Path) -> dict[str, str]:
+    """Shards of all levels and their checksums; a last line that was cut off does not count."""
+    found: dict[str, str] = {}
+    for path in sorted(folder.glob(f"*/{CHECKSUMS}")):
+        for line in path.read_text(encoding="utf-8").splitlines(keepends=True):
+            if line.endswith("\n") and line[64:66] == "  ":
+                found[f"{path.parent.name}/{line[66:-1]}"] = line[:64]
+    return found
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _silent(_what: str, _done: int, _all: int) -> None:
+    """Say nothing."""

@@ -1,0 +1,138 @@
+"""The working store: what goes in comes out, whatever stops it half-way."""
+
+import hashlib
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+
+from planish.core.errors import FileError, InputError, ResourceError
+from planish.io import read_volume
+from planish.io import store as module
+from planish.io.store import halve, missing_shards, store_fingerprint, verify_store, write_store
+
+VOXEL = [2.0, 1.5, 1.5]
+
+
+def volume(shape=(70, 130, 200), dtype=np.uint8, seed=0):
+    values = np.random.default_rng(seed).integers(0, 200, shape).astype(dtype)
+    coords = {k: np.arange(n) * v for k, n, v in zip("zyx", shape, VOXEL, strict=True)}
+    attrs = {"voxel_um": VOXEL, "file_name": "made", "file_bytes": values.nbytes, "full_scale": 255}
+    return xr.DataArray(values, dims=("z", "y", "x"), coords=coords, attrs=attrs)
+
+
+@pytest.fixture(autouse=True)
+def small_shards(monkeypatch):
+    monkeypatch.setattr(module, "CHUNK", (16, 24, 24))
+    monkeypatch.setattr(module, "SHARD", (16, 48, 48))
+    monkeypatch.setattr(module, "_SMALLEST", 60)
+    monkeypatch.setattr(module, "_LEAST_DEPTH", 8)
+
+
+def bytes_of(path):
+    files = sorted(p for p in path.rglob("*") if p.is_file())
+    return {p.relative_to(path).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+@pytest.mark.parametrize("ome", ["0.5", "0.4"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_what_goes_in_comes_out(tmp_path, ome, dtype):
+    data = volume(dtype=dtype)
+    write_store(data, tmp_path / "s.zarr", ome=ome)
+    back = read_volume(tmp_path / "s.zarr")
+    np.testing.assert_array_equal(back.values, data.values)
+    assert back.dtype == data.dtype
+    assert back.attrs["voxel_um"] == VOXEL
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_the_coarser_levels_are_means(tmp_path):
+    data = volume()
+    write_store(data, tmp_path / "s.zarr")
+    group = zarr.open_group(tmp_path / "s.zarr", mode="r")
+    assert [group[k].shape for k in sorted(group.array_keys())] == [(70, 130, 200), (35, 65, 100), (18, 33, 50)]
+    whole = data.values.reshape(35, 2, 65, 2, 100, 2).mean(axis=(1, 3, 5))
+    assert np.abs(group["1"][:] - whole).max() <= 0.5
+    np.testing.assert_array_equal(group["2"][:], halve(group["1"][:]))
+    scales = [d["coordinateTransformations"] for d in group.attrs["ome"]["multiscales"][0]["datasets"]]
+    assert scales[1] == [
+        {"type": "scale", "scale": [4.0, 3.0, 3.0]},
+        {"type": "translation", "translation": [1.0, 0.75, 0.75]},
+    ]
+
+
+def test_halves_of_odd_ends_are_means_of_what_is_there():
+    np.testing.assert_array_equal(halve(np.full((3, 3, 3), 7, np.uint8)), np.full((2, 2, 2), 7))
+    ramp = np.arange(4.0)[:, None, None] * np.ones((4, 2, 2))
+    np.testing.assert_allclose(halve(ramp)[:, 0, 0], [0.5, 2.5])
+
+
+def test_neither_memory_nor_threads_change_a_byte(tmp_path):
+    data = volume()
+    write_store(data, tmp_path / "a.zarr", memory_bytes=2**31)
+    write_store(data, tmp_path / "b.zarr", memory_bytes=2**20, threads=1)
+    assert bytes_of(tmp_path / "a.zarr") == bytes_of(tmp_path / "b.zarr")
+    assert store_fingerprint(tmp_path / "a.zarr") == store_fingerprint(tmp_path / "b.zarr")
+
+
+class Stop(Exception):  # noqa: N818
+    pass
+
+
+@pytest.mark.parametrize("after", [0, 1, 3, 7])
+def test_an_import_that_was_killed_goes_on(tmp_path, monkeypatch, after):
+    data = volume()
+    write, whole = module._write, []
+    monkeypatch.setattr(module, "_write", lambda *a: (whole.append(a[1]), write(*a)))
+    write_store(data, tmp_path / "whole.zarr", memory_bytes=2**20)
+    done = []
+
+    def stops(level, where, *more):
+        if len(done) == after:
+            raise Stop
+        done.append(where)
+        write(level, where, *more)
+
+    monkeypatch.setattr(module, "_write", stops)
+    with pytest.raises(Stop):
+        write_store(data, tmp_path / "s.zarr", memory_bytes=2**20)
+    assert not (tmp_path / "s.zarr").exists()
+    again = []
+    monkeypatch.setattr(module, "_write", lambda *a: (again.append(a[1]), write(*a)))
+    write_store(data, tmp_path / "s.zarr", memory_bytes=2**20)
+    # A block and its half are one step: where the half was missing, the block is written again.
+    assert len(again) <= len(whole) - after + 1
+    assert bytes_of(tmp_path / "s.zarr") == bytes_of(tmp_path / "whole.zarr")
+
+
+def test_another_volume_does_not_go_on_with_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_first_two", lambda *_a, **_k: (_ for _ in ()).throw(Stop))
+    with pytest.raises(Stop):
+        write_store(volume(), tmp_path / "s.zarr")
+    with pytest.raises(InputError, match="another volume stopped"):
+        write_store(volume(shape=(70, 130, 201)), tmp_path / "s.zarr")
+
+
+def test_a_lost_or_changed_shard_is_named(tmp_path):
+    write_store(volume(), tmp_path / "s.zarr")
+    assert missing_shards(tmp_path / "s.zarr") == []
+    assert verify_store(tmp_path / "s.zarr") == []
+    shards = sorted((tmp_path / "s.zarr" / "0" / "c").rglob("*"))
+    victim = next(p for p in shards if p.is_file())
+    name = victim.relative_to(tmp_path / "s.zarr").as_posix()
+    whole = victim.read_bytes()
+    victim.write_bytes(whole[:50] + bytes([whole[50] ^ 1]) + whole[51:])
+    assert verify_store(tmp_path / "s.zarr") == [name]
+    victim.unlink()
+    assert missing_shards(tmp_path / "s.zarr") == [name]
+    with pytest.raises(FileError, match=r"shard|lost|missing"):
+        read_volume(tmp_path / "s.zarr").values  # noqa: B018
+
+
+def test_refusals_say_what_to_do(tmp_path):
+    (tmp_path / "there.zarr").mkdir()
+    with pytest.raises(FileError, match="exists already"):
+        write_store(volume(), tmp_path / "there.zarr")
+    with pytest.raises(ResourceError, match="--memory"):
+        write_store(volume(), tmp_path / "s.zarr", memory_bytes=1000)
