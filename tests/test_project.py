@@ -28,7 +28,8 @@ def locked(name: str) -> dict[str, set[str]]:
 
 
 def names(requirements: list[str]) -> set[str]:
-    return {re.split(r"[\[<>=]", requirement)[0] for requirement in requirements}
+    # Upper and lower case, and the signs between words, make no difference in the name of a package.
+    return {re.sub(r"[-_.]+", "-", re.split(r"[\[<>=]", r)[0]).lower() for r in requirements}
 
 
 def test_locks_hold_everything_that_pyproject_names() -> None:

@@ -1,0 +1,156 @@
+"""A run under other conditions: killed, on a cluster, with little memory. Its bytes are always the same."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planish.compute import COLUMN_BYTES, Compute, column_step, engine
+from planish.core.errors import InputError, ResourceError
+from planish.core.frame import Frame
+from planish.core.tiles import tiles_of
+from planish.io import read_volume
+from planish.io.store import write_store
+from planish.pipeline import run_study
+from planish.study import Study
+from planish.synthetic import HoleParams, SpecimenParams, make_specimen, write_instruments
+from surface.sheets import slab, volume
+
+
+def bytes_of(run):
+    return {
+        p.relative_to(run).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()
+        for p in sorted(run.rglob("*"))
+        if p.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """A small specimen in a working store."""
+    folder = tmp_path_factory.mktemp("store")
+    params = SpecimenParams(size_um=(900.0, 700.0), holes=HoleParams(pattern="irregular", count=4), seed=3)
+    files = write_instruments(make_specimen(params), folder / "specimen")
+    write_store(read_volume(files.volume), folder / "sheet.zarr")
+    return folder / "sheet.zarr"
+
+
+def study(store):
+    return Study.model_validate({"volume": {"path": str(store)}})
+
+
+@pytest.fixture(scope="module")
+def whole(store, tmp_path_factory):
+    """What the run gives when nothing happens."""
+    out = tmp_path_factory.mktemp("whole") / "run"
+    run_study(study(store), out)
+    return bytes_of(out)
+
+
+def test_memory_and_threads_change_no_byte(store, whole, tmp_path):
+    run_study(study(store), tmp_path / "run", compute=Compute(threads=3, memory_bytes=300 * 2**20))
+    assert bytes_of(tmp_path / "run") == whole
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_a_killed_run_goes_on_and_gives_the_same(store, whole, tmp_path, share):
+    out = tmp_path / "run"
+    command = [sys.executable, "-m", "planish", "map", str(store), "--out", str(out), "--memory", "300MB"]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
+        tiles = out.with_name(f".{out.name}.work") / "tiles"
+        # Killed when so many tiles are on the disk, whatever the speed of the machine.
+        wanted = 1 + int(share * 6)
+        end = time.monotonic() + 120
+        while process.poll() is None and len(list(tiles.rglob("*.npy"))) < wanted and time.monotonic() < end:
+            time.sleep(0.01)
+        process.send_signal(getattr(signal, "SIGKILL", signal.SIGTERM))
+    assert not out.exists()
+    kept = len(list(tiles.rglob("*.npy")))
+    assert kept >= wanted
+    subprocess.run(command, check=True, capture_output=True)
+    assert bytes_of(out) == whole
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run"]
+
+
+def test_two_runs_do_not_write_to_one_place(store, tmp_path):
+    from planish.core.errors import FileError
+    from planish.io.run_folder import work_folder
+
+    with work_folder(tmp_path / "run", "a"), pytest.raises(FileError, match="Another planish"):
+        run_study(study(store), tmp_path / "run")
+
+
+def test_tiles_of_another_study_are_not_used(tmp_path):
+    from planish.io.run_folder import work_folder
+
+    work = tmp_path / ".run.work"
+    (work / "tiles").mkdir(parents=True)
+    (work / "key").write_text("another")
+    (work / "tiles" / "0-1-0-1.npy").write_bytes(b"wrong")
+    with work_folder(tmp_path / "run", "this") as folder:
+        assert not list(folder.rglob("*.npy"))
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A scheduler and two workers, processes of their own on this machine."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
+    ) as made:
+        yield made
+
+
+def test_a_cluster_gives_the_same_bytes(store, whole, cluster, tmp_path):
+    compute = Compute(scheduler=cluster.scheduler_address, memory_bytes=300 * 2**20)
+    run_study(study(store), tmp_path / "run", compute=compute)
+    assert bytes_of(tmp_path / "run") == whole
+
+
+def slow_sum(grid, tile):
+    time.sleep(0.1)
+    return np.array([[grid[tile.rows, tile.cols].sum(), os.getpid()]])
+
+
+def test_a_worker_that_dies_costs_only_time(cluster):
+    grid = np.arange(400.0).reshape(20, 20)
+    tiles = tiles_of(grid.shape, (2, 5))
+    workers = {w.pid for w in (n.process for n in cluster.workers.values()) if w is not None}
+    assert len(workers) == 2
+    with engine(Compute(scheduler=cluster.scheduler_address)) as on:
+        found, seen = [], set()
+        for tile, part in on.map("sums", slow_sum, lambda _tile: grid, tiles):
+            found.append((tile, part[0, 0]))
+            if len(found) == 4:
+                os.kill(min(workers), signal.SIGKILL)
+            seen.add(int(part[0, 1]))
+    assert found == [(tile, grid[tile.rows, tile.cols].sum()) for tile in tiles]
+    assert seen - workers or len(seen) >= 1
+
+
+def test_no_scheduler_is_a_sentence():
+    pytest.importorskip("distributed")
+    with pytest.raises(InputError, match="No scheduler answers"), engine(Compute(scheduler="tcp://127.0.0.1:1")):
+        pass
+
+
+def test_columns_get_wider_where_the_memory_asks_for_it():
+    grey, *_ = slab(shape=(40, 90, 120))
+    data = volume(grey)
+    data.attrs["voxel_um"] = [3.0] * 3
+    columns = 90 * 120
+    assert column_step(data, Frame(), None, Compute(memory_bytes=10 * columns * COLUMN_BYTES)) == 1
+    assert column_step(data, Frame(), None, Compute(memory_bytes=columns * COLUMN_BYTES)) == 2
+    assert column_step(data, Frame(), 6.2, Compute(memory_bytes=10)) == 2
+    with pytest.raises(ResourceError, match="--memory"):
+        column_step(data, Frame(), None, Compute(memory_bytes=columns * COLUMN_BYTES // 100))
+    with pytest.raises(InputError, match="less than a voxel"):
+        column_step(data, Frame(), 1.0, Compute())
