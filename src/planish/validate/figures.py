@@ -95,6 +95,8 @@ def _all() -> list[Figure]:
     for axis, what in (("x", "along the section"), ("z", "through the sheet")):
         sentence = f"rms distance {what} that aligning leaves between a section and its true place"
         add(f"sections_{axis}_rms", "sections", "um", f"pose {what}, rms", sentence)
+        sentence = f"what varies of that distance {what} within 50 sections"
+        add(f"sections_{axis}_jitter", "sections", "um", f"jitter {what}, rms", sentence)
     sentence = "rms distance across the sections between a section's true position and the one it was given"
     add("sections_place_rms", "sections", "um", "position, rms", sentence)
     for face, what in FACES.items():
