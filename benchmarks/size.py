@@ -152,7 +152,9 @@ def measure(gvoxel: float, folder: str, told: argparse.Namespace) -> None:
         return
     results = json.loads((out / "results.json").read_text(encoding="utf-8"))
     coat = results["properties"]["coating_top"]
-    print(f"  coating {coat['mean_um']:.3f} um (true {COAT_UM:g}), measured {results['surfaces']['share_measured']:.3f}")
+    print(
+        f"  coating {coat['mean_um']:.3f} um (true {COAT_UM:g}), measured {results['surfaces']['share_measured']:.3f}"
+    )
 
 
 def volume(shape: tuple[int, int, int]) -> xr.DataArray:

@@ -264,12 +264,14 @@ def test_a_false_and_a_missed_hole():
 
 def test_residual_poses_of_sections():
     _, files, run = exact_run()
-    run.groups["sections"] = xr.Dataset({"position": ("section", np.arange(3.0))})
-    # a stack whose rows run through the sheet; what is left of the poses is white and known
+    attrs = {"cutoff_um": 50 * PITCH}
+    run.groups["sections"] = xr.Dataset({"position": ("section", np.arange(3.0))}, attrs=attrs)
+    # a stack whose rows run through the sheet; what is left of the poses is white and known, and along x also slow
     surfaces = run.groups["surfaces"]
     surfaces.attrs |= {"through": "y", "row_axis": "z", "col_axis": "x"}
     rng = np.random.default_rng(3)
-    left = rng.normal(0, [0.5, 0.3, 0.2], (ROWS, 3))  # x, y, z in space
+    white = rng.normal(0, [0.5, 0.3, 0.2], (ROWS, 3))  # x, y, z in space
+    left = white + np.outer(2 * np.sin(2 * np.pi * np.arange(ROWS) / ROWS), [1, 0, 0])
 
     def to_physical(points, _sections=None):
         k = np.rint(points[:, 2] / PITCH).astype(int)
@@ -280,8 +282,12 @@ def test_residual_poses_of_sections():
 
     found = section_errors(files, run.groups)
     # fitted straight lines take 2 of 150 degrees of freedom
-    for name, k in (("sections_x_rms", 0), ("sections_place_rms", 1), ("sections_z_rms", 2)):
+    for name, k in (("sections_place_rms", 1), ("sections_z_rms", 2)):
         assert found[name] == pytest.approx(left[:, k].std(), rel=0.05)
+    # a straight line takes some of a single slow wave
+    assert 1.5 * white[:, 0].std() < found["sections_x_rms"] <= left[:, 0].std()
+    for name, k in (("sections_x_jitter", 0), ("sections_z_jitter", 2)):
+        assert found[name] == pytest.approx(white[:, k].std(), rel=0.08)
 
 
 def test_a_paper_without_coating_has_no_figures_of_it():
