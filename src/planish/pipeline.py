@@ -41,7 +41,7 @@ from planish.results import (
     section_results,
     surface_results,
 )
-from planish.sections import align_sections, find_band, normalise_sections, regular_volume
+from planish.sections import align_sections, find_band, fixed_places, normalise_sections, regular_volume
 from planish.study import Study, VolumeSection, write_study
 from planish.surface import SurfaceParams, find_surfaces
 
@@ -209,6 +209,8 @@ def _volume(section: VolumeSection, tell: Progress) -> tuple[xr.DataArray, xr.Da
     """Read a volume; serial sections are aligned and joined, and come with what was done to each of them."""
     path = Path(section.path)
     if not is_section_folder(path):
+        if section.fixed_rows is not None or section.fixed_cols is not None:
+            raise VolumeError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
         return read_volume(path, voxel_um=section.voxel_um, override_size=section.override_size), None
     if section.through == "z":
         raise VolumeError(
@@ -219,7 +221,10 @@ def _volume(section: VolumeSection, tell: Progress) -> tuple[xr.DataArray, xr.Da
     tell("align", f"{len(stack.values)} sections")
     where = (stack.values, stack.positions_um, stack.pixel_um)
     band = find_band(stack.values, np.abs(stack.positions_um - stack.positions_um[0]), stack.pixel_um)
-    found = align_sections(*where, band=band)
+    fixed = None
+    if section.fixed_rows is not None or section.fixed_cols is not None:
+        fixed = fixed_places(stack.values, stack.pixel_um, rows=section.fixed_rows, cols=section.fixed_cols)
+    found = align_sections(*where, band=band, fixed=fixed)
     gains = normalise_sections(*where, band=band)
     volume = regular_volume(*where, alignment=found, gains=gains, attrs=stack.attrs)
     um = {"units": "um"}
@@ -241,6 +246,7 @@ def _volume(section: VolumeSection, tell: Progress) -> tuple[xr.DataArray, xr.Da
             "jitter_left_um": [float(v) for v in found.jitter_left_um],
             "pairs_used": found.pairs_used,
             "pairs_refused": found.pairs_refused,
+            "fixed": [name for name, held in zip(("row", "col", "rotation"), found.fixed, strict=True) if held],
         },
     )
     return volume, sections

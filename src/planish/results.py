@@ -99,6 +99,7 @@ def section_results(sections: xr.Dataset) -> dict[str, Any]:
         "not_aligned": int(np.count_nonzero(~aligned)),
         "missing": int(attrs["missing"]),
         "cutoff_um": float(attrs["cutoff_um"]),
+        "fixed": [str(name) for name in attrs["fixed"]],
         "pairs_used": int(attrs["pairs_used"]),
         "pairs_refused": int(attrs["pairs_refused"]),
         "gain_sd": _finite(float(np.std(sections["gain"].values[aligned]))),

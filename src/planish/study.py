@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from planish.core.errors import FileError, InputError
 
+Index = Annotated[int, Field(ge=0)]
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -31,6 +32,8 @@ class VolumeSection(Section):
     top: Literal["high", "low"] = "high"
     override_size: bool = False
     column_um: Length | None = None
+    fixed_rows: tuple[Index, Index] | None = None
+    fixed_cols: tuple[Index, Index] | None = None
 
 
 class ImageSection(Section):

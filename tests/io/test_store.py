@@ -76,7 +76,7 @@ def test_neither_memory_nor_threads_change_a_byte(tmp_path):
     assert store_fingerprint(tmp_path / "a.zarr") == store_fingerprint(tmp_path / "b.zarr")
 
 
-class Stop(Exception):  # noqa: N818
+class Stop(Exception):
     pass
 
 

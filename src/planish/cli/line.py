@@ -20,6 +20,7 @@ from planish.cli.options import (
     json_option,
     match_options,
     out_option,
+    section_options,
     surface_options,
     volume_options,
 )
@@ -36,6 +37,8 @@ def _volume(path: Path, options: dict[str, Any]) -> dict[str, Any]:
         "top": options["top"],
         "override_size": options["override_size"],
         "column_um": options["column_um"],
+        "fixed_rows": options["fixed_rows"],
+        "fixed_cols": options["fixed_cols"],
     }
 
 
@@ -72,6 +75,7 @@ def _run(study: Any, out: Path, *, as_json: bool, options: dict[str, Any] | None
 @existing("image")
 @out_option(_OUT)
 @volume_options
+@section_options
 @column_option
 @image_options
 @click.option(
@@ -121,6 +125,7 @@ def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool
 @existing("volume")
 @out_option(_OUT)
 @volume_options
+@section_options
 @column_option
 @surface_options
 @compute_options

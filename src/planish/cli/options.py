@@ -41,6 +41,25 @@ class Numbers(click.ParamType[tuple[float, ...]]):
         return numbers
 
 
+class Strip(click.ParamType[tuple[int, int]]):
+    """First and last pixel of a strip: ``10,60``."""
+
+    name = "strip"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
+        """Show what is expected in the help."""
+        return "FIRST,LAST"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Parse ``"10,60"``."""
+        if isinstance(value, tuple):
+            return value  # type: ignore[return-value]
+        found = re.fullmatch(r"\s*(\d+)\s*,\s*(\d+)\s*", str(value))
+        if not found:
+            self.fail(f"{value!r} is no strip: write the first and the last pixel, such as 10,60.", param, ctx)
+        return int(found[1]), int(found[2])
+
+
 class Memory(click.ParamType[int]):
     """An amount of memory: ``4GB``, ``500 MB``, or a number of bytes."""
 
@@ -118,6 +137,16 @@ surface_options = _stack(
         show_default=True,
         help="Zone around holes and gaps that is left out of all results.",
     ),
+)
+
+section_options = _stack(
+    click.option(
+        "--fixed-rows",
+        type=Strip(),
+        help="Serial sections: rows of the photographs with a line along them that lies still, such as the block's "
+        "edge. Slow drift is then told from a bend of the sheet.",
+    ),
+    click.option("--fixed-cols", type=Strip(), help="The same for a line along the columns."),
 )
 
 column_option = click.option(

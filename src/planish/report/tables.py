@@ -62,12 +62,18 @@ def joined(results: Row) -> str:
     taken = " and ".join(length(told[f"shift_{axis}_rms_um"], 2) for axis in ("row", "col"))
     left = " and ".join(length(told[f"jitter_left_{axis}_um"], 1) for axis in ("row", "col"))
     lost = told["not_aligned"]
+    held = told.get("fixed", [])
+    slow = (
+        f"Errors that vary more slowly than over {length(told['cutoff_um'])} cannot be told from the sheet's own "
+        "bend and stay."
+        if not held
+        else f"Slow drift was taken off ({', '.join(held)}) with the help of what lies still in the photographs."
+    )
     return (
         f"{count(told['count'])} sections were aligned to their neighbours, with {taken} rms taken off along rows and "
         f"columns; about {left} are left. {count(told['missing'])} missing sections were bridged"
         + (f", {count(lost)} of them because they fit to no neighbour" if lost else "")
-        + f". Errors that vary more slowly than over {length(told['cutoff_um'])} cannot be told from the sheet's own "
-        "bend and stay."
+        + f". {slow}"
     )
 
 

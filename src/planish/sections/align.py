@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from planish.sections.band import Band, check_stack, find_band, for_each
 from planish.sections.network import held_pairs, parts, quick_places, solve_places
 from planish.sections.pairs import Bands, Pairs, compare
+from planish.sections.trend import slow_part
 
 Array = NDArray[np.float64]
 Stack = NDArray[Any]
@@ -48,7 +49,9 @@ class Alignment:
     pixel_um : tuple of float
         (row, col).
     cutoff_um : float
-        Waves longer than this along the cut were left alone.
+        Waves longer than this along the cut were left alone, except where something fixed shows them.
+    fixed : tuple of bool
+        Whether (row, col, rotation) were held by something fixed, slow waves included.
     """
 
     shift_um: Array
@@ -59,6 +62,7 @@ class Alignment:
     pairs_refused: int
     pixel_um: tuple[float, float]
     cutoff_um: float
+    fixed: tuple[bool, bool, bool] = (False, False, False)
 
 
 def align_sections(
@@ -71,6 +75,7 @@ def align_sections(
     cutoff_sections: float = 50.0,
     rotation: bool = True,
     rounds: int = 3,
+    fixed: Array | None = None,
     threads: int | None = None,
 ) -> Alignment:
     """Align serial sections jointly, leaving the slow waves alone.
@@ -92,6 +97,9 @@ def align_sections(
         Whether sections are turned.
     rounds : int
         Times that the offsets are measured, each with the corrections of the last.
+    fixed : ndarray (sections, 3), optional
+        Places against something that lies still, as :func:`planish.sections.fixed_places` gives them: the slow waves
+        are then taken from there instead of being left alone. NaN where it is not seen.
     threads : int, optional
         All processors, at most 8, where not given. The result does not depend on it.
 
@@ -150,6 +158,7 @@ def align_sections(
     # A narrow image tells rotations badly: they are shortened to what is more than their own error (Wiener).
     turned = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
     pose[:, 2] *= max(0.0, 1.0 - left[2] / turned) if rotation and turned > 0 else 0.0
+    held = _hold(pose, fixed, away, cutoff, aligned) if fixed is not None else (False, False, False)
     return Alignment(
         shift_um=pose[:, :2].copy(),
         rotation_rad=pose[:, 2].copy(),
@@ -159,7 +168,21 @@ def align_sections(
         pairs_refused=int(kept.size - np.count_nonzero(kept)),
         pixel_um=pixel_um,
         cutoff_um=cutoff,
+        fixed=held,
     )
+
+
+def _hold(pose: Array, fixed: Array, away: Array, cutoff: float, aligned: NDArray[np.bool_]) -> tuple[bool, bool, bool]:
+    """Add the slow part of what something fixed shows; True for each axis that it shows."""
+    held = [False, False, False]
+    for axis in range(3):
+        seen = np.isfinite(fixed[:, axis])
+        if np.count_nonzero(seen) < 0.5 * seen.size:
+            continue
+        slow = slow_part(away, np.where(seen, fixed[:, axis], 0.0), cutoff_um=cutoff, weights=seen.astype(np.float64))
+        pose[aligned, axis] += slow[aligned]
+        held[axis] = True
+    return held[0], held[1], held[2]
 
 
 def neighbours(away_um: Array, pitch_um: float, reach: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
