@@ -158,3 +158,55 @@ def test_a_folder_of_sections(tmp_path):
     unsized = describe(tmp_path)
     assert unsized["size_um"] is None
     assert "--voxel-um" in unsized["size_problem"]
+
+
+def noise(shape: tuple[int, ...], dtype: str = "uint16") -> np.ndarray:
+    return np.random.default_rng(2).integers(0, 250, shape).astype(dtype)
+
+
+def write_sized(path: Path, values: np.ndarray, *, z: float = 2.0, yx: float = 2.0) -> Path:
+    meta = {"axes": "ZYX", "unit": "um", "spacing": z}
+    tifffile.imwrite(path, values, imagej=True, resolution=(1 / yx, 1 / yx), metadata=meta)
+    return path
+
+
+def test_black_and_repeated_slices_are_found(tmp_path: Path) -> None:
+    values = noise((9, 40, 50))
+    values[3] = 0
+    values[8] = values[1]
+    told = describe(write_sized(tmp_path / "v.tif", values))
+    assert any("1 slices have one grey value only" in w and "z 3:" in w for w in told["warnings"])
+    assert any("1 slices hold the same values as a slice before them, z 8:" in w for w in told["warnings"])
+    assert describe(write_sized(tmp_path / "w.tif", noise((9, 40, 50))))["warnings"] == []
+
+
+@pytest.mark.parametrize(
+    ("z", "yx", "words"), [(0.1, 0.1, "unusual for a scan of paper"), (20.0, 2.0, "differ by a factor of 10")]
+)
+def test_doubtful_sizes_are_mentioned(tmp_path: Path, z: float, yx: float, words: str) -> None:
+    told = describe(write_sized(tmp_path / "v.tif", noise((9, 40, 50)), z=z, yx=yx))
+    assert any(words in w for w in told["warnings"])
+
+
+def test_a_size_that_is_missing_along_one_axis_is_told(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "v.tif", noise((9, 40, 50)), resolution=(5000, 5000), resolutionunit="CENTIMETER")
+    assert "no voxel size along z" in describe(tmp_path / "v.tif")["size_problem"]
+
+
+def test_of_a_large_volume_some_slices_are_seen_and_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("planish.io.look.EAGER_BYTES", 100_000)
+    monkeypatch.setattr("planish.io.look.SAMPLE_BYTES", 20_000)
+    told = describe(write_sized(tmp_path / "v.tif", noise((200, 40, 50))))
+    assert told["sampled"] == "8 of 200 slices"
+    assert (told["min"], told["max"]) == (0, 249)
+    assert told["stored"] == "mapped from its file"
+    assert describe(write_sized(tmp_path / "w.tif", noise((9, 40, 50))))["sampled"] is None
+
+
+def test_what_a_run_needs_grows_with_the_columns(tmp_path: Path) -> None:
+    small = describe(write_sized(tmp_path / "v.tif", noise((9, 40, 50))))
+    large = describe(write_sized(tmp_path / "w.tif", noise((9, 80, 100))))
+    assert large["run_seconds"] - small["run_seconds"] == pytest.approx(35e-6 * 6000)
+    assert large["run_bytes"] > small["run_bytes"] > 1e8

@@ -113,6 +113,43 @@ def test_an_uncompressed_stack_is_mapped_not_copied(tmp_path: Path, kind: str) -
     assert isinstance(volume.data, np.memmap)
 
 
+@pytest.mark.parametrize("options", [{}, {"compression": "zlib"}, {"planarconfig": "separate"}, {"byteorder": ">"}])
+def test_a_stack_in_colour_becomes_luminance_or_the_channel_chosen(tmp_path: Path, options: dict[str, Any]) -> None:
+    values = stack("uint16", (5, 7, 9, 3))
+    order = (0, 3, 1, 2) if "planarconfig" in options else (0, 1, 2, 3)
+    tifffile.imwrite(tmp_path / "v.tif", values.transpose(order), photometric="rgb", **options)
+    grey = np.rint(values @ np.array([0.2126, 0.7152, 0.0722])).astype(np.uint16)
+    volume = read_volume(tmp_path / "v.tif", voxel_um=1)
+    np.testing.assert_array_equal(volume.values, grey)
+    assert volume.attrs["channel"] == "luminance"
+    blue = read_volume(tmp_path / "v.tif", voxel_um=1, channel="Blue")
+    np.testing.assert_array_equal(blue.values, values[..., 2])
+    if options != {"planarconfig": "separate"}:
+        lazy = read_volume(tmp_path / "v.tif", voxel_um=1, memory_limit_bytes=500)
+        np.testing.assert_array_equal(lazy.isel(y=slice(2, 4)).values, grey[:, 2:4])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"compression": "zlib", "rowsperstrip": 4},
+        {"compression": "zlib", "tile": (16, 16)},
+        {"compression": "lzw", "predictor": True},
+        {"photometric": "miniswhite", "compression": "zlib"},
+        {"photometric": "miniswhite"},
+        {"byteorder": ">"},
+        {"compression": "jpeg"},
+    ],
+)
+def test_parts_of_a_stack_that_does_not_fit_are_read(tmp_path: Path, options: dict[str, Any]) -> None:
+    values = stack("uint8", (6, 37, 41))
+    tifffile.imwrite(tmp_path / "v.tif", values, **({"photometric": "minisblack"} | options))
+    whole = read_volume(tmp_path / "v.tif", voxel_um=1).values
+    part = read_volume(tmp_path / "v.tif", voxel_um=1, memory_limit_bytes=2000)
+    np.testing.assert_array_equal(part.isel(z=slice(1, 5, 2), y=slice(7, 31)).values, whole[1:5:2, 7:31])
+    np.testing.assert_array_equal(part.values, whole)
+
+
 def test_a_compressed_stack_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "v.tif", stack(), photometric="minisblack", compression="zlib")
     with pytest.raises(ResourceError, match=r"v\.tif needs .* GiB of memory, .* GiB may be used\. Crop"):
@@ -241,7 +278,12 @@ def write_two_sizes(path: Path) -> None:
             "has 4 time points: 4 x 5 x 7 x 9",
         ),
         (lambda p: tifffile.imwrite(p, stack(), imagej=True, metadata={"axes": "CYX"}), "has 5 channels.*If these are"),
-        (lambda p: tifffile.imwrite(p, stack("uint8", (5, 7, 9, 3)), photometric="rgb"), "has 3 colour samples"),
+        (
+            lambda p: tifffile.imwrite(
+                p, stack("uint8", (5, 7, 9, 3)), photometric="minisblack", planarconfig="contig"
+            ),
+            "has 3 colour samples",
+        ),
         (lambda p: tifffile.imwrite(p, stack().astype("complex64"), photometric="minisblack"), "complex64 values"),
         (lambda p: tifffile.imwrite(p, stack() > 5, photometric="minisblack"), "black and white only"),
         (write_two_sizes, r"2 different images: 5 x 7 x 9 .* from page 1 on, 4 x 6 x 6 .* at page 6"),

@@ -43,6 +43,7 @@ class EvenSheet:
 
     holes: np.ndarray
     faces = np.array(FACES_UM)
+    rim_um = (1000.0, 1000.0)  # no hole anywhere near
 
     def at(self, field, u, v):
         # Differences of faces and faces themselves arrive as numbers: the wave belongs to what holds the top face.
@@ -260,6 +261,15 @@ def test_a_false_and_a_missed_hole():
     assert found["false_image"] == 1.0
     assert found["recall_volume"] == 0.75
     assert found["false_volume"] == 1.0
+
+
+def test_columns_that_were_lost_count_and_rims_do_not():
+    specimen, files, run = exact_run()
+    status = run.groups["surfaces"]["status"].values
+    status[:] = 0
+    status[:30] = 3
+    status[30:60] = 2
+    assert make_ledger(specimen, files, run)["measured_share"] == pytest.approx(100 * 90 / 120, abs=1)
 
 
 def test_residual_poses_of_sections():

@@ -3,6 +3,7 @@
 from planish.io.describe import describe
 from planish.io.fingerprint import fingerprint
 from planish.io.image import read_image
+from planish.io.topography import read_topography
 from planish.io.volume import read_volume
 
-__all__ = ["describe", "fingerprint", "read_image", "read_volume"]
+__all__ = ["describe", "fingerprint", "read_image", "read_topography", "read_volume"]

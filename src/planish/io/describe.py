@@ -1,8 +1,9 @@
-"""What a file holds, read to its last byte: the facts behind ``planish info``, and what looks wrong."""
+"""What a file holds and what looks wrong: the facts behind ``planish info``."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, InputError, SizeError
+from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
+from planish.io.lazy import LazyArray
+from planish.io.loaded import LoadedVolume
+from planish.io.look import look
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.io.sizes import PIXEL, VOXEL, Asked, Stated, agreed_size
@@ -19,15 +24,17 @@ from planish.io.slices import list_slices, slice_numbers, slice_step
 from planish.io.tiff import only_series, open_tiff
 from planish.io.volume import load_volume
 
-PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
+USUAL_VOXEL_UM = (0.3, 20.0)
+"""Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred."""
 
-SAMPLE_VALUES = 4_000_000
-"""Values from which percentiles are taken where counting every grey level is not possible."""
+MOST_UNEQUAL = 5.0
+"""Longest over shortest edge of a voxel; beyond, one of them is probably wrong."""
 
-SATURATED_SHARE = 0.001
-"""Above this share of values at the end of the range, grey levels were lost."""
-
-FEW_LEVELS = 16
+COLUMN_BYTES = 520
+BASE_BYTES = 530 * 10**6
+COLUMN_SECONDS = 35e-6
+BASE_SECONDS = 15.0
+"""What ``planish map`` needs for each column through the sheet and in any case, on two busy cores."""
 
 
 def describe(
@@ -35,16 +42,19 @@ def describe(
     *,
     voxel_um: float | tuple[float, float, float] | None = None,
     pixel_um: float | tuple[float, float] | None = None,
+    channel: str | None = None,
     override_size: bool = False,
     memory_limit_bytes: int | None = None,
 ) -> dict[str, Any]:
-    """Read a volume or an image completely and tell what it holds.
+    """Look through a volume or an image and tell what it holds; of large volumes, a few slices are looked at.
 
     Parameters
     ----------
     path : path
     voxel_um, pixel_um : float or sequence, optional
         Size in um, checked against the metadata as the reading functions do.
+    channel : str, optional
+        As in :func:`planish.io.read_volume`, for volumes and sections.
     override_size : bool
     memory_limit_bytes : int, optional
 
@@ -54,40 +64,106 @@ def describe(
         Plain numbers and words, ready for JSON: ``kind`` ("volume", "sections" or "image"), ``file_name``, ``bytes``,
         ``dims``, ``shape``, ``dtype``, ``size_um`` (None where unknown), ``size_source``, ``size_problem``,
         ``extent_um``, ``min``, ``max``, ``percentiles``, ``nan_share``, ``saturated_share`` (values at the largest the
-        type can store), and ``warnings``, a list of sentences.
+        type can store), ``bottom_share`` (values of 0), ``sampled`` (which slices were looked at; None for all), and
+        ``warnings``, a list of sentences. For volumes also ``format``, ``stored`` (how they are read), ``run_bytes``
+        and ``run_seconds`` (rough estimates for ``planish map``), ``metadata`` (what a log tells, and choices made).
 
     Raises
     ------
     FileError, VolumeError, ResourceError
         As the reading functions; a size that is missing or wrong is reported, not raised.
     """
-    path = Path(path)
-    if is_image(path):
+    place = find_place(path)
+    path = place.path
+    if is_image(place):
         return describe_image(path, pixel_um, override_size=override_size, memory_limit_bytes=memory_limit_bytes)
     if is_section_folder(path):
-        return describe_sections(path, voxel_um, override_size=override_size, memory_limit_bytes=memory_limit_bytes)
-    loaded = load_volume(path, memory_limit_bytes=memory_limit_bytes)
-    warnings: list[str] = []
-    if path.is_dir():
+        return describe_sections(
+            path, voxel_um, channel=channel, override_size=override_size, memory_limit_bytes=memory_limit_bytes
+        )
+    loaded = load_volume(place, channel=channel, memory_limit_bytes=memory_limit_bytes)
+    warnings = list(loaded.notes)
+    found = format_of(place)
+    if found.name == SLICES.name and "nrecon" not in loaded.attrs:
         step = slice_step(slice_numbers(list_slices(path), path))
         if step > 1:
             warnings.append(f"The slices are numbered in steps of {step}: the z size must be that of {step} slices.")
+    seen = look(loaded.values, loaded.full_scale, warnings, dims=VOXEL.axes)
+    size = size_facts(
+        loaded.stated, voxel_um, loaded.values.shape, warnings, name=path.name, asked=VOXEL, override=override_size
+    )
+    warnings += size_doubts(size["size_um"]) + window_doubts(loaded, seen)
+    if isinstance(loaded.values, LazyArray) and loaded.values.whole_slices:
+        warnings.append(
+            "It does not fit into the memory, and its slices have to be decoded again for every part that is read. One "
+            "uncompressed BigTIFF is much faster."
+        )
     return {
         "kind": "volume",
         "file_name": path.name,
         "bytes": loaded.file_bytes,
-        **facts(loaded.values, loaded.full_scale, warnings),
-        **size_facts(
-            loaded.stated, voxel_um, loaded.values.shape, warnings, name=path.name, asked=VOXEL, override=override_size
-        ),
+        "format": found.name,
+        "stored": how_stored(loaded.values),
+        **seen,
+        **size,
+        **estimates(loaded.values),
+        "metadata": dict(loaded.attrs),
         "warnings": warnings,
     }
+
+
+def how_stored(values: NDArray[Any] | LazyArray) -> str:
+    """Say how a volume is held."""
+    if isinstance(values, LazyArray):
+        return "read in parts when they are needed"
+    return "mapped from its file" if isinstance(values, np.memmap) else "decoded in memory"
+
+
+def estimates(values: NDArray[Any] | LazyArray) -> dict[str, float]:
+    """Memory and time that ``planish map`` will need, roughly, if the sheet lies across the shortest axis."""
+    columns = math.prod(values.shape) // min(values.shape)
+    decoded = 0 if isinstance(values, (np.memmap, LazyArray)) else values.nbytes
+    return {
+        "run_bytes": BASE_BYTES + COLUMN_BYTES * columns + decoded,
+        "run_seconds": BASE_SECONDS + COLUMN_SECONDS * columns,
+    }
+
+
+def size_doubts(size_um: Sequence[float] | None) -> list[str]:
+    """Sentences about voxel sizes that are possible but unusual."""
+    if size_um is None:
+        return []
+    found: list[str] = []
+    low, high = USUAL_VOXEL_UM
+    if min(size_um) < low or max(size_um) > high:
+        found.append(
+            f"Voxels of {' x '.join(f'{v:g}' for v in size_um)} um are unusual for a scan of paper ({low:g} to "
+            f"{high:g} um). Is the unit right?"
+        )
+    if max(size_um) > MOST_UNEQUAL * min(size_um):
+        found.append(
+            f"The edges of a voxel differ by a factor of {max(size_um) / min(size_um):.3g}. Is the z size right?"
+        )
+    return found
+
+
+def window_doubts(loaded: LoadedVolume, seen: Mapping[str, Any]) -> list[str]:
+    """What an 8-bit reconstruction has lost: attenuation outside the window that was chosen for the grey values."""
+    window = loaded.attrs.get("attenuation_window")
+    if window is None or loaded.values.dtype != np.uint8:
+        return []
+    return [
+        f"NRecon wrote 8 bits: grey 0 to 255 is attenuation {window[0]:g} to {window[1]:g}, and what lies outside was "
+        f"cut ({100 * seen['bottom_share']:.3g} % of the values are 0, {100 * seen['saturated_share']:.3g} % are 255). "
+        "16 bits lose nothing."
+    ]
 
 
 def describe_sections(
     path: Path,
     voxel_um: float | tuple[float, float, float] | None,
     *,
+    channel: str | None,
     override_size: bool,
     memory_limit_bytes: int | None,
 ) -> dict[str, Any]:
@@ -95,12 +171,18 @@ def describe_sections(
     problem = None
     try:
         stack = read_section_stack(
-            path, voxel_um=voxel_um, override_size=override_size, memory_limit_bytes=memory_limit_bytes
+            path,
+            voxel_um=voxel_um,
+            channel=channel,
+            override_size=override_size,
+            memory_limit_bytes=memory_limit_bytes,
         )
     except SizeError as error:
         problem = str(error)
         # The values are told all the same; their size is not.
-        stack = read_section_stack(path, voxel_um=1.0, override_size=True, memory_limit_bytes=memory_limit_bytes)
+        stack = read_section_stack(
+            path, voxel_um=1.0, channel=channel, override_size=True, memory_limit_bytes=memory_limit_bytes
+        )
     steps = np.diff(stack.positions_um)
     step = float(np.median(steps))
     missing = int(np.sum(np.rint(steps / step) - 1))
@@ -118,7 +200,7 @@ def describe_sections(
         "kind": "sections",
         "file_name": path.name,
         "bytes": int(stack.attrs["file_bytes"]),
-        **facts(stack.values, stack.attrs["full_scale"], warnings),
+        **look(stack.values, stack.attrs["full_scale"], warnings, dims=VOXEL.axes),
         "size_um": size,
         "size_source": None if problem else str(stack.attrs["voxel_um_source"]),
         "size_problem": problem,
@@ -153,7 +235,7 @@ def describe_image(
         "kind": "image",
         "file_name": path.name,
         "bytes": size_of_file(path),
-        **facts(values, picture.full_scale, warnings),
+        **look(values, picture.full_scale, warnings, dims=PIXEL.axes),
         "dtype": str(picture.values.dtype),
         "colour": picture.colour,
         "channels": samples,
@@ -170,75 +252,14 @@ def describe_image(
     }
 
 
-def is_image(path: Path) -> bool:
+def is_image(place: Place) -> bool:
     """Whether a path is to be read as one picture; everything else is to be read as a volume."""
-    if path.is_dir():
+    if format_of(place).name != TIFF.name:
         return False
-    if kind_of(path) != "tiff":
+    if kind_of(place.path) != "tiff":
         return True
-    with open_tiff(path) as tif:
-        return is_picture(only_series(tif, path, error=FileError, advice="Give one volume or one image."))
-
-
-def facts(values: NDArray[Any], full_scale: int | None, warnings: list[str]) -> dict[str, Any]:
-    """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
-    low, high, finite, saturated = extremes(values, full_scale)
-    nan_share = 1 - finite / values.size
-    saturated_share = saturated / values.size
-    levels = 0
-    if finite == 0:
-        warnings.append("There is no number in it, all values are missing.")
-        percentiles = dict.fromkeys((str(p) for p in PERCENTILES), None)
-    else:
-        sample, levels = sorted_sample(values)
-        percentiles = {str(p): float(np.percentile(sample, p)) for p in PERCENTILES}
-        if low == high:
-            warnings.append(f"All values are {low:g}.")
-        elif values.dtype.kind in "ui" and 0 < levels < FEW_LEVELS:
-            warnings.append(f"It has {levels} grey levels only. Is it a segmentation? planish needs the grey values.")
-    if nan_share > 0:
-        warnings.append(f"{100 * nan_share:.3g} % of the values are missing (NaN or infinite).")
-    if saturated_share > SATURATED_SHARE and low != high:
-        warnings.append(
-            f"{100 * saturated_share:.3g} % of the values are at {full_scale}, the largest the file can store: "
-            "grey levels were cut there."
-        )
-    return {
-        "dims": list(VOXEL.axes if values.ndim == 3 else PIXEL.axes),
-        "shape": list(values.shape),
-        "dtype": str(values.dtype),
-        "min": low,
-        "max": high,
-        "percentiles": percentiles,
-        "nan_share": nan_share,
-        "saturated_share": saturated_share,
-    }
-
-
-def extremes(values: NDArray[Any], full_scale: int | None) -> tuple[float | None, float | None, int, int]:
-    """Smallest, largest, number of finite values, and number at the end of the range, block by block."""
-    low, high, finite, saturated = np.inf, -np.inf, 0, 0
-    for block in values:
-        numbers = block if block.dtype.kind != "f" else block[np.isfinite(block)]
-        if numbers.size:
-            low, high = min(low, float(numbers.min())), max(high, float(numbers.max()))
-            finite += numbers.size
-        if full_scale is not None:
-            saturated += int(np.count_nonzero(block == full_scale))
-    return (low, high, finite, saturated) if finite else (None, None, 0, 0)
-
-
-def sorted_sample(values: NDArray[Any]) -> tuple[NDArray[Any], int]:
-    """Finite values in a regular grid through the data, sorted, and the number of different ones."""
-    stride = max(1, int(np.ceil((values.size / SAMPLE_VALUES) ** (1 / values.ndim))))
-    sample = np.asarray(values[(slice(None, None, stride),) * values.ndim]).ravel()
-    if sample.dtype.kind == "f":
-        sample = sample[np.isfinite(sample)]
-        if not sample.size:
-            sample = np.asarray(values).ravel()
-            sample = sample[np.isfinite(sample)]
-    sample = np.sort(sample)
-    return sample, int(np.count_nonzero(np.diff(sample)) + 1)
+    with open_tiff(place.path) as tif:
+        return is_picture(only_series(tif, place.path, error=FileError, advice="Give one volume or one image."))
 
 
 def size_facts(

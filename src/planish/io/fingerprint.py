@@ -1,13 +1,16 @@
-"""A hash that tells whether two files, or two folders of slices, hold the same bytes."""
+"""A hash that tells whether two volumes or images, in one file or many, hold the same bytes."""
 
 from __future__ import annotations
 
 import hashlib
 from pathlib import Path
 
+from planish.io.formats import SLICES, files_of, find_place, format_of
 from planish.io.guard import reading, size_of_file
+from planish.io.nrecon import read_scan
 from planish.io.sections import COUNTER, is_section_folder
-from planish.io.slices import is_slice_name, list_slices
+from planish.io.slice_volume import slice_files
+from planish.io.slices import is_slice_name
 
 
 def fingerprint(path: str | Path) -> str:
@@ -16,13 +19,15 @@ def fingerprint(path: str | Path) -> str:
     Parameters
     ----------
     path : path
-        A file, or a folder of slices.
+        A file, a folder of slices, or a store of many files; ``file.h5:/entry/data`` is another volume than
+        ``file.h5:/entry/other``.
 
     Returns
     -------
     str
-        64 hexadecimal digits. For a folder: the hash over name and hash of each slice, sorted by name; the counter
-        of sections counts, other files in the folder do not, nor does the name of the folder.
+        64 hexadecimal digits. For a folder, and for a header with its data: the hash over name and hash of each file,
+        sorted by name; the counter of sections counts, other files in a folder of slices do not, nor does the name of
+        the folder.
 
     Raises
     ------
@@ -31,17 +36,21 @@ def fingerprint(path: str | Path) -> str:
     VolumeError
         If the folder is not one series of slices.
     """
-    path = Path(path)
-    if not path.is_dir():
-        return hash_of_file(path)
-    total = hashlib.sha256()
+    place = find_place(path)
+    path = place.path
+    found = format_of(place)
     # Sections have gaps that are none: their counter says where each one lies, and is part of what was measured.
-    files = (
-        [file for file in path.iterdir() if is_slice_name(file.name) or file.name == COUNTER]
-        if is_section_folder(path)
-        else list_slices(path)
-    )
-    for name, file in sorted((file.name, file) for file in files):
+    if is_section_folder(path):
+        files = [file for file in path.iterdir() if is_slice_name(file.name) or file.name == COUNTER]
+    elif found.name == SLICES.name:
+        files = slice_files(path, read_scan(path))
+    else:
+        files = files_of(place)
+        if files == [path] and not place.part:
+            return hash_of_file(path)
+    base = path if path.is_dir() else path.parent
+    total = hashlib.sha256(f"{place.part}\n".encode() if place.part else b"")
+    for name, file in sorted((file.relative_to(base).as_posix(), file) for file in files):
         total.update(f"{hash_of_file(file)}  {name}\n".encode())
     return total.hexdigest()
 

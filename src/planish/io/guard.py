@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
 import warnings
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from planish.core.errors import FileError, PlanishError, ResourceError
@@ -22,6 +23,54 @@ BLOWN_UP_RATIO = 2000
 
 BLOWN_UP_FROM_BYTES = 16 * 2**20
 """Below this size a decoded image does no harm whatever its ratio, so small constant images pass."""
+
+
+class _Quiet:
+    """Keeps the decoders quiet while any thread is reading.
+
+    Filters of warnings and switches of loggers belong to the whole process. Threads that set and reset them in turn
+    would leave them as another thread had found them, so the first one in sets them and the last one out resets them.
+    """
+
+    LOGGERS = ("tifffile", "SurfaceTopography", "PIL", "h5py")
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._inside = 0
+        self._undo = ExitStack()
+
+    def enter(self) -> None:
+        """Silence log lines and warnings."""
+        with self._lock:
+            self._inside += 1
+            if self._inside > 1:
+                return
+            self._undo.enter_context(warnings.catch_warnings())
+            warnings.simplefilter("ignore")
+            for name in self.LOGGERS:
+                log = logging.getLogger(name)
+                self._undo.callback(setattr, log, "disabled", log.disabled)
+                log.disabled = True
+
+    def leave(self) -> None:
+        """Let them speak again after the last reader has left."""
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                self._undo.close()
+
+
+_quiet = _Quiet()
+
+
+@contextmanager
+def quiet() -> Generator[None]:
+    """Keep log lines and warnings of other libraries away from the user."""
+    _quiet.enter()
+    try:
+        yield
+    finally:
+        _quiet.leave()
 
 
 @contextmanager
@@ -40,13 +89,9 @@ def reading(path: Path) -> Generator[None]:
     ResourceError
         If it runs out of memory.
     """
-    log = logging.getLogger("tifffile")
-    was_disabled = log.disabled
-    log.disabled = True
+    _quiet.enter()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
+        yield
     except PlanishError:
         raise
     except MemoryError as error:
@@ -61,7 +106,7 @@ def reading(path: Path) -> Generator[None]:
             f"{path.name} cannot be decoded ({reason}). It is damaged or of a rare kind: copy or export it again."
         ) from error
     finally:
-        log.disabled = was_disabled
+        _quiet.leave()
 
 
 def size_of_file(path: Path) -> int:

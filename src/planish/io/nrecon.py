@@ -1,19 +1,77 @@
-"""The log file that NRecon writes beside its slices: ``*_rec.log``.
+"""The log file that NRecon writes beside its slices, ``*_rec.log``: which slices there are, how large, and of what.
 
 The voxel size is ``Pixel Size (um)`` under ``[Reconstruction]``. ``Image Pixel Size (um)`` under ``[Acquisition]`` is
-the size before fine tuning, and ``Camera Pixel Size (um)`` that of the camera's chip; neither is meant.
+the size before fine tuning, and ``Camera Pixel Size (um)`` that of the camera's chip; neither is meant. The slices are
+named by ``Filename Prefix`` under ``[File name convention]``, not by the key of the same name under ``[Acquisition]``.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from planish.core.errors import SizeError, VolumeError
+from planish.core.errors import FileError, SizeError, VolumeError
 from planish.io.guard import reading
 from planish.io.sizes import Stated
+from planish.io.slices import check_no_gap, is_slice_name, some
 
-_SECTION = "reconstruction"
 _SUFFIX = "_rec.log"
+LARGEST_LOG = 10_000_000
+
+Keys = Mapping[str, str]
+
+TOLD = {
+    "system": ("Scanner", "Software version", "Software", "Source Type", "Camera"),
+    "acquisition": (
+        "Source Voltage (kV)", "Source Current (uA)", "Filter", "Exposure (ms)", "Rotation Step (deg)",
+        "Frame Averaging", "Use 360 Rotation", "Image Pixel Size (um)", "Study Date and Time",
+    ),
+    "reconstruction": (
+        "Program Version", "Ring Artifact Correction", "Beam Hardening Correction (%)", "Smoothing", "Postalignment",
+        "Reconstruction from ROI", "ROI Top (pixels)", "ROI Bottom (pixels)", "ROI Left (pixels)", "ROI Right (pixels)",
+        "ROI reference length", "Undersampling factor", "HU Calibration", "Result File Type",
+        "Minimum for CS to Image Conversion", "Maximum for CS to Image Conversion",
+    ),
+}  # fmt: skip
+"""What of a log tells a reader how the volume was made."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scan:
+    """What a log tells.
+
+    Attributes
+    ----------
+    log : Path
+    stated : Stated
+        Voxel size (z, y, x).
+    prefix : str or None
+        Of the names of the slices.
+    count, first, last : int or None
+    step : int
+        From the number of a slice to the next.
+    width, height : int or None
+        Of a slice.
+    window : (float, float) or None
+        Attenuation at grey 0 and at the largest grey value, in the units of NRecon.
+    told : dict
+        Further keys, as written.
+    """
+
+    log: Path
+    stated: Stated
+    prefix: str | None
+    count: int | None
+    first: int | None
+    last: int | None
+    step: int
+    width: int | None
+    height: int | None
+    window: tuple[float, float] | None
+    told: dict[str, str]
 
 
 def rec_log(folder: Path) -> Path | None:
@@ -36,9 +94,11 @@ def rec_log(folder: Path) -> Path | None:
 def read_log(path: Path) -> dict[str, dict[str, str]]:
     """Sections and keys of a log, case-folded; the first of keys that occur twice in a section counts."""
     with reading(path):
+        if path.stat().st_size > LARGEST_LOG:
+            raise FileError(f"{path.name} is larger than 10 MB and no log of NRecon. Move it elsewhere.")
         raw = path.read_bytes()
     try:
-        text = raw.decode("utf-8")
+        text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = raw.decode("cp1252", errors="replace")  # names of people and folders, never numbers
     found: dict[str, dict[str, str]] = {}
@@ -53,41 +113,165 @@ def read_log(path: Path) -> dict[str, dict[str, str]]:
     return found
 
 
-def stated_by_log(folder: Path, slices: int) -> Stated | None:
-    """Voxel size that the log of a folder states, (z, y, x) in um; None where no log tells of a reconstruction.
+def read_scan(folder: Path) -> Scan | None:
+    """Read the log of a folder; None where none tells of a reconstruction.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    Scan or None
 
     Raises
     ------
+    FileError
+        If the log cannot be read.
     SizeError
-        If the log has no usable size.
+        If it has no usable size.
     VolumeError
-        If the folder does not hold as many slices as the log tells of.
+        If there are several logs, or the numbers of the sections contradict each other.
     """
     log = rec_log(folder)
-    if log is None:
+    sections = {} if log is None else read_log(log)
+    keys = sections.get("reconstruction")
+    if log is None or keys is None:
         return None
-    keys = read_log(log).get(_SECTION)
-    if keys is None:
-        return None
-    size, step = _number(keys.get("pixel size (um)")), _number(keys.get("section to section step", "1"))
-    if size is None or step is None:
+    size, step = _size(keys.get("pixel size (um)")), _count(keys.get("section to section step", "1"))
+    if size is None or not step:
         raise SizeError(
-            f"{log.name} has no number for 'Pixel Size (um)' under [Reconstruction]. "
-            "Give the size with --voxel-um SIZE, in um, and move the log elsewhere."
+            f"{log.name} has no number for '{'Pixel Size (um)' if size is None else 'Section to Section Step'}' under "
+            "[Reconstruction]. Give the size with --voxel-um SIZE, in um, and move the log elsewhere."
         )
-    count = _number(keys.get("sections count"))
-    if count is not None and int(count) != slices:
+    count, first, last = (_count(keys.get(k)) for k in ("sections count", "first section", "last section"))
+    if count is not None and first is not None and last is not None and count != (last - first) / step + 1:
         raise VolumeError(
-            f"{log.name} tells of {int(count)} sections, {folder.name} holds {slices}. "
+            f"{log.name} contradicts itself: {count} sections, but from {first} to {last} in steps of {step}. "
+            "Correct the log, or move it elsewhere and give --voxel-um."
+        )
+    low = _number(keys.get("minimum for cs to image conversion"))
+    high = _number(keys.get("maximum for cs to image conversion"))
+    return Scan(
+        log=log,
+        stated=Stated(source="NRecon log", um=(size * step, size, size)),
+        prefix=sections.get("file name convention", {}).get("filename prefix") or None,
+        count=count,
+        first=first,
+        last=last,
+        step=step,
+        width=_count(keys.get("result image width (pixels)")),
+        height=_count(keys.get("result image height (pixels)")),
+        window=None if low is None or high is None or low >= high else (low, high),
+        told={
+            name: sections[section][name.casefold()]
+            for section, names in TOLD.items()
+            for name in names
+            if name.casefold() in sections.get(section, {})
+        },
+    )
+
+
+def slices_of(scan: Scan, folder: Path) -> list[Path] | None:
+    """Slices that a log tells of, in their order; None where it does not name them.
+
+    Other pictures, such as NRecon's own preview, are left aside.
+
+    Raises
+    ------
+    VolumeError
+        If one is missing, or there are more than the log tells of.
+    """
+    if scan.prefix is None:
+        return None
+    start = scan.prefix.casefold()
+    numbered: list[tuple[int, Path]] = []
+    for path in folder.iterdir():
+        digits = path.stem[len(scan.prefix) :]
+        if path.stem.casefold().startswith(start) and digits.isdecimal() and is_slice_name(path.name):
+            numbered.append((int(digits), path))
+    numbered.sort()
+    if not numbered:
+        raise VolumeError(
+            f"{folder.name} holds no slice named {scan.prefix} and a number, as {scan.log.name} tells. Give the slices "
+            "their names back, or move the log elsewhere and give --voxel-um."
+        )
+    numbers = [number for number, _ in numbered]
+    remedy = "Add the missing slices, or move the log elsewhere and give --voxel-um."
+    if scan.first is not None and scan.last is not None:
+        present, wanted = set(numbers), range(scan.first, scan.last + 1, scan.step)
+        missing = [n for n, _ in zip((n for n in wanted if n not in present), range(9), strict=False)]
+        if missing:
+            raise VolumeError(
+                f"{scan.log.name} tells of {len(wanted)} sections, {folder.name} holds {len(numbers)}. "
+                f"Missing: {some(missing)}. {remedy}"
+            )
+        odd = [n for n in numbers if n not in wanted]
+        if odd:
+            raise VolumeError(
+                f"{folder.name} holds slices that {scan.log.name} does not tell of: {some(odd)}. Move them elsewhere."
+            )
+    if scan.count is not None and scan.count != len(numbers):
+        raise VolumeError(
+            f"{scan.log.name} tells of {scan.count} sections, {folder.name} holds {len(numbers)}. {remedy}"
+        )
+    if len(numbers) > 1:
+        check_no_gap(numbers, folder)
+    return [path for _, path in numbered]
+
+
+def check_count(scan: Scan, folder: Path, slices: int) -> None:
+    """Refuse a folder with another number of slices.
+
+    Raises
+    ------
+    VolumeError
+    """
+    if scan.count is not None and scan.count != slices:
+        raise VolumeError(
+            f"{scan.log.name} tells of {scan.count} sections, {folder.name} holds {slices}. "
             "Add the missing slices, or move the log elsewhere and give --voxel-um."
         )
-    return Stated(source="NRecon log", um=(size * step, size, size))
+
+
+def check_extent(scan: Scan, file: Path, height: int, width: int) -> None:
+    """Refuse slices of another size than that of the reconstruction.
+
+    Raises
+    ------
+    VolumeError
+    """
+    if (scan.height or height, scan.width or width) != (height, width):
+        raise VolumeError(
+            f"{file.name} is {height} x {width} pixels, {scan.log.name} tells of {scan.height} x {scan.width}. If the "
+            "slices were cropped, move the log elsewhere and give --voxel-um."
+        )
+
+
+def scan_attrs(scan: Scan) -> dict[str, Any]:
+    """Attributes of the volume: where its grey values come from."""
+    attrs: dict[str, Any] = {"nrecon": dict(scan.told)}
+    if scan.window is not None:
+        attrs["attenuation_window"] = list(scan.window)
+    return attrs
 
 
 def _number(text: str | None) -> float | None:
-    """Read a positive number, with a decimal point or comma; None where it is none."""
+    """Read a number, with a decimal point or comma; None where it is none."""
     try:
         value = float((text or "").replace(",", "."))
     except ValueError:
         return None
-    return value if value > 0 and value != float("inf") else None
+    return value if math.isfinite(value) else None
+
+
+def _size(text: str | None) -> float | None:
+    """Read a positive number."""
+    value = _number(text)
+    return value if value is not None and value > 0 else None
+
+
+def _count(text: str | None) -> int | None:
+    """Read a whole number from 0 on."""
+    value = _number(text)
+    return int(value) if value is not None and value >= 0 and value == int(value) and value < 1e9 else None

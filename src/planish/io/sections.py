@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import SizeError, VolumeError
+from planish.io.colour import check_channel, colour_attrs, grey_of, refuse_channel
 from planish.io.cut_counter import COUNTER, check_folder, read_counter
 from planish.io.guard import check_memory, size_of_file
-from planish.io.image import LUMINANCE
+from planish.io.loaded import check_type, supported_type
 from planish.io.picture import Picture, load_picture
 from planish.io.sizes import VOXEL, Stated, agree, agreed_size, as_given
+from planish.io.slice_volume import check_same
 from planish.io.tiff import size_words
-from planish.io.volume import check_same, check_type, supported_type
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +36,7 @@ class SectionStack:
         What was photographed; empty where the counter does not say.
     attrs : dict
         ``voxel_um`` (z, y, x) with the median step of the counter as z, ``voxel_um_source``, ``full_scale``,
-        ``file_name``, ``file_bytes``, ``section_kind``.
+        ``file_name``, ``file_bytes``, ``section_kind``; ``channel`` and ``colour`` where the files are in colour.
     """
 
     values: NDArray[Any]
@@ -54,6 +55,7 @@ def read_section_stack(
     path: str | Path,
     *,
     voxel_um: float | tuple[float, float, float] | None = None,
+    channel: str | None = None,
     override_size: bool = False,
     memory_limit_bytes: int | None = None,
 ) -> SectionStack:
@@ -66,6 +68,8 @@ def read_section_stack(
     voxel_um : float or (z, y, x), optional
         One number is the pixel size in um; of three, z has to be the median step of the counter. Not needed where the
         metadata state the pixel size.
+    channel : {"luminance", "red", "green", "blue"}, optional
+        What is taken of sections in colour; luminance where not given.
     override_size : bool
         Whether the pixel size is taken although the metadata state another. The counter cannot be overridden.
     memory_limit_bytes : int, optional
@@ -84,6 +88,8 @@ def read_section_stack(
         type.
     SizeError
         If the pixel size is missing, contradictory or impossible.
+    InputError
+        If there is no such channel.
     ResourceError
         If it does not fit into the memory.
 
@@ -95,7 +101,9 @@ def read_section_stack(
     counter = read_counter(folder)
     check_folder(folder, counter)
     files = [folder / name for name in counter.names]
-    values, stated, full_scale = load_sections(files, memory_limit_bytes=memory_limit_bytes)
+    channel = check_channel(channel)
+    values, first = load_sections(files, channel=channel, memory_limit_bytes=memory_limit_bytes)
+    stated, full_scale = first.stated, None if values.dtype.kind == "f" else first.full_scale
     size, source = section_size(
         stated, voxel_um, pitch_um=counter.pitch_um, folder_name=folder.name, override=override_size
     )
@@ -111,16 +119,19 @@ def read_section_stack(
             "file_name": folder.name,
             "file_bytes": sum(size_of_file(file) for file in [*files, folder / COUNTER]),
             "section_kind": counter.kind,
+            **(colour_attrs(channel) if first.colour == "rgb" and first.values.ndim == 3 else {}),
         },
     )
 
 
 def load_sections(
-    files: list[Path], *, memory_limit_bytes: int | None
-) -> tuple[NDArray[Any], tuple[Stated, ...], int | None]:
-    """Read pictures into one array; return it with what the first states about its size, and its full scale."""
+    files: list[Path], *, channel: str | None, memory_limit_bytes: int | None
+) -> tuple[NDArray[Any], Picture]:
+    """Read pictures into one array; return it with the first picture."""
     first = load_picture(files[0], memory_limit_bytes=memory_limit_bytes)
-    grey = as_grey(first, files[0])
+    if first.values.ndim == 2 or first.colour == "grey":
+        refuse_channel(channel, files[0].parent)
+    grey = as_grey(first, files[0], channel=channel)
     check_memory(files[0].parent, needed_bytes=len(files) * grey.nbytes, limit_bytes=memory_limit_bytes)
     values = np.empty((len(files), *grey.shape), supported_type(grey.dtype))
     for i, file in enumerate(files):
@@ -134,8 +145,8 @@ def load_sections(
             check_same(picture, first, file=file, first_file=files[0])
         elif i:
             check_same(without_samples(picture), without_samples(first), file=file, first_file=files[0])
-        values[i] = as_grey(picture, file)
-    return values, first.stated, None if values.dtype.kind == "f" else first.full_scale
+        values[i] = as_grey(picture, file, channel=channel)
+    return values, first
 
 
 def without_samples(picture: Picture) -> Picture:
@@ -150,8 +161,8 @@ def without_samples(picture: Picture) -> Picture:
     )
 
 
-def as_grey(picture: Picture, file: Path) -> NDArray[Any]:
-    """Grey values of a picture in its own type; colour becomes luminance.
+def as_grey(picture: Picture, file: Path, *, channel: str | None) -> NDArray[Any]:
+    """Grey values of a picture in its own type; colour becomes luminance where no channel is chosen.
 
     Raises
     ------
@@ -168,9 +179,7 @@ def as_grey(picture: Picture, file: Path) -> NDArray[Any]:
             f"{file.name} is neither grey nor red, green and blue: {size_words(picture.values.shape[:2])} pixels with "
             f"{picture.values.shape[2]} samples. Export all sections in grey."
         )
-    # In double precision 16-bit values come out exact, so that grey stored as colour stays what it was.
-    grey = picture.values[..., :3].astype(np.float64) @ np.array(LUMINANCE)
-    return (np.rint(grey) if picture.values.dtype.kind in "ui" else grey).astype(picture.values.dtype)
+    return grey_of(picture.values, channel=channel or "luminance")
 
 
 def section_size(

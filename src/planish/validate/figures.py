@@ -103,7 +103,7 @@ def _all() -> list[Figure]:
         sentence = f"found minus true height of the {what}, along the true normal, at the measured columns"
         three(face, "surfaces", what, sentence)
     add("surfaces_rmse", "surfaces", "um", "all faces, rms error", "root mean square over all faces of the sheet")
-    sentence = "share of the columns away from rims in which all faces were found"
+    sentence = "share of the columns with a sheet, away from holes and their rims, in which all faces were found"
     add("measured_share", "surfaces", "%", "measured columns", sentence, small=False)
     sentence = "mean height of the found centre surface over the true one, along the true normal"
     add("centre_mean", "centre", "um", "height, mean", sentence)

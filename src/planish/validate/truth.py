@@ -97,13 +97,13 @@ def material_at(specimen: Specimen, files: InstrumentFiles, points: Array, secti
 
 def true_face(sheet: Sheet, face: str, u: Array, v: Array) -> Array:
     """Signed distance of a face from the true centre surface, in um; NaN where (u, v) is."""
-    return _known(sheet, sheet.faces[FACE_ORDER.index(face)], u, v)
+    return field_at(sheet, sheet.faces[FACE_ORDER.index(face)], u, v)
 
 
 def true_thickness(sheet: Sheet, name: str, u: Array, v: Array) -> Array:
     """True thickness in um at material (u, v); ``name`` as the run calls it. NaN where (u, v) is."""
     outer, inner = _BETWEEN[name]
-    return _known(sheet, sheet.faces[outer] - sheet.faces[inner], u, v)
+    return field_at(sheet, sheet.faces[outer] - sheet.faces[inner], u, v)
 
 
 def pixel_offsets(specimen: Specimen) -> Array:
@@ -128,7 +128,8 @@ def pixel_thickness(sheet: Sheet, name: str, u: Array, v: Array, offsets: Array)
     return total / len(offsets)
 
 
-def _known(sheet: Sheet, field: NDArray[np.float32], u: Array, v: Array) -> Array:
+def field_at(sheet: Sheet, field: NDArray[np.float32], u: Array, v: Array) -> Array:
+    """Value of a field of the sheet at material (u, v); NaN where that is."""
     known = np.isfinite(u) & np.isfinite(v)
     found = np.full(u.shape, np.nan)
     found[known] = sheet.at(field, u[known], v[known])

@@ -1,0 +1,186 @@
+"""Finding data sets in an HDF5 file without leaving its folder.
+
+HDF5 opens other files without asking: through external links, external storage and virtual data sets. Every link is
+therefore followed here, by hand, and a file outside the folder is refused, as is one that is not there, which HDF5
+would read as zeros.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py  # pyright: ignore[reportMissingTypeStubs]
+
+from planish.core.errors import FileError, VolumeError
+from planish.io.guard import reading, size_of_file
+from planish.io.loaded import inside
+from planish.io.tiff import size_words
+
+MOST_LINKS = 32
+"""Links that one path may pass; more is a circle."""
+
+MOST_OBJECTS = 20_000
+DEEPEST = 24
+
+
+@contextmanager
+def opened(path: Path) -> Generator[h5py.File]:
+    """Open a file for reading, whether or not the folder can be written and others have it open."""
+    size_of_file(path)
+    with reading(path), h5py.File(path, "r", locking=False) as file:
+        yield file
+
+
+class Link(NamedTuple):
+    """A member of a group: the thing itself, or the name of another place, perhaps in another file."""
+
+    hard: bool
+    target: str = ""
+    file: str = ""
+
+
+def link_of(group: Any, name: str) -> Link | None:
+    """Look at a member of a group without following it; None where there is none."""
+    # To ask h5py whether the group holds it would open the file that an external link names.
+    if not isinstance(group, h5py.Group):
+        return None
+    links: Any = group.id.links
+    key = name.encode()
+    if not key or "/" in name or not links.exists(key):
+        return None
+    kind = links.get_info(key).type
+    if kind == h5py.h5l.TYPE_HARD:  # pyright: ignore[reportAttributeAccessIssue]
+        return Link(hard=True)
+    value: Any = links.get_val(key)
+    if kind == h5py.h5l.TYPE_SOFT:  # pyright: ignore[reportAttributeAccessIssue]
+        return Link(hard=False, target=os.fsdecode(value))
+    return Link(hard=False, target=os.fsdecode(value[1]), file=os.fsdecode(value[0]))
+
+
+def is_hard(group: Any, name: str) -> bool:
+    """Whether a member of a group is the thing itself."""
+    link = link_of(group, name)
+    return link is not None and link.hard
+
+
+def find_dataset(path: Path, name: str) -> tuple[Path, str]:
+    """Follow a path through groups and links.
+
+    Parameters
+    ----------
+    path : Path
+    name : str
+        ``/entry/data``; slashes at the ends do not matter.
+
+    Returns
+    -------
+    path : Path
+        The file that holds the data set.
+    name : str
+        Its name there, without links.
+
+    Raises
+    ------
+    FileError
+        If a link leads out of the folder, in a circle, or nowhere.
+    VolumeError
+        If there is no such data set.
+    """
+    folder, here, where = path.parent, path, ""
+    rest = [part for part in name.split("/") if part not in ("", ".")]
+    for _ in range(MOST_LINKS):
+        with opened(here) as file:
+            while rest:
+                part = rest[0]
+                link = link_of(file[where or "/"], part)
+                if link is None:
+                    raise VolumeError(f"{path.name} has no {name!r}: {part!r} is not there. {listed(path)}")
+                if link.hard:
+                    where, rest = f"{where}/{part}", rest[1:]
+                    continue
+                target = [p for p in link.target.split("/") if p not in ("", ".")]
+                relative = not link.file and not link.target.startswith("/")
+                rest = ([p for p in where.split("/") if p] if relative else []) + target + rest[1:]
+                where = ""
+                if link.file:
+                    here = inside(folder, link.file, path, base=here.parent)
+                break
+            else:
+                return here, where
+    raise FileError(
+        f"{path.name}: {name!r} leads through more than {MOST_LINKS} links. Copy the data set into one file."
+    )
+
+
+def check_storage(dataset: h5py.Dataset, path: Path, *, depth: int = 0) -> None:
+    """Refuse a data set whose values lie outside the folder, or in files that are not there.
+
+    Raises
+    ------
+    FileError
+    """
+    if dataset.external:
+        raise FileError(
+            f"{path.name}: {dataset.name} keeps its values in another file ({dataset.external[0][0]!r}), which planish "
+            "does not open. Copy it into one file, for example with h5repack."
+        )
+    if not dataset.is_virtual:
+        return
+    if depth > 4:
+        raise FileError(f"{path.name}: {dataset.name} is virtual over virtual data sets. Copy it into one file.")
+    for source, name in sorted({(s.file_name, s.dset_name) for s in dataset.virtual_sources()}):
+        if "%" in source or "%" in name:
+            raise FileError(
+                f"{path.name}: {dataset.name} takes its parts from a pattern of files. Copy it into one file."
+            )
+        file = path if source == "." else inside(path.parent, source, path)
+        place, found = find_dataset(file, name)
+        if place.resolve() != file.resolve() or found.strip("/") != name.strip("/"):
+            raise FileError(f"{path.name}: {dataset.name} reaches its parts through links. Copy it into one file.")
+        with opened(file) as other:
+            part: Any = other[name]
+            check_storage(part, file, depth=depth + 1)
+
+
+def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
+    """Names, shapes and types of all data sets with three axes longer than 1, links left aside."""
+    found: list[tuple[str, tuple[int, ...], str]] = []
+    with opened(path) as file:
+        for dataset in walk(file):
+            shape = tuple(int(n) for n in dataset.shape or ())
+            if dataset.dtype.kind in "buif" and sum(n > 1 for n in shape) == 3:
+                found.append((str(dataset.name), shape, str(dataset.dtype)))
+    return found
+
+
+def walk(group: Any, depth: int = 0, seen: set[int] | None = None) -> Iterator[Any]:
+    """Give every data set once; no links are followed."""
+    seen = set() if seen is None else seen
+    for key in group:
+        if len(seen) > MOST_OBJECTS:
+            return
+        if not is_hard(group, key):
+            continue
+        item = group[key]
+        address = h5py.h5o.get_info(item.id).addr  # pyright: ignore[reportAttributeAccessIssue]
+        if address in seen:
+            continue
+        seen.add(address)
+        if isinstance(item, h5py.Dataset):
+            yield item
+        elif isinstance(item, h5py.Group) and depth < DEEPEST:
+            yield from walk(item, depth + 1, seen)
+
+
+def listed(path: Path) -> str:
+    """Tell which volumes there are and how to choose one."""
+    found = volumes_in(path)
+    if not found:
+        return "It holds no data set with three axes."
+    names = ", ".join(f"{name} ({size_words(shape)} {dtype})" for name, shape, dtype in found[:8])
+    more = f" and {len(found) - 8} more" if len(found) > 8 else ""
+    return f"Its volumes are {names}{more}: choose one as {path.name}:{found[0][0]}."

@@ -1,0 +1,290 @@
+"""Arrays that stay in their files: shape and type are known, and only the part that is asked for is read.
+
+xarray holds such an array as any of its backends does, wrapped in a ``LazilyIndexedArray``: ``volume.isel(...)`` moves
+the borders of the part, and ``.values`` reads it. Nothing that was read stays in memory, except the last few slices of
+formats that decode whole slices.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from abc import abstractmethod
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from xarray.backends import BackendArray
+from xarray.core.indexing import ExplicitIndexer, IndexingSupport, explicit_indexing_adapter
+
+from planish.io.guard import check_memory, default_memory_limit, reading
+
+EAGER_BYTES = 2**30
+"""Up to this size what can be read in parts is read at once: it then never waits for the disk again."""
+
+CACHE_BYTES = 256 * 2**20
+"""Decoded slices that are kept, because the next part often lies in the same ones."""
+
+Where = tuple[slice, ...]
+"""One slice an axis, with a start and stop inside the array and a step above 0."""
+
+
+class LazyArray(BackendArray):
+    """An array in a file, read in parts; several threads may read at the same time.
+
+    Attributes
+    ----------
+    path : Path
+        For the messages.
+    shape : tuple of int
+    dtype : dtype
+        In the byte order of the machine.
+    piece_bytes : int
+        What is decoded at least, however small the part.
+    whole_slices : bool
+        Whether a few rows of a slice cost as much as all of them.
+    """
+
+    path: Path
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    piece_bytes: int
+    whole_slices: bool = False
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the decoded array."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    @abstractmethod
+    def read(self, where: Where) -> NDArray[Any]:
+        """Read a part, in the array's own type."""
+
+    def __getitem__(self, key: Any) -> Any:
+        """Read a part, for xarray or with the integers and slices of numpy."""
+        if isinstance(key, ExplicitIndexer):
+            return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self._basic)
+        keys = key if isinstance(key, tuple) else (key,)
+        if Ellipsis in keys:
+            at = keys.index(Ellipsis)
+            keys = keys[:at] + (slice(None),) * (len(self.shape) - len(keys) + 1) + keys[at + 1 :]
+        return self._basic(keys + (slice(None),) * (len(self.shape) - len(keys)))
+
+    def _basic(self, keys: tuple[Any, ...]) -> NDArray[Any]:
+        """Read what integers and slices select."""
+        where: list[slice] = []
+        after: list[Any] = []
+        for key, n in zip(keys, self.shape, strict=True):
+            if isinstance(key, slice):
+                places = range(n)[key]
+                ordered = places if places.step > 0 else places[::-1]
+                where.append(slice(ordered.start, ordered.stop, ordered.step))
+                after.append(slice(None, None, 1 if places.step > 0 else -1))
+            else:
+                place = range(n)[int(key)]
+                where.append(slice(place, place + 1, 1))
+                after.append(0)
+        shape = tuple(len(range(s.start, s.stop, s.step)) for s in where)
+        with reading(self.path):
+            part = self.read(tuple(where)) if all(shape) else np.empty(shape, self.dtype)
+            # A view would keep the whole file mapped, or the slice that it was cut from.
+            return np.array(part[tuple(after)], dtype=self.dtype)
+
+
+class Pages(Protocol):
+    """Pages that are decoded in strips of `unit_rows` rows; 1 where single rows can be read without loss."""
+
+    unit_rows: int
+
+    def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
+        """Decode rows of a page; start and stop lie on borders of strips or at the end of the page."""
+        ...
+
+
+class PagedArray(LazyArray):
+    """A volume stored page by page."""
+
+    def __init__(self, pages: Pages, shape: tuple[int, int, int], dtype: np.dtype[Any], path: Path) -> None:
+        self.pages, self.shape, self.dtype, self.path = pages, shape, dtype, path
+        self.piece_bytes = min(pages.unit_rows, shape[1]) * shape[2] * dtype.itemsize
+        self.whole_slices = pages.unit_rows >= shape[1]
+        self._forget()
+
+    def _forget(self) -> None:
+        self._kept: OrderedDict[tuple[int, int], NDArray[Any]] = OrderedDict()
+        self._kept_bytes = 0
+        self._lock = threading.Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process needs; it decodes anew."""
+        return {key: value for key, value in vars(self).items() if key not in {"_kept", "_kept_bytes", "_lock"}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Begin with nothing decoded."""
+        vars(self).update(state)
+        self._forget()
+
+    def read(self, where: Where) -> NDArray[Any]:
+        """Read a part page by page."""
+        pages, rows, columns = where
+        numbers = range(pages.start, pages.stop, pages.step)
+        height = len(range(rows.start, rows.stop, rows.step))
+        values = np.empty((len(numbers), height, len(range(columns.start, columns.stop, columns.step))), self.dtype)
+        for i, page in enumerate(numbers):
+            values[i] = self._rows(page, rows)[:, columns]
+        return values
+
+    def _rows(self, page: int, rows: slice) -> NDArray[Any]:
+        last = range(rows.start, rows.stop, rows.step)[-1] + 1
+        unit = self.pages.unit_rows
+        if unit == 1:
+            return self.pages.rows(page, rows.start, last)[:: rows.step]
+        first = rows.start // unit
+        strips = [self._strip(page, k) for k in range(first, (last - 1) // unit + 1)]
+        block = strips[0] if len(strips) == 1 else np.concatenate(strips)
+        return block[rows.start - first * unit : last - first * unit : rows.step]
+
+    def _strip(self, page: int, number: int) -> NDArray[Any]:
+        """Decode a strip, or take it from those kept."""
+        key = (page, number)
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        unit = self.pages.unit_rows
+        strip = self.pages.rows(page, number * unit, min((number + 1) * unit, self.shape[1]))
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = strip
+                self._kept_bytes += strip.nbytes
+                while self._kept_bytes > CACHE_BYTES and len(self._kept) > 1:
+                    self._kept_bytes -= self._kept.popitem(last=False)[1].nbytes
+        return strip
+
+
+class MappedArray(LazyArray):
+    """Values that lie in a file as they are, in whatever byte order; the file is open only while it is read."""
+
+    piece_bytes = 0
+
+    def __init__(self, path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> None:
+        self.path, self.shape, self.stored, self.offset = path, shape, stored, offset
+        self.dtype = stored.newbyteorder("=")
+
+    def read(self, where: Where) -> NDArray[Any]:
+        """Map the file and copy a part."""
+        mapped = np.memmap(self.path, self.stored, mode="r", offset=self.offset, shape=self.shape)
+        return np.asarray(mapped[where], self.dtype)
+
+
+def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> NDArray[Any] | LazyArray:
+    """Map values that lie in a file as they are; a memmap where the machine has their byte order."""
+    if stored == stored.newbyteorder("=") and stored != np.float16:
+        with reading(path):
+            return np.memmap(path, stored, mode="r", offset=offset, shape=shape)
+    return MappedArray(path, shape, stored, offset=offset)
+
+
+class ChangedArray(LazyArray):
+    """An array whose parts pass a function that changes each value for itself.
+
+    Parameters
+    ----------
+    inner : LazyArray
+        May have a further last axis, the samples of a pixel, which `change` takes away.
+    change : callable
+        From a part of `inner` to that part of the array; can be pickled.
+    """
+
+    def __init__(
+        self,
+        inner: LazyArray,
+        change: Callable[[NDArray[Any]], NDArray[Any]],
+        *,
+        dtype: np.dtype[Any],
+        path: Path,
+    ) -> None:
+        self.inner, self.change, self.dtype, self.path = inner, change, dtype, path
+        self.shape = inner.shape[:3]
+        self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
+
+    def read(self, where: Where) -> NDArray[Any]:
+        """Read a part and change its values."""
+        samples = [slice(0, n, 1) for n in self.inner.shape[3:]]
+        return np.asarray(self.change(self.inner.read((*where, *samples))), self.dtype)
+
+
+class TurnedArray(LazyArray):
+    """An array seen with its axes in another order, without those of length 1 that are left out of `order`."""
+
+    def __init__(self, inner: LazyArray, order: Sequence[int]) -> None:
+        self.inner, self.order = inner, tuple(order)
+        self.shape = tuple(inner.shape[axis] for axis in order)
+        self.dtype, self.path = inner.dtype, inner.path
+        self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
+
+    def read(self, where: Where) -> NDArray[Any]:
+        """Read a part and turn it."""
+        inside = [slice(0, 1, 1)] * len(self.inner.shape)
+        for part, axis in zip(where, self.order, strict=True):
+            inside[axis] = part
+        left_out = [axis for axis in range(len(inside)) if axis not in self.order]
+        return np.transpose(self.inner.read(tuple(inside)), (*self.order, *left_out)).reshape(
+            [len(range(s.start, s.stop, s.step)) for s in where]
+        )
+
+
+def turned(inner: LazyArray, order: Sequence[int]) -> LazyArray:
+    """Return the array itself where the order is its own."""
+    return inner if tuple(order) == tuple(range(len(inner.shape))) else TurnedArray(inner, order)
+
+
+def as_supported(array: LazyArray | NDArray[Any], path: Path) -> LazyArray | NDArray[Any]:
+    """Widen float16, in which the kernels cannot compute, to float32; other types stay."""
+    if array.dtype != np.float16:
+        return array
+    wide = np.dtype(np.float32)
+    return (
+        ChangedArray(array, np.asarray, dtype=wide, path=path) if isinstance(array, LazyArray) else array.astype(wide)
+    )
+
+
+def settle(array: LazyArray | NDArray[Any], path: Path, *, memory_limit_bytes: int | None) -> LazyArray | NDArray[Any]:
+    """Read an array at once where it is small, and leave it in its file otherwise.
+
+    Parameters
+    ----------
+    array : LazyArray or ndarray
+        A mapped or decoded array comes back as it is.
+    path : Path
+        For the messages.
+    memory_limit_bytes : int, optional
+        Largest decoded size. What decodes in whole slices is read at once up to this size, everything else up to
+        :data:`EAGER_BYTES`.
+
+    Returns
+    -------
+    LazyArray or ndarray
+
+    Raises
+    ------
+    FileError
+        If it is read, and the data do not decode.
+    ResourceError
+        If the smallest piece that can be decoded is larger than the limit.
+    """
+    if not isinstance(array, LazyArray):
+        return array
+    if is_small(array, memory_limit_bytes=memory_limit_bytes):
+        return array[...]
+    check_memory(path, needed_bytes=array.piece_bytes, limit_bytes=memory_limit_bytes)
+    return array
+
+
+def is_small(array: LazyArray, *, memory_limit_bytes: int | None) -> bool:
+    """Whether an array is read at once."""
+    limit = default_memory_limit() if memory_limit_bytes is None else memory_limit_bytes
+    return array.nbytes <= (limit if array.whole_slices else min(limit, EAGER_BYTES))

@@ -1,0 +1,172 @@
+"""What the values of a volume or an image look like, plane by plane, and what looks wrong in them."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.io.lazy import EAGER_BYTES, LazyArray
+from planish.io.slices import some
+
+PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
+
+SAMPLE_VALUES = 4_000_000
+"""Values from which percentiles are taken where counting every grey level is not possible."""
+
+SAMPLE_BYTES = 256 * 2**20
+"""What is read of a volume that is too large to be read for a look."""
+
+LEAST_PLANES = 8
+
+SATURATED_SHARE = 0.001
+"""Above this share of values at the end of the range, grey levels were lost."""
+
+FEW_LEVELS = 16
+
+TELLING_PIXELS = 1000
+"""Slices with fewer pixels may well be alike, or of one grey."""
+
+Values = NDArray[Any] | LazyArray
+
+
+@dataclass(kw_only=True)
+class Seen:
+    """What was seen on the way through the planes; each plane is seen once."""
+
+    full_scale: int | None
+    stride: int
+    low: float = math.inf
+    high: float = -math.inf
+    count: int = 0
+    finite: int = 0
+    bottom: int = 0
+    saturated: int = 0
+    constant: list[int] = field(default_factory=list[int])
+    copies: list[int] = field(default_factory=list[int])
+    sample: list[NDArray[Any]] = field(default_factory=list[NDArray[Any]])
+    digests: set[bytes] = field(default_factory=set[bytes])
+
+    def see(self, number: int, plane: NDArray[Any], *, sampled: bool) -> None:
+        """Take in one plane."""
+        numbers = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
+        self.count += plane.size
+        self.finite += numbers.size
+        low = high = math.nan
+        if numbers.size:
+            low, high = float(numbers.min()), float(numbers.max())
+            self.low, self.high = min(self.low, low), max(self.high, high)
+        if self.full_scale is not None:
+            self.saturated += int(np.count_nonzero(plane == self.full_scale))
+            self.bottom += int(np.count_nonzero(plane == 0))
+        if sampled:
+            part = plane[(slice(None, None, self.stride),) * plane.ndim].ravel()
+            self.sample.append(part[np.isfinite(part)] if part.dtype.kind == "f" else part)
+        if plane.ndim == 2 and plane.size >= TELLING_PIXELS:
+            if not numbers.size or low == high:
+                self.constant.append(number)
+                return
+            digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
+            if digest in self.digests:
+                self.copies.append(number)
+            self.digests.add(digest)
+
+
+def look(values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]) -> dict[str, Any]:
+    """Shape, type and distribution of the values; what looks wrong is added to `warnings`.
+
+    Parameters
+    ----------
+    values : ndarray or LazyArray
+        Of a volume or an image.
+    full_scale : int or None
+        Largest value the file can store.
+    warnings : list of str
+    dims : tuple of str
+
+    Returns
+    -------
+    dict
+        ``dims``, ``shape``, ``dtype``, ``min``, ``max``, ``percentiles``, ``nan_share``, ``saturated_share``,
+        ``sampled`` (what was looked at, None where everything was), ``bottom_share``.
+    """
+    numbers = planes_to_see(values)
+    total = values.shape[0]
+    share = len(numbers) / total
+    stride = max(1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim)))
+    seen = Seen(full_scale=full_scale, stride=stride)
+    for index, number in enumerate(numbers):
+        seen.see(number, np.asarray(values[number]), sampled=index % stride == 0)
+    saturated_share = seen.saturated / seen.count
+    nan_share = 1 - seen.finite / seen.count
+    low, high = (seen.low, seen.high) if seen.finite else (None, None)
+    if low is None:
+        warnings.append("There is no number in it, all values are missing.")
+        percentiles: dict[str, float | None] = dict.fromkeys((str(p) for p in PERCENTILES), None)
+    else:
+        sample = sorted_sample(seen.sample, lambda: (np.asarray(values[number]) for number in numbers))
+        levels = int(np.count_nonzero(np.diff(sample)) + 1)
+        percentiles = {str(p): float(np.percentile(sample, p)) for p in PERCENTILES}
+        if low == high:
+            warnings.append(f"All values are {low:g}.")
+        elif values.dtype.kind in "ui" and 0 < levels < FEW_LEVELS:
+            warnings.append(f"It has {levels} grey levels only. Is it a segmentation? planish needs the grey values.")
+    if nan_share > 0:
+        warnings.append(f"{100 * nan_share:.3g} % of the values are missing (NaN or infinite).")
+    if saturated_share > SATURATED_SHARE and low != high:
+        warnings.append(
+            f"{100 * saturated_share:.3g} % of the values are at {full_scale}, the largest the file can store: "
+            "grey levels were cut there."
+        )
+    if low != high:
+        warnings.extend(wrong_slices(seen))
+    return {
+        "dims": list(dims),
+        "shape": list(values.shape),
+        "dtype": str(values.dtype),
+        "min": low,
+        "max": high,
+        "percentiles": percentiles,
+        "nan_share": nan_share,
+        "saturated_share": saturated_share,
+        "bottom_share": seen.bottom / seen.count,
+        "sampled": None if len(numbers) == total else f"{len(numbers)} of {total} slices",
+    }
+
+
+def planes_to_see(values: Values) -> list[int]:
+    """Numbers of the planes to look at: all, or evenly spread ones where reading all would take long."""
+    total = values.shape[0]
+    if values.ndim < 3 or values.nbytes <= EAGER_BYTES:
+        return list(range(total))
+    count = max(LEAST_PLANES, SAMPLE_BYTES // (values.nbytes // total))
+    return list(range(total)) if count >= total else [int(n) for n in np.linspace(0, total - 1, count).round()]
+
+
+def sorted_sample(sample: list[NDArray[Any]], again: Callable[[], Iterator[NDArray[Any]]]) -> NDArray[Any]:
+    """Values in a regular grid, sorted; all finite ones where the grid met none."""
+    joined = np.concatenate(sample)
+    if not joined.size:
+        joined = np.concatenate([plane[np.isfinite(plane)] for plane in again()])
+    return np.sort(joined)
+
+
+def wrong_slices(seen: Seen) -> list[str]:
+    """Sentences about slices of one grey and about slices that occur twice."""
+    found: list[str] = []
+    if seen.constant:
+        found.append(
+            f"{len(seen.constant)} slices have one grey value only (black or empty), z {some(seen.constant)}: the scan "
+            "ended there, or files were damaged."
+        )
+    if seen.copies:
+        found.append(
+            f"{len(seen.copies)} slices hold the same values as a slice before them, z {some(seen.copies)}: were they "
+            "copied to fill gaps?"
+        )
+    return found

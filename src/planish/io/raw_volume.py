@@ -1,0 +1,121 @@
+"""Raw binary values, described by a small TOML file beside them.
+
+::
+
+    file = "sheet.raw"          # in the same folder; without it: the TOML's own name without .toml
+    shape = [400, 1200, 900]    # z, y, x; x runs fastest
+    dtype = "uint16"
+    byte_order = "little"       # or "big"; needed for types of more than one byte
+    offset = 0                  # bytes before the first value
+    voxel_um = 1.65             # or [z, y, x]
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planish.core.errors import FileError
+from planish.io.formats import Place
+from planish.io.guard import reading, size_of_file
+from planish.io.loaded import LoadedVolume, inside, loaded
+from planish.io.sizes import Stated
+from planish.io.stored import raw_values
+
+TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")
+KEYS = ("file", "shape", "dtype", "byte_order", "offset", "voxel_um")
+LARGEST_HEADER = 100_000
+
+EXAMPLE = 'shape = [z, y, x], dtype = "uint16", byte_order = "little", voxel_um = 1.65'
+
+
+def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -> LoadedVolume:
+    """Map raw values as their header says; either of the two files is given.
+
+    Parameters
+    ----------
+    place : Place
+    channel : str or None
+        Passed over: there is no colour.
+    memory_limit_bytes : int or None
+
+    Returns
+    -------
+    LoadedVolume
+
+    Raises
+    ------
+    FileError
+        If the header is missing, wrong, or does not fit the size of the file exactly.
+    VolumeError
+        If it is no volume of grey values.
+    """
+    del channel
+    header, data, keys = found_files(place)
+    shape, stored, offset, voxel = checked(keys, header)
+    array = raw_values(header, data, shape, stored, offset=offset)
+    return loaded(
+        array,
+        header,
+        stated=[Stated(source="the TOML header", um=voxel, note="" if None not in voxel else "it has no voxel_um")],
+        file_bytes=size_of_file(header) + size_of_file(data),
+        memory_limit_bytes=memory_limit_bytes,
+    )
+
+
+def files(place: Place) -> list[Path]:
+    """Header and data."""
+    return list(found_files(place)[:2])
+
+
+def found_files(place: Place) -> tuple[Path, Path, dict[str, Any]]:
+    """Header, data, and what the header says."""
+    header = place.path if place.path.suffix.lower() == ".toml" else place.path.with_name(place.path.name + ".toml")
+    if not header.is_file() and header != place.path:
+        size_of_file(place.path)
+        raise FileError(
+            f"{place.path.name} has raw values and no header. Write {header.name} beside it, with lines such as: "
+            f"{EXAMPLE}."
+        )
+    keys = read_header(header)
+    return header, inside(header.parent, str(keys.get("file", header.name[: -len(".toml")])), header), keys
+
+
+def read_header(path: Path) -> dict[str, Any]:
+    """Read the TOML file."""
+    if size_of_file(path) > LARGEST_HEADER:
+        raise FileError(
+            f"{path.name} is larger than {LARGEST_HEADER // 1000} kB and no header. Give lines such as: {EXAMPLE}."
+        )
+    with reading(path), path.open("rb") as file:
+        return tomllib.load(file)
+
+
+def checked(
+    keys: dict[str, Any], path: Path
+) -> tuple[tuple[int, ...], np.dtype[Any], int, tuple[float | None, float | None, float | None]]:
+    """Shape, stored type, offset and voxel size of a header; every fault is named at once."""
+    faults = [f"unknown key {key!r}" for key in keys if key not in KEYS]
+    shape, dtype, order = keys.get("shape"), keys.get("dtype"), keys.get("byte_order")
+    offset, voxel = keys.get("offset", 0), keys.get("voxel_um")
+    if not (isinstance(shape, list) and len(shape) == 3 and all(type(n) is int and n > 0 for n in shape)):
+        faults.append(f"shape is {shape!r}, needed are three whole numbers [z, y, x]")
+    if dtype not in TYPES:
+        faults.append(f"dtype is {dtype!r}, needed is one of {', '.join(TYPES)}")
+    elif np.dtype(dtype).itemsize > 1 and order not in ("little", "big"):
+        faults.append(f'byte_order is {order!r}, needed is "little" or "big"')
+    if type(offset) is not int or offset < 0:
+        faults.append(f"offset is {offset!r}, needed is a number of bytes")
+    sizes: list[Any] = voxel if isinstance(voxel, list) else [voxel] * 3
+    if voxel is not None and not (len(sizes) == 3 and all(type(v) in (int, float) and v > 0 for v in sizes)):
+        faults.append(f"voxel_um is {voxel!r}, needed is a number or [z, y, x], in um")
+    if not isinstance(keys.get("file", ""), str):
+        faults.append("file is no name")
+    if faults:
+        raise FileError(f"{path.name}: {'; '.join(faults)}. Correct the header; it has lines such as: {EXAMPLE}.")
+    stored = np.dtype(str(dtype)).newbyteorder(">" if order == "big" else "<")
+    z, y, x = (None if v is None else float(v) for v in sizes)
+    return tuple(int(n) for n in shape or ()), stored, int(offset), (z, y, x)

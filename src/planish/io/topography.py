@@ -1,0 +1,116 @@
+"""Height maps of optical and stylus instruments, in the formats that SurfaceTopography reads."""
+
+from __future__ import annotations
+
+import gc
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import FileError, SizeError
+from planish.io.formats import extra
+from planish.io.guard import check_memory, quiet, reading, size_of_file
+from planish.io.sizes import PIXEL, Stated, agreed_size, as_given, unit_um
+from planish.io.tiff import size_words
+
+
+def read_topography(
+    path: str | Path,
+    *,
+    pixel_um: float | tuple[float, float] | None = None,
+    override_size: bool = False,
+    memory_limit_bytes: int | None = None,
+) -> xr.DataArray:
+    """Read a map of heights.
+
+    Parameters
+    ----------
+    path : path
+        SUR, X3P, SDF, GWY, OPD, PLUx and the like.
+    pixel_um : float or (y, x), optional
+        Pixel size in um; not needed where the file states it.
+    override_size : bool
+        Whether `pixel_um` is taken although the file states another size.
+    memory_limit_bytes : int, optional
+        Largest decoded size; default: three quarters of the memory available.
+
+    Returns
+    -------
+    DataArray, dims (y, x), float64
+        Heights in um, NaN where they are missing; rows in the order of the file. Coordinates in um, pixel i has its
+        centre at i × size. Attributes: ``units``, ``long_name``, ``pixel_um`` (y, x), ``pixel_um_source``,
+        ``file_format``, ``file_name``, ``file_bytes``.
+
+    Raises
+    ------
+    FileError
+        If the file is damaged or of another format, holds no map, or SurfaceTopography is not installed.
+    SizeError
+        If the unit of the heights or the pixel size is missing, contradictory or impossible.
+    ResourceError
+        If it does not fit into the memory.
+    """
+    path = Path(path)
+    file_bytes = size_of_file(path)
+    library: Any = extra("SurfaceTopography", path)
+    with quiet(), ExitStack() as stack:
+        with reading(path):
+            reader: Any = library.open_topography(str(path))
+            if hasattr(reader, "__exit__"):
+                stack.enter_context(reader)
+            channel: Any = reader.default_channel
+            grid = tuple(int(n) for n in channel.nb_grid_pts)
+        if len(grid) != 2:
+            raise FileError(
+                f"{path.name} holds a profile of {size_words(grid)} points, not a map. Give a map of heights."
+            )
+        check_memory(path, needed_bytes=3 * 8 * grid[0] * grid[1], limit_bytes=memory_limit_bytes)
+        unit = str(channel.unit or "")
+        length = unit_um(unit)
+        if length is None:
+            raise SizeError(
+                f"{path.name} has heights {f'in {unit!r}, which is no unit of length' if unit else 'without a unit'}. "
+                "Export it in a format that states the unit, such as X3P or SUR."
+            )
+        sizes: Any = channel.physical_sizes or (None, None)
+        known = all(v is not None for v in sizes)
+        across = tuple(float(v) / n * length for v, n in zip(sizes, grid, strict=True))[::-1] if known else (None, None)
+        stated = Stated(source="the topography file", um=across)
+        size, source = agreed_size([stated], pixel_um, file_name=path.name, asked=PIXEL, override=override_size)
+        given: dict[str, Any] = {}
+        if not known:
+            y, x = as_given(size, PIXEL)
+            given = {"physical_sizes": (x * grid[0] / length, y * grid[1] / length)}
+        with reading(path):
+            heights = np.ma.filled(np.ma.asarray(reader.topography(**given).heights()).astype(np.float64), np.nan)
+            file_format = str(reader.format() if callable(getattr(reader, "format", None)) else "")
+    with quiet():
+        # Some readers map the file and complain when they are thrown away, which would be at any time later.
+        del reader, channel
+        gc.collect()
+    # The library has x first, as the sheet of a drawing; images have rows first.
+    values = np.ascontiguousarray(heights.T) * length
+    values[~np.isfinite(values)] = np.nan
+    if not np.isfinite(values).any():
+        raise FileError(f"{path.name} has no height in it, all are missing. Export it again.")
+    return xr.DataArray(
+        values,
+        dims=PIXEL.axes,
+        coords={
+            axis: (axis, np.arange(n) * um, {"units": "um"})
+            for axis, n, um in zip(PIXEL.axes, values.shape, size, strict=True)
+        },
+        name="topography",
+        attrs={
+            "units": "um",
+            "long_name": "Height",
+            "pixel_um": list(size),
+            "pixel_um_source": source,
+            "file_format": file_format,
+            "file_name": path.name,
+            "file_bytes": file_bytes,
+        },
+    )

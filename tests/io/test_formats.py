@@ -1,0 +1,402 @@
+"""What only some formats have: parts to choose, links, axes by name, logs, and libraries that may be missing."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import nrrd
+import numpy as np
+import pymatreader
+import pytest
+import scipy.io
+import tifffile
+import zarr
+from PIL import Image
+
+from formats_written import (
+    CASES,
+    CUBE,
+    NAME,
+    VALUES,
+    VOXEL,
+    multiscales,
+    write_hdf5,
+    write_mat73,
+    write_meta,
+    write_nexus,
+    write_nrecon,
+    write_raw,
+    write_zarr,
+)
+from planish.core.errors import FileError, SizeError, VolumeError
+from planish.io import describe, fingerprint, read_volume
+from planish.io.formats import FORMATS, extra, find_place, format_of, loader
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+# Which reader, and which volume
+
+
+def test_every_line_of_the_table_has_its_module(tmp_path: Path) -> None:
+    for line in FORMATS:
+        assert callable(loader(line))
+        for suffix in line.suffixes:
+            path = tmp_path / f"scan{suffix}"
+            path.mkdir() if line.members else path.touch()
+            assert format_of(find_place(path)) is line
+
+
+@pytest.mark.parametrize(
+    ("given", "path", "part"),
+    [
+        ("C:/data/scan.h5", "C:/data/scan.h5", ""),
+        ("C:\\data\\scan.tif", "C:\\data\\scan.tif", ""),
+        ("C:/data/scan.h5:/entry/data", "C:/data/scan.h5", "/entry/data"),
+        ("scan.H5:entry", "scan.H5", "entry"),
+        ("scan.h5:/a:b", "scan.h5", "/a:b"),
+        ("folder:1/scan.tif", "folder:1/scan.tif", ""),
+        ("sheet.ome.zarr:1", "sheet.ome.zarr", "1"),
+    ],
+)
+def test_a_drive_is_no_file_with_a_part(given: str, path: str, part: str) -> None:
+    place = find_place(given)
+    assert (str(place.path), place.part) == (str(Path(path)), part)
+
+
+def test_a_name_that_exists_is_not_split(tmp_path: Path) -> None:
+    (tmp_path / "scan.h5:2").touch()
+    assert find_place(tmp_path / "scan.h5:2").part == ""
+
+
+def test_a_part_of_a_file_without_parts_is_refused(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "v.tif", VALUES)
+    with pytest.raises(FileError, match=r"v\.tif is TIFF, in which 'a' chooses nothing"):
+        read_volume(f"{tmp_path / 'v.tif'}:a", voxel_um=1)
+
+
+def test_a_missing_library_names_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_meta(tmp_path, VALUES, CUBE, ".mha", True)
+    monkeypatch.setitem(sys.modules, "SimpleITK", None)
+    np.testing.assert_array_equal(read_volume(path).values, VALUES)  # not needed for what fits
+    with pytest.raises(FileError, match=r'needs the library SimpleITK, which .* pip install "planish\[formats\]"'):
+        read_volume(path, memory_limit_bytes=2500)
+    with pytest.raises(FileError, match="no_such_library"):
+        extra("no_such_library", path)
+
+
+# HDF5 and NeXus
+
+
+def test_several_volumes_are_listed_with_their_shapes(tmp_path: Path) -> None:
+    path = write_hdf5(tmp_path, VALUES, VOXEL).partition(":/")[0]
+    words = r"holds 2 volumes\. .*/entry/Größe/volume \(12 x 17 x 19 uint16\), /entry/other \(12 x 4 x 19 uint16\)"
+    with pytest.raises(VolumeError, match=words):
+        read_volume(path)
+    with pytest.raises(VolumeError, match=r"has no 'entry/nothing': 'nothing' is not there\. Its volumes are"):
+        read_volume(f"{path}:entry/nothing")
+    with pytest.raises(VolumeError, match=r"'entry' is a group"):
+        read_volume(f"{path}:entry")
+    np.testing.assert_array_equal(read_volume(f"{path}:entry/other", voxel_um=1).values, VALUES[:, :4])
+    assert fingerprint(f"{path}:entry/other") != fingerprint(f"{path}:/entry/Größe/volume")
+
+
+def test_raw_projections_are_refused(tmp_path: Path) -> None:
+    path = write_nexus(tmp_path, VALUES, VOXEL)
+    with h5py.File(path, "r+") as file:
+        del file["entry/definition"]
+        file["entry/definition"] = "NXtomo"
+    with pytest.raises(VolumeError, match="raw projections"):
+        read_volume(path)
+
+
+def test_an_axis_that_is_uneven_or_contradicted_is_an_error(tmp_path: Path) -> None:
+    path = write_nexus(tmp_path, VALUES, VOXEL)
+    with h5py.File(path, "r+") as file:
+        file["entry/data/density"].attrs["voxel_size_um"] = [4.0, 2.5, 2.0]
+    with pytest.raises(
+        SizeError, match=r"contradicts itself: the NeXus axes states z 3.* attribute voxel_size_um .* z 4"
+    ):
+        read_volume(path)
+    with h5py.File(path, "r+") as file:
+        del file["entry/data/density"].attrs["voxel_size_um"]
+        file["entry/data/z"][5] *= 1.3
+    with pytest.raises(SizeError, match=r"along z: .*z is not evenly spaced"):
+        read_volume(path)
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    """A folder, and beside it a file that must not be read."""
+    (tmp_path / "scans").mkdir()
+    with h5py.File(tmp_path / "secret.h5", "w") as file:
+        file["v"] = VALUES
+    (tmp_path / "secret.raw").write_bytes(VALUES.tobytes())
+    return tmp_path / "scans"
+
+
+@pytest.mark.parametrize("target", ["../secret.h5", "{folder}/secret.h5", "./../scans/../secret.h5"])
+def test_no_link_leads_out_of_the_folder(secret: Path, target: str) -> None:
+    path = secret / "scan.h5"
+    outside = target.format(folder=secret.parent)
+    layout = h5py.VirtualLayout(VALUES.shape, VALUES.dtype)
+    layout[...] = h5py.VirtualSource(outside, "v", VALUES.shape)
+    with h5py.File(path, "w") as file:
+        file["link"] = h5py.ExternalLink(outside, "/v")
+        file["soft"] = h5py.SoftLink("/link")
+        file.create_virtual_dataset("virtual", layout)
+        file.create_dataset(
+            "stored", VALUES.shape, "u2", external=[(str(secret.parent / "secret.raw"), 0, VALUES.nbytes)]
+        )
+    for part in ("link", "soft", "virtual", "stored"):
+        with pytest.raises(FileError, match=r"^scan\.h5.*planish does not open"):
+            read_volume(f"{path}:{part}", voxel_um=1)
+    with pytest.raises(VolumeError, match="holds 2 volumes"):
+        read_volume(path, voxel_um=1)
+
+
+def test_links_inside_the_folder_are_followed(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    for k in range(2):
+        with h5py.File(tmp_path / "parts" / f"{k}.h5", "w") as file:
+            file["v"] = VALUES[6 * k : 6 * k + 6]
+    layout = h5py.VirtualLayout(VALUES.shape, VALUES.dtype)
+    for k in range(2):
+        layout[6 * k : 6 * k + 6] = h5py.VirtualSource(f"parts/{k}.h5", "v", (6, 17, 19))
+    path = tmp_path / "scan.h5"
+    with h5py.File(path, "w") as file:
+        file.create_virtual_dataset("all", layout)
+        file["first"] = h5py.ExternalLink("parts/0.h5", "/v")
+        file["again"] = h5py.SoftLink("/first")
+        file["a"], file["b"] = h5py.SoftLink("/b"), h5py.SoftLink("/a")
+        file["gone"] = h5py.ExternalLink("parts/9.h5", "/v")
+    np.testing.assert_array_equal(read_volume(path, voxel_um=1).values, VALUES)
+    np.testing.assert_array_equal(read_volume(f"{path}:again", voxel_um=1).values, VALUES[:6])
+    with pytest.raises(FileError, match="more than 32 links"):
+        read_volume(f"{path}:a", voxel_um=1)
+    with pytest.raises(FileError, match=r"takes data from 'parts/9\.h5', which does not exist"):
+        read_volume(f"{path}:gone", voxel_um=1)
+    (tmp_path / "parts" / "1.h5").unlink()  # HDF5 would read zeros
+    with pytest.raises(FileError, match=r"takes data from 'parts/1\.h5', which does not exist"):
+        read_volume(f"{path}:all", voxel_um=1)
+
+
+# OME-Zarr
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_levels_of_a_store_can_be_chosen(tmp_path: Path, version: int) -> None:
+    path = write_zarr(tmp_path, VALUES, VOXEL, version)
+    half = read_volume(f"{path}:1")
+    np.testing.assert_array_equal(half.values, VALUES[::2, ::2, ::2])
+    assert half.attrs["voxel_um"] == [6.0, 5.0, 4.0]
+    with pytest.raises(FileError, match="has nothing at 7"):
+        read_volume(f"{path}:7")
+    with pytest.raises(FileError, match="leads out of the store"):
+        read_volume(f"{path}:../x")
+
+
+def test_several_channels_are_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "v.zarr"
+    group = zarr.open_group(str(path), mode="w", zarr_format=2)
+    group.create_array("0", shape=(1, 2, 12, 17, 19), chunks=(1, 1, 4, 8, 8), dtype="u2")[...] = 5
+    labels = [{"label": "CaCO3"}, {"label": "fibre"}]
+    group.attrs.update({"multiscales": multiscales(VOXEL, lead=2), "omero": {"channels": labels}})
+    with pytest.raises(
+        VolumeError, match=r"v\.zarr has 2 channels \(CaCO3, fibre\): 1 x 2 x 12 x 17 x 19 \(t, c, z, y, x\)"
+    ):
+        read_volume(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"micrometer"', '"parsec"', "'parsec', which is no unit of length"),
+        ('"path": "0"', '"path": "../../x"', "leads out of the store"),
+        ('"datasets"', '"nothing"', "name no data sets"),
+        ('"name": "z"', '"name": "y"', "its axes are y, y, x"),
+    ],
+)
+def test_wrong_metadata_of_a_store(tmp_path: Path, old: str, new: str, words: str) -> None:
+    path = write_zarr(tmp_path, VALUES, VOXEL, 3)
+    text = json.dumps(json.loads((path / "zarr.json").read_text(encoding="utf-8")))
+    assert old in text
+    (path / "zarr.json").write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises((FileError, VolumeError, SizeError), match=words):
+        read_volume(path)
+
+
+def test_plain_arrays_and_empty_chunks(tmp_path: Path) -> None:
+    values = VALUES.copy()
+    values[:4, :8, :8] = 0  # left out when it is written
+    array = zarr.create_array(str(tmp_path / "v.zarr"), shape=values.shape, chunks=(4, 8, 8), dtype="u2", fill_value=0)
+    array[...] = values
+    volume = read_volume(tmp_path / "v.zarr", voxel_um=2)
+    np.testing.assert_array_equal(volume.values, values)
+    assert any("1 of its 27 chunks are not stored" in w for w in describe(tmp_path / "v.zarr", voxel_um=2)["warnings"])
+
+
+# NRecon
+
+
+def test_a_log_is_read_by_section_and_kept(tmp_path: Path) -> None:
+    volume = read_volume(write_nrecon(tmp_path, VALUES, CUBE))
+    assert volume.attrs["voxel_um"] == [2.0] * 3  # neither 2.01 nor 11.32
+    assert volume.attrs["attenuation_window"] == [-0.01, 0.15]
+    told = describe(tmp_path / NAME)
+    assert told["metadata"]["nrecon"]["Source Voltage (kV)"] == "40"
+    assert told["warnings"] == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("Sections Count=12", "Sections Count=13", r"contradicts itself: 13 sections, but from 20 to 31 in steps of 1"),
+        ("First Section=20", "First Section=19", r"contradicts itself"),
+        ("(pixels)=19", "(pixels)=38", r"is 17 x 19 pixels, Núria_rec\.log tells of 17 x 38"),
+        ("Prefix=Núria_rec", "Prefix=Juan_rec", r"holds no slice named Juan_rec and a number"),
+        ("Step=1", "Step=0", r"no number for 'Section to Section Step'"),
+    ],
+)
+def test_a_log_that_does_not_fit_is_an_error(tmp_path: Path, old: str, new: str, words: str) -> None:
+    folder = write_nrecon(tmp_path, VALUES, CUBE)
+    log = folder / "Núria_rec.log"
+    text = log.read_bytes().decode("cp1252")
+    assert old in text
+    log.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises((VolumeError, SizeError), match=words):
+        read_volume(folder)
+
+
+def test_missing_sections_of_a_log_are_named(tmp_path: Path) -> None:
+    folder = write_nrecon(tmp_path, VALUES, CUBE)
+    (folder / "Núria_rec00000024.png").unlink()
+    with pytest.raises(VolumeError, match=r"tells of 12 sections, .* holds 11\. Missing: 24\."):
+        read_volume(folder)
+    Image.fromarray(VALUES[4]).save(folder / "Núria_rec00000024.png")
+    Image.fromarray(VALUES[4]).save(folder / "Núria_rec00000090.png")
+    with pytest.raises(VolumeError, match=r"slices that .* does not tell of: 90"):
+        read_volume(folder)
+
+
+def test_sections_in_steps_are_as_far_apart(tmp_path: Path) -> None:
+    folder = write_nrecon(tmp_path, VALUES, CUBE)
+    log = folder / "Núria_rec.log"
+    text = log.read_bytes().decode("cp1252")
+    for k in range(1, 12, 2):
+        (folder / f"Núria_rec{k + 20:08d}.png").unlink()
+    text = text.replace("Step=1", "Step=2").replace("Last Section=31", "Last Section=30").replace("Count=12", "Count=6")
+    log.write_text(text, encoding="utf-8")
+    volume = read_volume(folder)
+    assert volume.attrs["voxel_um"] == [4.0, 2.0, 2.0]
+    np.testing.assert_array_equal(volume.values, VALUES[::2])
+
+
+def test_eight_bits_of_a_window_are_mentioned(tmp_path: Path) -> None:
+    told = describe(write_nrecon(tmp_path, (VALUES >> 8).astype(np.uint8), CUBE))
+    assert any("grey 0 to 255 is attenuation -0.01 to 0.15" in w for w in told["warnings"])
+
+
+# Other headers
+
+
+def test_two_kinds_of_sizes_in_a_header_have_to_agree(tmp_path: Path) -> None:
+    header: dict[str, Any] = {"spacings": [2.0, 2.5, 3.0], "units": ["um"] * 3}
+    nrrd.write(str(tmp_path / "v.nrrd"), VALUES, header, index_order="C")
+    text = (tmp_path / "v.nrrd").read_bytes()
+    more = (
+        b'space dimension: 3\nspace directions: (0.004,0,0) (0,0.0025,0) (0,0,0.003)\nspace units: "mm" "mm" "mm"\n\n'
+    )
+    (tmp_path / "v.nrrd").write_bytes(text.replace(b"\n\n", b"\n" + more, 1))
+    with pytest.raises(
+        SizeError, match=r"contradicts itself: the NRRD space directions .* x 4 um and the NRRD spacings"
+    ):
+        read_volume(tmp_path / "v.nrrd")
+    path = write_meta(tmp_path, VALUES, VOXEL, ".mhd", False)
+    edit(path, "ElementSpacing", "ElementSize = 0.002 0.0025 0.004\nElementSpacing")
+    with pytest.raises(SizeError, match=r"contradicts itself: .*ElementSpacing.* z 3.* ElementSize.* z 4"):
+        read_volume(path)
+
+
+def test_a_unit_in_the_header_is_taken_and_none_is_not_guessed(tmp_path: Path) -> None:
+    path = write_meta(tmp_path, VALUES, VOXEL, ".mhd", False)
+    text = path.read_text(encoding="utf-8")
+    spacing = next(line for line in text.splitlines() if line.startswith("ElementSpacing"))
+    edit(path, spacing, "DistanceUnits = um\nElementSpacing = 2 2.5 3")
+    assert read_volume(path).attrs["voxel_um"] == list(VOXEL)
+    nrrd.write(str(tmp_path / "v.nrrd"), VALUES, {"spacings": [2.0, 2.5, 3.0]}, index_order="C")
+    with pytest.raises(SizeError, match="3 without a unit"):
+        read_volume(tmp_path / "v.nrrd")
+
+
+@pytest.mark.parametrize("kind", [".nhdr", ".mhd", ".toml"])
+@pytest.mark.parametrize("target", ["../secret.raw", "{folder}/secret.raw"])
+def test_no_header_takes_data_from_outside_its_folder(secret: Path, kind: str, target: str) -> None:
+    case = {".nhdr": "NRRD detached", ".mhd": "MetaImage detached", ".toml": "raw"}[kind]
+    CASES[case].write(secret, VALUES, VOXEL)
+    header = next(secret.glob(f"*{kind}"))
+    outside = target.format(folder=secret.parent)
+    if kind == ".toml":
+        edit(header, "offset = 4", f"file = '{outside}'")
+    else:
+        edit(header, f"{NAME}.raw", outside)
+    with pytest.raises(FileError, match="outside its folder, which planish does not open"):
+        read_volume(header)
+
+
+def test_every_fault_of_a_raw_header_is_named(tmp_path: Path) -> None:
+    path = write_raw(tmp_path, VALUES, VOXEL)
+    header = tmp_path / f"{NAME}.raw.toml"
+    np.testing.assert_array_equal(read_volume(header).values, read_volume(path).values)
+    header.write_text('shape = [12, 17]\ndtype = "grey"\nvoxel_um = -1\nsize = 3\n', encoding="utf-8")
+    words = r"unknown key 'size'; shape is \[12, 17\].*; dtype is 'grey'.*; voxel_um is -1.*Correct the header"
+    with pytest.raises(FileError, match=words):
+        read_volume(path)
+    header.unlink()
+    with pytest.raises(FileError, match=r"raw values and no header\. Write Blatt ä 7\.raw\.toml beside it"):
+        read_volume(path)
+
+
+# MATLAB
+
+
+def test_rows_columns_and_slices_of_matlab_become_y_x_and_z(tmp_path: Path) -> None:
+    place = np.zeros((4, 5, 6), np.uint8)  # row, column, slice
+    place[1, 2, 3] = 7
+    scipy.io.savemat(tmp_path / "v.mat", {"V": place})
+    volume = read_volume(tmp_path / "v.mat", voxel_um=1)
+    assert volume.shape == (6, 4, 5)
+    assert volume.values[3, 1, 2] == 7
+
+
+def test_version_7_3_gives_what_pymatreader_gives(tmp_path: Path) -> None:
+    path = write_mat73(tmp_path, VALUES, VOXEL)
+    theirs = pymatreader.read_mat(str(path))["V"]
+    assert theirs.shape == (17, 19, 12)
+    np.testing.assert_array_equal(read_volume(path).values, np.moveaxis(theirs, -1, 0))
+
+
+@pytest.mark.parametrize("new", [False, True])
+def test_several_variables_are_listed(tmp_path: Path, new: bool) -> None:
+    path = tmp_path / "v.mat"
+    if new:
+        write_mat73(tmp_path, VALUES, VOXEL).rename(path)
+        with h5py.File(path, "r+") as file:
+            file["W"] = VALUES[:, :4]
+    else:
+        scipy.io.savemat(path, {"V": np.moveaxis(VALUES, 0, -1), "W": VALUES[:, :4], "voxel_um": 2.0})
+    with pytest.raises(
+        VolumeError, match=r"v\.mat holds 2 volumes: V \(17 x 19 x 12 uint16\).*Choose one as v\.mat:V\."
+    ):
+        read_volume(path)
+    np.testing.assert_array_equal(read_volume(f"{path}:V").values, VALUES)
+    with pytest.raises(VolumeError, match="has no volume 'X'"):
+        read_volume(f"{path}:X")
