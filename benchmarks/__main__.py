@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks import flattening, relaxation, resampling, specimens, variants
+from benchmarks import flattening, properties, relaxation, resampling, size, specimens, variants
 
-_ALL = {k.__name__.rpartition(".")[2]: k.main for k in (variants, flattening, relaxation, resampling, specimens)}
+_MODULES = (variants, flattening, relaxation, resampling, properties, specimens, size)
+_ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES}
 
 
 def main(arguments: list[str]) -> int:

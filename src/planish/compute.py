@@ -10,16 +10,21 @@ import json
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
+from xarray.backends import BackendArray
+from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 from planish import __version__
 from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
+from planish.io import read_volume
 from planish.io.guard import default_memory_limit
 
 COLUMN_BYTES = 900
@@ -50,9 +55,52 @@ class Compute:
     scheduler: str | None = None
 
     @property
+    def volume_bytes(self) -> int:
+        """Largest volume that is held in memory as a whole."""
+        return self.memory // 3
+
+    @property
     def memory(self) -> int:
         """Most memory, in bytes."""
         return self.memory_bytes if self.memory_bytes is not None else int(default_memory_limit() * 2 / 3)
+
+
+class FileVolume(BackendArray):
+    """A volume that travels to other processes as the name of its file; each of them opens it once.
+
+    Parameters
+    ----------
+    path : str
+    how : tuple of (str, value)
+        Arguments of :func:`planish.io.read_volume`.
+    shape : (int, int, int)
+    dtype : dtype
+    """
+
+    def __init__(
+        self, path: str, how: tuple[tuple[str, Any], ...], shape: tuple[int, ...], dtype: np.dtype[Any]
+    ) -> None:
+        self.path, self.how, self.shape, self.dtype = path, how, shape, dtype
+
+    def __getitem__(self, key: ExplicitIndexer) -> Any:
+        """Read a part."""
+        return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self._read)
+
+    def _read(self, key: tuple[Any, ...]) -> NDArray[Any]:
+        return opened(self.path, self.how).variable[key].values
+
+
+@lru_cache(maxsize=1)
+def opened(path: str, how: tuple[tuple[str, Any], ...]) -> xr.DataArray:
+    """Open a volume, or give the one that is open already."""
+    return read_volume(path, **dict(how))
+
+
+def by_name(volume: xr.DataArray, path: str, how: dict[str, Any]) -> xr.DataArray:
+    """Return the same volume, held by the name of its file."""
+    held = FileVolume(path, tuple(how.items()), volume.shape, volume.dtype)
+    variable = xr.Variable(volume.dims, LazilyIndexedArray(held), volume.attrs, volume.encoding)
+    return xr.DataArray(variable, coords=volume.coords, name=volume.name)
 
 
 def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, compute: Compute) -> int:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from planish import __version__
 from planish.analyze import correlate, correlate_at
-from planish.compute import Compute, column_step, engine, run_key
-from planish.core.errors import CannotRegister, MarkError, PlanishError, VolumeError
+from planish.compute import Compute, by_name, column_step, engine, run_key
+from planish.core.errors import CannotRegister, InputError, MarkError, PlanishError, ResourceError, VolumeError
 from planish.core.frame import Frame
 from planish.core.transform import Similarity
 from planish.flatten import Flattened, FlattenParams, flatten_sheet
-from planish.io import fingerprint, read_image, read_volume
+from planish.io import find_place, fingerprint, read_image, read_volume
 from planish.io.run_folder import new_folder, refuse_existing, work_folder, write_json, write_tree
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.marks import find_holes, read_marks, write_marks
@@ -150,11 +150,11 @@ def map_sheet(
         Folder for the results of single tiles, where a run that was killed finds them again.
     """
     tell = progress or _silent
-    tell("read", Path(study.volume.path).name)
-    volume, sections = _volume(study.volume, tell)
+    tell("read", find_place(study.volume.path).path.name)
+    compute = compute or Compute()
+    volume, sections = _volume(study.volume, compute, tell)
     voxel = tuple(float(v) for v in volume.attrs["voxel_um"])
     frame = Frame(through=study.volume.through, top=study.volume.top)
-    compute = compute or Compute()
     step = column_step(volume, frame, study.volume.column_um, compute)
     wide = f", columns of {step} x {step}" if step > 1 else ""
     tell("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
@@ -205,19 +205,48 @@ def map_sheet(
     return Run(study=study, groups=groups, marks=None, results=results, gates=gates)
 
 
-def _volume(section: VolumeSection, tell: Progress) -> tuple[xr.DataArray, xr.Dataset | None]:
+def _volume(section: VolumeSection, compute: Compute, tell: Progress) -> tuple[xr.DataArray, xr.Dataset | None]:
     """Read a volume; serial sections are aligned and joined, and come with what was done to each of them."""
+    path = find_place(section.path).path
+    size: dict[str, Any] = {
+        "voxel_um": section.voxel_um,
+        "channel": section.channel,
+        "override_size": section.override_size,
+    }
+    if is_section_folder(path):
+        if compute.scheduler is not None:
+            raise InputError(f"{path.name} holds sections, which --scheduler cannot work on. Import them first.")
+        return join_sections(section, tell)
+    if section.fixed_rows is not None or section.fixed_cols is not None:
+        raise InputError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
+    how: dict[str, Any] = size | {"memory_limit_bytes": compute.volume_bytes}
+    volume = read_volume(section.path, **how)
+    if volume.encoding.get("whole_slices"):
+        raise ResourceError(
+            f"{path.name} has {volume.size * volume.dtype.itemsize / 1e9:.1f} GB, of the memory "
+            f"{compute.volume_bytes / 1e9:.1f} GB may hold a volume, and its slices can only be decoded whole. Bring "
+            f"it into a store first: planish import {path.name} --out {path.stem}.zarr"
+        )
+    return (volume if compute.scheduler is None else by_name(volume, section.path, how)), None
+
+
+def join_sections(section: VolumeSection, tell: Progress) -> tuple[xr.DataArray, xr.Dataset]:
+    """Align serial sections and join them to a volume; return it with what was done to each section.
+
+    Raises
+    ------
+    VolumeError
+        If the axis through the sheet is not given, or the sections do not fit together.
+    """
     path = Path(section.path)
-    if not is_section_folder(path):
-        if section.fixed_rows is not None or section.fixed_cols is not None:
-            raise VolumeError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
-        return read_volume(path, voxel_um=section.voxel_um, override_size=section.override_size), None
     if section.through == "z":
         raise VolumeError(
             f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to section. "
             "Give --through y where it runs along the rows of the photographs, x where along their columns."
         )
-    stack = read_section_stack(path, voxel_um=section.voxel_um, override_size=section.override_size)
+    stack = read_section_stack(
+        path, voxel_um=section.voxel_um, channel=section.channel, override_size=section.override_size
+    )
     tell("align", f"{len(stack.values)} sections")
     where = (stack.values, stack.positions_um, stack.pixel_um)
     band = find_band(stack.values, np.abs(stack.positions_um - stack.positions_um[0]), stack.pixel_um)

@@ -31,6 +31,7 @@ class VolumeSection(Section):
     through: Literal["z", "y", "x"] = "z"
     top: Literal["high", "low"] = "high"
     override_size: bool = False
+    channel: Literal["luminance", "red", "green", "blue"] | None = None
     column_um: Length | None = None
     fixed_rows: tuple[Index, Index] | None = None
     fixed_cols: tuple[Index, Index] | None = None

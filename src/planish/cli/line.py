@@ -12,6 +12,7 @@ import click
 from planish.cli.options import (
     Memory,
     Numbers,
+    channel_option,
     column_option,
     compute_options,
     existing,
@@ -36,6 +37,7 @@ def _volume(path: Path, options: dict[str, Any]) -> dict[str, Any]:
         "through": options["through"],
         "top": options["top"],
         "override_size": options["override_size"],
+        "channel": options["volume_channel"],
         "column_um": options["column_um"],
         "fixed_rows": options["fixed_rows"],
         "fixed_cols": options["fixed_cols"],
@@ -75,6 +77,7 @@ def _run(study: Any, out: Path, *, as_json: bool, options: dict[str, Any] | None
 @existing("image")
 @out_option(_OUT)
 @volume_options
+@channel_option
 @section_options
 @column_option
 @image_options
@@ -125,6 +128,7 @@ def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool
 @existing("volume")
 @out_option(_OUT)
 @volume_options
+@channel_option
 @section_options
 @column_option
 @surface_options
@@ -216,6 +220,7 @@ def demo(out: Path | None, seed: int, as_json: bool) -> int:
     help="Voxel size in um, where the file does not state it.",
 )
 @click.option("--override-size", is_flag=True, help="Take the size given here where the file states another.")
+@channel_option
 @click.option("--ome", type=click.Choice(["0.5", "0.4"]), default="0.5", show_default=True, help="Version of OME-Zarr.")
 @click.option("--memory", "memory_bytes", type=Memory(), help="Most memory to use, such as 4GB; half of what is free.")
 def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], memory_bytes: int | None, **options: Any) -> None:
@@ -231,7 +236,10 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], memory_bytes: i
 
     refuse_existing(out)
     compute = Compute(memory_bytes=memory_bytes)
-    data = read_volume(volume, voxel_um=options["voxel_um"], override_size=options["override_size"])
+    data = read_volume(
+        volume, voxel_um=options["voxel_um"], override_size=options["override_size"], channel=options["volume_channel"],
+        memory_limit_bytes=compute.volume_bytes,
+    )  # fmt: skip
     with stages(1) as tell:
         write_store(
             data, out, memory_bytes=compute.memory, ome=ome,

@@ -139,6 +139,12 @@ surface_options = _stack(
     ),
 )
 
+channel_option = click.option(
+    "--volume-channel",
+    type=click.Choice(["luminance", "red", "green", "blue"]),
+    help="What is taken from slices or sections in colour; luminance where not given.",
+)
+
 section_options = _stack(
     click.option(
         "--fixed-rows",

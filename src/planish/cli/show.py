@@ -123,6 +123,8 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     lines = [
         f"{facts['file_name']}: {facts['kind']}, {shape} ({axes}), {facts['dtype']}, {facts['bytes'] / 1e6:.1f} MB"
     ]
+    if "stored" in facts:
+        lines.append(f"format: {facts['format']}, {facts['stored']}")
     what = "pixel" if facts["kind"] == "image" else "voxel"
     if facts["size_um"]:
         size, extent = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
@@ -138,4 +140,17 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
         lines.append(
             f"saturated: {100 * facts['saturated_share']:.2f} % of the values are the largest the type can store"
         )
+    if facts.get("sampled"):
+        lines.append("grey values: of some slices only")
+    if "run_bytes" in facts:
+        lines.append(
+            f"planish map: about {facts['run_bytes'] / 1e9:.1f} GB of memory and {duration(facts['run_seconds'])}, or "
+            "less memory with wider columns"
+        )
+    lines += [f"{name}: {value}" for name, value in (facts.get("metadata") or {}).items()]
     return lines + [f"look: {warning}" for warning in facts["warnings"]]
+
+
+def duration(seconds: float) -> str:
+    """Write a time, roughly."""
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"

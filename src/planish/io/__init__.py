@@ -2,8 +2,9 @@
 
 from planish.io.describe import describe
 from planish.io.fingerprint import fingerprint
+from planish.io.formats import find_place
 from planish.io.image import read_image
 from planish.io.topography import read_topography
 from planish.io.volume import read_volume
 
-__all__ = ["describe", "fingerprint", "read_image", "read_topography", "read_volume"]
+__all__ = ["describe", "find_place", "fingerprint", "read_image", "read_topography", "read_volume"]

@@ -27,7 +27,9 @@ def check_channel(channel: str | None) -> str | None:
         return None
     word = channel.strip().casefold()
     if word not in CHANNELS:
-        raise InputError(f"{channel!r} is no channel of a volume. Choose one of {', '.join(CHANNELS)} with --channel.")
+        raise InputError(
+            f"{channel!r} is no channel of a volume. Choose one of {', '.join(CHANNELS)} with --volume-channel."
+        )
     return word
 
 
@@ -60,4 +62,4 @@ def refuse_channel(channel: str | None, path: Path) -> None:
     InputError
     """
     if channel is not None and channel != "luminance":
-        raise InputError(f"{path.name} is grey, so it has no {channel}. Leave --channel out.")
+        raise InputError(f"{path.name} is grey, so it has no {channel}. Leave --volume-channel out.")

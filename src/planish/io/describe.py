@@ -95,8 +95,8 @@ def describe(
     warnings += size_doubts(size["size_um"]) + window_doubts(loaded, seen)
     if isinstance(loaded.values, LazyArray) and loaded.values.whole_slices:
         warnings.append(
-            "It does not fit into the memory, and its slices have to be decoded again for every part that is read. One "
-            "uncompressed BigTIFF is much faster."
+            "It does not fit into the memory, and its slices can only be decoded whole. Bring it into a store with "
+            "'planish import' first."
         )
     return {
         "kind": "volume",

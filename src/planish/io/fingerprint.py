@@ -11,6 +11,7 @@ from planish.io.nrecon import read_scan
 from planish.io.sections import COUNTER, is_section_folder
 from planish.io.slice_volume import slice_files
 from planish.io.slices import is_slice_name
+from planish.io.store import store_fingerprint
 
 
 def fingerprint(path: str | Path) -> str:
@@ -45,6 +46,10 @@ def fingerprint(path: str | Path) -> str:
     elif found.name == SLICES.name:
         files = slice_files(path, read_scan(path))
     else:
+        # A store that planish wrote has the hashes of its shards already.
+        known = store_fingerprint(path) if path.is_dir() else ""
+        if known:
+            return known
         files = files_of(place)
         if files == [path] and not place.part:
             return hash_of_file(path)

@@ -46,6 +46,8 @@ class LazyArray(BackendArray):
         What is decoded at least, however small the part.
     whole_slices : bool
         Whether a few rows of a slice cost as much as all of them.
+    chunks : tuple of int or None
+        What is decoded together, where the file is chunked.
     """
 
     path: Path
@@ -53,6 +55,7 @@ class LazyArray(BackendArray):
     dtype: np.dtype[Any]
     piece_bytes: int
     whole_slices: bool = False
+    chunks: tuple[int, ...] | None = None
 
     @property
     def nbytes(self) -> int:
@@ -209,6 +212,7 @@ class ChangedArray(LazyArray):
     ) -> None:
         self.inner, self.change, self.dtype, self.path = inner, change, dtype, path
         self.shape = inner.shape[:3]
+        self.chunks = None if inner.chunks is None else inner.chunks[:3]
         self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
 
     def read(self, where: Where) -> NDArray[Any]:
@@ -223,6 +227,7 @@ class TurnedArray(LazyArray):
     def __init__(self, inner: LazyArray, order: Sequence[int]) -> None:
         self.inner, self.order = inner, tuple(order)
         self.shape = tuple(inner.shape[axis] for axis in order)
+        self.chunks = None if inner.chunks is None else tuple(inner.chunks[axis] for axis in order)
         self.dtype, self.path = inner.dtype, inner.path
         self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
 

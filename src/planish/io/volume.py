@@ -48,6 +48,8 @@ def read_volume(
         Attributes: ``units``, ``long_name``, ``voxel_um`` (z, y, x), ``voxel_um_source``, ``full_scale``,
         ``file_name``, ``file_bytes``; for some formats more. Large volumes are indexed lazily:
         ``volume.isel(z=slice(a, b)).values`` reads that part only, and several threads may do so at the same time.
+        Their ``encoding`` says ``chunks`` (z, y, x), what is decoded together, or None, and ``whole_slices``, whether
+        a few rows cost as much as a slice.
 
     Raises
     ------
@@ -67,9 +69,11 @@ def read_volume(
     loaded = load_volume(place, channel=channel, memory_limit_bytes=memory_limit_bytes)
     name = place.path.name
     size, source = agreed_size(loaded.stated, voxel_um, file_name=name, asked=VOXEL, override=override_size)
-    values = LazilyIndexedArray(loaded.values) if isinstance(loaded.values, LazyArray) else loaded.values
+    lazy = loaded.values if isinstance(loaded.values, LazyArray) else None
+    # How it is best read, for those who read it in tiles.
+    encoding = {} if lazy is None else {"whole_slices": lazy.whole_slices, "chunks": lazy.chunks}
     return xr.DataArray(
-        xr.Variable(VOXEL.axes, values),
+        xr.Variable(VOXEL.axes, loaded.values if lazy is None else LazilyIndexedArray(lazy), encoding=encoding),
         coords={
             axis: (axis, np.arange(n) * um, {"units": "um"})
             for axis, n, um in zip(VOXEL.axes, loaded.values.shape, size, strict=True)

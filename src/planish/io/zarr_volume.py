@@ -75,7 +75,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
             raise VolumeError(
                 f"{path.name} has {array.dtype} values. Needed are integers or real numbers up to 64 bits."
             )
-        lazy = ZarrArray(path, name, shape, np.dtype(array.dtype), math.prod(array.chunks) * array.dtype.itemsize)
+        lazy = ZarrArray(path, name, shape, np.dtype(array.dtype), tuple(int(n) for n in array.chunks))
     return loaded(
         turned(lazy, order),
         path,
@@ -294,9 +294,11 @@ def scale_of(owner: Any, count: int) -> list[float] | None:
 class ZarrArray(LazyArray):
     """An array of a zarr store."""
 
-    def __init__(self, path: Path, name: str, shape: tuple[int, ...], dtype: np.dtype[Any], piece_bytes: int) -> None:
-        self.path, self.name, self.shape = path, name, shape
-        self.dtype, self.piece_bytes = dtype.newbyteorder("="), piece_bytes
+    def __init__(
+        self, path: Path, name: str, shape: tuple[int, ...], dtype: np.dtype[Any], chunks: tuple[int, ...]
+    ) -> None:
+        self.path, self.name, self.shape, self.chunks = path, name, shape, chunks
+        self.dtype, self.piece_bytes = dtype.newbyteorder("="), math.prod(chunks) * dtype.itemsize
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part."""

@@ -26,28 +26,31 @@ def height_at(field, r, c):
 
 
 @njit(cache=True, nogil=True)
-def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_c):
+def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_c, first=0):
     """Signed distance from the centre surface to ``surface`` along the normals.
 
     Parameters
     ----------
     surface, centre : (rows, cols)
         Heights in um.
-    normal_r, normal_c, normal_h : (rows, cols)
-        Unit normals along rows, columns and height.
+    normal_r, normal_c, normal_h : (some rows, cols)
+        Unit normals along rows, columns and height, or other unit vectors, of the rows from ``first`` on.
     pitch_r, pitch_c : float
         um.
+    first : int
+        The row of the surfaces that the first row of the normals belongs to.
 
     Returns
     -------
-    (rows, cols)
+    (some rows, cols)
         um; NaN where the normal meets no surface.
     """
-    rows, cols = centre.shape
+    rows, cols = normal_h.shape
     out = np.full((rows, cols), np.nan)
-    for i in range(rows):
+    for k in range(rows):
+        i = k + first
         for j in range(cols):
-            h0, nr, nc, nh = centre[i, j], normal_r[i, j], normal_c[i, j], normal_h[i, j]
+            h0, nr, nc, nh = centre[i, j], normal_r[k, j], normal_c[k, j], normal_h[k, j]
             # Secant steps on f(s) = surface - point; the surface is nearly parallel, so they converge in three or four.
             s0 = 0.0
             f0 = surface[i, j] - h0
@@ -59,7 +62,7 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
                 if not np.isfinite(f1):
                     break
                 if abs(f1) < _CLOSE_UM:
-                    out[i, j] = s1
+                    out[k, j] = s1
                     break
                 slope = (f1 - f0) / (s1 - s0) if abs(s1 - s0) > 1e-9 else -nh
                 if not (-4.0 < slope < -0.05):

@@ -1,0 +1,227 @@
+"""Every property along the rays of the centre surface: row tiles on threads, the same bytes however they are cut."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import CannotMeasure, ResourceError
+from planish.measure.greys import Greys
+from planish.measure.options import RayOptions
+from planish.measure.ray_frame import RayFrame, through_pitch
+from planish.measure.rays import Array, Direction, Rays
+from planish.measure.registry import Measured, Property, Sheet, in_order, length_of
+from planish.measure.uncertainty import ray_noise
+
+T = TypeVar("T")
+
+MEANINGS = (
+    "measured", "no_sheet", "rim", "face_not_found", "normal_leaves_sheet", "low_contrast", "ray_leaves_volume",
+)  # fmt: skip
+OWN_REASON = 10  # a property's own reasons count from here
+_MEMORY_BYTES = 1 << 30
+_PER_SAMPLE = 24  # bytes that a sample costs at most while a tile is worked on
+
+
+def measure_along_rays(
+    volume: xr.DataArray, surfaces: xr.Dataset, *, names: Sequence[str | Property],
+    options: RayOptions | None = None, rays: Direction = "normal", rows_per_tile: int | None = None,
+    memory_bytes: int | None = None, threads: int | None = None,
+) -> xr.Dataset:  # fmt: skip
+    """Measure properties along the normals of the centre surface, or along vertical rays.
+
+    Parameters
+    ----------
+    volume : DataArray, dims (z, y, x), coordinates in um
+        May be lazily indexed; it is read in boxes of some rows.
+    surfaces : Dataset, dims (y, x), heights in um
+        As :func:`planish.surface.find_surfaces` returns them for this volume.
+    names : sequence of str or Property
+        What :func:`planish.measure.registered` lists, or what the decorators return.
+    options : RayOptions
+    rays : {"normal", "vertical"}
+    rows_per_tile : int
+        Rows worked on together; what fits into ``memory_bytes`` (1 GiB) for all threads where not given.
+    threads : int
+        All processors, at most 8, where not given.
+
+    Returns
+    -------
+    Dataset, dims (y, x), float32
+        Each property with ``units``, ``long_name`` and ``support_um`` (the width that one value speaks for), and
+        ``<name>_se``, its standard error in the same unit: NaN where none can be stated. ``status``: 0 measured, and
+        the reasons in ``flag_meanings``. A property with reasons of its own has ``<name>_status`` beside it.
+        Attributes hold the densities that were used.
+
+    Raises
+    ------
+    CannotMeasure
+        If a property is unknown, or a density or grey level that it needs was not given.
+    SurfaceError, SizeError, ResourceError
+    """
+    options = options or RayOptions()
+    greys = Greys.of(surfaces)
+    wanted = in_order(names, options, greys)
+    if not wanted:
+        raise CannotMeasure("No property was named. Name one or more.")
+    asked = {name if isinstance(name, str) else name.name for name in names}
+    for one in wanted:
+        if one.check is not None:
+            one.check(options, greys)
+    frame = ray_frame(volume, surfaces, options=options, rays=rays)
+    shape = frame.status.shape
+    of_rays = [one for one in wanted if one.kind == "rays"]
+    found: dict[str, Measured] = {one.name: _blank(shape, one) for one in of_rays}
+    status = frame.status.copy()
+
+    def work(tile: Rays, own: slice, at: slice) -> None:
+        status[at] = tile.status[own]
+        grouped: dict[int, tuple[Rays, slice]] = {}
+        for one in of_rays:
+            halo = _halo(one, frame)
+            if halo not in grouped:
+                lo, hi = max(own.start - halo, 0), min(own.stop + halo, tile.status.shape[0])
+                whole = (lo, hi) == (0, tile.status.shape[0])
+                part = tile if whole else tile.rows(slice(lo, hi))
+                grouped[halo] = part, slice(own.start - lo, own.stop - lo)
+            part, inner = grouped[halo]
+            answer = _measured(one, part)
+            store = found[one.name]
+            store.values[at] = answer.values[inner]
+            if answer.se is not None and store.se is not None:
+                store.se[at] = answer.se[inner]
+            if answer.reason is not None and store.reason is not None:
+                store.reason[at] = answer.reason[inner]
+
+    if of_rays:
+        most = max(_halo(one, frame) for one in of_rays)
+        each_tile(volume, frame, work, halo=most, rows=rows_per_tile, memory_bytes=memory_bytes, threads=threads)
+    sheet = Sheet(frame=replace(frame, status=status), maps=found, noise_um=frame.noise_um)
+    for one in wanted:
+        if one.kind == "sheet":
+            found[one.name] = _measured(one, sheet)
+    return _dataset([one for one in wanted if one.name in asked], found, status, surfaces, frame, options)
+
+
+def ray_frame(
+    volume: xr.DataArray, surfaces: xr.Dataset, *, options: RayOptions | None = None, rays: Direction = "normal"
+) -> RayFrame:
+    """Find where the rays lie and how much noise their integrals have."""
+    frame = RayFrame.of(surfaces, voxel_um=through_pitch(volume, surfaces), rays=rays, options=options)
+    return replace(frame, noise_um=ray_noise(volume, frame))
+
+
+def each_tile(
+    volume: xr.DataArray, frame: RayFrame, work: Callable[[Rays, slice, slice], T], *, halo: int = 0,
+    rows: int | None = None, memory_bytes: int | None = None, threads: int | None = None,
+) -> list[T]:  # fmt: skip
+    """Straighten the sheet tile by tile and call ``work`` on threads.
+
+    Parameters
+    ----------
+    work : callable
+        Called with the rays of a tile and its halo, the tile's rows within them, and its rows in the sheet.
+    halo : int
+        Rows on both sides that the work sees beside its own.
+
+    Returns
+    -------
+    list
+        What ``work`` gave, in the order of the rows.
+
+    Raises
+    ------
+    ResourceError
+        If a single row with its halo does not fit into the memory.
+    """
+    count = frame.status.shape[0]
+    threads = threads or min(os.cpu_count() or 1, 8)
+    per_row = frame.status.shape[1] * frame.samples * _PER_SAMPLE
+    if rows is None:
+        budget = (memory_bytes or _MEMORY_BYTES) / threads
+        rows = int(budget / per_row) - 2 * halo
+        if rows < 1 and memory_bytes is not None:
+            raise ResourceError(
+                f"One row of rays with its neighbourhood takes {(2 * halo + 1) * per_row * threads / 2**20:.0f} MiB on "
+                f"{threads} threads, and {memory_bytes / 2**20:.0f} MiB were allowed. Allow more, or fewer threads."
+            )
+        # Tiles of even size, several for each thread; a halo costs less the larger they are.
+        rows = max(min(rows, max(-(-count // (4 * threads)), 2 * halo)), 1)
+    tiles = [slice(start, min(start + rows, count)) for start in range(0, count, rows)]
+
+    def one(at: slice) -> T:
+        lo, hi = max(at.start - halo, 0), min(at.stop + halo, count)
+        tile = frame.tile(volume, slice(lo, hi))
+        return work(tile, slice(at.start - lo, at.stop - lo), at)
+
+    if threads == 1:
+        return [one(at) for at in tiles]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(one, tiles))
+
+
+def _halo(one: Property, frame: RayFrame) -> int:
+    length = length_of(one.halo_um, frame.options)
+    return int(np.ceil(length / frame.pitch_um[0])) + 1 if length > 0 else 0
+
+
+def _measured(one: Property, given: Rays | Sheet) -> Measured:
+    answer = one(given)
+    if not isinstance(answer, Measured):
+        answer = Measured(values=np.asarray(answer))
+    shape = given.status.shape if isinstance(given, Rays) else given.frame.status.shape
+    if answer.values.shape != shape:
+        raise CannotMeasure(
+            f"The property '{one.name}' returned the shape {answer.values.shape} for {shape[0]} x {shape[1]} rays. "
+            "Return one value for each ray: (rows, cols)."
+        )
+    return answer
+
+
+def _blank(shape: tuple[int, ...], one: Property) -> Measured:
+    return Measured(
+        values=np.full(shape, np.nan, dtype=np.float32),  # type: ignore[arg-type]
+        se=np.full(shape, np.nan, dtype=np.float32),  # type: ignore[arg-type]
+        reason=np.zeros(shape, dtype=np.uint8) if one.reasons else None,
+    )  # fmt: skip
+
+
+def _dataset(
+    properties: list[Property], found: dict[str, Measured], status: NDArray[np.uint8], surfaces: xr.Dataset,
+    frame: RayFrame, options: RayOptions,
+) -> xr.Dataset:  # fmt: skip
+    valid = status == 0
+    data: dict[str, tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]] = {}
+    ray = max(*frame.pitch_um, float(np.sqrt(8 * np.log(2.0))) * frame.greys.blur_um)
+    for one in properties:
+        answer = found[one.name]
+        support = ray if one.support_um is None else max(length_of(one.support_um, options), ray)
+        about: dict[str, object] = {"units": one.units, "long_name": one.long_name, "support_um": round(support, 3)}
+        values = np.where(valid, answer.values, np.nan)
+        data[one.name] = (("y", "x"), values.astype(np.float32), about)
+        se: Array = np.full(status.shape, np.nan) if answer.se is None else answer.se.astype(np.float64)
+        title = {"units": one.units, "long_name": f"Standard error of {one.long_name[0].lower()}{one.long_name[1:]}"}
+        data[f"{one.name}_se"] = (
+            ("y", "x"), np.where(np.isfinite(values), se, np.nan).astype(np.float32), dict(title),
+        )  # fmt: skip
+        if one.reasons:
+            own = status.copy()
+            if answer.reason is not None:
+                own[valid & (answer.reason > 0)] = answer.reason[valid & (answer.reason > 0)] + OWN_REASON - 1
+            data[f"{one.name}_status"] = (("y", "x"), own, _flags(f"Status of {one.long_name}", one.reasons))
+    data["status"] = (("y", "x"), status, _flags("Status", ()))
+    known = options.densities.known()
+    attrs = dict(surfaces.attrs) | {"rays": frame.rays, "ray_step_um": frame.step_um} | known
+    return xr.Dataset(data, coords=surfaces.coords, attrs=attrs)
+
+
+def _flags(title: str, own: tuple[str, ...]) -> dict[str, object]:
+    values = [*range(len(MEANINGS)), *(OWN_REASON + k for k in range(len(own)))]
+    return {"long_name": title, "flag_values": values, "flag_meanings": " ".join((*MEANINGS, *own))}

@@ -1,0 +1,92 @@
+"""What grey values mean in one volume: the levels that the surface search learnt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import CannotMeasure, SurfaceError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Greys:
+    """Grey levels, noise and blur.
+
+    Attributes
+    ----------
+    air, base : float
+    coating_top, coating_bottom : float
+        NaN where that side has no coating.
+    noise : float
+        Standard deviation of one voxel.
+    polarity : float
+        +1 where the sheet is brighter than the air, -1 where it is darker.
+    blur_um : float
+        Standard deviation of the blur across the faces.
+    padding : float
+        Value outside the field of view; NaN where there is none.
+    """
+
+    air: float
+    base: float
+    coating_top: float
+    coating_bottom: float
+    noise: float
+    polarity: float
+    blur_um: float
+    padding: float
+
+    @classmethod
+    def of(cls, surfaces: xr.Dataset) -> Greys:
+        """Read the levels from the surfaces' attributes.
+
+        Raises
+        ------
+        SurfaceError
+            If they are not there.
+        """
+        attrs = surfaces.attrs
+        named = {name: f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")}
+        named |= {"polarity": "polarity", "blur_um": "blur_um"}
+        lacking = [key for key in named.values() if key not in attrs]
+        if lacking:
+            raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
+        values = {name: float(attrs[key]) for name, key in named.items()}
+        return cls(**values, padding=float(attrs.get("padding", np.nan)))
+
+    def coating(self, side: str) -> float:
+        """Level of the coating of ``top`` or ``bottom``."""
+        return self.coating_top if side == "top" else self.coating_bottom
+
+    def coated(self, side: str) -> bool:
+        """Whether that side has a coating."""
+        return bool(np.isfinite(self.coating(side)))
+
+    def need_coating(self, side: str, what: str) -> float:
+        """Level of the coating.
+
+        Raises
+        ------
+        CannotMeasure
+            If that side has none.
+        """
+        level = self.coating(side)
+        if not np.isfinite(level):
+            raise CannotMeasure(f"{what} needs a coating on the {side} side, and none was seen there. Leave it out.")
+        return level
+
+    def need_absorption(self, what: str) -> None:
+        """Refuse grey values that are not X-ray absorption.
+
+        Raises
+        ------
+        CannotMeasure
+            If the sheet is darker than what surrounds it, as in photographs of sections.
+        """
+        if self.polarity < 0:
+            raise CannotMeasure(
+                f"{what} is read from X-ray absorption, and this sheet is darker than what surrounds it, as in "
+                "photographs of sections in resin. Use a property that needs lengths only, with a density."
+            )

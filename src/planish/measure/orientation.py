@@ -1,0 +1,183 @@
+"""Fibre orientation in the plane of the sheet, from the structure tensor of the straightened volume (P-13).
+
+A step between rays is a step in the centre surface, whatever its tilt, so that the normal direction drops out: only
+gradients in the tangent plane are gathered, and turned into its own frame by the root of the metric, which is the frame
+that flattening keeps. A fibre lies along the direction in which the grey changes least.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planish.measure import _orientation_kernels
+from planish.measure.options import RayOptions
+from planish.measure.porosity import void_level
+from planish.measure.rays import Array, Rays
+from planish.measure.registry import Property, ray_property
+
+Grey3 = NDArray[np.float32]
+
+_CUT = 3.0  # standard deviations of a Gaussian
+_FWHM = float(np.sqrt(8 * np.log(2.0)))
+
+
+def _halo(options: RayOptions) -> float:
+    # The gradient's own reach is a few voxels, whose size is not known here.
+    sigma = options.orientation_sigma_um or 10.0
+    return _CUT * (options.orientation_rho_um + sigma) + 20.0
+
+
+def _width(options: RayOptions) -> float:
+    return _FWHM * options.orientation_rho_um
+
+
+def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
+    """Gradient along rows and columns, per um of projection, of the samples (slice) that some base reaches."""
+
+    def work() -> tuple[Grey3, Grey3, slice]:
+        some = rays.samples_within(*rays.core)
+        grey = rays.grey[..., some]
+        grey = np.where(np.isfinite(grey), grey, np.float32(rays.greys.base))
+        taps = [_taps(rays.options.orientation_sigma_um or p, p) for p in rays.pitch_um]
+
+        def along(axis: int) -> Grey3:
+            calm = _orientation_kernels.filtered(grey, taps[1 - axis][0], 1 - axis)
+            return _orientation_kernels.filtered(calm, taps[axis][1], axis)
+
+        return along(0), along(1), some
+
+    return rays.once("gradients", work)
+
+
+def _taps(sigma_um: float, pitch_um: float) -> tuple[Grey3, Grey3]:
+    """Gaussian of ``sigma_um``, at least half a pitch, and its derivative per um."""
+    sigma = max(sigma_um / pitch_um, 0.5)
+    x = np.arange(-int(np.ceil(_CUT * sigma)), int(np.ceil(_CUT * sigma)) + 1)
+    bell = np.exp(-0.5 * (x / sigma) ** 2)
+    # The derivative's taps have the slope 1 on a ramp.
+    slope = x * bell / np.sum(x * x * bell) / pitch_um
+    return (bell / bell.sum()).astype(np.float32), slope.astype(np.float32)
+
+
+def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Array, Array, Array]:
+    """Trace, cosine part and sine part (rows, cols) of the gathered tensor between two relative depths of the base.
+
+    With the gradient g in the tangent plane: sums of gx^2 + gy^2, gx^2 - gy^2 and 2 gx gy over the layer, outside
+    voids and the base's edges, then averaged over ``orientation_rho_um``.
+    """
+
+    def work() -> tuple[Array, Array, Array]:
+        by_row, by_col, some = _gradients(rays)
+        bottom, thick = rays.interface_bottom, rays.interface_top - rays.interface_bottom
+        lower, upper = rays.core
+        across, down, both = _orientation_kernels.tensor_sums(
+            by_row, by_col, rays.grey[..., some], rays.s_um[some], np.maximum(lower, bottom + lowest * thick),
+            np.minimum(upper, bottom + highest * thick), void_level(rays.greys, rays.options), rays.greys.polarity,
+        )  # fmt: skip
+        xx, yy, xy = _in_tangent_plane(across, down, both, rays.slope)
+        known = (rays.status == 0) & np.isfinite(xx)
+        sigma = [rays.options.orientation_rho_um / p for p in rays.pitch_um]
+        gathered = [
+            ndimage.gaussian_filter(np.where(known, v, 0.0), sigma, mode="constant", truncate=_CUT)
+            for v in (xx + yy, xx - yy, 2 * xy)
+        ]
+        return gathered[0], gathered[1], gathered[2]
+
+    return rays.once(f"tensor {lowest} {highest}", work)
+
+
+def _in_tangent_plane(xx: Array, yy: Array, xy: Array, slope: Array) -> tuple[Array, Array, Array]:
+    """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane: G^(-1/2) J G^(-1/2).
+
+    G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the slope,
+    G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
+    """
+    q, p = slope[..., 0], slope[..., 1]
+    steep = p * p + q * q
+    with np.errstate(divide="ignore", invalid="ignore"):
+        loss = np.where(steep > 0, (1 - 1 / np.sqrt(1 + steep)) / steep, 0.5)
+    a, b, d = 1 - loss * p * p, -loss * p * q, 1 - loss * q * q
+    return (
+        a * a * xx + 2 * a * b * xy + b * b * yy,
+        b * b * xx + 2 * b * d * xy + d * d * yy,
+        a * b * xx + (a * d + b * b) * xy + b * d * yy,
+    )
+
+
+def _components(rays: Rays, lowest: float, highest: float) -> tuple[Array, Array]:
+    """Anisotropy times cos and sin of twice the fibre's angle."""
+    trace, cosine, sine = _tensor(rays, lowest, highest)
+    turn = -1.0 if rays.mirrored else 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # The fibre stands across the gradient: its double angle is the other one's plus half a turn.
+        return np.where(trace > 0, -cosine / trace, np.nan), np.where(trace > 0, -turn * sine / trace, np.nan)
+
+
+@ray_property("fibre_cos2", units="1", long_name="Fibre direction, cosine part", halo_um=_halo, support_um=_width)
+def fibre_cos2(rays: Rays) -> Array:
+    """Anisotropy times cos(2 angle): may be averaged and interpolated, which an angle may not."""
+    return _components(rays, 0.0, 1.0)[0]
+
+
+@ray_property("fibre_sin2", units="1", long_name="Fibre direction, sine part", halo_um=_halo, support_um=_width)
+def fibre_sin2(rays: Rays) -> Array:
+    """Anisotropy times sin(2 angle)."""
+    return _components(rays, 0.0, 1.0)[1]
+
+
+@ray_property("fibre_angle", units="deg", long_name="Fibre angle", halo_um=_halo, support_um=_width)
+def fibre_angle(rays: Rays) -> Array:
+    """P-13: mean axis of the fibres, -90 to 90 degrees from the map's u axis towards its v axis.
+
+    Axial statistics: of doubled angles, each gradient with its square. No standard error: the directions of one
+    neighbourhood are those of few fibres. Do not interpolate it; use ``fibre_cos2`` and ``fibre_sin2``.
+    """
+    return axial_angle(*_components(rays, 0.0, 1.0))
+
+
+@ray_property("fibre_anisotropy", units="1", long_name="Fibre anisotropy", halo_um=_halo, support_um=_width)
+def fibre_anisotropy(rays: Rays) -> Array:
+    """P-13: (l1 - l2) / (l1 + l2) of the tensor's eigenvalues: 0 where no direction prevails, 1 where all are one.
+
+    Noise adds to both eigenvalues and makes it smaller.
+    """
+    return np.hypot(*_components(rays, 0.0, 1.0))
+
+
+def axial_angle(cosine: Array, sine: Array) -> Array:
+    """Angle in degrees, -90 to 90, of the components ``fibre_cos2`` and ``fibre_sin2``, or of their means."""
+    return np.rad2deg(0.5 * np.arctan2(sine, cosine))
+
+
+def orientation_layers(count: int) -> tuple[Property, ...]:
+    """Make properties of the same for each of ``count`` layers of equal share of the base, from its bottom to its top.
+
+    Returns
+    -------
+    tuple of Property
+        ``fibre_angle_layer_k`` and ``fibre_anisotropy_layer_k``, k = 1 to count; to be given to
+        :func:`~planish.measure.measure_along_rays` among its names.
+    """
+    made: list[Property] = []
+    for k in range(count):
+        lowest, highest = k / count, (k + 1) / count
+
+        def angle(rays: Rays, lowest: float = lowest, highest: float = highest) -> Array:
+            return axial_angle(*_components(rays, lowest, highest))
+
+        def anisotropy(rays: Rays, lowest: float = lowest, highest: float = highest) -> Array:
+            return np.hypot(*_components(rays, lowest, highest))
+
+        for name, units, title, function in (
+            ("fibre_angle", "deg", "Fibre angle", angle),
+            ("fibre_anisotropy", "1", "Fibre anisotropy", anisotropy),
+        ):
+            made.append(
+                Property(
+                    name=f"{name}_layer_{k + 1}", units=units, kind="rays", function=function,
+                    long_name=f"{title}, layer {k + 1} of {count}", halo_um=_halo, support_um=_width,
+                )
+            )  # fmt: skip
+    return tuple(made)

@@ -1,0 +1,182 @@
+"""The straightened volume: what a ray shows, what is read for it, and that tiles change nothing."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.interpolate import RegularGridInterpolator
+from xarray.backends import BackendArray
+from xarray.core import indexing
+
+from planish.core.errors import SizeError, SurfaceError
+from planish.measure import RayOptions, measure_along_rays, registered, straighten
+from planish.measure.densities import Densities
+from planish.measure.rays import NO_NORMAL, NOT_IN_VOLUME
+
+
+def slow_grey(made, rays, i, j):
+    """One ray by scipy: m + s n, interpolated linearly in the volume."""
+    at = RegularGridInterpolator(
+        tuple(made.volume[d].values for d in "zyx"), made.volume.values.astype(float), bounds_error=False
+    )
+    surfaces = made.surfaces
+    nr, nc, nh = rays.normals[i, j]
+    z = float(surfaces["centre"][i, j]) + rays.s_um * nh
+    y, x = float(surfaces["y"][i]) + rays.s_um * nr, float(surfaces["x"][j]) + rays.s_um * nc
+    return at(np.stack([z, y, x], axis=-1))
+
+
+def test_a_ray_equals_its_slow_twin(rough):
+    rays = straighten(rough.volume, rough.surfaces, slice(0, 52))
+    for i, j in ((10, 12), (40, 20), (26, 30), (30, 21)):
+        # the kernel works in float64 and stores float32
+        np.testing.assert_allclose(rays.grey[i, j], slow_grey(rough, rays, i, j), rtol=1e-6)
+
+
+def test_normals_and_faces_of_a_tilted_plane(made):
+    sheet = made(slope=(0.0, 0.5), size_um=(60.0, 240.0))
+    rays = straighten(sheet.volume, sheet.surfaces, slice(0, 30))
+    middle = slice(50, 70)
+    np.testing.assert_allclose(rays.normals[15, 60], [0, -0.5 / np.hypot(1, 0.5), 1 / np.hypot(1, 0.5)])
+    for name in ("top", "bottom", "interface_top", "interface_bottom"):
+        np.testing.assert_allclose(getattr(rays, name)[:, middle], sheet.faces[name], atol=1e-3)
+    assert rays.step_um == 1.0
+    np.testing.assert_allclose(rays.stretch[15, 60], [1.0, np.hypot(1, 0.5)])
+    # grey along the ray is the blurred staircase itself; linear interpolation rounds its steps by up to v^2 g'' / 8
+    s = rays.s_um
+    half = rays.grey[15, 60, np.argmin(np.abs(s - sheet.faces["top"]))]
+    assert half == pytest.approx(0.5 * (40 + 200), abs=4)
+
+
+def test_vertical_rays_give_lengths_too_large_by_the_cosine(made):
+    sheet = made(slope=(0.0, 0.5), size_um=(40.0, 240.0))
+    vertical = straighten(sheet.volume, sheet.surfaces, slice(5, 10), rays="vertical")
+    # t / cos a, with tan a = 0.5
+    np.testing.assert_allclose(vertical.top - vertical.bottom, 78.0 * np.hypot(1, 0.5), rtol=1e-9)
+    normal, upright = (
+        measure_along_rays(sheet.volume, sheet.surfaces, names=["thickness", "absorption"], rays=way)
+        for way in ("normal", "vertical")
+    )
+    middle = {"y": slice(5, 15), "x": slice(50, 70)}
+    for name in ("thickness", "absorption"):
+        longer = upright[name].isel(middle) / normal[name].isel(middle)
+        # the ray's ends lie three blurs outside, so that its integral is longer by the same factor
+        np.testing.assert_allclose(longer, np.hypot(1, 0.5), rtol=2e-3)
+    assert upright.attrs["rays"] == "vertical"
+    np.testing.assert_allclose(vertical.lean, np.hypot(1, 0.5))
+    assert (straighten(sheet.volume, sheet.surfaces, slice(5, 10)).lean == 1).all()
+
+
+@pytest.mark.parametrize(("through", "top"), [("y", "high"), ("x", "low"), ("z", "low")])
+def test_every_pose_of_the_sheet_gives_the_same_rays(rough, through, top):
+    order = {"z": ("z", "y", "x"), "y": ("y", "z", "x"), "x": ("y", "x", "z")}[through]
+    reference = straighten(rough.volume, rough.surfaces, slice(10, 40))
+    values = rough.volume.transpose(*order).values
+    surfaces = rough.surfaces.copy(deep=True)
+    depth = rough.volume["z"].values
+    if top == "low":
+        values = np.flip(values, axis=order.index("z"))
+        for name in ("top", "bottom", "interface_top", "interface_bottom", "centre"):
+            surfaces[name] = (("y", "x"), depth[-1] - rough.surfaces[name].values)
+    volume = xr.DataArray(values, dims=("z", "y", "x"),
+                          coords={d: np.arange(n) * 3.0 for d, n in zip("zyx", values.shape, strict=True)})  # fmt: skip
+    surfaces.attrs |= {"through": through, "top_side": top}
+    found = straighten(volume, surfaces, slice(10, 40))
+    # mirrored coordinates round differently
+    np.testing.assert_allclose(found.grey, reference.grey, rtol=1e-6)
+    np.testing.assert_allclose(found.top, reference.top, atol=2e-4)
+
+
+class Counted(BackendArray):
+    """An array on a disk that counts what is read of it."""
+
+    def __init__(self, values):
+        self.values, self.shape, self.dtype, self.largest = values, values.shape, values.dtype, 0
+
+    def __getitem__(self, key):
+        def read(key):
+            part = self.values[key]
+            self.largest = max(self.largest, part.size)
+            return part
+
+        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, read)
+
+
+def test_only_what_a_tile_needs_is_read(made):
+    sheet = made(slope=(0.2, 0.0), size_um=(400.0, 60.0))
+    disk = Counted(sheet.volume.values)
+    lazy = xr.DataArray(xr.Variable(("z", "y", "x"), indexing.LazilyIndexedArray(disk)), coords=sheet.volume.coords)
+    rays = straighten(lazy, sheet.surfaces, slice(90, 100))
+    np.testing.assert_array_equal(rays.grey, straighten(sheet.volume, sheet.surfaces, slice(90, 100)).grey)
+    # 10 of 200 rows, and the lean of rays of some 140 um at a slope of 0.2: 14 rows more
+    assert disk.largest < 0.2 * sheet.volume.size
+    one, all_at_once = (
+        measure_along_rays(v, sheet.surfaces, names=["absorption"], rows_per_tile=r)
+        for v, r in ((lazy, 8), (sheet.volume, 500))
+    )
+    assert disk.largest < 0.25 * sheet.volume.size
+    xr.testing.assert_identical(one, all_at_once)
+
+
+EVERYTHING = RayOptions(
+    densities=Densities(coating_g_cm3=1.6, base_g_cm3=0.8, filler_g_cm3=2.7), ink_grey=(120.0, 400.0), l_filter_um=60.0,
+    filler_grey=110.0, pore_limit_um=15.0, orientation_rho_um=8.0, orientation_sigma_um=3.0, void_grey=75.0,
+    density_support_um=20.0,
+)  # fmt: skip
+
+
+def test_tiles_and_threads_change_no_byte_of_any_property(rough):
+    """Every built-in property, and its errors and reasons."""
+    names = [name for name, one in registered().items() if one.function.__module__.startswith("planish.")]
+    assert len(names) > 30
+
+    def measure(rows, threads):
+        return measure_along_rays(
+            rough.volume, rough.surfaces, names=names, options=EVERYTHING, rows_per_tile=rows, threads=threads
+        )
+
+    whole = measure(52, 1)
+    for rows, threads in ((7, 2), (1, 3)):
+        xr.testing.assert_identical(measure(rows, threads), whole)
+    lacking = [name for name in names if not np.isfinite(whole[name].values).any()]
+    assert lacking == []
+    by_memory = measure_along_rays(
+        rough.volume, rough.surfaces, names=["porosity", "fibre_angle"], options=EVERYTHING, memory_bytes=30_000_000
+    )
+    xr.testing.assert_identical(by_memory["fibre_angle"], whole["fibre_angle"])
+
+
+def test_reasons_of_missing_rays(rough):
+    found = measure_along_rays(rough.volume, rough.surfaces, names=["absorption"])
+    status = found["status"].values
+    assert (status[20:25, 10:14] == 1).all()
+    assert status[30, 20] == NO_NORMAL
+    # normals at the border lean out of the volume
+    assert (status[:, [0, -1]] == NO_NORMAL).all()
+    assert np.isnan(found["absorption"].values[status != 0]).all()
+    assert found["status"].attrs["flag_meanings"].split()[6] == "ray_leaves_volume"
+    padded = rough.surfaces.assign_attrs(padding=0.0)
+    volume = rough.volume.copy(deep=True)
+    volume[:, 40:, :] = 0
+    outside = measure_along_rays(volume, padded, names=["absorption"])["status"].values
+    assert (outside[45:50, 5:35] == NOT_IN_VOLUME).all()
+
+
+def test_a_ray_without_matter_is_low_in_contrast(made):
+    sheet = made()
+    volume = sheet.volume.copy(deep=True)
+    volume[:, 20:30, 30:40] = 42.0
+    status = measure_along_rays(volume, sheet.surfaces, names=["porosity"])["status"]
+    assert (status.values[21:29, 31:39] == 5).all()
+    assert status.attrs["flag_meanings"].split()[5] == "low_contrast"
+
+
+def test_what_does_not_fit_is_refused(made):
+    sheet = made()
+    with pytest.raises(SizeError, match=r"at most 1 um"):
+        straighten(sheet.volume, sheet.surfaces, slice(0, 5), step_um=1.5)
+    with pytest.raises(SurfaceError, match="do not belong together"):
+        straighten(sheet.volume[:, 1:], sheet.surfaces, slice(0, 5))
+    bare = sheet.surfaces.copy()
+    del bare.attrs["grey_base"]
+    with pytest.raises(SurfaceError, match="grey_base"):
+        straighten(sheet.volume, bare, slice(0, 5))
