@@ -24,6 +24,7 @@ from planish.io.run_folder import new_folder, refuse_existing, work_folder, writ
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.marks import find_holes, read_marks, write_marks
 from planish.measure import PROPERTIES, measure_properties
+from planish.properties import further_maps, further_results, measure_more, number_results, with_angles
 from planish.register import FittedTransform, Model, fit_transform, match_marks
 from planish.report import write_report
 from planish.resample import covering_grid, find_places, resample, resample_dataset
@@ -165,6 +166,8 @@ def map_sheet(
     _check_thickness(surfaces)
     tell("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
     properties = measure_properties(surfaces)
+    surfaces = surfaces.drop_vars("status").merge(properties, combine_attrs="override")
+    more = measure_more(volume, surfaces, study.properties, compute, tell)
     tell("flatten", "eight-spring mesh")
     f = study.flatten
     flattened = flatten_sheet(surfaces, params=FlattenParams(mesh_um=f.mesh_um, method=f.method, rest=f.rest))
@@ -179,7 +182,8 @@ def map_sheet(
             "flatten": study.flatten.model_copy(update={"mesh_um": flattened.mesh_um, "map_um": map_um}),
         }
     )
-    surfaces = surfaces.drop_vars("status").merge(properties, combine_attrs="override")
+    numbers = number_results(volume, surfaces.merge(more.drop_vars("status"), compat="override"), study.properties)
+    surfaces = surfaces.merge(more.drop_vars("status"), compat="override", combine_attrs="override")
     maps = _flat_maps(surfaces, flattened, map_um)
     groups = {
         "surfaces": surfaces,
@@ -194,6 +198,8 @@ def map_sheet(
         "inputs": {"volume": input_results(volume, Path(study.volume.path), voxel_um=list(voxel))},
         "surfaces": surface_results(surfaces),
         "properties": property_results(surfaces),
+        "further": further_results(surfaces),
+        "numbers": numbers,
         "flatten": flatten_results(flattened),
     }
     if sections is not None:
@@ -438,7 +444,9 @@ def _on_mesh(surfaces: xr.Dataset, flat: xr.Dataset) -> xr.Dataset:
     frame = Frame.of(surfaces)
     lateral = {frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :]}
     shape = surfaces["centre"].shape
-    data = surfaces[list(PROPERTIES)].assign({k: flat[k] for k in ("u", "v", "projected_u", "projected_v")})
+    data = surfaces[[*PROPERTIES, *further_maps(surfaces)]].assign(
+        {k: flat[k] for k in ("u", "v", "projected_u", "projected_v")}
+    )
     for axis in "xyz":
         values = surfaces["centre"].values if axis == frame.through else np.broadcast_to(lateral[axis], shape)
         values = np.where(np.isfinite(flat["u"].values), values, np.nan)
@@ -449,7 +457,8 @@ def _on_mesh(surfaces: xr.Dataset, flat: xr.Dataset) -> xr.Dataset:
 
 def _single(data: xr.Dataset) -> xr.Dataset:
     """Properties in single precision, as they are stored; geometry stays double."""
-    return data.assign({k: data[k].astype(np.float32) for k in (*PROPERTIES, "presence") if k in data})
+    names = (*PROPERTIES, *further_maps(data), "presence")
+    return data.assign({k: data[k].astype(np.float32) for k in names if k in data})
 
 
 def _flat_maps(surfaces: xr.Dataset, flattened: Flattened, map_um: float) -> xr.Dataset:
@@ -459,7 +468,7 @@ def _flat_maps(surfaces: xr.Dataset, flattened: Flattened, map_um: float) -> xr.
     coords = {"v": origin[1] + map_um * np.arange(shape[0]), "u": origin[0] + map_um * np.arange(shape[1])}
     source = _on_mesh(surfaces, flattened.flat).drop_vars(["u", "v"])
     source["presence"] = surfaces["presence"]
-    maps = resample_dataset(source, places, dims=("v", "u"), coords=coords)
+    maps = with_angles(resample_dataset(source, places, dims=("v", "u"), coords=coords))
     maps["valid"] = (("v", "u"), np.isfinite(maps["thickness"].values), {"long_name": "Measured"})
     maps.attrs = {"overlaps": places.overlaps}
     return _single(maps)
@@ -546,7 +555,7 @@ def _linked(
     places = find_places(transform(_uv(flat)), shape=shape, pixel_um=pixel, least_um=min(_pitch(surfaces)) * scale)
     coords = {"y": image["y"].values, "x": image["x"].values}
     source = _on_mesh(surfaces, flat).drop_vars(["projected_u", "projected_v"])
-    linked = resample_dataset(source, places, dims=("y", "x"), coords=coords)
+    linked = with_angles(resample_dataset(source, places, dims=("y", "x"), coords=coords))
     attrs = {"long_name": str(image.attrs.get("long_name", "Image")), "units": "1"}
     linked["image"] = (("y", "x"), image.values, attrs)
     valid = np.isfinite(linked["thickness"].values) & np.isfinite(image.values) & away
@@ -574,7 +583,9 @@ def _correlations(linked: xr.Dataset, pixel: tuple[float, float], point_um: floa
     valid = linked["valid"].values
     brightness = linked["image"].values.astype(np.float64)
     out: list[dict[str, Any]] = []
-    for name in PROPERTIES:
+    angles = {str(k) for k, v in linked.data_vars.items() if v.attrs.get("units") == "deg"}
+    further = [k for k in further_maps(linked) if not k.endswith("_se") and k not in angles]
+    for name in (*PROPERTIES, *further):
         values = np.where(valid, linked[name].values.astype(np.float64), np.nan)
         if not np.isfinite(values).any():
             continue

@@ -54,6 +54,38 @@ class SurfaceSection(Section):
     rim_um: Annotated[float, Field(ge=0)] = 100.0
 
 
+class PropertiesSection(Section):
+    """What is measured beside the faces, and the numbers that planish cannot know.
+
+    ``maps`` names further maps; the rest is as in :class:`planish.measure.Densities` and
+    :class:`planish.measure.RayOptions`.
+    """
+
+    maps: tuple[str, ...] = ()
+    rays: Literal["normal", "vertical"] = "normal"
+    coating_g_cm3: Length | None = None
+    base_g_cm3: Length | None = None
+    filler_g_cm3: Length | None = None
+    grammage_g_m2: Length | None = None
+    coat_weight_top_g_m2: Length | None = None
+    coat_weight_bottom_g_m2: Length | None = None
+    coat_weight_from: Literal["thickness", "attenuation"] = "thickness"
+    void_grey: float | None = None
+    solid_grey: float | None = None
+    filler_grey: float | None = None
+    ink_grey: tuple[float, float] | None = None
+    ink_reach_um: Length | None = None
+    edge_um: Annotated[float, Field(ge=0)] | None = None
+    gap_um: Annotated[float, Field(ge=0)] = 6.0
+    envelope_radius_um: Length = 250.0
+    s_filter_um: Length = 5.0
+    l_filter_um: Length = 800.0
+    density_support_um: Length = 100.0
+    pore_limit_um: Length = 40.0
+    orientation_sigma_um: Length | None = None
+    orientation_rho_um: Length = 40.0
+
+
 class FlattenSection(Section):
     """Choices of the flattening and of the flat maps."""
 
@@ -86,6 +118,7 @@ class Study(Section):
     volume: VolumeSection
     image: ImageSection | None = None
     surface: SurfaceSection = SurfaceSection()
+    properties: PropertiesSection = PropertiesSection()
     flatten: FlattenSection = FlattenSection()
     registration: RegistrationSection = RegistrationSection()
     correlate: CorrelateSection = CorrelateSection()

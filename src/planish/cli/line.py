@@ -21,6 +21,7 @@ from planish.cli.options import (
     json_option,
     match_options,
     out_option,
+    property_options,
     section_options,
     surface_options,
     volume_options,
@@ -46,6 +47,12 @@ def _volume(path: Path, options: dict[str, Any]) -> dict[str, Any]:
 
 def _surface(options: dict[str, Any]) -> dict[str, Any]:
     return {k: options[k] for k in ("sheet_grey", "cutoff_um", "rim_um")}
+
+
+def _properties(options: dict[str, Any]) -> dict[str, Any]:
+    names = ("maps", "rays", "coating_g_cm3", "base_g_cm3", "grammage_g_m2", "coat_weight_top_g_m2",
+             "coat_weight_bottom_g_m2", "solid_grey", "ink_grey")  # fmt: skip
+    return {k: options[k] for k in names}
 
 
 def _checked(data: dict[str, Any]) -> Any:
@@ -96,6 +103,7 @@ def _run(study: Any, out: Path, *, as_json: bool, options: dict[str, Any] | None
     help="Edge of the larger points that are correlated.",
 )
 @surface_options
+@property_options
 @compute_options
 @json_option
 def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool, **options: Any) -> int:
@@ -117,6 +125,7 @@ def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool
                 "override_size": options["override_size"],
             },
             "surface": _surface(options),
+            "properties": _properties(options),
             "registration": registration,
             "correlate": {"point_um": options["point_um"]},
         }
@@ -132,11 +141,14 @@ def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool
 @section_options
 @column_option
 @surface_options
+@property_options
 @compute_options
 @json_option
 def map_(volume: Path, out: Path, as_json: bool, **options: Any) -> int:
     """Map VOLUME: flattened maps of all properties, without an image."""
-    study = _checked({"volume": _volume(volume, options), "surface": _surface(options)})
+    study = _checked(
+        {"volume": _volume(volume, options), "surface": _surface(options), "properties": _properties(options)}
+    )
     return _run(study, out, as_json=as_json, options=options)
 
 
@@ -246,6 +258,15 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], memory_bytes: i
             tell=lambda what, done, count: tell(what, f"block {done} of {count}"),
         )  # fmt: skip
     click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
+
+
+@click.command()
+def properties() -> None:
+    """List the maps that --property takes: name, unit and what they show."""
+    from planish.cli.show import table
+    from planish.measure import registered
+
+    table("Properties", ("name", "unit", ""), [(p.name, p.units, p.long_name) for p in registered().values()])
 
 
 @click.command()

@@ -16,7 +16,7 @@ from pathlib import Path
 import click
 
 from planish import __version__
-from planish.cli.line import demo, import_, info, link, map_, run
+from planish.cli.line import demo, import_, info, link, map_, properties, run
 from planish.cli.specimen import specimen
 from planish.cli.stages import correlate, flatten, holes, measure, register, report, resample, surface
 from planish.cli.validate import validate
@@ -38,7 +38,7 @@ def planish() -> None:
 
 
 _COMMANDS = (
-    link, map_, demo, info, import_, run, specimen, validate,
+    link, map_, demo, info, properties, import_, run, specimen, validate,
     surface, measure, flatten, resample, holes, register, correlate, report,
 )  # fmt: skip
 for _command in _COMMANDS:

@@ -85,6 +85,9 @@ class Memory(click.ParamType[int]):
         return amount
 
 
+_POSITIVE = click.FloatRange(min=0, min_open=True)
+
+
 def _stack(*options: Command) -> Command:
     def decorate(function: Command) -> Command:
         for option in reversed(options):
@@ -167,6 +170,30 @@ compute_options = _stack(
     ),
     click.option("--threads", type=click.IntRange(min=1), help="Local threads; one a core, eight at most."),
     click.option("--scheduler", metavar="tcp://HOST:PORT", help="Work on a dask cluster instead of local threads."),
+)
+
+property_options = _stack(
+    click.option(
+        "--property",
+        "maps",
+        multiple=True,
+        metavar="NAME",
+        help="A further map, such as porosity or fibre_angle; may be given again. 'planish properties' lists them.",
+    ),
+    click.option(
+        "--rays",
+        type=click.Choice(["normal", "vertical"]),
+        default="normal",
+        show_default=True,
+        help="Direction along which further maps are measured.",
+    ),
+    click.option("--coating-density", "coating_g_cm3", type=_POSITIVE, metavar="G/CM3", help="For coat weight."),
+    click.option("--base-density", "base_g_cm3", type=_POSITIVE, metavar="G/CM3", help="For grammage."),
+    click.option("--grammage", "grammage_g_m2", type=_POSITIVE, metavar="G/M2", help="Weighed mass of the sheet."),
+    click.option("--coat-weight-top", "coat_weight_top_g_m2", type=_POSITIVE, metavar="G/M2", help="Weighed coating."),
+    click.option("--coat-weight-bottom", "coat_weight_bottom_g_m2", type=_POSITIVE, metavar="G/M2", help="The same."),
+    click.option("--solid-grey", type=float, help="Grey of fibre wall without voids: for the porosity."),
+    click.option("--ink-grey", type=Numbers(2, metavar="LOW,HIGH"), help="Grey range of ink: for its depth."),
 )
 
 image_options = _stack(

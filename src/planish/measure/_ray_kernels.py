@@ -10,7 +10,7 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def resample_rays(block, corner, first, depth, step_r, step_c, step_d, wanted, low, ds, padding, padded, out):
+def resample_rays(block, corner, first, wide, depth, step_r, step_c, step_d, wanted, low, ds, padding, padded, out):
     """Trilinear grey along rays through a part of the volume.
 
     Parameters
@@ -21,6 +21,8 @@ def resample_rays(block, corner, first, depth, step_r, step_c, step_d, wanted, l
         Index in the volume of the block's first voxel.
     first : int
         Row of the sheet that the first row of rays belongs to.
+    wide : int
+        Voxels along the edge of a column; its ray starts in the middle of them.
     depth : (ray rows, cols)
         Index along the axis through the sheet at which a ray has s = 0.
     step_r, step_c, step_d : (ray rows, cols)
@@ -35,8 +37,10 @@ def resample_rays(block, corner, first, depth, step_r, step_c, step_d, wanted, l
     """
     rows, cols, count = out.shape
     height, width, deep = block.shape
+    middle = 0.5 * (wide - 1)
     for i in range(rows):
         for j in range(cols):
+            at_r, at_c = wide * (first + i) + middle, wide * j + middle
             if not wanted[i, j]:
                 out[i, j, :] = np.nan
                 continue
@@ -45,12 +49,12 @@ def resample_rays(block, corner, first, depth, step_r, step_c, step_d, wanted, l
             sure = True
             for k in (0, count - 1):
                 s = (low + k) * ds
-                r, c, d = first + i + s * sr - corner[0], j + s * sc - corner[1], d0 + s * sd - corner[2]
+                r, c, d = at_r + s * sr - corner[0], at_c + s * sc - corner[1], d0 + s * sd - corner[2]
                 sure = sure and 0.0 <= r < height - 1.001 and 0.0 <= c < width - 1.001 and 0.0 <= d < deep - 1.001
             for k in range(count):
                 s = (low + k) * ds
                 # Coordinates are those of the whole volume: rounding must not depend on the block.
-                r, c, d = first + i + s * sr, j + s * sc, d0 + s * sd
+                r, c, d = at_r + s * sr, at_c + s * sc, d0 + s * sd
                 if sure:
                     r0, c0, d0i = int(r), int(c), int(d)
                 else:

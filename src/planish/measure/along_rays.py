@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from planish.core.errors import CannotMeasure, ResourceError
 from planish.measure.greys import Greys
 from planish.measure.options import RayOptions
-from planish.measure.ray_frame import RayFrame, through_pitch
+from planish.measure.ray_frame import RayFrame, column_of
 from planish.measure.rays import Array, Direction, Rays
 from planish.measure.registry import Measured, Property, Sheet, in_order, length_of
 from planish.measure.uncertainty import ray_noise
@@ -114,7 +114,7 @@ def ray_frame(
     volume: xr.DataArray, surfaces: xr.Dataset, *, options: RayOptions | None = None, rays: Direction = "normal"
 ) -> RayFrame:
     """Find where the rays lie and how much noise their integrals have."""
-    frame = RayFrame.of(surfaces, voxel_um=through_pitch(volume, surfaces), rays=rays, options=options)
+    frame = RayFrame.of(surfaces, **column_of(volume, surfaces), rays=rays, options=options)
     return replace(frame, noise_um=ray_noise(volume, frame))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -33,6 +34,8 @@ class RayFrame:
     status : (rows, cols) uint8
     low, high : int
         First and last sample; sample k lies at k * step_um.
+    wide : int
+        Voxels along the edge of a column of the surfaces.
     """
 
     frame: Frame
@@ -48,12 +51,13 @@ class RayFrame:
     greys: Greys
     options: RayOptions
     mean_stretch: tuple[float, float]
+    wide: int = 1
     noise_um: float = float("nan")
 
     @classmethod
     def of(
-        cls, surfaces: xr.Dataset, *, voxel_um: float, step_um: float | None = None, margin_um: float | None = None,
-        rays: Direction = "normal", options: RayOptions | None = None,
+        cls, surfaces: xr.Dataset, *, voxel_um: float, wide: int = 1, step_um: float | None = None,
+        margin_um: float | None = None, rays: Direction = "normal", options: RayOptions | None = None,
     ) -> RayFrame:  # fmt: skip
         """Find where every ray meets the faces.
 
@@ -62,6 +66,8 @@ class RayFrame:
         surfaces : Dataset, dims (y, x), heights in um
         voxel_um : float
             Voxel size along the axis through the sheet.
+        wide : int
+            Voxels along the edge of a column of the surfaces.
         step_um : float
             At most half of it, which is the default.
         margin_um : float
@@ -108,6 +114,7 @@ class RayFrame:
         return cls(
             frame=frame, rays=rays, heights=heights, faces=faces, status=status, pitch_um=pitch, voxel_um=voxel_um,
             step_um=step, low=low, high=high, greys=greys, options=options or RayOptions(), mean_stretch=stretch,
+            wide=wide,
         )  # fmt: skip
 
     @property
@@ -150,14 +157,16 @@ class RayFrame:
         through = volume.coords[f.through].values
         size = float(through[1] - through[0])
         depth = (f.sign * self.heights["centre"][rows] - float(through[0])) / size
-        steps = (
-            normals[..., 0] / self.pitch_um[0], normals[..., 1] / self.pitch_um[1], f.sign * normals[..., 2] / size,
-        )  # fmt: skip
+        k = self.wide
+        along_r, along_c = (normals[..., axis] * k / self.pitch_um[axis] for axis in (0, 1))
+        steps = (along_r, along_c, f.sign * normals[..., 2] / size)
         out = np.full((*wanted.shape, self.samples), np.nan, dtype=np.float32)
         if not wanted.any():
             return out
         # The box around both ends of all rays, in voxels.
-        starts = np.broadcast_to(np.arange(rows.start, rows.stop)[:, None], wanted.shape), np.arange(wanted.shape[1])
+        middle = 0.5 * (k - 1)
+        down = k * np.arange(rows.start, rows.stop)[:, None] + middle
+        starts = np.broadcast_to(down, wanted.shape), k * np.arange(wanted.shape[1]) + middle
         ends = [
             np.stack([(at + end * self.step_um * step)[wanted] for end in (self.low, self.high)])
             for at, step in zip((*starts, depth), steps, strict=True)
@@ -168,11 +177,13 @@ class RayFrame:
             for e, n in zip(ends, sizes, strict=True)
         ]
         part = volume.isel(dict(zip((f.rows, f.cols, f.through), box, strict=True)))
-        block = np.ascontiguousarray(part.transpose(f.rows, f.cols, f.through).values)
+        # Turned only after it was read: what is read lazily may not know how to turn.
+        turned = part.values.transpose([part.get_axis_num(axis) for axis in (f.rows, f.cols, f.through)])
+        block = np.ascontiguousarray(turned)
         corner = np.array([b.start for b in box])
         padded = bool(np.isfinite(self.greys.padding))
         _ray_kernels.resample_rays(
-            block, corner, rows.start, depth, *steps, wanted, self.low, self.step_um, self.greys.padding, padded, out
+            block, corner, rows.start, k, depth, *steps, wanted, self.low, self.step_um, self.greys.padding, padded, out
         )
         return out
 
@@ -204,30 +215,31 @@ def straighten(
     SurfaceError, SizeError, CannotMeasure
     """
     frame = RayFrame.of(
-        surfaces, voxel_um=through_pitch(volume, surfaces), step_um=step_um, margin_um=margin_um, rays=rays,
+        surfaces, **column_of(volume, surfaces), step_um=step_um, margin_um=margin_um, rays=rays,
         options=options,
     )  # fmt: skip
     return frame.tile(volume, rows)
 
 
-def through_pitch(volume: xr.DataArray, surfaces: xr.Dataset) -> float:
-    """Voxel size along the axis through the sheet; the volume must be the one of the surfaces.
+def column_of(volume: xr.DataArray, surfaces: xr.Dataset) -> dict[str, Any]:
+    """Voxel size along the axis through the sheet, ``voxel_um``, and voxels along the edge of a column, ``wide``.
 
     Raises
     ------
     SurfaceError
-        If rows or columns differ in number.
+        If the surfaces are not those of the volume.
     """
     frame = Frame.of(surfaces)
     have = volume.sizes[frame.rows], volume.sizes[frame.cols]
     want = surfaces.sizes["y"], surfaces.sizes["x"]
-    if have != want:
+    wide = max(have[0] // max(want[0], 1), 1)
+    if (have[0] // wide, have[1] // wide) != want:
         raise SurfaceError(
             f"The volume has {have[0]} x {have[1]} columns and the surfaces have {want[0]} x {want[1]}: they do not "
             "belong together. Find the surfaces in this volume."
         )
     values = volume.coords[frame.through].values
-    return abs(float(values[1] - values[0]))
+    return {"voxel_um": abs(float(values[1] - values[0])), "wide": wide}
 
 
 def _slopes(centre: Array, pitch: tuple[float, float], rows: slice) -> tuple[Array, Array]:

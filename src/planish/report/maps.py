@@ -27,6 +27,7 @@ from planish.report.draw import pitch as step_of
 from planish.report.text import count, in_figure, number, plain, unit
 
 PROPERTY = "viridis"
+CYCLIC = "twilight"
 _BESIDE = 1.62  # inches for the distribution, the colour bar and its numbers
 _BINS = 80
 
@@ -58,14 +59,17 @@ def _draw(maps: xr.Dataset, name: str, width: float, rim_um: float) -> Picture:
     box = fit_box(shown, width - _BESIDE, 6.4 if width == FULL else 4.8)
     known = values[np.isfinite(values)]
     mean, sd = float(known.mean()), float(known.std())
-    norm = limits(known)
+    # An angle of fibres begins again at 180 degrees, and so must its colours.
+    turns = str(data.attrs.get("units")) == "deg" and name.endswith("angle")
+    norm = Normalize(0.0, 180.0) if turns else limits(known)
+    colours = CYCLIC if turns else PROPERTY
     title = in_figure(str(data.attrs.get("long_name", name)))
     units = in_figure(unit(str(data.attrs.get("units", "um"))))
     high = max(box[1], LOWEST_BAR)
     canvas = Canvas(width, high + 0.34)
-    show(canvas.axes(0.02, 0.03, *box), shown, norm=norm, cmap=PROPERTY)
+    show(canvas.axes(0.02, 0.03, *box), shown, norm=norm, cmap=colours)
     left = box[0] + 0.14
-    colour_bar(canvas.axes(left, 0.03, 0.13, high), norm=norm, cmap=PROPERTY)
+    colour_bar(canvas.axes(left, 0.03, 0.13, high), norm=norm, cmap=colours)
     label = f"{title} / {units}" if units else title
     canvas.text(box[0] + _BESIDE - 0.03, 0.03 + high / 2, label, rotation=90, va="center", ha="right", fontsize=8.5)
     _distribution(canvas.axes(left + 0.55, 0.03, 0.62, high), known, norm, mean, sd)

@@ -91,6 +91,8 @@ def render_report(*, groups: dict[str, xr.Dataset], marks: xr.Dataset | None, re
         columns=tables.columns(results),
         flattening=tables.flattening(results, groups["surfaces"]),
         properties=tables.properties(results, names),
+        further=tables.further(results, names),
+        numbers=tables.numbers(results),
         mark_rows=tables.mark_rows(marks) if marks is not None and linked is not None else [],
         transform=tables.transform(results) if linked is not None else [],
         match_sentence=str(results["marks"].get("sentence", "")) if linked is not None else "",
@@ -123,7 +125,10 @@ def _pictures(
             *([curved] if (curved := draw_curvature(groups["strain"], flat, results["flatten"]["curvature"])) else []),
         ],
         "maps": draw_maps(
-            groups["maps"], list(results["properties"]), headline=headline, rim_um=float(results["surfaces"]["rim_um"])
+            groups["maps"],
+            [*results["properties"], *results.get("further", {})],
+            headline=headline,
+            rim_um=float(results["surfaces"]["rim_um"]),
         ),
     }
     if linked is None or headline is None:

@@ -133,6 +133,62 @@ def properties(results: Row, names: dict[str, str]) -> list[Row]:
     return out
 
 
+def further(results: Row, names: dict[str, str]) -> list[Row]:
+    """Return the distribution of each further property, with its unit and standard error."""
+    keys = ("mean", "sd", "p5", "median", "p95", "standard_error")
+    out: list[Row] = []
+    for name, data in results.get("further", {}).items():
+        cells = [number(data[key]) if data else NONE for key in keys]
+        units = unit(str(data["units"])) if data else ""
+        support = number(data["support_um"]) if data else NONE
+        title = names.get(name, name)
+        out.append({"name": f"{title} / {units}" if units else title, "n": count(data["n"]) if data else NONE,
+                    "cells": [*cells, support]})  # fmt: skip
+    return out
+
+
+_ROUGHNESS = {"sa": " µm", "sq": " µm", "ssk": "", "sku": "", "sz": " µm", "sdq": ""}
+_SIDES = {"top": "top side", "bottom": "bottom side"}
+
+
+def numbers(results: Row) -> list[tuple[str, str]]:
+    """Return what describes the sheet in numbers, as pairs of name and value."""
+    told = results.get("numbers", {})
+    out: list[tuple[str, str]] = []
+    for side, words in _SIDES.items():
+        thin = told.get(f"thin_{side}")
+        if thin:
+            shares = ", ".join(
+                f"{percent(share)} below {number(x)} µm" if x else f"{percent(share)} bare"
+                for x, share in zip(thin["thinner_than_um"], thin["share"], strict=True)
+            )
+            out.append((f"Thin coating, {words}", f"{shares}, at columns of {length(thin['support_um'])}"))
+            if thin["warning"]:
+                out.append(("", str(thin["warning"]).replace(" um", "\u202fµm")))
+        rough = told.get(f"roughness_{side}", {})
+        if "reason" in rough:
+            out.append((f"Roughness, {words}", str(rough["reason"]).replace(" um", "\u202fµm")))
+        elif rough:
+            values = ", ".join(
+                f"{key.capitalize()} {number(rough[key])}{units}" for key, units in _ROUGHNESS.items()
+            )
+            filters = f"S-filter {length(rough['s_filter_um'])}, L-filter {length(rough['l_filter_um'])}"
+            out.append((f"Roughness, {words}", f"{values} ({filters})"))
+    for pair, words in (("coating", "Coatings"), ("topography", "Topographies")):
+        sides = told.get("two_sides", {})
+        if sides.get(f"{pair}_correlation") is not None:
+            out.append((
+                f"{words} of the two sides",
+                f"top less bottom {number(sides[f'{pair}_difference_um'])} µm, ratio of the standard deviations "
+                f"{number(sides[f'{pair}_sd_ratio'])}, correlation {number(sides[f'{pair}_correlation'])}",
+            ))  # fmt: skip
+    for name in ("porosity", "filler"):
+        if name in told.get("profiles", {}):
+            values = " ".join(number(v, 2) for v in told["profiles"][name])
+            out.append((f"Profile of {name}, bottom to top", values))
+    return out
+
+
 def mark_rows(marks: xr.Dataset) -> list[Row]:
     """Return one row a mark, numbered as in the figure."""
     keys = ("moving_x", "moving_y", "fixed_x", "fixed_y")

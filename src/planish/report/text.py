@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 NONE = "–"
-_UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "deg": "°", "1": ""}
+_UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "g/cm3": "g/cm³", "1/mm2": "1/mm²", "deg": "°", "1": ""}
 _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
 
 
