@@ -165,12 +165,15 @@ def map_sheet(
         surfaces = find_surfaces(volume, frame=frame, params=params, engine=tiles)
     _check_thickness(surfaces)
     tell("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
-    properties = measure_properties(surfaces)
+    found, properties = surfaces, measure_properties(surfaces)
     surfaces = surfaces.drop_vars("status").merge(properties, combine_attrs="override")
-    more = measure_more(volume, surfaces, study.properties, compute, tell)
+    further = measure_more(volume, surfaces, study.properties, compute, tell).drop_vars("status")
+    surfaces = surfaces.merge(further, compat="override", combine_attrs="override")
+    numbers = number_results(volume, surfaces, study.properties)
     tell("flatten", "eight-spring mesh")
     f = study.flatten
-    flattened = flatten_sheet(surfaces, params=FlattenParams(mesh_um=f.mesh_um, method=f.method, rest=f.rest))
+    # A column whose normal meets no face still has its place in the sheet.
+    flattened = flatten_sheet(found, params=FlattenParams(mesh_um=f.mesh_um, method=f.method, rest=f.rest))
     pitch = _pitch(surfaces)
     # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
     column_um = study.volume.column_um or (float(np.sqrt(pitch[0] * pitch[1])) if step > 1 else None)
@@ -182,8 +185,6 @@ def map_sheet(
             "flatten": study.flatten.model_copy(update={"mesh_um": flattened.mesh_um, "map_um": map_um}),
         }
     )
-    numbers = number_results(volume, surfaces.merge(more.drop_vars("status"), compat="override"), study.properties)
-    surfaces = surfaces.merge(more.drop_vars("status"), compat="override", combine_attrs="override")
     maps = _flat_maps(surfaces, flattened, map_um)
     groups = {
         "surfaces": surfaces,

@@ -74,7 +74,7 @@ def _run(study: Any, out: Path, *, as_json: bool, options: dict[str, Any] | None
 
     told = options or {}
     compute = Compute(**{k: told.get(k) for k in ("memory_bytes", "threads", "scheduler")})
-    with stages(10 if study.image is not None else 7) as tell:
+    with stages(11 if study.image is not None else 8) as tell:
         run = run_study(study, out, progress=tell, compute=compute)
     return finish(run, out, as_json=as_json)
 
