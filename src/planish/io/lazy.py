@@ -93,8 +93,10 @@ class LazyArray(BackendArray):
         shape = tuple(len(range(s.start, s.stop, s.step)) for s in where)
         with reading(self.path):
             part = self.read(tuple(where)) if all(shape) else np.empty(shape, self.dtype)
+            chosen = part[tuple(after)]
             # A view would keep the whole file mapped, or the slice that it was cut from.
-            return np.array(part[tuple(after)], dtype=self.dtype)
+            own = chosen.base is None or (chosen.base is part and part.base is None and chosen.size == part.size)
+            return np.ascontiguousarray(chosen, self.dtype) if own else np.array(chosen, dtype=self.dtype)
 
 
 class Pages(Protocol):

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 _SAMPLE = 40_000  # columns of the sample, and blocks wanted
 _WIDEST = 4  # columns along the edge of a block
-_MOST = 2**26  # block means that are kept; above it the blocks get wider
+_MOST = 2**25  # block means that are kept; above it the blocks get wider
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
