@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,8 +19,8 @@ from planish.core.frame import Frame
 from planish.core.tiles import tiles_of
 from planish.io import read_volume
 from planish.io.store import write_store
-from planish.pipeline import run_study
-from planish.study import Study
+from planish.pipeline import map_sheet, read_whole, run_study
+from planish.study import Study, VolumeSection
 from planish.synthetic import HoleParams, SpecimenParams, make_specimen, write_instruments
 from surface.sheets import slab, volume
 
@@ -154,3 +154,19 @@ def test_columns_get_wider_where_the_memory_asks_for_it():
         column_step(data, Frame(), None, Compute(memory_bytes=columns * COLUMN_BYTES // 100))
     with pytest.raises(InputError, match="less than a voxel"):
         column_step(data, Frame(), 1.0, Compute())
+
+
+def test_sections_that_do_not_fit_are_imported_in_parts(tmp_path):
+    holes = HoleParams(pattern="irregular", count=4)
+    params = SpecimenParams(size_um=(500.0, 300.0), holes=replace(holes, count=0), seed=3)
+    files = write_instruments(make_specimen(params), tmp_path / "specimen", volume="sections")
+    section = VolumeSection(path=str(files.volume), through="y")
+    silent = lambda _stage, _detail: None  # noqa: E731
+    whole = read_whole(section, Compute(), silent)
+    small = Compute(memory_bytes=whole.nbytes)
+    parts = read_whole(section, small, silent)
+    assert parts.encoding.get("whole_slices")
+    write_store(parts, tmp_path / "sheet.zarr", memory_bytes=2**28)
+    np.testing.assert_array_equal(read_volume(tmp_path / "sheet.zarr").values, whole.values)
+    with pytest.raises(ResourceError, match=r"planish import .* --through y"):
+        map_sheet(Study(volume=section), compute=small)

@@ -99,8 +99,10 @@ def opened(path: str, how: tuple[tuple[str, Any], ...]) -> xr.DataArray:
 def by_name(volume: xr.DataArray, path: str, how: dict[str, Any]) -> xr.DataArray:
     """Return the same volume, held by the name of its file."""
     held = FileVolume(path, tuple(how.items()), volume.shape, volume.dtype)
-    variable = xr.Variable(volume.dims, LazilyIndexedArray(held), volume.attrs, volume.encoding)
-    return xr.DataArray(variable, coords=volume.coords, name=volume.name)
+    variable = xr.Variable(volume.dims, LazilyIndexedArray(held), volume.attrs)
+    named = xr.DataArray(variable, coords=volume.coords, name=volume.name)
+    named.encoding.update(volume.encoding)
+    return named
 
 
 def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, compute: Compute) -> int:

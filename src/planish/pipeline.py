@@ -223,21 +223,42 @@ def _volume(section: VolumeSection, compute: Compute, tell: Progress) -> tuple[x
     if is_section_folder(path):
         if compute.scheduler is not None:
             raise InputError(f"{path.name} holds sections, which --scheduler cannot work on. Import them first.")
-        return join_sections(section, tell)
+        volume, sections = join_sections(section, compute, tell)
+        _in_parts(volume, path, compute, f" --through {section.through}")
+        return volume, sections
     if section.fixed_rows is not None or section.fixed_cols is not None:
         raise InputError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
     how: dict[str, Any] = size | {"memory_limit_bytes": compute.volume_bytes}
     volume = read_volume(section.path, **how)
+    _in_parts(volume, path, compute)
+    return (volume if compute.scheduler is None else by_name(volume, section.path, how)), None
+
+
+def read_whole(section: VolumeSection, compute: Compute, tell: Progress) -> xr.DataArray:
+    """Read a volume, or join serial sections to one, of any size: what does not fit into memory is worked out in parts.
+
+    What was done to sections is in the attributes, in short.
+    """
+    if not is_section_folder(section.path):
+        return read_volume(
+            section.path, voxel_um=section.voxel_um, channel=section.channel, override_size=section.override_size,
+            memory_limit_bytes=compute.volume_bytes,
+        )  # fmt: skip
+    volume, sections = join_sections(section, compute, tell)
+    return volume.assign_attrs(sections=section_results(sections))
+
+
+def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, options: str = "") -> None:
+    """Refuse a volume that is neither in memory nor can be read in parts."""
     if volume.encoding.get("whole_slices"):
         raise ResourceError(
             f"{path.name} has {volume.size * volume.dtype.itemsize / 1e9:.1f} GB, of the memory "
             f"{compute.volume_bytes / 1e9:.1f} GB may hold a volume, and its slices can only be decoded whole. Bring "
-            f"it into a store first: planish import {path.name} --out {path.stem}.zarr"
+            f"it into a store first: planish import {path.name}{options} --out {path.stem}.zarr"
         )
-    return (volume if compute.scheduler is None else by_name(volume, section.path, how)), None
 
 
-def join_sections(section: VolumeSection, tell: Progress) -> tuple[xr.DataArray, xr.Dataset]:
+def join_sections(section: VolumeSection, compute: Compute, tell: Progress) -> tuple[xr.DataArray, xr.Dataset]:
     """Align serial sections and join them to a volume; return it with what was done to each section.
 
     Raises
@@ -252,8 +273,10 @@ def join_sections(section: VolumeSection, tell: Progress) -> tuple[xr.DataArray,
             "Give --through y where it runs along the rows of the photographs, x where along their columns."
         )
     stack = read_section_stack(
-        path, voxel_um=section.voxel_um, channel=section.channel, override_size=section.override_size
-    )
+        path, voxel_um=section.voxel_um, channel=section.channel, override_size=section.override_size,
+        # The photographs and the volume made from them are in memory at the same time.
+        memory_limit_bytes=compute.volume_bytes // 2,
+    )  # fmt: skip
     tell("align", f"{len(stack.values)} sections")
     where = (stack.values, stack.positions_um, stack.pixel_um)
     band = find_band(stack.values, np.abs(stack.positions_um - stack.positions_um[0]), stack.pixel_um)

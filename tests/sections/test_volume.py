@@ -138,3 +138,29 @@ def test_pitch_of_the_made_up_series_is_the_nominal_one() -> None:
     volume = regular_volume(series.stack, series.positions_um, PIXEL_UM)
     assert volume.attrs["voxel_um"] == [PITCH_UM, *PIXEL_UM]
     assert volume.sizes["z"] == 20
+
+
+class OneByOne:
+    """A stack that gives one section at a time, as photographs in their files do."""
+
+    def __init__(self, stack):
+        self.stack, self.shape, self.dtype, self.ndim = stack, stack.shape, stack.dtype, 3
+
+    def __getitem__(self, key):
+        assert isinstance(key, int)
+        return self.stack[key]
+
+
+def test_photographs_in_their_files_give_the_same_volume_in_parts():
+    series = make_series(sections=60, cols=300, missing=(20, 21))
+    where = (series.positions_um, PIXEL_UM)
+    found = align_sections(series.stack, *where)
+    again = align_sections(OneByOne(series.stack), *where)
+    np.testing.assert_array_equal(found.shift_um, again.shift_um)
+    whole = regular_volume(series.stack, *where, alignment=found)
+    parts = regular_volume(OneByOne(series.stack), *where, alignment=found)
+    assert parts.encoding["whole_slices"]
+    assert parts.shape == whole.shape
+    np.testing.assert_array_equal(parts.isel(z=slice(15, 30), y=slice(10, 40)).values, whole.values[15:30, 10:40])
+    np.testing.assert_array_equal(parts.isel(z=22, x=slice(5, 9)).values, whole.values[22, :, 5:9])
+    np.testing.assert_array_equal(parts.values, whole.values)

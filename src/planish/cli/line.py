@@ -232,29 +232,30 @@ def demo(out: Path | None, seed: int, as_json: bool) -> int:
     help="Voxel size in um, where the file does not state it.",
 )
 @click.option("--override-size", is_flag=True, help="Take the size given here where the file states another.")
+@click.option("--through", type=click.Choice(["z", "y", "x"]), default="z", help="Serial sections: as for a run.")
 @channel_option
+@section_options
 @click.option("--ome", type=click.Choice(["0.5", "0.4"]), default="0.5", show_default=True, help="Version of OME-Zarr.")
 @click.option("--memory", "memory_bytes", type=Memory(), help="Most memory to use, such as 4GB; half of what is free.")
 def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], memory_bytes: int | None, **options: Any) -> None:
     """Bring VOLUME into a working store: chunked, in several resolutions, with checksums.
 
-    For volumes that do not fit into memory. The store is OME-Zarr and opens in other programs too. An import that was
-    killed goes on where it stood when the same command is given again.
+    For volumes that do not fit into memory. Serial sections are aligned and joined on the way; give --through for them.
+    The store is OME-Zarr and opens in other programs too. An import that was killed goes on where it stood when the
+    same command is given again.
     """
     from planish.compute import Compute
-    from planish.io import read_volume
     from planish.io.run_folder import refuse_existing
     from planish.io.store import write_store
+    from planish.pipeline import read_whole
 
     refuse_existing(out)
     compute = Compute(memory_bytes=memory_bytes)
-    data = read_volume(
-        volume, voxel_um=options["voxel_um"], override_size=options["override_size"], channel=options["volume_channel"],
-        memory_limit_bytes=compute.volume_bytes,
-    )  # fmt: skip
-    with stages(1) as tell:
+    study = _checked({"volume": _volume(volume, options | {"top": "high", "column_um": None})})
+    with stages(2) as tell:
+        data = read_whole(study.volume, compute, tell)
         write_store(
-            data, out, memory_bytes=compute.memory, ome=ome,
+            data, out, memory_bytes=compute.volume_bytes, ome=ome,
             tell=lambda what, done, count: tell(what, f"block {done} of {count}"),
         )  # fmt: skip
     click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")

@@ -58,6 +58,11 @@ class LazyArray(BackendArray):
     chunks: tuple[int, ...] | None = None
 
     @property
+    def ndim(self) -> int:
+        """Number of axes."""
+        return len(self.shape)
+
+    @property
     def nbytes(self) -> int:
         """Size of the decoded array."""
         return math.prod(self.shape) * self.dtype.itemsize

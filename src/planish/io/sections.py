@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import SizeError, VolumeError
-from planish.io.colour import check_channel, colour_attrs, grey_of, refuse_channel
+from planish.io.colour import check_channel, colour_attrs, grey_of, refuse_channel, to_grey
 from planish.io.cut_counter import COUNTER, check_folder, read_counter
-from planish.io.guard import check_memory, size_of_file
+from planish.io.guard import check_memory, default_memory_limit, size_of_file
+from planish.io.lazy import LazyArray, PagedArray
 from planish.io.loaded import check_type, supported_type
 from planish.io.picture import Picture, load_picture
 from planish.io.sizes import VOXEL, Stated, agree, agreed_size, as_given
-from planish.io.slice_volume import check_same
+from planish.io.slice_volume import SliceFiles, SliceHeads, check_same
 from planish.io.tiff import size_words
 
 
@@ -26,8 +27,9 @@ class SectionStack:
 
     Attributes
     ----------
-    values : ndarray, dims (section, row, col)
-        In the type of the files, float16 as float32; colour as luminance, rounded in integers.
+    values : ndarray or LazyArray, dims (section, row, col)
+        In the type of the files, float16 as float32; colour as luminance, rounded in integers. Photographs that do
+        not fit into the memory stay in their files: ``values[i]`` decodes one.
     positions_um : ndarray (sections,)
         Along the cut, increasing; missing sections are gaps.
     pixel_um : tuple of float
@@ -39,7 +41,7 @@ class SectionStack:
         ``file_name``, ``file_bytes``, ``section_kind``; ``channel`` and ``colour`` where the files are in colour.
     """
 
-    values: NDArray[Any]
+    values: NDArray[Any] | LazyArray
     positions_um: NDArray[np.float64]
     pixel_um: tuple[float, float]
     kind: str
@@ -73,7 +75,7 @@ def read_section_stack(
     override_size : bool
         Whether the pixel size is taken although the metadata state another. The counter cannot be overridden.
     memory_limit_bytes : int, optional
-        Largest decoded size; default: three quarters of the memory available.
+        Largest decoded size of all of them; default: three quarters of the memory available. More stay in their files.
 
     Returns
     -------
@@ -91,7 +93,7 @@ def read_section_stack(
     InputError
         If there is no such channel.
     ResourceError
-        If it does not fit into the memory.
+        If not even some photographs fit into the memory.
 
     Notes
     -----
@@ -126,13 +128,22 @@ def read_section_stack(
 
 def load_sections(
     files: list[Path], *, channel: str | None, memory_limit_bytes: int | None
-) -> tuple[NDArray[Any], Picture]:
-    """Read pictures into one array; return it with the first picture."""
+) -> tuple[NDArray[Any] | LazyArray, Picture]:
+    """Read pictures into one array, or leave them in their files where that is too large; and the first picture."""
     first = load_picture(files[0], memory_limit_bytes=memory_limit_bytes)
     if first.values.ndim == 2 or first.colour == "grey":
         refuse_channel(channel, files[0].parent)
     grey = as_grey(first, files[0], channel=channel)
-    check_memory(files[0].parent, needed_bytes=len(files) * grey.nbytes, limit_bytes=memory_limit_bytes)
+    limit = default_memory_limit() if memory_limit_bytes is None else memory_limit_bytes
+    if len(files) * grey.nbytes > limit:
+        # A thread decodes a photograph while some others are compared.
+        check_memory(files[0].parent, needed_bytes=4 * first.values.nbytes, limit_bytes=limit)
+        colour = to_grey(channel) if first.values.ndim == 3 and first.colour == "rgb" else None
+        heads = SliceHeads(files[0], colour)
+        offsets = [heads.check(file, first, memory_limit_bytes=limit) for file in files]
+        pages = SliceFiles(files, offsets, heads.first, colour, grey.shape)
+        shape = (len(files), int(grey.shape[0]), int(grey.shape[1]))
+        return PagedArray(pages, shape, supported_type(grey.dtype), files[0].parent), first
     values = np.empty((len(files), *grey.shape), supported_type(grey.dtype))
     for i, file in enumerate(files):
         picture = first if i == 0 else load_picture(file, memory_limit_bytes=memory_limit_bytes)

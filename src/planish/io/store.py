@@ -287,7 +287,7 @@ def _make_levels(folder: Path, volume: xr.DataArray, shape: tuple[int, ...], ome
         attributes: dict[str, Any] = {"ome": {"version": "0.5", "multiscales": scales}}
     else:
         attributes = {"multiscales": scales}
-    kept = ("full_scale", "voxel_um_source", "stored_dtype", "channel")
+    kept = ("full_scale", "voxel_um_source", "stored_dtype", "channel", "sections")
     attributes["planish"] = {"source": name} | {k: volume.attrs[k] for k in kept if volume.attrs.get(k) is not None}
     group = zarr.open_group(folder, mode="a", zarr_format=3 if ome == "0.5" else 2)
     group.attrs.update(attributes)

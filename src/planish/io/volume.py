@@ -72,8 +72,8 @@ def read_volume(
     lazy = loaded.values if isinstance(loaded.values, LazyArray) else None
     # How it is best read, for those who read it in tiles.
     encoding = {} if lazy is None else {"whole_slices": lazy.whole_slices, "chunks": lazy.chunks}
-    return xr.DataArray(
-        xr.Variable(VOXEL.axes, loaded.values if lazy is None else LazilyIndexedArray(lazy), encoding=encoding),
+    found = xr.DataArray(
+        xr.Variable(VOXEL.axes, loaded.values if lazy is None else LazilyIndexedArray(lazy)),
         coords={
             axis: (axis, np.arange(n) * um, {"units": "um"})
             for axis, n, um in zip(VOXEL.axes, loaded.values.shape, size, strict=True)
@@ -90,6 +90,8 @@ def read_volume(
             **loaded.attrs,
         },
     )
+    found.encoding.update(encoding)
+    return found
 
 
 def load_volume(

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.sections.band import Band, check_stack, find_band, for_each
+from planish.sections.band import Band, Stack, check_stack, find_band, for_each
 from planish.sections.network import held_pairs, parts, quick_places, solve_places
 from planish.sections.pairs import Bands, Pairs, compare
 from planish.sections.trend import slow_part
 
 Array = NDArray[np.float64]
-Stack = NDArray[Any]
 
 _GAP_SECTIONS = 4.5  # neighbours farther apart show other fibres: three missing sections are bridged, no more
 _REACH_FIRST = 2

@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +21,35 @@ from planish.sections._kernels import block_means
 from planish.sections.trend import slow_part
 
 Array = NDArray[np.float64]
-Stack = NDArray[Any]
 Result = TypeVar("Result")
 
 _BLOCK_UM = (5.0, 80.0)  # rows, cols of the blocks in which the sheet is looked for
 _BORDER = 0.15  # share of the rows at each end that is taken to be background
 _SMOOTH_SECTIONS = 30.0  # shortest wave of the surface
 _FILLED = 1e-3  # weight of a place where the sheet was not seen, against 1
+
+
+class Stack(Protocol):
+    """Sections (section, row, col): an array, or photographs that are decoded when they are asked for."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Sections, rows, columns."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the grey values."""
+        ...
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes."""
+        ...
+
+    def __getitem__(self, key: int, /) -> Any:
+        """One section, (rows, cols)."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.sections._kernels import layers
-from planish.sections.band import Band, check_stack, find_band, for_each
+from planish.sections.band import Band, Stack, check_stack, find_band, for_each
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class Gains:
 
 
 def normalise_sections(
-    stack: NDArray[Any],
+    stack: Stack,
     positions_um: NDArray[Any],
     pixel_um: tuple[float, float],
     *,

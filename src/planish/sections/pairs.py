@@ -7,14 +7,13 @@ little; parts of some 150 um are independent, and how far they disagree is what 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from planish.sections._kernels import pair_sums, smooth, straighten
-from planish.sections.band import Band
+from planish.sections.band import Band, Stack
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -70,7 +69,7 @@ class Pairs:
 class Bands:
     """Makes straightened bands of sections and compares them."""
 
-    stack: NDArray[Any]
+    stack: Stack
     band: Band
     pixel_um: tuple[float, float]
 

@@ -7,14 +7,12 @@ along the columns the other place.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from planish.core.errors import VolumeError
-from planish.sections.band import for_each
+from planish.sections.band import Stack, for_each
 
 Array = NDArray[np.float64]
 Strip = tuple[int, int]
@@ -27,7 +25,7 @@ _LEAST = 4  # pixels across a strip
 
 
 def fixed_places(
-    stack: NDArray[Any],
+    stack: Stack,
     pixel_um: tuple[float, float],
     *,
     rows: Strip | None = None,
@@ -79,7 +77,7 @@ def fixed_places(
 
 
 def _against(
-    stack: NDArray[Any], axis: int, strip: Strip, pixel_um: tuple[float, float], threads: int | None
+    stack: Stack, axis: int, strip: Strip, pixel_um: tuple[float, float], threads: int | None
 ) -> tuple[Array, Array]:
     """Place in um and slope of the line of each section, against their mean."""
     n, pixel = stack.shape[0], pixel_um[axis]

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from xarray.backends import BackendArray
+from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 from planish.core.errors import VolumeError
 from planish.sections._kernels import between
 from planish.sections.align import Alignment
-from planish.sections.band import check_stack, for_each
+from planish.sections.band import Stack, check_stack, for_each
 from planish.sections.normalise import Gains
 
 Array = NDArray[np.float64]
@@ -22,7 +24,7 @@ _MOST_GAPS = 5  # written out in a message
 
 
 def regular_volume(
-    stack: NDArray[Any],
+    stack: Stack,
     positions_um: NDArray[Any],
     pixel_um: tuple[float, float],
     *,
@@ -36,7 +38,7 @@ def regular_volume(
 
     Parameters
     ----------
-    stack : ndarray or memmap, dims (section, row, col)
+    stack : ndarray, or any array that gives sections as ``stack[i]``, dims (section, row, col)
         Integers up to 16 bits or real numbers; others lose digits, for the kernels compute in single precision.
     positions_um : ndarray (sections,)
         True places along the cut in um, one way.
@@ -55,7 +57,8 @@ def regular_volume(
     Returns
     -------
     DataArray, dims (z, y, x) = (section, row, col)
-        In the type of the stack. Coordinates in um, voxel i has its centre at i × size; z counts from the first
+        Worked out plane by plane when it is read, where the stack is no ndarray. In the type of the stack.
+        Coordinates in um, voxel i has its centre at i × size; z counts from the first
         section used, and its pitch is the median step of the positions. Attributes as `planish.io.read_volume` gives
         them, with ``sections``, ``sections_missing`` (planes between sections farther apart than one and a half
         pitches), ``first_position_um`` and ``jitter_left_um`` (row, col). Pixels that a shift brings in from outside
@@ -93,20 +96,15 @@ def regular_volume(
     inside = (share > 0) & (share < 1)
     empty = inside & np.isin(before, long)
     poses, grades = _poses(n, alignment, pixel_um), _grades(n, gains)
-    low, high = (-np.inf, np.inf) if real else (np.iinfo(stack.dtype).min, np.iinfo(stack.dtype).max)
-    values = np.empty((planes.size, *stack.shape[1:]), stack.dtype)
-
-    def plane(k: int) -> None:
-        if empty[k]:
-            values[k] = np.nan
-            return
-        both = [int(used[before[k]]), int(used[after[k]])]
-        between(
-            stack[both[0]], stack[both[1]], float(share[k]), poses[both], grades[both], float(low), float(high),
-            not real, values[k],
-        )  # fmt: skip
-
-    for_each(plane, planes.size, threads=threads)
+    held_planes = Planes(
+        stack=stack, before=used[before], after=used[after], share=share, empty=empty, poses=poses, grades=grades
+    )
+    values: NDArray[Any] | LazilyIndexedArray
+    if isinstance(stack, np.ndarray):
+        values = np.empty(held_planes.shape, stack.dtype)
+        for_each(lambda k: held_planes.fill(k, values[k]), planes.size, threads=threads)  # type: ignore[index]
+    else:
+        values = LazilyIndexedArray(held_planes)
     voxel = (pitch, *map(float, pixel_um))
     held: dict[str, Any] = {
         "units": "1",
@@ -121,16 +119,76 @@ def regular_volume(
     }
     if alignment is not None:
         held["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
-    return xr.DataArray(
-        values,
-        dims=("z", "y", "x"),
+    volume = xr.DataArray(
+        xr.Variable(("z", "y", "x"), values),
         coords={
             axis: (axis, np.arange(size) * um, {"units": "um"})
-            for axis, size, um in zip("zyx", values.shape, voxel, strict=True)
+            for axis, size, um in zip("zyx", held_planes.shape, voxel, strict=True)
         },
         name="volume",
         attrs=held,
     )
+    if not isinstance(stack, np.ndarray):
+        volume.encoding["whole_slices"] = True
+    return volume
+
+
+class Planes(BackendArray):
+    """The planes of a volume, each worked out from the sections before and after it.
+
+    Parameters
+    ----------
+    stack : array-like (sections, rows, cols)
+        ``stack[i]`` gives one section.
+    before, after : ndarray (planes,)
+        Sections on both sides.
+    share : ndarray (planes,)
+        Way from the one to the other, 0 to 1.
+    empty : ndarray of bool (planes,)
+        Planes in a gap that is too wide.
+    poses, grades : ndarray (sections, 4), (sections, 2)
+        As the kernels take them.
+    """
+
+    def __init__(
+        self, *, stack: Any, before: NDArray[np.intp], after: NDArray[np.intp], share: Array, empty: NDArray[np.bool_],
+        poses: Array, grades: Array,
+    ) -> None:  # fmt: skip
+        self.stack, self.before, self.after, self.share, self.empty = stack, before, after, share, empty
+        self.poses, self.grades = poses, grades
+        self.shape: tuple[int, int, int] = (before.size, *stack.shape[1:])
+        self.dtype: np.dtype[Any] = stack.dtype
+        real = self.dtype.kind == "f"
+        self.low, self.high = (
+            (-np.inf, np.inf) if real else (float(np.iinfo(self.dtype).min), float(np.iinfo(self.dtype).max))
+        )
+
+    def fill(self, k: int, out: NDArray[Any]) -> None:
+        """Work out plane ``k`` into ``out`` (rows, cols)."""
+        if self.empty[k]:
+            out[...] = np.nan
+            return
+        both = [int(self.before[k]), int(self.after[k])]
+        one = self.stack[both[0]]
+        other = one if both[0] == both[1] else self.stack[both[1]]
+        between(
+            one, other, float(self.share[k]), self.poses[both], self.grades[both], self.low, self.high,
+            self.dtype.kind != "f", out,
+        )  # fmt: skip
+
+    def __getitem__(self, key: ExplicitIndexer) -> Any:
+        """Work out a part."""
+        return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self._part)
+
+    def _part(self, key: tuple[Any, ...]) -> NDArray[Any]:
+        planes = np.atleast_1d(np.arange(self.shape[0])[key[0]])
+        whole = np.empty(self.shape[1:], self.dtype)
+        parts: list[NDArray[Any]] = []
+        for k in planes:
+            self.fill(int(k), whole)
+            parts.append(whole[key[1], key[2]].copy())
+        found = np.stack(parts) if parts else np.empty((0, *whole[key[1], key[2]].shape), self.dtype)
+        return found[0] if isinstance(key[0], (int, np.integer)) else found
 
 
 def _poses(n: int, alignment: Alignment | None, pixel_um: tuple[float, float]) -> Array:
