@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks import flattening, properties, relaxation, resampling, size, specimens, variants
+from benchmarks import faces, flattening, properties, relaxation, resampling, size, specimens, variants
 
 _MODULES = (variants, flattening, relaxation, resampling, properties, specimens, size)
-_ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES}
+_ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
 
 
 def main(arguments: list[str]) -> int:

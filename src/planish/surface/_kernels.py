@@ -184,7 +184,92 @@ def outermost(g, start, stop, level):
 
 
 @njit(cache=True, nogil=True)
-def fit_faces(slab, expected, other, tilt, air, width, noise, prior, spread, coated, search, result):
+def follow(inside, row, col, start, stop, most, low, high, merged):
+    """Follow a sheet from the run of one column to overlapping runs of its neighbours.
+
+    Parameters
+    ----------
+    inside : (rows, cols, depth) bool
+    row, col, start, stop : int
+        Column of the seed and first and last index of its run.
+    most : float
+        A longer run belongs to two sheets that touch, or to one that folds back: it is marked and not followed.
+    low, high : (rows, cols) int64
+        Set to the first and last index of the run; they come as -1.
+    merged : (rows, cols) bool
+        Set where a run is too long.
+    """
+    rows, cols, depth = inside.shape
+    queue = np.empty((rows * cols, 2), dtype=np.int64)
+    queue[0, 0], queue[0, 1] = row, col
+    low[row, col], high[row, col] = start, stop
+    first, last = 0, 1
+    while first < last:
+        i, j = queue[first]
+        first += 1
+        a, b = low[i, j], high[i, j]
+        for side in range(4):
+            r = i + (side == 0) - (side == 1)
+            c = j + (side == 2) - (side == 3)
+            if r < 0 or c < 0 or r >= rows or c >= cols or low[r, c] >= 0:
+                continue
+            best, d = 0, a
+            best_a = best_b = -1
+            while d <= b:
+                if not inside[r, c, d]:
+                    d += 1
+                    continue
+                begin, end = d, d
+                while begin > 0 and inside[r, c, begin - 1]:
+                    begin -= 1
+                while end < depth - 1 and inside[r, c, end + 1]:
+                    end += 1
+                overlap = min(end, b) - max(begin, a) + 1
+                if overlap > best:
+                    best, best_a, best_b = overlap, begin, end
+                d = end + 1
+            if best == 0:
+                continue
+            long = best_b - best_a + 1 > most
+            if merged[i, j] and not long:
+                continue  # which of the two sheets it is cannot be told
+            merged[r, c] = long
+            low[r, c], high[r, c] = best_a, best_b
+            queue[last, 0], queue[last, 1] = r, c
+            last += 1
+    for i in range(rows):
+        for j in range(cols):
+            if merged[i, j]:
+                low[i, j] = high[i, j] = -1
+
+
+@njit(cache=True, nogil=True)
+def nearest(g, expected, search, level):
+    """First index inside the crossing of level that lies nearest to where it is expected, or -1."""
+    e = int(floor(expected + 0.5))
+    for k in range(int(search) + 2):
+        for d in (e - k, e + k):
+            if 1 <= d < g.size and g[d - 1] <= level < g[d]:
+                return d
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def darkest(g, d0, reach, noise):
+    """Index of the darkest sample outside d0, before the grey rises again."""
+    at = d0
+    for d in range(d0 - 1, max(d0 - reach, 0) - 1, -1):
+        if g[d] < g[at]:
+            at = d
+        elif g[d] > g[at] + 3.0 * noise:
+            break
+    return at
+
+
+@njit(cache=True, nogil=True)
+def fit_faces(
+    slab, expected, other, tilt, air, width, noise, prior, spread, coated, search, result, window=0.0, amid=0.0
+):
     """Fit the outer face and the interface of every column of a slab, read from outside to inside.
 
     Parameters
@@ -204,6 +289,12 @@ def fit_faces(slab, expected, other, tilt, air, width, noise, prior, spread, coa
         How far outside the expected face the search starts, in voxels.
     result : (5, rows, cols)
         Set to h, t, c, b and cost; NaN where nothing is found.
+    window : float
+        Width after which the samples that are fitted are chosen, where it is not ``width``: costs of several widths
+        can be compared only over the same samples.
+    amid : float
+        Above 0: the sheet lies amid other material, from which it was told at this grey. The face is then sought next
+        to where it is expected, and no sample beyond the darkest one of the gap counts.
     """
     rows, cols, depth = slab.shape
     matrix = np.zeros((4, 4))
@@ -222,17 +313,19 @@ def fit_faces(slab, expected, other, tilt, air, width, noise, prior, spread, coa
                 continue
             g = slab[i, j]
             w = width / tilt[i, j]
+            v = window / tilt[i, j] if window > 0.0 else w
             middle = 0.5 * (e + other[i, j])
             start = int(floor(e - search / tilt[i, j]))
             stop = int(floor(min(e + search / tilt[i, j], middle))) + 1
-            d0 = outermost(g, start, stop, base_level)
+            d0 = nearest(g, e, search, amid) if amid > 0.0 else outermost(g, start, stop, base_level)
             if d0 < 0:
                 continue
+            gap = darkest(g, d0, int(4.0 * v) + 2, noise) if amid > 0.0 else 0
             # Half height between the air and what lies just inside, so that a coating does not pull the start outwards.
             inside = g[d0]
             for d in range(d0, min(d0 + int(2.5 * w) + 2, depth)):
                 inside = max(inside, g[d])
-            half = 0.5 * (air + inside)
+            half = 0.5 * ((g[gap] if amid > 0.0 else air) + inside)
             h0 = float(d0)
             for d in range(d0 - 1, min(d0 + int(3 * w) + 3, depth - 1)):
                 if d >= 0 and g[d] <= half < g[d + 1]:
@@ -259,13 +352,16 @@ def fit_faces(slab, expected, other, tilt, air, width, noise, prior, spread, coa
                     p[1] = 0.5 * w  # a second start, for a coating thinner than the blur
                     if thick > 4 * w:
                         continue
-                lo = max(int(floor(h0 - 3.0 * w)), 0)
-                hi = min(int(floor(h0 + thick + 3.0 * w)) + 1, depth - 1)
-                hi = max(min(hi, int(middle) + 1), min(int(h0 + 2.0 * w) + 2, depth - 1))
+                lo = max(int(floor(h0 - 3.0 * v)), gap)
+                hi = min(int(floor(h0 + thick + 3.0 * v)) + 1, depth - 1)
+                hi = max(min(hi, int(middle) + 1), min(int(h0 + 2.0 * v) + 2, depth - 1))
+                if amid > 0.0:  # few samples are left where the gap is narrow
+                    hi = max(hi, min(lo + 5, int(middle) + 1, depth - 1))
                 fine = True
                 for d in range(lo, hi + 1):
                     fine = fine and isfinite(g[d])
-                if not fine or hi - lo < 4 or lo == 0 or hi == depth - 1:
+                # Near an end of the column two widths of the blur must be left.
+                if not fine or hi - lo < 4 or h0 < 2.0 * v or h0 + thick > depth - 1 - 2.0 * v:
                     continue
                 now = fit_column(g, lo, hi, air, noise, w, p, prior, local, coated, matrix, step)
                 if now < cost:
@@ -364,3 +460,99 @@ def mean_columns(voxels, step, slope_r, slope_c, missing, out):
                         total[d] += np.float32(np.nan) if value == missing else np.float32(value)
             for d in range(depth):
                 out[i, j, d] = total[d] * share
+
+
+@njit(cache=True, nogil=True)
+def dilate_rows(height, drop, sign, out):
+    """Largest of ``height`` minus ``drop`` of the distance along each row; the smallest plus it where sign is -1."""
+    rows, cols = height.shape
+    half = drop.size - 1
+    for i in range(rows):
+        for j in range(cols):
+            best = sign * height[i, j]
+            for k in range(max(j - half, 0), min(j + half, cols - 1) + 1):
+                best = max(best, sign * height[i, k] - drop[abs(k - j)])
+            out[i, j] = sign * best
+
+
+@njit(cache=True, nogil=True)
+def crossing(a, b, level):
+    """Share of the way from a to b at which level is passed."""
+    return min(max((level - a) / (b - a), 0.0), 1.0) if b != a else 0.5
+
+
+@njit(cache=True, nogil=True)
+def outer_boundaries(grey, expected, other, search, paper, coating, face, thickness):
+    """Outermost boundary of the sheet, and thickness of the outermost run of coating, in the columns of one slice.
+
+    Parameters
+    ----------
+    grey : (cols, depth) float32
+        Read from outside to inside.
+    expected, other, search : (cols,)
+        Where the face and the opposite one are expected, and how far outside the search starts, in voxels.
+    paper, coating : float
+        Thresholds; an infinite one for a side without a coating.
+    face, thickness : (cols,)
+        Set; left as they are where nothing is found.
+    """
+    cols, depth = grey.shape
+    for j in range(cols):
+        if not isfinite(expected[j]):
+            continue
+        g = grey[j]
+        middle = int(0.5 * (expected[j] + other[j]))
+        start = max(int(floor(expected[j] - search[j])), 1)
+        d = outermost(g, start, min(middle, depth - 3), paper)
+        if d < 1:
+            continue
+        # The smoothed grey passes up to a voxel beside the grey itself.
+        while d > 1 and g[d - 1] > paper:
+            d -= 1
+        while d < depth - 2 and not g[d] > paper:
+            d += 1
+        face[j] = d - 1 + crossing(g[d - 1], g[d], paper)
+        thickness[j] = 0.0
+        if not isfinite(coating):
+            continue
+        first = d
+        while first < middle and first - d < 4 and not g[first] > coating:
+            first += 1
+        if not g[first] > coating:
+            continue
+        last = first
+        while last < min(middle, depth - 2) and g[last + 1] > coating:
+            last += 1
+        thickness[j] = max(last + crossing(g[last], g[last + 1], coating) - face[j], 0.0)
+
+
+@njit(cache=True, nogil=True)
+def label_boundaries(codes, expected, other, search, face, thickness):
+    """Outermost boundary of base or coating, and thickness of the outermost run of coating, of every column.
+
+    Parameters
+    ----------
+    codes : (rows, cols, depth) uint8
+        0 air, 1 base, 2 void, 3 coating; read from outside to inside.
+    expected, other, search : (rows, cols)
+        Where the face and the opposite one are expected, and how far outside the search starts, in voxels.
+    face, thickness : (rows, cols)
+        Set; left as they are where nothing is found.
+    """
+    rows, cols, depth = codes.shape
+    for i in range(rows):
+        for j in range(cols):
+            if not isfinite(expected[i, j]) or not isfinite(other[i, j]):
+                continue
+            c = codes[i, j]
+            stop = min(int(0.5 * (expected[i, j] + other[i, j])), depth - 2)
+            d = max(int(floor(expected[i, j] - search[i, j])), 0)
+            while d <= stop and (c[d] == 0 or c[d] == 2):
+                d += 1
+            if d > stop or d == 0:
+                continue
+            face[i, j] = d - 0.5
+            n = d
+            while n < depth and c[n] == 3:
+                n += 1
+            thickness[i, j] = float(n - d)

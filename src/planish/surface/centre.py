@@ -42,7 +42,9 @@ def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_
         NaN where the neighbourhood holds too little.
     """
     # The result has no wavelengths below the cut-off, so blocks of a 25th of it lose nothing.
-    block = max(1, int(cutoff_um / 25 / pitch_um[0])), max(1, int(cutoff_um / 25 / pitch_um[1]))
+    # A field that is hardly wider than that is cut into four all the same.
+    rows, cols = (max(1, min(int(cutoff_um / 25 / p), n // 4)) for p, n in zip(pitch_um, height.shape, strict=True))
+    block = rows, cols
     mean, weight = _blocks(height, block)
     pad = 8  # the spline forgets its end condition by a factor of four a node
     mean, weight = np.pad(mean, pad), np.pad(weight, pad)
@@ -62,6 +64,37 @@ def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_
     fine = ndimage.map_coordinates(coarse[tuple(nearest)], grid, order=3, mode="nearest")
     seen = ndimage.map_coordinates(known.astype(np.uint8), grid, order=0, mode="nearest")
     return np.where(seen > 0, fine, np.nan)
+
+
+def slice_smoothed(height: Array, pitch_um: float, *, cutoff_um: float) -> Array:
+    """Smooth every row by itself with a Gaussian, and carry it across what is missing in the row.
+
+    Parameters
+    ----------
+    height : (rows, cols)
+        um; NaN where unknown.
+    pitch_um : float
+        Distance of the columns.
+    cutoff_um : float
+        Wavelength that passes by half; 400 um is a Gaussian of 75 um.
+
+    Returns
+    -------
+    (rows, cols)
+        NaN in rows where nothing is known.
+    """
+    sigma = cutoff_um * float(np.sqrt(2 * np.log(2))) / (2 * np.pi) / pitch_um
+    known = np.isfinite(height)
+    out = np.full(height.shape, np.nan)
+    x = np.arange(height.shape[1], dtype=np.float64)
+    for i in np.flatnonzero(known.sum(axis=1) > 1):
+        filled = np.interp(x, x[known[i]], height[i, known[i]])
+        # Mirrored through its ends, so that a slope goes on beyond them.
+        reach = min(int(np.ceil(3 * sigma)), filled.size - 1)
+        before, after = 2 * filled[0] - filled[reach:0:-1], 2 * filled[-1] - filled[-2 : -reach - 2 : -1]
+        smooth = ndimage.gaussian_filter1d(np.concatenate([before, filled, after]), sigma, truncate=3.0)
+        out[i] = smooth[reach : reach + filled.size]
+    return out
 
 
 def _blocks(height: Array, block: tuple[int, int]) -> tuple[Array, Array]:
@@ -100,7 +133,8 @@ def _regress(mean: Array, weight: Array, pitch: tuple[float, float], cutoff: flo
         for b, (k, m) in enumerate(_TERMS):
             matrix[..., a, b] = moments[i + k, j + m]
     full = float(axes[0][1].sum() * axes[1][1].sum())
-    good = moments[0, 0] > _LEAST_WEIGHT * full
+    # A field of view much smaller than the cut-off has no full neighbourhood anywhere; its own fullest counts then.
+    good = moments[0, 0] > _LEAST_WEIGHT * min(full, 4.0 * float(moments[0, 0].max()))
     result = np.full(weight.shape, np.nan)
     system = matrix[good] + 1e-9 * full * np.eye(6)
     result[good] = np.linalg.solve(system, right[good][..., None])[..., 0, 0] + offset

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import VolumeError
+from planish.surface import _kernels
 
 Array = NDArray[np.float64]
 
@@ -16,7 +18,13 @@ CORE = (0.35, 0.65)  # share of the way through the sheet that counts as its cor
 _SECOND_SHEET = 0.25  # share of the largest piece's area above which a second piece counts as another sheet
 _LEAVES = 0.5  # share of columns that may run out of the volume
 _LEAST_COVER = 0.02
-_GREY_RANGE = "Choose one by its grey values with --sheet-grey LOW,HIGH, or crop the volume."
+_CHOOSE = (
+    "Choose one by its grey values with --sheet-grey LOW,HIGH, by a point in it with --seed-um Z,Y,X, or crop the "
+    "volume."
+)
+_MERGED = 1.6  # times the usual thickness: two sheets that touch, or one that folds back
+_SPECK = 8  # blocks; fewer are noise
+_NEAR = 3  # voxels: a seed point may lie so far beside its object
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,15 +37,45 @@ class CoarseSheet:
         First and last depth index, interpolated to the threshold.
     block : int
         Edge of a block in voxels.
+    leaves : (block rows, block cols)
+        Where the sheet runs out of the volume.
+    threshold : float
+        Grey above the air at which the extent was measured.
+    touching : (block rows, block cols)
+        Where it touches another sheet or folds back on itself, as far as that is known.
+    specks : int
+        Other objects in the air beside the sheet.
     """
 
     low: Array
     high: Array
     block: int
+    leaves: NDArray[np.bool_]
+    threshold: float
+    touching: NDArray[np.bool_]
+    specks: int = 0
 
 
-def coarse_sheet(blocks: NDArray[np.float32], inside: NDArray[np.bool_], threshold: float, block: int) -> CoarseSheet:
-    """Keep the largest connected slab of ``inside`` and measure its extent.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """Which object is the sheet.
+
+    Attributes
+    ----------
+    seed : (int, int, int) or None
+        Block row, block column and depth of a point in it; the largest object where not given.
+    named : callable
+        Turns such a point into what a user would give as a seed.
+    """
+
+    named: Callable[[tuple[int, int, int]], str]
+    seed: tuple[int, int, int] | None = None
+
+
+def coarse_sheet(
+    blocks: NDArray[np.float32], inside: NDArray[np.bool_], threshold: float, block: int, choice: Choice
+) -> CoarseSheet:
+    """Keep one connected slab of ``inside``, the chosen or the largest one, and measure its extent.
 
     Raises
     ------
@@ -61,8 +99,10 @@ def coarse_sheet(blocks: NDArray[np.float32], inside: NDArray[np.bool_], thresho
     others = [int(k) + 1 for k in order[1:6] if cover[k] > _SECOND_SHEET * cover[largest - 1]]
     if others:
         shares = ", ".join(f"{100 * cover[k - 1] / labels[..., 0].size:.0f} %" for k in (largest, *others))
+        points = "; ".join(choice.named(_inner(labels == k)) for k in (largest, *others))
         raise VolumeError(
-            f"The volume shows {1 + len(others)} separate sheets (they cover {shares} of the columns). {_GREY_RANGE}"
+            f"The volume shows {1 + len(others)} separate sheets (they cover {shares} of the columns). {_CHOOSE} "
+            f"Points in them: {points}."
         )
     mask = labels == largest
     touches_low, touches_high = mask[..., 0].mean() / area, mask[..., -1].mean() / area
@@ -72,7 +112,7 @@ def coarse_sheet(blocks: NDArray[np.float32], inside: NDArray[np.bool_], thresho
             f"Material reaches the {end} end of the axis through the sheet in "
             f"{100 * max(touches_low, touches_high):.0f} % of the columns: the sheet leaves the volume "
             f"there, or several "
-            f"sheets lie behind each other. {_GREY_RANGE}"
+            f"sheets lie behind each other. {_CHOOSE}"
         )
     filled = mask.sum(axis=-1)
     first = np.argmax(mask, axis=-1)
@@ -83,7 +123,7 @@ def coarse_sheet(blocks: NDArray[np.float32], inside: NDArray[np.bool_], thresho
         raise VolumeError(
             f"Along the axis through the sheet the material has gaps: half of the columns are filled by less than "
             f"{100 * gappy:.0f} % between their first and last voxel, so several sheets lie behind each "
-            f"other. {_GREY_RANGE}"
+            f"other. {_CHOOSE}"
         )
     low = np.where(some, first.astype(float), np.nan)
     high = np.where(some, last.astype(float), np.nan)
@@ -91,8 +131,61 @@ def coarse_sheet(blocks: NDArray[np.float32], inside: NDArray[np.bool_], thresho
     low[some & (first == 0)] = np.nan
     high[some & (last == mask.shape[-1] - 1)] = np.nan
     return CoarseSheet(
-        low=_subvoxel(blocks, low, -1, threshold), high=_subvoxel(blocks, high, +1, threshold), block=block
-    )
+        low=_subvoxel(blocks, low, -1, threshold), high=_subvoxel(blocks, high, +1, threshold), block=block,
+        leaves=mask[..., 0] | mask[..., -1], threshold=threshold, touching=np.zeros(some.shape, bool),
+        specks=int(np.count_nonzero(np.bincount(labels.ravel())[1:] >= _SPECK)) - 1,
+    )  # fmt: skip
+
+
+def followed_sheet(
+    blocks: NDArray[np.float32], inside: NDArray[np.bool_], threshold: float, block: int, choice: Choice
+) -> CoarseSheet:
+    """Follow the sheet that holds the seed point from column to column.
+
+    Raises
+    ------
+    VolumeError
+        If there is nothing at the seed point, or what is there is no sheet.
+    """
+    row, col, depth = _at(inside, choice)
+    run = inside[row, col]
+    outside = np.flatnonzero(~run)
+    start = int(outside[outside < depth].max(initial=-1)) + 1
+    stop = int(outside[outside > depth].min(initial=run.size)) - 1
+    # The seed's own run says roughly how thick the sheet is, the median of what was found then says it well.
+    low = high = np.empty((0, 0), np.int64)
+    merged = np.empty((0, 0), np.bool_)
+    most = 2.0 * (stop - start + 1) + 2.0
+    for _ in range(2):
+        low, high = (np.full(run_shape, -1, np.int64) for run_shape in (inside.shape[:2],) * 2)
+        merged = np.zeros(inside.shape[:2], np.bool_)
+        _kernels.follow(inside, row, col, start, stop, most, low, high, merged)
+        most = _MERGED * float(np.median((high - low + 1)[low >= 0])) + 1.0
+    some = low >= 0
+    if some.mean() < _LEAST_COVER:
+        raise VolumeError(
+            f"The object at the seed point {choice.named((row, col, depth))} um (z, y, x) covers "
+            f"{100 * some.mean():.2g} % of the columns only. Check --through (the axis that runs "
+            "through the sheet) and --seed-um."
+        )
+    last = inside.shape[2] - 1
+    leaves = some & ((low == 0) | (high == last))
+    if np.mean(leaves[some]) > _LEAVES:
+        raise VolumeError(
+            f"The object at the seed point {choice.named((row, col, depth))} um (z, y, x) reaches an end of the axis "
+            f"through the sheet in {100 * np.mean(leaves[some]):.0f} % of its columns. Check --through and --seed-um."
+        )
+    first_at, last_at = (np.where(some & (k != end), k.astype(float), np.nan) for k, end in ((low, 0), (high, last)))
+    return CoarseSheet(
+        low=_subvoxel(blocks, first_at, -1, threshold), high=_subvoxel(blocks, last_at, +1, threshold), block=block,
+        leaves=leaves, threshold=threshold, touching=merged,
+    )  # fmt: skip
+
+
+def flags_to_columns(field: NDArray[np.bool_], block: int, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Give every column the flag of its block."""
+    r, c = (np.minimum(np.arange(n) // block, m - 1) for n, m in zip(shape, field.shape, strict=True))
+    return field[np.ix_(r, c)]
 
 
 def to_columns(field: Array, block: int, shape: tuple[int, int]) -> Array:
@@ -107,6 +200,29 @@ def to_columns(field: Array, block: int, shape: tuple[int, int]) -> Array:
     values = ndimage.map_coordinates(filled, grid, order=1, mode="nearest")
     seen = ndimage.map_coordinates(known.astype(np.uint8), grid, order=0, mode="nearest")
     return np.where(seen > 0, values, np.nan)
+
+
+def _at(inside: NDArray[np.bool_], choice: Choice) -> tuple[int, int, int]:
+    """Nearest block of material to the seed point."""
+    assert choice.seed is not None
+    seed = np.asarray(choice.seed)
+    corner = np.maximum(seed - _NEAR, 0)
+    places = np.argwhere(inside[tuple(slice(int(a), int(k) + _NEAR + 1) for a, k in zip(corner, seed, strict=True))])
+    if places.size == 0:
+        raise VolumeError(
+            f"There is only air at the seed point {choice.named(choice.seed)} um (z, y, x). Give a point inside the "
+            "sheet with --seed-um."
+        )
+    row, col, depth = places[int(np.argmin(np.sum((places + corner - seed) ** 2, axis=1)))] + corner
+    return int(row), int(col), int(depth)
+
+
+def _inner(mask: NDArray[np.bool_]) -> tuple[int, int, int]:
+    """Return a point in the middle of an object."""
+    rows, cols = np.nonzero(mask.any(axis=-1))
+    k = int(np.argmin((rows - np.median(rows)) ** 2 + (cols - np.median(cols)) ** 2))
+    depth = np.flatnonzero(mask[rows[k], cols[k]])
+    return int(rows[k]), int(cols[k]), int(depth[depth.size // 2])
 
 
 def _cover(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +19,26 @@ from planish.surface.oriented import Guide, oriented
 Array = NDArray[np.float64]
 
 _SPIKE_UM = 3.0
+_FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own inaccuracy
+_PROUD_UM = 6.0  # it stands out by so much
+_PLATE_UM = 100.0  # as wide as a floating particle may be
+_MOST_OF = 0.8
+_NARROW_UM = 15.0  # an attached particle is narrower
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Faces:
-    """Heights in um of the faces and of the interfaces below them, (rows, cols); NaN where nothing was found."""
+    """Heights in um of the faces and of the interfaces below them, (rows, cols); NaN where nothing was found.
+
+    ``stuck`` (rows, cols): columns below an attached particle; ``particles``: how many particles were removed.
+    """
 
     high: Array
     low: Array
     interface_high: Array
     interface_low: Array
+    stuck: NDArray[np.bool_]
+    particles: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,10 +48,11 @@ class _Fit:
     columns: Columns
     guide: Guide
     learnt: Learnt
+    again: Array | None = None  # (2, rows, cols): only columns with a number here, and next to it
 
 
-def find_faces(columns: Columns, guide: Guide, learnt: Learnt, engine: Engine) -> Faces:
-    """Fit every column from both ends."""
+def find_faces(columns: Columns, guide: Guide, learnt: Learnt, engine: Engine, particles: int = 0) -> Faces:
+    """Fit every column from both ends; ``particles`` float in the air beside the sheet."""
     shape = columns.shape[:2]
     found = np.empty((4, *shape))
 
@@ -49,16 +61,131 @@ def find_faces(columns: Columns, guide: Guide, learnt: Learnt, engine: Engine) -
 
     for tile, part in engine.map("faces", _fit_tile, job, columns.tiles(engine)):
         found[:, tile.rows, tile.cols] = part
-    depth_um, step = columns.depth_um, columns.pitch[2]
+    particles += _below_particles(found, fit_job=job, columns=columns, guide=guide, learnt=learnt, engine=engine)
+    return placed(found, columns, (learnt.high.coated, learnt.low.coated), cleaned=True, particles=particles)
+
+
+def placed(
+    found: Array, columns: Columns, coated: tuple[bool, bool], *, cleaned: bool = False, particles: int = 0
+) -> Faces:
+    """Turn depths from the two ends into heights.
+
+    Parameters
+    ----------
+    found : (4, rows, cols)
+        Depth of the face and thickness of the coating, counted from the high end, then from the low end, in voxels.
+    columns : Columns
+    coated : of the high and of the low side
+    cleaned : bool
+        Take off spikes and attached particles.
+    particles : int
+        That were removed before.
+    """
+    shape, depth_um, step = columns.shape[:2], columns.depth_um, columns.pitch[2]
     first, last = float(depth_um[0]), columns.shape[2] - 1
+    stuck = np.zeros(shape, dtype=bool)
     heights: list[Array] = []
     for high, (outer, thickness) in zip((True, False), (found[:2], found[2:]), strict=True):
-        outer = _without_spikes(outer, step)
+        if cleaned:
+            outer = _without_spikes(outer, step)
+            narrow = _narrow(-outer, columns.pitch)
+            particles += int(ndimage.label(narrow, np.ones((3, 3)))[1])
+            stuck |= narrow
+            outer = np.where(narrow, np.nan, outer)
         inner = np.where(np.isfinite(outer), outer + thickness, np.nan)
-        if not learnt.side(high=high).coated:
+        if not coated[0 if high else 1]:
             inner = np.full(shape, np.nan)
         heights += [first + step * (last - d) if high else first + step * d for d in (outer, inner)]
-    return Faces(high=heights[0], interface_high=heights[1], low=heights[2], interface_low=heights[3])
+    return Faces(
+        high=heights[0], interface_high=heights[1], low=heights[2], interface_low=heights[3], stuck=stuck,
+        particles=particles,
+    )  # fmt: skip
+
+
+def _below_particles(
+    found: Array, *, fit_job: Callable[[Tile], _Fit], columns: Columns, guide: Guide, learnt: Learnt, engine: Engine
+) -> int:
+    """Look again, below it, where the face was found on something that floats above the sheet.
+
+    The coarse sheet is one connected object; what is found far outside it hangs on nothing. Where the gap is so narrow
+    that the coarse search saw one object, a plate with a step all around is tried too.
+
+    Returns
+    -------
+    int
+        Number of such plates; what floats farther away was counted by the coarse search.
+    """
+    if learnt.amid:
+        return 0
+    shape, depth = columns.shape[:2], columns.shape[2]
+    floating = np.zeros((2, *shape), dtype=bool)
+    expected = np.empty((2, *shape))
+    plates: list[NDArray[np.int32]] = []
+    for k, high in enumerate((True, False)):
+        expected[k] = guide.faces(depth, high=high)[0]
+        plate, opened = _plates(-found[2 * k], columns.pitch)
+        plates.append(plate)
+        expected[k] = np.where(plate > 0, -opened, expected[k])
+        with np.errstate(invalid="ignore"):
+            floating[k] = (expected[k] - found[2 * k] > _FLOATS / guide.tilt) | (plate > 0)
+    tiles = [t for t in columns.tiles(engine) if floating[:, t.rows, t.cols].any()]
+
+    def job(tile: Tile) -> _Fit:
+        return replace(fit_job(tile), again=np.where(floating, expected, np.nan)[:, tile.rows, tile.cols])
+
+    below = np.full((4, *shape), np.nan)
+    for tile, part in engine.map("faces_below", _fit_tile, job, tiles):
+        below[:, tile.rows, tile.cols] = part
+    count = 0
+    for k, plate in enumerate(plates):
+        better = floating[k] & np.isfinite(below[2 * k])
+        # A plate floats when there is a face below most of it.
+        index = np.arange(1, int(plate.max()) + 1)
+        if index.size:
+            share = _share(better, plate)
+            count += int(np.count_nonzero(share > _MOST_OF))
+            better &= (plate == 0) | np.isin(plate, index[share > _MOST_OF])
+            found[2 * k][np.isin(plate, index[share > _MOST_OF]) & ~better] = np.nan
+        for n in (2 * k, 2 * k + 1):
+            found[n][better] = below[n][better]
+    return count
+
+
+def _plates(outward: Array, pitch: tuple[float, float, float]) -> tuple[NDArray[np.int32], Array]:
+    """Label what stands three voxels out of the face with a step all around, and give the face without it."""
+    known = np.isfinite(outward)
+    if not known.any():
+        return np.zeros(outward.shape, np.int32), outward
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    filled = outward[tuple(nearest)]
+    size = int(_PLATE_UM / pitch[0]) + 2, int(_PLATE_UM / pitch[1]) + 2
+    opened = _opened(filled, size)
+    hat = filled - opened
+    labels, count = ndimage.label(known & (hat > max(_FLOATS - 0.5, 8.0 * spread(hat[known]))))
+    if not count:
+        return np.asarray(labels, np.int32), opened
+    # A bump, or a fibre that lies on others with its ends, has no step all around.
+    grown = ndimage.grey_dilation(labels, size=(9, 9))
+    ring = np.where((labels == 0) & known, grown, 0)
+    index = np.arange(1, count + 1)
+    alone = _share(hat < 1.5, ring, count) > _MOST_OF
+    return np.where(np.isin(labels, index[alone]), labels, 0).astype(np.int32), opened
+
+
+def _opened(height: Array, size: tuple[int, int]) -> Array:
+    """Opening of a face that goes on beyond its border with the slope it has there."""
+    pad = [(min(n, m - 1),) * 2 for n, m in zip(size, height.shape, strict=True)]
+    wide = np.pad(height, pad, mode="reflect", reflect_type="odd")
+    return ndimage.grey_opening(wide, size=size)[
+        tuple(slice(a, n - a) for (a, _), n in zip(pad, wide.shape, strict=True))
+    ]
+
+
+def _share(mask: NDArray[np.bool_], labels: NDArray[np.integer], count: int = 0) -> Array:
+    """Share of each label's columns, 1 to the last, in which ``mask`` is set."""
+    flat = labels.ravel()
+    number = np.bincount(flat, minlength=count + 1)[1:]
+    return np.bincount(flat, weights=mask.ravel(), minlength=count + 1)[1:] / np.maximum(number, 1)
 
 
 def _fit_tile(fit: _Fit, tile: Tile) -> Array:
@@ -73,9 +200,13 @@ def _fit_tile(fit: _Fit, tile: Tile) -> Array:
     for k, high in enumerate((True, False)):
         outer, other = (np.ascontiguousarray(a) for a in guide.faces(grey.shape[2], high=high))
         side = learnt.side(high=high)
+        amid = learnt.amid
+        if fit.again is not None:
+            outer, amid = np.ascontiguousarray(fit.again[k]), 0.5 * learnt.base
         _kernels.fit_faces(
             np.ascontiguousarray(grey[:, :, ::-1]) if high else grey, outer, other, tilt, 0.0, learnt.width,
-            learnt.noise, side.level, side.spread, side.coated, learnt.reach, result,
+            learnt.noise, side.level, side.spread, side.coated, learnt.reach, result, 0.0,
+            amid,
         )  # fmt: skip
         out[2 * k : 2 * k + 2] = result[:2]
     return out
@@ -91,3 +222,16 @@ def _without_spikes(height: Array, step: float) -> Array:
     off = np.abs(height - around)
     limit = max(8.0 * spread(off[known]) + 1.0, _SPIKE_UM / step, 3.0)
     return np.where(known & (off <= limit), height, np.nan)
+
+
+def _narrow(outward: Array, pitch: tuple[float, float, float]) -> NDArray[np.bool_]:
+    """Columns that stand out of the face by more than its roughness, in places narrower than a particle may be."""
+    known = np.isfinite(outward)
+    if not known.any():
+        return np.zeros(outward.shape, dtype=bool)
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    filled = outward[tuple(nearest)]
+    size = max(int(_NARROW_UM / pitch[0]), 1) + 1, max(int(_NARROW_UM / pitch[1]), 1) + 1
+    hat = filled - _opened(filled, size)
+    limit = max(8.0 * spread(hat[known]) + 1.0, _PROUD_UM / pitch[2], 3.0)
+    return known & (hat > limit)

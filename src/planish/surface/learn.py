@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import optimize
 
 from planish.core.errors import VolumeError
 from planish.core.tiles import Tile
@@ -28,6 +29,13 @@ _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with th
 _CORRELATED = 1.15  # noise over that of neighbouring voxels' differences, from which on it is no longer white
 _BLENDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # voxels
 _BESIDE_UM = 15.0  # from the face into the air
+_THICK = 3.0  # widths of the blur: a thicker layer shows its own grey
+_PLAIN, _PLAIN_SHARE = 5.5, 0.05  # widths of the blur, and share of columns: such a layer shows it beyond doubt
+_TRACE = 0.15  # widths of the blur: a coating that is thinner in half of the columns is none
+_QUIET_BLEND = 2.0  # columns
+_TRIALS = 80  # of the search for the grey of coatings that are nowhere thick
+_SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)  # logarithm of their grey over the brightest that was seen
+_FEW = 50  # columns that show it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +70,8 @@ class Learnt:
         Standard deviation of the blur along a column that the sheet crosses at a right angle, in voxels.
     reach : float
         How far outside the expected face the search starts, in voxels.
+    amid : float
+        Grey at which a sheet amid other material was told from it; 0 where air lies beside the sheet.
     high, low : Side
         The side at the high and at the low end of the columns.
     """
@@ -71,6 +81,7 @@ class Learnt:
     base: float
     width: float
     reach: float
+    amid: float
     high: Side
     low: Side
 
@@ -119,7 +130,8 @@ def learn(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams)
 
 class _Learner:
     def __init__(self, columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> None:
-        self.columns, self.guide, self.params = columns, guide, params
+        self.columns, self.guide, self.params, self.survey = columns, guide, params, survey
+        self.amid = survey.coarse.threshold if params.seed_um is not None else 0.0
         self.depth = columns.shape[2]
         self.pitch = columns.pitch
         self.scale = Scale(air=survey.air, polarity=survey.polarity)
@@ -136,10 +148,16 @@ class _Learner:
         # Coarse profile per side: is there a coating, how bright, how much does it vary?
         sides = {high: self._first_side(part, base, base_sd) for high, part in samples.items()}
         width = self._blur(samples, sides)
-        sides = {high: self._narrowed(samples[high], sides[high], width) for high in samples}
+        thin = [high for high in samples if self._is_thin(samples[high], sides[high], width)]
+        if thin:
+            width, sides = self._thin_levels(self._quiet_samples(samples, width), sides, width, thin)
+        told = self.params.coating_grey is not None
+        sides = {high: self._narrowed(samples[high], sides[high], width, told or high in thin) for high in samples}
+        if told:
+            sides = {high: self._told_side(samples[high], side, width, base) for high, side in sides.items()}
         return Learnt(
-            scale=self.scale, noise=self.noise, base=base, width=width, reach=self.reach, high=sides[True],
-            low=sides[False],
+            scale=self.scale, noise=self.noise, base=base, width=width, reach=self.reach, amid=self.amid,
+            high=sides[True], low=sides[False],
         )  # fmt: skip
 
     def _chosen_rows(self) -> list[Tile]:
@@ -205,6 +223,8 @@ class _Learner:
 
     def _air_noise(self) -> float:
         """Standard deviation of the air just outside the faces, as the fit will see it; NaN where there is none."""
+        if self.amid:
+            return float("nan")  # what lies beside is no air
         return spread(np.concatenate([*self._beside()]).astype(np.float64))
 
     def _beside(self) -> Iterator[NDArray[np.float32]]:
@@ -219,11 +239,34 @@ class _Learner:
                     held = np.flatnonzero(at >= 0)
                     yield grey[held, at[held]]
 
+    def _told_side(self, sample: _Sample, side: Side, width: float, base: float) -> Side:
+        """Keep the coating whose grey was told where there is one."""
+        thickness = self._fit(sample, side, width)[1]
+        if float(np.nanmedian(thickness)) > _TRACE * width:
+            return side
+        bare = Side(
+            level=np.array([0.0, 0.0, 0.0, base]), spread=np.array([0.0, 0.0, -1.0, side.spread[3]]), coated=False
+        )
+        return self._narrowed(sample, bare, width, told=True)
+
     def _first_side(self, sample: _Sample, base: float, base_sd: float) -> Side:
         """Look for a coating in the median profile below the face; wide spreads."""
+        if self.params.coating_grey is not None:
+            grey = self.scale.polarity * (self.params.coating_grey - self.scale.air)
+            if grey < 1.05 * base:
+                raise VolumeError(
+                    f"The coating's grey {self.params.coating_grey:g} does not stand out from the base "
+                    f"({self.scale.polarity * base + self.scale.air:.4g}) on the side away from the air "
+                    f"({self.scale.air:.4g}). Check --coating-grey."
+                )
+            return Side(
+                level=np.array([0.0, 0.0, grey, base]),
+                spread=np.array([0.0, 0.0, 0.02 * grey, max(base_sd, 0.25 * base)]), coated=True,
+            )  # fmt: skip
         outer = sample.outer[0]
         start = np.array([
-            _kernels.outermost(g, max(int(e - self.reach), 0), int(e + self.reach) + 1, 0.5 * base)
+            _kernels.nearest(g, e, self.reach, self.amid) if self.amid
+            else _kernels.outermost(g, max(int(e - self.reach), 0), int(e + self.reach) + 1, 0.5 * base)
             for g, e in zip(sample.grey[0], outer, strict=True)
         ])  # fmt: skip
         good = start > 0
@@ -233,20 +276,20 @@ class _Learner:
         profile = np.nanmedian(np.take_along_axis(sample.grey[0][good], depth, axis=1), axis=0)
         peak = float(profile[: max(2, int(0.8 * half))].max())
         solid = base + 1.28 * min(base_sd, 0.3 * base)
-        told = self.params.sheet_grey is not None
+        told = self.params.sheet_grey is not None or self.survey.amid
         coated = is_coating(peak, 0.0, 1.2 * solid if told else solid)
         # Without a coating the third level is what lies outside: the air, unless the sheet was told from other
         # material.
-        outside = 0.5 * base if told else -1.0
+        outside = (1.0 if self.amid else 0.5) * base if told else -1.0
         level = np.array([0.0, 0.0, peak if coated else 0.0, base])
         wide = np.array([0.0, 0.0, 0.25 * peak if coated else outside, max(base_sd, 0.25 * base)])
         return Side(level=level, spread=wide, coated=coated)
 
-    def _fit(self, sample: _Sample, side: Side, width: float) -> Array:
+    def _fit(self, sample: _Sample, side: Side, width: float, window: float = 0.0) -> Array:
         result = np.empty((5, *sample.outer.shape))
         _kernels.fit_faces(
             sample.grey, sample.outer, sample.other, sample.tilt, 0.0, width, self.noise, side.level, side.spread,
-            side.coated, self.reach, result,
+            side.coated, self.reach, result, window, self.amid,
         )  # fmt: skip
         return result
 
@@ -267,15 +310,85 @@ class _Learner:
             return float(_WIDTHS[best] * np.exp(np.clip(shift, -1, 1) * step))
         return float(_WIDTHS[best])
 
-    def _narrowed(self, sample: _Sample, side: Side, width: float) -> Side:
+    def _is_thin(self, sample: _Sample, side: Side, width: float) -> bool:
+        """Whether no column shows the coating's own grey, because the blur reaches through all of it."""
+        if not side.coated or self.params.coating_grey is not None:
+            return False
+        # With a grey that is too low the layer seems thicker and the blur narrower than they are, hence the margin.
+        thick = self._fit(sample, side, width)[1] * sample.tilt > _PLAIN * width
+        return float(np.mean(thick)) < _PLAIN_SHARE
+
+    def _quiet_samples(self, samples: dict[bool, _Sample], width: float) -> dict[bool, _Sample]:
+        """Sample columns that are means over their neighbours, as far as the sheet's slope does not widen the blur."""
+        guide, kept = self.guide, self.scale
+        steep = float(np.nanpercentile(np.hypot(guide.slope_r, guide.slope_c), 90)) * self.columns.step
+        blend = min(_QUIET_BLEND, 0.3 * width / max(steep, 1e-3))
+        if blend <= max(kept.blend, 0.3):
+            return samples
+        self.scale = replace(kept, blend=blend)
+        quiet = {high: self._sample(high=high) for high in samples}
+        self.scale = kept
+        return quiet
+
+    def _thin_levels(
+        self, samples: dict[bool, _Sample], sides: dict[bool, Side], width: float, thin: list[bool]
+    ) -> tuple[float, dict[bool, Side]]:
+        """Blur, and greys of coatings that are nowhere thick, with which the staircase fits the sample best.
+
+        Grey and thickness of one thin layer can hardly be told apart; the shape of many profiles tells a little.
+        """
+        few = {high: sample.thinned(3) for high, sample in samples.items()}
+        size = max(sum(s.outer.size for s in few.values()), 1)
+
+        def put(at: Array) -> tuple[float, dict[bool, Side]]:
+            put_to = dict(sides)
+            for high, share in zip(thin, at[1:], strict=True):
+                level, wide = sides[high].level.copy(), sides[high].spread.copy()
+                level[2] *= np.exp(share)
+                wide[2] = 1e-3 * level[2]
+                put_to[high] = Side(level=level, spread=wide, coated=True)
+            return width * float(np.exp(at[0])), put_to
+
+        def cost(at: Array) -> float:
+            tried, put_to = put(at)
+            total = 0.0
+            for high, sample in few.items():
+                found = self._fit(sample, put_to[high], tried, 1.3 * width)[4]
+                total += float(np.sum(np.where(np.isfinite(found), np.minimum(found, 400.0), 400.0)))
+            # A layer's grey is seldom far from the brightest that was seen of it.
+            return total / size + 1e-4 * float(np.sum(at**2))
+
+        def with_width(share: float) -> tuple[float, Array]:
+            """Best width for coatings that are so much brighter."""
+
+            def of(log_width: float) -> float:
+                return cost(np.array([log_width, *[share] * len(thin)]))
+
+            best = optimize.minimize_scalar(of, bounds=(-0.2, 0.6), method="bounded", options={"xatol": 0.01})
+            return float(best.fun), np.array([float(best.x), *[share] * len(thin)])
+
+        # Brighter layers with a wider blur look nearly the same: the search goes along that valley first.
+        _, at = min((with_width(share) for share in _SHARES), key=lambda found: found[0])
+        along = np.array([0.03, *[0.08] * len(thin)])
+        steps = np.vstack([along, np.diag(np.where(np.arange(along.size) > 0, 0.08, 0.03))[1:]])
+        best = optimize.minimize(
+            cost, at, method="Nelder-Mead",
+            options={"initial_simplex": np.vstack([at, at + steps]), "xatol": 2e-3, "fatol": 1e-7, "maxfev": _TRIALS},
+        )  # fmt: skip
+        at = np.asarray(best.x, dtype=np.float64)
+        return put(at)
+
+    def _narrowed(self, sample: _Sample, side: Side, width: float, told: bool) -> Side:
         """Narrow what is expected to what thick layers and the base below them show."""
         level, wide = side.level.copy(), side.spread.copy()
         for _ in range(2):
             fit = self._fit(sample, Side(level=level, spread=wide, coated=side.coated), width)
             known = np.isfinite(fit[0])
-            if side.coated:
-                thick = known & (fit[1] * sample.tilt > 3.0 * width)
-                if np.count_nonzero(thick) < 50:
+            if side.coated and told:
+                wide[2] = 0.02 * level[2]
+            elif side.coated:
+                thick = known & (fit[1] * sample.tilt > _THICK * width)
+                if np.count_nonzero(thick) < _FEW:
                     thick = known & (fit[1] >= np.nanpercentile(fit[1], 75))
                 level[2] = float(np.median(fit[2][thick]))
                 wide[2] = max(1.2 * spread(fit[2][thick]), 0.01 * level[2])

@@ -12,6 +12,7 @@ from planish.core.errors import VolumeError
 Array = NDArray[np.float64]
 
 _SIGMAS = 6.0  # a block is material when it differs from the air by so many standard deviations
+_FEWER_SIGMAS = 4.5  # where that is not enough to see the base of a sheet
 _COATING_RATIO = 1.25  # a layer is a coating when it stands out from the base by more than a quarter
 
 
@@ -122,13 +123,15 @@ def voxel_noise(ends: Array, air: float) -> float:
     return float(robust if robust > 0 else np.sqrt(np.mean(steps[near] ** 2) / 2))
 
 
-def material(blocks: NDArray[np.float32], air: float) -> tuple[float, float]:
-    """Return polarity and the threshold of a first, coarse search; both relative to the air.
+def material(blocks: NDArray[np.float32], air: float, known: float | None = None) -> tuple[float, float, float]:
+    """Return polarity, the threshold of a first, coarse search, and the least that noise allows, both above the air.
 
-    ``blocks`` are block means; a sheet is what stands out from the air's own scatter.
+    ``blocks`` are block means; a sheet is what stands out from the air's own scatter, which is that of the half nearest
+    to the air where it is not ``known``.
     """
     deviation = blocks[np.isfinite(blocks)].astype(np.float64) - air
-    scatter = spread(deviation[np.abs(deviation) <= np.percentile(np.abs(deviation), 50)])
+    near = deviation[np.abs(deviation) <= np.percentile(np.abs(deviation), 50)]
+    scatter = spread(near) if known is None else known
     scatter = max(scatter, 1e-3 * float(np.ptp(deviation)), 1e-9)
     bright = deviation > _SIGMAS * scatter
     dark = deviation < -_SIGMAS * scatter
@@ -139,7 +142,9 @@ def material(blocks: NDArray[np.float32], air: float) -> tuple[float, float]:
         )
     polarity = 1.0 if np.abs(deviation[bright]).sum() >= np.abs(deviation[dark]).sum() else -1.0
     typical = float(np.median(np.abs(deviation[bright if polarity > 0 else dark])))
-    return polarity, max(_SIGMAS * scatter, 0.35 * typical)
+    ends = np.concatenate([blocks[..., :3].ravel(), blocks[..., -3:].ravel()]).astype(np.float64)
+    least = max(_FEWER_SIGMAS * spread(ends), 0.08 * typical)
+    return polarity, max(_SIGMAS * scatter, 0.35 * typical), least
 
 
 def is_coating(level: float, air: float, solid_base: float) -> bool:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from planish.core.tiles import Engine, Tile
 from planish.surface import _kernels
 from planish.surface.columns import Columns
-from planish.surface.learn import Learnt
 
 Array = NDArray[np.float64]
 
@@ -31,7 +30,7 @@ class _Look:
 
 
 def find_presence(
-    columns: Columns, centre: Array, thickness: float, up: float, learnt: Learnt, engine: Engine
+    columns: Columns, centre: Array, thickness: float, up: float, levels: tuple[float, float], engine: Engine
 ) -> Array:
     """Share of material in the upper third of the sheet, along the true normals, of every column; 0 to 1.
 
@@ -44,7 +43,8 @@ def find_presence(
         Of the sheet, um.
     up : float
         +1 where heights grow towards the top.
-    learnt : Learnt
+    levels : (float, float)
+        Grey of the air and of the base.
     engine : Engine
 
     Returns
@@ -57,7 +57,7 @@ def find_presence(
     length = np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
     normals = (-up * slope[0] / length / pitch[0], -up * slope[1] / length / pitch[1], up / length / pitch[2])
     depth = (centre - float(columns.depth_um[0])) / pitch[2]
-    air, base = learnt.scale.air, learnt.scale.polarity * learnt.base + learnt.scale.air
+    air, base = levels
     lead = int(np.ceil(0.5 * thickness / pitch[0])) + 1, int(np.ceil(0.5 * thickness / pitch[1])) + 1
 
     def job(tile: Tile) -> _Look:

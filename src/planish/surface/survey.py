@@ -11,9 +11,10 @@ from scipy import ndimage
 
 from planish.core.errors import VolumeError
 from planish.core.tiles import Engine, Tile
-from planish.surface.coarse import CORE, CoarseSheet, coarse_sheet
+from planish.surface.choose import choose_sheet, make_choice, seed_grey
+from planish.surface.coarse import CoarseSheet, coarse_sheet, followed_sheet
 from planish.surface.columns import Columns
-from planish.surface.levels import material, mode, padding_value, voxel_noise
+from planish.surface.levels import mode, padding_value, spread, voxel_noise
 from planish.surface.params import SurfaceParams
 
 Array = NDArray[np.float64]
@@ -41,6 +42,8 @@ class Survey:
     stride : int
     missing_share : float
         Voxels that are NaN or infinite.
+    amid : bool
+        Whether a seed chose the sheet among other material, which it does not stand out from as it does from air.
     """
 
     coarse: CoarseSheet
@@ -51,6 +54,7 @@ class Survey:
     sample: NDArray[Any]
     stride: int
     missing_share: float
+    amid: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +73,51 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     VolumeError
         If the volume holds no sheet, several, or one that fills it from end to end.
     """
+    depth = columns.shape[2]
+    block, stride = _block(columns)
+    sample = _sampled(columns, stride)
+    flat = sample.reshape(-1, depth)
+    padding = padding_value(flat)
+    columns = columns.padded(padding)
+    blocks, sharp, missing = _blocks(columns, block, engine)
+    if params.seed_um is None:
+        sharp = blocks  # only a seed needs both
+    if missing > 0.9:
+        raise VolumeError("More than 90 % of the volume's voxels are NaN or infinite. Check how it was exported.")
+    choice = make_choice(columns, block, blocks.shape, params)
+    # The level comes from means over blocks: where the export has cut the air's noise at 0, single voxels crowd there.
+    ends = _ends(blocks.reshape(-1, depth), np.isfinite(blocks).reshape(-1, depth))
+    voxels = _ends(flat, np.ones(flat.shape, bool) if padding is None else flat != padding)
+    scatter = None
+    if choice.seed is not None:
+        ends, voxels = _airy(ends, voxels, seed_grey(sharp, choice.seed))
+        scatter = spread(ends)
+    air = mode(ends)
+    noise = voxel_noise(voxels, air)
+    coarse, amid, polarity = choose_sheet(blocks, sharp, air, block, params, choice, scatter)
+    return Survey(
+        coarse=coarse, air=air, noise=noise, polarity=polarity, padding=padding, sample=sample, stride=stride,
+        missing_share=missing, amid=amid,
+    )  # fmt: skip
+
+
+def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> CoarseSheet:
+    """Find the sheet roughly where every voxel is told to be sheet (1) or not (0).
+
+    Raises
+    ------
+    VolumeError
+        As :func:`take_survey`.
+    """
+    block = _block(columns)[0]
+    _, shares, _ = _blocks(columns, block, engine)
+    choice = make_choice(columns, block, shares.shape, params)
+    search = coarse_sheet if choice.seed is None else followed_sheet
+    return search(shares, shares > 0.5, 0.5, block, choice)
+
+
+def _block(columns: Columns) -> tuple[int, int]:
+    """Width of a block, and of the steps in which columns are sampled."""
     rows, cols, depth = columns.shape
     if min(columns.volume.shape) < 8:
         raise VolumeError(
@@ -76,42 +125,10 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
             "needed along every axis. Check that this is the whole stack."
         )
     wanted = np.sqrt(rows * cols / _SAMPLE)
-    stride = max(1, int(wanted))
     block = int(np.clip(round(wanted), 1, _WIDEST))
     while (rows // block) * (cols // block) * depth > _MOST:
         block += 1
-    sample = _sampled(columns, stride)
-    flat = sample.reshape(-1, depth)
-    padding = padding_value(flat)
-    columns = columns.padded(padding)
-    blocks, missing = _blocks(columns, block, engine)
-    if missing > 0.9:
-        raise VolumeError("More than 90 % of the volume's voxels are NaN or infinite. Check how it was exported.")
-    # The level comes from means over blocks: where the export has cut the air's noise at 0, single voxels crowd there.
-    air = mode(_ends(blocks.reshape(-1, depth), np.isfinite(blocks).reshape(-1, depth)))
-    noise = voxel_noise(_ends(flat, np.ones(flat.shape, bool) if padding is None else flat != padding), air)
-    coarse, polarity = _sheet(blocks, air, block, params)
-    return Survey(
-        coarse=coarse, air=air, noise=noise, polarity=polarity, padding=padding, sample=sample, stride=stride,
-        missing_share=missing,
-    )  # fmt: skip
-
-
-def _sheet(blocks: NDArray[np.float32], air: float, block: int, params: SurfaceParams) -> tuple[CoarseSheet, float]:
-    """Find the sheet in the block means; return it and its polarity."""
-    if params.sheet_grey is not None:
-        low, high = params.sheet_grey
-        inside = (blocks >= low) & (blocks <= high)
-        polarity = 1.0 if 0.5 * (low + high) >= air else -1.0
-        edge = (low if polarity > 0 else high) - air
-        return coarse_sheet(polarity * (blocks - air), inside, abs(edge), block), polarity
-    polarity, threshold = material(blocks, air)
-    oriented = np.where(np.isfinite(blocks), polarity * (blocks - air), 0.0).astype(np.float32)
-    sheet = coarse_sheet(oriented, oriented > threshold, threshold, block)
-    # The core tells the base's level, and that a better threshold: half way between air and base.
-    base = float(np.median(_core(oriented, sheet)))
-    threshold = max(threshold * 0.7, 0.5 * base)
-    return coarse_sheet(oriented, oriented > threshold, threshold, block), polarity
+    return block, max(1, int(wanted))
 
 
 def _sampled(columns: Columns, stride: int) -> NDArray[Any]:
@@ -127,8 +144,8 @@ def _sampled(columns: Columns, stride: int) -> NDArray[Any]:
     return out
 
 
-def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.float32], float]:
-    """Means of ``block`` x ``block`` neighbouring columns, then of three neighbours in depth; share of missing voxels.
+def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
+    """Means of ``block`` x ``block`` neighbouring columns, smoothed and as they are; share of missing voxels.
 
     The last block of each axis takes what is left over. Shape (block rows, block cols, depth). A block that holds
     padding or a missing voxel is NaN.
@@ -154,7 +171,7 @@ def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.fl
         out[missing] = np.nan
     size = (3, 3, 3) if block < 3 else (1, 1, 3)
     smooth = ndimage.uniform_filter(out, size, mode="nearest") if not missing.any() else out
-    return smooth, bad / (rows * cols * depth * columns.step**2)
+    return smooth, out, bad / (rows * cols * depth * columns.step**2)
 
 
 def _look(look: _Look, tile: Tile) -> NDArray[np.float32]:
@@ -192,15 +209,12 @@ def _ends(columns: NDArray[Any], inside: NDArray[np.bool_]) -> Array:
     return np.concatenate([np.take_along_axis(kept, k, axis=1) for k in (starts, stops)])
 
 
-def _core(blocks: NDArray[np.float32], sheet: CoarseSheet) -> Array:
-    """Grey of the blocks in the core of the sheet."""
-    rows, cols = np.nonzero(np.isfinite(sheet.low) & np.isfinite(sheet.high))
-    if rows.size == 0:
-        raise VolumeError(
-            "No column of the volume shows both faces of the sheet. The sheet leaves the volume on one side, or it is "
-            "not the axis through the sheet that was named with --through."
-        )
-    low, high = sheet.low[rows, cols], sheet.high[rows, cols]
-    shares = np.linspace(*CORE, 7)
-    depth = np.rint(low[:, None] + (high - low)[:, None] * shares).astype(int)
-    return blocks[rows[:, None], cols[:, None], depth].ravel().astype(np.float64)
+def _airy(ends: Array, voxels: Array, seed: Array) -> tuple[Array, Array]:
+    """Where the two ends of the columns differ, keep the one that looks less like the object at the seed."""
+    halves = [(part[: part.shape[0] // 2], part[part.shape[0] // 2 :]) for part in (ends, voxels)]
+    levels = [mode(half) for half in halves[0]]
+    own = float(np.median(seed))
+    if abs(levels[0] - levels[1]) < 0.1 * max(abs(level - own) for level in levels):
+        return ends, voxels
+    k = int(np.argmax([abs(level - own) for level in levels]))
+    return halves[0][k], halves[1][k]

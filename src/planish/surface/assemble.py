@@ -1,0 +1,132 @@
+"""From the faces of single columns to the result: what is sheet, rim and hole, the centre surface, the reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import VolumeError
+from planish.core.frame import Frame
+from planish.surface.centre import gaussian_regression, slice_smoothed
+from planish.surface.columns import Columns, voxel_pitch
+from planish.surface.envelope import rolling_ball
+from planish.surface.faces import Faces
+from planish.surface.holes import half_closed
+from planish.surface.params import SurfaceParams
+from planish.surface.regions import LEAVES, PARTICLE, STATUS, TOUCHING, regions
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """What was found in the columns.
+
+    Attributes
+    ----------
+    faces : Faces
+    touching : (rows, cols)
+        Columns in which the sheet touches another or itself.
+    runs_out : (rows, cols)
+        Columns in which it may run out of the volume.
+    presence : callable
+        Given the centre surface, the sheet's thickness and the direction of its top, the share of material.
+    """
+
+    faces: Faces
+    touching: Mask
+    runs_out: Mask
+    presence: Callable[[Array, float, float], Array]
+
+
+def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found) -> xr.Dataset:
+    """Build the result of :func:`planish.surface.find_surfaces` but for the grey levels in its attributes."""
+    pitch, faces = columns.pitch, found.faces
+    top, inner_top = faces.high, faces.interface_high
+    bottom, inner_bottom = faces.low, faces.interface_low
+    if frame.top == "low":
+        (top, inner_top), (bottom, inner_bottom) = (bottom, inner_bottom), (top, inner_top)
+    up = frame.sign
+    seen = np.isfinite(top) & np.isfinite(bottom) & (up * (top - bottom) > 0)
+    runs_out = found.runs_out & ~seen
+    touching = found.touching & ~runs_out
+    seen &= ~touching
+    top, bottom, inner_top, inner_bottom = (np.where(seen, f, np.nan) for f in (top, bottom, inner_top, inner_bottom))
+    thickness = float(np.nanmedian(up * (top - bottom))) if seen.any() else float("nan")
+    if not np.isfinite(thickness):
+        raise VolumeError(
+            "There is no sheet in the volume: no column shows two faces. Check --through and --sheet-grey."
+        )
+    stuck = faces.stuck & ~seen & ~touching & ~runs_out
+    there = seen | touching | stuck
+    sheet, rim, outline = regions(there, runs_out, pitch[:2], params.rim_um)
+    middle = np.where(sheet & ~rim & seen, 0.5 * (top + bottom), np.nan)
+    if not np.isfinite(middle).any():
+        raise VolumeError(
+            f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of {params.rim_um:g} um only; "
+            "nothing is left to measure. Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
+        )
+    centre = _centre(middle, outline, pitch[:2], params)
+    status = np.where(~np.isfinite(centre) | ~sheet, 1, np.where(rim, 2, np.where(seen, 0, 3)))
+    for where, reason in (
+        (stuck & (status == 3), PARTICLE), (touching & sheet, TOUCHING), (runs_out & (status > 0), LEAVES),
+    ):  # fmt: skip
+        status[where] = reason
+    present = found.presence(centre, thickness, up)
+    heights = {
+        "top": (top, "Top face"),
+        "bottom": (bottom, "Bottom face"),
+        "interface_top": (inner_top, "Interface between top coating and base"),
+        "interface_bottom": (inner_bottom, "Interface between bottom coating and base"),
+        "centre": (centre, "Centre surface"),
+    }
+    if params.envelope_um is not None:
+        radius = params.envelope_um
+        for name, face, outward in (("top", top, up), ("bottom", bottom, -up)):
+            envelope = outward * rolling_ball(outward * face, pitch[:2], radius)
+            heights[f"{name}_envelope"] = (envelope, f"{name.capitalize()} face below a ball of {radius:g} um")
+    data: dict[str, tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]] = {
+        name: (("y", "x"), values, {"units": "um", "long_name": title}) for name, (values, title) in heights.items()
+    }
+    data["presence"] = (("y", "x"), present, {"units": "1", "long_name": "Material below the top face"})
+    flags: dict[str, object] = {
+        "long_name": "Status",
+        "flag_values": list(STATUS),
+        "flag_meanings": " ".join(STATUS.values()),
+    }
+    data["status"] = (("y", "x"), status.astype(np.uint8), flags)
+    closed = half_closed(there, runs_out, pitch[:2])
+    rows, cols = columns.lateral_um()
+    attrs: dict[str, object] = {
+        **frame.attrs(),
+        "thickness_um": thickness,
+        "cutoff_um": params.cutoff_um,
+        "rim_um": params.rim_um,
+        "voxel_um": [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")],
+        "particles_removed": faces.particles,
+        "half_closed_holes": len(closed),
+        "half_closed_at_um": [float(np.interp(at, np.arange(c.size), c)) for h in closed
+                              for at, c in ((h.row, rows), (h.col, cols))],
+    }  # fmt: skip
+    if params.method != "profile":
+        attrs["method"] = params.method
+    coords = {"y": (("y",), rows, {"units": "um"}), "x": (("x",), cols, {"units": "um"})}
+    return xr.Dataset(data, coords=coords, attrs=attrs)
+
+
+def _centre(middle: Array, outline: Mask, pitch: tuple[float, float], params: SurfaceParams) -> Array:
+    """Smooth the mean of the faces and carry it across holes."""
+    if params.method == "paper":
+        return np.where(outline, slice_smoothed(middle, pitch[1], cutoff_um=params.cutoff_um), np.nan)
+    centre = gaussian_regression(middle, pitch, cutoff_um=params.cutoff_um)
+    # A hole with its rim may be wider than a short cut-off reaches: it is bridged with a longer one.
+    for wider in (2.0, 4.0):
+        if np.isnan(centre[outline]).any():
+            bridge = gaussian_regression(middle, pitch, cutoff_um=wider * params.cutoff_um)
+            centre = np.where(np.isnan(centre), bridge, centre)
+    return np.where(outline, centre, np.nan)

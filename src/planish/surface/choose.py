@@ -1,0 +1,169 @@
+"""Which object of the volume is the sheet: the only one, that of a grey range, or the one that holds a seed point."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.errors import VolumeError
+from planish.core.frame import Axis
+from planish.surface.coarse import CORE, Choice, CoarseSheet, coarse_sheet, followed_sheet
+from planish.surface.columns import Columns, voxel_pitch
+from planish.surface.levels import material
+from planish.surface.params import SurfaceParams
+
+Array = NDArray[np.float64]
+
+_SHARES = np.linspace(0.5, 0.95, 19)  # of the grey at the seed, tried as threshold
+_BRIGHTER = 1.6  # times that grey: not the same object
+_MERGED_SHARE = 0.15  # of the sheet that may touch others; with a higher threshold it may be less
+_CLEAR = 0.1  # of the brightest: below it there is nothing at the seed
+_MOST_MERGED = 0.6  # above it the sheet cannot be followed
+
+
+def make_choice(columns: Columns, block: int, shape: tuple[int, ...], params: SurfaceParams) -> Choice:
+    """Turn the seed point into block indices, and block indices into points."""
+    volume, frame, wide = columns.volume, columns.frame, block * columns.step
+    scale = {frame.rows: wide, frame.cols: wide, frame.through: 1}
+    order: tuple[Axis, ...] = (frame.rows, frame.cols, frame.through)
+
+    def named(at: tuple[int, int, int]) -> str:
+        index = dict(zip(order, at, strict=True))
+        place = {
+            k: volume.coords[k].values[min(int((i + 0.5) * scale[k]), volume.sizes[k] - 1)] for k, i in index.items()
+        }
+        return ",".join(f"{float(place[k]):.4g}" for k in ("z", "y", "x"))
+
+    if params.seed_um is None:
+        return Choice(named=named)
+    seed: list[int] = []
+    given = dict(zip(("z", "y", "x"), params.seed_um, strict=True))
+    for axis, most in zip(order, shape, strict=True):
+        values = volume.coords[axis].values
+        pitch = voxel_pitch(volume, axis)
+        index = (given[axis] - float(values[0])) / pitch
+        if not -0.5 <= index < values.size - 0.5:
+            ends = f"{float(values[0]):g} to {float(values[-1]):g}"
+            raise VolumeError(
+                f"The seed point lies outside the volume: its {axis} is {given[axis]:g} um, the volume goes from "
+                f"{ends} um. Check --seed-um and --voxel-um."
+            )
+        seed.append(min(int((index + 0.5) / scale[axis]), most - 1))
+    return Choice(named=named, seed=(seed[0], seed[1], seed[2]))
+
+
+def choose_sheet(
+    blocks: NDArray[np.float32],
+    sharp: NDArray[np.float32],
+    air: float,
+    block: int,
+    params: SurfaceParams,
+    choice: Choice,
+    scatter: float | None,
+) -> tuple[CoarseSheet, bool, float]:
+    """Find the sheet in the block means; return it, whether it lies amid other material, and its polarity."""
+    if params.sheet_grey is not None:
+        low, high = params.sheet_grey
+        inside = (blocks >= low) & (blocks <= high)
+        polarity = 1.0 if 0.5 * (low + high) >= air else -1.0
+        edge = (low if polarity > 0 else high) - air
+        if choice.seed is not None:
+            inside = (sharp >= low) & (sharp <= high)
+            return followed_sheet(polarity * (sharp - air), inside, abs(edge), block, choice), True, polarity
+        return coarse_sheet(polarity * (blocks - air), inside, abs(edge), block, choice), False, polarity
+    polarity, threshold, least = material(blocks, air, scatter)
+    oriented = np.where(np.isfinite(blocks), polarity * (blocks - air), 0.0).astype(np.float32)
+    if choice.seed is not None:
+        # Layers may be thinner than what the blocks are smoothed over.
+        above = np.where(np.isfinite(sharp), polarity * (sharp - air), 0.0).astype(np.float32)
+        return *_chosen(oriented, above, threshold, block, choice), polarity
+    try:
+        return _refined(oriented, threshold, block, choice), False, polarity
+    except VolumeError:
+        # Two bright coatings on a dim base look like two sheets. With a lower threshold they are one, if they are one.
+        if least < 0.7 * threshold:
+            with suppress(VolumeError):
+                return _refined(oriented, least, block, choice), False, polarity
+        raise
+
+
+def _refined(oriented: NDArray[np.float32], threshold: float, block: int, choice: Choice) -> CoarseSheet:
+    """Find the sheet with a threshold, and once more with a better one."""
+    search = coarse_sheet if choice.seed is None else followed_sheet
+    sheet = search(oriented, oriented > threshold, threshold, block, choice)
+    # The core tells the base's level, and that a better threshold: half way between air and base.
+    base = float(np.median(_core(oriented, sheet)))
+    threshold = max(threshold * 0.7, 0.5 * base)
+    return search(oriented, oriented > threshold, threshold, block, choice)
+
+
+def _chosen(
+    oriented: NDArray[np.float32],
+    sharp: NDArray[np.float32],
+    threshold: float,
+    block: int,
+    choice: Choice,
+) -> tuple[CoarseSheet, bool]:
+    """Find the sheet at the seed, and tell whether what lies beside it is other material and not air.
+
+    In air the usual threshold will do. Amid other material it is raised until the sheet stands alone.
+    """
+    assert choice.seed is not None
+    found: VolumeError | None = None
+    try:
+        sheet = _refined(oriented, threshold, block, choice)
+        if _merged(sheet) < _MERGED_SHARE:
+            return sheet, False
+    except VolumeError as error:
+        found = error
+    own = float(seed_grey(sharp, choice.seed).max())
+    if found is not None and own < _CLEAR * float(np.percentile(sharp, 99)):
+        raise found
+    # The best of them shows both faces, without a neighbour, in the most columns.
+    most, best = 0, None
+    for share in _SHARES:
+        inside = (sharp > share * own) & (sharp < _BRIGHTER * own)
+        try:
+            sheet = followed_sheet(sharp, inside, float(share * own), block, choice)
+        except VolumeError as error:
+            found = error
+            continue
+        shown = int(np.count_nonzero(np.isfinite(sheet.low) & np.isfinite(sheet.high)))
+        if shown > most and _merged(sheet) < _MOST_MERGED:
+            most, best = shown, sheet
+    if best is not None:
+        return best, True
+    raise VolumeError(
+        f"The object at the seed point {choice.named(choice.seed)} um (z, y, x) touches others at every grey: "
+        "it cannot be told from them. Crop the volume to a part where it stands alone, or "
+        "choose another point with --seed-um."
+    ) from found
+
+
+def _merged(sheet: CoarseSheet) -> float:
+    """Share of the sheet that touches others."""
+    some = np.count_nonzero(np.isfinite(sheet.low) | np.isfinite(sheet.high))
+    touching = np.count_nonzero(sheet.touching)
+    return touching / max(some + touching, 1)
+
+
+def _core(blocks: NDArray[np.float32], sheet: CoarseSheet) -> Array:
+    """Grey of the blocks in the core of the sheet."""
+    rows, cols = np.nonzero(np.isfinite(sheet.low) & np.isfinite(sheet.high))
+    if rows.size == 0:
+        raise VolumeError(
+            "No column of the volume shows both faces of the sheet. The sheet leaves the volume on one side, or it is "
+            "not the axis through the sheet that was named with --through."
+        )
+    low, high = sheet.low[rows, cols], sheet.high[rows, cols]
+    shares = np.linspace(*CORE, 7)
+    depth = np.rint(low[:, None] + (high - low)[:, None] * shares).astype(int)
+    return blocks[rows[:, None], cols[:, None], depth].ravel().astype(np.float64)
+
+
+def seed_grey(sharp: NDArray[np.float32], seed: tuple[int, int, int]) -> Array:
+    """Grey around the seed point, at the depth before it, at its own, and after it."""
+    near = tuple(slice(max(k - 1, 0), k + 2) for k in seed)
+    return np.asarray(np.median(sharp[near], axis=(0, 1)), dtype=np.float64)

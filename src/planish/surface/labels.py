@@ -1,0 +1,165 @@
+"""Faces in the volume of labels of another program, which has told air, base and coating apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import VolumeError
+from planish.core.frame import Frame
+from planish.core.tiles import Engine, Tile
+from planish.surface import _kernels
+from planish.surface.assemble import Found, assemble
+from planish.surface.columns import Columns
+from planish.surface.faces import placed
+from planish.surface.oriented import Guide, make_guide
+from planish.surface.params import SurfaceParams
+from planish.surface.presence import find_presence
+from planish.surface.regions import doubtful
+from planish.surface.survey import survey_labels
+
+Array = NDArray[np.float64]
+Labels = int | Sequence[int] | None
+
+MEANING: dict[str, Labels] = {"air": 0, "base": 1, "coating": 2, "void": None}
+_CODES = {"air": 0, "base": 1, "void": 2, "coating": 3}
+_UNKNOWN = 255
+_COATED_SHARE = 0.02  # of the columns; below it a side has no coating
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelColumns(Columns):
+    """Columns of labels: codes of air, base, void and coating, or 1 where there is any sheet.
+
+    Attributes
+    ----------
+    codes : pairs of (label, code)
+    sheet : bool
+        Give 1 for all that is not air.
+    """
+
+    codes: tuple[tuple[int, int], ...] = ()
+    sheet: bool = True
+
+    def voxels(self, tile: Tile) -> NDArray[Any]:
+        """Codes of the voxels of a tile."""
+        # Slots leave a dataclass without its class cell, so super() has to be told.
+        raw = super(LabelColumns, self).voxels(tile)
+        out = np.full(raw.shape, _UNKNOWN, dtype=np.uint8)
+        for label, code in self.codes:
+            out[raw == label] = code
+        if (out == _UNKNOWN).any():
+            label = raw[out == _UNKNOWN].flat[0]
+            raise VolumeError(
+                f"The volume holds the label {label}, and it was not told what it means. Say which labels are air, "
+                "base, coating and void with --label-air, --label-base, --label-coating and --label-void."
+            )
+        return (out > 0).astype(np.uint8) if self.sheet else out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Job:
+    columns: LabelColumns
+    guide: Guide
+    reach: float
+
+
+def surfaces_from_labels(
+    labels: xr.DataArray,
+    *,
+    frame: Frame | None = None,
+    meaning: Mapping[str, Labels] | None = None,
+    params: SurfaceParams | None = None,
+    engine: Engine | None = None,
+) -> xr.Dataset:
+    """Find the surfaces of the sheet in a volume of labels.
+
+    Parameters
+    ----------
+    labels : DataArray of integers, dims (z, y, x), coordinates in um
+    frame : Frame
+    meaning : mapping, optional
+        Label, or labels, of ``air``, ``base``, ``coating`` and ``void`` (pores in the sheet). What is left out keeps
+        its default: 0, 1, 2, and no voids.
+    params : SurfaceParams
+        ``cutoff_um``, ``rim_um``, ``seed_um`` and ``envelope_um`` are used.
+    engine : Engine
+
+    Returns
+    -------
+    Dataset
+        As :func:`find_surfaces` gives it, without grey levels. A boundary lies half way between the voxels.
+
+    Raises
+    ------
+    VolumeError
+        If the labels are no integers, one has no meaning or two, or there is no single sheet.
+    """
+    frame, params = frame or Frame(), params or SurfaceParams()
+    engine = engine or Engine(threads=params.threads)
+    if not np.issubdtype(labels.dtype, np.integer) and labels.dtype != np.bool_:
+        raise VolumeError(
+            f"Labels are integers; this volume holds {labels.dtype}. Give the label volume, not the grey."
+        )
+    columns = LabelColumns(volume=labels, frame=frame, codes=_codes(meaning or {}))
+    coarse = survey_labels(columns, params, engine)
+    guide = make_guide(coarse, columns)
+    coded = LabelColumns(volume=labels, frame=frame, codes=columns.codes, sheet=False)
+    shape = columns.shape[:2]
+    found = np.empty((4, *shape))
+    reach = 2.0 + 1.5 * coarse.block * max(columns.pitch[:2]) / columns.pitch[2]
+
+    def job(tile: Tile) -> _Job:
+        return _Job(columns=coded, guide=guide.part(tile), reach=reach)
+
+    for tile, part in engine.map("labels", _boundaries, job, columns.tiles(engine)):
+        found[:, tile.rows, tile.cols] = part
+    share = [float(np.mean(thickness[np.isfinite(thickness)] > 0)) if np.isfinite(thickness).any() else 0.0
+             for thickness in (found[1], found[3])]  # fmt: skip
+    coated = share[0] > _COATED_SHARE, share[1] > _COATED_SHARE
+    touching, runs_out = doubtful(guide, coarse, 0.0, columns.shape[2])
+
+    def presence(centre: Array, thickness: float, up: float) -> Array:
+        return find_presence(columns, centre, thickness, up, (0.0, 1.0), engine)
+
+    surfaces = assemble(
+        columns, frame, params,
+        Found(
+            faces=placed(found, columns, coated, particles=coarse.specks), touching=touching, runs_out=runs_out,
+            presence=presence,
+        ),
+    )  # fmt: skip
+    surfaces.attrs["from_labels"] = " ".join(f"{label}:{code}" for label, code in columns.codes)
+    return surfaces
+
+
+def _codes(meaning: Mapping[str, Labels]) -> tuple[tuple[int, int], ...]:
+    unknown = sorted(set(meaning) - set(_CODES))
+    if unknown:
+        raise VolumeError(f"'{unknown[0]}' is no meaning of a label. There are air, base, coating and void.")
+    codes: dict[int, int] = {}
+    for name, given in (MEANING | dict(meaning)).items():
+        for label in () if given is None else (given,) if isinstance(given, int) else given:
+            if codes.setdefault(int(label), _CODES[name]) != _CODES[name]:
+                raise VolumeError(
+                    f"The label {label} was given two meanings, one of them {name}. Give each label once."
+                )
+    return tuple(sorted(codes.items()))
+
+
+def _boundaries(job: _Job, tile: Tile) -> Array:
+    """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
+    codes = np.ascontiguousarray(job.columns.voxels(tile))
+    out = np.full((4, *tile.shape), np.nan)
+    for k, high in enumerate((True, False)):
+        outer, other = (np.ascontiguousarray(a) for a in job.guide.faces(codes.shape[2], high=high))
+        _kernels.label_boundaries(
+            np.ascontiguousarray(codes[:, :, ::-1]) if high else codes, outer, other, job.reach / job.guide.tilt,
+            out[2 * k], out[2 * k + 1],
+        )  # fmt: skip
+    return out

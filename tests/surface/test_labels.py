@@ -1,0 +1,110 @@
+"""Surfaces in the labels of another program, and the published way with thresholds slice by slice."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planish.core.errors import VolumeError
+from planish.core.frame import Frame
+from planish.core.tiles import Engine
+from planish.surface import SurfaceParams, find_surfaces, surfaces_from_labels
+from planish.surface.slices import otsu
+from surface.sheets import Sheet
+
+SHEET = Sheet(lateral=(50, 56), thickness=60.0, margin=15.0, coats=(14.0, 0.0))
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (30.0, 20.0)])
+@pytest.mark.parametrize("through", ["z", "x"])
+def test_boundaries_lie_within_half_a_voxel(tilt, through):
+    sheet = replace(SHEET, tilt=tilt, through=through)
+    found = surfaces_from_labels(sheet.labels(), frame=Frame(through=through))
+    truth = sheet.surfaces()
+    assert (found["status"].values == 0).mean() > 0.99
+    for name in ("top", "bottom", "interface_top"):
+        error = found[name].values - truth[name]
+        assert np.nanmax(np.abs(error)) <= 0.5 * sheet.voxel + 1e-6, name
+    assert np.isnan(found["interface_bottom"]).all()
+
+
+def test_meanings_may_be_given_and_several_labels_may_mean_the_same():
+    labels = SHEET.labels()
+    plain = surfaces_from_labels(labels)
+    other = np.array([7, 3, 9], dtype=np.uint8)[labels.values]
+    other[:, ::2] = np.where(other[:, ::2] == 3, 4, other[:, ::2])
+    found = surfaces_from_labels(labels.copy(data=other), meaning={"air": 7, "base": (3, 4), "coating": 9})
+    for name in ("top", "bottom", "interface_top", "centre"):
+        np.testing.assert_array_equal(found[name], plain[name])
+
+
+def test_pores_belong_to_the_sheet_and_are_no_face():
+    labels = SHEET.labels().values.copy()
+    labels[(labels == 1) & (np.random.default_rng(0).random(labels.shape) < 0.3)] = 5
+    given = SHEET.labels().copy(data=labels)
+    with pytest.raises(VolumeError, match=r"label 5.*--label-void"):
+        surfaces_from_labels(given)
+    found = surfaces_from_labels(given, meaning={"void": 5})
+    np.testing.assert_array_equal(found["top"], surfaces_from_labels(SHEET.labels())["top"])
+
+
+def test_what_cannot_be_meant():
+    with pytest.raises(VolumeError, match="two meanings"):
+        surfaces_from_labels(SHEET.labels(), meaning={"base": 2})
+    with pytest.raises(VolumeError, match="integers"):
+        surfaces_from_labels(SHEET.labels().astype(np.float32))
+    with pytest.raises(VolumeError, match="no meaning of a label"):
+        surfaces_from_labels(SHEET.labels(), meaning={"paper": 1})
+
+
+@pytest.mark.parametrize("kind", ["labels", "paper"])
+def test_tiles_change_nothing(kind):
+    def run(engine):
+        if kind == "labels":
+            return surfaces_from_labels(SHEET.labels(), engine=engine)
+        return find_surfaces(SHEET.volume(), params=SurfaceParams(method="paper"), engine=engine)
+
+    one, other = run(Engine(threads=1)), run(Engine(threads=3, memory_bytes=2**20))
+    for name in one.data_vars:
+        assert one[name].values.tobytes() == other[name].values.tobytes(), name
+
+
+def test_thresholds_of_a_mixture():
+    rng = np.random.default_rng(0)
+    values = np.concatenate([rng.normal(m, 3, 4000) for m in (0.0, 50.0, 160.0)])
+    first, second = otsu(values, 3)
+    assert 8 < first < 42
+    assert 58 < second < 152
+    assert 8 < otsu(values[:8000], 2)[0] < 42
+
+
+def test_the_published_way_on_an_uncoated_sheet():
+    sheet = replace(SHEET, coats=(0.0, 0.0), tilt=(0.0, 10.0))
+    found = find_surfaces(sheet.volume(), params=SurfaceParams(method="paper"))
+    assert found.attrs["method"] == "paper"
+    for name in ("top", "bottom"):
+        error = found[name].values - sheet.surfaces()[name]
+        assert abs(np.nanmean(error)) < 0.2
+        assert np.sqrt(np.nanmean(error**2)) < 0.5 * sheet.voxel
+
+
+def test_the_published_way_makes_a_thin_coating_thicker_than_the_profile_does():
+    sheet = replace(SHEET, coats=(5.0, 14.0))
+    paper, profile = (
+        float(np.nanmean((found["top"] - found["interface_top"]).values))
+        for found in (find_surfaces(sheet.volume(), params=SurfaceParams(method=m)) for m in ("paper", "profile"))
+    )
+    print(f"5 um: thresholds {paper:.2f} um, profile {profile:.2f} um")
+    assert abs(profile - 5) < 0.5 < paper - 5
+
+
+def test_the_centre_line_is_smoothed_within_the_slice_only():
+    sheet = replace(SHEET, coats=(0.0, 0.0), lateral=(40, 120))
+    array = sheet.volume().values.copy()
+    array[:, 20] = np.roll(array[:, 20], 3, axis=0)  # one slice lies higher
+    moved = sheet.volume().copy(data=array)
+    found = find_surfaces(moved, params=SurfaceParams(method="paper"))
+    centre = found["centre"].values
+    assert np.nanmedian(centre[20] - centre[18]) == pytest.approx(3 * sheet.voxel, abs=0.3)
+    smooth = find_surfaces(moved)["centre"].values
+    assert np.nanmedian(smooth[20] - smooth[18]) < 0.5 * sheet.voxel
