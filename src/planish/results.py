@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planish.flatten import Flattened
 from planish.io import fingerprint
-from planish.measure import PROPERTIES
+from planish.measure import PROPERTIES, STATUS
 from planish.register import FittedTransform
 from planish.study import Study
 
@@ -78,14 +78,13 @@ def surface_results(surfaces: xr.Dataset) -> dict[str, Any]:
     """What the surface search learnt and how much of the sheet it measured."""
     attrs = surfaces.attrs
     status = surfaces["status"].values
-    shares = {
-        f"share_{name}": float((status == k).mean())
-        for k, name in enumerate(("measured", "no_sheet", "rim", "face_not_found", "normal_leaves_sheet"))
-    }
+    shares = {f"share_{name}": float((status == k).mean()) for k, name in enumerate(STATUS)}
     keys = ("thickness_um", "blur_um", "cutoff_um", "rim_um", "saturated_share", "missing_share", "polarity")
     greys = ("grey_air", "grey_base", "grey_coating_top", "grey_coating_bottom", "grey_noise")
     frame = {k: str(attrs[k]) for k in ("through", "top_side", "row_axis", "col_axis")}
-    return frame | {k: _finite(float(attrs[k])) for k in (*keys, *greys)} | {"columns": int(status.size)} | shares
+    numbers = {k: _finite(float(attrs.get(k, np.nan))) for k in (*keys, *greys)}
+    counts = {k: int(attrs.get(k, 0)) for k in ("particles_removed", "half_closed_holes")}
+    return frame | numbers | {"columns": int(status.size)} | counts | shares
 
 
 def section_results(sections: xr.Dataset) -> dict[str, Any]:

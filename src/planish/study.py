@@ -46,10 +46,27 @@ class ImageSection(Section):
     override_size: bool = False
 
 
+Label = Annotated[int, Field(ge=0)]
+
+
+class LabelsSection(Section):
+    """What the labels of a volume mean that another program has segmented."""
+
+    air: tuple[Label, ...] = (0,)
+    base: tuple[Label, ...] = (1,)
+    coating: tuple[Label, ...] = (2,)
+    void: tuple[Label, ...] = ()
+
+
 class SurfaceSection(Section):
     """Choices of the surface search."""
 
     sheet_grey: tuple[float, float] | None = None
+    seed_um: tuple[float, float, float] | None = None
+    coating_grey: float | None = None
+    labels: LabelsSection | None = None
+    method: Literal["profile", "paper"] = "profile"
+    envelope_um: Length | None = None
     cutoff_um: Length = 400.0
     rim_um: Annotated[float, Field(ge=0)] = 100.0
 

@@ -10,7 +10,7 @@ from xarray.core import indexing
 from planish.core.errors import SizeError, SurfaceError
 from planish.measure import RayOptions, measure_along_rays, registered, straighten
 from planish.measure.densities import Densities
-from planish.measure.rays import NO_NORMAL, NOT_IN_VOLUME
+from planish.measure.rays import LOW_CONTRAST, NO_NORMAL, NOT_IN_VOLUME
 
 
 def slow_grey(made, rays, i, j):
@@ -153,7 +153,7 @@ def test_reasons_of_missing_rays(rough):
     # normals at the border lean out of the volume
     assert (status[:, [0, -1]] == NO_NORMAL).all()
     assert np.isnan(found["absorption"].values[status != 0]).all()
-    assert found["status"].attrs["flag_meanings"].split()[6] == "ray_leaves_volume"
+    assert found["status"].attrs["flag_meanings"].split()[NOT_IN_VOLUME] == "ray_leaves_volume"
     padded = rough.surfaces.assign_attrs(padding=0.0)
     volume = rough.volume.copy(deep=True)
     volume[:, 40:, :] = 0
@@ -166,7 +166,7 @@ def test_a_ray_without_matter_is_low_in_contrast(made):
     volume = sheet.volume.copy(deep=True)
     volume[:, 20:30, 30:40] = 42.0
     status = measure_along_rays(volume, sheet.surfaces, names=["porosity"])["status"]
-    assert (status.values[21:29, 31:39] == 5).all()
+    assert (status.values[21:29, 31:39] == LOW_CONTRAST).all()
     assert status.attrs["flag_meanings"].split()[5] == "low_contrast"
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import click
 
 from planish.cli.options import (
+    SURFACE,
     Memory,
     Numbers,
     channel_option,
@@ -20,6 +21,7 @@ from planish.cli.options import (
     image_options,
     json_option,
     match_options,
+    meaning_of,
     out_option,
     property_options,
     section_options,
@@ -46,7 +48,7 @@ def _volume(path: Path, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _surface(options: dict[str, Any]) -> dict[str, Any]:
-    return {k: options[k] for k in ("sheet_grey", "cutoff_um", "rim_um")}
+    return {k: options[k] for k in SURFACE} | {"labels": meaning_of(options)}
 
 
 def _properties(options: dict[str, Any]) -> dict[str, Any]:

@@ -41,6 +41,24 @@ class Numbers(click.ParamType[tuple[float, ...]]):
         return numbers
 
 
+class Labels(click.ParamType[tuple[int, ...]]):
+    """Some labels: ``1`` or ``1,4``."""
+
+    name = "labels"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
+        """Show what is expected in the help."""
+        return "N[,N...]"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        """Parse ``"1,4"``."""
+        if isinstance(value, tuple):
+            return value  # type: ignore[return-value]
+        if not re.fullmatch(r"\s*\d+(\s*,\s*\d+)*\s*", str(value)):
+            self.fail(f"{value!r} are no labels: write whole numbers with commas, such as 1,4.", param, ctx)
+        return tuple(int(part) for part in str(value).split(","))
+
+
 class Strip(click.ParamType[tuple[int, int]]):
     """First and last pixel of a strip: ``10,60``."""
 
@@ -127,6 +145,40 @@ surface_options = _stack(
         help="Grey range of the sheet, to tell it from other material in the volume.",
     ),
     click.option(
+        "--seed-um",
+        type=Numbers(3, metavar="Z,Y,X"),
+        help="A point inside the sheet that is meant, where there are several sheets or layers; with --sheet-grey, the "
+        "part of that grey that holds it.",
+    ),
+    click.option(
+        "--coating-grey",
+        type=float,
+        help="Grey of the coating; needed where it is nowhere thicker than half the blur.",
+    ),
+    click.option(
+        "--envelope-um",
+        type=click.FloatRange(min=0, min_open=True),
+        help="Also find the faces below a ball of this radius (50 to 250): loose fibres do not lift them.",
+    ),
+    click.option(
+        "--surface-method",
+        "method",
+        type=click.Choice(["profile", "paper"]),
+        default="profile",
+        show_default=True,
+        help="profile: fit the profile of every column; paper: slice by slice as Hirn et al. (2009).",
+    ),
+    click.option(
+        "--labels",
+        "is_labels",
+        is_flag=True,
+        help="The volume holds the labels of another program: 0 air, 1 base, 2 coating where not given otherwise.",
+    ),
+    *(
+        click.option(f"--label-{what}", type=Labels(), help=f"Labels that mean {what}; several with commas.")
+        for what in ("air", "base", "coating", "void")
+    ),
+    click.option(
         "--cutoff-um",
         type=click.FloatRange(min=0, min_open=True),
         default=400.0,
@@ -147,6 +199,19 @@ channel_option = click.option(
     type=click.Choice(["luminance", "red", "green", "blue"]),
     help="What is taken from slices or sections in colour; luminance where not given.",
 )
+
+SURFACE = ("sheet_grey", "seed_um", "coating_grey", "envelope_um", "method", "cutoff_um", "rim_um")
+"""Options of the surface search that go on as they are."""
+
+
+def meaning_of(options: dict[str, Any]) -> dict[str, tuple[int, ...]] | None:
+    """Return what labels mean, or None where the volume holds grey values."""
+    told = {what: options[f"label_{what}"] for what in ("air", "base", "coating", "void")}
+    given = {what: labels for what, labels in told.items() if labels is not None}
+    if given and not options["is_labels"]:
+        raise click.UsageError("--label-air, -base, -coating and -void say what labels mean: give --labels as well.")
+    return given if options["is_labels"] else None
+
 
 section_options = _stack(
     click.option(

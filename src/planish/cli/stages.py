@@ -11,11 +11,13 @@ import numpy as np
 import xarray as xr
 
 from planish.cli.options import (
+    SURFACE,
     existing,
     hole_option,
     image_options,
     json_option,
     match_options,
+    meaning_of,
     out_option,
     surface_options,
     volume_options,
@@ -58,12 +60,16 @@ def surface(volume: Path, out: Path, **options: Any) -> None:
     from planish.core.frame import Frame
     from planish.io import read_volume
     from planish.io.run_folder import refuse_existing
-    from planish.surface import SurfaceParams, find_surfaces
+    from planish.surface import SurfaceParams, find_surfaces, surfaces_from_labels
 
     refuse_existing(out)
     data = read_volume(volume, voxel_um=options["voxel_um"], override_size=options["override_size"])
-    params = SurfaceParams(**{k: options[k] for k in ("sheet_grey", "cutoff_um", "rim_um")})
-    found = find_surfaces(data, frame=Frame(through=options["through"], top=options["top"]), params=params)
+    params = SurfaceParams(**{k: options[k] for k in SURFACE})
+    frame, meaning = Frame(through=options["through"], top=options["top"]), meaning_of(options)
+    if meaning is None:
+        found = find_surfaces(data, frame=frame, params=params)
+    else:
+        found = surfaces_from_labels(data, frame=frame, meaning=meaning, params=params)
     share = float((found["status"].values == 0).mean())
     _write(
         out,

@@ -1,6 +1,6 @@
 """From surfaces, and the volume between them, to properties along the normals of the centre surface."""
 
-from planish.measure.along_normals import PROPERTIES, measure_properties
+from planish.measure.along_normals import PROPERTIES, STATUS, measure_properties
 from planish.measure.along_rays import measure_along_rays
 from planish.measure.coat_weight import coat_weight_bottom, coat_weight_top
 from planish.measure.coverage import thin_fraction
@@ -23,6 +23,7 @@ from planish.measure.warp import gaussian_curvature, mean_curvature, tilt, warp
 
 __all__ = [
     "PROPERTIES",
+    "STATUS",
     "Densities",
     "Measured",
     "Property",

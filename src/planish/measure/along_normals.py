@@ -12,6 +12,11 @@ from planish.measure._kernels import along_normals
 
 Array = NDArray[np.float64]
 
+STATUS = (
+    "measured", "no_sheet", "rim", "face_not_found", "normal_leaves_sheet", "touching", "leaves_volume", "particle",
+)  # fmt: skip
+"""Why a column has no value, by the number in ``status``."""
+
 PROPERTIES = {
     "coating_top": "Coating thickness, top side",
     "coating_bottom": "Coating thickness, bottom side",
@@ -96,8 +101,7 @@ def measure_properties(surfaces: xr.Dataset) -> xr.Dataset:
         name: (("y", "x"), np.where(valid, v, np.nan), {"units": "um", "long_name": PROPERTIES[name]})
         for name, v in values.items()
     }
-    meanings = "measured no_sheet rim face_not_found normal_leaves_sheet"
-    flags = {"long_name": "Status", "flag_values": [0, 1, 2, 3, 4], "flag_meanings": meanings}
+    flags = {"long_name": "Status", "flag_values": [*range(len(STATUS))], "flag_meanings": " ".join(STATUS)}
     return xr.Dataset(
         {**data, "status": (("y", "x"), status, flags)}, coords=surfaces.coords, attrs=dict(surfaces.attrs)
     )

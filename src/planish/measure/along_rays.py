@@ -13,6 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure, ResourceError
+from planish.measure.along_normals import STATUS
 from planish.measure.greys import Greys
 from planish.measure.options import RayOptions
 from planish.measure.ray_frame import RayFrame, column_of
@@ -22,9 +23,7 @@ from planish.measure.uncertainty import ray_noise
 
 T = TypeVar("T")
 
-MEANINGS = (
-    "measured", "no_sheet", "rim", "face_not_found", "normal_leaves_sheet", "low_contrast", "ray_leaves_volume",
-)  # fmt: skip
+MEANINGS = (*STATUS, "low_contrast", "ray_leaves_volume")
 OWN_REASON = 10  # a property's own reasons count from here
 _MEMORY_BYTES = 1 << 30
 _PER_SAMPLE = 24  # bytes that a sample costs at most while a tile is worked on

@@ -19,7 +19,7 @@ Direction = Literal["normal", "vertical"]
 T = TypeVar("T")
 
 FACES = ("top", "bottom", "interface_top", "interface_bottom")
-NO_NORMAL, LOW_CONTRAST, NOT_IN_VOLUME = 4, 5, 6
+NO_NORMAL, LOW_CONTRAST, NOT_IN_VOLUME = 4, 8, 9  # 5 to 7 are reasons of the surface search
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -85,6 +85,9 @@ def columns(results: Row) -> list[Row]:
         ("share_no_sheet", "no sheet, or a hole", "none"),
         ("share_face_not_found", "a face was not found", "lost"),
         ("share_normal_leaves_sheet", "the normal leaves the sheet", "normal"),
+        ("share_touching", "the sheet touches another, or itself", "lost"),
+        ("share_leaves_volume", "the sheet leaves the volume", "none"),
+        ("share_particle", "a particle sticks to the sheet", "lost"),
     )
     found = [(results["surfaces"].get(key), text, kind) for key, text, kind in words]
     return [
