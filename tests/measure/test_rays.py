@@ -167,7 +167,7 @@ def test_a_ray_without_matter_is_low_in_contrast(made):
     volume[:, 20:30, 30:40] = 42.0
     status = measure_along_rays(volume, sheet.surfaces, names=["porosity"])["status"]
     assert (status.values[21:29, 31:39] == LOW_CONTRAST).all()
-    assert status.attrs["flag_meanings"].split()[5] == "low_contrast"
+    assert status.attrs["flag_meanings"].split()[LOW_CONTRAST] == "low_contrast"
 
 
 def test_what_does_not_fit_is_refused(made):
