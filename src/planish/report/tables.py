@@ -172,9 +172,7 @@ def numbers(results: Row) -> list[tuple[str, str]]:
         if "reason" in rough:
             out.append((f"Roughness, {words}", str(rough["reason"]).replace(" um", "\u202fµm")))
         elif rough:
-            values = ", ".join(
-                f"{key.capitalize()} {number(rough[key])}{units}" for key, units in _ROUGHNESS.items()
-            )
+            values = ", ".join(f"{key.capitalize()} {number(rough[key])}{units}" for key, units in _ROUGHNESS.items())
             filters = f"S-filter {length(rough['s_filter_um'])}, L-filter {length(rough['l_filter_um'])}"
             out.append((f"Roughness, {words}", f"{values} ({filters})"))
     for pair, words in (("coating", "Coatings"), ("topography", "Topographies")):
