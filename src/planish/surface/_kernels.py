@@ -23,6 +23,7 @@ _CLOSE = 1e-3  # voxels: a fiftieth of what noise leaves
 # faster than erf.
 _PER_SIGMA = 256
 _LAST = 6
+_ABREAST = 16  # columns whose means are worked out together
 _TABLE = ndtr(np.arange(-_LAST * _PER_SIGMA, _LAST * _PER_SIGMA + 2) / _PER_SIGMA)
 
 
@@ -374,8 +375,10 @@ def fit_faces(
 
 
 @njit(cache=True, nogil=True)
-def trilinear(slab, r, c, d, fr, fc):
-    """Value of slab (rows, cols, depth) at the indices r + fr, c + fc and d; NaN outside.
+def trilinear(slab, first, deep, r, c, d, fr, fc):
+    """Value of slab (rows, cols, depth) at the indices r + fr, c + fc and d - first; NaN outside.
+
+    The slab holds a part of columns that are ``deep`` voxels long.
 
     r and c are whole; shares of a voxel come apart from them, because the place in a tile must not round them.
     """
@@ -387,10 +390,13 @@ def trilinear(slab, r, c, d, fr, fc):
         i, fr = i - 1, 1.0
     if j == cols - 1 and fc == 0.0:
         j, fc = j - 1, 1.0
-    if not (0 <= i < rows - 1 and 0 <= j < cols - 1 and 0.0 <= d <= depth - 1):
+    if not (0 <= i < rows - 1 and 0 <= j < cols - 1 and 0.0 <= d <= deep - 1):
         return np.nan
-    k = min(int(d), depth - 2)
+    k = min(int(d), deep - 2)
     fd = d - k
+    k -= first
+    if not 0 <= k < depth - 1:
+        return np.nan
     a = (slab[i, j, k] * (1 - fd) + slab[i, j, k + 1] * fd) * (1 - fc)
     a += (slab[i, j + 1, k] * (1 - fd) + slab[i, j + 1, k + 1] * fd) * fc
     b = (slab[i + 1, j, k] * (1 - fd) + slab[i + 1, j, k + 1] * fd) * (1 - fc)
@@ -399,13 +405,15 @@ def trilinear(slab, r, c, d, fr, fc):
 
 
 @njit(cache=True, nogil=True)
-def presence(slab, lead_r, lead_c, centre, normal_r, normal_c, normal_d, offsets, air, base, out):
+def presence(slab, first, deep, lead_r, lead_c, centre, normal_r, normal_c, normal_d, offsets, air, base, out):
     """Share of material along each normal: mean of (g - air) / (base - air), cut to 0..1.
 
     Parameters
     ----------
     slab : (rows + halo, cols + halo, depth) float32
         Carries ``lead_r`` more rows and ``lead_c`` more columns before the first of the maps.
+    first, deep : int
+        Depth index of its first voxel, and length of the whole columns.
     centre, normal_r, normal_c, normal_d : (rows, cols)
         Height of the centre surface and the normal, per um, all in voxels.
     offsets : (n,)
@@ -422,7 +430,7 @@ def presence(slab, lead_r, lead_c, centre, normal_r, normal_c, normal_d, offsets
                 d = centre[i, j] + s * normal_d[i, j]
                 if not isfinite(d):
                     continue
-                g = trilinear(slab, lead_r + i, lead_c + j, d, s * normal_r[i, j], s * normal_c[i, j])
+                g = trilinear(slab, first, deep, lead_r + i, lead_c + j, d, s * normal_r[i, j], s * normal_c[i, j])
                 if isfinite(g):
                     total += min(max((g - air) / (base - air), 0.0), 1.0)
                     count += 1
@@ -444,22 +452,37 @@ def mean_columns(voxels, step, slope_r, slope_c, missing, out):
         Set; NaN where a voxel is missing. Beyond the ends of a column its last voxel counts.
     """
     rows, cols, depth = out.shape
-    share = 1.0 / (step * step)
+    share = np.float32(1.0 / (step * step))
     middle = 0.5 * (step - 1)
-    total = np.empty(depth, dtype=np.float32)
+    some = missing == missing  # NaN: nothing is missing but NaN itself
+    total = np.empty((depth, _ABREAST), dtype=np.float32)
+    shift = np.empty(_ABREAST * step, dtype=np.int64)
     for i in range(rows):
-        for j in range(cols):
+        for first in range(0, cols, _ABREAST):
+            # Some columns at a time: voxels lie side by side either along the row or along the depth, and this way
+            # both are read without jumping.
+            count = min(_ABREAST, cols - first)
             total[:] = 0.0
             for a in range(step):
-                for b in range(step):
-                    move = slope_r[i, j] * (a - middle) + slope_c[i, j] * (b - middle)
-                    shift = int(floor(move + 0.5)) if isfinite(move) else 0
-                    column = voxels[i * step + a, j * step + b]
-                    for d in range(depth):
-                        value = column[min(max(d + shift, 0), depth - 1)]
-                        total[d] += np.float32(np.nan) if value == missing else np.float32(value)
-            for d in range(depth):
-                out[i, j, d] = total[d] * share
+                for m in range(count * step):
+                    j = first + m // step
+                    move = slope_r[i, j] * (a - middle) + slope_c[i, j] * (m % step - middle)
+                    shift[m] = int(floor(move + 0.5)) if isfinite(move) else 0
+                row = voxels[i * step + a]
+                for d in range(depth):
+                    m = 0
+                    for n in range(count):
+                        part = total[d, n]
+                        for _ in range(step):
+                            value = row[first * step + m, min(max(d + shift[m], 0), depth - 1)]
+                            if some and value == missing:
+                                part = np.float32(np.nan)
+                            part += np.float32(value)
+                            m += 1
+                        total[d, n] = part
+            for n in range(count):
+                for d in range(depth):
+                    out[i, first + n, d] = total[d, n] * share
 
 
 @njit(cache=True, nogil=True)

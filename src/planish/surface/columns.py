@@ -70,15 +70,18 @@ class Columns:
         """Return the same columns with the voxels of this value left out."""
         return replace(self, padding=value)
 
-    def voxels(self, tile: Tile) -> NDArray[Any]:
-        """Voxels of a tile as they are stored, (rows * step, cols * step, depth)."""
+    def voxels(self, tile: Tile, depth: slice = slice(None)) -> NDArray[Any]:
+        """Voxels of a tile as they are stored, (rows * step, cols * step, depth), or of a part of their depth."""
         k, f = self.step, self.frame
-        lateral = {f.rows: slice(tile.r0 * k, tile.r1 * k), f.cols: slice(tile.c0 * k, tile.c1 * k)}
-        part = self.volume.isel(lateral)
+        part = self.volume.isel(
+            {f.rows: slice(tile.r0 * k, tile.r1 * k), f.cols: slice(tile.c0 * k, tile.c1 * k), f.through: depth}
+        )
         # Turned only after it was read: what is read lazily may not know how to turn.
         return part.values.transpose([part.get_axis_num(axis) for axis in (f.rows, f.cols, f.through)])
 
-    def grey(self, tile: Tile, slope: tuple[Array, Array] | None = None) -> NDArray[np.float32]:
+    def grey(
+        self, tile: Tile, slope: tuple[Array, Array] | None = None, depth: slice = slice(None)
+    ) -> NDArray[np.float32]:
         """Grey of the columns of a tile, (rows, cols, depth); NaN is missing.
 
         Parameters
@@ -87,8 +90,10 @@ class Columns:
         slope : two (rows, cols), optional
             How far the sheet rises along the column from one voxel row to the next, and from one voxel column to the
             next, in voxels. The voxels that a column is the mean of are moved by it to the nearest voxel.
+        depth : slice, optional
+            Part of the depth; not together with ``slope``.
         """
-        raw = self.voxels(tile)
+        raw = self.voxels(tile, depth)
         if self.step > 1:
             missing = np.nan if self.padding is None else self.padding
             along_r, along_c = (np.ascontiguousarray(a) for a in slope or (np.zeros(tile.shape), np.zeros(tile.shape)))

@@ -113,6 +113,6 @@ def _saturated(survey: Survey, depth_um: Array, top: Array, bottom: Array) -> fl
         return 0.0
     limits = np.iinfo(part.dtype)
     limit = limits.max if survey.polarity > 0 else limits.min
-    lower, upper = np.fmin(top, bottom)[::n, ::n, None], np.fmax(top, bottom)[::n, ::n, None]
+    lower, upper = (f(top, bottom)[:: n[0], :: n[1], None] for f in (np.fmin, np.fmax))
     inside = (depth_um >= lower) & (depth_um <= upper)
     return float(np.mean(part[inside] == limit)) if inside.any() else 0.0

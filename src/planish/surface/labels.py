@@ -46,10 +46,10 @@ class LabelColumns(Columns):
     codes: tuple[tuple[int, int], ...] = ()
     sheet: bool = True
 
-    def voxels(self, tile: Tile) -> NDArray[Any]:
-        """Codes of the voxels of a tile."""
+    def voxels(self, tile: Tile, depth: slice = slice(None)) -> NDArray[Any]:
+        """Codes of the voxels of a tile, or of a part of their depth."""
         # Slots leave a dataclass without its class cell, so super() has to be told.
-        raw = super(LabelColumns, self).voxels(tile)
+        raw = super(LabelColumns, self).voxels(tile, depth)
         out = np.full(raw.shape, _UNKNOWN, dtype=np.uint8)
         for label, code in self.codes:
             out[raw == label] = code

@@ -139,6 +139,7 @@ class _Learner:
         self.reach = 2.0 + 1.5 * survey.coarse.block * max(self.pitch[:2]) / self.pitch[2]
         self.noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air) + 1e-9)
         self.rows = self._chosen_rows()
+        self.kept: dict[tuple[Tile, float], NDArray[np.float32]] = {}
 
     def learnt(self) -> Learnt:
         sample = self._sample(high=True)
@@ -172,8 +173,14 @@ class _Learner:
         return [Tile(int(r), int(r) + 1, int(c), int(c) + wide) for r, c in zip(rows, starts, strict=True)]
 
     def _read(self, tile: Tile, *, high: bool) -> NDArray[np.float32]:
-        guide = self.guide.part(self.scale.grown(tile, self.columns.shape[:2]))
-        part = oriented(self.columns, tile, guide, self.scale)[0]
+        # The same columns are looked at several times.
+        key = (tile, self.scale.blend)
+        if key not in self.kept:
+            if any(blend != self.scale.blend for _, blend in self.kept):
+                self.kept.clear()
+            guide = self.guide.part(self.scale.grown(tile, self.columns.shape[:2]))
+            self.kept[key] = oriented(self.columns, tile, guide, self.scale)[0]
+        part = self.kept[key]
         return np.ascontiguousarray(part[:, ::-1]) if high else part
 
     def _sample(self, *, high: bool) -> _Sample:

@@ -26,7 +26,6 @@ class _Look:
     offsets: Array
     low: float
     high: float
-    lead: tuple[int, int]
 
 
 def find_presence(
@@ -58,13 +57,12 @@ def find_presence(
     normals = (-up * slope[0] / length / pitch[0], -up * slope[1] / length / pitch[1], up / length / pitch[2])
     depth = (centre - float(columns.depth_um[0])) / pitch[2]
     air, base = levels
-    lead = int(np.ceil(0.5 * thickness / pitch[0])) + 1, int(np.ceil(0.5 * thickness / pitch[1])) + 1
 
     def job(tile: Tile) -> _Look:
         at = tile.rows, tile.cols
         return _Look(
             columns=columns, depth=depth[at], normals=(normals[0][at], normals[1][at], normals[2][at]),
-            offsets=np.linspace(_FROM, _TO, _STEPS) * thickness, low=air, high=base, lead=lead,
+            offsets=np.linspace(_FROM, _TO, _STEPS) * thickness, low=air, high=base,
         )  # fmt: skip
 
     out = np.full(shape, np.nan)
@@ -74,11 +72,25 @@ def find_presence(
 
 
 def _look(look: _Look, tile: Tile) -> Array:
-    outside = tile.grown(*look.lead, look.columns.shape[:2])
-    inner = tile.within(outside)
-    out = np.empty(tile.shape)
+    whole = look.columns.shape
+    out = np.full(tile.shape, np.nan)
     depth, rows, cols, along = (np.ascontiguousarray(a) for a in (look.depth, *look.normals))
+    known = np.isfinite(depth) & np.isfinite(along)
+    if not known.any():
+        return out
+    # Only what the normals pass through is read.
+    ends = [depth[known] + s * along[known] for s in look.offsets[[0, -1]]]
+    low, high = min(float(e.min()) for e in ends), max(float(e.max()) for e in ends)
+    if high < 0 or low > whole[2] - 1:
+        return out
+    first = min(max(int(np.floor(low)), 0), whole[2] - 2)
+    part = slice(first, min(int(np.ceil(high)) + 2, whole[2]))
+    farthest = float(np.abs(look.offsets).max())
+    lead = [int(np.ceil(farthest * float(np.abs(n[known]).max()))) + 1 for n in (rows, cols)]
+    outside = tile.grown(lead[0], lead[1], whole[:2])
+    inner = tile.within(outside)
+    grey = look.columns.grey(outside, depth=part)
     _kernels.presence(
-        look.columns.grey(outside), inner.r0, inner.c0, depth, rows, cols, along, look.offsets, look.low, look.high, out
+        grey, first, whole[2], inner.r0, inner.c0, depth, rows, cols, along, look.offsets, look.low, look.high, out
     )
     return out

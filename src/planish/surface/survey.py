@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 
 _SAMPLE = 40_000  # columns of the sample, and blocks wanted
 _WIDEST = 4  # columns along the edge of a block
+_LARGE = 1_500_000  # columns from which on fewer rows are sampled
+_SAMPLE_ROWS = 24
 _MOST = 2**25  # block means that are kept; above it the blocks get wider
 
 
@@ -39,7 +42,8 @@ class Survey:
         Value of the voxels outside the field of view.
     sample : (rows, cols, depth)
         Voxels as stored of every ``stride``-th column.
-    stride : int
+    stride : (int, int)
+        Along rows and columns.
     missing_share : float
         Voxels that are NaN or infinite.
     amid : bool
@@ -52,7 +56,7 @@ class Survey:
     polarity: float
     padding: float | None
     sample: NDArray[Any]
-    stride: int
+    stride: tuple[int, int]
     missing_share: float
     amid: bool = False
 
@@ -75,7 +79,7 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     """
     depth = columns.shape[2]
     block, stride = _block(columns)
-    sample = _sampled(columns, stride)
+    sample = _sampled(columns, stride, engine)
     flat = sample.reshape(-1, depth)
     padding = padding_value(flat)
     columns = columns.padded(padding)
@@ -116,8 +120,8 @@ def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> Co
     return search(shares, shares > 0.5, 0.5, block, choice)
 
 
-def _block(columns: Columns) -> tuple[int, int]:
-    """Width of a block, and of the steps in which columns are sampled."""
+def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
+    """Width of a block, and of the steps in which columns are sampled along rows and columns."""
     rows, cols, depth = columns.shape
     if min(columns.volume.shape) < 8:
         raise VolumeError(
@@ -128,19 +132,27 @@ def _block(columns: Columns) -> tuple[int, int]:
     block = int(np.clip(round(wanted), 1, _WIDEST))
     while (rows // block) * (cols // block) * depth > _MOST:
         block += 1
-    return block, max(1, int(wanted))
+    stride = max(1, int(wanted))
+    if rows * cols < _LARGE:
+        return block, (stride, stride)
+    # Each row costs as much as the chunks that it runs through: few rows, and more columns of each.
+    return block, (max(rows // _SAMPLE_ROWS, 1), max(cols * _SAMPLE_ROWS // _SAMPLE, 1))
 
 
-def _sampled(columns: Columns, stride: int) -> NDArray[Any]:
+def _sampled(columns: Columns, stride: tuple[int, int], engine: Engine) -> NDArray[Any]:
     """Every ``stride``-th column, as stored."""
     rows, cols, depth = columns.shape
     k = columns.step
-    at = np.arange(0, rows, stride)
-    out = np.empty((at.size, -(-cols // stride), depth), dtype=columns.volume.dtype)
+    at = np.arange(0, rows, stride[0])
+    out = np.empty((at.size, -(-cols // stride[1]), depth), dtype=columns.volume.dtype)
     single = replace(columns, step=1)
-    for n, r in enumerate(at):
-        row = single.voxels(Tile(int(r) * k, int(r) * k + 1, 0, cols * k))
-        out[n] = row[0, : cols * k : stride * k]
+
+    def read(n: int) -> None:
+        r = int(at[n]) * k
+        out[n] = single.voxels(Tile(r, r + 1, 0, cols * k))[0, : cols * k : stride[1] * k]
+
+    with ThreadPoolExecutor(engine.at_once) as pool:
+        list(pool.map(read, range(at.size)))
     return out
 
 
