@@ -147,7 +147,9 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
             f"planish map: about {facts['run_bytes'] / 1e9:.1f} GB of memory and {duration(facts['run_seconds'])}, or "
             "less memory with wider columns"
         )
-    lines += [f"{name}: {value}" for name, value in (facts.get("metadata") or {}).items()]
+    for name, value in (facts.get("metadata") or {}).items():
+        text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value  # type: ignore[reportUnknownVariableType]
+        lines.append(f"{name}: {text}")
     return lines + [f"look: {warning}" for warning in facts["warnings"]]
 
 
