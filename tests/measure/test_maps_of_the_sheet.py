@@ -120,3 +120,10 @@ def test_two_sides(made):
     assert numbers["coating_sd_ratio"] == pytest.approx(2.0, abs=0.02)
     with pytest.raises(CannotMeasure, match="coating_top and coating_bottom"):
         two_sidedness(maps.drop_vars("coating_top"))
+
+
+def test_heights_without_neighbours_have_no_slope_and_are_refused():
+    limited = np.full((20, 20), np.nan)
+    limited[5, 5], limited[12, 9] = 1.0, 2.0
+    with pytest.raises(CannotMeasure, match="too small"):
+        roughness_numbers(limited, (3.0, 3.0), s_filter_um=5.0, l_filter_um=800.0)

@@ -173,8 +173,14 @@ def roughness_numbers(
         raise CannotMeasure("The surface is exactly flat: it has no skewness. Check that it was measured.")
     slopes = [np.gradient(limited, p, axis=k) for k, p in enumerate(pitch_um)]
     steep = slopes[0] ** 2 + slopes[1] ** 2
+    steep = steep[np.isfinite(steep)]
+    if not steep.size:
+        raise CannotMeasure(
+            f"Between the filters only {h.size} heights are known, none with neighbours on all sides: the field is too "
+            "small for an L-filter of this length. Give a shorter l_filter_um, and say so beside every number."
+        )
     return Roughness(
         sa=float(np.mean(np.abs(h))), sq=sq, ssk=float(np.mean(h**3)) / sq**3, sku=float(np.mean(h**4)) / sq**4,
-        sz=float(h.max() - h.min()), sdq=float(np.sqrt(np.nanmean(steep))), n=int(h.size), s_filter_um=s_filter_um,
+        sz=float(h.max() - h.min()), sdq=float(np.sqrt(np.mean(steep))), n=int(h.size), s_filter_um=s_filter_um,
         l_filter_um=l_filter_um,
     )  # fmt: skip
