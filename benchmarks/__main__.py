@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks import faces, flattening, properties, relaxation, resampling, size, specimens, variants
+from benchmarks import faces, flattening, properties, relaxation, resampling, resume, size, specimens, variants
 
-_MODULES = (variants, flattening, relaxation, resampling, properties, specimens, size)
+_MODULES = (variants, flattening, relaxation, resampling, properties, specimens, size, resume)
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
 
 

@@ -99,6 +99,19 @@ def test_tiles_of_another_study_are_not_used(tmp_path):
         assert not list(folder.rglob("*.npy"))
 
 
+def test_what_a_run_left_that_was_killed_while_it_wrote_is_swept_up(tmp_path):
+    from planish.io.run_folder import new_folder, work_folder
+
+    half = tmp_path / ".run.work" / ".run.abc.partial"
+    half.mkdir(parents=True)
+    (half / "maps.zarr").write_text("half")
+    with work_folder(tmp_path / "run", "this") as work, new_folder(tmp_path / "run", inside=work) as folder:
+        assert not half.exists()
+        (folder / "whole").write_text("whole")
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+    assert [p.name for p in (tmp_path / "run").iterdir()] == ["whole"]
+
+
 @pytest.fixture(scope="module")
 def cluster():
     """A scheduler and two workers, processes of their own on this machine."""

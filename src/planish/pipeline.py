@@ -107,7 +107,7 @@ def run_study(study: Study, out: Path, *, progress: Progress | None = None, comp
         how: dict[str, Any] = {"progress": tell, "compute": compute, "kept": work / "tiles"}
         run = link_sheet(study, **how) if study.image is not None else map_sheet(study, **how)
         tell("write", str(out))
-        with new_folder(out) as folder:
+        with new_folder(out, inside=work) as folder:
             save_run(run, folder, home=out)
     return run
 

@@ -27,8 +27,11 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 @contextmanager
-def new_folder(path: Path) -> Generator[Path]:
+def new_folder(path: Path, *, inside: Path | None = None) -> Generator[Path]:
     """Give a hidden folder to write into; it becomes ``path`` when the block ends well, and vanishes when not.
+
+    ``inside`` is an existing folder beside ``path`` where it may stand meanwhile, such as that of :func:`work_folder`,
+    which sweeps up what a killed process has left.
 
     Raises
     ------
@@ -40,7 +43,7 @@ def new_folder(path: Path) -> Generator[Path]:
     refuse_existing(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent))
+        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=inside or path.parent))
     except OSError as error:
         raise as_planish(error, path) from error
     try:
@@ -84,6 +87,8 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
                 if stale.is_dir():
                     shutil.rmtree(stale, ignore_errors=True)
             note.write_text(key, encoding="utf-8")
+        for half in work.glob(".*.partial"):
+            shutil.rmtree(half, ignore_errors=True)
         yield work
     except OSError as error:
         raise as_planish(error, path) from error
