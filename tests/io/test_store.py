@@ -136,3 +136,14 @@ def test_refusals_say_what_to_do(tmp_path):
         write_store(volume(), tmp_path / "there.zarr")
     with pytest.raises(ResourceError, match="--memory"):
         write_store(volume(), tmp_path / "s.zarr", memory_bytes=1000)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint32, np.float32])
+@pytest.mark.parametrize("shape", [(4, 6, 8), (5, 7, 3), (1, 2, 9)])
+def test_halving_equals_its_slow_twin(dtype, shape):
+    values = np.random.default_rng(1).integers(0, 200, shape).astype(dtype)
+    padded = np.pad(values, [(0, n % 2) for n in shape], mode="edge").astype(np.float64)
+    z, y, x = (n // 2 for n in padded.shape)
+    mean = padded.reshape(z, 2, y, 2, x, 2).mean(axis=(1, 3, 5))
+    wanted = mean if dtype == np.float32 else np.floor(mean + 0.5)
+    np.testing.assert_allclose(halve(values), wanted, rtol=1e-6)

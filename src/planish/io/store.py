@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
 from planish.core.errors import FileError, InputError, ResourceError
+from planish.io import _kernels
 from planish.io.run_folder import as_planish, refuse_existing
 
 CHUNK = (64, 96, 96)
@@ -232,17 +233,9 @@ def _write(level: _Level, where: Where, values: NDArray[Any], done: Journal, num
 
 def halve(values: NDArray[Any]) -> NDArray[Any]:
     """Means of 2 x 2 x 2 voxels; what is left over at an end is the mean of fewer. Integers are rounded."""
-    pad = [(0, n % 2) for n in values.shape]
-    if any(p[1] for p in pad):
-        values = np.pad(values, pad, mode="edge")
-    whole = np.issubdtype(values.dtype, np.integer)
-    total = np.zeros(tuple(n // 2 for n in values.shape), dtype=np.int64 if values.dtype.itemsize > 2 else np.int32)
-    total = total if whole else total.astype(values.dtype)
-    for z in (0, 1):
-        for y in (0, 1):
-            for x in (0, 1):
-                total += values[z::2, y::2, x::2]
-    return ((total + 4) >> 3).astype(values.dtype) if whole else (total / 8).astype(values.dtype)
+    out = np.empty(tuple(-(-n // 2) for n in values.shape), dtype=values.dtype)
+    (_kernels.halve_whole if values.dtype.kind in "ui" else _kernels.halve)(values, out)
+    return out
 
 
 def _blocks(shape: tuple[int, ...], block: tuple[int, ...]) -> Iterator[Where]:
