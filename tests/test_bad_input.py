@@ -212,8 +212,8 @@ def test_disk_full_while_writing(specimen_files, tmp_path):
     code = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
         "import planish.pipeline as p; old = p.new_folder\n"
-        "def limited(path):\n"
-        "    resource.setrlimit(resource.RLIMIT_FSIZE, (40000, resource.RLIM_INFINITY)); return old(path)\n"
+        "def limited(path, **where):\n"
+        "    resource.setrlimit(resource.RLIMIT_FSIZE, (40000, resource.RLIM_INFINITY)); return old(path, **where)\n"
         "p.new_folder = limited\n"
         "from planish.cli import main; main(sys.argv[1:])"
     )
