@@ -4,9 +4,20 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks import faces, flattening, properties, relaxation, resampling, resume, size, specimens, variants
+from benchmarks import (
+    artefacts,
+    faces,
+    flattening,
+    properties,
+    relaxation,
+    resampling,
+    resume,
+    size,
+    specimens,
+    variants,
+)
 
-_MODULES = (variants, flattening, relaxation, resampling, properties, specimens, size, resume)
+_MODULES = (variants, flattening, relaxation, resampling, properties, specimens, size, resume, artefacts)
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
 
 

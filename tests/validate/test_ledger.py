@@ -270,6 +270,10 @@ def test_columns_that_were_lost_count_and_rims_do_not():
     status[:30] = 3
     status[30:60] = 2
     assert make_ledger(specimen, files, run)["measured_share"] == pytest.approx(100 * 90 / 120, abs=1)
+    assert make_ledger(specimen, files, run)["found_share"] == make_ledger(specimen, files, run)["measured_share"]
+    status[:30] = 4  # found, and left by the normals
+    assert make_ledger(specimen, files, run)["found_share"] == 100.0
+    assert make_ledger(specimen, files, run)["measured_share"] == pytest.approx(100 * 90 / 120, abs=1)
 
 
 def test_residual_poses_of_sections():

@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import os
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -39,7 +40,7 @@ CHECKSUMS = "checksums.sha256"
 _SOURCE = "source.json"
 _SMALLEST = 256  # voxels along the longest axis of the last level
 _LEAST_DEPTH = 16
-_UNIT = tuple(2 * n for n in SHARD)  # a block of it fills whole shards on this level and the next
+_AT_WORK = 2  # blocks: one is read while the other is compressed
 
 Progress = Callable[[str, int, int], None]
 Where = tuple[slice, slice, slice]
@@ -149,6 +150,7 @@ class Journal:
     def __init__(self, folder: Path, ome: str) -> None:
         self.folder, self.prefix = folder, "c/" if ome == "0.5" else ""
         self.names = set(_listed(folder))
+        self.lock = threading.Lock()
 
     def has(self, level: int, starts: list[tuple[int, int, int]]) -> bool:
         """Whether all these shards are listed."""
@@ -158,16 +160,18 @@ class Journal:
         """List shards that were written: only after their bytes are on the disk."""
         home = self.folder / str(level)
         lines: list[str] = []
+        listed: list[str] = []
         for at in shards:
             name = self._name(at)
             with (home / name).open("rb+") as file:
                 os.fsync(file.fileno())
                 lines.append(f"{hashlib.file_digest(file, 'sha256').hexdigest()}  {name}\n")
-            self.names.add(f"{level}/{name}")
-        with (home / CHECKSUMS).open("a", encoding="utf-8", newline="\n") as file:
+            listed.append(f"{level}/{name}")
+        with self.lock, (home / CHECKSUMS).open("a", encoding="utf-8", newline="\n") as file:
             file.write("".join(lines))
             file.flush()
             os.fsync(file.fileno())
+            self.names.update(listed)
 
     def settle(self) -> None:
         """Sort the lists: the order in which blocks were written is nobody's business."""
@@ -186,34 +190,32 @@ def _first_two(volume: xr.DataArray, levels: list[_Level], done: Journal, *, mem
     shape, size = levels[0].shape, volume.dtype.itemsize
     edge = levels[0].array.shards or levels[0].array.chunks
     units = [min(2 * s, -(-n // s) * s) for s, n in zip(edge, shape, strict=True)]
-    # Two blocks are in memory, the one that is read and the one that is written, and its means.
-    room = memory_bytes / (2.7 * size * math.prod(units))
+    # A block and its means, and what is compressed of it, for every one at work.
+    room = memory_bytes / (_AT_WORK * 1.6 * size * math.prod(units))
     if room < 1:
         raise ResourceError(
-            f"The import needs at least {2.7 * size * math.prod(units) / 1e9:.1f} GB for one block of shards. "
-            "Allow more with --memory."
+            f"The import needs at least {_AT_WORK * 1.6 * size * math.prod(units) / 1e9:.1f} GB for its blocks of "
+            "shards. Allow more with --memory."
         )
     wide = min(int(room), -(-shape[2] // units[2]))
     high = min(max(int(room / wide), 1), -(-shape[1] // units[1]))
-    block = (units[0], high * units[1], wide * units[2])
-    wheres = list(_blocks(shape, block))
+    wheres = list(_blocks(shape, (units[0], high * units[1], wide * units[2])))
 
-    def read(where: Where) -> NDArray[Any] | None:
+    def block(where: Where) -> None:
         if all(done.has(k, _shards(levels[k], _halved(where, k))) for k in range(min(len(levels), 2))):
-            return None
-        return np.ascontiguousarray(volume.isel(dict(zip("zyx", where, strict=True))).values)
+            return
+        values = np.ascontiguousarray(volume.isel(dict(zip("zyx", where, strict=True))).values)
+        _write(levels[0], where, values, done, 0)
+        if len(levels) > 1:
+            _write(levels[1], _halved(where, 1), halve(values), done, 1)
 
-    with ThreadPoolExecutor(1) as pool:
-        following = pool.submit(read, wheres[0])
-        for n, where in enumerate(wheres):
-            values = following.result()
-            if n + 1 < len(wheres):
-                following = pool.submit(read, wheres[n + 1])
-            if values is not None:
-                _write(levels[0], where, values, done, 0)
-                if len(levels) > 1:
-                    _write(levels[1], _halved(where, 1), halve(values), done, 1)
-            tell("import", n + 1, len(wheres))
+    with ThreadPoolExecutor(_AT_WORK) as pool:
+        try:
+            for n, _ in enumerate(pool.map(block, wheres)):
+                tell("import", n + 1, len(wheres))
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
 
 
 def _coarser(fine: _Level, coarse: _Level, done: Journal, number: int) -> None:
@@ -280,7 +282,7 @@ def _make_levels(folder: Path, volume: xr.DataArray, shape: tuple[int, ...], ome
         attributes: dict[str, Any] = {"ome": {"version": "0.5", "multiscales": scales}}
     else:
         attributes = {"multiscales": scales}
-    kept = ("full_scale", "voxel_um_source", "stored_dtype", "channel", "sections")
+    kept = ("full_scale", "voxel_um_source", "stored_dtype", "channel", "sections", "corrections")
     attributes["planish"] = {"source": name} | {k: volume.attrs[k] for k in kept if volume.attrs.get(k) is not None}
     group = zarr.open_group(folder, mode="a", zarr_format=3 if ome == "0.5" else 2)
     group.attrs.update(attributes)
@@ -305,7 +307,9 @@ def _make_levels(folder: Path, volume: xr.DataArray, shape: tuple[int, ...], ome
 def _identity(volume: xr.DataArray) -> dict[str, Any]:
     """What tells one input from another without reading it whole."""
     keys = ("file_name", "file_bytes", "voxel_um")
-    return {"shape": list(volume.shape), "dtype": str(volume.dtype), **{k: volume.attrs.get(k) for k in keys}}
+    found = {"shape": list(volume.shape), "dtype": str(volume.dtype), **{k: volume.attrs.get(k) for k in keys}}
+    corrections = volume.attrs.get("corrections")
+    return found if corrections is None else found | {"corrections": corrections}  # other options, other voxels
 
 
 def _same_source(folder: Path, source: dict[str, Any]) -> None:

@@ -6,22 +6,34 @@ from numba import njit
 
 _STEPS = 12
 _CLOSE_UM = 1e-4
+_HALF = 0.5
 
 
 @njit(cache=True, nogil=True)
 def height_at(field, r, c):
-    """Bilinear height at fractional row and column; NaN beside a missing node.
+    """Bilinear height at fractional row and column; NaN beside two missing nodes, or right at one.
 
-    The outermost cells reach one node further than the field, so that a normal at the border, which leans outwards by a
-    fraction of the sheet's thickness, still meets its faces. Beyond that NaN.
+    A column in which one face was not found has good neighbours as a rule: the plane through the other three nodes
+    speaks for it, where they hold half of the weight or more. The outermost cells reach one node further than the
+    field, so that a normal at the border, which leans outwards by a fraction of the sheet's thickness, still meets its
+    faces. Beyond that NaN.
     """
     rows, cols = field.shape
     if not (-1.0 <= r <= rows and -1.0 <= c <= cols):
         return np.nan
     i, j = min(max(int(r), 0), rows - 2), min(max(int(c), 0), cols - 2)
     fr, fc = r - i, c - j
-    a = field[i, j] * (1 - fc) + field[i, j + 1] * fc
-    b = field[i + 1, j] * (1 - fc) + field[i + 1, j + 1] * fc
+    p, q, s, t = field[i, j], field[i, j + 1], field[i + 1, j], field[i + 1, j + 1]
+    if not np.isfinite(p) and (1 - fr) * (1 - fc) <= _HALF:
+        p = q + s - t
+    elif not np.isfinite(q) and (1 - fr) * fc <= _HALF:
+        q = p + t - s
+    elif not np.isfinite(s) and fr * (1 - fc) <= _HALF:
+        s = p + t - q
+    elif not np.isfinite(t) and fr * fc <= _HALF:
+        t = q + s - p
+    a = p * (1 - fc) + q * fc
+    b = s * (1 - fc) + t * fc
     return a * (1 - fr) + b * fr
 
 

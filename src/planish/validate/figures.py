@@ -104,7 +104,11 @@ def _all() -> list[Figure]:
         three(face, "surfaces", what, sentence)
     add("surfaces_rmse", "surfaces", "um", "all faces, rms error", "root mean square over all faces of the sheet")
     sentence = "share of the columns with a sheet, away from holes and their rims, in which all faces were found"
-    add("measured_share", "surfaces", "%", "measured columns", sentence, small=False)
+    add("found_share", "surfaces", "%", "columns found", sentence, small=False)
+    sentence = (
+        "the same, and the normals of the centre surface meet all of them: those that lean out of the volume do not"
+    )
+    add("measured_share", "surfaces", "%", "columns measured", sentence, small=False)
     sentence = "mean height of the found centre surface over the true one, along the true normal"
     add("centre_mean", "centre", "um", "height, mean", sentence)
     add("centre_rms", "centre", "um", "height, rms about the mean", "what varies of that height")

@@ -77,7 +77,7 @@ def worse(certificate: Certificate, recorded: dict[str, Any]) -> list[str]:
     return faults
 
 
-_LARGE = frozenset({"measured_share", "recall_image", "recall_volume", "thin_dice"})
+_LARGE = frozenset({"found_share", "measured_share", "recall_image", "recall_volume", "thin_dice"})
 
 
 def main(arguments: list[str]) -> int:

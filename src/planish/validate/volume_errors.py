@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 _EDGE_UM = 100.0  # length whose error is the strain: well over the scatter of single columns
 _WIDE_UM = 20.0  # of a difference that gives a normal where neighbouring sections scatter against each other
 _LEAST_SECTIONS = 4
+_NORMAL_LEAVES = 4  # status of a column whose faces are there
 
 
 def section_errors(files: InstrumentFiles, groups: dict[str, xr.Dataset]) -> Values:
@@ -84,7 +85,10 @@ def surface_errors(
     # Columns that have a sheet: away from the true holes, and from the rims that are left out on purpose.
     u, v, _ = np.moveaxis(lattice.material, -1, 0)
     outside = np.fmin(*(field_at(specimen.sheet, field, u, v) for field in specimen.sheet.rim_um)) > 0
-    has = outside & (lattice.take(surfaces["status"].values) != 2)
+    status = lattice.take(surfaces["status"].values)
+    has = outside & (status != 2)
+    found = (status == 0) | (status == _NORMAL_LEAVES)
+    values["found_share"] = 100.0 * float(np.mean(found[has])) if has.any() else None
     values["measured_share"] = 100.0 * float(np.mean(lattice.measured[has])) if has.any() else None
     return values
 
