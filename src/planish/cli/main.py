@@ -17,11 +17,11 @@ import click
 
 from planish import __version__
 from planish.cli.line import demo, import_, info, link, map_, properties, run
+from planish.cli.marks import marks
 from planish.cli.specimen import specimen
 from planish.cli.stages import correlate, flatten, holes, measure, register, report, resample, surface
 from planish.cli.validate import validate
 from planish.core.errors import PlanishError, ResourceError
-from planish.io.run_folder import as_planish
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -39,7 +39,7 @@ def planish() -> None:
 
 _COMMANDS = (
     link, map_, demo, info, properties, import_, run, specimen, validate,
-    surface, measure, flatten, resample, holes, register, correlate, report,
+    surface, measure, flatten, resample, holes, register, correlate, report, marks,
 )  # fmt: skip
 for _command in _COMMANDS:
     planish.add_command(_command)
@@ -64,6 +64,8 @@ def main(args: list[str] | None = None) -> None:
         text = "The memory is used up. Use a smaller or coarser volume, or a machine with more memory."
         code = _fail(text, ResourceError.exit_code, "--json" in arguments)
     except OSError as error:
+        from planish.io.run_folder import as_planish
+
         known = as_planish(error, Path(error.filename or "the results"))
         code = _fail(str(known), known.exit_code, "--json" in arguments)
     except Exception as error:  # noqa: BLE001  the last resort: a user gets a sentence and a log, never a traceback

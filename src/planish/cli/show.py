@@ -7,15 +7,16 @@ import sys
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from planish.pipeline import Progress as Tell
-from planish.pipeline import Run
+if TYPE_CHECKING:
+    from planish.pipeline import Progress as Tell
+    from planish.pipeline import Run
 
 
 @contextmanager
