@@ -17,7 +17,10 @@ This page is written by `python3 run.py docs` from the program's own help.
 def page() -> str:
     """Return the text of docs/cli.md."""
     parts = [_HEAD, _section("planish", planish)]
-    parts += [_section(f"planish {name}", planish.commands[name]) for name in planish.commands]
+    for name, command in planish.commands.items():
+        parts.append(_section(f"planish {name}", command))
+        if isinstance(command, click.Group):
+            parts += [_section(f"planish {name} {sub}", inner) for sub, inner in command.commands.items()]
     return "\n".join(parts)
 
 

@@ -16,6 +16,7 @@ from planish.cli.options import (
     channel_option,
     column_option,
     compute_options,
+    correction_options,
     existing,
     hole_option,
     image_options,
@@ -93,7 +94,7 @@ def _run(study: Any, out: Path, *, as_json: bool, options: dict[str, Any] | None
 @click.option(
     "--marks",
     type=click.Path(path_type=Path),
-    help="CSV of pairs of points, instead of finding and matching the holes.",
+    help="Pairs of points from planish or another program (docs/marks-files.md), instead of finding the holes.",
 )
 @match_options
 @hole_option
@@ -237,6 +238,7 @@ def demo(out: Path | None, seed: int, as_json: bool) -> int:
 @click.option("--through", type=click.Choice(["z", "y", "x"]), default="z", help="Serial sections: as for a run.")
 @channel_option
 @section_options
+@correction_options
 @click.option("--ome", type=click.Choice(["0.5", "0.4"]), default="0.5", show_default=True, help="Version of OME-Zarr.")
 @click.option("--memory", "memory_bytes", type=Memory(), help="Most memory to use, such as 4GB; half of what is free.")
 def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], memory_bytes: int | None, **options: Any) -> None:
@@ -246,6 +248,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], memory_bytes: i
     The store is OME-Zarr and opens in other programs too. An import that was killed goes on where it stood when the
     same command is given again.
     """
+    from planish.cli.stages import corrected_for_import
     from planish.compute import Compute
     from planish.io.run_folder import refuse_existing
     from planish.io.store import write_store
@@ -256,10 +259,12 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], memory_bytes: i
     study = _checked({"volume": _volume(volume, options | {"top": "high", "column_um": None})})
     with stages(2) as tell:
         data = read_whole(study.volume, compute, tell)
+        data, write_record = corrected_for_import(data, out, options, memory_bytes=compute.volume_bytes, tell=tell)
         write_store(
             data, out, memory_bytes=compute.volume_bytes, ome=ome,
             tell=lambda what, done, count: tell(what, f"block {done} of {count}"),
         )  # fmt: skip
+    write_record()
     click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
 
 

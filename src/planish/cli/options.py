@@ -59,6 +59,30 @@ class Labels(click.ParamType[tuple[int, ...]]):
         return tuple(int(part) for part in str(value).split(","))
 
 
+class Fringe(click.ParamType[str | float]):
+    """``auto``, ``off``, or the size of a fringe."""
+
+    name = "fringe"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
+        """Show what is expected in the help."""
+        return "auto|off|SIZE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str | float:
+        """Parse ``"auto"`` or ``"0.12"``."""
+        if value in ("auto", "off"):
+            return str(value)
+        try:
+            size = float(value)
+        except ValueError:
+            size = -1.0
+        if not 0.0 <= size <= 1.0:
+            self.fail(
+                f"{value!r} is no fringe: write auto, off, or a share of the edge's step, such as 0.12.", param, ctx
+            )
+        return size
+
+
 class Strip(click.ParamType[tuple[int, int]]):
     """First and last pixel of a strip: ``10,60``."""
 
@@ -156,6 +180,13 @@ surface_options = _stack(
         help="Grey of the coating; needed where it is nowhere thicker than half the blur.",
     ),
     click.option(
+        "--fringe",
+        type=Fringe(),
+        default="auto",
+        show_default=True,
+        help="Phase-contrast fringe beside every edge, as a share of the edge's step: learnt, none, or a size.",
+    ),
+    click.option(
         "--envelope-um",
         type=click.FloatRange(min=0, min_open=True),
         help="Also find the faces below a ball of this radius (50 to 250): loose fibres do not lift them.",
@@ -200,7 +231,7 @@ channel_option = click.option(
     help="What is taken from slices or sections in colour; luminance where not given.",
 )
 
-SURFACE = ("sheet_grey", "seed_um", "coating_grey", "envelope_um", "method", "cutoff_um", "rim_um")
+SURFACE = ("sheet_grey", "seed_um", "coating_grey", "fringe", "envelope_um", "method", "cutoff_um", "rim_um")
 """Options of the surface search that go on as they are."""
 
 
@@ -221,6 +252,28 @@ section_options = _stack(
         "edge. Slow drift is then told from a bend of the sheet.",
     ),
     click.option("--fixed-cols", type=Strip(), help="The same for a line along the columns."),
+)
+
+correction_options = _stack(
+    click.option(
+        "--correct-rings", is_flag=True, help="Micro-CT: take off rings around the axis of rotation that stand out."
+    ),
+    click.option(
+        "--correct-cupping",
+        is_flag=True,
+        help="Micro-CT: take off the loss of the sheet's grey in the middle, which beam hardening makes.",
+    ),
+    click.option(
+        "--rotation-axis",
+        type=click.Choice(["z", "y", "x"]),
+        help="Axis of rotation of the scan; z where not given, along which the slices of a file are stacked.",
+    ),
+    click.option(
+        "--rotation-centre-um",
+        type=Numbers(2, metavar="A,B"),
+        help="Where it stands along the two other axes, in the order z, y, x, in um from the first voxel; the middle "
+        "of the field where not given. Needed for a volume that was cropped.",
+    ),
 )
 
 column_option = click.option(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 import numpy as np
-import xarray as xr
 
 from planish.cli.options import (
     SURFACE,
@@ -22,6 +22,9 @@ from planish.cli.options import (
     surface_options,
     volume_options,
 )
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Method = Literal["multigrid", "relaxation"]
 Rest = Literal["arc", "chord"]
@@ -48,6 +51,55 @@ def _read(path: Path, group: str) -> xr.Dataset:
             f"{path} has no group '{group}'; it holds {', '.join(sorted(groups))}. Give what the stage before wrote."
         )
     return groups[group]
+
+
+def corrected_for_import(
+    data: xr.DataArray, out: Path, options: dict[str, Any], *, memory_bytes: int, tell: Callable[[str, str], None]
+) -> tuple[xr.DataArray, Callable[[], None]]:
+    """Correct a volume on its way into a store as the options say, and say what was done.
+
+    Returns
+    -------
+    volume : DataArray
+        The same one where nothing is asked for.
+    write_record : callable
+        To be called when the store is whole: writes the record and the figure beside it.
+    """
+    from planish.core.errors import FileError
+    from planish.io.run_folder import refuse_existing
+
+    wanted = {"rings": options["correct_rings"], "cupping": options["correct_cupping"]}
+    if not any(wanted.values()):
+        if options["rotation_axis"] or options["rotation_centre_um"]:
+            raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
+        return data, lambda: None
+    from planish.correct import correct_volume, write_picture
+
+    record, picture = (out.with_name(f"{out.stem}.corrections.{kind}") for kind in ("json", "png"))
+    for path in (record, picture):
+        refuse_existing(path)
+    found = correct_volume(
+        data,
+        axis=options["rotation_axis"] or "z",
+        centre_um=options["rotation_centre_um"],
+        memory_bytes=memory_bytes,
+        tell=lambda what, how_far: tell("correct", f"{what}, {how_far}"),
+        **wanted,
+    )
+    for sentence in found.record.sentences:
+        click.echo(sentence)
+    if found.record.clipped:
+        click.echo(f"{100 * found.record.clipped:.2g} % of the voxels left the range of {data.dtype} and were clipped.")
+
+    def write_record() -> None:
+        try:
+            record.write_text(json.dumps(found.record.to_json(), indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise FileError(f"{record} cannot be written: {error.strerror}. The store itself is whole.") from error
+        if found.before is not None:
+            write_picture(found, data, picture)
+
+    return found.volume, write_record
 
 
 @click.command()

@@ -1,0 +1,156 @@
+"""One figure of a correction: grey against the radius, and a slice before, after, and what was taken off."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from planish.core.area import area_mean
+from planish.core.errors import FileError
+from planish.correct.sums import MATERIALS, UNIT, Sums
+from planish.correct.turning import Turning
+from planish.correct.volume import Corrected
+
+Array = NDArray[np.float64]
+
+_WIDTH, _DPI = 10.4, 135
+_BEFORE, _AFTER, _INK = "#c28a5a", "#1f4e79", "#22292f"
+_LEAST = 30  # voxels of a point of the profile
+_WIDEST_PX = 1200
+_STYLE: dict[str, Any] = {"font.family": "DejaVu Sans", "font.size": 8.5, "text.parse_math": False}
+
+
+def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> None:
+    """Draw what a correction did, as PNG; the same numbers give the same bytes.
+
+    Parameters
+    ----------
+    corrected : Corrected
+        With its sums: a sheet was found.
+    before : DataArray, dims (z, y, x)
+        The volume as it was.
+    path : Path
+        File to make.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written, or no sheet was found, so that there is nothing to draw.
+    """
+    record = corrected.record
+    if corrected.before is None or record.air is None or record.sheet is None:
+        raise FileError(f"{path} was not drawn: no sheet stands out from the air.")
+    turning = corrected.turning
+    pictures = _slices(corrected.volume, before, turning)
+    rows, cols = (n * p for n, p in zip(turning.shape[1:], turning.pitch_um, strict=True))
+    tall = rows > 0.7 * cols
+    width = _WIDTH / 3 - 0.25 if tall else _WIDTH - 1.5
+    height = min(width * rows / cols, 5.0)
+    total = 3.3 + (height + 0.45 if tall else 3 * (height + 0.4)) + 0.2
+    with style.context("default"), style.context(_STYLE):
+        figure = Figure(figsize=(_WIDTH, total), dpi=_DPI, facecolor="white")
+        FigureCanvasAgg(figure)
+        _profiles(_axes(figure, total, 0.75, 0.35, _WIDTH - 1.1, 2.35), corrected)
+        titles = (f"Slice {turning.shape[0] // 2} across {turning.axis}, before", "after", "before minus after")
+        for k, (title, picture) in enumerate(zip(titles, pictures, strict=True)):
+            left, top = (0.15 + k * (width + 0.25), 3.55) if tall else (0.75, 3.5 + k * (height + 0.4))
+            _slice(_axes(figure, total, left, top, width, height), picture, title, k == 2, corrected, cols)
+        out = io.BytesIO()
+        figure.savefig(out, format="rgba")
+        image = Image.frombytes("RGBA", figure.canvas.get_width_height(), out.getvalue()).convert("RGB")
+    try:
+        image.save(path, format="PNG", optimize=True)
+    except OSError as error:
+        raise FileError(
+            f"{path} cannot be written: {error.strerror or error}. Give another place with --out."
+        ) from error
+
+
+def _axes(figure: Figure, total: float, left: float, top: float, width: float, height: float) -> Axes:
+    return figure.add_axes((left / _WIDTH, 1 - (top + height) / total, width / _WIDTH, height / total))
+
+
+def _slices(after: xr.DataArray, before: xr.DataArray, turning: Turning) -> tuple[Array, Array, Array]:
+    """Middle slice across the axis, before, after and their difference, at most so fine as the figure."""
+    where = {turning.axis: turning.shape[0] // 2}
+    values = [np.asarray(v.isel(where).transpose(*turning.plane).values, np.float64) for v in (before, after)]
+    step = max(1.0, max(values[0].shape) / _WIDEST_PX)
+    a, b = (area_mean(v, (step, step)) if step > 1 else v for v in values)
+    return a, b, a - b
+
+
+def _profiles(axes: Axes, corrected: Corrected) -> None:
+    record, turning = corrected.record, corrected.turning
+    assert corrected.before is not None
+    assert record.air is not None
+    assert record.sheet is not None
+    radius = (np.arange(turning.bins) + 0.5) * turning.step_um
+    for sums, colour, name in ((corrected.before, _BEFORE, "before"), (corrected.after, _AFTER, "after")):
+        if sums is None:
+            continue
+        for m, values in enumerate(_means(sums)):
+            grey = record.air + (record.sheet - record.air) * values
+            axes.plot(radius, grey, color=colour, lw=0.9, label=name if m == 0 else None)
+            known = np.flatnonzero(np.isfinite(grey))
+            if known.size and sums is corrected.before:
+                axes.annotate(
+                    MATERIALS[m], (radius[known[-1]], grey[known[-1]]), xytext=(4, 0), textcoords="offset points",
+                    va="center", color=_INK, fontsize=8,
+                )  # fmt: skip
+    for ring in record.rings:
+        axes.axvline(ring.radius_um, color="#999999", lw=0.6, ls=":", zorder=0)
+    axes.set_xlabel(f"Radius about {turning.axis} in um (dotted: rings taken off)")
+    axes.set_ylabel("Mean grey")
+    axes.set_xlim(0, turning.farthest_um * 1.06)
+    axes.legend(frameon=False, loc="center right", fontsize=8, ncols=2, bbox_to_anchor=(1.0, 0.66))
+    axes.set_title("  ".join(record.sentences), loc="left", fontsize=8, color=_INK, wrap=False)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _means(sums: Sums) -> Array:
+    """Mean (material, bin) of the grey above air, as if every depth were as frequent at every radius; NaN for few."""
+    count, total = sums.count.sum(axis=(0, 1)), sums.total.sum(axis=(0, 1))
+    level = sums.level[:, 1] / np.maximum(sums.level[:, 0], 1)
+    return (level[:, None] + np.where(count >= _LEAST, total / np.maximum(count, 1), np.nan)) / UNIT
+
+
+def _slice(axes: Axes, picture: Array, title: str, difference: bool, corrected: Corrected, width_um: float) -> None:
+    record = corrected.record
+    assert record.air is not None
+    assert record.sheet is not None
+    contrast = record.sheet - record.air
+    if difference:
+        known = np.abs(picture[np.isfinite(picture)])
+        limit = max(float(np.percentile(known, 99.8)) if known.size else 0.0, 0.005 * contrast)
+        axes.imshow(picture, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest", aspect="auto")
+        title += f": blue to red is -{limit:.3g} to {limit:.3g}, {100 * limit / contrast:.1f} % of the contrast"
+    else:
+        low, high = record.air - 0.25 * contrast, record.sheet + 0.35 * contrast
+        axes.imshow(picture, cmap="gray", vmin=low, vmax=high, interpolation="nearest", aspect="auto")
+    axes.set_title(title, loc="left", fontsize=8, color=_INK, pad=3)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    length = _round_length(0.2 * width_um)
+    across, up = length / width_um, 0.06
+    axes.plot([0.02, 0.02 + across], [up, up], color="white", lw=4.5, transform=axes.transAxes, solid_capstyle="butt")
+    axes.plot([0.02, 0.02 + across], [up, up], color=_INK, lw=2.5, transform=axes.transAxes, solid_capstyle="butt")
+    axes.text(
+        0.02, up + 0.05, f"{length:g} um", transform=axes.transAxes, fontsize=8, va="bottom", color=_INK,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8},
+    )  # fmt: skip
+
+
+def _round_length(about: float) -> float:
+    """The nearest 1, 2 or 5 times a power of ten below ``about``."""
+    power = 10.0 ** np.floor(np.log10(about))
+    return float(max(k * power for k in (1, 2, 5) if k * power <= about))

@@ -1,0 +1,171 @@
+"""One pass over the slices across the axis: means on parts of circles, and the greys of the sheet at each radius.
+
+All sums are whole numbers. They do not depend on the order in which slices are read, nor on threads or memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planish.correct import _kernels
+from planish.correct.levels import Levels, missing, smoothed
+from planish.correct.turning import SECTORS, Turning
+
+Counts = NDArray[np.int64]
+Slice = NDArray[Any]
+
+AIR, BASE, BRIGHT = 0, 1, 2
+MATERIALS = ("air", "base", "coating")
+
+UNIT = 1024
+"""Whole numbers to the contrast between air and sheet."""
+
+GREYS = np.linspace(-0.5, 2.5, 301)
+"""Borders of the histogram's greys, in contrasts above air."""
+
+COARSE = 48
+"""Radii of the histogram."""
+
+QUARTERS = 4
+"""Parts of the turn of the histogram."""
+
+DEPTHS = np.array([0, 5, 6, 7, 8, 10, 13, 18])
+"""Depths below a face in voxels, from which on each class of the histogram begins."""
+
+_BLOCKS, _LEAST_BLOCK = 8, 24  # parts of the axis, and the fewest slices of one
+_INSIDE_PX = 3  # from a face: so far reaches its blur
+_NEAR_AIR = 0.15  # contrasts by which the smoothed air may be off
+_MOST = 2**29  # voxels that are looked at
+_DEEPEST = 24  # voxels; deeper, a material does not change with the depth
+_GROUP = 16  # slices that are worked on together
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sums:
+    """What one pass found.
+
+    Attributes
+    ----------
+    count, total : (block, sector, material, bin) int64
+        Voxels on each part of a circle, and the sum of their grey, less the mean grey of their material and depth
+        in the same slice, in units of contrast / :data:`UNIT`.
+    histogram : (block, quarter of the turn, COARSE, depth, grey) int64
+        Voxels inside the sheet.
+    level : (material, 2) int64
+        Number of voxels, and the sum of their grey above air in the same units.
+    blocks : (block,) float64
+        Middle of each block along the axis, in slices.
+    slices : int
+        Slices that were looked at.
+    """
+
+    count: Counts
+    total: Counts
+    histogram: Counts
+    level: Counts
+    blocks: NDArray[np.float64]
+    slices: int
+
+
+def block_middles(length: int) -> NDArray[np.float64]:
+    """Middles of the blocks along an axis of so many slices."""
+    blocks = int(np.clip(length // _LEAST_BLOCK, 1, _BLOCKS))
+    return (np.arange(blocks) + 0.5) * length / blocks - 0.5
+
+
+def slices_of(
+    volume: xr.DataArray, turning: Turning, *, most: int | None = None, memory_bytes: int
+) -> Iterator[tuple[int, Slice]]:
+    """Give (number, slice across the axis) in order; every so many where the volume is large."""
+    length, rows, cols = turning.shape
+    stride = max(1, -(-length * rows * cols // _MOST)) if most is None else max(1, length // most)
+    numbers = range(stride // 2, length, stride)
+    # A slab is in memory, and the one after it while that is read.
+    at_once = max(1, min(int(memory_bytes / (3 * rows * cols * volume.dtype.itemsize)), len(numbers)))
+    for start in range(0, len(numbers), at_once):
+        part = numbers[start : start + at_once]
+        slab = volume.isel({turning.axis: slice(part[0], part[-1] + 1, stride)}).values
+        slab = np.transpose(slab, turning.order)
+        for k, number in enumerate(part):
+            yield number, np.ascontiguousarray(slab[k])
+
+
+def take_sums(
+    slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Levels, *, threads: int,
+) -> Sums:  # fmt: skip
+    """Add up all slices.
+
+    Parameters
+    ----------
+    slices : iterator of (number, (p, q))
+    turning : Turning
+    levels : Levels
+    threads : int
+    """
+    length, rows, cols = turning.shape
+    middles = block_middles(length)
+    r, c = np.arange(rows), np.arange(cols)
+    radius, sectors = turning.radius_um(r, c), turning.sectors(r, c)
+    bins = (radius / turning.step_um).astype(np.int64)
+    coarse = np.minimum((radius / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
+    count = np.zeros((middles.size, SECTORS, len(MATERIALS), turning.bins), np.int64)
+    total = np.zeros_like(count)
+    histogram = np.zeros((middles.size, QUARTERS, COARSE, DEPTHS.size, GREYS.size - 1), np.int64)
+    quarters = sectors * QUARTERS // SECTORS
+    level = np.zeros((len(MATERIALS), 2), np.int64)
+    done = 0
+
+    def sort(item: tuple[int, Slice]) -> tuple[int, Counts, NDArray[np.uint8], Counts]:
+        return item[0], *_sorted(item[1], levels)
+
+    with ThreadPoolExecutor(threads) as pool:
+        for group in _groups(slices):
+            for number, grey, kind, depth in pool.map(sort, group):
+                k = min(int(number * middles.size / length), middles.size - 1)
+                _kernels.add_to_rings(grey, kind, depth, bins, sectors, count[k], total[k], level)
+                fine = np.clip(((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64), 0, GREYS.size - 2)
+                deep = np.searchsorted(DEPTHS, depth, side="right") - 1
+                _kernels.add_to_histogram(fine, kind, deep, coarse, quarters, histogram[k])
+                done += 1
+    return Sums(count=count, total=total, histogram=histogram, blocks=middles, level=level, slices=done)
+
+
+def _groups(slices: Iterator[tuple[int, Slice]]) -> Iterator[list[tuple[int, Slice]]]:
+    group: list[tuple[int, Slice]] = []
+    for item in slices:
+        group.append(item)
+        if len(group) == _GROUP:
+            yield group
+            group = []
+    if group:
+        yield group
+
+
+def _sorted(values: Slice, levels: Levels) -> tuple[Counts, NDArray[np.uint8], Counts]:
+    """Grey above air in whole numbers, material of each voxel well inside one, and its depth below the face.
+
+    The material comes from the smoothed slice and with wide limits: a ring of some per cent does not choose its voxels.
+    """
+    smooth, empty = smoothed(values), missing(values, levels.padding)
+    solid = (smooth > levels.split) & ~empty
+    air = (np.abs(smooth - levels.air) < _NEAR_AIR * levels.contrast) & ~empty
+    depth = np.zeros(values.shape, np.int64)
+    kind = np.zeros(values.shape, np.uint8)
+    for mask in (solid,) if levels.air_cut else (solid, air):
+        deep = np.asarray(ndimage.distance_transform_cdt(mask, "chessboard"), np.int64)
+        if mask.all():
+            deep[:] = _DEEPEST
+        inside = deep > _INSIDE_PX
+        depth[inside] = np.minimum(deep[inside], _DEEPEST)
+        kind[inside] = 1 + AIR if mask is air else np.where(smooth[inside] > levels.middle, 1 + BRIGHT, 1 + BASE)
+    share = (np.nan_to_num(values.astype(np.float64), posinf=0.0, neginf=0.0) - levels.air) / levels.contrast
+    grey = np.rint(np.clip(share, GREYS[0], GREYS[-1]) * UNIT).astype(np.int64)
+    return grey, kind, depth

@@ -1,0 +1,161 @@
+"""Where the holes of a layout go: lines along the four sides of the frame, three corners filled and one left empty.
+
+All positions are whole steps of 50 um, and the frame's sides are whole numbers of steps. The lines run
+counter-clockwise from the empty corner, which lies at the lower left; each other corner holds the first hole of a
+line.
+
+``coded``: the distances between the holes of a side are all different, so that a side is a Golomb ruler; distances that
+two sides have in common are as few as can be found. ``line``: the pitch grows evenly along each line, on each side at a
+rate of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Ints = NDArray[np.int64]
+Array = NDArray[np.float64]
+
+STEP_UM = 50.0
+_BATCH = 4000
+_BATCHES = 6
+_COMPARED = 400  # candidates of a side that are compared with the sides before it
+_RATES = (1.0, 1.5, 2.1, 2.8)  # last pitch over first pitch, less 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ruler:
+    """One side of the frame in steps.
+
+    Attributes
+    ----------
+    length : int
+        From corner to corner.
+    start, end : bool
+        Whether there are holes in these corners.
+    apart : int
+        Least distance of two holes.
+    marker : int
+        Least distance of a hole from an empty corner.
+    view, border, radius : float
+        Length of the view in this direction, its border, radius of a hole.
+    """
+
+    length: int
+    start: bool
+    end: bool
+    apart: int
+    marker: int
+    view: float
+    border: float
+    radius: float
+
+    @property
+    def low(self) -> int:
+        """Least position of a hole that is no corner."""
+        return self.apart if self.start else self.marker
+
+    @property
+    def high(self) -> int:
+        """Largest position of a hole that is no corner."""
+        return self.length - (self.apart if self.end else self.marker)
+
+    def with_corners(self, inner: Ints) -> Ints:
+        """Add the holes in the corners to positions (..., n)."""
+        shape = (*inner.shape[:-1], 1)
+        parts = [np.zeros(shape, dtype=np.int64)] if self.start else []
+        parts.append(inner)
+        parts += [np.full(shape, self.length, dtype=np.int64)] if self.end else []
+        return np.concatenate(parts, axis=-1)
+
+
+def share_out(count: int, lengths: tuple[float, float, float, float], least: int) -> tuple[int, int, int, int]:
+    """Share holes out to the four sides, each at least so many, by the sides' lengths."""
+    shares = [least] * 4
+    for _ in range(max(0, count - 4 * least)):
+        # The side on which the holes are farthest apart gets the next one.
+        side = max(range(4), key=lambda k: (lengths[k] / (shares[k] + 1), -k))
+        shares[side] += 1
+    return shares[0], shares[1], shares[2], shares[3]
+
+
+def coded_side(ruler: Ruler, count: int, used: set[int], rng: np.random.Generator) -> Ints | None:
+    """Draw positions (count,) of the holes between the corners; None if nothing fits.
+
+    ``used`` are the distances on the sides before.
+    """
+    for _ in range(_BATCHES):
+        drawn = _drawn(ruler, count, rng)
+        marks = ruler.with_corners(drawn)
+        fits = np.all(np.diff(marks, axis=1) >= ruler.apart, axis=1)
+        fits &= (drawn[:, 0] >= ruler.low) & (drawn[:, -1] <= ruler.high)
+        drawn, marks = drawn[fits], marks[fits]
+        distances = _distances(marks)
+        golomb = np.all(np.diff(np.sort(distances, axis=1), axis=1) > 0, axis=1)
+        drawn, distances = drawn[golomb][:_COMPARED], distances[golomb][:_COMPARED]
+        if len(drawn):
+            repeated = np.isin(distances, np.fromiter(used, dtype=np.int64)).sum(axis=1)
+            return drawn[int(np.argmin(repeated))]
+    return None
+
+
+def coded_distances(ruler: Ruler, inner: Ints) -> set[int]:
+    """Return the distances between all holes of a side, in steps."""
+    return set(_distances(ruler.with_corners(inner)[None])[0].tolist())
+
+
+def growing_side(ruler: Ruler, count: int, rate: float) -> Ints | None:
+    """Positions (count,) with a pitch that grows evenly, by ``rate`` in all; None if the pitch gets too small."""
+    pitch = 1 + rate * np.arange(count + 1) / count
+    marks = np.round(ruler.length * np.cumsum(pitch) / pitch.sum()).astype(np.int64)[:-1]
+    whole = ruler.with_corners(marks)
+    fits = np.all(np.diff(whole) >= ruler.apart) and marks[0] >= ruler.low and marks[-1] <= ruler.high
+    return marks if fits else None
+
+
+def growing_rates(rng: np.random.Generator) -> tuple[float, ...]:
+    """Draw the rates of the four sides, all different."""
+    return tuple(rng.permutation(np.array(_RATES)) + rng.uniform(-0.4, 0.4, 4))
+
+
+def placed(sides: tuple[Ints, Ints, Ints, Ints], width: int, height: int) -> tuple[Array, tuple[int, ...]]:
+    """Lay the sides around the frame: positions (n, 2) in um from its lower left corner, and the side of each."""
+    start = ((0, 0), (width, 0), (width, height), (0, height))
+    direction = ((1, 0), (0, 1), (-1, 0), (0, -1))
+    points: list[tuple[int, int]] = []
+    owner: list[int] = []
+    for side, inner in enumerate(sides):
+        along = [int(s) for s in inner] if side == 0 else [0, *(int(s) for s in inner)]
+        points += [(start[side][0] + s * direction[side][0], start[side][1] + s * direction[side][1]) for s in along]
+        owner += [side] * len(along)
+    return STEP_UM * np.array(points, dtype=np.float64), tuple(owner)
+
+
+def _drawn(ruler: Ruler, count: int, rng: np.random.Generator) -> Ints:
+    """Draw sorted positions (batch, count) of which at least four survive every crop that keeps the side.
+
+    A window of 70 % of the view slides along the side. The holes in the middle 40 % are always in it; each other hole
+    near the start has a partner not quite a window's length away, so that one enters before the other leaves.
+    """
+    middle = min(count, max(8 - count, count % 2))
+    pairs = (count - middle) // 2
+    window = 0.7 * ruler.view
+    edge = 0.3 * ruler.view
+    first = rng.uniform(ruler.low, max(edge - ruler.border, ruler.low + 1), (_BATCH, pairs))
+    reach = window - 2 * ruler.radius - 1
+    second = first + reach - rng.uniform(0, 0.4, (_BATCH, pairs)) ** 2 * ruler.view
+    low, high = edge - ruler.border + ruler.radius, window - ruler.border - ruler.radius
+    third = rng.uniform(low, max(high, low + 1), (_BATCH, middle))
+    return np.sort(np.round(np.concatenate([first, second, third], axis=1)).astype(np.int64), axis=1)
+
+
+def _distances(marks: Ints) -> Ints:
+    """All distances (batch, n (n - 1) / 2) between positions (batch, n) but that from corner to corner."""
+    n = marks.shape[1]
+    pairs = [(a, b) for a, b in combinations(range(n), 2) if (a, b) != (0, n - 1)]
+    first, last = np.array(pairs).T
+    return marks[:, last] - marks[:, first]

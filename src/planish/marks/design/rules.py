@@ -1,0 +1,221 @@
+"""The rules that a pattern has to keep, each with what was measured, its limit, and what helps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.errors import MarkError
+from planish.marks.design.pattern import Pattern
+from planish.marks.design.selfmatch import TOLERANCE_UM, code_misfit_um, self_motions
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+LEAST_HOLES = 12
+MOST_HOLES = 120
+RADIUS_SHARE = 0.4
+SPACING_DIAMETERS = 3.0
+AREA_SHARE = 0.03
+CROP = 0.3
+SURVIVORS = 4
+RIVAL_SHARE = 0.5
+MARKER_DIAMETERS = 6.0
+_REMEDY = "use unequal pitches, or another seed"
+_FEW = 6  # of so few survivors, three may meet by chance; four are needed to believe an arrangement
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rule:
+    """One rule, applied to one pattern.
+
+    Attributes
+    ----------
+    name : str
+    value, limit : float
+        Measured, and allowed.
+    sense : {"at least", "at most"}
+    unit : str
+    meaning : str
+        What is measured.
+    remedy : str
+        What to change where the rule is broken.
+    """
+
+    name: str
+    value: float
+    limit: float
+    sense: Literal["at least", "at most"]
+    unit: str
+    meaning: str
+    remedy: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the rule is kept."""
+        if not np.isfinite(self.value):
+            return self.sense == "at least" and self.value > 0
+        slack = 1e-9 * max(abs(self.limit), 1.0)
+        return self.value >= self.limit - slack if self.sense == "at least" else self.value <= self.limit + slack
+
+    def sentence(self) -> str:
+        """Say what was found and what is needed."""
+        unit = f" {self.unit}" if self.unit else ""
+        return f"rule '{self.name}' ({self.meaning}): {self.value:.3g}{unit}, {self.sense} {self.limit:.3g}{unit}"
+
+
+def check_pattern(pattern: Pattern) -> tuple[Rule, ...]:
+    """Apply every rule to a pattern.
+
+    Raises
+    ------
+    MarkError
+        If there are more holes than can be checked.
+    """
+    if len(pattern.positions_um) > MOST_HOLES:
+        raise MarkError(
+            f"{len(pattern.positions_um)} holes are more than the {MOST_HOLES} that are checked; 20 to 40 are enough."
+        )
+    return (*simple_rules(pattern), code_rule(pattern), *matching_rules(pattern))
+
+
+def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
+    """Apply the rules that need no search: count, place, radius, spacing, area, marker, crop."""
+    points, burn = pattern.points_um, pattern.burn
+    n, field = len(points), np.array(pattern.field_um)
+    away = np.maximum(np.abs(points - np.array(pattern.field_low_um) - field / 2) - field / 2, 0.0)
+    inside = int(np.sum(np.hypot(*away.T) < 0.5 * burn.diameter_um + burn.rim_um - 1e-6))
+    radius = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+    gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) + np.diag(np.full(n, np.inf))
+    least = max(SPACING_DIAMETERS * burn.diameter_um, pattern.spacing_um)
+    masks = crops(pattern)
+    return (
+        Rule(
+            name="count", value=n, limit=LEAST_HOLES, sense="at least", unit="holes", meaning="holes of the pattern",
+            remedy="burn more holes",
+        ),
+        Rule(
+            name="around", value=inside, limit=0, sense="at most", unit="holes",
+            meaning="holes whose burnt rim reaches into the field",
+            remedy="move them outwards, or give a smaller field or a larger margin",
+        ),
+        Rule(
+            name="radius", value=radius / float(np.hypot(*field)), limit=RADIUS_SHARE, sense="at least", unit="",
+            meaning="rms distance from the holes' centroid, as a share of the field's diagonal",
+            remedy="put more holes near the corners, widen the margin, or take another number of holes",
+        ),
+        Rule(
+            name="spacing", value=float(gaps.min()), limit=least, sense="at least", unit="um",
+            meaning="least distance of two holes; burnt zones must not touch",
+            remedy="take fewer or smaller holes, or a larger field",
+        ),
+        area_rule(pattern, n),
+        Rule(
+            name="marker", value=_marker_um(pattern), limit=MARKER_DIAMETERS * burn.diameter_um, sense="at least",
+            unit="um", meaning="how much farther one corner of the frame is from its nearest hole than the others",
+            remedy="put holes into three corners of the frame and end the last line short of the fourth",
+        ),
+        Rule(
+            name="crop", value=int(masks.sum(axis=1).min()), limit=SURVIVORS, sense="at least", unit="holes",
+            meaning="whole holes left when 30 % of width and height are cut off at up to three sides",
+            remedy="take more holes, 20 or more, and spread them along all four sides",
+        ),
+    )  # fmt: skip
+
+
+def area_rule(pattern: Pattern, count: int) -> Rule:
+    """Apply the rule on the area that is burnt, for so many holes."""
+    burnt = count * np.pi / 4 * (pattern.burn.diameter_um + 2 * pattern.burn.rim_um) ** 2
+    return Rule(
+        name="area", value=100 * burnt / (pattern.field_um[0] * pattern.field_um[1]), limit=100 * AREA_SHARE,
+        sense="at most", unit="%", meaning="area of holes and rims, as a share of the field's",
+        remedy="take fewer or smaller holes, or a larger field",
+    )  # fmt: skip
+
+
+def code_rule(pattern: Pattern) -> Rule:
+    """Apply the rule that any 4 consecutive holes tell where they are."""
+    return Rule(
+        name="code", value=code_misfit_um(pattern.points_um), limit=TOLERANCE_UM, sense="at least", unit="um",
+        meaning="misfit of any 4 consecutive holes with any other 4", remedy=_REMEDY,
+    )  # fmt: skip
+
+
+def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
+    """Apply the rules against taking the pattern for itself in another position."""
+    points = pattern.points_um
+    motions, n = self_motions(points), len(points)
+    kinds = (
+        ("half turn", motions.half_turn, "turned by about 180 degrees"),
+        ("quarter turn", motions.quarter_turn, "turned by about 90 degrees"),
+        ("mirror", motions.mirrored, "turned over, about any axis"),
+        ("shift", motions.other, "shifted, scaled by 3 % or turned by another angle"),
+    )
+    rivals = [
+        Rule(
+            name=name, value=motions.most(chosen) / n, limit=RIVAL_SHARE, sense="at most", unit="",
+            meaning=f"share of the holes that meet holes when the pattern is {how}", remedy=_REMEDY,
+        )
+        for name, chosen, how in kinds
+    ]  # fmt: skip
+    masks = crops(pattern)
+    left = np.maximum(masks.sum(axis=1), _FEW)
+    worst = float(np.max(motions.most_of(masks) / left))
+    return (
+        *rivals,
+        Rule(
+            name="crop told apart", value=worst, limit=RIVAL_SHARE, sense="at most", unit="",
+            meaning="share of the holes left by the worst crop that meet holes elsewhere", remedy=_REMEDY,
+        ),
+    )  # fmt: skip
+
+
+def refuse_broken(rules: Sequence[Rule], what: str) -> None:
+    """Raise if a rule is broken.
+
+    Raises
+    ------
+    MarkError
+        With each broken rule, what was measured, the limit and the remedy.
+    """
+    broken = [rule for rule in rules if not rule.passed]
+    if broken:
+        found = "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in broken)
+        raise MarkError(f"{what} is refused: {found}.")
+
+
+def crops(pattern: Pattern) -> Bools:
+    """Which holes survive each crop, (crops, n).
+
+    A crop is a window of 70 % of the view's width and 70 % of its height that keeps at least one side of the view: it
+    cuts off 30 % at one side or shares them between two opposite sides, and that in both directions. A window that
+    cuts all four sides loses whatever lies around the field, so no pattern could keep it. A hole survives whole.
+    """
+    points = pattern.points_um - np.array(pattern.origin_um)
+    view = np.array(pattern.view_um)
+    radius = 0.5 * pattern.burn.diameter_um
+    found: list[Bools] = []
+    for kept in (0, 1):  # the direction across the side that is kept
+        along = 1 - kept
+        length, depth = (1 - CROP) * view[along], (1 - CROP) * view[kept]
+        steps = np.concatenate(
+            [points[:, along] - radius + 1e-3, points[:, along] + radius - length - 1e-3, [0.0, CROP * view[along]]]
+        )
+        steps = np.unique(np.clip(steps, 0.0, CROP * view[along]))
+        low, high = points[:, along] - radius, points[:, along] + radius
+        inside = (low >= steps[:, None]) & (high <= steps[:, None] + length)
+        found.append(inside & (points[:, kept] + radius <= depth))
+        found.append(inside & (points[:, kept] - radius >= view[kept] - depth))
+    return np.unique(np.concatenate(found), axis=0)
+
+
+def _marker_um(pattern: Pattern) -> float:
+    """How much farther the emptiest corner of the frame is from its nearest hole than the next one."""
+    low, size = np.array(pattern.frame_low_um), np.array(pattern.frame_um)
+    corners = low + size * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    nearest = np.sort(np.hypot(*(corners[:, None] - pattern.points_um[None]).transpose(2, 0, 1)).min(axis=1))
+    return float(nearest[3] - nearest[2])

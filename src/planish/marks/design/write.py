@@ -1,0 +1,95 @@
+"""Everything that a designed pattern is handed over in: text files as bytes, and pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from planish.marks.design.draw import drawing_page
+from planish.marks.design.dxf import pattern_dxf
+from planish.marks.design.gcode import Stage, stage_program
+from planish.marks.design.pages import error_page, way_page
+from planish.marks.design.pattern import Pattern
+from planish.marks.design.predict import Imaging, Predicted, predict
+from planish.marks.design.rules import Rule
+from planish.marks.design.sheet import encode, encode_pdf, house_style
+from planish.marks.design.simulate import DryRun, Limits, dry_run
+from planish.marks.design.tables import holes_csv
+
+PROGRAM = "program.gcode"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Written:
+    """What was written, and what the program and the pattern will do.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Names in the folder.
+    run : DryRun
+        Of the stage program, read back from its text.
+    predicted : Predicted
+    """
+
+    files: tuple[str, ...]
+    run: DryRun
+    predicted: Predicted
+
+
+def write_design(
+    pattern: Pattern,
+    rules: tuple[Rule, ...],
+    folder: str | Path,
+    *,
+    stage: Stage | None = None,
+    limits: Limits | None = None,
+    imaging: Imaging | None = None,
+) -> Written:
+    """Write a pattern into a folder that exists: JSON, two tables, DXF, stage program, drawings.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    rules : tuple of Rule
+        As checked, for the drawing.
+    folder : str or Path
+    stage, limits, imaging : optional
+        What the program asks of the stage, what the stage can do, and where the predicted error comes from.
+
+    Raises
+    ------
+    MarkError
+        If the dry run refuses the program, such as one that leaves the stage's range.
+    OSError
+        If a file cannot be written.
+    """
+    imaging = imaging or Imaging()
+    program = stage_program(pattern, stage)
+    run, predicted = dry_run(program, limits), predict(pattern, imaging)
+    files: dict[str, bytes] = {
+        "pattern.json": pattern.to_json().encode(),
+        "holes.csv": holes_csv(pattern).encode(),
+        "holes_as_imaged.csv": holes_csv(pattern, seen=True).encode(),
+        "pattern.dxf": pattern_dxf(pattern).encode("ascii"),
+        PROGRAM: program.encode("ascii"),
+    }
+    with house_style():
+        drawing = drawing_page(pattern)
+        pages = [drawing, error_page(pattern, predicted, imaging, rules), way_page(run)]
+        files["drawing.svg"] = encode(drawing, "svg")
+        for name, page in zip(("drawing", "predicted_error", "way"), pages, strict=True):
+            files[f"{name}.png"] = encode(page, "png")
+        files["drawing.pdf"] = encode_pdf(pages, f"Laser holes: {pattern.name}")
+    for name, data in files.items():
+        (Path(folder) / name).write_bytes(data)
+    return Written(files=tuple(files), run=run, predicted=predicted)
+
+
+def way_picture(run: DryRun, kind: str, *, title: str = "Way of the stage") -> bytes:
+    """Draw the way of a dry run as ``png``, ``svg`` or ``pdf``."""
+    with house_style():
+        page = way_page(run, title=title)
+        if kind == "pdf":
+            return encode_pdf([page], title)
+        return encode(page, "svg" if kind == "svg" else "png")

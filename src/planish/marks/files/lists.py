@@ -1,0 +1,267 @@
+"""Lists of points as other programs write them -> marks in um: units, origins, which list is which."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import MarkError, SizeError
+from planish.marks.files.model import EXTRAS, Floats, Places, make_marks
+from planish.marks.files.text import check_count
+
+Unit = Literal["um", "mm", "pixel"]
+UNITS: dict[str, float] = {"um": 1.0, "mm": 1000.0}
+
+_FIRST_NAMES = ("moving", "from", "source", "volume")
+_SECOND_NAMES = ("fixed", "to", "target", "image")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PointList:
+    """Points of one layer in the numbers of a file.
+
+    Attributes
+    ----------
+    title : str
+        What the file calls them.
+    labels : sequence of str, length n
+    points : ndarray, shape (n, 2) or (n, 3), in ``unit``
+        NaN where a point is not set.
+    used : sequence of bool, length n
+    unit : {"um", "mm", "pixel"}
+        What the file states, or what is usual for it.
+    stated : bool
+        Whether the file states the unit itself.
+    first : float
+        Coordinate of the centre of the first pixel, where the unit is the pixel: 0, or 1 in MATLAB.
+    placed : bool
+        Whether the positions are those of the layer already; otherwise they count from the centre of its first pixel.
+    extras : mapping of str to ndarray, shape (n,)
+    source : str or sequence of str
+    about : mapping
+        As for `make_marks`.
+    """
+
+    title: str
+    labels: Sequence[str]
+    points: Floats
+    used: Sequence[bool]
+    unit: Unit
+    stated: bool
+    first: float = 0.0
+    placed: bool = False
+    extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
+    source: str | Sequence[str] = "imported"
+    about: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayerFacts:
+    """What the user says of one layer.
+
+    Attributes
+    ----------
+    pixel_um : tuple of float or None, in um
+        One size, ``(y, x)``, or ``(z, y, x)`` for a volume.
+    origin_um : (float, float) or None, in um
+        ``(x, y)`` of the centre of the first pixel.
+    shape : (int, int) or None
+        Rows and columns.
+    """
+
+    pixel_um: tuple[float, ...] | None = None
+    origin_um: tuple[float, float] | None = None
+    shape: tuple[int, int] | None = None
+
+    def about(self) -> dict[str, Any]:
+        """As it is kept with the marks."""
+        out: dict[str, Any] = {}
+        if self.pixel_um is not None:
+            out["pixel_um"] = {"x": self.pixel_um[-1], "y": self.pixel_um[-2:][0]}
+        if self.origin_um is not None:
+            out["origin_um"] = {"x": self.origin_um[0], "y": self.origin_um[1]}
+        if self.shape is not None:
+            out["size_px"] = {"x": int(self.shape[1]), "y": int(self.shape[0])}
+        return out
+
+
+def layer_facts(
+    pixel_um: float | Sequence[float] | None,
+    origin_um: Sequence[float] | None,
+    shape: Sequence[int] | None,
+    option: str,
+) -> LayerFacts:
+    """Check what the user says of one layer; ``option`` is the name of the side, for messages.
+
+    Raises
+    ------
+    SizeError
+        If a size is no positive number, or an origin no finite one.
+    """
+    sizes = None if pixel_um is None else tuple(float(v) for v in np.atleast_1d(np.asarray(pixel_um, dtype=np.float64)))
+    if sizes is not None and not (1 <= len(sizes) <= 3 and all(np.isfinite(v) and v > 0 for v in sizes)):
+        raise SizeError(
+            f"The pixel size of the {option} layer is {pixel_um!r} um; one positive number, two (y, x), or three for a "
+            f"volume (z, y, x) are needed in --{option}-pixel-um."
+        )
+    origin = None if origin_um is None else tuple(float(v) for v in origin_um)
+    if origin is not None and not (len(origin) == 2 and all(np.isfinite(v) for v in origin)):
+        raise SizeError(f"The origin of the {option} layer is {origin_um!r} um; two numbers (x, y) are needed.")
+    return LayerFacts(
+        pixel_um=sizes,
+        origin_um=None if origin is None else (origin[0], origin[1]),
+        shape=None if shape is None else (int(shape[0]), int(shape[1])),
+    )
+
+
+def scale_of(
+    unit: Unit, pixel: Mapping[str, float] | Sequence[float] | None, axes: int, name: str, side: str
+) -> Floats:
+    """Length of one unit along x, y (and z), shape (axes,), in um.
+
+    Raises
+    ------
+    SizeError
+        If the unit is the pixel and its size is not known.
+    """
+    if unit != "pixel":
+        return np.full(axes, UNITS[unit])
+    option = side if side in ("moving", "fixed") else "moving"
+    if pixel is None:
+        raise SizeError(
+            f"{name} gives positions in pixels, and the pixel size of the {side} layer is not known. Give it in um to "
+            f"planish marks convert with --{option}-pixel-um."
+        )
+    listed = [pixel["y"], pixel["x"]] if isinstance(pixel, Mapping) else pixel
+    sizes = tuple(float(v) for v in listed)
+    if axes == 3 and len(sizes) == 2:
+        raise SizeError(
+            f"{name} holds points of a volume in voxels; the sizes z, y, x (or one for all) are needed in "
+            f"--{option}-pixel-um."
+        )
+    whole = np.array(sizes[::-1] if len(sizes) > 1 else sizes * 3)
+    return whole[:axes]
+
+
+def join_lists(
+    lists: Sequence[PointList],
+    *,
+    name: str,
+    moving: LayerFacts,
+    fixed: LayerFacts,
+    unit: Unit | None,
+    swap: bool,
+) -> xr.Dataset:
+    """Marks in um from one list, or from two whose points belong together in their order.
+
+    Parameters
+    ----------
+    lists : sequence of PointList
+        One, or moving and fixed; lists that are named the other way round are exchanged.
+    name : str
+        For messages.
+    moving, fixed : LayerFacts
+    unit : {"um", "mm", "pixel"}, optional
+        Takes the place of a unit that the files do not state.
+    swap : bool
+        The first list is the fixed one.
+
+    Returns
+    -------
+    Dataset, dims (mark)
+        Layers ``moving`` (``volume`` where its z varies) and ``fixed``; ``marks`` where there is one list only.
+
+    Raises
+    ------
+    MarkError, SizeError
+        If counts, labels, axes or units do not go together.
+    """
+    for found in lists:
+        check_count(name, len(found.labels))
+        if unit is not None and found.stated and unit != found.unit:
+            raise SizeError(
+                f"{name} states its unit, {found.unit}, and --unit says {unit}. Leave --unit out, or correct the file."
+            )
+    if len(lists) == 1:
+        facts = moving if moving.pixel_um or moving.origin_um else fixed
+        return _single(lists[0], name=name, facts=facts, unit=unit)
+    if len(lists) != 2:
+        what = ", ".join(f"{found.title} ({len(found.labels)})" for found in lists[:8])
+        raise MarkError(f"{name} holds {len(lists)} lists of points: {what}. Two are needed; save those two alone.")
+    first, second = lists
+    if _is_named(first.title, _SECOND_NAMES) and _is_named(second.title, _FIRST_NAMES):
+        first, second = second, first
+    if swap:
+        first, second = second, first
+    labels = _common_labels(first, second, name)
+    a, a_extras = _points(first, "moving", moving, unit, name)
+    b, b_extras = _points(second, "fixed", fixed, unit, name)
+    side = "moving"
+    if b.shape[1] == 3:
+        raise MarkError(
+            f"{name}: the points of the fixed side ({second.title}) differ in z. That side has to be a flat "
+            "image; where the volume was the fixed or target one, give --swap."
+        )
+    if a.shape[1] == 3:
+        side = "volume"
+    used = [p and q for p, q in zip(first.used, second.used, strict=True)]
+    return make_marks(
+        labels,
+        {side: Places(um=a, source=first.source, extras=a_extras),
+         "fixed": Places(um=b, source=second.source, extras=b_extras)},
+        used=used,
+        about={side: dict(first.about) | moving.about(), "fixed": dict(second.about) | fixed.about()},
+    )  # fmt: skip
+
+
+def _single(found: PointList, *, name: str, facts: LayerFacts, unit: Unit | None) -> xr.Dataset:
+    points, extras = _points(found, "marks", facts, unit, name)
+    places = Places(um=points, source=found.source, extras=extras)
+    about = {"marks": dict(found.about) | facts.about()}
+    return make_marks(list(found.labels), {"marks": places}, used=found.used, about=about)
+
+
+def _points(
+    found: PointList, side: str, facts: LayerFacts, unit: Unit | None, name: str
+) -> tuple[Floats, dict[str, Floats]]:
+    """Positions in um, shape (n, 2), or (n, 3) where z says something; and what else is known, in um too."""
+    values = np.asarray(found.points, dtype=np.float64)
+    if values.shape[1] == 3:
+        z = values[:, 2][np.isfinite(values[:, 2])]
+        # A picture opened as a volume of one slice has z = 0; for the fixed side any one plane is a picture.
+        if not z.any() or (side == "fixed" and np.ptp(z) == 0):
+            values = values[:, :2]
+    factor = scale_of(unit or found.unit, facts.pixel_um, values.shape[1], name, side)
+    shift = np.zeros(values.shape[1])
+    if not found.placed:
+        shift[:2] = facts.origin_um or (0.0, 0.0)
+    first = found.first if (unit or found.unit) == "pixel" else 0.0
+    powers = {"um": 1, "um2": 2}
+    extras = {k: v * factor[0] ** powers.get(EXTRAS[k][0], 0) for k, v in found.extras.items()}
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too far away is told by check_marks
+        return shift + (values - first) * factor, extras
+
+
+def _common_labels(first: PointList, second: PointList, name: str) -> list[str]:
+    """Labels of the pairs: those of the first list, where the second does not contradict."""
+    a, b = list(first.labels), list(second.labels)
+    if len(a) != len(b):
+        raise MarkError(
+            f"{name}: {len(a)} moving points ({first.title}) and {len(b)} fixed points ({second.title}). Points belong "
+            "together in their order, so both need the same number: add or remove points."
+        )
+    if a != b and sorted(a) == sorted(b):
+        k = next(k for k in range(len(a)) if a[k] != b[k])
+        raise MarkError(
+            f"{name}: both lists have the same labels in another order: {a[k]} and {b[k]} are both number {k + 1}. "
+            "Points belong together in their order: sort one list, or rename its points."
+        )
+    return a
+
+
+def _is_named(title: str, words: Sequence[str]) -> bool:
+    return title.strip().lower() in words

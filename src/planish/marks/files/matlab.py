@@ -1,0 +1,109 @@
+"""MATLAB: ``movingPoints`` and ``fixedPoints`` of the Control Point Selection tool, in pixels that begin with 1.
+
+The centre of the first pixel is (1, 1).
+
+Files up to version 7 are read here, those of version 7.3 by h5py.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from typing import Any
+
+import numpy as np
+
+from planish.core.errors import FileError, MarkError
+from planish.marks.files.lists import PointList
+from planish.marks.files.mat_arrays import LARGEST_MATRIX, matrices
+from planish.marks.files.model import Floats
+
+NAMES = (("movingPoints", "fixedPoints"), ("input_points", "base_points"))
+"""Variables that hold pairs; the second two are those of MATLAB before 2013."""
+
+HDF5 = b"\x89HDF\r\n\x1a\n"
+
+_SAVE = "Export the moving and fixed points of valid pairs, then save('marks.mat','movingPoints','fixedPoints')."
+
+
+def looks_like_matlab(data: bytes) -> bool:
+    """Whether it begins as a file of MATLAB 5 to 7.3."""
+    return data[:6] == b"MATLAB" or data.startswith(HDF5)
+
+
+def read_matlab(data: bytes, name: str) -> list[PointList]:
+    """Moving and fixed points of a file.
+
+    Raises
+    ------
+    FileError
+        If the file is damaged or no MATLAB file.
+    MarkError
+        If it does not hold both variables, or they are no real n x 2 arrays of as many points.
+    """
+    new = data.startswith(HDF5) or data[512:520] == HDF5
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = _arrays_in_new(data) if new else matrices(data)
+    except Exception as error:
+        raise FileError(f"{name} cannot be read as a MATLAB file: {error or type(error).__name__}. {_SAVE}") from error
+    pair = next((p for p in NAMES if all(n in found for n in p)), None)
+    if pair is None:
+        held = ", ".join(sorted(found)[:8])[:120] or "nothing"
+        raise MarkError(f"{name} holds {held}; {' and '.join(NAMES[0])} are needed. {_SAVE}")
+    points = [_checked(found[variable], variable, name) for variable in pair]
+    if len(points[0]) != len(points[1]):
+        raise MarkError(
+            f"{name}: {len(points[0])} points in {pair[0]}, {len(points[1])} in {pair[1]}; as many are needed. {_SAVE}"
+        )
+    if not len(points[0]):
+        raise MarkError(f"{name} holds no point. {_SAVE}")
+    labels = [str(k + 1) for k in range(len(points[0]))]
+    return [
+        PointList(
+            title=title, labels=labels, points=values, used=[True] * len(labels), unit="pixel", stated=True, first=1.0
+        )
+        for title, values in zip(("moving", "fixed"), points, strict=True)
+    ]
+
+
+def matlab_bytes(moving: Floats, fixed: Floats) -> bytes:
+    """Bytes of a file of version 5 for points of shape (n, 2), in pixels whose first centre is (1, 1)."""
+    from scipy.io import savemat
+
+    file: Any = io.BytesIO()
+    savemat(file, {NAMES[0][0]: moving, NAMES[0][1]: fixed})
+    # The usual heading holds the date; without it the same marks make the same bytes.
+    heading = b"MATLAB 5.0 MAT-file, pairs of marks in pixels, first centre (1, 1)"
+    return heading.ljust(116) + file.getvalue()[116:]
+
+
+def _arrays_in_new(data: bytes) -> dict[str, Floats | None]:
+    """Variables of a file of version 7.3; None for what is no small real matrix."""
+    import h5py  # pyright: ignore[reportMissingTypeStubs]
+
+    with h5py.File(io.BytesIO(data), "r") as file:
+        found: dict[str, Floats | None] = {}
+        for key in file:
+            # A link could lead to any file of the machine.
+            if not isinstance(file.get(key, getlink=True), h5py.HardLink):
+                continue
+            item: Any = file[key]
+            found[str(key)] = None
+            if isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual:
+                shape = tuple(int(v) for v in item.shape or ())
+                # MATLAB stores columns first.
+                if len(shape) == 2 and item.dtype.kind in "uif" and shape[0] * shape[1] <= LARGEST_MATRIX:
+                    found[str(key)] = np.asarray(item[()], dtype=np.float64).T
+        return found
+
+
+def _checked(values: Floats | None, variable: str, name: str) -> Floats:
+    if values is None or values.shape[1] != 2:
+        size = "no real matrix" if values is None else f"of the size {values.shape[0]} x {values.shape[1]}"
+        raise MarkError(f"{name}: {variable} is {size}; n x 2 real numbers are needed, x and y. {_SAVE}")
+    if not np.isfinite(values).all():
+        rows = ", ".join(str(k + 1) for k in np.flatnonzero(~np.isfinite(values).all(axis=1))[:8])
+        raise MarkError(f"{name}: {variable} has no finite position in the rows {rows}. {_SAVE}")
+    return np.ascontiguousarray(values)

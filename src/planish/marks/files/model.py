@@ -1,0 +1,283 @@
+"""Marks of one or several layers as one dataset: what every file of marks is read into and written from.
+
+A layer is a picture of the sheet: the flattened map (``moving``), the volume (``volume``), an image (``fixed``), or any
+other name. Each mark has one label, and in each layer a position or none.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import MarkError
+
+Floats = NDArray[np.float64]
+
+SOURCES = ("detected", "clicked", "predicted", "imported")
+NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
+
+EXTRAS: dict[str, tuple[str, str]] = {
+    "cov_xx": ("um2", "Variance of x"),
+    "cov_yy": ("um2", "Variance of y"),
+    "cov_xy": ("um2", "Covariance of x and y"),
+    "diameter": ("um", "Mean diameter of the rim"),
+    "axis_ratio": ("1", "Longer over shorter axis of the rim"),
+    "arc_coverage": ("1", "Share of the rim that was found"),
+}
+RESULTS = {"residual": "Distance left by the fit", "leave_one_out": "Distance left by the fit to all other marks"}
+
+RESIDUAL = "residual"
+"""No layer: a run's marks hold ``residual_x`` and ``residual_y``."""
+
+_TITLES = {"moving": "on the flattened map", "volume": "in the volume", "fixed": "in the image"}
+_REQUIRED_SIDES = (("moving", "fixed"), ("volume", "fixed"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Places:
+    """Where the marks lie in one layer.
+
+    Attributes
+    ----------
+    um : ndarray, shape (n, 2) or (n, 3), in um
+        ``x, y`` or ``x, y, z``; NaN where a mark is not in this layer.
+    source : sequence of str, length n, or one str for all
+        One of `SOURCES`.
+    extras : mapping of str to ndarray, shape (n,)
+        Any of `EXTRAS`; NaN where not known.
+    """
+
+    um: Floats
+    source: str | Sequence[str] = "imported"
+    extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
+
+
+def make_marks(
+    labels: Sequence[str],
+    layers: Mapping[str, Places],
+    *,
+    used: Sequence[bool] | None = None,
+    about: Mapping[str, Mapping[str, Any]] | None = None,
+    results: Mapping[str, Floats] | None = None,
+) -> xr.Dataset:
+    """Put marks together.
+
+    Parameters
+    ----------
+    labels : sequence of str, length n
+    layers : mapping of str to Places
+        Names in small letters, digits and underscores, in the order in which they are kept.
+    used : sequence of bool, length n, optional
+        Whether a mark takes part in a fit; all where not given.
+    about : mapping of str to mapping, optional
+        What is known of a layer: ``title``, ``pixel_um``, ``origin_um`` and ``size_px`` as ``{"x": ..., "y": ...}``,
+        ``side`` (top or bottom), ``machine_direction_deg``.
+    results : mapping of str to ndarray, shape (n,), in um, optional
+        ``residual`` and ``leave_one_out`` of a fit.
+
+    Returns
+    -------
+    Dataset, dims (mark)
+        ``label``, ``used``, and for each layer ``{layer}_x``, ``{layer}_y``, ``{layer}_source``, further
+        ``{layer}_z`` and those of `EXTRAS` that are known. ``attrs["layers"]`` holds ``about``.
+
+    Raises
+    ------
+    MarkError
+        If a layer's name cannot be used.
+    """
+    variables: dict[str, Any] = {
+        "label": ("mark", np.array(list(labels), dtype=np.str_), {"long_name": "Name of the mark"}),
+        "used": (
+            "mark",
+            np.ones(len(labels), bool) if used is None else np.array(list(used), dtype=bool),
+            {"long_name": "Takes part in the fit"},
+        ),
+    }
+    for layer, places in layers.items():
+        if not NAME.fullmatch(layer) or layer == RESIDUAL:
+            raise MarkError(f"{layer!r} is no name of a layer: use small letters, digits and underscores, such as map.")
+        where = _TITLES.get(layer, f"in {layer}")
+        for axis, values in zip("xyz", places.um.T, strict=False):
+            text = {"units": "um", "long_name": f"Mark {where}, {axis}"}
+            variables[f"{layer}_{axis}"] = ("mark", np.ascontiguousarray(values, dtype=np.float64), text)
+        for name, (units, text) in EXTRAS.items():
+            if name in places.extras and np.isfinite(places.extras[name]).any():
+                title = {"units": units, "long_name": f"{text}, {where}"}
+                variables[f"{layer}_{name}"] = ("mark", np.asarray(places.extras[name], dtype=np.float64), title)
+        source = [places.source] * len(labels) if isinstance(places.source, str) else list(places.source)
+        variables[f"{layer}_source"] = ("mark", np.array(source, dtype=np.str_), {"long_name": f"Found how, {where}"})
+    for name, values in (results or {}).items():
+        variables[name] = ("mark", np.asarray(values, dtype=np.float64), {"units": "um", "long_name": RESULTS[name]})
+    return xr.Dataset(variables, attrs={"layers": {layer: dict((about or {}).get(layer, {})) for layer in layers}})
+
+
+def layer_names(marks: xr.Dataset) -> list[str]:
+    """Names of the layers, in order; also of pairs and of a run's marks, which have no list of layers."""
+    ends = [str(name)[:-2] for name in marks.variables if str(name).endswith("_x")]
+    there = [name for name in ends if f"{name}_y" in marks and name != RESIDUAL]
+    listed: Mapping[str, Any] = marks.attrs.get("layers", {})
+    return [name for name in listed if name in there] + [name for name in there if name not in listed]
+
+
+def about_layer(marks: xr.Dataset, layer: str) -> dict[str, Any]:
+    """What is known of a layer; empty where nothing is."""
+    listed: Mapping[str, Any] = marks.attrs.get("layers", {})
+    return dict(listed.get(layer, {}))
+
+
+def points_of(marks: xr.Dataset, layer: str) -> Floats:
+    """Positions in one layer, shape (n, 2) or (n, 3), in um; NaN where a mark is not in it."""
+    axes = [f"{layer}_{axis}" for axis in "xyz" if f"{layer}_{axis}" in marks]
+    return np.stack([np.asarray(marks[name].values, dtype=np.float64) for name in axes], axis=1)
+
+
+def places_of(marks: xr.Dataset, layer: str) -> Places:
+    """Positions in one layer with all that is known of them."""
+    extras = {name: np.asarray(marks[f"{layer}_{name}"].values) for name in EXTRAS if f"{layer}_{name}" in marks}
+    source = [str(v) for v in marks[f"{layer}_source"].values] if f"{layer}_source" in marks else "imported"
+    return Places(um=points_of(marks, layer), source=source, extras=extras)
+
+
+def labels_of(marks: xr.Dataset) -> list[str]:
+    """Names of the marks; their numbers where they have none."""
+    if "label" in marks:
+        return [str(v) for v in marks["label"].values]
+    return [str(k + 1) for k in range(marks.sizes.get("mark", 0))]
+
+
+def used_of(marks: xr.Dataset) -> NDArray[np.bool_]:
+    """Which marks take part in a fit; all where it is not said."""
+    if "used" in marks:
+        return np.asarray(marks["used"].values).astype(bool)
+    return np.ones(marks.sizes.get("mark", 0), dtype=bool)
+
+
+def marks_of_holes(
+    holes: xr.Dataset,
+    *,
+    layer: str,
+    labels: Sequence[str] | None = None,
+    about: Mapping[str, Any] | None = None,
+    source: str = "detected",
+) -> xr.Dataset:
+    """Marks with one layer from holes as :func:`planish.marks.find_holes` and `read_holes` give them.
+
+    Parameters
+    ----------
+    holes : Dataset, dims (mark)
+        ``x``, ``y`` in um, and any of `EXTRAS`.
+    layer : str
+    labels : sequence of str, optional
+        ``hole 1``, ``hole 2`` ... where not given.
+    about : mapping, optional
+        As for `make_marks`.
+    source : str
+        One of `SOURCES`.
+    """
+    points = np.stack([np.asarray(holes[axis].values, dtype=np.float64) for axis in "xy"], axis=1)
+    extras = {name: np.asarray(holes[name].values, dtype=np.float64) for name in EXTRAS if name in holes}
+    names = labels or [f"hole {k + 1}" for k in range(len(points))]
+    places = Places(um=points, source=source, extras=extras)
+    return make_marks(names, {layer: places}, about={layer: about or {}})
+
+
+def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
+    """Holes of one layer, ``x``, ``y`` (um), ``label`` and what else is known, without the marks that are not in it.
+
+    Raises
+    ------
+    MarkError
+        If there is no such layer.
+    """
+    _check_layer(marks, layer)
+    there = np.isfinite(points_of(marks, layer)).all(axis=1)
+    names: dict[Hashable, str] = {
+        f"{layer}_{name}": name for name in ("x", "y", "z", *EXTRAS) if f"{layer}_{name}" in marks
+    }
+    return marks[[*names, "label"]].rename(names).isel(mark=np.flatnonzero(there))
+
+
+def used_pairs(
+    marks: xr.Dataset, *, moving: str | None = None, fixed: str | None = None, least: int = 3, name: str = "The file"
+) -> xr.Dataset:
+    """Marks that are used and lie in both layers, as :func:`planish.marks.read_marks` gives them.
+
+    Parameters
+    ----------
+    marks : Dataset, dims (mark)
+    moving, fixed : str, optional
+        Names of the layers; ``moving`` (or ``volume``) and ``fixed`` where they are there, otherwise the first two.
+    least : int
+        Fewer pairs are an error.
+    name : str
+        What the marks were read from, for messages.
+
+    Returns
+    -------
+    Dataset, dims (mark)
+        ``label``, ``fixed_x``, ``fixed_y`` and either ``moving_x``, ``moving_y`` or ``volume_x``, ``volume_y``,
+        ``volume_z``, in um.
+
+    Raises
+    ------
+    MarkError
+        If a layer is missing or too few marks are left.
+    """
+    first, second = pair_of_layers(marks, moving=moving, fixed=fixed, name=name)
+    a, b = points_of(marks, first), points_of(marks, second)[:, :2]
+    kept = used_of(marks) & np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    count = int(kept.sum())
+    if count < least:
+        raise MarkError(
+            f"{name} holds {len(kept)} marks, of which {count} are used and lie in both {first} and {second}. "
+            f"At least {least} are needed, far apart: add marks, or use those that are switched off."
+        )
+    side = "volume" if a.shape[1] == 3 else "moving"
+    labels = [label for label, keep in zip(labels_of(marks), kept, strict=True) if keep]
+    pairs = make_marks(labels, {side: Places(um=a[kept]), "fixed": Places(um=b[kept])})
+    return pairs.drop_vars(["used", f"{side}_source", "fixed_source"]).drop_attrs(deep=False)
+
+
+def pair_of_layers(
+    marks: xr.Dataset, *, moving: str | None = None, fixed: str | None = None, name: str = "The file"
+) -> tuple[str, str]:
+    """Which layers are the moving and the fixed one.
+
+    Raises
+    ------
+    MarkError
+        If there are not two layers, or it is not clear which they are.
+    """
+    names = layer_names(marks)
+    for wanted in (moving, fixed):
+        if wanted is not None:
+            _check_layer(marks, wanted)
+    if moving is None and fixed is None:
+        for pair in _REQUIRED_SIDES:
+            if all(side in names for side in pair):
+                return pair
+    if len(names) < 2:
+        raise MarkError(
+            f"{name} holds marks of one layer only ({', '.join(names) or 'none'}); pairs of a moving and a fixed layer "
+            "are needed. Give the second file as well: planish marks convert MOVING FIXED OUT."
+        )
+    if len(names) > 2 and (moving is None or fixed is None):
+        raise MarkError(
+            f"{name} holds {len(names)} layers: {', '.join(names)}. Name the two that belong together moving and fixed."
+        )
+    rest = [n for n in names if n not in (moving, fixed)]
+    first = moving or rest.pop(0)
+    return first, fixed or rest.pop(0)
+
+
+def _check_layer(marks: xr.Dataset, layer: str) -> None:
+    names = layer_names(marks)
+    if layer not in names:
+        raise MarkError(f"The marks have no layer {layer!r}; they have {', '.join(names) or 'none'}.")

@@ -1,0 +1,139 @@
+"""Marks that cannot be right: not to be told apart, without a place, or not in their layer.
+
+Where the extent of a layer is known, pixels or millimetres that were taken for um, and x and y that are exchanged, are
+recognised by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import MarkError
+from planish.marks.files.model import Floats, about_layer, labels_of, layer_names, points_of, used_of
+from planish.marks.files.text import raise_faults
+
+FARTHEST_UM = 1e9
+"""Positions beyond are errors of unit or of writing; within, no arithmetic overflows."""
+SLACK = 0.05
+"""Marks may lie outside their layer by this share of it: borders are cut in many ways."""
+LEAST_MARKS = 3
+_LEAST_FACTOR = 1.5  # pixels of nearly 1 um cannot be told from um
+_MM_SPAN = 0.01
+
+
+def check_marks(marks: xr.Dataset, name: str) -> None:
+    """Refuse marks that cannot be told apart or lie at no finite place.
+
+    Raises
+    ------
+    MarkError
+        If there are none, labels are repeated, two marks in use have one position, or a position is beyond a
+        kilometre or half missing.
+    """
+    labels, used = labels_of(marks), used_of(marks)
+    if not labels:
+        raise MarkError(f"{name} holds no mark. Set marks in both layers and save them again.")
+    faults = [f"the label {label!r} is there {count} times" for label, count in _repeated(labels)]
+    for layer in layer_names(marks):
+        points = points_of(marks, layer)
+        missing = np.isnan(points)
+        wrong = (np.abs(points) > FARTHEST_UM).any(axis=1) | (missing.any(axis=1) & ~missing.all(axis=1))
+        faults += [f"{labels[k]} has no position within a kilometre in {layer}" for k in np.flatnonzero(wrong)]
+        seen: dict[tuple[float, ...], str] = {}
+        for k in np.flatnonzero(used & np.isfinite(points).all(axis=1)):
+            place = tuple(float(v) for v in points[k])
+            if place in seen:
+                faults.append(f"{seen[place]} and {labels[k]} have the same position in {layer}")
+            seen.setdefault(place, labels[k])
+    raise_faults(name, faults, "Give each mark a label and a place of its own.")
+
+
+def check_plausible(marks: xr.Dataset, name: str) -> None:
+    """Refuse marks that cannot be um in their layer, where its pixel size and its size in pixels are known.
+
+    Parameters
+    ----------
+    marks : Dataset, dims (mark)
+    name : str
+        What they were read from, for messages.
+
+    Raises
+    ------
+    MarkError
+        If they look like pixels or mm, lie in the layer only with x and y exchanged, or lie outside.
+    """
+    for layer in layer_names(marks):
+        about = about_layer(marks, layer)
+        if "pixel_um" not in about or "size_px" not in about:
+            continue
+        points = points_of(marks, layer)[:, :2]
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) >= LEAST_MARKS:
+            _check_layer(points, layer, about, name, stated=marks.attrs.get("read_from", {}).get("stated", True))
+
+
+def _check_layer(points: Floats, layer: str, about: dict[str, Any], name: str, *, stated: bool) -> None:
+    pixel = np.array([about["pixel_um"][axis] for axis in "xy"], dtype=np.float64)
+    count = np.array([about["size_px"][axis] for axis in "xy"], dtype=np.float64)
+    origin = np.array([about.get("origin_um", {}).get(axis, 0.0) for axis in "xy"], dtype=np.float64)
+    size = pixel * count
+    placed = points - origin
+    spans = f"the marks in {layer} span {_size(np.ptp(points, axis=0))}, the layer {_size(size)}"
+    inside = _within(placed, size)
+    halves = bool(np.all(points * 2 == np.round(points * 2)))
+    # Places clicked on pixels and then turned into um are multiples of the pixel.
+    stepped = bool(np.all(np.abs(placed / pixel - np.round(placed / pixel)) < 1e-6))
+    if halves and not stepped and pixel.max() > _LEAST_FACTOR and _within(points, count):
+        raise MarkError(
+            f"{name}: {spans}, and all positions are whole or half numbers: they look like pixels. "
+            f"{_remedy('pixel', stated)} If they are um, write them with decimals."
+        )
+    if inside and (_within(points * 1000, size) and np.ptp(points, axis=0).max() < _MM_SPAN * size.max()):
+        raise MarkError(f"{name}: {spans}: they look like mm. {_remedy('mm', stated)}")
+    if inside:
+        return
+    if _within(points, count):
+        what = f"they look like pixels. {_remedy('pixel', stated)}"
+    elif _within(placed[:, ::-1], size):
+        what = "they would fit with x and y exchanged. Exchange the columns: x runs to the right, y down"
+    else:
+        far = int(np.count_nonzero(~_inside(placed, size)))
+        what = (
+            f"{far} of {len(points)} lie outside it. Check the unit, the pixel size, and that they belong to this image"
+        )
+    raise MarkError(f"{name}: {spans} from ({origin[0]:g}, {origin[1]:g}) um: {what}")
+
+
+def _repeated(labels: Sequence[str]) -> list[tuple[str, int]]:
+    counts: dict[str, int] = {}
+    for label in labels:
+        counts[label] = counts.get(label, 0) + 1
+    return [(label, count) for label, count in counts.items() if count > 1]
+
+
+def _remedy(unit: str, stated: bool) -> str:
+    """What to do with positions in another unit than um."""
+    if stated:
+        by = "the pixel size" if unit == "pixel" else "1000"
+        return f"The file says um: multiply them by {by}."
+    sizes = " with --moving-pixel-um and --fixed-pixel-um" if unit == "pixel" else ""
+    return f"Convert them by planish marks convert --unit {unit}{sizes}."
+
+
+def _inside(points: Floats, size: Floats) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    return np.all((points >= -SLACK * size) & (points <= (1 + SLACK) * size), axis=1)
+
+
+def _within(points: Floats, size: Floats) -> bool:
+    return bool(_inside(points, size).all())
+
+
+def _size(um: Floats) -> str:
+    """Width and height: ``1.9 x 1.2 mm``."""
+    if max(um) < 100:
+        return f"{um[0]:.3g} x {um[1]:.3g} um"
+    return f"{um[0] / 1000:.3g} x {um[1] / 1000:.3g} mm"

@@ -1,0 +1,126 @@
+"""3D Slicer: point lists in ``.mrk.json``, in mm.
+
+In ``LPS``, x runs to the patient's left and y to the back, which for a picture that is read without a direction of its
+own is right and down, as here. In ``RAS`` both signs are the other way round. Two lists belong together in the order of
+their points; a point that is not selected takes no part in Slicer's own fits.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from planish.core.errors import MarkError
+from planish.marks.files.lists import PointList, Unit
+from planish.marks.files.model import Floats
+from planish.marks.files.text import check_count, finite, raise_faults
+
+SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
+SIGNS = {"LPS": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0)}
+MOST_LISTS = 16
+_STATES = ("defined", "undefined", "preview")
+
+
+def read_slicer(content: Mapping[str, Any], name: str) -> list[PointList]:
+    """Point lists of a file; lines, curves, planes and empty lists are passed over.
+
+    Raises
+    ------
+    MarkError
+        If there is no list of points, or one is malformed.
+    """
+    markups: object = content.get("markups")
+    entries: list[Mapping[str, Any]] = (
+        [m for m in markups if isinstance(m, Mapping)] if isinstance(markups, list) else []
+    )
+    points = [m for m in entries if m.get("type") == "Fiducial" and m.get("controlPoints")]
+    if len(points) > MOST_LISTS:
+        raise MarkError(f"{name} holds {len(points)} lists of points; two are needed. Save those two alone.")
+    if not points:
+        kinds = ", ".join(sorted({str(m.get("type")) for m in entries})) or "nothing"
+        raise MarkError(f"{name} holds no list of points, but {kinds}. Save a point list in Slicer as .mrk.json.")
+    return [_list(markup, k, name) for k, markup in enumerate(points)]
+
+
+def slicer_text(lists: list[tuple[str, list[str], list[bool], Floats]]) -> str:
+    """Text of a file with one list for each title, labels, selected, and points (n, 2) or (n, 3) in mm."""
+    markups: list[dict[str, Any]] = []
+    for title, labels, used, points in lists:
+        controls: list[dict[str, Any]] = []
+        for k, label in enumerate(labels):
+            there = bool(np.isfinite(points[k]).all())
+            position = [*(float(v) for v in points[k]), 0.0][:3] if there else [0.0, 0.0, 0.0]
+            controls.append(
+                {
+                    "id": str(k + 1), "label": label, "description": "", "associatedNodeID": "",
+                    "position": position, "selected": bool(used[k]), "locked": False, "visibility": True,
+                    "positionStatus": "defined" if there else "undefined",
+                }
+            )  # fmt: skip
+        markups.append(
+            {
+                "type": "Fiducial", "name": title, "coordinateSystem": "LPS", "coordinateUnits": "mm", "locked": False,
+                "fixedNumberOfControlPoints": False, "labelFormat": "%N-%d", "lastUsedControlPointNumber": len(labels),
+                "controlPoints": controls,
+            }
+        )  # fmt: skip
+    content = {"@schema": SCHEMA, "markups": markups}
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
+    title = str(markup.get("name") or f"list {k + 1}")
+    system: object = markup.get("coordinateSystem", "LPS")
+    if not isinstance(system, str) or system not in SIGNS:
+        raise MarkError(f"{name}: {title} is in {system!r}; LPS or RAS is needed. Save it so in Slicer.")
+    signs = SIGNS[system]
+    unit = _unit(markup.get("coordinateUnits", "mm"), name, title)
+    listed: Any = markup["controlPoints"]
+    check_count(name, len(listed) if isinstance(listed, list) else 0)
+    controls: list[Any] = listed if isinstance(listed, list) else [None]
+    faults: list[str] = []
+    labels: list[str] = []
+    used: list[bool] = []
+    points: list[list[float]] = []
+    for number, control in enumerate(controls, 1):
+        if not isinstance(control, Mapping):
+            faults.append(f"point {number} of {title} is malformed")
+            continue
+        state: Any = control.get("positionStatus", "defined")
+        position: Any = control.get("position")
+        values = _position(position)
+        if state not in _STATES:
+            faults.append(f"point {number} of {title} has the status {str(state)[:40]!r}")
+        if state == "defined" and values is None:
+            faults.append(f"point {number} of {title} has the position {str(position)[:40]}, not three finite numbers")
+        there = values if state == "defined" and values is not None else [np.nan] * 3
+        labels.append(str(control.get("label") or f"{title} {number}"))
+        used.append(control.get("selected", True) is not False)
+        points.append([sign * v for sign, v in zip(signs, there, strict=True)])
+    raise_faults(name, faults, "Save the list in Slicer again.")
+    return PointList(
+        title=title, labels=labels, points=np.array(points, dtype=np.float64), used=used, unit=unit, stated=True
+    )
+
+
+def _position(value: Any) -> list[float] | None:
+    """Three finite numbers; None where they are not."""
+    if not isinstance(value, list) or len(value) != 3 or any(isinstance(v, str) for v in value):
+        return None
+    numbers = [finite(v) for v in value]
+    return None if None in numbers else [v for v in numbers if v is not None]
+
+
+def _unit(value: object, name: str, title: str) -> Unit:
+    code: object = value[0] if isinstance(value, list) and value else value
+    if code == "mm":
+        return "mm"
+    if code == "um":
+        return "um"
+    raise MarkError(f"{name}: {title} is in {code!r}; mm or um is needed. Save it so in Slicer.")

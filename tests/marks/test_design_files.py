@@ -1,0 +1,242 @@
+"""Files of a designed pattern, and the commands that write and read them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from planish.core.errors import MarkError
+from planish.marks import read_holes
+from planish.marks.design import Burn, Pattern, design_pattern, holes_csv, pattern_dxf, read_pattern
+
+FIELD = ("--field-um", "9000,8000")
+
+
+@pytest.fixture(scope="module")
+def pattern():
+    return design_pattern(field_um=(9_000.0, 8_000.0), origin_um=(100.0, 200.0), burn=Burn(pulse_s=0.004))[0]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    from planish.cli import main
+
+    out = tmp_path_factory.mktemp("made") / "marks"
+    with pytest.raises(SystemExit) as end:
+        main(["marks", "design", *FIELD, "-o", str(out), "--name", "Rolle 7 ä $x$"])
+    assert not end.value.code
+    return out
+
+
+def test_json_round_trip(pattern):
+    assert Pattern.from_json(pattern.to_json()) == pattern
+    data = json.loads(pattern.to_json())
+    assert data["version"] == 1
+    assert data["holes"][0].keys() == {"label", "x_um", "y_um", "line"}
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"version": 2}, "version 2"),
+        ({"format": "other"}, "holds no"),
+        ({"holes": [{"x_um": 1}]}, "has no 'y_um'"),
+        ({"holes": []}, "0 holes"),
+        ({"holes": 3}, "malformed"),
+        ({"field_um": [1]}, "malformed"),
+        ({"field_um": [-1, 5]}, "not positive"),
+        ({"diameter_um": "wide"}, "malformed"),
+        ({"diameter_um": float("inf")}, "not a finite number"),
+        ({"layout": "spiral"}, "spiral"),
+    ],
+)
+def test_malformed_patterns_are_refused(pattern, change, word):
+    with pytest.raises(MarkError, match=word):
+        Pattern.from_json(json.dumps({**json.loads(pattern.to_json()), **change}))
+    with pytest.raises(MarkError, match="no JSON"):
+        Pattern.from_json(pattern.to_json()[:-40])
+
+
+def test_csv_round_trip(pattern, tmp_path):
+    path = tmp_path / "holes.csv"
+    path.write_text(holes_csv(pattern))
+    assert path.read_text().splitlines()[0] == "label,x_um,y_um,diameter_um"
+    held = read_holes(path)
+    np.testing.assert_allclose(np.stack([held["x"], held["y"]], 1), pattern.points_um, atol=1e-6)
+    own = read_pattern(path, field_um=pattern.field_um)
+    np.testing.assert_allclose(own.points_um, pattern.points_um, atol=1e-6)
+    assert own.burn.diameter_um == 175.0
+    assert own.margin_um == pytest.approx(pattern.margin_um)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("", "is empty"),
+        ("x,y\n1,2\n", "no column x_um and y_um"),
+        ("x_um,y_um\n1,two\n3,nan\n4\n", "rows 2, 3, 4"),
+        ("x_um,y_um\n", "0 holes"),
+        ("x_um,y_um,diameter_um\n0,0,0\n1,1,0\n2,0,0\n", "diameter of 0 um"),
+        ('x_um,y_um\n"1,2\n', "no CSV table"),
+    ],
+)
+def test_malformed_tables_are_refused(tmp_path, text, word):
+    path = tmp_path / "own.csv"
+    path.write_text(text)
+    with pytest.raises(MarkError, match=word):
+        read_pattern(path)
+
+
+def dxf_pairs(text):
+    lines = text.splitlines()
+    assert len(lines) % 2 == 0
+    return [(int(code), value) for code, value in zip(lines[::2], lines[1::2], strict=True)]
+
+
+def test_dxf_by_the_published_group_codes(pattern):
+    """Sections open and close, layers are declared before use, and circles of layer HOLES are the holes."""
+    pairs = dxf_pairs(pattern_dxf(pattern))
+    assert pairs[-1] == (0, "EOF")
+    assert [value for code, value in pairs if (code, value) in ((0, "SECTION"), (0, "ENDSEC"))] == [
+        "SECTION", "ENDSEC", "SECTION", "ENDSEC", "SECTION", "ENDSEC",
+    ]  # fmt: skip
+    assert pairs[pairs.index((9, "$ACADVER")) + 1] == (1, "AC1009")
+    start = pairs.index((2, "ENTITIES"))
+    layers = {pairs[k + 1][1] for k, pair in enumerate(pairs[:start]) if pair == (0, "LAYER")}
+    entities, current = [], {}
+    for code, value in pairs[start + 1 :]:
+        if code == 0:
+            current = {0: value}
+            entities.append(current)
+        else:
+            assert code in (1, 8, 10, 20, 30, 11, 21, 31, 40)
+            assert code not in current
+            current[code] = value
+    assert entities[-2:] == [{0: "ENDSEC"}, {0: "EOF"}]
+    entities = entities[:-2]
+    assert {entity[8] for entity in entities} <= layers
+    assert {entity[0] for entity in entities} == {"CIRCLE", "LINE", "TEXT"}
+    holes = [entity for entity in entities if entity[0] == "CIRCLE" and entity[8] == "HOLES"]
+    found = 1000 * np.array([[float(hole[10]), float(hole[20])] for hole in holes])
+    np.testing.assert_allclose(found, pattern.points_um, atol=0.0005 + 1e-9)
+    assert {float(hole[40]) for hole in holes} == {0.0875}  # mm
+
+
+def test_dxf_is_ascii(pattern):
+    assert pattern_dxf(replace(pattern, name="Prüfung\n  0\nEOF")).isascii()
+    assert dxf_pairs(pattern_dxf(replace(pattern, name="a\n  0\nEOF")))[0][0] == 999
+
+
+def test_a_design_is_a_whole_folder(made):
+    names = {path.name for path in made.iterdir()}
+    assert names == {
+        "pattern.json", "holes.csv", "holes_as_imaged.csv", "pattern.dxf", "program.gcode", "drawing.svg",
+        "drawing.png", "drawing.pdf", "predicted_error.png", "way.png",
+    }  # fmt: skip
+    pdf = (made / "drawing.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF")
+    assert b"/Count 3" in pdf
+    svg = (made / "drawing.svg").read_text()
+    assert 'width="841.889764pt"' in svg  # A4 across, so that one mm on paper is one mm of the true-size drawing
+    with Image.open(made / "drawing.png") as picture:
+        grey = np.asarray(picture.convert("L"))
+    assert 0.002 < (grey < 128).mean() < 0.2
+
+
+def test_the_true_size_is_true(pattern):
+    """The view is so many millimetres wide on the page as in the stage's coordinates."""
+    from planish.marks.design.draw import drawing_page
+    from planish.marks.design.sheet import house_style
+
+    with house_style():
+        page = drawing_page(pattern)
+    width_mm = [axes.get_position().width * page.width for axes in page.figure.axes]
+    assert any(width == pytest.approx(pattern.view_um[0] / 1000) for width in width_mm)
+    for axes in page.figure.axes:
+        (low, high), box = axes.get_xlim(), axes.get_position()
+        scale = box.width * page.width / (high - low)
+        assert box.height * page.height / np.ptp(axes.get_ylim()) == pytest.approx(scale)
+
+
+def test_the_same_command_gives_the_same_bytes(planish, made, tmp_path):
+    code, out, err = planish("marks", "design", *FIELD, "-o", tmp_path / "m", "--name", "Rolle 7 ä $x$")
+    assert code == 0, err
+    assert "crop told apart" in out
+    assert "predicted error" in out
+    for path in made.iterdir():
+        assert path.read_bytes() == (tmp_path / "m" / path.name).read_bytes(), path.name
+
+
+def test_simulate(planish, made, tmp_path):
+    program, held = made / "program.gcode", made / "pattern.json"
+    for name in ("way.svg", "way.png", "way.pdf"):
+        code, out, err = planish("marks", "simulate", program, "--pattern", held, "-o", tmp_path / name)
+        assert code == 0, err
+        assert "the shots are those of" in out
+        assert (tmp_path / name).stat().st_size > 5000
+    code, out, _ = planish("marks", "simulate", program, "--json")
+    data = json.loads(out)
+    assert code == 0
+    assert data["shots"] == len(json.loads(held.read_text())["holes"])
+    shifted = tmp_path / "shifted.csv"
+    table = [line.split(",") for line in (made / "holes.csv").read_text().splitlines()]
+    table[3][1] = str(float(table[3][1]) + 0.01)
+    shifted.write_text("\n".join(map(",".join, table)))
+    code, _, err = planish("marks", "simulate", program, "--pattern", shifted)
+    assert code == 4
+    assert "0.010 um from the nearest shot" in err
+
+
+def test_check(planish, made, tmp_path):
+    assert planish("marks", "check", made / "pattern.json")[0] == 0
+    assert planish("marks", "check", made / "holes_as_imaged.csv", *FIELD)[0] == 0
+    grid = tmp_path / "grid.csv"
+    grid.write_text("x_um,y_um\n" + "".join(f"{2000 * i},{2000 * j}\n" for i in range(5) for j in range(4)))
+    code, out, err = planish("marks", "check", grid)
+    assert code == 4
+    assert "BROKEN" in out
+    for rule in ("around", "half turn", "mirror", "shift", "code"):
+        assert f"rule '{rule}'" in err
+    code, out, _ = planish("marks", "check", grid, "--json")
+    assert code == 4
+    assert not all(rule["passed"] for rule in json.loads(out)["rules"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "word"),
+    [
+        (("design", "-o", "OUT"), 2, "--field-um"),
+        (("design", "--field-um", "20000", "-o", "OUT"), 2, "W,H"),
+        (("design", "--field-um", "0,5", "-o", "OUT"), 2, "positive"),
+        (("design", "--field-um", "wide", "-o", "OUT"), 2, "no|not"),
+        (("design", *FIELD), 2, "--out"),
+        (("design", *FIELD, "-o", "OUT", "--layout", "spiral"), 2, "spiral"),
+        (("design", *FIELD, "-o", "OUT", "--holes", "20", "--holes-per-cm2", "9"), 2, "not both"),
+        (("design", *FIELD, "-o", "OUT", "--power", "9", "--pulse-code", "m64"), 2, "m3 only"),
+        (("design", *FIELD, "-o", "OUT", "--range-um", "5,5,0,0"), 2, "larger"),
+        (("design", *FIELD, "-o", "OUT", "--pulse-s", "-1"), 2, "pulse-s"),
+        (("design", "--field-um", "3000,2000", "-o", "OUT"), 3, "rule 'area'"),
+        (("design", *FIELD, "-o", "OUT", "--range-um", "0,0,5000,5000"), 3, "out of the stage's range"),
+        (("design", *FIELD, "-o", "HERE"), 3, "exists already"),
+        (("check", "none.json"), 3, "cannot be read"),
+        (("simulate", "none.gcode"), 3, "cannot be read"),
+        (("simulate", "BROKEN"), 3, "is no word"),
+        (("simulate", "BROKEN", "-o", "way.gif"), 2, "no .png"),
+        (("check", "BINARY"), 3, "UTF-8"),
+    ],
+)
+def test_bad_input_ends_with_a_sentence(planish, tmp_path, arguments, code, word):
+    (tmp_path / "broken.gcode").write_text("G21\nhello\n")
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00{")
+    names = {"OUT": "out", "HERE": ".", "BROKEN": "broken.gcode", "BINARY": "binary"}
+    given = [tmp_path / names[a] if a in names else a for a in arguments]
+    got, _, err = planish("marks", *given)
+    assert got == code, err
+    assert any(part in err for part in word.split("|")), err
+    assert "Traceback" not in err
+    assert not (tmp_path / "out").exists()
+    assert not list(tmp_path.glob(".*partial"))

@@ -1,0 +1,350 @@
+"""Marks come from and go to files of other programs: the same places, to 1e-9 um."""
+
+import io
+import struct
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.io import loadmat, savemat
+
+from marks.files_by_hand import (
+    FIXED,
+    FIXED_PIXEL,
+    LABELS,
+    MOVING,
+    MOVING_PIXEL,
+    bigwarp_2d,
+    bigwarp_3d,
+    bigwarp_json,
+    elastix,
+    imagej,
+    native,
+    slicer,
+    slicer_list,
+)
+from planish.marks import read_holes, read_marks
+from planish.marks.files import (
+    Places,
+    format_of,
+    holes_of,
+    layer_names,
+    make_marks,
+    marks_of_holes,
+    read_any,
+    read_pairs,
+    used_pairs,
+    write_any,
+)
+
+PIXELS = {"moving_um": MOVING_PIXEL, "fixed_um": FIXED_PIXEL}
+
+
+@pytest.fixture
+def put(tmp_path):
+    def write(text, name="marks.txt"):
+        path = tmp_path / name
+        path.write_bytes(text if isinstance(text, bytes) else text.encode("utf-8"))
+        return path
+
+    return write
+
+
+def points(marks, layer):
+    return np.stack([marks[f"{layer}_{axis}"].values for axis in "xy"], axis=1)
+
+
+def same(marks, moving=MOVING, fixed=FIXED):
+    np.testing.assert_allclose(points(marks, "moving"), moving, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(points(marks, "fixed"), fixed, rtol=0, atol=1e-9)
+    return True
+
+
+def mat_v73(moving, fixed):
+    """As MATLAB writes it: columns first, a class on each variable, 512 bytes of heading."""
+    file = io.BytesIO()
+    with h5py.File(file, "w", userblock_size=512) as f:
+        for name, values in (("movingPoints", moving), ("fixedPoints", fixed)):
+            f.create_dataset(name, data=np.ascontiguousarray(values.T)).attrs["MATLAB_class"] = np.bytes_("double")
+    data = bytearray(file.getvalue())
+    heading = b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Mon Mar  3 10:00:00 2025 HDF5 schema 1.00 ."
+    data[: len(heading)] = heading
+    return bytes(data)
+
+
+def mat_v5(moving, fixed, *, names=("movingPoints", "fixedPoints"), **how):
+    file = io.BytesIO()
+    savemat(file, dict(zip(names, (moving, fixed), strict=True)), **how)
+    return file.getvalue()
+
+
+# --- what other programs write
+
+
+def test_bigwarp(put):
+    path = put(bigwarp_2d(), "landmarks.csv")
+    marks = read_any(path)
+    assert same(marks)
+    assert marks.label.values.tolist() == LABELS
+    assert marks.attrs["read_from"] == {"format": "bigwarp", "unit": "um", "stated": False}
+    assert same(read_any(put(bigwarp_json(), "landmarks.json")))
+
+
+def test_bigwarp_points_that_are_off_or_not_set(put):
+    rows = bigwarp_2d().splitlines()
+    rows[1] = rows[1].replace('"true"', '"false"')
+    rows.append('"Pt-4","false","90.5","80.5","Infinity","Infinity"')
+    marks = read_any(put("\n".join(rows)))
+    assert marks.used.values.tolist() == [True, False, True, True, False]
+    assert np.isnan(points(marks, "fixed")[4]).all()
+    assert points(marks, "moving")[4].tolist() == [90.5, 80.5]
+    pairs = used_pairs(marks)
+    assert pairs.label.values.tolist() == ["Pt-0", "Pt-2", "Pt-3"]
+    assert set(pairs.variables) == {"label", "moving_x", "moving_y", "fixed_x", "fixed_y"}
+
+
+def test_bigwarp_of_a_volume_and_an_image(put):
+    marks = read_any(put(bigwarp_3d()))
+    assert layer_names(marks) == ["volume", "fixed"]
+    assert marks.volume_z.values.tolist() == [40.0, 41.0, 42.5, 39.0]
+    assert set(read_pairs(put(bigwarp_3d()))) >= {"volume_x", "volume_y", "volume_z", "fixed_x", "fixed_y"}
+    assert layer_names(read_any(put(bigwarp_3d(z=(0.0,) * 4)))) == ["moving", "fixed"]  # two flat pictures
+
+
+def test_units_that_a_file_does_not_state(put):
+    mm = bigwarp_2d()
+    for side in (MOVING, FIXED):
+        for value in sorted({str(v) for v in side.ravel().tolist()}, key=len, reverse=True):
+            mm = mm.replace(f'"{value}"', f'"{float(value) / 1000!r}"')
+    assert same(read_any(put(mm), unit="mm"))
+    in_pixels = elastix(MOVING / MOVING_PIXEL)
+    marks = read_any(put(in_pixels, "a.txt"), put(elastix(FIXED / FIXED_PIXEL), "b.txt"), unit="pixel", **PIXELS)
+    assert same(marks)
+
+
+def test_elastix(put):
+    a, b = put(elastix(MOVING / 1000), "mp.txt"), put(elastix(FIXED / 1000), "fp.txt")
+    marks = read_any(a, b)
+    assert same(marks)
+    assert marks.attrs["read_from"] == {"format": "elastix", "unit": "mm", "stated": False}
+    assert same(read_any(b, a, swap=True))
+
+
+@pytest.mark.parametrize("word", ["index", None])
+def test_elastix_index_is_pixels_from_nought(put, word):
+    index = np.array([[0, 0], [100, 40], [7, 99]])
+    text = elastix(index, word or "index")
+    a = put(text if word else text.split("\n", 1)[1], "a.txt")
+    marks = read_any(a, put(elastix(index, "index"), "b.txt"), moving_um=2.5, fixed_um=(4.0, 3.0))
+    assert same(marks, index * 2.5, index * [3.0, 4.0])
+
+
+def test_slicer_turns_ras_and_keeps_lps(put):
+    lps = slicer_list(MOVING / 1000, "moving")
+    ras = slicer_list(FIXED / 1000 * [-1, -1], "fixed", "RAS")
+    assert same(read_any(put(slicer(lps, ras), "a.mrk.json")))
+    assert same(read_any(put(slicer(ras, lps), "a.mrk.json")))  # named, so the order says nothing
+    in_um = slicer_list(MOVING, "F", units=["um", "UCUM", "micrometer"])
+    assert same(read_any(put(slicer(in_um), "b.mrk.json"), put(slicer(ras), "c.mrk.json")))
+
+
+def test_slicer_points_not_set_or_not_selected_and_other_markups(put):
+    moving, fixed = slicer_list(MOVING / 1000, "F"), slicer_list(FIXED / 1000, "G")
+    moving["controlPoints"][1]["selected"] = False
+    fixed["controlPoints"][3] |= {"positionStatus": "undefined", "position": [0.0, 0.0, 0.0]}
+    del moving["controlPoints"][0]["positionStatus"]
+    line = {"type": "Line", "controlPoints": [{"position": [0, 0, 0]}]}
+    marks = read_any(put(slicer(line, moving, fixed, {"type": "Fiducial", "controlPoints": []})))
+    assert marks.used.values.tolist() == [True, False, True, True]
+    assert np.isnan(points(marks, "fixed")[3]).all()
+    assert used_pairs(marks, least=2).label.values.tolist() == ["Pt-0", "Pt-2"]
+
+
+@pytest.mark.parametrize("make", [
+    mat_v5, mat_v73,
+    lambda a, b: mat_v5(a, b, do_compression=True),
+    lambda a, b: mat_v5(a, b, format="4"),
+    lambda a, b: mat_v5(a, b, names=("input_points", "base_points")),
+])  # fmt: skip
+def test_matlab_counts_from_one(put, make):
+    path = put(make(MOVING / MOVING_PIXEL + 1, FIXED / FIXED_PIXEL + 1), "points.mat")
+    assert same(read_any(path, **PIXELS))
+    first = read_any(put(make(np.ones((3, 2)) * [[1], [2], [3]], np.ones((3, 2)) * [[1], [2], [3]]), "p.mat"), **PIXELS)
+    assert points(first, "moving")[0].tolist() == [0.0, 0.0]
+    assert points(first, "fixed")[1].tolist() == [4.0, 4.0]
+
+
+def test_matlab_of_another_machine(put):
+    data = b""
+    for name, values in ((b"movingPoints", MOVING / MOVING_PIXEL + 1), (b"fixedPoints", FIXED / FIXED_PIXEL + 1)):
+        data += struct.pack(">5i", 1000, *values.shape, 0, len(name) + 1) + name + b"\0"
+        data += values.T.astype(">f8").tobytes()
+    assert same(read_any(put(data, "version4.mat"), **PIXELS))
+
+
+def test_imagej_results(put):
+    a, b = put(imagej(MOVING), "a.csv"), put(imagej(FIXED), "b.csv")
+    marks = read_any(a, b)
+    assert same(marks)
+    assert set(marks.moving_source.values) == {"clicked"}
+
+
+def test_the_two_tables_of_planish(put):
+    text = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n" + "".join(
+        f"{n},{a[0]},{a[1]},{b[0]},{b[1]}\n" for n, a, b in zip(LABELS, MOVING.tolist(), FIXED.tolist(), strict=True)
+    )
+    path = put(text, "pairs.csv")
+    assert same(read_any(path))
+    xr.testing.assert_equal(read_pairs(path), read_marks(path))
+    holes = "label,x_um,y_um,diameter_um\nhole 1,1.5,2.5,150\nhole 2,3.5,4.5,\n"
+    marks = read_any(put(holes, "holes.csv"))
+    assert layer_names(marks) == ["marks"]
+    assert holes_of(marks, "marks").diameter.values[0] == 150
+    assert same(read_any(put(bigwarp_2d().replace('"', ""), "no quotes.csv")))
+
+
+def test_one_file_of_each_kind_goes_with_one_of_another(put):
+    holes = "label,x_um,y_um\n" + "".join(f"{n},{x},{y}\n" for n, (x, y) in zip(LABELS, FIXED.tolist(), strict=True))
+    assert same(read_any(put(elastix(MOVING / 1000), "a"), put(holes, "holes.csv")))
+
+
+# --- planish's own format
+
+
+def test_own_json_holds_everything(put, tmp_path):
+    marks = read_any(put(native(), "marks.json"))
+    assert marks.label.values.tolist() == ["A", "B", "C, ü"]
+    assert marks.used.values.tolist() == [True, False, True]
+    assert (marks.moving_cov_xx[0], marks.moving_cov_xy[0], marks.moving_cov_yy[0]) == (4.0, 0.5, 2.0)
+    assert (marks.moving_diameter[0], marks.moving_axis_ratio[0], marks.moving_arc_coverage[0]) == (151.5, 1.02, 0.98)
+    assert np.isnan(marks.fixed_x[2])
+    assert marks.fixed_source.values.tolist() == ["clicked", "predicted", "imported"]
+    assert marks.residual.values[1] == 3.25
+    layer = marks.attrs["layers"]["moving"]
+    assert (layer["side"], layer["machine_direction_deg"], layer["origin_um"]) == ("top", 90.0, {"x": -10.0, "y": 4.0})
+    (copy,) = write_any(marks, tmp_path / "copy.json")
+    again = read_any(copy)
+    xr.testing.assert_identical(again, marks)
+    (third,) = write_any(again, tmp_path / "third.json")
+    assert third.read_bytes() == copy.read_bytes()
+
+
+def test_the_example_of_the_page(put):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "marks-files.md").read_text(encoding="utf-8")
+    marks = read_any(put(page.split("```json\n")[1].split("```")[0]))
+    assert marks.label.values.tolist() == ["hole 1", "hole 2"]
+    assert marks.attrs["layers"]["moving"]["size_px"] == {"x": 1200, "y": 1000}
+
+
+def test_holes_of_one_layer_and_marks_of_three(tmp_path):
+    holes = xr.Dataset({k: ("mark", [v, v + 200.0]) for k, v in (("x", 100.1), ("y", 200.2), ("diameter", 150.0))})
+    holes["cov_xx"], holes["cov_yy"], holes["cov_xy"] = (("mark", [v, v]) for v in (4.0, 5.0, -1.0))
+    one = marks_of_holes(holes, layer="image", about={"side": "top"})
+    (path,) = write_any(one, tmp_path / "holes.json")
+    back = holes_of(read_any(path), "image")
+    for name in holes.data_vars:
+        np.testing.assert_array_equal(back[name], holes[name])
+    (table,) = write_any(one, tmp_path / "holes.csv")
+    assert read_holes(table).x.values.tolist() == [100.1, 300.1]
+    places = Places(um=np.array([[1.0, 2.0], [np.nan, np.nan], [5.0, 6.5]]), source="clicked")
+    three = make_marks(["a", "b", "c"], dict.fromkeys(("map", "unprinted", "printed"), places))
+    (path,) = write_any(three, tmp_path / "three.json")
+    assert layer_names(read_any(path)) == ["map", "unprinted", "printed"]
+    pairs = used_pairs(read_any(path), moving="map", fixed="printed", least=2)
+    assert pairs.moving_y.values.tolist() == [2.0, 6.5]
+
+
+def test_marks_of_a_run_can_be_written(tmp_path):
+    names = ("moving_x", "moving_y", "fixed_x", "fixed_y", "residual_x", "residual_y", "residual", "leave_one_out")
+    values = np.random.default_rng(1).uniform(0, 1000, (8, 4))
+    run = xr.Dataset({name: ("mark", column) for name, column in zip(names, values, strict=True)})
+    (path,) = write_any(run, tmp_path / "run.json")
+    marks = read_any(path)
+    assert layer_names(marks) == ["moving", "fixed"]
+    np.testing.assert_array_equal(marks.leave_one_out, run.leave_one_out)
+
+
+# --- there and back
+
+
+def some_marks(flat=True, origin=(0.0, 0.0)):
+    rng = np.random.default_rng(5)
+    moving, fixed = rng.uniform(-500, 20000, (9, 2 if flat else 3)), rng.uniform(0, 20000, (9, 2))
+    about = {
+        "moving": {"pixel_um": {"x": 2.5, "y": 2.7}, "origin_um": {"x": origin[0], "y": origin[1]}},
+        "fixed": {"pixel_um": {"x": 4.0, "y": 4.1}},
+    }
+    side = "moving" if flat else "volume"
+    about[side] = about.pop("moving")
+    return make_marks(
+        [f"hole {k}" for k in range(9)], {side: Places(um=moving), "fixed": Places(um=fixed)}, about=about
+    )
+
+
+BACK = {"moving_um": (2.7, 2.5), "fixed_um": (4.1, 4.0), "moving_origin_um": (-350.5, 20.25)}
+
+
+@pytest.mark.parametrize(("to", "unit"), [
+    ("json", None), ("csv", None), ("bigwarp", None), ("bigwarp", "mm"), ("bigwarp", "pixel"), ("elastix", None),
+    ("elastix", "um"), ("elastix", "pixel"), ("slicer", None), ("matlab", None),
+])  # fmt: skip
+def test_there_and_back(tmp_path, to, unit):
+    marks = some_marks(origin=(-350.5, 20.25))
+    files = write_any(marks, tmp_path / "out.x", to=to, unit=unit)
+    own = to in ("json", "csv")
+    again = read_any(*files, unit=unit, **({} if own else BACK))
+    assert same(again, points(marks, "moving"), points(marks, "fixed"))
+    assert format_of(files[0]) == to
+    if to in ("json", "csv", "bigwarp", "slicer"):
+        assert again.label.values.tolist() == marks.label.values.tolist()
+
+
+@pytest.mark.parametrize("to", ["json", "csv", "bigwarp", "elastix", "slicer"])
+def test_there_and_back_from_a_volume(tmp_path, to):
+    marks = some_marks(flat=False)
+    again = read_any(*write_any(marks, tmp_path / "out.x", to=to))
+    for axis in "xyz":
+        np.testing.assert_allclose(again[f"volume_{axis}"], marks[f"volume_{axis}"], rtol=0, atol=1e-9)
+    assert layer_names(again) == ["volume", "fixed"]
+
+
+def test_the_other_program_may_move_the_other_way(tmp_path):
+    marks = some_marks()
+    (path,) = write_any(marks, tmp_path / "a.csv", to="bigwarp", swap=True)
+    first = [float(v.strip('"')) for v in path.read_text().splitlines()[0].split(",")[2:]]
+    assert first == [*points(marks, "fixed")[0], *points(marks, "moving")[0]]
+    assert same(read_any(path, swap=True), points(marks, "moving"), points(marks, "fixed"))
+
+
+def test_layouts_are_those_of_the_other_programs(tmp_path, put):
+    marks = read_any(put(bigwarp_2d()))
+    (path,) = write_any(marks, tmp_path / "out.csv", to="bigwarp")
+    assert path.read_text() == bigwarp_2d()
+    files = write_any(marks, tmp_path / "e.txt")
+    assert [f.name for f in files] == ["e-moving.txt", "e-fixed.txt"]
+    assert files[0].read_text().splitlines()[:3] == ["point", "4", "0.25 0.5"]
+    (mat,) = write_any(marks, tmp_path / "m.mat", **PIXELS)
+    held = loadmat(mat)
+    np.testing.assert_allclose(held["movingPoints"], MOVING / 2.5 + 1)
+    assert held["fixedPoints"][0].tolist() == [101.5, 202.5]
+    assert b"Created" not in mat.read_bytes()[:116]
+    (mrk,) = write_any(marks, tmp_path / "s.mrk.json")
+    text = mrk.read_text()
+    assert '"coordinateSystem": "LPS"' in text
+    assert '"positionStatus": "defined"' in text
+
+
+def test_marks_without_a_partner_stay_where_the_format_has_a_place_for_them(tmp_path, put):
+    marks = read_any(put(native(), "marks.json"))
+    (path,) = write_any(marks, tmp_path / "b.csv", to="bigwarp")
+    rows = path.read_text(encoding="utf-8").splitlines()
+    assert rows[1].startswith('"B","false"')
+    assert rows[2].endswith('"Infinity","Infinity"')
+    (path,) = write_any(marks, tmp_path / "s.mrk.json")
+    back = read_any(path)
+    assert np.isnan(back.fixed_x[2])
+    assert back.used.values.tolist() == [True, False, True]
+    files = write_any(marks, tmp_path / "e.txt")
+    assert all(f.read_text().splitlines()[1] == "1" for f in files)
