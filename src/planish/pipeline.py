@@ -22,7 +22,8 @@ from planish.flatten import Flattened, FlattenParams, flatten_sheet
 from planish.io import find_place, fingerprint, read_image, read_volume
 from planish.io.run_folder import new_folder, refuse_existing, work_folder, write_json, write_tree
 from planish.io.sections import is_section_folder, read_section_stack
-from planish.marks import find_holes, read_marks, write_marks
+from planish.marks import find_holes, write_marks
+from planish.marks.files import read_pairs
 from planish.measure import PROPERTIES, measure_properties
 from planish.properties import further_maps, further_results, measure_more, number_results, with_angles
 from planish.register import FittedTransform, Model, fit_transform, match_marks
@@ -166,8 +167,8 @@ def map_sheet(
     tell("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
     s = study.surface
     params = SurfaceParams(
-        sheet_grey=s.sheet_grey, seed_um=s.seed_um, coating_grey=s.coating_grey, envelope_um=s.envelope_um,
-        method=s.method, cutoff_um=s.cutoff_um, rim_um=s.rim_um, step=step,
+        sheet_grey=s.sheet_grey, seed_um=s.seed_um, coating_grey=s.coating_grey, fringe=s.fringe,
+        envelope_um=s.envelope_um, method=s.method, cutoff_um=s.cutoff_um, rim_um=s.rim_um, step=step,
     )  # fmt: skip
     with engine(compute, kept=None if kept is None else kept / str(step)) as tiles:
         if s.labels is None:
@@ -343,7 +344,7 @@ def link_sheet(
     pixel = (float(image.attrs["pixel_um"][0]), float(image.attrs["pixel_um"][1]))
     r = study.registration
     tell("marks", "holes of the image")
-    given = read_marks(Path(r.marks)) if r.marks else None
+    given = read_pairs(r.marks, fixed_um=pixel, fixed_shape=image.shape) if r.marks else None
     fixed = None if given is not None else find_holes(image.values, pixel_um=pixel, diameter_um=r.hole_um)
     if fixed is not None:
         _enough(fixed, "image", r.hole_um)

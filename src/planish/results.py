@@ -79,7 +79,10 @@ def surface_results(surfaces: xr.Dataset) -> dict[str, Any]:
     attrs = surfaces.attrs
     status = surfaces["status"].values
     shares = {f"share_{name}": float((status == k).mean()) for k, name in enumerate(STATUS)}
-    keys = ("thickness_um", "blur_um", "cutoff_um", "rim_um", "saturated_share", "missing_share", "polarity")
+    keys = (
+        "thickness_um", "blur_um", "fringe", "fringe_um", "cutoff_um", "rim_um", "saturated_share", "missing_share",
+        "polarity",
+    )  # fmt: skip
     greys = ("grey_air", "grey_base", "grey_coating_top", "grey_coating_bottom", "grey_noise")
     frame = {k: str(attrs[k]) for k in ("through", "top_side", "row_axis", "col_axis")}
     numbers = {k: _finite(float(attrs.get(k, np.nan))) for k in (*keys, *greys)}

@@ -64,6 +64,7 @@ class SurfaceSection(Section):
     sheet_grey: tuple[float, float] | None = None
     seed_um: tuple[float, float, float] | None = None
     coating_grey: float | None = None
+    fringe: Literal["auto", "off"] | Annotated[float, Field(ge=0, le=1)] = "auto"
     labels: LabelsSection | None = None
     method: Literal["profile", "paper"] = "profile"
     envelope_um: Length | None = None

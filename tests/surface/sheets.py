@@ -40,6 +40,8 @@ class Sheet:
 
     ``tilt`` in degrees about the lateral rows' and columns' axis; ``coats`` are the coatings at the high and at the low
     end of the axis through the sheet; ``noise`` is a share of the contrast of the brightest layer with the air.
+    ``fringe`` is the size of the phase-contrast fringe at every edge, as a share of its step: the second derivative of
+    the edge blurred by ``fringe_px`` voxels, times their square.
     """
 
     voxel: float = 1.4
@@ -51,6 +53,8 @@ class Sheet:
     fwhm: float = 4.0
     noise: float = 0.05
     texture: float = 0.0
+    fringe: float = 0.0
+    fringe_px: float = 1.5
     margin: float = 40.0
     dtype: str = "uint8"
     inverted: bool = False
@@ -97,8 +101,12 @@ class Sheet:
         half = 0.5 * self.thickness
         air, base, coating = self.greys
 
+        def edge(x):
+            t = x / (self.fringe_px * self.voxel)
+            return special.ndtr(x / sigma) + self.fringe * t * np.exp(-0.5 * t * t) / np.sqrt(2 * np.pi)
+
         def between(low, high):
-            return special.ndtr((s - low) / sigma) - special.ndtr((s - high) / sigma)
+            return edge(s - low) - edge(s - high)
 
         rng = np.random.default_rng(self.seed)
         paper = base - air

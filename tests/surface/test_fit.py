@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from naive import fit_staircase, staircase
-from planish.surface._kernels import fit_column, fit_faces
+from planish.surface._fit_kernels import fit_column, fit_faces
 
 WIDTH, AIR, NOISE = 0.9, 0.0, 0.04
 PRIOR = np.array([0.0, 0.0, 1.0, 0.35])

@@ -304,6 +304,8 @@ def greys(results: Row) -> list[tuple[str, str]]:
         ("blur_um", "Blur of the faces, sigma"),
     )
     out = [(text, _grey(s.get(key), key)) for key, text in words if key in s]
+    if s.get("fringe") is not None:
+        out.append(("Phase-contrast fringe, share of an edge", number(s["fringe"], 2) if s["fringe"] else "none"))
     if s.get("polarity") is not None:
         out.append(("Sheet against air", "brighter" if s["polarity"] > 0 else "darker"))
     return out

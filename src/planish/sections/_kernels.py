@@ -88,7 +88,7 @@ def smooth(values, down, across, line, out):
 
 
 @njit(**_SUMS)
-def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums):
+def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
     """Set sums[chunk] to what the displacement of band b against band a follows from.
 
     With the gradient g = (row, col, turn) of the mean of both bands and the difference d = b - a, the thirteen numbers
@@ -96,13 +96,16 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums):
     around 0.5, all weighted with trust[row] and Tukey's (1 - (d / limit[row])^2)^2, 0 where |d| >= limit; then the sum
     of the weights, and that of trust over all samples without NaN.
 
+    With ``shared`` 1 the first six are instead the sums of g_a g_b', made symmetric: noise, which the bands do not
+    share, enlarges g g' and so shortens the displacement, but cancels here.
+
     x[c] is the place of the column and y[c] that of the sheet's height there, from the middle of the section; both
     and the samples' distances, pitch (row, col), in um.
     """
     rows, cols = a.shape
     half_r, half_c = np.float32(0.25 / pitch[0]), np.float32(0.25 / pitch[1])
     sums[:] = 0.0
-    zero, one = np.float32(0.0), np.float32(1.0)
+    zero, one, less = np.float32(0.0), np.float32(1.0), np.float32(shared)
     for k in range(1, rows - 1):
         a0, a1, a2 = a[k - 1], a[k], a[k + 1]
         b0, b1, b2 = b[k - 1], b[k], b[k + 1]
@@ -115,6 +118,10 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums):
                 gr = half_r * (a2[c] - a0[c] + (b2[c] - b0[c]))
                 gc = half_c * (a1[c + 1] - a1[c - 1] + (b1[c + 1] - b1[c - 1]))
                 gt = gr * x[c] - gc * (y[c] + off)
+                # Half the difference of the gradients: g_a g_b' + g_b g_a' = 2 (g g' - h h').
+                hr = half_r * (b2[c] - b0[c] - (a2[c] - a0[c]))
+                hc = half_c * (b1[c + 1] - b1[c - 1] - (a1[c + 1] - a1[c - 1]))
+                ht = hr * x[c] - hc * (y[c] + off)
                 sound = d + gr + gc
                 w = one if sound == sound else zero
                 held += heavy * w
@@ -124,15 +131,19 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums):
                 gr = gr if w > zero else zero
                 gc = gc if w > zero else zero
                 gt = gt if w > zero else zero
+                hr = hr if w > zero else zero
+                hc = hc if w > zero else zero
+                ht = ht if w > zero else zero
+                v = less * w
                 va = a1[c] - np.float32(0.5) if w > zero else zero
                 vb = b1[c] - np.float32(0.5) if w > zero else zero
                 used += w
-                s0 += w * gr * gr
-                s1 += w * gr * gc
-                s2 += w * gr * gt
-                s3 += w * gc * gc
-                s4 += w * gc * gt
-                s5 += w * gt * gt
+                s0 += w * gr * gr - v * hr * hr
+                s1 += w * gr * gc - v * hr * hc
+                s2 += w * gr * gt - v * hr * ht
+                s3 += w * gc * gc - v * hc * hc
+                s4 += w * gc * gt - v * hc * ht
+                s5 += w * gt * gt - v * ht * ht
                 t0 += w * gr * d
                 t1 += w * gc * d
                 t2 += w * gt * d

@@ -15,13 +15,17 @@ from numpy.typing import NDArray
 
 from planish.sections.band import Band, Stack, check_stack, find_band, for_each
 from planish.sections.network import held_pairs, parts, quick_places, solve_places
-from planish.sections.pairs import Bands, Pairs, compare
+from planish.sections.pairs import GROUPS, Bands, Pairs, compare, shows_more
 from planish.sections.trend import slow_part
 
 Array = NDArray[np.float64]
 
 _GAP_SECTIONS = 4.5  # neighbours farther apart show other fibres: three missing sections are bridged, no more
 _REACH_FIRST = 2
+_FINE_ROUNDS = 2
+_COARSE_FACTOR = 4.0
+"""On the sigma of pairs of coarse bands: those over the same sections, and the next ones, share their errors."""
+_SURER = 0.5  # sigma of fine over that of coarse pairs of neighbours, above which the fine ones show noise
 _BLOCK = 32  # sections that a thread takes at a time
 
 
@@ -42,8 +46,8 @@ class Alignment:
     aligned : ndarray of bool (sections,)
         False for a section with less than two good pairs: torn, blurred, or not of this sheet.
     jitter_left_um : ndarray (2,)
-        Standard deviation of what is left of the quick errors along (row, col), from two solutions with one half of
-        the columns each.
+        Standard deviation of what is left of the quick errors along (row, col), from solutions that leave out one
+        sixth of the columns each (jackknife). What all columns share is not in it.
     pairs_used, pairs_refused : int
     pixel_um : tuple of float
         (row, col).
@@ -113,8 +117,9 @@ def align_sections(
 
     Notes
     -----
-    Offsets come from the gradients of texture and faces (Lucas and Kanade 1981) in the band along the sheet, robust
-    weighted least squares joins them, and a filter with its half amplitude at the cut-off takes off the slow part.
+    Offsets come from the gradients of texture and faces (Lucas and Kanade 1981) in the band along the sheet; those
+    along the columns once more from fine texture of next neighbours, where it tells them better. Robust weighted least
+    squares joins them, and a filter with its half amplitude at the cut-off takes off the slow part.
     Joint alignment: Saalfeld et al. 2012, Nature Methods 9, 717. A sheet that rises along the cut has a true offset
     from section to section; it belongs to the slow part, and the band follows it before anything is compared.
     """
@@ -145,15 +150,41 @@ def align_sections(
     places, kept = _joined(whole, n, rotation)
     groups = parts(first[kept], second[kept], n)
     pose = _quick(places, course, away, groups, cutoff)
-    half, other = (
-        _quick(_joined(part, n, rotation)[0], course, away, groups, cutoff) for part in whole.halves(rotation)
-    )
+    # Coarse texture wanders along the columns with the fibres that come and go; fine texture less. The place along the
+    # columns is measured once more in it, now that the sections lie near enough.
+    close = (second - first == 1) & kept
+    fine: Pairs | None = None
+    coarse = places.copy()
+    for _ in range(_FINE_ROUNDS if shows_more(pixel_um) and close.any() else 0):
+        bands = Bands(stack=stack, band=band, pixel_um=pixel_um, fine=True)
+        sums = np.concatenate(_sums(bands, pose, first[close], second[close], threads))
+        alike = np.ones(len(sums), bool)
+        found = compare(sums, first[close], second[close], pose, rotation=False, alike=alike)
+        if not np.median(found.sigma[:, 1]) < _SURER * np.median(whole.sigma[close, 1]):
+            fine, places = None, coarse
+            pose = _quick(places, course, away, groups, cutoff)
+            break
+        fine = found
+        places[:, 1] = _columns(whole, fine, n)
+        pose = _quick(places, course, away, groups, cutoff)
     aligned = np.zeros(n, bool)
     for group in groups:
         aligned[group] = True
     aligned &= np.bincount(np.concatenate([first[kept], second[kept]]), minlength=n) >= min(2, n - 1)
     pose[~aligned] = 0.0
-    left = np.mean((0.5 * (half - other)[aligned]) ** 2, axis=0) if aligned.any() else np.full(3, np.nan)
+    left = np.full(3, np.nan)
+    if aligned.any():
+        # Jackknife: one run of columns after the other is left out, of the surface too.
+        others: list[Array] = []
+        for k in range(GROUPS):
+            fewer = whole.without(k, rotation)
+            there = _joined(fewer, n, rotation)[0]
+            if fine is not None:
+                there[:, 1] = _columns(fewer, fine.without(k, False), n)
+            others.append(
+                _quick(there, _course(band, (rows, cols), pixel_um, without=k), away, groups, cutoff)[aligned]
+            )
+        left = np.mean(np.var(others, axis=0), axis=0) * (GROUPS - 1)
     # A narrow image tells rotations badly: they are shortened to what is more than their own error (Wiener).
     turned = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
     pose[:, 2] *= max(0.0, 1.0 - left[2] / turned) if rotation and turned > 0 else 0.0
@@ -193,10 +224,14 @@ def neighbours(away_um: Array, pitch_um: float, reach: int) -> tuple[NDArray[np.
     return table[:, 0], table[:, 1]
 
 
-def _course(band: Band, shape: tuple[int, int], pixel_um: tuple[float, float]) -> Array:
-    """Mean height in um, 0, and slope of the smooth surface in each section; (sections, 3)."""
-    x = (band.at_col - 0.5 * (shape[1] - 1)) * pixel_um[1]
-    y = (band.row - 0.5 * (shape[0] - 1)) * pixel_um[0]
+def _course(band: Band, shape: tuple[int, int], pixel_um: tuple[float, float], without: int = -1) -> Array:
+    """Mean height in um, 0, and slope of the smooth surface in each section; (sections, 3).
+
+    ``without`` leaves out the columns of one group of parts.
+    """
+    held = band.at_col * GROUPS // shape[1] != without
+    x = (band.at_col[held] - 0.5 * (shape[1] - 1)) * pixel_um[1]
+    y = (band.row[:, held] - 0.5 * (shape[0] - 1)) * pixel_um[0]
     slope, mean = np.polynomial.polynomial.polyfit(x, y.T, 1)[::-1]
     return np.stack([mean, np.zeros(mean.size), slope], axis=1)
 
@@ -224,6 +259,19 @@ def _joined(pairs: Pairs, n: int, rotation: bool) -> tuple[Array, NDArray[np.boo
             pairs.first[sound], pairs.second[sound], pairs.offset[sound, axis], pairs.sigma[sound, axis], n
         )
     return places, sound & held_pairs(kept)
+
+
+def _columns(coarse: Pairs, fine: Pairs, n: int) -> Array:
+    """Places along the columns from the coarse and the fine texture together; (sections,).
+
+    The coarse ones bridge what the fine ones do not hold together, and take over where noise hides fine texture.
+    """
+    both = (coarse, fine)
+    first = np.concatenate([p.first[p.sound] for p in both])
+    second = np.concatenate([p.second[p.sound] for p in both])
+    offset = np.concatenate([p.offset[p.sound, 1] for p in both])
+    sigma = np.concatenate([_COARSE_FACTOR * coarse.sigma[coarse.sound, 1], fine.sigma[fine.sound, 1]])
+    return solve_places(first, second, offset, sigma, n)[0]
 
 
 def _quick(places: Array, course: Array, away: Array, groups: list[NDArray[np.intp]], cutoff: float) -> Array:

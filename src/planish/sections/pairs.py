@@ -21,10 +21,15 @@ Samples = NDArray[np.float32]
 
 _PITCH_UM = (2.5, 5.0)  # of the samples, rows and cols: about; a whole number of pixels
 _BLUR_UM = 6.0  # standard deviation; wide against the shifts to be measured, narrow against the texture
+_FINE_BLUR_UM = 1.0  # or one pixel
+_FINE_PITCH_UM = (1.6, 0.8)
+_FINE_PASS = 4.0  # blurs of the Gaussian whose mean along the columns is taken off
+_FINEST_UM = 3.0  # with wider pixels the fine bands would show no more than the others
+_MEND_UM = (75.0, 5.0)  # window of the median against which a knife mark stands out, and its surroundings
 _MARGIN_UM = 30.0  # beyond the faces
 _PART_UM = 150.0  # five times the reach of the texture
 _PARTS = (8, 48)
-_RUN = 4  # parts side by side share some of their errors, through the smooth surface along which they are taken
+GROUPS = 6  # runs of parts that are left out in turn: parts side by side share some of their errors
 _LINE_SIGMAS = 5.0  # a column of the resin that stands out so far is a knife mark
 _OUTLIER_SIGMAS = 4.0
 _TURN_UM = 1000.0  # rotations are carried as the shift at this distance, so that all unknowns are alike in size
@@ -43,8 +48,8 @@ class Pairs:
     first, second : ndarray (pairs,)
     offset, sigma : ndarray (pairs, 3)
         Along row and col in um, and rotation in rad: pose of the second less that of the first.
-    sound : ndarray of bool (pairs,)
-        Whether both show the same sheet.
+    alike, sound : ndarray of bool (pairs,)
+        Whether both show the same sheet; and whether the offset is also known well enough.
     sums : ndarray (pairs, parts, 13)
         What the offsets follow from.
     base : ndarray (pairs, 3)
@@ -55,31 +60,43 @@ class Pairs:
     second: Index
     offset: Array
     sigma: Array
+    alike: NDArray[np.bool_]
     sound: NDArray[np.bool_]
     sums: Array
     base: Array
 
-    def halves(self, rotation: bool) -> list[Pairs]:
-        """Return the same pairs from one half of the columns alone, and from the other; runs of parts take turns."""
-        turn = np.arange(self.sums.shape[1]) // _RUN % 2
-        return [_solved(self.sums[:, turn == k], self.first, self.second, self.base, rotation) for k in (0, 1)]
+    def without(self, group: int, rotation: bool) -> Pairs:
+        """Return the same pairs without one group of the columns, of `GROUPS`, see `part_groups`."""
+        held = part_groups(self.sums.shape[1]) != group
+        return _solved(self.sums[:, held], self.first, self.second, self.base, rotation, self.alike)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bands:
-    """Makes straightened bands of sections and compares them."""
+    """Makes straightened bands of sections and compares them.
+
+    Fine bands show texture between some 1 and 4 um along the columns; what is wider wanders along the
+    columns with fibres that come and go, and would hold the offset with it.
+    """
 
     stack: Stack
     band: Band
     pixel_um: tuple[float, float]
+    fine: bool = False
 
     @property
     def step(self) -> tuple[int, int]:
         """Pixels per sample along rows and cols."""
+        pitch = _FINE_PITCH_UM if self.fine else _PITCH_UM
         return (
-            max(1, round(_PITCH_UM[0] / self.pixel_um[0])),
-            max(1, min(round(_PITCH_UM[1] / self.pixel_um[1]), self.stack.shape[2] // 64)),
+            max(1, round(pitch[0] / self.pixel_um[0])),
+            max(1, min(round(pitch[1] / self.pixel_um[1]), self.stack.shape[2] // 64)),
         )
+
+    @property
+    def blur_um(self) -> float:
+        """Standard deviation of the Gaussian that smooths the bands."""
+        return max(_FINE_BLUR_UM, self.pixel_um[1]) if self.fine else _BLUR_UM
 
     @property
     def pitch_um(self) -> tuple[float, float]:
@@ -113,9 +130,13 @@ class Bands:
         out -= np.float32(self.band.background[section])
         out /= np.float32(self.band.contrast[section])
         self._mend(out)
-        weights = [_gaussian(_BLUR_UM / pitch) for pitch in (pitch_r, pitch_c)]
+        weights = [_gaussian(self.blur_um / pitch) for pitch in (pitch_r, pitch_c)]
         result = np.empty_like(out)
         smooth(out, weights[0], weights[1], np.empty(out.shape[1] + weights[1].size, np.float32), result)
+        if self.fine:
+            wide = _gaussian(_FINE_PASS * self.blur_um / pitch_c)
+            smooth(result, np.ones(1, np.float32), wide, np.empty(out.shape[1] + wide.size, np.float32), out)
+            result -= out
         middle = (np.arange(out.shape[1]) + 0.5) * across - 0.5
         at = np.interp(middle, np.arange(cols), height) * pixel_r
         return result, (at - 0.5 * (rows - 1) * pixel_r).astype(np.float32)
@@ -126,9 +147,10 @@ class Bands:
         profile = np.concatenate([out[:rim], out[-rim:]]).mean(axis=0)
         if not np.isfinite(profile).all():
             return
-        away = np.abs(profile - median_filter(profile, 15, mode="nearest"))
+        window, beside = (max(1, round(length / self.pitch_um[1])) for length in _MEND_UM)
+        away = np.abs(profile - median_filter(profile, window, mode="nearest"))
         marked = away > _LINE_SIGMAS * 1.4826 * float(np.median(away))
-        marked = marked | np.roll(marked, 1) | np.roll(marked, -1)
+        marked = np.convolve(marked, np.ones(2 * beside + 1), mode="same") > 0
         if not marked.any() or np.count_nonzero(marked) > 0.3 * marked.size:
             return
         good = np.flatnonzero(~marked)
@@ -144,6 +166,7 @@ class Bands:
         x = ((np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)) * self.pixel_um[1]
         x32 = x.astype(np.float32)
         found = np.zeros((first.size, self.parts, 13))
+        shared = 1.0 if self.fine else 0.0
         held: dict[int, tuple[Samples, Samples]] = {}
         for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
             for gone in [s for s in held if s < i]:
@@ -156,11 +179,23 @@ class Bands:
             # Columns move along the sheet here, not at a fixed row: where the sheet is tilted, its faces would else
             # tell the shift along the columns, and every unevenness of the smooth surface would count as one. What
             # this neglects vanishes with the shift itself, after two or three rounds.
-            pair_sums(a, b, x32, 0.5 * (y_a + y_b), self.pitch_um, self.parts, limit, trust, found[k])
+            pair_sums(a, b, x32, 0.5 * (y_a + y_b), self.pitch_um, self.parts, limit, trust, found[k], shared)
         return found
 
 
-def compare(sums: Array, first: Index, second: Index, pose: Array, *, rotation: bool) -> Pairs:
+def shows_more(pixel_um: tuple[float, float]) -> bool:
+    """Whether pixels are small enough for fine bands to show more than the others."""
+    return max(pixel_um) <= _FINEST_UM
+
+
+def part_groups(parts: int) -> Index:
+    """Return the group of each part, 0 to `GROUPS` - 1."""
+    return np.arange(parts) * GROUPS // parts
+
+
+def compare(
+    sums: Array, first: Index, second: Index, pose: Array, *, rotation: bool, alike: NDArray[np.bool_] | None = None
+) -> Pairs:
     """Offsets of pairs from their sums.
 
     Parameters
@@ -171,15 +206,18 @@ def compare(sums: Array, first: Index, second: Index, pose: Array, *, rotation: 
         Poses with which the bands were made, in um and rad.
     rotation : bool
         Whether sections may be turned against each other.
+    alike : ndarray of bool (pairs,), optional
+        Whether both show the same sheet, where the sums do not tell it: those of fine bands.
 
     Returns
     -------
     Pairs
     """
-    return _solved(sums, first, second, pose[second] - pose[first], rotation)
+    known = _alike(sums) if alike is None else alike
+    return _solved(sums, first, second, pose[second] - pose[first], rotation, known)
 
 
-def _solved(sums: Array, first: Index, second: Index, base: Array, rotation: bool) -> Pairs:
+def _solved(sums: Array, first: Index, second: Index, base: Array, rotation: bool, alike: NDArray[np.bool_]) -> Pairs:
     size = 3 if rotation else 2
     scale = np.array([1.0, 1.0, _TURN_UM])[:size]
     rows, cols = np.triu_indices(3)
@@ -200,7 +238,7 @@ def _solved(sums: Array, first: Index, second: Index, base: Array, rotation: boo
         pull = right - np.einsum("pkij,pj->pki", matrix, answer)
         spread = np.einsum("pk,pki,pkj->pij", weight**2, pull, pull)
         covariance = np.einsum("pij,pjk,pkl->pil", inverse, spread, inverse)
-        strength = np.sqrt(np.einsum("pkii->pki", matrix) + 1e-12)
+        strength = np.sqrt(np.maximum(np.einsum("pkii->pki", matrix), 0.0) + 1e-12)
         sigmas = np.max(np.abs(pull / strength) / _scale(pull / strength), axis=2)
         weight = np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
     offset = base.copy()
@@ -208,10 +246,10 @@ def _solved(sums: Array, first: Index, second: Index, base: Array, rotation: boo
     parts = sums.shape[1]
     sigma = np.full((first.size, 3), np.inf)
     sigma[:, :size] = np.sqrt(np.einsum("pii->pi", covariance) * parts / max(parts - 1, 1))
-    sound = _alike(sums) & np.all(np.isfinite(answer), axis=1) & np.all(sigma[:, :2] < _LARGEST_SIGMA_UM, axis=1)
+    sound = alike & np.all(np.isfinite(answer), axis=1) & np.all(sigma[:, :2] < _LARGEST_SIGMA_UM, axis=1)
     sigma = np.maximum(sigma, _LEAST_SIGMA_UM)
     sigma[:, 2] /= _TURN_UM
-    return Pairs(first=first, second=second, offset=offset, sigma=sigma, sound=sound, sums=sums, base=base)
+    return Pairs(first=first, second=second, offset=offset, sigma=sigma, alike=alike, sound=sound, sums=sums, base=base)
 
 
 def _limits(a: Samples, b: Samples) -> tuple[Array, Array]:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.tiles import Engine, Tile
-from planish.surface import _kernels
+from planish.surface import _fit_kernels
 from planish.surface.columns import Columns
-from planish.surface.learn import Learnt
+from planish.surface.learnt import Learnt
 from planish.surface.levels import spread
 from planish.surface.oriented import Guide, oriented
 
@@ -191,6 +191,7 @@ def _share(mask: NDArray[np.bool_], labels: NDArray[np.integer], count: int = 0)
 def _fit_tile(fit: _Fit, tile: Tile) -> Array:
     """Face and coating thickness seen from the high end, then from the low end, in voxels, (4, rows, cols)."""
     columns, learnt = fit.columns, fit.learnt
+    edge = learnt.edge
     grey = oriented(columns, tile, fit.guide, learnt.scale)
     outside = learnt.scale.grown(tile, columns.shape[:2])
     guide = fit.guide.part(tile.within(outside))
@@ -203,10 +204,10 @@ def _fit_tile(fit: _Fit, tile: Tile) -> Array:
         amid = learnt.amid
         if fit.again is not None:
             outer, amid = np.ascontiguousarray(fit.again[k]), 0.5 * learnt.base
-        _kernels.fit_faces(
-            np.ascontiguousarray(grey[:, :, ::-1]) if high else grey, outer, other, tilt, 0.0, learnt.width,
+        _fit_kernels.fit_faces(
+            np.ascontiguousarray(grey[:, :, ::-1]) if high else grey, outer, other, tilt, 0.0, edge.width,
             learnt.noise, side.level, side.spread, side.coated, learnt.reach, result, 0.0,
-            amid,
+            amid, edge.fringe or None, edge.ratio,
         )  # fmt: skip
         out[2 * k : 2 * k + 2] = result[:2]
     return out

@@ -76,7 +76,7 @@ def find_surfaces(
     levels = learnt.levels(columns.pitch[2])
     if frame.top == "low":
         levels = _swapped(levels)
-    touching, runs_out = doubtful(guide, survey.coarse, learnt.width, columns.shape[2])
+    touching, runs_out = doubtful(guide, survey.coarse, learnt.edge.width, columns.shape[2])
 
     def presence(centre: Array, thickness: float, up: float) -> Array:
         base = learnt.scale.polarity * learnt.base + learnt.scale.air

@@ -32,6 +32,10 @@ class GreyLevels:
         +1 where the sheet is brighter than the air, -1 where it is darker.
     blur_um : float
         Standard deviation of the blur, across the faces of the sheet.
+    fringe : float
+        Size of the phase-contrast fringe beside every edge, as a share of the edge's step.
+    fringe_um : float
+        Its distance from the edge; 0 where there is none.
     """
 
     air: float
@@ -41,6 +45,8 @@ class GreyLevels:
     noise: float
     polarity: float
     blur_um: float
+    fringe: float
+    fringe_um: float
 
 
 def mode(values: Array) -> float:

@@ -21,6 +21,9 @@ class SurfaceParams:
     coating_grey : float or None
         Grey of the coating where it is known. It is needed only where a coating is nowhere thicker than the blur: grey
         and thickness of such a layer cannot be told apart. Learnt from the volume where not given.
+    fringe : "auto", "off" or float
+        Phase-contrast fringe beside every edge, as a share of the edge's step. "auto" learns its size and width where
+        the air beside the faces is darker than farther away; a number is its size, with a width of 1.5 voxels.
     cutoff_um : float
         Wavelength of the centre surface that passes by half. Hirn et al. (2009) call their centre line a smoothed mean
         of the faces and give no number; 400 um is the cut-off of a Gaussian of 75 um.
@@ -42,6 +45,7 @@ class SurfaceParams:
     sheet_grey: tuple[float, float] | None = None
     seed_um: tuple[float, float, float] | None = None
     coating_grey: float | None = None
+    fringe: Literal["auto", "off"] | float = "auto"
     cutoff_um: float = 400.0
     rim_um: float = 100.0
     envelope_um: float | None = None

@@ -16,7 +16,7 @@ from planish.core.tiles import Engine, Tile, tiles_of
 from planish.surface import _kernels
 from planish.surface.columns import Columns
 from planish.surface.faces import Faces, placed
-from planish.surface.learn import Learnt
+from planish.surface.learnt import Learnt
 from planish.surface.oriented import Guide, oriented
 
 Array = NDArray[np.float64]

@@ -1,0 +1,134 @@
+"""The phase-contrast fringe beside an edge: whether the air shows one, how large and how wide it is.
+
+A staircase that is only blurred is nowhere darker than the air; a fringe makes the air beside the face darker than the
+air farther away. Where that is not seen none is taken: an edge steeper than a Gaussian's may have other reasons.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from planish.surface.learnt import FRINGE_PX, Edge, Side
+from planish.surface.sample import Sample, Sampler
+
+Array = NDArray[np.float64]
+
+_NEAR = ((1.0, 2.0), (2.0, 3.2), (3.2, 4.8))  # from the face, in widths of the blur: where an undershoot may be seen
+_BETWEEN = (4.8, 8.0)  # a fringe is over here; a streak along the sheet is not
+_FAR = (8.0, 14.0)  # the air that it is compared with
+_OVER = 0.4  # of the undershoot that may be left between
+_SIGMAS = 4.5  # that tell the undershoot from chance
+_LEAST = 0.0015  # of the contrast: what else may be wrong with the air
+_FEW, _ROWS = 8, 5  # columns of a row, and rows, that must show the air
+_SMALLEST = 0.005  # fringe
+_WINDOW = 1.3  # widths of the blur: the blur that is found may be wider than the one without a fringe
+_LOOSE = 0.35  # logarithm of the fringe's width over the usual: where it shows little it is the usual
+_TRIALS = 90
+_SHARES = (0.0, 0.2, 0.45)  # logarithm of a thin coating's grey over the brightest that was seen
+
+
+def undershoots(sampler: Sampler, samples: dict[bool, Sample], sides: dict[bool, Side], edge: Edge) -> bool:
+    """Whether the air beside the faces is darker than the air farther away.
+
+    Parameters
+    ----------
+    sampler : Sampler
+    samples, sides : by whether it is the high side
+    edge : Edge
+        Blur with which the faces are found; it need not be more than roughly right.
+    """
+    if sampler.amid:
+        return False  # what lies beside is no air
+    depths = [_beside(sampler, samples[high], sides[high], edge) for high in samples]
+    means, errors = (np.stack(a) for a in zip(*map(_mean_error, depths), strict=True))
+    # Sides whose contrast differs are weighted by what their rows' scatter tells.
+    weight = np.where(np.isfinite(means) & (errors > 0), 1.0 / np.maximum(errors, 1e-12) ** 2, 0.0)
+    total = weight.sum(axis=0)
+    if not total.all():
+        return False
+    mean = np.sum(np.where(weight > 0, weight * means, 0.0), axis=0) / total
+    near, between = mean[:-1], mean[-1]
+    dark = (near < -_LEAST) & (near < -_SIGMAS / np.sqrt(total[:-1])) & (between > _OVER * near)
+    return bool(dark.any())
+
+
+def _mean_error(depth: Array) -> tuple[Array, Array]:
+    """Mean over the rows and its standard error; NaN where too few rows are known."""
+    count = np.isfinite(depth).sum(axis=1)
+    known = np.where(count[:, None] >= _ROWS, depth, 0.0)
+    mean, sd = np.nanmean(known, axis=1), np.nanstd(known, axis=1)
+    return np.where(count >= _ROWS, mean, np.nan), sd / np.sqrt(np.maximum(count - 1, 1))
+
+
+def _beside(sampler: Sampler, sample: Sample, side: Side, edge: Edge) -> Array:
+    """Mean grey of the air near the faces above that farther away, as a share of the contrast, (distances, rows)."""
+    face = sampler.fit(sample, side, edge)[0, 0]
+    unit = max(edge.width, 1.0)
+    contrast = side.level[2] if side.coated else side.level[3]
+    first = np.where(np.isfinite(face), face - unit * _FAR[1] / sample.tilt[0], 0.0).astype(int)
+    most = int(np.ceil(unit * _FAR[1] / float(sample.tilt.min()))) + 2
+    depth = first[:, None] + np.arange(most)
+    inside = (depth >= 0) & (depth < sample.grey.shape[2])
+    grey = np.take_along_axis(sample.grey[0], np.where(inside, depth, 0), axis=1)
+    away = (face[:, None] - depth) * sample.tilt[0][:, None] / unit
+    # What floats in the air is left out.
+    air = inside & (np.abs(grey) < 5.0 * sampler.noise)
+    rows = int(sample.row.max()) + 1
+    row = np.broadcast_to(sample.row[0][:, None], grey.shape)
+
+    def mean(first: float, last: float) -> Array:
+        use = air & (away >= first) & (away < last)
+        count = np.bincount(row[use], minlength=rows)
+        total = np.bincount(row[use], weights=grey[use], minlength=rows)
+        return np.where(count >= _FEW, total / np.maximum(count, 1), np.nan)
+
+    far = mean(*_FAR)
+    return np.stack([mean(*at) - far for at in (*_NEAR, _BETWEEN)]) / contrast
+
+
+def with_fringe(
+    sampler: Sampler, samples: dict[bool, Sample], sides: dict[bool, Side], edge: Edge, thin: list[bool]
+) -> tuple[Edge, dict[bool, Side]]:
+    """Blur and fringe, and greys of coatings that are nowhere thick, with which the staircase fits the sample best.
+
+    The edge is returned as it came where the best has no fringe.
+    """
+    few = {high: sample.thinned(3 if thin else 4) for high, sample in samples.items()}
+    size = max(sum(s.outer.size for s in few.values()), 1)
+    window = _WINDOW * max(edge.width, 1.0)
+
+    def put(at: Array) -> tuple[Edge, dict[bool, Side]]:
+        tried = Edge(
+            width=edge.width * float(np.exp(at[0])), fringe=max(float(at[1]), 0.0),
+            fringe_width=FRINGE_PX * float(np.exp(at[2])),
+        )  # fmt: skip
+        put_to = dict(sides)
+        for high, share in zip(thin, at[3:], strict=True):
+            put_to[high] = sides[high].brighter(float(np.exp(share)))
+        return tried, put_to
+
+    def cost(at: Array) -> float:
+        tried, put_to = put(at)
+        total = 0.0
+        for high, sample in few.items():
+            found = sampler.fit(sample, put_to[high], tried, window)[4]
+            total += float(np.sum(np.where(np.isfinite(found), np.minimum(found, 400.0), 400.0)))
+        loose = (float(at[2]) / _LOOSE) ** 2 + float(np.sum(at[3:] ** 2))
+        return total / size + 1e-4 * loose + max(-float(at[1]), 0.0)
+
+    steps = np.diag([0.1, 0.08, 0.25] + [0.1] * len(thin))
+
+    def search(share: float) -> tuple[float, Array]:
+        start = np.array([0.1, 0.1, 0.0] + [share] * len(thin))
+        found = optimize.minimize(
+            cost, start, method="Nelder-Mead",
+            options={"initial_simplex": np.vstack([start, start + steps]), "xatol": 2e-3, "fatol": 1e-7,
+                     "maxfev": _TRIALS},
+        )  # fmt: skip
+        return float(found.fun), np.asarray(found.x, dtype=np.float64)
+
+    best = min((search(share) for share in (_SHARES if thin else (0.0,))), key=lambda found: found[0])[1]
+    found, put_to = put(best)
+    return (found, put_to) if found.fringe > _SMALLEST else (edge, sides)

@@ -1,0 +1,111 @@
+"""What the fit of a column knows before it looks at it: the edge's profile, and levels and spreads of both sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.surface.levels import GreyLevels
+from planish.surface.oriented import Scale
+
+Array = NDArray[np.float64]
+
+FRINGE_PX = 1.5  # width of a fringe where it is not known better, in voxels
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Edge:
+    """How the scanner shows a sharp edge that a column crosses at a right angle; lengths in voxels.
+
+    Attributes
+    ----------
+    width : float
+        Standard deviation of the blur.
+    fringe : float
+        Size of the phase-contrast fringe beside it: a share of the edge's step; 0 where there is none.
+    fringe_width : float
+        Distance of its undershoot and overshoot from the edge: the standard deviation of the Gaussian whose second
+        derivative it is.
+    """
+
+    width: float
+    fringe: float = 0.0
+    fringe_width: float = FRINGE_PX
+
+    @property
+    def ratio(self) -> float:
+        """Width of the blur over that of the fringe."""
+        return self.width / self.fringe_width
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Side:
+    """What is known of the layers on one side before a column is looked at.
+
+    Attributes
+    ----------
+    level, spread : (4,)
+        Of face, thickness, grey of the coating (or of what lies outside), grey of the base: the value expected, and
+        how far a column may differ. Only those of the greys are used.
+    coated : bool
+    """
+
+    level: Array
+    spread: Array
+    coated: bool
+
+    def brighter(self, factor: float) -> Side:
+        """Return the side with a coating whose grey is known: so many times what it was."""
+        level, wide = self.level.copy(), self.spread.copy()
+        level[2] *= factor
+        wide[2] = 1e-3 * level[2]
+        return Side(level=level, spread=wide, coated=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Learnt:
+    """All that the fit of a column needs beside the column.
+
+    Attributes
+    ----------
+    scale : Scale
+    noise : float
+        Standard deviation of what the fit sees in the air.
+    base : float
+        Level of the base above the air.
+    edge : Edge
+        Blur and fringe.
+    reach : float
+        How far outside the expected face the search starts, in voxels.
+    amid : float
+        Grey at which a sheet amid other material was told from it; 0 where air lies beside the sheet.
+    high, low : Side
+        The side at the high and at the low end of the columns.
+    """
+
+    scale: Scale
+    noise: float
+    base: float
+    edge: Edge
+    reach: float
+    amid: float
+    high: Side
+    low: Side
+
+    def side(self, *, high: bool) -> Side:
+        """Return the side at one end of the columns."""
+        return self.high if high else self.low
+
+    def levels(self, pitch_um: float) -> GreyLevels:
+        """Return the levels as grey values of the volume."""
+        air, polarity = self.scale.air, self.scale.polarity
+        high, low = (
+            float(polarity * side.level[2] + air) if side.coated else float("nan") for side in (self.high, self.low)
+        )
+        return GreyLevels(
+            air=air, base=polarity * self.base + air, coating_top=high, coating_bottom=low, noise=self.noise,
+            polarity=polarity, blur_um=self.edge.width * pitch_um, fringe=self.edge.fringe,
+            fringe_um=self.edge.fringe_width * pitch_um if self.edge.fringe else 0.0,
+        )  # fmt: skip

@@ -1,0 +1,178 @@
+"""The columns that levels, blur and fringe are learnt from: read, calmed where they are noisy, and fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.errors import VolumeError
+from planish.core.tiles import Tile
+from planish.surface import _fit_kernels
+from planish.surface.columns import Columns
+from planish.surface.learnt import Edge, Side
+from planish.surface.levels import spread
+from planish.surface.oriented import Guide, Scale, oriented
+from planish.surface.params import SurfaceParams
+from planish.surface.survey import Survey
+
+Array = NDArray[np.float64]
+
+_ROWS = 24  # rows that are read for it
+_WIDTH = 1024  # columns of each of them
+_COLUMNS = 3000  # columns that are fitted
+_QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
+_CORRELATED = 1.15  # noise over that of neighbouring voxels' differences, from which on it is no longer white
+_BLENDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # voxels
+_BESIDE_UM = 15.0  # from the face into the air
+_QUIET_BLEND = 2.0  # columns
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    """Columns read from one end, as one row: (1, n, depth), with (1, n) expected faces, tilt and number of the row."""
+
+    grey: NDArray[np.float32]
+    outer: Array
+    other: Array
+    tilt: Array
+    row: NDArray[np.intp]
+
+    def thinned(self, every: int) -> Sample:
+        """Return every so-many-th column."""
+        return Sample(
+            grey=self.grey[:, ::every], outer=self.outer[:, ::every], other=self.other[:, ::every],
+            tilt=self.tilt[:, ::every], row=self.row[:, ::every],
+        )  # fmt: skip
+
+
+class Sampler:
+    """Reads sample columns from both ends and fits them; the way their grey is made ready changes as it learns.
+
+    Attributes
+    ----------
+    scale : Scale
+    noise : float
+        Standard deviation of what the fit sees in the air.
+    reach : float
+        How far outside the expected face a search starts, in voxels.
+    amid : float
+        Grey at which a sheet amid other material was told from it; 0 where air lies beside the sheet.
+    """
+
+    def __init__(self, columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> None:
+        self.columns, self.guide = columns, guide
+        self.amid = survey.coarse.threshold if params.seed_um is not None else 0.0
+        self.depth = columns.shape[2]
+        self.pitch = columns.pitch
+        self.scale = Scale(air=survey.air, polarity=survey.polarity)
+        # How far the block's face may lie from a column's own: a block's slope and the roughness.
+        self.reach = 2.0 + 1.5 * survey.coarse.block * max(self.pitch[:2]) / self.pitch[2]
+        self.noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air) + 1e-9)
+        self.rows = self._chosen_rows()
+        self.kept: dict[tuple[Tile, float], NDArray[np.float32]] = {}
+
+    def _chosen_rows(self) -> list[Tile]:
+        """Pieces of rows, spread over the sheet."""
+        guide, (_, cols, _) = self.guide, self.columns.shape
+        both = np.isfinite(guide.low) & np.isfinite(guide.high)
+        rows = np.flatnonzero(both.any(axis=1))
+        rows = rows[np.unique(np.linspace(0, rows.size - 1, min(rows.size, _ROWS)).astype(int))]
+        wide = min(cols, _WIDTH)
+        # Starts that are far apart from one row to the next: multiples of the golden section.
+        starts = ((np.arange(rows.size) * 0.6180339887498949) % 1.0 * (cols - wide + 1)).astype(int)
+        return [Tile(int(r), int(r) + 1, int(c), int(c) + wide) for r, c in zip(rows, starts, strict=True)]
+
+    def _read(self, tile: Tile, *, high: bool) -> NDArray[np.float32]:
+        # The same columns are looked at several times.
+        key = (tile, self.scale.blend)
+        if key not in self.kept:
+            if any(blend != self.scale.blend for _, blend in self.kept):
+                self.kept.clear()
+            guide = self.guide.part(self.scale.grown(tile, self.columns.shape[:2]))
+            self.kept[key] = oriented(self.columns, tile, guide, self.scale)[0]
+        part = self.kept[key]
+        return np.ascontiguousarray(part[:, ::-1]) if high else part
+
+    def sample(self, *, high: bool) -> Sample:
+        """Columns read from one end.
+
+        Raises
+        ------
+        VolumeError
+            If no column shows both faces.
+        """
+        per_row = max(1, _COLUMNS // len(self.rows))
+        parts: list[tuple[NDArray[np.float32], Array, Array, Array, NDArray[np.intp]]] = []
+        for number, tile in enumerate(self.rows):
+            guide = self.guide.part(tile)
+            outer, other = (a[0] for a in guide.faces(self.depth, high=high))
+            good = np.flatnonzero(np.isfinite(outer) & np.isfinite(other))
+            good = good[np.unique(np.linspace(0, good.size - 1, min(good.size, per_row)).astype(int))]
+            if good.size:
+                row = np.full(good.size, number)
+                parts.append((self._read(tile, high=high)[good], outer[good], other[good], guide.tilt[0, good], row))
+        if not parts:
+            raise VolumeError("No column of the volume shows both faces of the sheet. Check --through.")
+        grey, outer, other, tilt, row = (np.concatenate([p[n] for p in parts])[None] for n in range(5))
+        return Sample(grey=grey, outer=outer, other=other, tilt=tilt, row=row)  # type: ignore[arg-type]
+
+    def calm(self, base: float) -> None:
+        """Choose how far columns are averaged with their neighbours, and what noise that leaves."""
+        whole = self._air_noise()
+        if not whole > _CORRELATED * self.noise:
+            cnr = base / self.noise
+            if cnr < _QUIET:
+                # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
+                blend = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5)
+                self.scale = replace(self.scale, blend=blend)
+                self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend)
+            return
+        # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps less, so it is tried out.
+        self.noise = whole
+        for blend in _BLENDS:
+            if base / self.noise >= _QUIET:
+                return
+            self.scale = replace(self.scale, blend=blend)
+            self.noise = self._air_noise()
+
+    def _air_noise(self) -> float:
+        """Standard deviation of the air just outside the faces, as the fit will see it; NaN where there is none."""
+        if self.amid:
+            return float("nan")  # what lies beside is no air
+        return spread(np.concatenate([*self._beside()]).astype(np.float64))
+
+    def _beside(self) -> Iterator[NDArray[np.float32]]:
+        beside = int(np.ceil(_BESIDE_UM / self.pitch[2]))
+        for tile in self.rows:
+            part = self._read(tile, high=False)
+            for high in (True, False):
+                outer = self.guide.part(tile).faces(self.depth, high=high)[0][0]
+                grey = part[:, ::-1] if high else part
+                first = np.where(np.isfinite(outer), outer - self.reach, -1.0).astype(int) - beside
+                for at in (first, first - beside):
+                    held = np.flatnonzero(at >= 0)
+                    yield grey[held, at[held]]
+
+    def quiet(self, samples: dict[bool, Sample], width: float) -> dict[bool, Sample]:
+        """Sample columns that are means over their neighbours, as far as the sheet's slope does not widen the blur."""
+        guide, kept = self.guide, self.scale
+        steep = float(np.nanpercentile(np.hypot(guide.slope_r, guide.slope_c), 90)) * self.columns.step
+        blend = min(_QUIET_BLEND, 0.3 * width / max(steep, 1e-3))
+        if blend <= max(kept.blend, 0.3):
+            return samples
+        self.scale = replace(kept, blend=blend)
+        quiet = {high: self.sample(high=high) for high in samples}
+        self.scale = kept
+        return quiet
+
+    def fit(self, sample: Sample, side: Side, edge: Edge, window: float = 0.0) -> Array:
+        """Fit every column: (5, 1, n) face, thickness, both greys and cost."""
+        result = np.empty((5, *sample.outer.shape))
+        _fit_kernels.fit_faces(
+            sample.grey, sample.outer, sample.other, sample.tilt, 0.0, edge.width, self.noise, side.level, side.spread,
+            side.coated, self.reach, result, window, self.amid, edge.fringe or None, edge.ratio,
+        )  # fmt: skip
+        return result
