@@ -17,7 +17,6 @@ from planish.analyze import correlate, correlate_at
 from planish.compute import Compute, by_name, column_step, engine, run_key
 from planish.core.errors import CannotRegister, InputError, MarkError, PlanishError, ResourceError, VolumeError
 from planish.core.frame import Frame
-from planish.core.transform import Similarity
 from planish.flatten import Flattened, FlattenParams, flatten_sheet
 from planish.io import find_place, fingerprint, read_image, read_volume
 from planish.io.run_folder import new_folder, refuse_existing, work_folder, write_json, write_tree
@@ -26,7 +25,7 @@ from planish.marks import find_holes, write_marks
 from planish.marks.files import read_pairs
 from planish.measure import PROPERTIES, measure_properties
 from planish.properties import further_maps, further_results, measure_more, number_results, with_angles
-from planish.register import FittedTransform, Model, fit_transform, match_marks
+from planish.register import FittedTransform, Model, Transform, fit_transform, match_marks
 from planish.report import write_report
 from planish.resample import covering_grid, find_places, resample, resample_dataset
 from planish.results import (
@@ -59,6 +58,9 @@ def _silent(_stage: str, _detail: str) -> None:
     """Say nothing: what a program that calls a run wants unless it asks."""
 
 
+MODEL_WORDS = {
+    "rigid": "rigid", "similarity": "similarity", "affine": "affine", "projective": "projective", "tps": "spline"
+}  # fmt: skip
 ROWS = ("projection, no scale", "projection, similarity", "flattened, similarity")
 
 
@@ -382,7 +384,7 @@ def link_sheet(
         moving_um, fixed_um, mirrored = _given_pairs(given, flat, surfaces, mirror=r.mirror)
         labels = [str(v) for v in given["label"].values]
         blocked, blocked_d = fixed_um, np.full(len(fixed_um), float(np.mean(r.hole_um)))
-    fit = fit_transform(moving_um, fixed_um, model="similarity", mirrored=mirrored)
+    fit = fit_transform(moving_um, fixed_um, model=r.model, mirrored=mirrored)
     projected_um = _at_flat(maps, ("projected_u", "projected_v"), moving_um)
     scale_off = abs(fit.transform.scale - 1)
     if scale_off > r.scale_tolerance:
@@ -395,20 +397,26 @@ def link_sheet(
     shape = (int(image.shape[0]), int(image.shape[1]))
     away = _outside(shape, pixel, blocked, 0.5 * blocked_d + study.surface.rim_um)
     linked = _linked(surfaces, flat, fit.transform, image, pixel, away)
+    linked["expected_error"] = _expected_error(fit, linked)
     headline = "coating_top" if np.isfinite(linked["coating_top"]).any() else "thickness"
     tell("correlate", headline)
-    ways: tuple[tuple[str, tuple[str, str], Array, Model], ...] = (
+    # Least squares of all marks, as in the paper: marks that do not fit are what shows that a way is wrong.
+    kinds: tuple[tuple[str, tuple[str, str], Array, Model], ...] = (
         (ROWS[0], ("projected_u", "projected_v"), projected_um, "rigid"),
         (ROWS[1], ("projected_u", "projected_v"), projected_um, "similarity"),
         (ROWS[2], ("u", "v"), moving_um, "similarity"),
     )
+    ways: list[tuple[str, tuple[str, str], FittedTransform]] = [
+        (name, uv, fit_transform(marks, fixed_um, model=model, mirrored=mirrored, robust=False))
+        for name, uv, marks, model in kinds
+    ]
+    if fit.model != "similarity":
+        ways.append((f"flattened, {MODEL_WORDS[fit.model]}", ("u", "v"), fit))
     table = [
         row
-        for name, uv, marks, model in ways
+        for name, uv, way in ways
         for row in _table_rows(
-            name, surfaces, flat, uv, fit_transform(marks, fixed_um, model=model, mirrored=mirrored), image,
-            pixel, away,
-            headline, study.correlate.point_um,
+            name, surfaces, flat, uv, way, image, pixel, away, headline, study.correlate.point_um
         )
     ]  # fmt: skip
     study = run.study.model_copy(
@@ -418,7 +426,7 @@ def link_sheet(
     results["inputs"]["image"] = (
         input_results(image, Path(study.image.path), pixel_um=list(pixel)) if study.image else None
     )
-    results["marks"] = seen | mark_results(fit)
+    results["marks"] = seen | mark_results(fit, linked)
     results["headline"] = headline
     results["table"] = table
     results["correlation"] = _correlations(linked, pixel, study.correlate.point_um)
@@ -542,11 +550,7 @@ def _given_pairs(
         raise MarkError(
             f"{len(fixed)} control points given, a similarity needs 3 to say how good it is. Add more, far apart."
         )
-    plain = fit_transform(moving, fixed, model="similarity", mirrored=False)
-    if not mirror:
-        return moving, fixed, False
-    turned = fit_transform(moving, fixed, model="similarity", mirrored=True)
-    return moving, fixed, turned.rms_um < plain.rms_um
+    return moving, fixed, fit_transform(moving, fixed, mirrored=None if mirror else False).mirrored
 
 
 def _bilinear(field: Array, row: Array, col: Array) -> Array:
@@ -586,7 +590,7 @@ def _outside(shape: tuple[int, int], pixel: tuple[float, float], centres: Array,
 
 
 def _linked(
-    surfaces: xr.Dataset, flat: xr.Dataset, transform: Similarity, image: xr.DataArray, pixel: tuple[float, float],
+    surfaces: xr.Dataset, flat: xr.Dataset, transform: Transform, image: xr.DataArray, pixel: tuple[float, float],
     away: NDArray[np.bool_],
 ) -> xr.Dataset:  # fmt: skip
     """All maps on the image's pixel grid, in one step from the mesh: nothing is resampled twice."""
@@ -601,6 +605,19 @@ def _linked(
     valid = np.isfinite(linked["thickness"].values) & np.isfinite(image.values) & away
     linked["valid"] = (("y", "x"), valid, {"long_name": "Measured, and away from holes and their rims"})
     return _single(linked)
+
+
+def _expected_error(fit: FittedTransform, linked: xr.Dataset) -> xr.DataArray:
+    """How far each pixel that shows the sheet may be off, in um of the image.
+
+    It varies over millimetres: it is worked out on a lattice of at most some 200 x 200 places and interpolated between.
+    """
+    at = [np.linspace(v[0], v[-1], min(v.size, 200)) for v in (linked["y"].values, linked["x"].values)]
+    places = np.stack(np.meshgrid(at[1], at[0]), axis=-1)
+    coarse = xr.DataArray(fit.expected_error_um(fit.inverse(places)), dims=("y", "x"), coords={"y": at[0], "x": at[1]})
+    fine = coarse.interp(y=linked["y"], x=linked["x"]).values
+    shown = np.where(np.isfinite(linked["u"].values), fine, np.nan).astype(np.float32)
+    return xr.DataArray(shown, dims=("y", "x"), attrs={"long_name": "Expected error of the place, rms", "units": "um"})
 
 
 def _table_rows(

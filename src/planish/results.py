@@ -43,8 +43,10 @@ def marks_table(labels: list[str], moving: Array, fixed: Array, fit: FittedTrans
         "residual_y": residual[:, 1],
         "residual": np.hypot(residual[:, 0], residual[:, 1]),
         "leave_one_out": fit.leave_one_out_um,
+        "weight": fit.robust_weights,
     }
     data = xr.Dataset({k: ("mark", v, um) for k, v in values.items()})
+    data["weight"].attrs["units"] = "1"
     data["label"] = ("mark", np.array(labels, dtype=object))
     return data
 
@@ -157,13 +159,21 @@ def flatten_results(flattened: Flattened) -> dict[str, Any]:
     }
 
 
-def mark_results(fit: FittedTransform) -> dict[str, Any]:
-    """The transformation and how well the marks agree."""
+def mark_results(fit: FittedTransform, linked: xr.Dataset) -> dict[str, Any]:
+    """The transformation, how well the marks agree, and what that says of the pixels."""
     t = fit.transform
+    error = linked["expected_error"].values[linked["valid"].values]
+    error = error[np.isfinite(error)]
     return {
         "matched": len(fit.residuals_um),
+        "model": fit.model,
+        "model_sentence": fit.sentence,
+        "warnings": list(fit.warnings),
+        "expected_error_um": {"median": _finite(float(np.median(error))), "largest": _finite(float(error.max()))}
+        if error.size
+        else None,
         "rms_um": float(fit.rms_um),
-        "leave_one_out_rms_um": _finite(float(np.sqrt(np.mean(fit.leave_one_out_um**2)))),
+        "leave_one_out_rms_um": _finite(fit.leave_one_out_rms_um),
         "scale": t.scale,
         "rotation_deg": float(np.rad2deg(t.rotation_rad)),
         "shift_um": [float(v) for v in t.shift_um],

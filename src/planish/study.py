@@ -121,6 +121,7 @@ class RegistrationSection(Section):
     scale_tolerance: Annotated[float, Field(gt=0, lt=0.5)] = 0.03
     tolerance_um: Length = 25.0
     mirror: bool = False
+    model: Literal["rigid", "similarity", "affine", "projective", "tps", "auto"] = "auto"
 
 
 class CorrelateSection(Section):

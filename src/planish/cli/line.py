@@ -117,7 +117,7 @@ def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool
     holes. RUN gets maps.zarr, marks.csv, results.json, report.html and run.toml.
     """
     registration = {"marks": str(marks.absolute()) if marks else None}
-    registration |= {k: options[k] for k in ("mirror", "tolerance_um", "hole_um")}
+    registration |= {k: options[k] for k in ("mirror", "tolerance_um", "hole_um", "model")}
     study = _checked(
         {
             "volume": _volume(volume, options),

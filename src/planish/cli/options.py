@@ -349,6 +349,14 @@ match_options = _stack(
         show_default=True,
         help="How far apart two marks may be to belong together.",
     ),
+    click.option(
+        "--model",
+        type=click.Choice(["rigid", "similarity", "affine", "projective", "tps", "auto"]),
+        default="auto",
+        show_default=True,
+        help="What takes the sheet to the image. auto climbs from rigid to the thin-plate spline (tps) as far as the "
+        "marks support it.",
+    ),
 )
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")

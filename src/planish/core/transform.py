@@ -1,4 +1,4 @@
-"""The similarity transformation between two maps: rotation, shift, one scale, and a mirror where declared."""
+"""The transformations between two maps that a few numbers describe: similarity, affine, projective."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+Pair = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,18 +29,22 @@ class Similarity:
 
     scale: float = 1.0
     rotation_rad: float = 0.0
-    shift_um: tuple[float, float] = (0.0, 0.0)
+    shift_um: Pair = (0.0, 0.0)
     mirrored: bool = False
 
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Floats:
         """Return the 2 x 2 linear part."""
         cos, sin = np.cos(self.rotation_rad), np.sin(self.rotation_rad)
         flip = -1.0 if self.mirrored else 1.0
         return self.scale * np.array([[cos * flip, -sin], [sin * flip, cos]])
 
-    def __call__(self, points: ArrayLike) -> NDArray[np.float64]:
+    def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, ``(x, y)`` in um; NaN stays NaN."""
         return np.asarray(points, dtype=np.float64) @ self.matrix().T + np.asarray(self.shift_um)
+
+    def jacobian(self, points: ArrayLike) -> Floats:
+        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
+        return _everywhere(self.matrix(), points)
 
     @property
     def inverse(self) -> Similarity:
@@ -55,3 +62,180 @@ class Similarity:
             shift_um=(float(shift[0]), float(shift[1])),
             mirrored=self.mirrored,
         )
+
+
+def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Similarity:
+    """Return the similarity that changes areas and turns as a linear map does, and takes one point to another.
+
+    Parameters
+    ----------
+    linear : ndarray, shape (2, 2)
+        Derivatives of a transformation at ``source``.
+    source, target : ndarray, shape (2,), in um
+        A point and its image.
+    """
+    det = float(np.linalg.det(linear))
+    plain = linear @ np.diag([-1.0, 1.0]) if det < 0 else linear
+    rotation = float(np.arctan2(plain[1, 0] - plain[0, 1], plain[0, 0] + plain[1, 1]))
+    turn = Similarity(scale=float(np.sqrt(abs(det))), rotation_rad=rotation, mirrored=det < 0)
+    shift = target - turn(source)
+    return Similarity(
+        scale=turn.scale, rotation_rad=rotation, shift_um=(float(shift[0]), float(shift[1])), mirrored=det < 0
+    )
+
+
+class NearSimilarity:
+    """What every transformation that is close to a similarity can say of itself: the similarity at one point."""
+
+    __slots__ = ()
+
+    @property
+    def similarity(self) -> Similarity:
+        """The similarity that is closest at the middle of the marks."""
+        raise NotImplementedError
+
+    @property
+    def scale(self) -> float:
+        """Ratio of lengths at the middle of the marks: root of the ratio of areas."""
+        return self.similarity.scale
+
+    @property
+    def rotation_rad(self) -> float:
+        """Mean rotation at the middle of the marks, in rad."""
+        return self.similarity.rotation_rad
+
+    @property
+    def shift_um(self) -> Pair:
+        """Image of the origin under the closest similarity, in um."""
+        return self.similarity.shift_um
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the transformation changes handedness."""
+        return self.similarity.mirrored
+
+    def matrix(self) -> Floats:
+        """Return the 2 x 2 derivatives at the middle of the marks."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Affine(NearSimilarity):
+    """A map ``p -> linear @ (p - source) + target`` of points ``(x, y)`` in um.
+
+    Attributes
+    ----------
+    linear : tuple of tuple of float
+        The 2 x 2 linear part, row by row.
+    source, target : tuple of float, in um
+        A point, by custom the middle of the marks, and its image.
+    """
+
+    linear: tuple[Pair, Pair]
+    source: Pair = (0.0, 0.0)
+    target: Pair = (0.0, 0.0)
+
+    def matrix(self) -> Floats:
+        """Return the 2 x 2 linear part."""
+        return np.array(self.linear)
+
+    def __call__(self, points: ArrayLike) -> Floats:
+        """Transform points of shape ``(..., 2)``, in um; NaN stays NaN."""
+        return (np.asarray(points, dtype=np.float64) - self.source) @ self.matrix().T + np.asarray(self.target)
+
+    def jacobian(self, points: ArrayLike) -> Floats:
+        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``."""
+        return _everywhere(self.matrix(), points)
+
+    @property
+    def inverse(self) -> Affine:
+        """The transformation back."""
+        return Affine(
+            linear=_rows(np.asarray(np.linalg.inv(self.matrix()), dtype=np.float64)),
+            source=self.target,
+            target=self.source,
+        )
+
+    @property
+    def similarity(self) -> Similarity:
+        """The closest similarity."""
+        return nearest_similarity(self.matrix(), np.array(self.source), np.array(self.target))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Projective(NearSimilarity):
+    """A map that keeps straight lines straight, as the oblique view of a flat sheet does.
+
+    ``(a, b, c) = homography @ (x', y', 1)`` and the image is ``target + target_size * (a / c, b / c)``, with
+    ``(x', y') = (p - source) / source_size``. Points from which ``c`` is not positive lie behind the camera: NaN.
+
+    Attributes
+    ----------
+    homography : tuple of tuple of float
+        The 3 x 3 matrix in scaled coordinates, row by row.
+    source, target : tuple of float, in um
+        Middle of the marks on either side.
+    source_size, target_size : float, in um
+        Their rms distances from it.
+    """
+
+    homography: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+    source: Pair
+    target: Pair
+    source_size: float
+    target_size: float
+
+    def _projected(self, points: ArrayLike) -> tuple[Floats, Floats]:
+        """Numerators (..., 2) and denominator (...)."""
+        h = np.array(self.homography)
+        at = (np.asarray(points, dtype=np.float64) - self.source) / self.source_size
+        below = at @ h[2, :2] + h[2, 2]
+        return at @ h[:2, :2].T + h[:2, 2], np.where(below > 0, below, np.nan)
+
+    def __call__(self, points: ArrayLike) -> Floats:
+        """Transform points of shape ``(..., 2)``, in um; NaN stays NaN, and is the image of what lies behind."""
+        above, below = self._projected(points)
+        return above / below[..., None] * self.target_size + np.asarray(self.target)
+
+    def jacobian(self, points: ArrayLike) -> Floats:
+        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``."""
+        h = np.array(self.homography)
+        above, below = self._projected(points)
+        image = above / below[..., None]
+        ratio = self.target_size / self.source_size
+        return ratio * (h[:2, :2] - image[..., :, None] * h[2, :2]) / below[..., None, None]
+
+    @property
+    def inverse(self) -> Projective:
+        """The transformation back."""
+        back = np.linalg.inv(np.array(self.homography))
+        # The sign is free; the denominator has to be positive where the marks are.
+        a, b, c = np.array(self.homography)[:, 2]
+        back *= np.sign(back[2] @ (a / c, b / c, 1.0))
+        return Projective(
+            homography=tuple((float(r[0]), float(r[1]), float(r[2])) for r in back),  # pyright: ignore[reportArgumentType]
+            source=self.target,
+            target=self.source,
+            source_size=self.target_size,
+            target_size=self.source_size,
+        )
+
+    def matrix(self) -> Floats:
+        """Return the 2 x 2 derivatives at the middle of the marks."""
+        return self.jacobian(np.array(self.source))
+
+    @property
+    def similarity(self) -> Similarity:
+        """The similarity that is closest at the middle of the marks."""
+        middle = np.array(self.source)
+        return nearest_similarity(self.jacobian(middle), middle, self(middle))
+
+
+def _rows(linear: Floats) -> tuple[Pair, Pair]:
+    (a, b), (c, d) = linear.tolist()
+    return (float(a), float(b)), (float(c), float(d))
+
+
+def _everywhere(matrix: Floats, points: ArrayLike) -> Floats:
+    shape = np.shape(np.asarray(points))[:-1]
+    return np.broadcast_to(matrix, (*shape, 2, 2)).copy()

@@ -19,7 +19,7 @@ from planish.core.errors import FileError, MarkError
 MOVING = ("moving_x_um", "moving_y_um")
 VOLUME = ("volume_x_um", "volume_y_um", "volume_z_um")
 FIXED = ("fixed_x_um", "fixed_y_um")
-RESULTS = ("residual_um", "leave_one_out_um", "used")
+RESULTS = ("residual_um", "leave_one_out_um", "weight", "used")
 LARGEST_FILE = 10_000_000
 MOST_FAULTS = 8
 
@@ -106,7 +106,7 @@ def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
     ----------
     dataset : Dataset, dims (mark), in um
         ``moving_x, moving_y`` (or ``volume_x, volume_y, volume_z``), ``fixed_x, fixed_y``; optionally ``label``,
-        ``residual``, ``leave_one_out`` and ``used``, under these names or with ``_um`` at the end.
+        ``residual``, ``leave_one_out``, ``weight`` and ``used``, under these names or with ``_um`` at the end.
     path : str or Path
 
     Raises

@@ -1,6 +1,8 @@
 """Marks of two maps -> which belong together, the transformation between them, and how far it may be off."""
 
-from planish.register.fit import FittedTransform, Model, fit_transform
+from planish.register.fit import Model, fit_transform
 from planish.register.match import Matched, match_marks
+from planish.register.result import FittedSimilarity, FittedTransform
+from planish.register.strain import Transform
 
-__all__ = ["FittedTransform", "Matched", "Model", "fit_transform", "match_marks"]
+__all__ = ["FittedSimilarity", "FittedTransform", "Matched", "Model", "Transform", "fit_transform", "match_marks"]

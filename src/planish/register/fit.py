@@ -1,143 +1,53 @@
-"""Least-squares transformation between paired marks, with what it says about its own error.
-
-Points are complex numbers here: with ``z = x + iy`` a similarity is ``w = alpha z + beta``, least squares is ordinary
-linear regression, and leverages and leave-one-out errors have closed forms.
-"""
+"""Least-squares transformation between paired marks, with what it says about its own error: the door."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planish.core.errors import MarkError
 from planish.core.transform import Similarity
+from planish.register.ladder import RUNGS, climb, settled_weights
+from planish.register.models import MODELS
+from planish.register.pairs import Pairs, checked, listed, refuse_other_hand, rms_of_both_hands
+from planish.register.result import FittedSimilarity, FittedTransform, weighted_rms
+from planish.register.smoothing import LEAST, fit_thin_plate
+from planish.register.solve import noise_of
+from planish.register.strain import NOTABLE, Strain, Transform, strain_of
 
 Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Model = Literal["similarity", "rigid"]
+Model = Literal["rigid", "similarity", "affine", "projective", "tps", "auto"]
 
-# Marks closer together than this share of their distance from the origin cannot be told apart in float64.
-COINCIDENT = 1e-9
+_FEW = 6
+_SCALES = (0.8, 1.25)
+# Residuals over the spread of the marks from which on the pairs, not their errors, are in doubt.
+_DISAGREE = 0.05
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FittedTransform:
-    """A transformation fitted to marks, and its errors.
+@overload
+def fit_transform(
+    moving: ArrayLike,
+    fixed: ArrayLike,
+    *,
+    model: Literal["rigid", "similarity"] = "similarity",
+    mirrored: bool | None = False,
+    weights: ArrayLike | None = None,
+    robust: bool = True,
+) -> FittedSimilarity: ...
 
-    Call it with points ``(..., 2)``, ``(x, y)`` in um of the moving frame to get points of the fixed frame.
 
-    Attributes
-    ----------
-    transform : Similarity
-        The fitted map, moving to fixed.
-    model : {"similarity", "rigid"}
-        What was fitted; ``rigid`` keeps scale 1.
-    moving, fixed : ndarray, shape (n, 2), in um
-        The marks as given.
-    weights : ndarray, shape (n,)
-        Relative weights, 1 where none were given.
-    residuals_um : ndarray, shape (n, 2), in um
-        ``fixed - transform(moving)``, in the fixed frame.
-    leave_one_out_um : ndarray, shape (n,), in um
-        Distance by which the fit to all other marks misses each mark; NaN where the others fix no transformation.
-    """
-
-    transform: Similarity
-    model: Model
-    moving: Floats
-    fixed: Floats
-    weights: Floats
-    residuals_um: Floats
-    leave_one_out_um: Floats
-
-    def __call__(self, points: ArrayLike) -> Floats:
-        """Transform points of shape ``(..., 2)``, in um, from the moving to the fixed frame."""
-        return self.transform(points)
-
-    @property
-    def inverse(self) -> Similarity:
-        """The transformation from the fixed to the moving frame."""
-        return self.transform.inverse
-
-    @property
-    def rms_um(self) -> float:
-        """Root mean square length of the residuals, weighted, in um (fiducial registration error)."""
-        squares = np.sum(self.residuals_um**2, axis=1)
-        return float(np.sqrt(np.sum(self.weights * squares) / np.sum(self.weights)))
-
-    @property
-    def localisation_error_um(self) -> float:
-        """Error of one pair of marks that the residuals speak for, rms in the plane, in um; NaN where none are left.
-
-        ``rms**2 = (1 - 2/n) * error**2`` for a similarity and ``(1 - 3/(2n))`` for a rigid transformation.
-        """
-        used = int(np.count_nonzero(self.weights))
-        freedom = used - (2.0 if self.model == "similarity" else 1.5)
-        if used < 3:
-            return float("nan")
-        return self.rms_um * float(np.sqrt(used / freedom))
-
-    def expected_error_um(self, points: ArrayLike) -> Floats:
-        """Expected distance between the fitted and the true image of each point.
-
-        Parameters
-        ----------
-        points : array-like, shape (..., 2), in um
-            Places ``(x, y)`` in the moving frame, as taken by the transformation itself. For places of the fixed frame
-            pass ``fit.inverse(points)``.
-
-        Returns
-        -------
-        ndarray, shape (...), in um
-            Root mean square error. All NaN with two marks: they fit exactly and say nothing of their error.
-
-        Notes
-        -----
-        ``error**2 = FLE**2 / n * (1 + d**2 / f**2)`` for a similarity, ``d**2 / (2 f**2)`` for a rigid transformation,
-        with ``d`` the distance from the centroid of the marks, ``f`` their rms distance from it, and ``FLE`` from
-        `localisation_error_um`. With fewer than 6 marks FLE itself is known to no better than about 40 %.
-
-        References
-        ----------
-        Fitzpatrick and West (2001), IEEE Trans. Med. Imaging 20, 917, doi:10.1109/42.952729.
-        """
-        total = np.sum(self.weights)
-        centre = self.weights @ self.moving / total
-        spread = np.sum(self.weights * np.sum((self.moving - centre) ** 2, axis=1)) / total
-        away = np.sum((np.asarray(points, dtype=np.float64) - centre) ** 2, axis=-1)
-        turn = 1.0 if self.model == "similarity" else 0.5
-        # With weights, 1/n becomes the share of the centroid's variance in the variance of a mark of mean weight.
-        used = np.count_nonzero(self.weights)
-        return np.asarray(self.localisation_error_um * np.sqrt((1.0 + turn * away / spread) / used))
-
-    def to_json(self) -> str:
-        """Return the fit as JSON text: the transformation, its matrix, and the errors of every mark, lengths in um."""
-
-        def plain(values: Floats) -> list[float | None]:
-            return [float(value) if np.isfinite(value) else None for value in values]
-
-        fle = self.localisation_error_um
-        return json.dumps(
-            {
-                "model": self.model,
-                "scale": self.transform.scale,
-                "rotation_rad": self.transform.rotation_rad,
-                "shift_um": list(self.transform.shift_um),
-                "mirrored": self.transform.mirrored,
-                "matrix": self.transform.matrix().tolist(),
-                "rms_um": self.rms_um,
-                "localisation_error_um": fle if np.isfinite(fle) else None,
-                "moving_um": self.moving.tolist(),
-                "fixed_um": self.fixed.tolist(),
-                "weights": self.weights.tolist(),
-                "residuals_um": self.residuals_um.tolist(),
-                "leave_one_out_um": plain(self.leave_one_out_um),
-            }
-        )
+@overload
+def fit_transform(
+    moving: ArrayLike,
+    fixed: ArrayLike,
+    *,
+    model: Model,
+    mirrored: bool | None = False,
+    weights: ArrayLike | None = None,
+    robust: bool = True,
+) -> FittedTransform: ...
 
 
 def fit_transform(
@@ -145,22 +55,31 @@ def fit_transform(
     fixed: ArrayLike,
     *,
     model: Model = "similarity",
-    mirrored: bool = False,
+    mirrored: bool | None = False,
     weights: ArrayLike | None = None,
+    robust: bool = True,
 ) -> FittedTransform:
     """Fit the transformation that takes the moving marks to the fixed marks by least squares.
 
     Parameters
     ----------
     moving, fixed : array-like, shape (n, 2), in um
-        Paired marks ``(x, y)``. Two pairs fix the transformation exactly; from three on the residuals say something of
-        the error.
-    model : {"similarity", "rigid"}
-        Rotation and shift with one scale, or without scale (scale 1).
-    mirrored : bool
-        Whether the moving x axis runs the other way, as when the two maps show opposite sides of the sheet.
-    weights : array-like, shape (n,), optional
-        Proportional to one over the variance of each pair; 0 leaves a pair out of the fit but reports its residual.
+        Paired marks ``(x, y)``. From one pair more than fixes the model on, the residuals say something of the error.
+    model : {"similarity", "rigid", "affine", "projective", "tps", "auto"}
+        Rotation and shift with one scale; without scale (scale 1); with a linear map; as a flat sheet is seen
+        obliquely; a thin-plate spline with the smoothing under which marks left out are missed least. At least 2, 2,
+        3, 4 and 6 pairs. ``auto`` climbs from rigid to the spline as long as marks left out are missed by over 10 %
+        less, and by more than chance.
+    mirrored : bool or None
+        Whether the moving x axis runs the other way, as when the two maps show opposite sides of the sheet. ``None``
+        takes the hand that fits better.
+    weights : array-like, shape (n,) or (n, 2, 2), optional
+        Proportional to one over the variance of each pair, 0 leaves a pair out of the fit but reports its residual; or
+        the covariance of each pair in the fixed frame, that of the moving mark (turned into that frame) and of the
+        fixed mark added. Their common factor is found from the residuals.
+    robust : bool
+        Whether marks that do not agree with the others are weighted down. Where no mark is further off than chance puts
+        the furthest of n marks once in a hundred times, all weights are exactly 1 and nothing changes.
 
     Returns
     -------
@@ -170,17 +89,21 @@ def fit_transform(
     Raises
     ------
     MarkError
-        If there are fewer than two pairs, counts differ, a coordinate or weight is not finite, or all marks of one side
-        coincide.
+        If counts differ, a coordinate or weight is not finite, there are too few pairs, a mark is given twice, all
+        marks of one side coincide, or the marks fit only with the other handedness (exchanged columns, undeclared
+        mirror).
+    CannotRegister
+        If the marks leave a parameter free, as marks on one line do, or the transformation folds between them.
 
     Notes
     -----
-    The leave-one-out error of a similarity is ``|e| / (1 - h)`` with leverage ``h = w/sum(w) + w|z|**2/sum(w|z|**2)``;
-    that of a rigid transformation is found by refitting without each mark.
+    Leave-one-out errors of similarity and affine are ``(I - H)**-1 e`` with the block H of the hat matrix; those of
+    rigid and projective are found by refitting without each mark; those of the spline hold its smoothing fixed.
 
     References
     ----------
     Umeyama (1991), IEEE Trans. Pattern Anal. Mach. Intell. 13, 376, doi:10.1109/34.88573.
+    Hartley (1997), IEEE Trans. Pattern Anal. Mach. Intell. 19, 580, doi:10.1109/34.601246.
     Hirn et al. (2009), section 2.4: control points, translation with rotation and rescaling, least squares.
 
     Examples
@@ -189,95 +112,85 @@ def fit_transform(
     >>> round(fit.transform.scale, 6), round(float(np.degrees(fit.transform.rotation_rad)), 6)
     (1.0, 90.0)
     """
-    source, target, share = _checked(moving, fixed, weights, model)
-    z = _complex(source, mirrored)
-    w = _complex(target, False)
-    z_mean, w_mean = np.sum(share * z) / np.sum(share), np.sum(share * w) / np.sum(share)
-    zc, wc = z - z_mean, w - w_mean
-    alpha = _turn(np.sum(share * zc.conj() * wc), np.sum(share * np.abs(zc) ** 2), model)
-    beta = w_mean - alpha * z_mean
-    left_over = wc - alpha * zc
-    return FittedTransform(
-        transform=Similarity(
-            scale=float(abs(alpha)) if model == "similarity" else 1.0,
-            rotation_rad=float(np.angle(alpha)),
-            shift_um=(float(beta.real), float(beta.imag)),
-            mirrored=mirrored,
-        ),
-        model=model,
-        moving=source,
-        fixed=target,
-        weights=share,
-        residuals_um=np.stack([left_over.real, left_over.imag], axis=1),
-        leave_one_out_um=_leave_one_out(zc, wc, share, left_over, model),
+    if model not in (*RUNGS, "auto"):
+        raise MarkError(f"The model is {model!r}; it has to be one of {', '.join(RUNGS)} or auto.")
+    pairs = checked(moving, fixed, weights)
+    used = pairs.weights > 0
+    some = pairs.take(used)
+    count = len(some)
+    if model != "auto":
+        least = LEAST if model == "tps" else MODELS[model].least
+        if count < least:
+            raise MarkError(
+                f"{count} pairs of marks given, a model of type {model} needs {least}. Add {least - count} or more, "
+                "away from the others, or choose a model with fewer parameters."
+            )
+    if mirrored is None:
+        missed, _ = rms_of_both_hands(some)
+        hand = missed[True] < missed[False]
+    else:
+        hand = mirrored
+        refuse_other_hand(some, hand)
+    share = np.ones(len(pairs))
+    if model == "auto":
+        rung, share[used], sentence = climb(some, hand, robust=robust)
+    else:
+        rung, sentence = model, ""
+        if robust:
+            share[used] = settled_weights(some, rung, hand)
+    final = pairs.times(share)
+    held = final.take(final.weights > 0)
+    transform: Transform = fit_thin_plate(held) if rung == "tps" else MODELS[rung].fit(held, hand)
+    strain = strain_of(transform, held.moving, hand)
+    residuals = pairs.fixed - transform(pairs.moving)
+    lengths = np.linalg.norm(residuals, axis=1)
+    about = f"{rung} from {len(held)} marks: residuals {weighted_rms(lengths, final.weights):.3g} um rms."
+    return (FittedSimilarity if isinstance(transform, Similarity) else FittedTransform)(
+        transform=transform,  # pyright: ignore[reportArgumentType]
+        model=rung,
+        moving=pairs.moving,
+        fixed=pairs.fixed,
+        information=final.information,
+        robust_weights=share,
+        residuals_um=residuals,
+        noise=None if rung == "tps" else noise_of(final, transform, MODELS[rung], share),  # pyright: ignore[reportArgumentType]
+        warnings=_warnings(final, share, lengths, transform, strain),
+        sentence=f"{sentence} {about}".strip(),
     )
 
 
-def _complex(points: Floats, mirrored: bool) -> Complexes:
-    return (-points[:, 0] if mirrored else points[:, 0]) + 1j * points[:, 1]
-
-
-def _turn(product: complex, square: float, model: Model) -> complex:
-    """Return alpha from ``sum(w conj(z) w')`` and ``sum(w |z|**2)`` of centred points."""
-    if square <= 0.0 or abs(product) <= COINCIDENT * square:
-        raise MarkError(
-            "The marks fix no rotation: the directions between them disagree completely on the two sides. "
-            "Check that every row pairs the same hole on both sides."
+def _warnings(pairs: Pairs, share: Floats, lengths: Floats, transform: Transform, strain: Strain) -> tuple[str, ...]:
+    said: list[str] = []
+    doubted = np.flatnonzero((share < 1.0) & (lengths > 0))
+    if doubted.size:
+        off = ", ".join(f"{lengths[k]:.3g}" for k in doubted[:8])
+        said.append(
+            f"Mark{'s' * (doubted.size > 1)} {listed(doubted)} (counted from 0) do{'es' * (doubted.size == 1)} not "
+            f"agree with the others (off by {off} um) and count{'s' * (doubted.size == 1)} less or not at all. "
+            "Check them."
         )
-    return product / square if model == "similarity" else product / abs(product)
-
-
-def _leave_one_out(zc: Complexes, wc: Complexes, share: Floats, left_over: Complexes, model: Model) -> Floats:
-    total, square = np.sum(share), np.sum(share * np.abs(zc) ** 2)
-    leverage = share / total + share * np.abs(zc) ** 2 / square
-    # Leverage 1: without this mark the others coincide (or one alone is left), and fix nothing.
-    lonely = 1.0 - leverage < COINCIDENT
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if model == "similarity":
-            errors = np.abs(left_over) / (1.0 - leverage)
-        else:
-            # Sums without mark i follow from the full sums of centred points, so all refits are done at once.
-            rest = total - share
-            z_rest, w_rest = -share * zc / rest, -share * wc / rest
-            product = np.sum(share * zc.conj() * wc) - share * zc.conj() * wc - rest * z_rest.conj() * w_rest
-            alpha = product / np.abs(product)
-            errors = np.abs((wc - w_rest) - alpha * (zc - z_rest))
-    return np.where(lonely, np.nan, errors)
-
-
-def _checked(
-    moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None, model: str
-) -> tuple[Floats, Floats, Floats]:
-    if model not in ("similarity", "rigid"):
-        raise MarkError(f"The model is {model!r}; it has to be 'similarity' or 'rigid'.")
-    source, target = np.array(moving, dtype=np.float64), np.array(fixed, dtype=np.float64)
-    for name, points in (("moving", source), ("fixed", target)):
-        if points.size and (points.ndim != 2 or points.shape[1] != 2):
-            raise MarkError(f"The {name} marks have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row.")
-    if len(source) != len(target):
-        raise MarkError(f"{len(source)} moving and {len(target)} fixed marks given; every mark needs its partner.")
-    share = np.ones(len(source)) if weights is None else np.array(weights, dtype=np.float64)
-    faults: list[str] = []
-    if share.shape != (len(source),):
-        faults.append(f"the weights have shape {share.shape}, {len(source)} marks need ({len(source)},)")
-    elif not (np.all(np.isfinite(share)) and np.all(share >= 0.0)):
-        faults.append("weights have to be finite and not negative")
-    for name, points in (("moving", source), ("fixed", target)):
-        bad = np.flatnonzero(~np.all(np.isfinite(points), axis=-1)) if points.size else np.array([], dtype=np.intp)
-        if bad.size:
-            faults.append(f"{name} mark{'s' * (bad.size > 1)} {', '.join(str(i) for i in bad[:8])} not finite")
-    if faults:
-        raise MarkError(f"The marks cannot be used: {'; '.join(faults)}. Correct or remove them.")
-    used = int(np.count_nonzero(share))
-    if used < 2:
-        raise MarkError(
-            f"{used} pair{'s' * (used != 1)} of marks given, a transformation needs 2, and 3 to say anything of its "
-            f"error. Add {2 - used} or more, far apart."
+    used = int(np.count_nonzero(pairs.weights > 0))
+    if used < _FEW:
+        said.append(
+            f"{used} marks only: their error, and with it the expected error, is known to no better than about 40 %."
         )
-    for name, points in (("moving", source), ("fixed", target)):
-        here = points[share > 0]
-        if np.ptp(here, axis=0).max() <= COINCIDENT * max(1.0, float(np.abs(here).max())):
-            raise MarkError(
-                f"All {used} {name} marks lie at ({here[0, 0]:g}, {here[0, 1]:g}) um; at least two places are needed."
-            )
-    return source, target, share
+    rms, spread = weighted_rms(lengths, pairs.weights), transform.scale * pairs.frame()[1]
+    if rms > _DISAGREE * spread:
+        said.append(
+            f"The residuals, {rms:.3g} um rms, are {100 * rms / spread:.0f} % of the spread of the marks: many pairs "
+            "are wrong. Check that every row pairs the same hole on both sides."
+        )
+    low, high = _SCALES
+    if not low <= transform.scale <= high:
+        said.append(
+            f"Scale {transform.scale:.4g}: one side is probably in pixels, or its pixel size is wrong. "
+            "Give both sides in um."
+        )
+    if strain.largest > NOTABLE:
+        x, y = strain.at_um
+        said.append(
+            f"Local strain from {100 * strain.stretch[0]:+.2g} to {100 * strain.stretch[1]:+.2g} % between the marks, "
+            f"largest near ({x:.4g}, {y:.4g}) um of the moving map. Paper strains by less than 1 %: check the marks "
+            "there."
+        )
+    return tuple(said)

@@ -205,16 +205,25 @@ def mark_rows(marks: xr.Dataset) -> list[Row]:
 
 
 def transform(results: Row) -> list[tuple[str, str]]:
-    """Return the similarity in numbers."""
+    """Return the transformation in numbers."""
     m = results["marks"]
     loo = m["leave_one_out_rms_um"]
+    error = m["expected_error_um"]
     found = [
+        ("Model", str(m["model_sentence"])),
         ("Scale", f"{m['scale']:.5f}"),
         ("Rotation, x towards y", f"{fixed(m['rotation_deg'], 3)}°"),
         ("Shift (x, y)", f"({fixed(m['shift_um'][0], 1)}, {fixed(m['shift_um'][1], 1)}) µm"),
         ("Mirrored", "yes" if m["mirrored"] else "no"),
         ("Residual, rms", f"{number(m['rms_um'], 2)} µm"),
         ("Leave-one-out, rms", f"{number(loo, 2)} µm" if loo is not None else NONE),
+        (
+            "Expected error of a pixel, rms",
+            f"{number(error['median'], 2)} µm in the middle of all, {number(error['largest'], 2)} µm at most"
+            if error is not None and error["median"] is not None
+            else NONE,
+        ),
+        *[("Warning", str(text)) for text in m["warnings"]],
     ]
     if m.get("source") == "file":
         return [("Marks", f"{m['matched']} pairs from a table"), *found]

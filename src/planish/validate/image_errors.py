@@ -77,7 +77,9 @@ def refit(run: Run) -> FittedTransform:
     """The transformation of a run, fitted again to its own marks."""
     assert run.marks is not None
     moving, fixed = (np.stack([run.marks[f"{side}_{a}"].values for a in "xy"], axis=1) for side in ("moving", "fixed"))
-    return fit_transform(moving, fixed, model="similarity", mirrored=bool(run.results["marks"]["mirrored"]))
+    return fit_transform(
+        moving, fixed, model=run.study.registration.model, mirrored=bool(run.results["marks"]["mirrored"])
+    )
 
 
 def pixel_errors(specimen: Specimen, run: Run, pixels: Pixels) -> Values:
@@ -179,7 +181,7 @@ def _true_similarity(specimen: Specimen, pixels: Pixels) -> float | None:
     uv = np.stack([pixels.u[rows, cols], pixels.v[rows, cols]], axis=1)[some]
     at = specimen.pose(uv)
     turned = float(np.linalg.det((uv - uv.mean(axis=0)).T @ (at - at.mean(axis=0)))) < 0
-    return fit_transform(uv, at, mirrored=turned).transform.scale
+    return fit_transform(uv, at, mirrored=turned, robust=False).transform.scale
 
 
 def _projection_error(
@@ -190,7 +192,7 @@ def _projection_error(
     marks = bilinear(run.groups["maps"], names, fit.moving)
     if scale is None or not np.isfinite(marks).all():
         return None
-    projected = fit_transform(marks, fit.fixed, mirrored=fit.transform.mirrored)
+    projected = fit_transform(marks, fit.fixed, mirrored=fit.transform.mirrored, robust=False)
     from_run = np.stack([lattice.take(run.groups["flat"][name].values) for name in names], axis=-1)
     known = lattice.measured & np.isfinite(lattice.material[..., 0]) & np.isfinite(from_run).all(axis=-1)
     there = specimen.pose(lattice.material[known][:, :2])

@@ -156,8 +156,8 @@ def flattening_errors(groups: dict[str, xr.Dataset], lattice: Lattice) -> Values
     if np.count_nonzero(known) < 3:
         return {}
     mirrored = _turned_over(flat[known], true[known])
-    rigid = fit_transform(flat[known], true[known], model="rigid", mirrored=mirrored)
-    similar = fit_transform(flat[known], true[known], model="similarity", mirrored=mirrored)
+    rigid = fit_transform(flat[known], true[known], model="rigid", mirrored=mirrored, robust=False)
+    similar = fit_transform(flat[known], true[known], model="similarity", mirrored=mirrored, robust=False)
     away = np.hypot(rigid.residuals_um[:, 0], rigid.residuals_um[:, 1])
     strains: list[Array] = []
     for axis, pitch in enumerate(lattice.pitch_um):

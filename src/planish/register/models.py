@@ -1,0 +1,279 @@
+"""Rigid, similarity, affine and projective: how each is fitted to marks, and how it moves with its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.errors import CannotRegister, MarkError
+from planish.core.transform import Affine, Projective, Similarity
+from planish.register.equations import refuse_line, solved
+from planish.register.pairs import COINCIDENT, Pairs, as_complex
+
+Floats = NDArray[np.float64]
+Parametric = Similarity | Affine | Projective
+Frame = tuple[Floats, float]
+
+_STEPS = 100
+
+
+class Model(Protocol):
+    """A transformation with a fixed number of parameters."""
+
+    name: str
+    parameters: int
+    least: int
+    linear: bool
+
+    def fit(self, pairs: Pairs, mirrored: bool, start: Parametric | None = None, /) -> Parametric:
+        """Weighted least squares; ``start`` saves the search where a fit to nearly the same marks is known."""
+        ...
+
+    def design(self, transform: Parametric, frame: Frame, points: Floats, /) -> Floats:
+        """Derivatives of the image of points (..., 2) by the parameters, which the frame scales: (..., 2, p)."""
+        ...
+
+
+class Rigid:
+    """Rotation and shift."""
+
+    name, parameters, least, linear = "rigid", 3, 2, False
+
+    def fit(self, pairs: Pairs, mirrored: bool, _start: Parametric | None = None, /) -> Similarity:
+        """Closed form for equal weights of both axes; Gauss-Newton on the angle from there for covariances."""
+        z_mean, middle, product, square = _sums(pairs, mirrored)
+        _refuse_no_rotation(product, square)
+        turn = product / abs(product)
+        if not pairs.isotropic:
+            z, w = as_complex(pairs.moving, mirrored), as_complex(pairs.fixed, False)
+            whitening = pairs.whitening()
+            size = float(np.sqrt(square))
+            last = np.inf
+            for _ in range(_STEPS):
+                turned = turn * (z - z_mean)
+                error = w - middle - turned
+                design = _columns(turned / size, only_turn=True)
+                step = solved(whitening, design, np.stack([error.real, error.imag], axis=-1), "rigid")
+                middle += complex(step[0], step[1])
+                turn *= np.exp(1j * step[2] / size)
+                length = float(np.abs(step).max())
+                if length < 1e-15 * size or length >= last:
+                    break
+                last = length
+        at = middle - turn * z_mean
+        return Similarity(rotation_rad=float(np.angle(turn)), shift_um=(at.real, at.imag), mirrored=mirrored)
+
+    def design(self, transform: Parametric, frame: Frame, points: Floats, /) -> Floats:
+        """Shift in x, shift in y, turn."""
+        return _columns(_turned(transform, frame, points), only_turn=True)
+
+
+class Similar:
+    """Rotation, shift and one scale."""
+
+    name, parameters, least, linear = "similarity", 4, 2, True
+
+    def fit(self, pairs: Pairs, mirrored: bool, _start: Parametric | None = None, /) -> Similarity:
+        """Linear least squares; closed form in complex numbers for equal weights of both axes."""
+        middle, size = pairs.frame()
+        if pairs.isotropic:
+            z_mean, w_mean, product, square = _sums(pairs, mirrored)
+            alpha = product / square
+            _refuse_no_rotation(product, square)
+            at = w_mean - alpha * z_mean
+            return Similarity(
+                scale=abs(alpha), rotation_rad=float(np.angle(alpha)), shift_um=(at.real, at.imag), mirrored=mirrored
+            )
+        share = pairs.weights / np.sum(pairs.weights)
+        z = (as_complex(pairs.moving, mirrored) - as_complex(middle[None], mirrored)[0]) / size
+        target = share @ pairs.fixed
+        beta_x, beta_y, a, b = solved(pairs.whitening(), _columns(z), pairs.fixed - target, self.name)
+        _refuse_no_rotation(complex(a, b) / size, 1.0)
+        turn = Similarity(scale=float(np.hypot(a, b)) / size, rotation_rad=float(np.arctan2(b, a)), mirrored=mirrored)
+        shift = target + np.array([beta_x, beta_y]) - turn(middle)
+        return Similarity(
+            scale=turn.scale, rotation_rad=turn.rotation_rad, shift_um=(float(shift[0]), float(shift[1])),
+            mirrored=mirrored,
+        )  # fmt: skip
+
+    def design(self, transform: Parametric, frame: Frame, points: Floats, /) -> Floats:
+        """Shift in x, shift in y, stretch, turn."""
+        middle, size = frame
+        z = (as_complex(points.reshape(-1, 2) - middle, transform.mirrored) / size).reshape(points.shape[:-1])
+        return _columns(z)
+
+
+class AffineModel:
+    """Rotation, shift, and another scale in every direction: humidity, embedding, a camera's pixel aspect."""
+
+    name, parameters, least, linear = "affine", 6, 3, True
+
+    def fit(self, pairs: Pairs, _mirrored: bool, _start: Parametric | None = None, /) -> Affine:
+        """Linear least squares."""
+        middle, size = pairs.frame()
+        refuse_line(pairs, self.name)
+        target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
+        design = _affine_columns((pairs.moving - middle) / size)
+        x, y, xx, xy, yx, yy = solved(pairs.whitening(), design, pairs.fixed - target, self.name)
+        return Affine(
+            linear=((float(xx / size), float(xy / size)), (float(yx / size), float(yy / size))),
+            source=(float(middle[0]), float(middle[1])),
+            target=(float(target[0] + x), float(target[1] + y)),
+        )
+
+    def design(self, _transform: Parametric, frame: Frame, points: Floats, /) -> Floats:
+        """Shift in x and y, then the linear part row by row."""
+        return _affine_columns((points - frame[0]) / frame[1])
+
+
+class ProjectiveModel:
+    """The oblique view of a flat sheet."""
+
+    name, parameters, least, linear = "projective", 8, 4, False
+
+    def fit(self, pairs: Pairs, _mirrored: bool, start: Parametric | None = None, /) -> Projective:
+        """Normalised direct linear transformation, then Gauss-Newton on the distances in the fixed map."""
+        middle, size = pairs.frame()
+        refuse_line(pairs, self.name)
+        share = pairs.weights / np.sum(pairs.weights)
+        target = share @ pairs.fixed
+        target_size = float(np.sqrt(share @ np.sum((pairs.fixed - target) ** 2, axis=1)))
+
+        def made(h: Floats) -> Projective:
+            rows = (h / h[2, 2]).tolist()
+            return Projective(
+                homography=(tuple(rows[0]), tuple(rows[1]), tuple(rows[2])),
+                source=(float(middle[0]), float(middle[1])), target=(float(target[0]), float(target[1])),
+                source_size=size, target_size=target_size,
+            )  # fmt: skip
+
+        if isinstance(start, Projective):
+            found = _rescaled(start, middle, size, target, target_size, made)
+        else:
+            found = made(_direct((pairs.moving - middle) / size, (pairs.fixed - target) / target_size, np.sqrt(share)))
+        whitening = pairs.whitening()
+        last = np.inf
+        for _ in range(_STEPS):
+            error = pairs.fixed - found(pairs.moving)
+            if not np.isfinite(error).all():
+                raise CannotRegister(
+                    "The projective transformation puts some marks behind the camera: the pairs do not show one flat "
+                    "sheet. Check the pairs, or fit an affine transformation."
+                )
+            step = solved(whitening, self.design(found, (middle, size), pairs.moving), error, self.name)
+            found = _stepped(found, step, pairs, whitening, made)
+            length = float(np.abs(step).max())
+            # The last digits do not settle: steps of rounding are as long as the one before.
+            if length < 1e-15 or (length < 1e-9 and length >= 0.5 * last):
+                break
+            last = length
+        return found
+
+    def design(self, transform: Parametric, _frame: Frame, points: Floats, /) -> Floats:
+        """The first eight numbers of the 3 x 3 matrix, whose last one is 1."""
+        assert isinstance(transform, Projective)
+        h = np.array(transform.homography)
+        at = (points - transform.source) / transform.source_size
+        below = (at @ h[2, :2] + h[2, 2])[..., None]
+        image = (at @ h[:2, :2].T + h[:2, 2]) / below
+        rows = np.concatenate([at, np.ones_like(below)], axis=-1) / below
+        design = np.zeros((*points.shape[:-1], 2, 8))
+        design[..., 0, 0:3] = rows
+        design[..., 1, 3:6] = rows
+        design[..., :, 6:8] = -image[..., :, None] * (at / below)[..., None, :]
+        return transform.target_size * design
+
+
+MODELS: dict[str, Model] = {m.name: m for m in (Rigid(), Similar(), AffineModel(), ProjectiveModel())}
+
+
+def _sums(pairs: Pairs, mirrored: bool) -> tuple[complex, complex, complex, float]:
+    """Weighted means of both sides as complex numbers, and means of ``conj(z) w`` and ``|z|**2`` around them."""
+    share = pairs.weights / np.sum(pairs.weights)
+    z, w = as_complex(pairs.moving, mirrored), as_complex(pairs.fixed, False)
+    z_mean, w_mean = share @ z, share @ w
+    zc, wc = z - z_mean, w - w_mean
+    product, square = np.sum(share * zc.conj() * wc), np.sum(share * (zc.real**2 + zc.imag**2))
+    return complex(z_mean), complex(w_mean), complex(product), float(square)
+
+
+def _refuse_no_rotation(product: complex, square: float) -> None:
+    if square <= 0.0 or abs(product) <= COINCIDENT * square:
+        raise MarkError(
+            "The marks fix no rotation: the directions between them disagree completely on the two sides. "
+            "Check that every row pairs the same hole on both sides."
+        )
+
+
+def _turned(transform: Parametric, frame: Frame, points: Floats) -> NDArray[np.complex128]:
+    """Images of points (..., 2) around that of the middle, as complex numbers over the size."""
+    away = (transform(points) - transform(frame[0])) / frame[1]
+    return away[..., 0] + 1j * away[..., 1]
+
+
+def _columns(z: NDArray[np.complex128], *, only_turn: bool = False) -> Floats:
+    """Derivatives of ``beta + alpha z`` by the parts of beta and alpha (or of the turn alone): (..., 2, 4 or 3)."""
+    one, none = np.ones(z.shape), np.zeros(z.shape)
+    turn, stretch = (-z.imag, z.real), (z.real, z.imag)
+    rows = [[one, none, *([] if only_turn else [stretch[0]]), turn[0]],
+            [none, one, *([] if only_turn else [stretch[1]]), turn[1]]]  # fmt: skip
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _affine_columns(at: Floats) -> Floats:
+    design = np.zeros((*at.shape[:-1], 2, 6))
+    design[..., 0, 0] = design[..., 1, 1] = 1.0
+    design[..., 0, 2:4] = design[..., 1, 4:6] = at
+    return design
+
+
+def _direct(at: Floats, to: Floats, root: Floats) -> Floats:
+    """Homography (3, 3) with the least algebraic error, from points scaled to size 1."""
+    one = np.concatenate([at, np.ones((len(at), 1))], axis=1)
+    rows = np.zeros((len(at), 2, 9))
+    rows[:, 0, 0:3] = rows[:, 1, 3:6] = one
+    rows[:, :, 6:9] = -to[:, :, None] * one[:, None, :]
+    _, sizes, right = np.linalg.svd((root[:, None, None] * rows).reshape(-1, 9), full_matrices=len(at) < 5)
+    h = right[-1].reshape(3, 3)
+    below = one @ h[2]
+    if sizes[7] < 1e-7 * sizes[0] or abs(h[2, 2]) < 1e-6 or not (np.all(below > 0) or np.all(below < 0)):
+        raise CannotRegister(
+            "The marks do not fix one projective transformation: too many lie on one line, or the pairs do not show "
+            "one flat sheet. Check the pairs, add marks away from that line, or fit an affine transformation."
+        )
+    return h
+
+
+def _rescaled(
+    start: Projective, middle: Floats, size: float, target: Floats, target_size: float,
+    made: Callable[[Floats], Projective],
+) -> Projective:  # fmt: skip
+    """Bring a transformation into the scaled coordinates of other marks."""
+    back = np.diag([size, size, 1.0])
+    back[:2, 2] = middle - start.source
+    into = np.diag([1 / start.source_size, 1 / start.source_size, 1.0]) @ back
+    out = np.diag([start.target_size, start.target_size, 1.0])
+    out[:2, 2] = np.asarray(start.target) - target
+    return made(np.diag([1 / target_size, 1 / target_size, 1.0]) @ out @ np.array(start.homography) @ into)
+
+
+def _stepped(
+    found: Projective, step: Floats, pairs: Pairs, whitening: Floats, made: Callable[[Floats], Projective]
+) -> Projective:
+    """Take a Gauss-Newton step, shortened until the error does not rise."""
+
+    def cost(transform: Projective) -> float:
+        error = whitening @ (pairs.fixed - transform(pairs.moving))[..., None]
+        return float(np.sum(error**2))
+
+    before = cost(found)
+    h = np.array(found.homography)
+    for halvings in range(12):
+        trial = made(h + np.append(step / 2**halvings, 0.0).reshape(3, 3))
+        after = cost(trial)
+        if np.isfinite(after) and after <= before * (1 + 1e-9) + 1e-300:
+            return trial
+    return found

@@ -1,0 +1,229 @@
+"""Paired marks and how much each is worth: what a fit starts from, and the checks at the door."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
+
+from planish.core.errors import MarkError
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+
+# Marks closer together than this share of their distance from the origin cannot be told apart in float64.
+COINCIDENT = 1e-9
+# The other hand has to fit five times as well, and this one has to miss by 5 % of the marks' spread, to be refused.
+_OTHER_HAND = 0.2
+_FAR_OFF = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pairs:
+    """Marks of both sides, in um, and the information on each pair.
+
+    Attributes
+    ----------
+    moving, fixed : ndarray, shape (n, 2), in um
+        Places in the two maps.
+    information : ndarray, shape (n, 2, 2)
+        Inverse of the covariance of ``fixed - f(moving)``, up to one factor common to all; zero leaves a pair out.
+    """
+
+    moving: Floats
+    fixed: Floats
+    information: Floats
+
+    def __len__(self) -> int:
+        """Count the pairs."""
+        return len(self.moving)
+
+    @property
+    def weights(self) -> Floats:
+        """Half the trace of the information, shape (n,): the weight of a pair whose error has no direction."""
+        return 0.5 * (self.information[:, 0, 0] + self.information[:, 1, 1])
+
+    @property
+    def isotropic(self) -> bool:
+        """Whether no pair knows a direction better than the other."""
+        info = self.information
+        return bool(np.all(info[:, 0, 0] == info[:, 1, 1]) and np.all(info[:, 0, 1] == 0))
+
+    def take(self, which: NDArray[np.intp] | Mask) -> Pairs:
+        """Return some of the pairs."""
+        return Pairs(moving=self.moving[which], fixed=self.fixed[which], information=self.information[which])
+
+    def times(self, factor: Floats) -> Pairs:
+        """Return the pairs with each information multiplied by a factor, shape (n,)."""
+        return Pairs(moving=self.moving, fixed=self.fixed, information=self.information * factor[:, None, None])
+
+    def whitening(self) -> Floats:
+        """Return ``U`` of shape (n, 2, 2) with ``U.T @ U`` the information: ``U @ error`` has equal, free parts."""
+        info = self.information
+        a = np.sqrt(info[:, 0, 0])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            b = np.where(a > 0, info[:, 0, 1] / a, 0.0)
+        c = np.sqrt(np.maximum(info[:, 1, 1] - b * b, 0.0))
+        return np.stack([np.stack([a, b], axis=-1), np.stack([np.zeros_like(c), c], axis=-1)], axis=-2)
+
+    def frame(self) -> tuple[Floats, float]:
+        """Return middle (2,) and rms distance from it of the moving marks, in um: coordinates near 1 start here."""
+        share = self.weights / np.sum(self.weights)
+        middle = share @ self.moving
+        return middle, float(np.sqrt(share @ np.sum((self.moving - middle) ** 2, axis=1)))
+
+
+def inverse_of(blocks: Floats) -> Floats:
+    """Inverse of symmetric 2 x 2 blocks (n, 2, 2); NaN stays NaN."""
+    a, b, c = blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 1, 1]
+    turned = np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
+    return turned / (a * c - b * b)[:, None, None]
+
+
+def as_complex(points: Floats, mirrored: bool) -> Complexes:
+    """Points as ``x + iy``, or ``-x + iy`` where mirrored."""
+    return (-points[:, 0] if mirrored else points[:, 0]) + 1j * points[:, 1]
+
+
+def checked(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> Pairs:
+    """Bring marks and weights into one form, or say everything that is wrong with them.
+
+    Raises
+    ------
+    MarkError
+        Wrong shapes, unequal counts, values that are not finite, weights that are no weights, fewer than two pairs,
+        marks given twice or all at one place.
+    """
+    source, target = (_points(p, name) for p, name in ((moving, "moving"), (fixed, "fixed")))
+    if len(source) != len(target):
+        raise MarkError(f"{len(source)} moving and {len(target)} fixed marks given; every mark needs its partner.")
+    faults: list[str] = []
+    info = _information(weights, len(source), faults)
+    for name, points in (("moving", source), ("fixed", target)):
+        bad = np.flatnonzero(~np.all(np.isfinite(points), axis=-1))
+        if bad.size:
+            faults.append(f"{name} mark{'s' * (bad.size > 1)} {listed(bad)} not finite")
+    if faults:
+        raise MarkError(f"The marks cannot be used: {'; '.join(faults)}. Correct or remove them.")
+    pairs = Pairs(moving=source, fixed=target, information=info)
+    used = np.flatnonzero(pairs.weights > 0)
+    if used.size < 2:
+        raise MarkError(
+            f"{used.size} pair{'s' * (used.size != 1)} of marks given, a transformation needs 2, and 3 to say anything "
+            f"of its error. Add {2 - used.size} or more, far apart."
+        )
+    for name, points in (("moving", source[used]), ("fixed", target[used])):
+        if np.ptp(points, axis=0).max() <= COINCIDENT * max(1.0, float(np.abs(points).max())):
+            raise MarkError(
+                f"All {used.size} {name} marks lie at ({points[0, 0]:g}, {points[0, 1]:g}) um; at least two places are "
+                "needed."
+            )
+    _refuse_doubles(pairs, used)
+    return pairs
+
+
+def listed(which: Sequence[int] | NDArray[np.intp]) -> str:
+    """Numbers of a few marks, counted from 0, as in an array or a table without its header."""
+    return ", ".join(str(int(k)) for k in which[:8]) + (", ..." if len(which) > 8 else "")
+
+
+def _points(marks: ArrayLike, name: str) -> Floats:
+    points = np.array(marks, dtype=np.float64)
+    if points.size == 0:
+        return np.empty((0, 2))
+    if points.ndim == 2 and points.shape[0] == 2 and points.shape[1] != 2:
+        raise MarkError(
+            f"The {name} marks have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row. Transpose them."
+        )
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise MarkError(f"The {name} marks have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row.")
+    return points
+
+
+def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats:
+    given = np.ones(n) if weights is None else np.array(weights, dtype=np.float64)
+    if given.shape == (n,):
+        if not (np.all(np.isfinite(given)) and np.all(given >= 0.0)):
+            faults.append("weights have to be finite and not negative")
+        return given[:, None, None] * np.eye(2)
+    if given.shape != (n, 2, 2):
+        faults.append(f"the weights have shape {given.shape}, {n} marks need ({n},), or ({n}, 2, 2) for covariances")
+        return np.zeros((n, 2, 2))
+    det = given[:, 0, 0] * given[:, 1, 1] - given[:, 0, 1] ** 2
+    largest = np.maximum(given[:, 0, 0], given[:, 1, 1])
+    even = np.abs(given[:, 0, 1] - given[:, 1, 0]) <= 1e-9 * largest
+    with np.errstate(invalid="ignore"):
+        good = np.isfinite(given).all(axis=(1, 2)) & even & (given[:, 0, 0] > 0) & (det > 1e-12 * largest**2)
+    if not good.all():
+        which = np.flatnonzero(~good)
+        faults.append(f"covariance of mark {listed(which)} not symmetric and positive")
+        return np.zeros((n, 2, 2))
+    return inverse_of(0.5 * (given + given.swapaxes(1, 2)))
+
+
+def _refuse_doubles(pairs: Pairs, used: NDArray[np.intp]) -> None:
+    """Two marks at one place on a side are one mark that was given twice, or a wrong pair."""
+    sides = {"moving": pairs.moving[used], "fixed": pairs.fixed[used]}
+    for (name, here), there in zip(sides.items(), reversed(sides.values()), strict=True):
+        near = COINCIDENT * max(1.0, float(np.abs(here).max()))
+        double = KDTree(here).query_pairs(near)
+        if not double:
+            continue
+        a, b = min(double)
+        at = f"Marks {used[a]} and {used[b]} lie at one place on the {name} side, ({here[a, 0]:g}, {here[a, 1]:g}) um"
+        apart = float(np.linalg.norm(there[a] - there[b]))
+        if apart <= near:
+            raise MarkError(f"{at}, and on the other: the pair was given twice. Remove one of the two.")
+        raise MarkError(f"{at}, and {apart:.4g} um apart on the other. One of them is wrong: correct or remove it.")
+
+
+def rms_of_both_hands(pairs: Pairs) -> tuple[dict[bool, float], dict[bool, Floats]]:
+    """Least-squares similarity with and without mirror: rms residual in um, and linear part (2, 2), of each."""
+    share = pairs.weights / np.sum(pairs.weights)
+    missed: dict[bool, float] = {}
+    linear: dict[bool, Floats] = {}
+    w = as_complex(pairs.fixed, False)
+    w = w - share @ w
+    for hand in (False, True):
+        z = as_complex(pairs.moving, hand)
+        z = z - share @ z
+        alpha = np.sum(share * z.conj() * w) / np.sum(share * np.abs(z) ** 2)
+        missed[hand] = float(np.sqrt(np.sum(share * np.abs(w - alpha * z) ** 2)))
+        flip = -1.0 if hand else 1.0
+        linear[hand] = np.array([[alpha.real * flip, -alpha.imag], [alpha.imag * flip, alpha.real]])
+    return missed, linear
+
+
+def refuse_other_hand(pairs: Pairs, mirrored: bool) -> None:
+    """Refuse marks that only fit with the other handedness: columns swapped on one side, or an undeclared mirror.
+
+    Raises
+    ------
+    MarkError
+        With the remedy that fits the linear part found.
+    """
+    if len(pairs) < 3:
+        return
+    missed, linear = rms_of_both_hands(pairs)
+    mine, other = missed[mirrored], missed[not mirrored]
+    away = pairs.fixed - pairs.weights @ pairs.fixed / np.sum(pairs.weights)
+    spread = np.sqrt(np.average(np.sum(away**2, axis=1), weights=pairs.weights))
+    if mine < _FAR_OFF * spread or other > _OTHER_HAND * mine:
+        return
+    turn = linear[not mirrored] / np.sqrt(abs(np.linalg.det(linear[not mirrored])))
+    swapped = np.abs(turn - [[0, 1], [1, 0]]).max() < 0.2
+    exchange = "x and y are exchanged on one side: exchange the two columns of that table"
+    declare = (
+        "one map is seen from the other side: declare it as mirrored (mirrored=True, or --mirror)"
+        if not mirrored
+        else "the maps are not mirrored after all: leave out mirrored=True, or --mirror"
+    )
+    first, second = (exchange, declare) if swapped else (declare, exchange)
+    raise MarkError(
+        f"The marks disagree by {mine:.3g} um rms as they are and by {other:.3g} um rms with the handedness of one "
+        f"side reversed. Probably {first}. If not, {second}."
+    )

@@ -1,0 +1,91 @@
+"""How a transformation stretches the map from place to place, and whether it folds it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay
+
+from planish.core.errors import CannotRegister
+from planish.core.transform import Affine, Projective, Similarity
+from planish.register.thin_plate import ThinPlate
+
+Floats = NDArray[np.float64]
+Transform = Similarity | Affine | Projective | ThinPlate
+
+# Local strain from which on a user is told.
+NOTABLE = 0.01
+_GRID = 65
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Strain:
+    """Local strain between the marks, after the overall scale is taken off.
+
+    Attributes
+    ----------
+    area : tuple of float
+        Least and largest ratio of local areas to their mean.
+    stretch : tuple of float
+        Least and largest principal strain: 0.01 where a length is 1 % longer than the overall scale makes it.
+    at_um : tuple of float
+        Where in the moving map the strain is largest, as (x, y) in um.
+    """
+
+    area: tuple[float, float]
+    stretch: tuple[float, float]
+    at_um: tuple[float, float]
+
+    @property
+    def largest(self) -> float:
+        """Largest strain without its sign."""
+        return max(abs(self.stretch[0]), abs(self.stretch[1]))
+
+
+def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> Strain:
+    """Strain inside the hull of the marks, looked at on a grid of 65 x 65 over their extent and at the marks.
+
+    Raises
+    ------
+    CannotRegister
+        Where the map folds, or changes its handedness against what was declared.
+    """
+    middle = marks.mean(axis=0)
+    at = (float(middle[0]), float(middle[1]))
+    if isinstance(transform, Similarity):
+        return Strain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=at)
+    points = marks[:1] if isinstance(transform, Affine) else _inside(marks)
+    derivatives = transform.jacobian(points)
+    sign = -1.0 if mirrored else 1.0
+    areas = sign * (
+        derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0]
+    )  # fmt: skip
+    worst = int(np.argmin(np.where(np.isfinite(areas), areas, -np.inf)))
+    if not areas[worst] > 0:
+        if isinstance(transform, Affine):
+            raise CannotRegister(
+                "The fitted affine transformation reverses the handedness against what was declared: many pairs are "
+                "probably wrong. Check that every row pairs the same hole on both sides."
+            )
+        x, y = points[worst]
+        raise CannotRegister(
+            f"The fitted transformation folds the map near ({x:.5g}, {y:.5g}) um of the moving map, between the marks. "
+            "Check the pairs around that place; if they are right, fit a model with fewer parameters."
+        )
+    mean = float(np.mean(areas))
+    stretches = np.linalg.svd(derivatives, compute_uv=False) / np.sqrt(mean) - 1.0
+    where = points[int(np.argmax(np.abs(stretches).max(axis=1)))] if len(points) > 1 else middle
+    return Strain(
+        area=(float(areas.min() / mean), float(areas.max() / mean)),
+        stretch=(float(stretches.min()), float(stretches.max())),
+        at_um=(float(where[0]), float(where[1])),
+    )
+
+
+def _inside(marks: Floats) -> Floats:
+    axes = [np.linspace(a, b, _GRID) for a, b in zip(marks.min(axis=0), marks.max(axis=0), strict=True)]
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    inside = Delaunay(marks - marks.mean(axis=0)).find_simplex(grid - marks.mean(axis=0)) >= 0
+    return np.concatenate([marks, grid[inside]])

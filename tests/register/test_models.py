@@ -1,0 +1,134 @@
+"""Every model on transformations that are known, against fits without each mark, and written and read back."""
+
+import numpy as np
+import pytest
+
+from planish.core.transform import Affine, Projective, Similarity
+from planish.register import FittedTransform, fit_transform
+from planish.register.models import MODELS
+from planish.register.pairs import Pairs
+
+PARAMETRIC = ("rigid", "similarity", "affine", "projective")
+ALL = (*PARAMETRIC, "tps")
+TURN = Similarity(scale=1.013, rotation_rad=2.1, shift_um=(4200.0, -1700.0))
+TRUTHS = {
+    "rigid": Similarity(rotation_rad=-0.7, shift_um=(300.0, 9000.0)),
+    "similarity": TURN,
+    "affine": Affine(linear=((0.4, -0.93), (0.89, 0.41)), source=(1500, 1200), target=(-700, 8000)),
+    "projective": Projective(
+        homography=((0.9, -0.4, 0.01), (0.41, 0.88, 0.0), (0.03, -0.02, 1.0)),
+        source=(1500, 1200), target=(3000, 2000), source_size=1000, target_size=1010,
+    ),
+    "tps": TURN,
+}  # fmt: skip
+
+
+def marks(n, seed=0, size=3000.0):
+    return np.random.default_rng(seed).uniform(0, size, (n, 2))
+
+
+def covariances(n, seed=3):
+    half = np.random.default_rng(seed).uniform(-1, 1, (n, 2, 2)) + 1.5 * np.eye(2)
+    return half @ half.swapaxes(1, 2)
+
+
+@pytest.mark.parametrize("model", ALL)
+@pytest.mark.parametrize("weights", [None, "numbers", "covariances"])
+def test_a_known_transformation_is_recovered(model, weights):
+    """Noise-free marks of some mm: 1e-9 um, which is 3e-13 of the coordinates."""
+    points, where = marks(11), marks(200, 7)
+    given = {None: None, "numbers": np.linspace(0.5, 4, 11), "covariances": covariances(11)}[weights]
+    truth = TRUTHS[model]
+    fit = fit_transform(points, truth(points), model=model, weights=given)
+    np.testing.assert_allclose(fit(where), truth(where), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(fit.inverse(truth(where)), where, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(fit.jacobian(where), truth.jacobian(where), rtol=0, atol=1e-11)
+    assert fit.leave_one_out_um.max() < 1e-8
+    assert np.all(fit.robust_weights == 1.0)
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_a_declared_mirror_is_recovered(model):
+    points = marks(12)
+    truth = Similarity(scale=1.0 if model == "rigid" else 0.98, rotation_rad=0.4, shift_um=(10, 20), mirrored=True)
+    fit = fit_transform(points, truth(points), model=model, mirrored=True)
+    np.testing.assert_allclose(fit(points), truth(points), rtol=0, atol=1e-9)
+    assert fit.mirrored
+    assert fit_transform(points, truth(points), model=model, mirrored=None).mirrored
+
+
+@pytest.mark.parametrize("model", PARAMETRIC)
+@pytest.mark.parametrize("weights", [None, "numbers", "covariances"])
+def test_leave_one_out_equals_the_fit_without_each_mark(model, weights):
+    rng = np.random.default_rng(1)
+    n = 9
+    points = marks(n)
+    given = {None: None, "numbers": rng.uniform(0.2, 3, n), "covariances": covariances(n)}[weights]
+    seen = TRUTHS[model](points) + rng.normal(0, 4, (n, 2))
+    fit = fit_transform(points, seen, model=model, weights=given, robust=False)
+    for k in range(n):
+        others = np.arange(n) != k
+        without = fit_transform(
+            points[others], seen[others], model=model, robust=False, weights=None if given is None else given[others]
+        )
+        twin = np.linalg.norm(without(points[k]) - seen[k])
+        assert fit.leave_one_out_um[k] == pytest.approx(twin, rel=0, abs=1e-9)
+
+
+@pytest.mark.parametrize("model", PARAMETRIC)
+def test_the_fit_is_a_minimum(model):
+    """Any small change of the parameters makes the weighted sum of squares larger: the design is its derivative."""
+    rng = np.random.default_rng(4)
+    points = marks(8)
+    info = np.linalg.inv(covariances(8))
+    pairs = Pairs(moving=points, fixed=TRUTHS[model](points) + rng.normal(0, 5, (8, 2)), information=info)
+    transform = MODELS[model].fit(pairs, False)
+    design = MODELS[model].design(transform, pairs.frame(), points)
+    slope = np.einsum("nap,nab,nb->p", design, info, pairs.fixed - transform(points))
+    scale = np.sqrt(np.einsum("nap,nab,nbp->p", design, info, design))
+    # 5 um of error: 1e-7 of it is rounding of the Gauss-Newton steps
+    assert np.abs(slope / scale).max() < 1e-6
+
+
+@pytest.mark.parametrize("model", ALL)
+def test_json_gives_the_fit_back(model):
+    rng = np.random.default_rng(5)
+    points = marks(10)
+    seen = TRUTHS[model](points) + rng.normal(0, 3, (10, 2))
+    seen[3] += 400.0
+    fit = fit_transform(points, seen, model=model, weights=covariances(10))
+    assert fit.warnings
+    again = FittedTransform.from_json(fit.to_json())
+    where = marks(20, 8)
+    for name in ("sentence", "warnings", "model", "rms_um", "localisation_error_um"):
+        assert getattr(again, name) == getattr(fit, name)
+    np.testing.assert_array_equal(again(where), fit(where))
+    np.testing.assert_array_equal(again.expected_error_um(where), fit.expected_error_um(where))
+    np.testing.assert_array_equal(again.leave_one_out_um, fit.leave_one_out_um)
+    np.testing.assert_array_equal(again.inverse(where), fit.inverse(where))
+
+
+def test_similarity_has_the_closed_form_of_its_expected_error():
+    """FLE**2 / n (1 + d**2 / f**2), and d**2 / (2 f**2) for a rigid transformation."""
+    rng = np.random.default_rng(6)
+    points, where = marks(9), marks(30, 9)
+    away = np.sum((where - points.mean(axis=0)) ** 2, axis=1)
+    f2 = np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))
+    for model, turn in (("similarity", 1.0), ("rigid", 0.5)):
+        fit = fit_transform(points, points + rng.normal(0, 3, (9, 2)), model=model)
+        expected = fit.localisation_error_um / 3.0 * np.sqrt(1 + turn * away / f2)
+        np.testing.assert_allclose(fit.expected_error_um(where), expected, rtol=1e-9 if turn == 1.0 else 1e-4)
+
+
+def test_a_constant_factor_of_the_weights_changes_nothing():
+    rng = np.random.default_rng(7)
+    points = marks(12)
+    seen = TURN(points) + rng.normal(0, 3, (12, 2))
+    for model in ALL:
+        a, b = (fit_transform(points, seen, model=model, weights=np.full(12, k)) for k in (1.0, 50.0))
+        np.testing.assert_allclose(a(points), b(points), rtol=0, atol=1e-5)
+        np.testing.assert_allclose(a.expected_error_um(points), b.expected_error_um(points), rtol=1e-4)
+
+
+def test_a_point_behind_the_camera_has_no_image():
+    assert np.isnan(TRUTHS["projective"]([[-60000.0, 0.0]])).all()
