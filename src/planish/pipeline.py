@@ -384,7 +384,7 @@ def link_sheet(
         moving_um, fixed_um, mirrored = _given_pairs(given, flat, surfaces, mirror=r.mirror)
         labels = [str(v) for v in given["label"].values]
         blocked, blocked_d = fixed_um, np.full(len(fixed_um), float(np.mean(r.hole_um)))
-    fit = fit_transform(moving_um, fixed_um, model=r.model, mirrored=mirrored)
+    fit = fit_transform(moving_um, fixed_um, model=r.model, mirrored=mirrored, lowest="similarity")
     projected_um = _at_flat(maps, ("projected_u", "projected_v"), moving_um)
     scale_off = abs(fit.transform.scale - 1)
     if scale_off > r.scale_tolerance:

@@ -47,6 +47,7 @@ def fit_transform(
     mirrored: bool | None = False,
     weights: ArrayLike | None = None,
     robust: bool = True,
+    lowest: Literal["rigid", "similarity"] = "rigid",
 ) -> FittedTransform: ...
 
 
@@ -58,6 +59,7 @@ def fit_transform(
     mirrored: bool | None = False,
     weights: ArrayLike | None = None,
     robust: bool = True,
+    lowest: Literal["rigid", "similarity"] = "rigid",
 ) -> FittedTransform:
     """Fit the transformation that takes the moving marks to the fixed marks by least squares.
 
@@ -80,6 +82,9 @@ def fit_transform(
     robust : bool
         Whether marks that do not agree with the others are weighted down. Where no mark is further off than chance puts
         the furthest of n marks once in a hundred times, all weights are exactly 1 and nothing changes.
+    lowest : {"rigid", "similarity"}
+        Where ``auto`` begins. Two instruments hardly ever agree on the length of a micrometre, and a few marks cannot
+        always prove it: a similarity is the better start there.
 
     Returns
     -------
@@ -133,7 +138,7 @@ def fit_transform(
         refuse_other_hand(some, hand)
     share = np.ones(len(pairs))
     if model == "auto":
-        rung, share[used], sentence = climb(some, hand, robust=robust)
+        rung, share[used], sentence = climb(some, hand, robust=robust, lowest=lowest)
     else:
         rung, sentence = model, ""
         if robust:

@@ -46,7 +46,7 @@ def settled_weights(pairs: Pairs, rung: Rung, mirrored: bool) -> Floats:
     return robust_spline_weights(pairs) if rung == "tps" else robust_weights(pairs, MODELS[rung], mirrored)
 
 
-def climb(pairs: Pairs, mirrored: bool, *, robust: bool) -> tuple[Rung, Floats, str]:
+def climb(pairs: Pairs, mirrored: bool, *, robust: bool, lowest: Rung = "rigid") -> tuple[Rung, Floats, str]:
     """Choose a model for pairs that all count.
 
     Weights are settled once, under the highest rung that is tried, so that no rung is blamed for marks that it alone
@@ -62,7 +62,8 @@ def climb(pairs: Pairs, mirrored: bool, *, robust: bool) -> tuple[Rung, Floats, 
         The rungs with their leave-one-out errors, and why the climb ended.
     """
     n = len(pairs)
-    able: list[Rung] = [r for r in RUNGS if n >= NEEDED[r]]
+    rungs = RUNGS[RUNGS.index(lowest) :]
+    able: list[Rung] = [r for r in rungs if n >= NEEDED[r]] or [lowest]
     weights = np.ones(n)
     if robust:
         settling: list[Rung] = [r for r in reversed(able) if r != "projective"]
@@ -83,7 +84,7 @@ def climb(pairs: Pairs, mirrored: bool, *, robust: bool) -> tuple[Rung, Floats, 
             skipped.append(f"{rung} was passed over: {str(refused).split('. ')[0]}")
     if not tried:
         # The lowest rung says best what is wrong with the marks.
-        MODELS["rigid"].fit(kept, mirrored)
+        MODELS[lowest].fit(kept, mirrored)
     chosen, why = _choose(tried, 1e-9 * pairs.frame()[1])
     sentence = f"{chosen} chosen from {n} marks. Leave-one-out rms: " + ", ".join(
         f"{t.rung} {f'{t.missed_um:.3g} um' if np.isfinite(t.missed_um) else 'unknown'}" for t in tried
@@ -91,7 +92,7 @@ def climb(pairs: Pairs, mirrored: bool, *, robust: bool) -> tuple[Rung, Floats, 
     sentence += f". {why}"
     for text in skipped:
         sentence += f" {text[0].upper()}{text[1:].rstrip('.')}."
-    missing = [f"{r} ({NEEDED[r]})" for r in RUNGS if r not in able]
+    missing = [f"{r} ({NEEDED[r]})" for r in rungs if r not in able]
     if missing:
         sentence += f" Not tried, as they need more marks: {', '.join(missing)}."
     return chosen, weights, sentence

@@ -71,7 +71,8 @@ def joined(results: Row) -> str:
     )
     return (
         f"{count(told['count'])} sections were aligned to their neighbours, with {taken} rms taken off along rows and "
-        f"columns; about {left} are left. {count(told['missing'])} missing sections were bridged"
+        f"columns. By the scatter between parts of the sheet {left} are left; along the columns it may be twice as "
+        f"much. {count(told['missing'])} missing sections were bridged"
         + (f", {count(lost)} of them because they fit to no neighbour" if lost else "")
         + f". {slow}"
     )

@@ -78,7 +78,11 @@ def refit(run: Run) -> FittedTransform:
     assert run.marks is not None
     moving, fixed = (np.stack([run.marks[f"{side}_{a}"].values for a in "xy"], axis=1) for side in ("moving", "fixed"))
     return fit_transform(
-        moving, fixed, model=run.study.registration.model, mirrored=bool(run.results["marks"]["mirrored"])
+        moving,
+        fixed,
+        model=run.study.registration.model,
+        mirrored=bool(run.results["marks"]["mirrored"]),
+        lowest="similarity",
     )
 
 
