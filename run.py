@@ -39,6 +39,8 @@ SCRIPTS = VENV / ("Scripts" if os.name == "nt" else "bin")
 SUFFIX = ".exe" if os.name == "nt" else ""
 PYTHON = SCRIPTS / f"python{SUFFIX}"
 PLANISH = SCRIPTS / f"planish{SUFFIX}"
+# Files of tests side by side; `-n 0` after it runs them one after the other, for a debugger.
+PYTEST = [str(PYTHON), "-m", "pytest", "-n", "auto", "--maxprocesses", "4", "--dist", "loadfile"]
 LOCKS = ROOT / "requirements"
 STAMP = VENV / "planish-setup.json"  # what was installed; written last, so without it the folder is unfinished
 
@@ -59,7 +61,7 @@ def main(arguments: list[str]) -> int:
         return hand_over([str(PLANISH), "demo", *rest])
     if name == "test":
         set_up("dev.lock")
-        return hand_over([str(PYTHON), "-m", "pytest", *rest])
+        return hand_over([*PYTEST, *rest])
     if name == "check" and set(rest) <= {"--no-tests"}:
         set_up("dev.lock")
         return check(tests="--no-tests" not in rest)
@@ -91,7 +93,7 @@ def check(*, tests: bool) -> int:
         "imports": [python, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"],
     }
     if tests:
-        steps["tests"] = [python, "-m", "pytest"]
+        steps["tests"] = PYTEST
     failed: list[str] = []
     for name, command in steps.items():
         say(f"--- {name}")
