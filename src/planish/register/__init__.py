@@ -2,7 +2,20 @@
 
 from planish.register.fit import Model, fit_transform
 from planish.register.match import Matched, match_marks
+from planish.register.match_design import MatchedByDesign, MatchedToDesign, match_by_design, match_to_design
 from planish.register.result import FittedSimilarity, FittedTransform
 from planish.register.strain import Transform
 
-__all__ = ["FittedSimilarity", "FittedTransform", "Matched", "Model", "Transform", "fit_transform", "match_marks"]
+__all__ = [
+    "FittedSimilarity",
+    "FittedTransform",
+    "Matched",
+    "MatchedByDesign",
+    "MatchedToDesign",
+    "Model",
+    "Transform",
+    "fit_transform",
+    "match_by_design",
+    "match_marks",
+    "match_to_design",
+]

@@ -1,0 +1,148 @@
+"""Whether the pattern behind two sets of marks may be symmetric or regular, with marks lost and marks that are none.
+
+All marks seen on either side are laid together and laid on themselves in every other way. A symmetric pattern of
+which each side lost some marks looks, on each side, like a pattern without symmetry; together they give it away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb, log10
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.register.match_search import REACH, Arrangements, Complexes, extents, search, share_within
+
+Floats = NDArray[np.float64]
+
+# log10 of how much better than chance a symmetry has to explain what is seen before it counts: symmetric patterns are
+# rare among those that people burn, but a wrong match is worse than none.
+_LOG_DOUBT = -2.0
+# Where as many partners are missing as in fewer than this share of symmetric patterns, there is no symmetry.
+_RARE = 1e-3
+# The same for marks seen on both sides, of whose partners only those lost on both are missing. Their share is never
+# taken to be smaller than that of holes that were not burnt through.
+_RARE_OF_SURE = 3e-3
+_NOT_BURNT = 0.05
+# Of the marks that one side alone shows, some are no holes at all and tell nothing of what the other side lost.
+_LOST_OF_ALONE = 0.75
+# Marks on one line meet by chance so often that what is plausible alone decides.
+_LOG_DOUBT_ON_A_LINE = -8.0
+_MOST_TRIED = 25_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Symmetry:
+    """The other arrangement of a pattern on itself that is hardest to rule out.
+
+    Attributes
+    ----------
+    marks, repeated : int
+        Marks seen in all, and those that meet a mark under the other arrangement.
+    turn_deg : float
+        Its angle.
+    mirrored : bool
+    shift_um : float
+        How far it moves the middle of the marks.
+    """
+
+    marks: int
+    repeated: int
+    turn_deg: float
+    mirrored: bool
+    shift_um: float
+
+    def describe(self) -> str:
+        """Say how the pattern repeats itself."""
+        if self.mirrored:
+            return "turned over"
+        if abs(self.turn_deg) < 5.0:
+            return f"shifted by {self.shift_um:.0f} um"
+        return f"turned by {abs(self.turn_deg):.0f} deg"
+
+
+def self_likeness(
+    points: Complexes, alone: tuple[int, int], *, scale_tolerance: float, tolerance_um: float, mirror: bool
+) -> Symmetry | None:
+    """Return the symmetry that a pattern may have, or None if it can be ruled out.
+
+    Parameters
+    ----------
+    points : ndarray of complex, shape (u,), in um
+        All marks seen on either side, in one frame, each once; those seen on both come first.
+    alone : (int, int)
+        How many of them were seen on one side only: lost on the other, or no marks.
+    """
+    count, singles = len(points), sum(alone)
+    sure = count - singles
+    if count < 4:
+        return None
+    found = search(
+        points, points, scale_tolerance=scale_tolerance, tolerance_um=tolerance_um,
+        hands=(False, True) if mirror else (False,), least_share=0.3, most_tried=_MOST_TRIED,
+    )  # fmt: skip
+    if found is None:
+        return None
+    step = np.abs(found.landed - points)
+    other = found.take(found.mirrored | (step.max(axis=1) > 2.0 * tolerance_um))
+    if len(other.inliers) == 0:
+        return None
+    doubt = _log_evidence(other, points, singles, tolerance_um)
+    meets = other.squares <= (REACH * tolerance_um) ** 2
+    met, met_of_sure = np.count_nonzero(meets, axis=1), np.count_nonzero(meets[:, :sure], axis=1)
+    gone = min(0.9, 0.1 + _LOST_OF_ALONE * (singles + 1.0) / (count + 2.0))
+    lost = float(np.prod([_LOST_OF_ALONE * (c + 1.0) / (sure + c + 2.0) for c in alone]))
+    plausible = np.array([_at_least(count - k, count, gone) > _RARE for k in range(count + 1)])
+    # A wrong arrangement that agrees well makes losses look rare; the symmetry itself says what it needs to be lost.
+    of_sure = np.array(
+        [
+            _at_least(gap, sure, _NOT_BURNT + max(lost, (gap / max(sure + gap, 1)) ** 2)) > _RARE_OF_SURE
+            for gap in range(sure, -1, -1)
+        ]
+    )
+    limit = _LOG_DOUBT if extents(points)[1] > 4.0 * tolerance_um else _LOG_DOUBT_ON_A_LINE
+    suspect = plausible[met] & of_sure[met_of_sure] & (doubt > limit)
+    if not np.any(suspect):
+        return None
+    # The most complete one is the clearest to name.
+    worst = int(np.lexsort((-doubt, -met, ~suspect))[0])
+    alpha, middle = other.alpha[worst], points.mean()
+    source = -np.conj(middle) if other.mirrored[worst] else middle
+    shift = abs(alpha * source + other.gamma[worst] * np.conj(source) + other.beta[worst] - middle)
+    return Symmetry(
+        marks=count,
+        repeated=int(met[worst]),
+        turn_deg=float(np.degrees(np.angle(alpha))),
+        mirrored=bool(other.mirrored[worst]),
+        shift_um=float(shift),
+    )
+
+
+def _log_evidence(found: Arrangements, points: Complexes, singles: int, tolerance: float) -> Floats:
+    """log10 of how much better a symmetry explains the marks that meet, and those that do not, than chance does."""
+    count = len(points)
+    paired = found.partner >= 0
+    moved = paired & (np.abs(found.landed - points) > 2.0 * tolerance)
+    back = np.take_along_axis(found.partner, np.maximum(found.partner, 0).astype(np.intp), axis=1)
+    mutual = moved & (back == np.arange(count))
+    arcs = moved.sum(axis=1)
+    swaps = mutual.sum(axis=1)
+    # A half turn or a mirror image exchanges marks: each couple is one coincidence, and the first fixes the symmetry.
+    exchange = swaps > 0.6 * arcs
+    couples = arcs - swaps / 2
+    free = np.where(exchange, couples - 1, arcs - 2)
+    tests = np.where(exchange, count * (count - 1) / 2, found.tests)
+    rms = np.sqrt(np.sum(np.where(paired, found.squares, 0.0), axis=1) / np.maximum(paired.sum(axis=1), 1))
+    share = share_within(1.8 * rms + 0.08 * tolerance, points, tolerance)
+    gone = min(0.9, max(0.1, (singles + 1.0) / (count + 2.0)))
+    missing = count - paired.sum(axis=1)
+    return (
+        -np.maximum(free, 0) * np.log10(share) - np.log10(np.maximum(tests, 1))
+        + missing * log10(gone) + paired.sum(axis=1) * log10(1.0 - gone)
+    )  # fmt: skip
+
+
+def _at_least(k: int, n: int, p: float) -> float:
+    """Probability of ``k`` or more of ``n``, each with probability ``p``."""
+    return sum(comb(n, j) * p**j * (1.0 - p) ** (n - j) for j in range(k, n + 1))
