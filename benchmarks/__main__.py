@@ -8,16 +8,34 @@ from benchmarks import (
     artefacts,
     faces,
     flattening,
+    holes,
+    matching,
     properties,
+    registration,
     relaxation,
     resampling,
     resume,
     size,
     specimens,
     variants,
+    warping,
 )
 
-_MODULES = (variants, flattening, relaxation, resampling, properties, specimens, size, resume, artefacts)
+_MODULES = (
+    variants,
+    flattening,
+    relaxation,
+    resampling,
+    matching,
+    holes,
+    properties,
+    registration,
+    specimens,
+    size,
+    resume,
+    artefacts,
+    warping,
+)
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
 
 

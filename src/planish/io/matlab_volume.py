@@ -22,6 +22,7 @@ from planish.io.hdf5_links import check_storage, is_hard, opened, volumes_in
 from planish.io.hdf5_volume import Hdf5Array, check_values, chunk_bytes, word
 from planish.io.lazy import LazyArray, turned
 from planish.io.loaded import LoadedVolume, loaded
+from planish.io.matlab_headers import check_headings
 from planish.io.sizes import Stated
 from planish.io.stored import check_shape
 from planish.io.tiff import size_words
@@ -61,6 +62,8 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
     size_of_file(path)
     with reading(path):
         new = h5py.is_hdf5(path)
+    if not new:
+        check_headings(path)
     variables = variables_in_new(path) if new else variables_in_old(path)
     name, shape, kind = choose(variables, place)
     if kind not in TYPES:

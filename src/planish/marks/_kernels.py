@@ -14,8 +14,8 @@ from numba import njit
 X, Y, RADIUS, HALF_DIFFERENCE, COV_XX, COV_YY, COV_XY, COVERAGE, STEP, INSIDE, OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS = (
     range(14)
 )
-UNEVENNESS, FAR_STEP = 14, 15
-COLUMNS = 16
+UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAVES, STANDING = range(14, 19)
+COLUMNS = 19
 
 RAYS = 96
 
@@ -35,6 +35,107 @@ def area_mean(image, fy, fx):
                         total += value
                         count += 1
             out[i, j] = total / count if 2 * count >= fy * fx else np.nan
+    return out
+
+
+@njit(cache=True, nogil=True)
+def block_sums(image, fy, fx):
+    """Return the share of every block that has data, and the sum of its values over its size; float32.
+
+    The last blocks may reach beyond the image; what lies there has no data.
+    """
+    rows, columns = image.shape
+    share = np.zeros((-(-rows // fy), -(-columns // fx)), np.float32)
+    values = np.zeros(share.shape)
+    for i in range(rows):
+        for j in range(columns):
+            value = image[i, j]
+            if value == value:
+                share[i // fy, j // fx] += 1
+                values[i // fy, j // fx] += value
+    return share / np.float32(fy * fx), (values / (fy * fx)).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def stretched(means, rows, columns, fy, fx):
+    """Return values of blocks at every pixel, linear between the middles of the blocks; float32."""
+    out = np.empty((rows, columns), np.float32)
+    low, high, part = np.empty(columns, np.int64), np.empty(columns, np.int64), np.empty(columns, np.float32)
+    for j in range(columns):
+        place = min(max((j + 0.5) / fx - 0.5, 0.0), means.shape[1] - 1.0)
+        low[j] = min(int(place), max(0, means.shape[1] - 2))
+        high[j] = min(low[j] + 1, means.shape[1] - 1)
+        part[j] = place - low[j]
+    for i in range(rows):
+        place = min(max((i + 0.5) / fy - 0.5, 0.0), means.shape[0] - 1.0)
+        k = min(int(place), max(0, means.shape[0] - 2))
+        below = np.float32(place - k)
+        line = means[k] * (1 - below) + means[min(k + 1, means.shape[0] - 1)] * below
+        for j in range(columns):
+            out[i, j] = line[low[j]] + (line[high[j]] - line[low[j]]) * part[j]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def gaussian(image, sy, sx):
+    """Return the Gaussian mean of a float32 image without gaps; ``sy, sx`` in pixels; the border's values run on."""
+    rows, columns = image.shape
+    out = np.empty((rows, columns), np.float32)
+    ry, rx = max(1, int(3.0 * sy + 0.5)), max(1, int(3.0 * sx + 0.5))
+    wy, wx = np.empty(2 * ry + 1), np.empty(2 * rx + 1)
+    for k in range(2 * ry + 1):
+        wy[k] = np.exp(-0.5 * ((k - ry) / max(sy, 1e-6)) ** 2)
+    for k in range(2 * rx + 1):
+        wx[k] = np.exp(-0.5 * ((k - rx) / max(sx, 1e-6)) ** 2)
+    down, along = (wy / wy.sum()).astype(np.float32), (wx / wx.sum()).astype(np.float32)
+    # A row is summed over its neighbours in a buffer that stays in the cache, then along itself.
+    wide = np.empty(columns + 2 * rx, np.float32)
+    line = np.empty(columns, np.float32)
+    for i in range(rows):
+        line[:] = down[ry] * image[i]
+        for k in range(1, ry + 1):
+            above, below, w = image[max(i - k, 0)], image[min(i + k, rows - 1)], down[ry + k]
+            for j in range(columns):
+                line[j] += w * (above[j] + below[j])
+        wide[:rx] = line[0]
+        wide[rx : rx + columns] = line
+        wide[rx + columns :] = line[columns - 1]
+        mean = out[i]
+        w = along[rx]
+        for j in range(columns):
+            mean[j] = w * line[j]
+        for k in range(1, rx + 1):
+            left, right, w = wide[rx - k :], wide[rx + k :], along[rx + k]
+            for j in range(columns):
+                mean[j] += w * (left[j] + right[j])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def tops(values, sign, least, ry, rx):
+    """Return rows ``(row, column, value)`` of what is largest, times sign, within ``+-ry, +-rx`` pixels."""
+    rows, columns = values.shape
+    found = []
+    for i in range(rows):
+        for j in range(columns):
+            value = sign * values[i, j]
+            if not value > least:
+                continue
+            if j + 1 < columns and sign * values[i, j + 1] > value:
+                continue
+            top = True
+            for k in range(max(i - ry, 0), min(i + ry + 1, rows)):
+                for m in range(max(j - rx, 0), min(j + rx + 1, columns)):
+                    if sign * values[k, m] > value:
+                        top = False
+                        break
+                if not top:
+                    break
+            if top:
+                found.append((i, j, value))
+    out = np.empty((len(found), 3))
+    for n in range(len(found)):
+        out[n, 0], out[n, 1], out[n, 2] = found[n][0], found[n][1], found[n][2]
     return out
 
 
@@ -227,7 +328,6 @@ def _half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
     gap = max(4.0, 0.9 * pixel)  # from the edge to where the plateaus begin
     width = max(7.0, 0.8 * pixel)  # over which a plateau is averaged; well under the width of the char
     reach = max(1, int(round(max(5.0, pixel) / dt)))
-    first = 0.65 if pixel > 8.0 else 0.95
     for k in range(rays):
         angle = 2 * np.pi * k / rays
         x0, y0 = cx / px, cy / py
@@ -249,10 +349,10 @@ def _half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
             best = max(best, rises[t])
         if best <= 0.0:
             continue
-        # Char narrower than five pixels lies within the window: the first strong edge is the hole's, even where the
-        # char's own is stronger. With finer pixels the strongest is taken, lest the tapered wall be the rim.
+        # Narrow char lies within the window: the first strong edge is the hole's, even if the char's own is stronger.
+        # The edge of the tapered wall at the other face is weaker than two thirds.
         for t in range(reach, count - reach):
-            if rises[t] >= first * best:
+            if rises[t] >= 0.65 * best:
                 top = t
                 while top + 1 < count - reach and rises[top + 1] >= rises[top]:
                     top += 1
@@ -319,13 +419,15 @@ def _levels(image, px, py, cx, cy, sign, radius, pixel):
 
 
 @njit(cache=True)
-def measure(image, px, py, xs, ys, sign, low, high):
+def measure(image, px, py, xs, ys, sign, low, high, least, contrast):
     """Measure a round hole at each candidate place.
 
-    ``xs, ys`` (n,) in um; ``low, high`` the range of radii in um. Returns ``(n, COLUMNS)``: centre, radius, half the
-    difference between the half axes, covariance of the centre, share of the rim found, step at the rim, levels inside
-    and outside times ``sign``, robust standard deviation of the sheet around, rms of the rim about the ellipse, rise
-    of the floor towards the rim, unevenness of the floor, and step over a wider distance. Lengths in um. NaN rows where
+    ``xs, ys`` (n,) in um; ``low, high`` the range of radii in um; a step below ``least``, or below ``contrast`` times
+    the texture around, is not looked at closely. Returns ``(n, COLUMNS)``: centre, radius, half the difference between
+    the half axes, covariance of the centre for waves of the rim of amplitude 1, share of the rim found, step at the
+    rim, levels inside and outside times ``sign``, robust standard deviation of the sheet around, rms of the rim about
+    the ellipse, rise of the floor towards the rim, unevenness of the floor, step over a wider distance, and variances
+    of the waves around the rim, long and short ones (the last column is left to others). Lengths in um. NaN rows where
     there is no hole.
     """
     pixel = max(px, py)
@@ -354,6 +456,13 @@ def measure(image, px, py, xs, ys, sign, low, high):
                 found = False
                 break
             cx, cy = cx + fit[1], cy + fit[2]
+            if turn == 0:
+                # Most places are mottle; a look at the levels tells, long before the rim is known.
+                inside, spread, flatness, outside, texture = _levels(image, px, py, cx, cy, sign, radius, pixel)
+                total = outside - inside
+                if total < max(least, contrast * texture) or spread > 0.35 * total or flatness > 0.4 * total:
+                    found = False
+                    break
             if turn > 0 and shift < 0.1 * pixel:
                 break
         if not found:
@@ -382,7 +491,7 @@ def measure(image, px, py, xs, ys, sign, low, high):
         if not found or not (0.5 * low < radius < 1.5 * high):
             continue
         step = np.nanmedian(steps)
-        # Share of the rim that is there; and how far neighbouring rays agree in their error.
+        # Share of the rim that is there; and how rough it is.
         error = np.zeros(RAYS)
         used, squares = 0, 0.0
         for k in range(RAYS):
@@ -391,24 +500,31 @@ def measure(image, px, py, xs, ys, sign, low, high):
                 error[k] = radii[k] - (model[k] + fit[1] * np.cos(angle) + fit[2] * np.sin(angle))
                 squares += error[k] ** 2
                 used += 1
-        together = 1.0
-        if squares > 0.0:
-            for lag in range(1, RAYS // 6):
-                product = 0.0
-                for k in range(RAYS):
-                    product += error[k] * error[(k + lag) % RAYS]
-                if product < 0.05 * squares:
-                    break
-                together += 2 * product / squares
-        # Five coefficients were taken out of as many independent arcs as there are.
-        arcs = used / together
-        variance = squares / max(1, used) * arcs / max(arcs - 5.0, 1.0) * together
+        # Waves around the rim, variance of one amplitude: 3 and 4 to the round, 5 to 8. The first wave is what moves
+        # the centre, and its size can only be told from them.
+        low_waves, high_waves = 0.0, 0.0
+        for order in range(3, 9):
+            a, b, n = 0.0, 0.0, 0
+            for k in range(RAYS):
+                if weight[k] > 0.0:
+                    angle = 2 * np.pi * order * k / RAYS
+                    a += error[k] * np.cos(angle)
+                    b += error[k] * np.sin(angle)
+                    n += 1
+            # Missing rays take as much from the sum as from the variance of a rough rim.
+            power = 0.5 * (a * a + b * b) * 4 / (max(n, 1) * RAYS)
+            if order < 5:
+                low_waves += power / 2
+            else:
+                high_waves += power / 4
+        # As if the rays were independent; the waves' own variance is put in once all holes are known.
+        variance = RAYS / 2
         inside, spread, flatness, outside, texture = _levels(image, px, py, cx, cy, sign, radius, pixel)
-        floor = (0.02 * pixel) ** 2
         out[h, X], out[h, Y], out[h, RADIUS] = cx, cy, radius
         out[h, HALF_DIFFERENCE] = np.hypot(fit[3], fit[4])
-        out[h, COV_XX] = variance * inverse[1, 1] + floor
-        out[h, COV_YY] = variance * inverse[2, 2] + floor
+        out[h, LOW_WAVES], out[h, HIGH_WAVES] = low_waves, high_waves
+        out[h, COV_XX] = variance * inverse[1, 1]
+        out[h, COV_YY] = variance * inverse[2, 2]
         out[h, COV_XY] = variance * inverse[1, 2]
         out[h, COVERAGE] = used / RAYS
         out[h, STEP], out[h, INSIDE], out[h, OUTSIDE], out[h, TEXTURE] = step, inside, outside, texture

@@ -6,6 +6,8 @@ doi:10.1023/A:1008045108935). The search is generous; measuring the rim decides.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -19,6 +21,15 @@ Image = NDArray[np.float32]
 ACROSS_COARSE = 8.0
 ACROSS_FINE = 40.0
 MOST_CANDIDATES = 6000
+
+
+class Response(NamedTuple):
+    """Answer to discs of one radius: pixel size ``(y, x)`` and ``(x, y)`` of the first pixel, all in um."""
+
+    radius: float
+    values: Image
+    pixel_um: tuple[float, float]
+    origin_um: Floats
 
 
 def reduce_to(
@@ -45,16 +56,15 @@ def reduce_to(
     return small, size, np.array([(factors[1] - 1) / 2 * pixel_um[1], (factors[0] - 1) / 2 * pixel_um[0]])
 
 
-def blob_responses(
-    image: Image, pixel_um: tuple[float, float], radii_um: tuple[float, float]
-) -> list[tuple[float, Image]]:
+def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[float, float]) -> list[Response]:
     """Laplacian-of-Gaussian responses at radii that cover a range; positive where a disc is darker than around it.
 
     Missing data are filled with the local mean of what is there, so that they raise no edge of their own.
 
     Returns
     -------
-    list of (radius in um, response)
+    list of Response
+        Radii grow; wide blobs come on coarser rasters.
     """
     there = np.isfinite(image)
     filled = image
@@ -67,13 +77,16 @@ def blob_responses(
     # width is reached from the one before, which costs little.
     widths = np.append(radii / np.sqrt(2 * ratio), radii[-1] * np.sqrt(ratio / 2))
     steps = np.sqrt(np.diff(widths**2, prepend=0.0))
-    responses: list[tuple[float, Image]] = []
-    before = filled
+    responses: list[Response] = []
+    before, size, origin = np.ascontiguousarray(filled, dtype=np.float32), pixel_um, np.zeros(2)
     for rung, step in enumerate(steps):
-        sigmas = tuple(float(step) / size for size in pixel_um)
-        after = ndimage.gaussian_filter(before, sigmas, mode="nearest", truncate=3.0)
+        after = _kernels.gaussian(before, float(step) / size[0], float(step) / size[1])
         if rung:
-            responses.append((float(radii[rung - 1]), after - before))
+            responses.append(Response(float(radii[rung - 1]), after - before, size, origin))
+        # The wider the blobs, the coarser a raster shows them just as well.
+        if rung and rung < count:
+            after, smaller, shift = reduce_to(after, size, 2 * float(radii[rung]) / ACROSS_COARSE)
+            size, origin = smaller, origin + shift
         before = after
     return responses
 
@@ -82,6 +95,11 @@ def disc_response(radii: list[float], step: float) -> float:
     """Response at the centre of a disc that differs by ``step`` from its surroundings, at its own radius."""
     ratio = radii[1] / radii[0]
     return step * float(np.exp(-1 / ratio) - np.exp(-ratio))
+
+
+def regular(responses: list[Response]) -> list[float]:
+    """Robust standard deviation of the responses at each radius: what mottle, fibres or a printed screen make."""
+    return [_spread(r.values, 0.5) / 0.6745 for r in responses]
 
 
 def quiet_texture(image: Image, pixel_um: tuple[float, float], width_um: float) -> float:
@@ -122,10 +140,15 @@ def texture(image: Image, pixel_um: tuple[float, float], width_um: float, circle
     return _spread(rest - _local_mean(rest, pixel_um, width_um), 0.5) / 0.6745
 
 
+def _some(values: Image) -> Image:
+    """At most half a million of the values that are there, from all over the image."""
+    some = values.ravel()[:: 1 + values.size // 500_000]
+    return some[np.isfinite(some)]
+
+
 def _spread(values: Image, share: float) -> float:
-    """Quantile of the absolute deviation from the median, from at most a million values."""
-    there = values[np.isfinite(values)]
-    some = there[:: 1 + there.size // 1_000_000]
+    """Quantile of the absolute deviation from the median."""
+    some = _some(values)
     return float(np.quantile(np.abs(some - np.median(some)), share)) if some.size else 0.0
 
 
@@ -134,58 +157,49 @@ def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float) ->
 
     It is so smooth that a quarter of its width is fine enough a raster to compute it on.
     """
-    there = np.isfinite(image)
     factors = [max(1, int(width_um / 4 / size)) for size in pixel_um]
-    padding = [(0, -n % factor) for n, factor in zip(image.shape, factors, strict=True)]
+    sigmas = tuple(width_um / size / factor for size, factor in zip(pixel_um, factors, strict=True))
     share, values = (
-        ndimage.gaussian_filter(
-            _kernels.area_mean(np.pad(part.astype(np.float32), padding), factors[0], factors[1]),
-            tuple(width_um / size / factor for size, factor in zip(pixel_um, factors, strict=True)),
-            truncate=3.0,
-        )
-        for part in (there, np.where(there, image, np.float32(0)))
+        ndimage.gaussian_filter(part, sigmas, truncate=3.0)
+        for part in _kernels.block_sums(image, factors[0], factors[1])
     )
     near = share > 1e-3
-    typical = np.float32(np.median(image[there])) if np.any(there) else np.float32(0)
+    some = _some(image)
+    typical = np.float32(np.median(some)) if some.size else np.float32(0)
     mean = np.where(near, values / np.where(near, share, np.float32(1)), typical)
-    for axis, (n, factor) in enumerate(zip(image.shape, factors, strict=True)):
-        place = np.clip((np.arange(n) + 0.5) / factor - 0.5, 0, mean.shape[axis] - 1)
-        low = np.minimum(place.astype(np.intp), max(0, mean.shape[axis] - 2))
-        high = np.minimum(low + 1, mean.shape[axis] - 1)
-        part = (place - low).astype(np.float32)[:, None] if axis == 0 else (place - low).astype(np.float32)
-        mean = mean.take(low, axis) * (1 - part) + mean.take(high, axis) * part
-    return mean.astype(np.float32)
+    return _kernels.stretched(mean, image.shape[0], image.shape[1], factors[0], factors[1])
 
 
-def peaks(responses: list[tuple[float, Image]], pixel_um: tuple[float, float], sign: float, least: float) -> Floats:
-    """Return the strongest extremes over place and scale as rows ``(x, y)`` in um, strongest first.
+def peaks(responses: list[Response], sign: float, least: list[float], spreads: list[float]) -> Floats:
+    """Return the strongest extremes over place and scale, strongest first.
 
     Parameters
     ----------
-    responses : list of (radius, response)
+    responses : list of Response
         From `blob_responses`.
-    pixel_um : tuple of float
-        Pixel size ``(y, x)`` of the responses.
     sign : {1, -1}
         Which extremes: dark or bright discs.
-    least : float
-        Weakest response to look at.
+    least, spreads : list of float
+        Weakest response to look at, and what `regular` says, for each radius.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        ``x, y`` in um, and the response in units of its spread.
     """
     found: list[Floats] = []
-    for radius, response in responses:
-        values = response * np.float32(sign)
-        reach = tuple(2 * max(1, round(0.5 * radius / size)) + 1 for size in pixel_um)
-        top = (values == ndimage.maximum_filter(values, size=reach)) & (values > max(least, 0.0))
-        rows, columns = np.nonzero(top)
-        peaks = np.stack([columns * pixel_um[1], rows * pixel_um[0], values[rows, columns]], axis=1)
-        found.append(peaks.astype(np.float64))
+    for (radius, values, pixel, origin), weakest, spread in zip(responses, least, spreads, strict=True):
+        reach = [max(1, round(0.5 * radius / size)) for size in pixel]
+        tops = _kernels.tops(values, np.float32(sign), np.float32(max(weakest, 0.0)), reach[0], reach[1])
+        place = tops[:, [1, 0]] * np.array([pixel[1], pixel[0]]) + origin
+        found.append(np.column_stack([place, tops[:, 2] / max(spread, 1e-30), tops[:, 2]]))
     every = np.concatenate(found)
-    order = np.argsort(-every[:, 2], kind="stable")
-    return _thinned(every[order, :2], 0.5 * responses[0][0])[:MOST_CANDIDATES]
+    order = np.argsort(-every[:, 3], kind="stable")
+    return _thinned(every[order, :3], 0.5 * responses[0].radius)[:MOST_CANDIDATES]
 
 
 def _thinned(points: Floats, least: float) -> Floats:
     """Drop points that share a cell of size ``least`` with a stronger one."""
-    cells = np.floor(points / least).astype(np.int64)
+    cells = np.floor(points[:, :2] / least).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     return points[np.sort(first)]

@@ -20,6 +20,7 @@ from planish.marks.candidates import (
     peaks,
     quiet_texture,
     reduce_to,
+    regular,
     texture,
 )
 
@@ -30,6 +31,10 @@ LEAST_COVERAGE = 0.7
 # Step from the floor to the sheet, in robust standard deviations of the sheet around and of the whole: mottle rarely
 # makes three.
 LEAST_CONTRAST = 3.2
+# Answer to a disc, in robust standard deviations of the same answer all over the sheet. What is worth a look, and what
+# is a hole even where dots, lines or fibres make a large texture: nothing regular reaches the second.
+WORTH_A_LOOK = 4.0
+LEAST_STANDING = 10.0
 # The floor of a hole is flat and its rim a step; a blotch of mottle is neither. Shares of the whole step; the char
 # around a hole may take two thirds of it.
 LARGEST_FLATNESS = 0.25
@@ -37,6 +42,8 @@ LARGEST_UNEVENNESS = 0.2
 LEAST_STEP = 0.28
 # Step over +-10 um across the rim as a share of that over +-25 um: a gentle slope makes less.
 LEAST_SHARPNESS = 0.45
+# Char so narrow that its outer edge comes within the wider distance makes less, too; but no slope has a floor so flat.
+SHARP_ENOUGH, FLAT = 0.36, 0.05
 # Rim about its ellipse, rms: share of the radius, beside 0.3 pixels.
 LARGEST_ROUGHNESS = 0.09
 # Fewer pixels across a hole leave nothing to tell a rim from a slope by.
@@ -46,6 +53,18 @@ LEAST_PIXELS = 6.0
 LEAST_DEPTH = 0.7
 LEAST_SHARE_OF_MEDIAN = 0.5
 LARGEST_FACTOR = 1.6
+
+# Floors that agree to this share are alike; this much more of the step at the rim itself means that nothing is burnt.
+SAME_DEPTH = 0.92
+MORE_OF_THE_STEP = 0.15
+
+# Of the variance of a centre, what a rim's own roughness says; the rest is what all rims say.
+OWN_WAVES = 0.5
+# Error that the raster adds, in pixels.
+PIXEL_ERROR = 0.02
+
+# Diameter of the middle of the default range.
+USUAL_UM = 173.2
 
 # Beyond a rim this much may be burnt.
 CHAR_UM = 60.0
@@ -104,10 +123,10 @@ def find_holes(
     -----
     A burnt rim surrounds each hole, so the rim is taken at the innermost strong edge met on the way out from the
     centre, at half level between the floor and what lies just outside it. Rims are fitted by ``r0 + a cos + b sin +
-    c cos 2 + d sin 2`` with Tukey weights, which is an ellipse to first order. The covariance of the centre
-    follows from the
-    residuals, raised for their correlation along the rim; it includes the roughness of the rim, which two images of one
-    hole share, and is therefore on the safe side. Holes cut by the border of the image or of the data are left out, as
+    c cos 2 + d sin 2`` with Tukey weights, which is an ellipse to first order. The roughness of a rim has a first
+    wave, too, which moves the centre and is not seen in the residuals; the covariance of the centre follows from their
+    next waves, half those of the rim itself and half those of all rims. Two images of one hole share the rim, so it is
+    on the safe side. Holes cut by the border of the image or of the data are left out, as
     are holes closed over more than 30 % of their rim.
 
     References
@@ -126,8 +145,15 @@ def find_holes(
         raise MarkError(f"The polarity is {polarity!r}; it has to be 'auto', 'dark' or 'bright'.")
     grey = _grey(image)
     signs = {"auto": (1.0, -1.0), "dark": (1.0,), "bright": (-1.0,)}[polarity]
-    found = _holes(grey, size, low / 2, high / 2, signs) if _usable(grey, size, low) else []
+    # Widths of char, walls and blur are those of laser holes; a target of another size is measured as its magnified
+    # picture.
+    times = USUAL_UM / np.sqrt(low * high)
+    times = 1.0 if 0.5 <= times <= 2.0 else float(times)
+    as_holes = (size[0] * times, size[1] * times)
+    found = _holes(grey, as_holes, low / 2 * times, high / 2 * times, signs) if _usable(grey, size, low) else []
     best = max(found, key=lambda pair: float(np.sum(pair[1][:, k.STEP])), default=(signs[0], np.empty((0, k.COLUMNS))))
+    best[1][:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE]] /= times
+    best[1][:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= times**2
     return _dataset(best[1], best[0])
 
 
@@ -140,11 +166,19 @@ def _holes(
     responses = blob_responses(coarse, coarse_size, (low, high))
     # Char, neighbours and a radius between two rungs weaken a response; a third is allowed for them.
     quiet = quiet_texture(coarse, coarse_size, 2 * high)
-    least = 0.67 * disc_response([radius for radius, _ in responses], LEAST_CONTRAST * quiet)
+    plain = 0.67 * disc_response([r.radius for r in responses], LEAST_CONTRAST * quiet)
+    spreads = regular(responses)
+    # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
+    least = [min(plain, WORTH_A_LOOK * spread) for spread in spreads]
+    share = min(least) / plain if plain > 0 else 1.0
+    # Before a rim is measured its place may be some pixels off: less contrast is asked for.
+    worth = (0.8 * share * LEAST_CONTRAST * quiet, 0.75 * LEAST_CONTRAST if share >= 1.0 else 0.0)
     found: list[tuple[float, Floats]] = []
     for sign in signs:
-        x, y = np.ascontiguousarray((peaks(responses, coarse_size, sign, least) + coarse_origin).T)
-        rows = k.measure(fine, fine_size[1], fine_size[0], x, y, sign, low, high)
+        places = peaks(responses, sign, least, spreads)
+        x, y = np.ascontiguousarray((places[:, :2] + coarse_origin).T)
+        rows = k.measure(fine, fine_size[1], fine_size[0], x, y, sign, low, high, *worth)
+        rows[:, k.STANDING] = places[:, 2]
         rows = rows[_is_hole(rows, fine_size, low, high)]
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
         circles = np.stack([*(rows[:, k.X : k.Y + 1] - coarse_origin).T, rows[:, k.RADIUS] + CHAR_UM], axis=1)
@@ -152,6 +186,7 @@ def _holes(
         rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], whole)
         rows = _strongest_apart(rows[_is_hole(rows, fine_size, low, high)])
         rows = _unlike_removed(rows[_is_whole(rows, fine.shape, fine_size)], sign)
+        _set_covariance(rows, fine_size)
         rows[:, k.X] += fine_origin[0]
         rows[:, k.Y] += fine_origin[1]
         found.append((sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))]))
@@ -174,9 +209,12 @@ def _is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -
             & (radius <= high)
             & ((radius + half) < LARGEST_AXIS_RATIO * (radius - half))
             & (rows[:, k.COVERAGE] >= LEAST_COVERAGE)
-            & (total > LEAST_CONTRAST * rows[:, k.TEXTURE])
+            & ((total > LEAST_CONTRAST * rows[:, k.TEXTURE]) | (rows[:, k.STANDING] > LEAST_STANDING))
             & (rows[:, k.STEP] > LEAST_STEP * total)
-            & (rows[:, k.STEP] > LEAST_SHARPNESS * rows[:, k.FAR_STEP])
+            & (
+                (rows[:, k.STEP] > LEAST_SHARPNESS * rows[:, k.FAR_STEP])
+                | ((rows[:, k.STEP] > SHARP_ENOUGH * rows[:, k.FAR_STEP]) & (rows[:, k.FLATNESS] < FLAT * total))
+            )
             & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * total)
             & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * total)
             & (rows[:, k.ROUGHNESS] < LARGEST_ROUGHNESS * radius + 0.3 * max(size))
@@ -196,7 +234,7 @@ def _strongest_apart(rows: Floats) -> Floats:
 
 
 def _unlike_removed(rows: Floats, sign: float) -> Floats:
-    """Drop marks much fainter, smaller or larger than the rest."""
+    """Drop marks much fainter, smaller or larger than the rest, or paler and without the burnt rim of the rest."""
     if len(rows) < 3:
         return rows
     inside, outside = rows[:, k.INSIDE], rows[:, k.OUTSIDE]
@@ -204,14 +242,38 @@ def _unlike_removed(rows: Floats, sign: float) -> Floats:
     typical = np.median(step)
     # In weak light a hole's step is small, but its floor is as dark as the others'.
     floor = np.median(inside[step >= typical])
-    alike = step >= LEAST_DEPTH * np.maximum(outside - floor, step)
+    depth = step / np.maximum(outside - floor, step)
+    alike = depth >= LEAST_DEPTH
     if sign < 0:
         # In transmitted light floors fade with the lamp, and nothing but a hole shines.
         alike |= step >= LEAST_SHARE_OF_MEDIAN * typical
+    # Char takes a part of the step; what is less deep than the others and has none is ink or dirt.
+    rim = rows[:, k.STEP] / step
+    alike &= (depth >= SAME_DEPTH) | (rim < np.median(rim[depth >= SAME_DEPTH]) + MORE_OF_THE_STEP)
     rows = rows[alike]
     radius = rows[:, k.RADIUS]
     factor = radius / np.median(radius)
     return rows[(factor < LARGEST_FACTOR) & (factor > 1 / LARGEST_FACTOR)]
+
+
+def _set_covariance(rows: Floats, size: tuple[float, float]) -> None:
+    """Scale the covariances by the size of the wave that moves a centre, in place.
+
+    One rim has few waves to judge from, so what all rims of an image tell counts as much as a rim's own. Long waves are
+    larger than short ones, as with any rough line; the first is reached by going on in the square of the order.
+    """
+    if not len(rows):
+        return
+    low, high = rows[:, k.LOW_WAVES], rows[:, k.HIGH_WAVES]
+    both = (low + 2 * high) / 3
+    fall = np.clip(np.mean(low) / max(float(np.mean(high)), 1e-30), 1.0, 8.0)
+    # Mean squares of the orders: 1; 12.5 of the third and fourth; 43.5 of the fifth to eighth.
+    first = np.mean(low) * fall ** (11.5 / 31.0)
+    own = first / max(float(np.mean(both)), 1e-30) * both
+    variance = OWN_WAVES * own + (1 - OWN_WAVES) * np.median(own)
+    rows[:, k.COV_XX] = rows[:, k.COV_XX] * variance + (PIXEL_ERROR * size[1]) ** 2
+    rows[:, k.COV_YY] = rows[:, k.COV_YY] * variance + (PIXEL_ERROR * size[0]) ** 2
+    rows[:, k.COV_XY] *= variance
 
 
 def _dataset(rows: Floats, sign: float) -> xr.Dataset:

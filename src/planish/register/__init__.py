@@ -3,6 +3,7 @@
 from planish.register.fit import Model, fit_transform
 from planish.register.match import Matched, match_marks
 from planish.register.match_design import MatchedByDesign, MatchedToDesign, match_by_design, match_to_design
+from planish.register.refine import Refined, refine
 from planish.register.result import FittedSimilarity, FittedTransform
 from planish.register.strain import Transform
 
@@ -13,9 +14,11 @@ __all__ = [
     "MatchedByDesign",
     "MatchedToDesign",
     "Model",
+    "Refined",
     "Transform",
     "fit_transform",
     "match_by_design",
     "match_marks",
     "match_to_design",
+    "refine",
 ]

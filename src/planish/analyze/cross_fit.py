@@ -1,0 +1,310 @@
+"""Correlation of maps whose registration was tuned on the maps themselves: what may be reported of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planish.analyze.ncc import MaskedNcc, pearson
+from planish.analyze.peak import find_peak, within
+from planish.analyze.surrogates import correlation_length_um, phase_randomised, without_plane
+from planish.core.errors import CannotMeasure
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+Tune = Callable[[Array, Mask], Array]
+"""From map a and the pixels that may be looked at to map b on a's grid, placed so that it fits best there.
+
+It must look at a at these pixels only; NaN is missing in what it returns.
+"""
+
+_SEED = 20090502
+_LEAST_TILES = 4  # of either colour that are reported on
+_LEAST_PIXELS = 100
+
+
+class Registration(StrEnum):
+    """How the maps of a correlation were registered; stands beside every r."""
+
+    MARKS = "marks only"
+    CROSS_FITTED = "refined (cross-fitted)"
+    SEARCHED_NULL = "refined (searched null)"
+
+    @property
+    def sentence(self) -> str:
+        """The words for a report."""
+        return f"registration: {self.value}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CrossFitted:
+    """Correlation of tiles that the registration has not seen.
+
+    Attributes
+    ----------
+    r : float
+        Both halves together: sums of products over both, each half about its own means.
+    r_of_halves : (float, float)
+        Of either colour of the checkerboard, registered on the other.
+    n : int
+        Pixels that are reported on.
+    share : float
+        That number over all pixels known in both.
+    tile_um, guard_um : float
+        Side of the tiles; distance kept from what the registration saw.
+    length_um : float
+        Correlation length of the coarser map.
+    """
+
+    r: float
+    r_of_halves: tuple[float, float]
+    n: int
+    share: float
+    tile_um: float
+    guard_um: float
+    length_um: float
+
+    @property
+    def registration(self) -> Registration:
+        """Always cross-fitted."""
+        return Registration.CROSS_FITTED
+
+    @property
+    def sentence(self) -> str:
+        """The correlation and how the maps were registered."""
+        return f"r = {self.r:.2f}; {self.registration.sentence}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchedNull:
+    """A correlation after a search, beside what the same search finds in unrelated maps.
+
+    Attributes
+    ----------
+    r : float
+        After the search: too large, and only to be read beside ``null_95``.
+    null_95 : float
+        ``|r|`` that the same search reaches on 95 of 100 unrelated maps.
+    p : float
+        Share of unrelated maps on which it reaches ``|r|``, r itself counted in.
+    surrogates : int
+        Number of unrelated maps.
+    """
+
+    r: float
+    null_95: float
+    p: float
+    surrogates: int
+
+    @property
+    def registration(self) -> Registration:
+        """Always with a searched null."""
+        return Registration.SEARCHED_NULL
+
+    @property
+    def sentence(self) -> str:
+        """The correlation, what unrelated maps reach, and how the maps were registered."""
+        return (
+            f"r = {self.r:.2f} after the search, which reaches {self.null_95:.2f} on unrelated maps (95 %; "
+            f"p = {self.p:.2g}); {self.registration.sentence}"
+        )
+
+
+def cross_fitted(
+    a: Array,
+    b: Array,
+    tune: Tune,
+    *,
+    valid: Mask | None = None,
+    pixel_um: tuple[float, float],
+    tile_um: float | None = None,
+    guard_um: float | None = None,
+) -> CrossFitted:
+    """Tune the registration on every other tile, correlate on the rest, and the other way round.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (rows, cols)
+        Map a, and map b as the marks alone place it. NaN is missing.
+    tune : callable
+        ``tune(a, look)`` returns map b placed as it fits a best at the pixels ``look``.
+    valid : ndarray of bool, shape (rows, cols), or None
+        Pixels that may be looked at.
+    pixel_um : (float, float)
+        Along y and x.
+    tile_um : float or None
+        Side of the tiles; None takes 6 guards, or 4 where that gives too few tiles.
+    guard_um : float or None
+        What is reported keeps this distance from what was tuned on; None takes 2 correlation lengths.
+
+    Returns
+    -------
+    CrossFitted
+
+    Raises
+    ------
+    CannotMeasure
+        If the guard is shorter than the correlation length of the coarser map (1/e), or fewer than 4 tiles of either
+        colour are left to report on.
+    """
+    known = np.isfinite(a) & np.isfinite(b) & (True if valid is None else valid)
+    length = max(correlation_length_um(without_plane(m, known), known, pixel_um) for m in (a, b))
+    guard = 2 * length if guard_um is None else guard_um
+    if not guard >= length or not math.isfinite(guard):
+        raise CannotMeasure(
+            f"The guard between tiles is {guard:.0f} um, but the maps are correlated over {length:.0f} um: tiles would "
+            "not be independent. Take a guard of at least that length, or take the slow variations off the maps first."
+        )
+    sides = [6 * guard, 4 * guard] if tile_um is None else [tile_um]
+    for side in sides:
+        colour = _checkerboard(a.shape, pixel_um, side)
+        looks = [known & (colour == k) for k in (0, 1)]
+        told = [looks[1 - k] & _away(looks[k], pixel_um, guard) for k in (0, 1)]
+        if min(_tiles(m, pixel_um, side) for m in told) >= _LEAST_TILES and min(map(np.sum, told)) >= _LEAST_PIXELS:
+            break
+    else:
+        raise CannotMeasure(
+            f"Tiles of {sides[-1]:.0f} um with a guard of {guard:.0f} um leave fewer than {_LEAST_TILES} of either "
+            "colour to report on: the map is too small for its texture. Report the marks-only correlation, or the "
+            "refined one with a searched null."
+        )
+    sums = np.zeros(3)
+    halves: list[float] = []
+    n = 0
+    for look, report in zip(looks, told, strict=True):
+        placed = tune(np.where(look, a, np.nan), look)
+        use = report & np.isfinite(placed)
+        x, y = a[use] - a[use].mean(), placed[use] - placed[use].mean()
+        sums += (x @ x, y @ y, x @ y)
+        halves.append(pearson(a[use], placed[use]))
+        n += int(use.sum())
+    spread = math.sqrt(sums[0] * sums[1])
+    return CrossFitted(
+        r=float(sums[2] / spread) if spread > 0 else math.nan,
+        r_of_halves=(halves[0], halves[1]),
+        n=n,
+        share=n / max(int(known.sum()), 1),
+        tile_um=side,
+        guard_um=guard,
+        length_um=length,
+    )
+
+
+def searched_null(
+    a: Array, tune: Tune, *, valid: Mask | None = None, surrogates: int = 99, seed: int = _SEED
+) -> SearchedNull:
+    """Tune the registration on all of the map, and on maps with its texture that are related to nothing.
+
+    Parameters
+    ----------
+    a : ndarray, shape (rows, cols)
+        NaN is missing.
+    tune : callable
+        ``tune(a, look)`` returns map b placed as it fits a best at the pixels ``look``.
+    valid : ndarray of bool, shape (rows, cols), or None
+    surrogates : int
+        Unrelated maps; 19 or more.
+    seed : int
+        Of their phases.
+
+    Returns
+    -------
+    SearchedNull
+
+    Raises
+    ------
+    CannotMeasure
+        If fewer than 19 surrogates are asked for.
+    """
+    if surrogates < 19:
+        raise CannotMeasure(f"{surrogates} unrelated maps give no 95 % band; 19 are needed, 99 are better.")
+    known = np.isfinite(a) & (True if valid is None else valid)
+    flat = without_plane(a, known)
+    rng = np.random.default_rng(seed)
+
+    def searched(given: Array) -> float:
+        placed = tune(given, known)
+        use = known & np.isfinite(placed)
+        return pearson(given[use], placed[use])
+
+    r = searched(np.where(known, flat, np.nan))
+    null: list[float] = []
+    for _ in range(surrogates):
+        other = without_plane(phase_randomised(flat, known, rng), known)
+        null.append(abs(searched(np.where(known, other, np.nan))))
+    reached = sum(v >= abs(r) for v in null)
+    return SearchedNull(
+        r=r,
+        null_95=float(np.quantile(null, 0.95, method="higher")),
+        p=(1 + reached) / (1 + surrogates),
+        surrogates=surrogates,
+    )
+
+
+def by_shift(b: Array, *, pixel_um: tuple[float, float], reach_um: float, sign: int = 0) -> Tune:
+    """Tune by moving map b by whole pixels to the largest correlation.
+
+    Parameters
+    ----------
+    b : ndarray, shape (rows, cols)
+        NaN is missing.
+    pixel_um : (float, float)
+        Along y and x.
+    reach_um : float
+        Largest shift.
+    sign : {-1, 0, 1}
+        Sign of the correlation; 0 takes either.
+    """
+    reach = max(int(reach_um / pixel_um[0] + 1e-9), 1), max(int(reach_um / pixel_um[1] + 1e-9), 1)
+    known = np.isfinite(b)
+    values = np.where(known, b, 0.0)
+
+    def tune(a: Array, look: Mask) -> Array:
+        use = look & np.isfinite(a)
+        r = MaskedNcc(np.where(use, a, 0.0), a_valid=use, b_valid=known, reach=reach)(values)
+        peak = find_peak(r, within(reach, 0), sign)
+        down, across = (0, 0) if peak is None else peak.pixel
+        out = np.full(b.shape, np.nan)
+        rows, cols = b.shape
+        out[max(-down, 0) : rows - max(down, 0), max(-across, 0) : cols - max(across, 0)] = b[
+            max(down, 0) : rows - max(-down, 0), max(across, 0) : cols - max(-across, 0)
+        ]
+        return out
+
+    return tune
+
+
+def _checkerboard(shape: tuple[int, ...], pixel_um: tuple[float, float], side_um: float) -> NDArray[np.int64]:
+    rows, cols = _indices(shape, pixel_um, side_um)
+    return (rows[:, None] + cols[None, :]) % 2
+
+
+def _indices(
+    shape: tuple[int, ...], pixel_um: tuple[float, float], side_um: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Number of the tile of every row and column; a rest at the border goes half to either side."""
+    out: list[NDArray[np.int64]] = []
+    for n, pixel in zip(shape, pixel_um, strict=True):
+        extent = n * pixel
+        first = 0.5 * (extent - max(int(extent / side_um), 1) * side_um)
+        out.append(np.floor(((np.arange(n) + 0.5) * pixel - first) / side_um).astype(np.int64))
+    return out[0], out[1]
+
+
+def _away(seen: Mask, pixel_um: tuple[float, float], guard_um: float) -> Mask:
+    """Pixels further than the guard from all that were seen."""
+    distance = ndimage.distance_transform_edt(~seen, sampling=pixel_um)
+    return np.asarray(distance, dtype=np.float64) > guard_um
+
+
+def _tiles(told: Mask, pixel_um: tuple[float, float], side_um: float) -> int:
+    rows, cols = _indices(told.shape, pixel_um, side_um)
+    y, x = np.nonzero(told)
+    return len(set(zip(rows[y].tolist(), cols[x].tolist(), strict=True)))

@@ -1,0 +1,355 @@
+"""Registration refined by the maps themselves, on top of a fit to marks: optional, bounded by what the marks allow."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import warnings
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from planish.core.area import area_mean
+from planish.core.errors import CannotRegister, SizeError
+from planish.core.transform import Affine
+from planish.register.free_form import FreeForm
+from planish.register.result import FittedTransform
+from planish.register.strain import NOTABLE
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Pair = tuple[float, float]
+Refinement = Literal["affine", "bspline"]
+Metric = Literal["correlation", "mutual information"]
+
+_MOST_PIXELS = 60_000
+_LEAST_PIXELS = 400
+_BINS = 32
+_STEPS = 100
+_PLACES = 65  # along either axis, where displacement and derivatives are looked at
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Refined:
+    """Where the maps say that points lie which the marks have placed.
+
+    Call it with points ``(..., 2)``, ``(x, y)`` in um of the fixed map as the marks' fit gives them, to get points of
+    the fixed map: ``refined(fit(points))`` takes points of the moving map there.
+
+    Attributes
+    ----------
+    transform : Affine or FreeForm
+        Close to the identity.
+    model : {"affine", "bspline"}
+    metric : {"correlation", "mutual information"}
+        What was made as large as possible. Its value is no result: a correlation over refined maps is cross-fitted or
+        stands beside a searched null.
+    moved_um : (float, float)
+        Rms and largest displacement over the known pixels.
+    share : float
+        Largest ratio of displacement to expected error of the marks.
+    area : (float, float)
+        Least and largest local change of area (determinant of the derivatives).
+    strain : float
+        Largest local principal strain without its sign.
+    warnings : tuple of str
+    sentence : str
+        Model, displacement and strain.
+    """
+
+    transform: Affine | FreeForm
+    model: Refinement
+    metric: Metric
+    moved_um: Pair
+    share: float
+    area: Pair
+    strain: float
+    warnings: tuple[str, ...]
+    sentence: str
+
+    def __call__(self, points: ArrayLike) -> Floats:
+        """Transform points ``(..., 2)``, in um; NaN stays NaN."""
+        return self.transform(points)
+
+    def displacement_um(self, points: ArrayLike) -> Floats:
+        """How far points ``(..., 2)`` are moved along x and y, in um."""
+        return self(points) - np.asarray(points, dtype=np.float64)
+
+    def jacobian(self, points: ArrayLike) -> Floats:
+        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
+        return self.transform.jacobian(points)
+
+    def image_at(self, image: Floats, pixel_um: Pair) -> Floats:
+        """Return the image as seen from the linked map: what each pixel of the marks' fit shows once refined.
+
+        Parameters
+        ----------
+        image : ndarray, shape (rows, cols)
+            NaN is missing, and so is what lies within a pixel of it.
+        pixel_um : (float, float)
+            Along y and x.
+
+        Returns
+        -------
+        ndarray, shape (rows, cols)
+            Cubic interpolation; NaN outside.
+        """
+        rows, cols = (np.arange(n) * p for n, p in zip(image.shape, pixel_um, strict=True))
+        at = self(np.stack(np.meshgrid(cols, rows), axis=-1)) / np.array(pixel_um)[::-1]
+        known = np.isfinite(image)
+        filled = np.where(known, image, float(image[known].mean()) if known.any() else 0.0)
+        values = ndimage.map_coordinates(filled, [at[..., 1], at[..., 0]], order=3, mode="nearest")
+        whole = ndimage.map_coordinates(known.astype(np.float64), [at[..., 1], at[..., 0]], order=1, cval=0.0)
+        return np.where(whole > 0.999, values, np.nan)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Prepared:
+    """Both maps, averaged and filled with their means, their masks, and where their pixels lie."""
+
+    maps: tuple[Floats, Floats]
+    known: tuple[Mask, Mask]
+    pixel_um: Pair
+    first_um: Pair  # (x, y) of the middle of the first pixel
+
+
+def refine(
+    linked: Floats,
+    image: Floats,
+    valid: Mask | None,
+    *,
+    pixel_um: Pair,
+    fit: FittedTransform,
+    model: Refinement = "affine",
+    metric: Metric = "correlation",
+    grid_um: float = 2000.0,
+    most: float = 3.0,
+    bounded: bool = True,
+) -> Refined:
+    """Find the displacement of a linked map under which it agrees best with the image.
+
+    Parameters
+    ----------
+    linked : ndarray, shape (rows, cols)
+        A property as the marks' fit places it on the image's pixels. NaN is missing.
+    image : ndarray, shape (rows, cols)
+        The middle of pixel (0, 0) is at (0, 0) um.
+    valid : ndarray of bool, shape (rows, cols), or None
+        Pixels that may be looked at, of both.
+    pixel_um : (float, float)
+        Along y and x. Maps of more than 60 000 pixels are averaged to larger ones first.
+    fit : FittedTransform
+        The fit to the marks.
+    model : {"affine", "bspline"}
+        6 parameters, or a cubic B-spline on a mesh.
+    metric : {"correlation", "mutual information"}
+        Squared correlation, of either sign, or Mattes' mutual information.
+    grid_um : float
+        Mesh of the B-spline, made a little smaller to fit the map.
+    most : float
+        Largest displacement that is accepted, in expected errors of the marks at the place.
+    bounded : bool
+        False returns what goes too far or folds, with a warning. Only for the null of a search, whose maps are
+        unrelated.
+
+    Returns
+    -------
+    Refined
+
+    Raises
+    ------
+    CannotRegister
+        If SimpleITK is not installed, too few pixels are known, the search fails, the result folds the map, or it moves
+        points further than the marks allow.
+    SizeError
+        If pixel or mesh are not positive.
+
+    Notes
+    -----
+    One thread, every pixel, nothing random: the same bytes on every run with one version of SimpleITK. The search
+    climbs from the marks' fit to the nearest summit, so the marks have to be right to about a texture length.
+
+    References
+    ----------
+    Mattes et al. (2003), IEEE Trans. Med. Imaging 22, 120, doi:10.1109/TMI.2003.809072.
+    """
+    itk = _library()
+    given = _prepared(linked, image, valid, pixel_um, grid_um)
+    transform = _searched(itk, given, model, metric, grid_um)
+    both = given.known[0] & given.known[1]
+    rows, cols = (np.unique(np.linspace(0, n - 1, min(n, _PLACES)).round().astype(np.int64)) for n in both.shape)
+    y, x = np.meshgrid(rows, cols, indexing="ij")
+    use = both[y, x]
+    points = np.stack([x[use], y[use]], axis=-1) * np.array(given.pixel_um)[::-1] + given.first_um
+    return _judged(transform, points, fit, model, metric, most, bounded)
+
+
+def _judged(
+    transform: Affine | FreeForm,
+    points: Floats,
+    fit: FittedTransform,
+    model: Refinement,
+    metric: Metric,
+    most: float,
+    bounded: bool,
+) -> Refined:
+    """Look at displacement and derivatives at the points; refuse folds and what the marks do not allow."""
+    derivatives = transform.jacobian(points)
+    areas = derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0]
+    length = np.linalg.norm(transform(points) - points, axis=1)
+    expected = fit.expected_error_um(fit.inverse(points))
+    ratio = np.where(expected > 0, length / np.where(expected > 0, expected, 1.0), np.where(length > 0, np.inf, 0.0))
+    told: list[str] = []
+    worst = int(np.argmin(areas))
+    if not areas[worst] > 0:
+        x, y = points[worst]
+        told.append(
+            f"The refinement folds the map near ({x:.5g}, {y:.5g}) um. Take a coarser mesh or the affine model, or "
+            "keep the marks only."
+        )
+    if not np.isfinite(ratio).all():
+        told.append(
+            "The marks say nothing of their own error, so nothing bounds a refinement. Add marks, or keep the marks "
+            "only."
+        )
+    elif ratio.max() > most:
+        worst = int(np.argmax(ratio))
+        x, y = points[worst]
+        told.append(
+            f"The refinement moves the map by {length[worst]:.1f} um near ({x:.5g}, {y:.5g}) um, where the marks are "
+            f"expected to be right to {expected[worst]:.1f} um; up to {most:g} times that is accepted. Either marks "
+            "are wrong or the maps mislead. Check the marks, or keep them only."
+        )
+    if told and bounded:
+        raise CannotRegister(told[0])
+    strain = float(np.abs(np.linalg.svd(derivatives, compute_uv=False) - 1.0).max())
+    if strain > NOTABLE:
+        told.append(
+            f"The refinement strains the map by up to {100 * strain:.1f} %. Paper strains by 0.1-0.5 %: look at the "
+            "lags of tiles before you believe it."
+        )
+    rms, largest = float(np.sqrt(np.mean(length**2))), float(length.max())
+    words = "affine" if model == "affine" else "B-spline"
+    return Refined(
+        transform=transform,
+        model=model,
+        metric=metric,
+        moved_um=(rms, largest),
+        share=float(ratio.max()),
+        area=(float(areas.min()), float(areas.max())),
+        strain=strain,
+        warnings=tuple(told),
+        sentence=f"Refined on the maps ({words}, {metric}): points moved by {rms:.1f} um rms, {largest:.1f} um at "
+        f"most, strain up to {100 * strain:.2f} %.",
+    )
+
+
+def _searched(
+    itk: Any, given: _Prepared, model: Refinement, metric: Metric, grid_um: float
+) -> Affine | FreeForm:  # fmt: skip
+    """Climb from the identity. The library works in pixels (of the columns' axis), so its steps are pixels too."""
+    unit = given.pixel_um[1]
+    images: list[Any] = []
+    for values in (*given.maps, *given.known):
+        made = itk.GetImageFromArray(values.astype(np.uint8) if values.dtype == np.bool_ else values)
+        made.SetSpacing((1.0, given.pixel_um[0] / unit))
+        images.append(made)
+    search = itk.ImageRegistrationMethod()
+    search.SetNumberOfThreads(1)
+    if metric == "correlation":
+        search.SetMetricAsCorrelation()
+    else:
+        search.SetMetricAsMattesMutualInformation(_BINS)
+    search.SetMetricFixedMask(images[2])
+    search.SetMetricMovingMask(images[3])
+    search.SetMetricSamplingStrategy(search.NONE)
+    # A linear interpolation blurs between pixels, and less noise looks like agreement.
+    search.SetInterpolator(itk.sitkBSpline3)
+    rows, cols = given.known[0].shape
+    sides = cols * given.pixel_um[1], rows * given.pixel_um[0]
+    if model == "affine":
+        start = itk.AffineTransform(2)
+        start.SetCenter((0.5 * (cols - 1), 0.5 * (rows - 1) * given.pixel_um[0] / unit))
+        search.SetOptimizerAsRegularStepGradientDescent(
+            learningRate=1.0, minStep=1e-3, numberOfIterations=_STEPS, relaxationFactor=0.5
+        )
+        search.SetOptimizerScalesFromPhysicalShift()
+    else:
+        mesh = [max(math.ceil(side / grid_um), 1) for side in sides]
+        start = itk.BSplineTransformInitializer(images[0], mesh, 3)
+        search.SetOptimizerAsLBFGSB(
+            gradientConvergenceTolerance=1e-5, numberOfIterations=_STEPS, costFunctionConvergenceFactor=1e10
+        )
+    search.SetInitialTransform(start, True)
+    try:
+        search.Execute(images[0], images[1])
+    except RuntimeError as fault:
+        why = str(fault).strip().rsplit("\n", 1)[-1]
+        raise CannotRegister(
+            f"The maps could not be refined ({why}). Check that both show texture at the same places, or keep the "
+            "marks only."
+        ) from fault
+    if model == "affine":
+        matrix = np.array(start.GetMatrix()).reshape(2, 2)
+        middle = np.array(start.GetCenter())
+        target = middle + np.array(start.GetTranslation())
+        source, target = middle * unit + given.first_um, target * unit + given.first_um
+        return Affine(
+            linear=((float(matrix[0, 0]), float(matrix[0, 1])), (float(matrix[1, 0]), float(matrix[1, 1]))),
+            source=(float(source[0]), float(source[1])),
+            target=(float(target[0]), float(target[1])),
+        )
+    nodes = start.GetCoefficientImages()
+    first = np.array(nodes[0].GetOrigin()) * unit + given.first_um
+    step = np.array(nodes[0].GetSpacing()) * unit
+    return FreeForm(
+        coefficients_um=np.stack([itk.GetArrayFromImage(c).astype(np.float64) * unit for c in nodes]),
+        origin_um=(float(first[0]), float(first[1])),
+        mesh_um=(float(step[0]), float(step[1])),
+    )
+
+
+def _prepared(linked: Floats, image: Floats, valid: Mask | None, pixel_um: Pair, grid_um: float) -> _Prepared:
+    if linked.ndim != 2 or linked.shape != image.shape or (valid is not None and valid.shape != linked.shape):
+        raise CannotRegister(
+            f"The maps have the shapes {linked.shape} and {image.shape}. A refinement needs two maps and a mask on one "
+            "grid; link them first."
+        )
+    if not all(math.isfinite(v) and v > 0 for v in (*pixel_um, grid_um)):
+        raise SizeError(f"Pixel {pixel_um} um and mesh {grid_um} um: positive lengths are needed.")
+    allowed = np.ones(linked.shape, dtype=bool) if valid is None else valid
+    maps = [np.where(np.isfinite(m) & allowed, m, np.nan).astype(np.float64) for m in (linked, image)]
+    factor = math.ceil(math.sqrt(linked.size / _MOST_PIXELS))
+    first = (0.5 * (factor - 1) * pixel_um[1], 0.5 * (factor - 1) * pixel_um[0])
+    if factor > 1:
+        maps = [area_mean(m, (factor, factor)) for m in maps]
+    known = [np.isfinite(m) for m in maps]
+    count = int((known[0] & known[1]).sum())
+    if count < _LEAST_PIXELS:
+        raise CannotRegister(
+            f"{count} pixels are known in both maps; a refinement needs {_LEAST_PIXELS}. Keep the marks only."
+        )
+    if any(float(m[k].std()) == 0 for m, k in zip(maps, known, strict=True)):
+        raise CannotRegister("One of the maps is constant: nothing can be refined on it. Keep the marks only.")
+    filled = [np.where(k, (m - m[k].mean()) / m[k].std(), 0.0) for m, k in zip(maps, known, strict=True)]
+    return _Prepared(
+        maps=(filled[0], filled[1]),
+        known=(known[0], known[1]),
+        pixel_um=(factor * pixel_um[0], factor * pixel_um[1]),
+        first_um=first,
+    )
+
+
+def _library() -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return importlib.import_module("SimpleITK")
+    except ImportError as error:
+        raise CannotRegister(
+            "Refining on the maps needs the library SimpleITK, which is not installed. Run: "
+            'pip install "planish[refine]". Or keep the marks only.'
+        ) from error

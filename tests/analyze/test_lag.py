@@ -1,0 +1,231 @@
+import numpy as np
+import pytest
+from scipy import fft, ndimage
+
+from planish.analyze import Registration, by_shift, cross_fitted, in_band, masked_lag, searched_null
+from planish.analyze.ncc import MaskedNcc
+from planish.core.errors import CannotMeasure, SizeError
+
+PAD = 16
+
+
+def texture(shape, sigma, rng):
+    """A Gaussian field of standard deviation 1, periodic."""
+    field = ndimage.gaussian_filter(rng.standard_normal(shape), sigma, mode="wrap")
+    return field / field.std()
+
+
+def moved(field, lag):
+    """What a periodic field shows at p, the result shows at p + lag, (x, y) in pixels."""
+    y, x = fft.fftfreq(field.shape[0])[:, None], fft.fftfreq(field.shape[1])[None]
+    return fft.ifft2(fft.fft2(field) * np.exp(-2j * np.pi * (y * lag[1] + x * lag[0]))).real
+
+
+def cut(field):
+    return field[PAD:-PAD, PAD:-PAD].copy()
+
+
+def pair(r, lag, seed, *, shape=(96, 112), sigma=2.0):
+    """Two maps of correlation r, a lag between them, and holes of their own; and what may be looked at."""
+    rng = np.random.default_rng(seed)
+    big = (shape[0] + 2 * PAD, shape[1] + 2 * PAD)
+    a, other = texture(big, sigma, rng), texture(big, sigma, rng)
+    a, b = cut(a), cut(r * moved(a, lag) + np.sqrt(1 - r * r) * other)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    a[np.hypot(y - 35, x - 50) < 11] = np.nan
+    dirt = np.hypot(y - 70, x - 80) < 9
+    b[dirt] = 50.0
+    return a, b, ~dirt
+
+
+def test_the_transforms_give_what_direct_sums_give():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(5.0, 2.0, (19, 23)), rng.normal(-300.0, 0.1, (19, 23))
+    known_a, known_b = rng.random((2, 19, 23)) > 0.25
+    a[~known_a], b[~known_b] = 1e6, -1e6
+    r = MaskedNcc(a, a_valid=known_a, b_valid=known_b, reach=(5, 6))(b)
+    for dy in range(-5, 6):
+        for dx in range(-6, 7):
+            x, y = [], []
+            for row in range(19):
+                for col in range(23):
+                    if 0 <= row + dy < 19 and 0 <= col + dx < 23 and known_a[row, col] and known_b[row + dy, col + dx]:
+                        x.append(a[row, col])
+                        y.append(b[row + dy, col + dx])
+            assert r[5 + dy, 6 + dx] == pytest.approx(np.corrcoef(x, y)[0, 1], abs=1e-9)
+
+
+@pytest.mark.parametrize("lag", [(0.0, 0.0), (2.3, -1.6), (-5.5, 4.25)])
+def test_a_known_lag_is_found_to_a_tenth_of_a_pixel(lag):
+    a, b, valid = pair(0.95, lag, 1, shape=(150, 170), sigma=1.5)
+    found = masked_lag(a, 3.0 - 0.2 * b, valid, (4.0, 5.0), reach_um=40.0, surrogates=19)
+    assert found.distinct
+    assert found.r < -0.9  # brightness against darkness: either sign is found
+    assert found.lag_um == pytest.approx((5.0 * lag[0], 4.0 * lag[1]), abs=0.4)  # 0.1 of the shorter edge
+    assert max(found.se_um) < 0.4
+
+
+def test_the_standard_error_is_what_the_lags_scatter_by():
+    lag = (1.7, -2.4)
+    # A correlation of 0.3 leaves one lag uncertain by some 0.4 pixels: the mean of 30 has no bias of 0.1.
+    lags = [masked_lag(*pair(0.3, lag, seed), (1.0, 1.0), reach_um=9.0, surrogates=19) for seed in range(30)]
+    told = [found for found in lags if found.distinct]
+    assert len(told) >= 28
+    errors = np.array([found.lag_um for found in told]) - lag
+    expected = np.array([found.se_um for found in told])
+    assert np.abs(errors.mean(axis=0)).max() < 0.1 + 2 * expected.mean() / np.sqrt(len(told))
+    ratio = np.sqrt(np.mean((errors / expected) ** 2))
+    print(f"scatter over standard error {ratio:.2f}, standard error {expected.mean():.2f} pixels")
+    assert 0.7 < ratio < 1.25
+
+
+def test_unrelated_maps_give_no_lag():
+    silent = 0
+    for seed in range(60):
+        rng = np.random.default_rng(100 + seed)
+        a, b = (cut(texture((96, 112), 2.5, rng)) for _ in range(2))
+        found = masked_lag(a, b, None, (1.0, 1.0), reach_um=8.0, surrogates=19)
+        silent += not found.distinct
+        assert found.distinct == np.isfinite(found.lag_um).all() == np.isfinite(found.se_um).all()
+    print(f"{silent} of 60 unrelated pairs give no lag")
+    assert silent >= 57  # 95 %
+
+
+def test_what_is_said():
+    a, b, valid = pair(0.8, (2.0, 0.0), 4)
+    found = masked_lag(a, b, valid, (1.0, 1.0), reach_um=9.0, surrogates=19)
+    assert found.sentence(3.0).startswith("lag ")
+    assert found.sentence(3.0).endswith("um, expected error 3.0 um: agrees")
+    assert found.agrees(3.0) is True
+    assert "more than the marks allow; either" in found.sentence(0.3)
+    near = masked_lag(*pair(0.35, (0.0, 0.0), 5), (1.0, 1.0), reach_um=9.0, surrogates=19)
+    assert near.sentence(0.05).endswith("agrees, but the maps tell less than the marks")
+    nothing = masked_lag(a, pair(0.8, (0, 0), 41)[1], valid, (1.0, 1.0), reach_um=9.0, surrogates=19)
+    assert nothing.sentence(3.0) == "The maps show no common texture: the lag says nothing."
+    assert nothing.agrees(3.0) is None
+    few = masked_lag(a, np.where(np.arange(b.shape[1]) < 1, b, np.nan), None, (1.0, 1.0), reach_um=9.0)
+    assert few.silence == "few"
+
+
+def test_an_odd_relation_is_no_lag():
+    rng = np.random.default_rng(8)
+    a, other = texture((140, 160), 3.0, rng), texture((140, 160), 3.0, rng)
+    slope = np.gradient(a, axis=1)
+    slope /= slope.std()
+    odd = masked_lag(cut(a), cut(slope + 0.3 * other), None, (1.0, 1.0), reach_um=12.0, surrogates=19)
+    assert odd.silence == "rival"
+    assert odd.r * odd.rival_r < 0
+    # Partly odd: the peak stays single and even, but the coarser the texture, the further it moves.
+    fine, coarse = texture((220, 240), 1.5, rng), texture((220, 240), 6.0, rng)
+    both = fine + coarse
+    slopes = sum(np.gradient(m, axis=1) / np.gradient(m, axis=1).std() for m in (fine, coarse))
+    partly = masked_lag(cut(both), cut(both + 0.5 * slopes), None, (1.0, 1.0), reach_um=20.0, surrogates=19)
+    assert partly.silence == "oblique"
+    assert np.isnan(partly.lag_um).all()
+    assert partly.lags_of_bands_um[1][0] < partly.lags_of_bands_um[0][0] < 0
+    shifted = masked_lag(cut(both), cut(moved(both, (-3.0, 1.0))), None, (1.0, 1.0), reach_um=20.0, surrogates=19)
+    assert shifted.lag_um == pytest.approx((-3.0, 1.0), abs=0.1)
+
+
+def test_tiles_show_a_stretch():
+    rng = np.random.default_rng(5)
+    big = texture((230, 250), 2.0, rng)
+    y, x = np.mgrid[PAD : 230 - PAD, PAD : 250 - PAD].astype(float)
+    stretch = 0.01
+    b = ndimage.map_coordinates(big, [y, (x - 125) / (1 + stretch) + 125], order=5)
+    b += 0.5 * cut(texture(big.shape, 2.0, rng))
+    found = masked_lag(cut(big), b, None, (4.0, 4.0), reach_um=24.0, tiles_um=240.0, surrogates=19)
+    field = found.field
+    assert field is not None
+    assert field.distinct.all()
+    true = np.stack([stretch * (field.at_um[:, 0] - (125 - PAD) * 4.0), 0 * field.at_um[:, 0]], axis=-1)
+    scatter = np.sqrt(np.mean((field.lag_um - true) ** 2))
+    assert scatter < 1.0  # a quarter of a pixel
+    _, change, spread = field.linear()
+    assert change == pytest.approx(np.array([[stretch, 0], [0, 0]]), abs=0.0015)
+    assert np.all(np.abs(change - [[stretch, 0], [0, 0]]) < 4 * spread)
+    unrelated = masked_lag(
+        cut(big), cut(texture(big.shape, 2.0, rng)), None, (4.0, 4.0), reach_um=24.0, tiles_um=240.0, surrogates=19
+    )
+    assert unrelated.field.distinct.mean() < 0.1
+
+
+def test_a_shading_is_taken_off_by_the_band():
+    a, b, valid = pair(0.6, (2.0, -1.0), 11)
+    x = np.arange(a.shape[1])
+    a, b = a + 3 * np.cos(x / 40), b + 3 * np.cos(x / 40 + 0.5)
+    found = masked_lag(a, b, valid, (1.0, 1.0), reach_um=9.0, band_um=(None, 40.0), surrogates=19)
+    assert found.distinct
+    assert np.hypot(*(np.array(found.lag_um) - (2, -1))) < 3 * max(found.se_um)
+
+
+@pytest.mark.parametrize("wave", [10.0, 40.0])
+def test_a_band_halves_its_limits(wave):
+    x = np.cos(2 * np.pi * np.arange(400) / wave) * np.ones((40, 1))
+    known = np.ones(x.shape, dtype=bool)
+    assert in_band(x, known, (1.0, 1.0), (wave, None))[20, 200] == pytest.approx(0.5, abs=0.01)
+    assert in_band(x, known, (1.0, 1.0), (None, wave))[20, 200] == pytest.approx(0.5, abs=0.01)
+
+
+def test_large_maps_are_averaged_and_every_run_is_the_same():
+    rng = np.random.default_rng(2)
+    big = np.kron(texture((330, 330), 4.0, rng), np.ones((2, 2)))
+    a, b = big[8:648, 8:648], big[10:650, 4:644]
+    one, two = (masked_lag(a, b, None, (2.0, 2.0), reach_um=40.0, surrogates=19) for _ in range(2))
+    assert one.pixel_um == (4.0, 4.0)
+    assert one.lag_um == pytest.approx((8.0, -4.0), abs=0.4)
+    assert one.lag_um == two.lag_um
+    assert one.covariance_um2.tobytes() == two.covariance_um2.tobytes()
+
+
+def test_what_does_not_fit_is_refused():
+    a, b, valid = pair(0.5, (0, 0), 1)
+    with pytest.raises(CannotMeasure, match="one grid"):
+        masked_lag(a, b[1:], valid, (1.0, 1.0), reach_um=9.0)
+    with pytest.raises(SizeError, match="reach of 60 um"):
+        masked_lag(a, b, valid, (1.0, 1.0), reach_um=60.0)
+    with pytest.raises(SizeError, match="band"):
+        masked_lag(a, b, valid, (1.0, 1.0), reach_um=9.0, band_um=(1.0, 40.0))
+    with pytest.raises(SizeError, match="Tiles of 20 um"):
+        masked_lag(a, b, valid, (1.0, 1.0), reach_um=9.0, tiles_um=20.0, surrogates=19)
+    with pytest.raises(CannotMeasure, match="too small for its texture"):
+        cross_fitted(a, b, by_shift(b, pixel_um=(1.0, 1.0), reach_um=5), pixel_um=(1.0, 1.0), tile_um=80.0)
+    with pytest.raises(CannotMeasure, match="not be independent"):
+        cross_fitted(a, b, by_shift(b, pixel_um=(1.0, 1.0), reach_um=5), pixel_um=(1.0, 1.0), guard_um=1.0)
+
+
+def test_a_searched_correlation_of_independent_maps_is_inflated_and_a_cross_fitted_one_is_not():
+    naive, fitted, false = [], [], 0
+    for seed in range(40):
+        rng = np.random.default_rng(700 + seed)
+        a, b = (cut(texture((104, 120), 1.5, rng)) for _ in range(2))
+        tune = by_shift(b, pixel_um=(1.0, 1.0), reach_um=12.0, sign=1)
+        placed = tune(a, np.isfinite(a))
+        both = np.isfinite(placed)
+        naive.append(np.corrcoef(a[both], placed[both])[0, 1])
+        fitted.append(cross_fitted(a, b, tune, pixel_um=(1.0, 1.0)).r)
+        false += searched_null(a, tune, surrogates=19).p <= 0.05
+    error = np.std(fitted) / np.sqrt(40)
+    print(
+        f"searched {np.mean(naive):.3f}, cross-fitted {np.mean(fitted):.4f} ± {error:.4f}, false alarms {false} of 40"
+    )
+    assert np.mean(naive) > 10 * np.std(naive) / np.sqrt(40)
+    assert abs(np.mean(fitted)) < 2 * error
+    assert false <= 3  # 8 %
+
+
+def test_a_cross_fitted_correlation_of_related_maps_is_theirs():
+    a, b, _ = pair(0.6, (3.0, -2.0), 21, shape=(150, 170), sigma=1.5)
+    a[np.isnan(a)], b[b > 10] = 0.0, np.nan
+    tune = by_shift(b, pixel_um=(1.0, 1.0), reach_um=9.0)
+    found = cross_fitted(a, b, tune, pixel_um=(1.0, 1.0))
+    assert found.r == pytest.approx(0.6, abs=0.06)
+    assert 0.2 < found.share < 0.6
+    assert found.guard_um >= found.length_um
+    assert found.registration is Registration.CROSS_FITTED
+    assert found.sentence.endswith("registration: refined (cross-fitted)")
+    null = searched_null(a, tune, surrogates=19)
+    assert null.null_95 < abs(null.r)
+    assert null.p == pytest.approx(0.05)
+    assert null.sentence.endswith("registration: refined (searched null)")
+    assert Registration.MARKS.sentence == "registration: marks only"

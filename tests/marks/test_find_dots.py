@@ -1,0 +1,137 @@
+"""Photographs of dot targets: round, sharp, hundreds of them, and not laser holes."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import KDTree
+
+from planish.marks import find_holes
+
+# Diameters in pixels: the pixel size of the targets is not known.
+DIAMETERS = {"02": (10.0, 24.0), "05": (6.5, 14.0)}
+
+
+@pytest.fixture
+def photograph(shared_data):
+    """Return a function from the number of a target to its picture."""
+    pillow = pytest.importorskip("PIL.Image")
+    return lambda name: np.asarray(
+        pillow.open(shared_data("dot_patterns") / f"dot_pattern_{name}.jpg").convert("L"), dtype=np.float32
+    )
+
+
+def dots(image, name):
+    found = find_holes(image, pixel_um=1.0, diameter_um=DIAMETERS[name], polarity="dark")
+    return np.stack([found.x.values, found.y.values], axis=1)
+
+
+def lattice(points):
+    """Integer places (n, 2) of points of a lattice, walked from the middle; and which points were reached."""
+    tree = KDTree(points)
+    start = int(tree.query(points.mean(axis=0))[1])
+    near = points[tree.query(points[start], k=5)[1][1:]] - points[start]
+    first = near[np.argmax(near[:, 0])]
+    second = near[np.argmax(near[:, 1])]
+    steps = {(1, 0): first, (-1, 0): -first, (0, 1): second, (0, -1): -second}
+    places, queue = {start: (0, 0)}, [(start, steps)]
+    for at, known in queue:
+        here = dict(known)
+        reached = []
+        for way, step in known.items():
+            away, other = tree.query(points[at] + step)
+            if away < 0.25 * np.hypot(*step):
+                # The step changes slowly from one dot to the next.
+                here[way] = points[other] - points[at]
+                here[-way[0], -way[1]] = -here[way]
+                reached.append((int(other), way))
+        for other, way in reached:
+            if other not in places:
+                places[other] = (places[at][0] + way[0], places[at][1] + way[1])
+                queue.append((other, dict(here)))
+    index = np.array(sorted(places))
+    return np.array([places[k] for k in index], dtype=float), index
+
+
+def projective_residuals(places, points):
+    """Distances (n,) of points from the projective image of their places that fits best (linear, normalised)."""
+    shift, scale = points.mean(axis=0), points.std()
+    far = np.abs(places).max()
+    (a, b), (x, y) = (places / far).T, ((points - shift) / scale).T
+    one, none = np.ones_like(a), np.zeros_like(a)
+    rows = np.concatenate([
+        np.stack([a, b, one, none, none, none, -x * a, -x * b], axis=1),
+        np.stack([none, none, none, a, b, one, -y * a, -y * b], axis=1),
+    ])  # fmt: skip
+    h = np.append(np.linalg.lstsq(rows, np.concatenate([x, y]))[0], 1.0).reshape(3, 3)
+    w = np.stack([a, b, one], axis=1) @ h.T
+    return scale * np.hypot(w[:, 0] / w[:, 2] - x, w[:, 1] / w[:, 2] - y)
+
+
+def left_out(image, points, places):
+    """How many places between the dots found hold a dot that was not found: dark there, with paper around."""
+    i, j = (places - places.min(axis=0)).astype(int).T
+    there = np.zeros((i.max() + 1, j.max() + 1), bool)
+    there[i, j] = True
+    gaps = np.argwhere(~there) + places.min(axis=0)
+    at = LinearNDInterpolator(places, points)(gaps)
+    at = at[np.isfinite(at).all(axis=1)]
+    typical = np.median(ndimage.map_coordinates(image, points.T[::-1], order=1))
+    paper = np.median(image)
+    return np.count_nonzero(ndimage.map_coordinates(image, at.T[::-1], order=1) < 0.5 * (typical + paper)), len(at)
+
+
+@pytest.mark.parametrize("name", ["02", "05"])
+def test_every_dot_is_found(photograph, name):
+    """98 % of the lattice's places that hold a dot, and nothing that is not on the lattice."""
+    image = photograph(name)
+    points = dots(image, name)
+    places, index = lattice(points)
+    assert len(set(map(tuple, places))) == len(places)
+    missed, empty = left_out(image, points[index], places)
+    print(f"target {name}: {len(points)} found, {len(index)} on the lattice, {missed} missed, {empty - missed} no dot")
+    assert len(index) >= 0.99 * len(points)
+    assert missed <= 0.02 * len(index)
+
+
+@pytest.mark.parametrize(("angle", "blur"), [(5.0, 0.0), (17.0, 0.0), (30.0, 0.0), (0.0, 0.7), (0.0, 1.0)])
+def test_centres_stay_when_the_picture_is_turned_or_blurred(photograph, angle, blur):
+    """0.1 pixel rms an axis."""
+    image = photograph("02")[600:1500, 800:1700]
+    before = dots(image, "02")
+    middle = (np.array(image.shape) - 1) / 2
+    turn = np.deg2rad(angle)
+    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    changed = image
+    if angle:
+        changed = ndimage.affine_transform(image, matrix, middle - matrix @ middle, mode="nearest")
+    if blur:
+        changed = ndimage.gaussian_filter(changed, blur)
+    after = dots(changed, "02")[:, ::-1]
+    back = ((after - middle) @ matrix.T + middle)[:, ::-1]
+    away, partner = KDTree(before).query(back)
+    inside = np.hypot(*(before - middle[::-1]).T) < 0.45 * image.shape[0]
+    same = (away < 2.0) & inside[partner]
+    print(
+        f"{angle} degrees, blur {blur}: {same.sum()} of {inside.sum()}, {np.sqrt(np.mean(away[same] ** 2) / 2):.3f} px"
+    )
+    assert same.sum() >= 0.98 * inside.sum()
+    assert np.sqrt(np.mean(away[same] ** 2) / 2) < 0.1
+
+
+def test_the_published_distortion_straightens_the_lattice(photograph, shared_data):
+    """Radius in the picture = radius without distortion times a polynomial in the latter (Vo et al. 2015)."""
+    points = dots(photograph("05"), "05")
+    lines = (shared_data("dot_patterns") / "coef_dot_05.txt").read_text(encoding="utf-8").splitlines()
+    values = [float(line.split(":")[1]) for line in lines if ":" in line]
+    centre, factors = np.array(values[:2]), values[2:]
+    radius = np.hypot(*(points - centre).T)
+    true = radius.copy()
+    for _ in range(50):
+        true = radius / np.polyval(factors[::-1], true)
+    straight = centre + (points - centre) * (true / radius)[:, None]
+    places, index = lattice(points)
+    plain, better = (np.sqrt(np.mean(projective_residuals(places, p[index]) ** 2)) for p in (points, straight))
+    print(f"off a projective lattice: {plain:.3f} pixels as photographed, {better:.3f} straightened")
+    assert better < 0.2 * plain
+    assert better < 0.2
