@@ -211,7 +211,7 @@ def transform(results: Row) -> list[tuple[str, str]]:
     loo = m["leave_one_out_rms_um"]
     error = m["expected_error_um"]
     found = [
-        ("Model", str(m["model_sentence"])),
+        ("Model", str(m["model_sentence"]).replace(" um", " µm")),
         ("Scale", f"{m['scale']:.5f}"),
         ("Rotation, x towards y", f"{fixed(m['rotation_deg'], 3)}°"),
         ("Shift (x, y)", f"({fixed(m['shift_um'][0], 1)}, {fixed(m['shift_um'][1], 1)}) µm"),
@@ -224,7 +224,7 @@ def transform(results: Row) -> list[tuple[str, str]]:
             if error is not None and error["median"] is not None
             else NONE,
         ),
-        *[("Warning", str(text)) for text in m["warnings"]],
+        *[("Warning", str(text).replace(" um", " µm")) for text in m["warnings"]],
     ]
     if m.get("source") == "file":
         return [("Marks", f"{m['matched']} pairs from a table"), *found]
