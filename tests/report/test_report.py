@@ -179,7 +179,9 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
     }  # fmt: skip
     results |= {
         "marks": {"source": "found", "found_volume": 3, "found_image": 4, "sentence": "3 of 3 marks agree to 0.3 um.",
-                  "matched": 3, "rms_um": 0.33, "leave_one_out_rms_um": 0.51, "scale": 1.0059,
+                  "matched": 3, "model_sentence": "similarity chosen from 3 marks: 0.5 um.", "warnings": ["few marks"],
+                  "expected_error_um": {"median": 0.71, "largest": 1.2}, "rms_um": 0.33, "leave_one_out_rms_um": 0.51,
+                  "scale": 1.0059,
                   "rotation_deg": 0.0, "shift_um": [1.0, -2.0], "mirrored": False},
         "headline": headline,
         "table": [{"registration": name, "property": headline, "marks_rms_um": 9.0, **row, "r2": r2, "point_um": at_um}
@@ -310,9 +312,17 @@ def test_numbers_that_are_missing_become_dashes() -> None:
     run["results"]["marks"]["leave_one_out_rms_um"] = None
     for row in (*run["results"]["correlation"], *run["results"]["table"]):
         row |= {"n": 2, "r": None, "r2": None, "slope": None, "intercept": None}
+    run["results"]["marks"]["expected_error_um"] = None
     text = Page(render_report(**run)).text()
     assert "could not be correlated" in text
     assert not re.search(r"\b(nan|None|inf)\b", text)
+
+
+def test_a_run_made_before_models_were_chosen_still_has_a_page() -> None:
+    run = a_run()
+    for name in ("model_sentence", "warnings", "expected_error_um"):
+        del run["results"]["marks"][name]
+    assert "Leave-one-out" in Page(render_report(**run)).text()
 
 
 def test_points_outside_any_pixel_pair_are_not_drawn() -> None:

@@ -209,28 +209,32 @@ def transform(results: Row) -> list[tuple[str, str]]:
     """Return the transformation in numbers."""
     m = results["marks"]
     loo = m["leave_one_out_rms_um"]
-    error = m["expected_error_um"]
     found = [
-        ("Model", str(m["model_sentence"]).replace(" um", " µm")),
         ("Scale", f"{m['scale']:.5f}"),
         ("Rotation, x towards y", f"{fixed(m['rotation_deg'], 3)}°"),
         ("Shift (x, y)", f"({fixed(m['shift_um'][0], 1)}, {fixed(m['shift_um'][1], 1)}) µm"),
         ("Mirrored", "yes" if m["mirrored"] else "no"),
         ("Residual, rms", f"{number(m['rms_um'], 2)} µm"),
         ("Leave-one-out, rms", f"{number(loo, 2)} µm" if loo is not None else NONE),
-        (
-            "Expected error of a pixel, rms",
-            f"{number(error['median'], 2)} µm in the middle of all, {number(error['largest'], 2)} µm at most"
-            if error is not None and error["median"] is not None
-            else NONE,
-        ),
-        *[("Warning", str(text).replace(" um", " µm")) for text in m["warnings"]],
     ]
+    if "model_sentence" in m:  # runs of planish before it chose a model have none
+        found.insert(0, ("Model", in_um(m["model_sentence"])))
+        error = m["expected_error_um"]
+        words = NONE
+        if error is not None and error["median"] is not None:
+            words = f"{number(error['median'], 2)} µm (median), {number(error['largest'], 2)} µm at most"
+        found.append(("Expected error of a pixel, rms", words))
+        found += [("Warning", in_um(text)) for text in m["warnings"]]
     if m.get("source") == "file":
         return [("Marks", f"{m['matched']} pairs from a table"), *found]
     found_in = (m.get("found_volume", NONE), m.get("found_image", NONE))
     seen = f"{m['matched']} matched, of {found_in[0]} holes in the volume and {found_in[1]} in the image"
     return [("Marks", seen), *found]
+
+
+def in_um(text: str) -> str:
+    """Write a sentence of the program's with the report's unit."""
+    return text.replace(" um", " µm")
 
 
 def compare(results: Row) -> list[Row]:
