@@ -138,7 +138,8 @@ def exact_run(*, shift=(0.0, 0.0), lift=0.0, stretch=1.0, thicker=0.0):
          "fixed_y": ("mark", fixed[:, 1])}
     )  # fmt: skip
     study = SimpleNamespace(
-        registration=SimpleNamespace(hole_um=(100.0, 300.0)), correlate=SimpleNamespace(thin_um=13.0)
+        registration=SimpleNamespace(hole_um=(100.0, 300.0), model="similarity"),
+        correlate=SimpleNamespace(thin_um=13.0),
     )
     run = SimpleNamespace(
         groups={"surfaces": surfaces, "flat": flat, "linked": linked, "maps": maps},

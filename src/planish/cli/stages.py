@@ -26,6 +26,8 @@ from planish.cli.options import (
 if TYPE_CHECKING:
     import xarray as xr
 
+    from planish.register import Model
+
 Method = Literal["multigrid", "relaxation"]
 Rest = Literal["arc", "chord"]
 
@@ -236,8 +238,8 @@ def holes(
 @existing("fixed")
 @out_option("CSV table of pairs to make; it must not exist.")
 @match_options
-def register(moving: Path, fixed: Path, out: Path, mirror: bool, tolerance_um: float) -> None:
-    """Match the holes in MOVING and FIXED, two tables of 'planish holes', and fit the similarity between them."""
+def register(moving: Path, fixed: Path, out: Path, mirror: bool, tolerance_um: float, model: Model) -> None:
+    """Match the holes in MOVING and FIXED, two tables of 'planish holes', and fit what takes one to the other."""
     from planish.io.run_folder import refuse_existing
     from planish.marks import read_holes, write_marks
     from planish.register import fit_transform, match_marks
@@ -247,9 +249,10 @@ def register(moving: Path, fixed: Path, out: Path, mirror: bool, tolerance_um: f
     a, b = (np.stack([h["x"].values, h["y"].values], axis=1) for h in (read_holes(moving), read_holes(fixed)))
     matched = match_marks(a, b, tolerance_um=tolerance_um, mirror=mirror)
     a, b = a[matched.pairs[:, 0]], b[matched.pairs[:, 1]]
-    fit = fit_transform(a, b, model="similarity", mirrored=matched.mirrored)
+    fit = fit_transform(a, b, model=model, mirrored=matched.mirrored, lowest="similarity")
     write_marks(marks_table([f"hole {k + 1}" for k in range(len(a))], a, b, fit), out)
     click.echo(matched.sentence)
+    click.echo(fit.sentence)
     click.echo(f"{out}: {len(a)} pairs, residual {fit.rms_um:.2f} um rms, scale {fit.transform.scale:.4f}")
 
 

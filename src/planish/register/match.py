@@ -134,8 +134,8 @@ def match_marks(
     if rival_chance < found.log_chance + MARGIN:
         raise CannotRegister(
             f"{seen}: {count} agree in the best arrangement, {rival} in a different one, which is too close to tell: "
-            "the pattern is ambiguous. Find more of the marks (range of hole diameters), remove false ones, give the "
-            "designed positions with --design, or give the pairs with --marks."
+            "the pattern is symmetric or ambiguous. Find more of the marks (range of hole diameters), remove false "
+            "ones, give the designed positions with --design, or give the pairs with --marks."
             + (" Without --mirror, only one hand would compete." if mirror else "")
         )
     transform, rms = fit_similarity(source[found.pairs[:, 0]], target[found.pairs[:, 1]], mirrored=found.mirrored)

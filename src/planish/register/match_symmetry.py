@@ -102,7 +102,8 @@ def self_likeness(
         ]
     )
     limit = _LOG_DOUBT if extents(points)[1] > 4.0 * tolerance_um else _LOG_DOUBT_ON_A_LINE
-    suspect = plausible[met] & of_sure[met_of_sure] & (doubt > limit)
+    same = np.array([_lost_alike(count - k, count, alone) for k in range(count + 1)])
+    suspect = plausible[met] & of_sure[met_of_sure] & (doubt + same[met] > limit)
     if not np.any(suspect):
         return None
     # The most complete one is the clearest to name.
@@ -141,6 +142,18 @@ def _log_evidence(found: Arrangements, points: Complexes, singles: int, toleranc
         -np.maximum(free, 0) * np.log10(share) - np.log10(np.maximum(tests, 1))
         + missing * log10(gone) + paired.sum(axis=1) * log10(1.0 - gone)
     )  # fmt: skip
+
+
+def _lost_alike(gap: int, count: int, alone: tuple[int, int]) -> float:
+    """log10 of the probability that both sides lost the same ``gap`` marks and no others but those seen alone.
+
+    Either by chance, among the marks that each side lost, or because these holes were never burnt through.
+    """
+    whole = count + gap
+    one, two = gap + alone[1], gap + alone[0]
+    chance = comb(one, gap) * comb(whole - one, two - gap) / comb(whole, two)
+    never = comb(whole, gap) * _NOT_BURNT**gap * (1.0 - _NOT_BURNT) ** count
+    return log10(max(chance, never, 1e-300))
 
 
 def _at_least(k: int, n: int, p: float) -> float:
