@@ -23,7 +23,11 @@ def call(capsys, monkeypatch, certificate):
     monkeypatch.setattr(certify, "run_scenario", run)
 
     def do(*arguments):
-        code = validate.main([str(a) for a in arguments], prog_name="planish validate", standalone_mode=False)
+        # The names of the help option are the group's; click keeps the option once a command has made it.
+        code = validate.main(
+            [str(a) for a in arguments], prog_name="planish validate", standalone_mode=False,
+            help_option_names=["-h", "--help"],
+        )  # fmt: skip
         out, err = capsys.readouterr()
         return code, out, err
 
