@@ -135,7 +135,7 @@ def match_marks(
         raise CannotRegister(
             f"{seen}: {count} agree in the best arrangement, {rival} in a different one, which is too close to tell: "
             "the pattern is symmetric or ambiguous. Find more of the marks (range of hole diameters), remove false "
-            "ones, give the designed positions with --design, or give the pairs with --marks."
+            "ones, or give the pairs with --marks."
             + (" Without --mirror, only one hand would compete." if mirror else "")
         )
     transform, rms = fit_similarity(source[found.pairs[:, 0]], target[found.pairs[:, 1]], mirrored=found.mirrored)
@@ -189,7 +189,7 @@ def _refuse_symmetric(
     raise CannotRegister(
         f"{seen}: {count} agree, but the pattern may be symmetric or regular: of the {like.marks} marks seen in all, "
         f"{like.repeated} fall on a mark again when the pattern is {like.describe()}, and the others may have been "
-        "lost. Give the designed positions with --design if they differ, give the pairs with --marks, or add marks "
+        "lost. Give the pairs with --marks, or add marks "
         "that break the symmetry."
     )
 
@@ -215,5 +215,5 @@ def _no_match(seen: str, count: int, need: int, mirror: bool, of: int) -> str:
         f"{seen}: no arrangement explains them: {count} agree at best, and {needed}, closer than chance would bring "
         "them. Check the pixel and voxel sizes, and --top: the side that the image shows"
         + ("" if mirror else "; if the slices are numbered against the usual sense pass --mirror")
-        + "; find more of the marks, or give the designed positions with --design or the pairs with --marks."
+        + "; find more of the marks, or give the pairs with --marks."
     )
