@@ -211,7 +211,7 @@ def test_disk_full_while_writing(specimen_files, tmp_path):
     """A limit on the size of files makes the real write fail half way, as a full disk does."""
     code = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
-        "import planish.pipeline as p; old = p.new_folder\n"
+        "import planish.pipeline.save as p; old = p.new_folder\n"
         "def limited(path, **where):\n"
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (40000, resource.RLIM_INFINITY)); return old(path, **where)\n"
         "p.new_folder = limited\n"

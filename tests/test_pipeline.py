@@ -130,7 +130,8 @@ def test_given_marks_replace_the_search(planish, linked_run, specimen_files, tmp
     assert code == 0, err
     found = json.loads(out)
     assert found["marks"]["source"] == "file"
-    assert found["marks"]["scale"] == pytest.approx(results["marks"]["scale"], rel=1e-12)
+    # Pairs from a file say nothing of their errors: all weigh the same.
+    assert found["marks"]["scale"] == pytest.approx(results["marks"]["scale"], rel=3e-4)
 
 
 def test_marks_given_in_the_volume(planish, specimen, specimen_files, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.analyze import Lag
 from planish.flatten import Flattened
 from planish.io import fingerprint
 from planish.measure import PROPERTIES, STATUS
 from planish.register import FittedTransform
-from planish.study import Study
+from planish.study import LayersStudy, Study
 
 Array = NDArray[np.float64]
 
@@ -30,9 +32,10 @@ class Gate:
     sentence: str
 
 
-def marks_table(labels: list[str], moving: Array, fixed: Array, fit: FittedTransform) -> xr.Dataset:
+def marks_table(labels: list[str], fit: FittedTransform) -> xr.Dataset:
     """Pairs of marks with their residuals, in um."""
     um = {"units": "um"}
+    moving, fixed = fit.moving, fit.fixed
     residual = fit.residuals_um
     values = {
         "moving_x": moving[:, 0],
@@ -181,6 +184,62 @@ def mark_results(fit: FittedTransform, linked: xr.Dataset) -> dict[str, Any]:
     }
 
 
+def lag_results(lag: Lag, *, expected_um: float | None, headline: str) -> dict[str, Any]:
+    """What two maps say of their registration by their own texture; a check, and no gate.
+
+    Parameters
+    ----------
+    lag : Lag
+        Of the second map against the first.
+    expected_um : float or None, in um
+        Expected error of the registration over the map, rms; NaN is none.
+    headline : str
+        The property of the first map.
+
+    Returns
+    -------
+    dict
+        Ready for JSON: pairs are ``[x, y]``, None stands for NaN and, for a pair, where either is NaN. Tiles lie at
+        ``x``, ``y`` from the middle of the first pixel of ``pixel_um`` (along y and x), which may be the mean of
+        several of the maps'.
+    """
+    expected = None if expected_um is None else _finite(expected_um)
+    field = lag.field
+    tiles: list[dict[str, Any]] = []
+    if field is not None:
+        tiles = [
+            {"x": float(x), "y": float(y), "lag_um": _both(found), "distinct": bool(distinct)}
+            for (x, y), found, distinct in zip(field.at_um, field.lag_um, field.distinct, strict=True)
+        ]
+    return {
+        "property": headline,
+        "lag_um": _both(lag.lag_um),
+        "se_um": _both(lag.se_um),
+        "length_um": _finite(lag.length_um),
+        "length_se_um": _finite(lag.length_se_um),
+        "r": _finite(lag.r),
+        "r_at_zero": _finite(lag.r_at_zero),
+        "null_95": _finite(lag.null_95),
+        "null_99": _finite(lag.null_99),
+        "silence": lag.silence,
+        "agrees": None if expected is None else lag.agrees(expected),
+        "expected_um": expected,
+        "sentence": lag.sentence(expected),
+        "pixel_um": [float(v) for v in lag.pixel_um],
+        "n": lag.n,
+        "reach_um": float(lag.reach_um),
+        "split_um": _finite(lag.split_um),
+        "lags_of_bands_um": [_both(part) for part in lag.lags_of_bands_um],
+        "tile_um": None if field is None else float(field.tile_um),
+        "tiles": tiles,
+    }
+
+
+def _both(pair: Sequence[float] | Array) -> list[float] | None:
+    """Return a pair of numbers, None unless both are known."""
+    return [float(v) for v in pair] if np.isfinite(pair).all() else None
+
+
 def linked_results(linked: xr.Dataset, away: NDArray[np.bool_]) -> dict[str, Any]:
     """How much of the image shows the sheet, and how much of that is valid."""
     on_sheet = np.isfinite(linked["u"].values)
@@ -193,12 +252,17 @@ def linked_results(linked: xr.Dataset, away: NDArray[np.bool_]) -> dict[str, Any
     }
 
 
-def parameter_results(study: Study) -> dict[str, Any]:
-    """All parameters but the paths, which say where files lie and not what was done."""
-    data: dict[str, Any] = study.model_dump(mode="json", exclude_none=True)
-    for section in ("volume", "image"):
-        data.get(section, {}).pop("path", None)
-    return data
+def parameter_results(study: Study | LayersStudy) -> dict[str, Any]:
+    """All parameters but the paths of inputs, which say where files lie and not what was done."""
+    return _without_paths(study.model_dump(mode="json", exclude_none=True))
+
+
+def _without_paths(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_paths(v) for k, v in value.items() if k not in ("path", "run")}  # type: ignore[reportUnknownVariableType]
+    if isinstance(value, list):
+        return [_without_paths(v) for v in value]  # type: ignore[reportUnknownVariableType]
+    return value
 
 
 def _gate(name: str, value: float, limit: float, *, least: bool, good: str, bad: str) -> Gate:
@@ -254,10 +318,32 @@ def _section_gates(told: dict[str, Any] | None) -> tuple[Gate, ...]:
     )  # fmt: skip
 
 
+_MD_LIMIT_DEG = 10.0
+
+
+def direction_gates(told: dict[str, Any] | None) -> tuple[Gate, ...]:
+    """Gate of the machine direction, where it is given twice: as the marks carry it, and for the image itself."""
+    if told is None or told["md_deg_image"] is None or told["md_deg_image_from_map"] is None:
+        return ()
+    off = abs((told["md_deg_image"] - told["md_deg_image_from_map"] + 90.0) % 180.0 - 90.0)
+    return (
+        _gate(
+            "machine direction", off, _MD_LIMIT_DEG, least=False,
+            good=f"The machine directions of volume and image differ by {off:.1f}°.",
+            bad=f"The machine directions of volume and image differ by {off:.1f}°: one was given wrongly, or the marks "
+            "were matched wrongly.",
+        ),
+    )  # fmt: skip
+
+
 def link_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
     """Further gates of a link."""
     m, k = results["marks"], results["linked"]
-    area = f"{100 * k['share_valid_away_from_holes']:.0f} % of the sheet that the image shows away from holes"
+    return (*mark_gates(m), *direction_gates(results.get("orientation")), *_area_gates(k))
+
+
+def mark_gates(m: dict[str, Any]) -> tuple[Gate, ...]:
+    """Gates of one registration."""
     loo = m["leave_one_out_rms_um"] if m["leave_one_out_rms_um"] is not None else float("inf")
     return (
         _gate(
@@ -271,14 +357,25 @@ def link_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
             good=f"The marks ask for a scale of {m['scale']:.4f}.",
             bad=f"The marks ask for a scale of {m['scale']:.4f}: the calibrations do not agree.",
         ),
+    )  # fmt: skip
+
+
+def _area_gates(k: dict[str, Any]) -> tuple[Gate, ...]:
+    area = f"{100 * k['share_valid_away_from_holes']:.0f} % of the sheet that the image shows away from holes"
+    return (
         _gate(
             "linked area", k["share_valid_away_from_holes"], 0.5, least=True,
             good=f"{area} is valid.",
             bad=f"Only {area} is valid: the linked maps are mostly blank.",
         ),
-        _gate(
-            "common field", k["share_on_sheet"], 0.05, least=True,
-            good=f"{100 * k['share_on_sheet']:.0f} % of the image shows the scanned sheet.",
-            bad=f"Only {100 * k['share_on_sheet']:.1f} % of the image shows the scanned sheet.",
-        ),
+        field_gate(k["share_on_sheet"], "the image", "the scanned sheet"),
+    )  # fmt: skip
+
+
+def field_gate(share: float, reference: str, layer: str) -> Gate:
+    """Gate of the field that a layer and the reference have in common."""
+    return _gate(
+        "common field", share, 0.05, least=True,
+        good=f"{100 * share:.0f} % of {reference} shows {layer}.",
+        bad=f"Only {100 * share:.1f} % of {reference} shows {layer}.",
     )  # fmt: skip

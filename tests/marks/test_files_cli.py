@@ -68,7 +68,7 @@ def read_by_link(planish, specimen_files, tmp_path, monkeypatch):
     def stop(*_args, **_kwargs):
         raise CannotMeasure("the marks were read")
 
-    monkeypatch.setattr("planish.pipeline.map_sheet", stop)
+    monkeypatch.setattr("planish.pipeline.image.map_sheet", stop)
     return lambda path: planish("link", *specimen_files, "--marks", path, "-o", tmp_path / "run")[2]
 
 

@@ -11,7 +11,10 @@ from planish.surface import SurfaceParams, find_surfaces
 from planish.surface.columns import Columns
 from surface.sheets import VOXEL, slab, volume
 
-NAMES = ("top", "bottom", "interface_top", "interface_bottom", "centre", "presence", "status")
+NAMES = (
+    "top", "bottom", "interface_top", "interface_bottom", "centre", "presence", "presence_centre", "presence_bottom",
+    "status",
+)  # fmt: skip
 
 
 class Asked(xr.backends.BackendArray):

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from planish.analyze.ncc import MaskedNcc, pearson
 from planish.analyze.peak import find_peak, within
-from planish.analyze.surrogates import correlation_length_um, phase_randomised, without_plane
+from planish.analyze.surrogates import Unrelated, correlation_length_um, without_plane
 from planish.core.errors import CannotMeasure
 
 Array = NDArray[np.float64]
@@ -236,8 +236,9 @@ def searched_null(
 
     r = searched(np.where(known, flat, np.nan))
     null: list[float] = []
+    unrelated = Unrelated(flat, known)
     for _ in range(surrogates):
-        other = without_plane(phase_randomised(flat, known, rng), known)
+        other = unrelated.draw(rng)
         null.append(abs(searched(np.where(known, other, np.nan))))
     reached = sum(v >= abs(r) for v in null)
     return SearchedNull(

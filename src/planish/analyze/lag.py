@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from planish.analyze.lag_field import LagField, lag_field
 from planish.analyze.ncc import MaskedNcc
 from planish.analyze.peak import MARGIN, Peak, covariance_of, find_peak, rival_r, within
-from planish.analyze.surrogates import in_band, phase_randomised, without_plane
+from planish.analyze.surrogates import Unrelated, in_band, without_plane
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, SizeError
 
@@ -27,8 +28,9 @@ _FLOOR_PIXELS, _FLOOR_WAVES = 0.1, 0.02
 _NOWHERE = (math.nan, math.nan)
 _MOST_PIXELS = 400_000
 _SEED = 20090501
+_THREADS = 2
 _RIVAL = 0.5  # of the peak's height
-_DIFFERENT = -2 * math.log(0.001)  # squared distance of two lags in standard errors that chance exceeds once in 1000
+_DIFFERENT = -2 * math.log(0.02)  # squared distance of two lags in standard errors that chance exceeds once in 50
 
 _SILENCE: dict[Silence, str] = {
     "few": "Too few pixels are known in both maps: the lag says nothing.",
@@ -230,7 +232,8 @@ def masked_lag(
     if tiles_um is not None:
         sign = 0 if found.peak is None or found.silence is not None else int(np.sign(found.peak.r))
         rng = np.random.default_rng(_SEED)
-        kept = [without_plane(phase_randomised(b, known_b, rng), known_b) for _ in range(19)]
+        unrelated = Unrelated(b, known_b)
+        kept = [unrelated.draw(rng) for _ in range(19)]
         field = lag_field(a, b, known_a, known_b, pixel_um, reach=reach, tile_um=tiles_um, sign=sign, unrelated=kept)
     return Lag(
         lag_um=found.lag_um if silence is None else _NOWHERE,
@@ -278,11 +281,15 @@ def _search(
     r = correlate(b)
     allowed = within(reach)
     peak = find_peak(r, allowed, 0)
-    rng = np.random.default_rng(_SEED)
-    highest: list[float] = []
-    for _ in range(surrogates):
-        other = correlate(without_plane(phase_randomised(b, known_b, rng), known_b))
-        highest.append(float(np.nanmax(np.abs(other[allowed]), initial=0.0)))
+    unrelated = Unrelated(b, known_b)
+
+    def height(k: int) -> float:
+        # Every map has random numbers of its own: the number of threads does not matter.
+        other = unrelated.draw(np.random.default_rng((_SEED, k)))
+        return float(np.nanmax(np.abs(correlate(other)[allowed]), initial=0.0))
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        highest = list(pool.map(height, range(surrogates)))
     null = (float(np.quantile(highest, 0.95, method="higher")), _gumbel_99(np.array(highest)))
     rival = math.nan if peak is None else rival_r(r, peak, allowed)
     silence: Silence | None = None

@@ -13,10 +13,11 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _TAPER = 0.4  # of the map, both borders together
+_LEAST = 3  # pixels that fix a plane
 
 
-def phase_randomised(values: Array, valid: Mask, rng: np.random.Generator) -> Array:
-    """Return a map with the power spectrum of a map and random phases.
+class Unrelated:
+    """Maps with the power spectrum of a map, random phases and no trend: of its texture, but unrelated to anything.
 
     Parameters
     ----------
@@ -24,38 +25,61 @@ def phase_randomised(values: Array, valid: Mask, rng: np.random.Generator) -> Ar
         A map without trend.
     valid : ndarray of bool, shape (rows, cols)
         Where it is known; elsewhere its mean is taken.
-    rng : Generator
-
-    Returns
-    -------
-    ndarray, shape (rows, cols)
-        Known everywhere, mean 0. Its variance is smaller: what was missing, and the borders, count as 0.
 
     References
     ----------
     Theiler et al. (1992), Physica D 58, 77, doi:10.1016/0167-2789(92)90102-S.
     """
-    mean = float(values[valid].mean()) if valid.any() else 0.0
-    # A map that is cut off at its borders is not periodic; without a taper the jump there whitens the spectrum, and the
-    # null becomes too narrow.
-    taper = np.multiply.outer(*(windows.tukey(n, _TAPER) for n in values.shape))
-    amplitude = np.abs(np.asarray(fft.rfft2(np.where(valid, values - mean, 0.0) * taper)))
-    # The spectrum of white noise has the symmetry of a real map's.
-    phase = np.asarray(fft.rfft2(rng.standard_normal(values.shape)))
-    phase /= np.maximum(np.abs(phase), 1e-300)
-    return np.asarray(fft.irfft2(amplitude * phase, values.shape), dtype=np.float64)
+
+    def __init__(self, values: Array, valid: Mask) -> None:
+        mean = float(values[valid].mean()) if valid.any() else 0.0
+        # A map that is cut off at its borders is not periodic; without a taper the jump there whitens the spectrum, and
+        # the null becomes too narrow.
+        taper = np.multiply.outer(*(windows.tukey(n, _TAPER) for n in values.shape))
+        self._amplitude = np.abs(np.asarray(fft.rfft2(np.where(valid, values - mean, 0.0) * taper)))
+        self._shape = values.shape
+        self._plane = Plane(valid)
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Return the next of them, shape (rows, cols); 0 where the map is not known.
+
+        Its variance is smaller than the map's: what was missing, and the borders, count as 0.
+        """
+        # The spectrum of white noise has the symmetry of a real map's.
+        phase = np.asarray(fft.rfft2(rng.standard_normal(self._shape)))
+        phase *= self._amplitude / np.maximum(np.abs(phase), 1e-300)
+        return self._plane.taken_off(np.asarray(fft.irfft2(phase, self._shape), dtype=np.float64))
+
+
+class Plane:
+    """The plane of least squares through the known pixels of maps with one mask (rows, cols)."""
+
+    def __init__(self, valid: Mask) -> None:
+        self._valid = valid
+        n = max(int(np.count_nonzero(valid)), 1)
+        by_row, by_col = valid.sum(axis=1), valid.sum(axis=0)
+        rows, cols = (np.arange(k, dtype=np.float64) for k in valid.shape)
+        self._rows, self._cols = rows - by_row @ rows / n, cols - by_col @ cols / n
+        mixed = float(self._rows @ (valid @ self._cols))
+        square = np.array([[by_row @ self._rows**2, mixed], [mixed, by_col @ self._cols**2]])
+        # On one line of pixels only the slope along it is known.
+        self._solve = np.linalg.pinv(square)
+        self._n = n
+
+    def taken_off(self, values: Array) -> Array:
+        """Return values (rows, cols) without their plane; 0 where they are not known."""
+        if self._n < _LEAST:
+            return np.zeros(values.shape)
+        known = np.where(self._valid, values, 0.0)
+        known = np.where(self._valid, known - known.sum() / self._n, 0.0)
+        slope = self._solve @ (self._rows @ known.sum(axis=1), self._cols @ known.sum(axis=0))
+        plane = np.add.outer(slope[0] * self._rows, slope[1] * self._cols)
+        return np.where(self._valid, known - plane, 0.0)
 
 
 def without_plane(values: Array, valid: Mask) -> Array:
     """Take the plane of least squares off a map, shape (rows, cols); 0 where it is not known."""
-    rows, cols = np.nonzero(valid)
-    if rows.size < 3:
-        return np.zeros(values.shape)
-    design = np.stack([np.ones(rows.size), rows - rows.mean(), cols - cols.mean()], axis=1)
-    known = values[valid]
-    out = np.zeros(values.shape)
-    out[valid] = known - design @ np.linalg.lstsq(design, known, rcond=None)[0]
-    return out
+    return Plane(valid).taken_off(values)
 
 
 def in_band(

@@ -1,11 +1,11 @@
-"""Commands that do the whole line: link, map, run, demo; and info."""
+"""Commands that do the whole line for one volume: map, run, demo, import; properties and info."""
 
 from __future__ import annotations
 
 import filecmp
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import click
 
@@ -17,11 +17,9 @@ from planish.cli.options import (
     column_option,
     compute_options,
     correction_options,
+    direction_option,
     existing,
-    hole_option,
-    image_options,
     json_option,
-    match_options,
     meaning_of,
     out_option,
     property_options,
@@ -29,12 +27,17 @@ from planish.cli.options import (
     surface_options,
     volume_options,
 )
-from planish.cli.show import fact_lines, finish, stages
+from planish.cli.show import fact_lines, finish, finish_layers, stages
 
-_OUT = "Folder to make for the results; it must not exist."
+if TYPE_CHECKING:
+    from planish.pipeline import Run
+    from planish.study import LayersStudy, Study
+
+OUT = "Folder to make for the results; it must not exist."
 
 
-def _volume(path: Path, options: dict[str, Any]) -> dict[str, Any]:
+def volume_section(path: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """What the options say of a volume, for the study."""
     return {
         "path": str(path.absolute()),
         "voxel_um": options["voxel_um"],
@@ -45,101 +48,70 @@ def _volume(path: Path, options: dict[str, Any]) -> dict[str, Any]:
         "column_um": options["column_um"],
         "fixed_rows": options["fixed_rows"],
         "fixed_cols": options["fixed_cols"],
+        "md_deg": options["md_deg"],
     }
 
 
-def _surface(options: dict[str, Any]) -> dict[str, Any]:
+def surface_section(options: dict[str, Any]) -> dict[str, Any]:
+    """What the options say of the surface search."""
     return {k: options[k] for k in SURFACE} | {"labels": meaning_of(options)}
 
 
-def _properties(options: dict[str, Any]) -> dict[str, Any]:
+def properties_section(options: dict[str, Any]) -> dict[str, Any]:
+    """What the options say of further maps."""
     names = ("maps", "rays", "coating_g_cm3", "base_g_cm3", "grammage_g_m2", "coat_weight_top_g_m2",
              "coat_weight_bottom_g_m2", "solid_grey", "ink_grey")  # fmt: skip
     return {k: options[k] for k in names}
 
 
-def _checked(data: dict[str, Any]) -> Any:
-    """Build the study; a value out of range is wrong usage."""
-    from pydantic import ValidationError
-
+def checked(data: dict[str, Any]) -> Study:
+    """Build the study of one volume; a value out of range is wrong usage."""
     from planish.study import Study
 
+    return cast("Study", validated(Study, data))
+
+
+def validated(kind: type[Any], data: dict[str, Any]) -> Any:
+    """Build a study from what the options say; a value out of range is wrong usage."""
+    from pydantic import ValidationError
+
     try:
-        return Study.model_validate(data)
+        return kind.model_validate(data)
     except ValidationError as error:
-        faults = "; ".join(f"--{str(e['loc'][1]).replace('_', '-')}: {e['msg']}" for e in error.errors())
+        faults = "; ".join(f"{_option(e['loc'])}{e['msg'].removeprefix('Value error, ')}" for e in error.errors())
         raise click.UsageError(faults) from error
 
 
-def _run(study: Any, out: Path, *, as_json: bool, options: dict[str, Any] | None = None) -> int:
+def _option(place: tuple[Any, ...]) -> str:
+    words = [str(part) for part in place if not isinstance(part, int)]
+    return f"--{words[-1].replace('_', '-')}: " if len(words) > 1 else ""
+
+
+def run_and_show(
+    study: Study | LayersStudy, out: Path, *, as_json: bool, options: dict[str, Any] | None = None,
+    sheet: Run | None = None,
+) -> int:  # fmt: skip
+    """Do what a study says, show it, and return the exit code."""
     from planish.compute import Compute
     from planish.pipeline import run_study
+    from planish.study import LayersStudy
 
     told = options or {}
     compute = Compute(**{k: told.get(k) for k in ("memory_bytes", "threads", "scheduler")})
+    if isinstance(study, LayersStudy):
+        with stages(3 * len(study.layers) + 2) as tell:
+            layers = run_study(study, out, progress=tell, compute=compute)
+        return finish_layers(layers, out, as_json=as_json)
     with stages(11 if study.image is not None else 8) as tell:
-        run = run_study(study, out, progress=tell, compute=compute)
+        run = run_study(study, out, progress=tell, compute=compute, sheet=sheet)
     return finish(run, out, as_json=as_json)
-
-
-@click.command()
-@existing("volume")
-@existing("image")
-@out_option(_OUT)
-@volume_options
-@channel_option
-@section_options
-@column_option
-@image_options
-@click.option(
-    "--marks",
-    type=click.Path(path_type=Path),
-    help="Pairs of points from planish or another program (docs/marks-files.md), instead of finding the holes.",
-)
-@match_options
-@hole_option
-@click.option(
-    "--point-um",
-    type=click.FloatRange(min=0, min_open=True),
-    default=100.0,
-    show_default=True,
-    help="Edge of the larger points that are correlated.",
-)
-@surface_options
-@property_options
-@compute_options
-@json_option
-def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool, **options: Any) -> int:
-    """Link VOLUME to IMAGE: all 3D properties on the image's own pixels, correlation, report.
-
-    VOLUME is a TIFF stack or a folder of slices; IMAGE is TIFF, PNG or JPEG. Both show the same specimen,
-    marked with laser
-    holes. RUN gets maps.zarr, marks.csv, results.json, report.html and run.toml.
-    """
-    registration = {"marks": str(marks.absolute()) if marks else None}
-    registration |= {k: options[k] for k in ("mirror", "tolerance_um", "hole_um", "model")}
-    study = _checked(
-        {
-            "volume": _volume(volume, options),
-            "image": {
-                "path": str(image.absolute()),
-                "pixel_um": options["pixel_um"],
-                "channel": options["channel"],
-                "override_size": options["override_size"],
-            },
-            "surface": _surface(options),
-            "properties": _properties(options),
-            "registration": registration,
-            "correlate": {"point_um": options["point_um"]},
-        }
-    )
-    return _run(study, out, as_json=as_json, options=options)
 
 
 @click.command("map")
 @existing("volume")
-@out_option(_OUT)
+@out_option(OUT)
 @volume_options
+@direction_option
 @channel_option
 @section_options
 @column_option
@@ -149,10 +121,14 @@ def link(volume: Path, image: Path, out: Path, marks: Path | None, as_json: bool
 @json_option
 def map_(volume: Path, out: Path, as_json: bool, **options: Any) -> int:
     """Map VOLUME: flattened maps of all properties, without an image."""
-    study = _checked(
-        {"volume": _volume(volume, options), "surface": _surface(options), "properties": _properties(options)}
+    study = checked(
+        {
+            "volume": volume_section(volume, options),
+            "surface": surface_section(options),
+            "properties": properties_section(options),
+        }
     )
-    return _run(study, out, as_json=as_json, options=options)
+    return run_and_show(study, out, as_json=as_json, options=options)
 
 
 @click.command()
@@ -172,7 +148,7 @@ def run(study: Path, out: Path | None, as_json: bool, **options: Any) -> int:
     checked = read_study(study)
     old = study.absolute().parent
     target = out or _free(old.with_name(f"{old.name}-again"))
-    code = _run(checked, target, as_json=as_json, options=options)
+    code = run_and_show(checked, target, as_json=as_json, options=options)
     if (old / "results.json").is_file():
         different = _different(old, target)
         text = "same bytes as" if not different else f"{', '.join(different)} differ from"
@@ -222,8 +198,8 @@ def demo(out: Path | None, seed: int, as_json: bool) -> int:
     )
     files = write_instruments(make_specimen(params), folder / "specimen")
     assert files.image is not None
-    study = _checked({"volume": {"path": str(files.volume.absolute())}, "image": {"path": str(files.image.absolute())}})
-    return _run(study, folder / "run", as_json=as_json)
+    study = checked({"volume": {"path": str(files.volume.absolute())}, "image": {"path": str(files.image.absolute())}})
+    return run_and_show(study, folder / "run", as_json=as_json)
 
 
 @click.command("import")
@@ -256,7 +232,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], memory_bytes: i
 
     refuse_existing(out)
     compute = Compute(memory_bytes=memory_bytes)
-    study = _checked({"volume": _volume(volume, options | {"top": "high", "column_um": None})})
+    study = checked({"volume": volume_section(volume, options | {"top": "high", "column_um": None, "md_deg": None})})
     with stages(2) as tell:
         data = read_whole(study.volume, compute, tell)
         data, write_record = corrected_for_import(data, out, options, memory_bytes=compute.volume_bytes, tell=tell)

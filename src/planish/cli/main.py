@@ -16,7 +16,8 @@ from pathlib import Path
 import click
 
 from planish import __version__
-from planish.cli.line import demo, import_, info, link, map_, properties, run
+from planish.cli.line import demo, import_, info, map_, properties, run
+from planish.cli.link import link
 from planish.cli.marks import marks
 from planish.cli.specimen import specimen
 from planish.cli.stages import correlate, flatten, holes, measure, register, report, resample, surface

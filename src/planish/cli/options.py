@@ -157,7 +157,7 @@ volume_options = _stack(
         type=click.Choice(["high", "low"]),
         default="high",
         show_default=True,
-        help="End of that axis at which the top side lies: the side that the image shows.",
+        help="End of that axis at which the top side lies. Maps are seen from there.",
     ),
     click.option("--override-size", is_flag=True, help="Take the sizes given here where a file states others."),
 )
@@ -222,6 +222,29 @@ surface_options = _stack(
         default=100.0,
         show_default=True,
         help="Zone around holes and gaps that is left out of all results.",
+    ),
+)
+
+_AXIS = click.FloatRange(-180, 180)
+
+direction_option = click.option(
+    "--md-deg",
+    type=_AXIS,
+    metavar="ANGLE",
+    help="Machine direction in the flattened map, degrees clockwise from its x axis.",
+)
+
+side_options = _stack(
+    click.option(
+        "--image-side",
+        type=click.Choice(["top", "bottom"]),
+        help="Side of the sheet that the image shows; where not given, the top is taken and the report says so.",
+    ),
+    click.option(
+        "--image-md-deg",
+        type=_AXIS,
+        metavar="ANGLE",
+        help="Machine direction in the image, likewise; compared with --md-deg, which the marks carry over.",
     ),
 )
 
@@ -357,6 +380,13 @@ match_options = _stack(
         help="What takes the sheet to the image. auto climbs from rigid to the thin-plate spline (tps) as far as the "
         "marks support it.",
     ),
+)
+
+design_option = click.option(
+    "--design",
+    type=click.Path(path_type=Path),
+    help="The pattern that was burnt, pattern.json of 'planish marks design' or a CSV table: every hole is told by its "
+    "place in it.",
 )
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")

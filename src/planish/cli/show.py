@@ -15,8 +15,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 
 if TYPE_CHECKING:
+    from planish.pipeline import Layers, Run
     from planish.pipeline import Progress as Tell
-    from planish.pipeline import Run
+    from planish.results import Gate
 
 
 @contextmanager
@@ -67,10 +68,44 @@ def finish(run: Run, out: Path, *, as_json: bool) -> int:
         if "table" in results:
             _correlation(results)
         click.echo(f"report: {out / 'report.html'}")
-    for gate in run.gates:
-        if not gate.passed:
-            click.echo(f"planish: quality gate '{gate.name}' failed: {gate.sentence}", err=True)
-    return 0 if run.passed else 4
+    return _judged(run.gates)
+
+
+def finish_layers(layers: Layers, out: Path, *, as_json: bool) -> int:
+    """Print the outcome of linking layers; the exit code is 4 when a quality gate failed."""
+    results = layers.results
+    if as_json:
+        click.echo(json.dumps(results, indent=2, allow_nan=False))
+    else:
+        rows = [
+            (
+                f"{told['name']} to {told['to']}",
+                str(told["marks"]["matched"]),
+                number(told["marks"]["leave_one_out_rms_um"], 2),
+                number((told["expected_error_um"] or {}).get("median"), 2),
+            )
+            for told in results["layers"]
+            if told["marks"] is not None
+        ]
+        table("Registration", ("", "marks", "leave-one-out um", "expected error um"), rows)
+        pairs = [
+            (
+                f"{row['a']} {row['a_map']} / {row['b']} {row['b_map']}",
+                f"{row['point_um']:g}", str(row["n"]), number(row["r"]), number(row["r2"]), number(row["slope"], 4),
+            )
+            for row in results["pairs"]
+        ]  # fmt: skip
+        table("Layers against each other", ("", "point um", "n", "r", "r2", "slope"), pairs)
+        click.echo(f"report: {out / 'report.html'}")
+    return _judged(layers.gates)
+
+
+def _judged(gates: tuple[Gate, ...]) -> int:
+    """Name the gates that failed; the exit code."""
+    failed = [gate for gate in gates if not gate.passed]
+    for gate in failed:
+        click.echo(f"planish: quality gate '{gate.name}' failed: {gate.sentence}", err=True)
+    return 4 if failed else 0
 
 
 def _properties(results: dict[str, Any]) -> None:

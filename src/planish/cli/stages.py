@@ -250,7 +250,7 @@ def register(moving: Path, fixed: Path, out: Path, mirror: bool, tolerance_um: f
     matched = match_marks(a, b, tolerance_um=tolerance_um, mirror=mirror)
     a, b = a[matched.pairs[:, 0]], b[matched.pairs[:, 1]]
     fit = fit_transform(a, b, model=model, mirrored=matched.mirrored, lowest="similarity")
-    write_marks(marks_table([f"hole {k + 1}" for k in range(len(a))], a, b, fit), out)
+    write_marks(marks_table([f"hole {k + 1}" for k in range(len(a))], fit), out)
     click.echo(matched.sentence)
     click.echo(fit.sentence)
     click.echo(f"{out}: {len(a)} pairs, residual {fit.rms_um:.2f} um rms, scale {fit.transform.scale:.4f}")
@@ -300,7 +300,7 @@ def report(run: Path, out: Path) -> None:
     """Make the report of a RUN folder again."""
     from planish.core.errors import FileError
     from planish.io.run_folder import read_tree, refuse_existing
-    from planish.report import write_report
+    from planish.report import write_layers_report, write_report
 
     refuse_existing(out)
     groups = read_tree(run / "maps.zarr")
@@ -308,6 +308,10 @@ def report(run: Path, out: Path) -> None:
         results = json.loads((run / "results.json").read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FileError(f"{run / 'results.json'} cannot be read: {error}. Give a whole run folder.") from error
-    marks = groups.pop("marks", None)
-    write_report(out, groups=groups, marks=marks, results=results)
+    if "layers" in results:
+        pairs = {name.removeprefix("marks/"): groups.pop(name) for name in list(groups) if name.startswith("marks/")}
+        write_layers_report(out, groups=groups, marks=pairs, results=results)
+    else:
+        marks = groups.pop("marks", None)
+        write_report(out, groups=groups, marks=marks, results=results)
     click.echo(str(out))

@@ -110,8 +110,8 @@ def _like(run: Path, scenarios: list[Scenario]) -> tuple[list[Scenario], tuple[s
     """Put the paper and the instruments of a run into each scenario."""
     from planish.validate.like import like_run
 
-    if any(scenario.kind == "mesh" for scenario in scenarios):
-        raise click.UsageError("--like goes with scenarios that run the whole line, not with a mesh.")
+    if any(scenario.kind != "line" for scenario in scenarios):
+        raise click.UsageError("--like goes with scenarios that run the whole line, not with a mesh or a pair.")
     found = like_run(run)
     notes = (*(f"Taken: {s}" for s in found.taken), *(f"Assumed: {s}" for s in found.assumed))
     for note in notes:

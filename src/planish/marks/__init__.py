@@ -3,14 +3,17 @@
 from planish.marks.design import Pattern, check_pattern, design_pattern, own_pattern
 from planish.marks.find import Polarity, find_holes
 from planish.marks.holes_table import read_holes, write_holes
+from planish.marks.in_sheet import Side, find_holes_in_sheet
 from planish.marks.table import read_marks, write_marks
 
 __all__ = [
     "Pattern",
     "Polarity",
+    "Side",
     "check_pattern",
     "design_pattern",
     "find_holes",
+    "find_holes_in_sheet",
     "own_pattern",
     "read_holes",
     "read_marks",

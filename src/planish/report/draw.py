@@ -38,6 +38,8 @@ INK, SOFT, FAINT = "#22292f", "#66707a", "#c9ced3"
 MISSING = "#d4d6d8"
 ACCENT = "#b3402a"
 
+TOP = 0.07  # inches above a map: half a line, for a number at the end of the colour bar
+HIGHEST = 4.8  # inches of a map on half a page
 LOWEST_BAR = 1.3  # inches of a colour bar beside a map that is lower than that
 _ENOUGH = 2_000_000  # values for a percentile
 
@@ -215,18 +217,62 @@ def round_below(value: float) -> float:
     return float(power * max(k for k in (1, 2, 5) if k * power <= value * (1 + 1e-9)))
 
 
-def half_page(shown: Field, *, norm: Normalize, cmap: str, label: str) -> tuple[Canvas, Axes]:
-    """Half a page: a map, its colour bar to the right unless there is no label, its scale bar below."""
-    box = fit_box(shown, HALF - BESIDE, 4.8)
-    high = max(box[1], LOWEST_BAR if label else 0.0)
-    canvas = Canvas(HALF, high + 0.34)
-    axes = canvas.axes(0.02, 0.03, *box)
+def half_page(
+    shown: Field, *, norm: Normalize, cmap: str, label: str, width: float = HALF
+) -> tuple[Canvas, Axes]:  # fmt: skip
+    """Half a page, or as wide as told: a map, its colour bar to the right unless there is no label, its scale bar."""
+    box = fit_box(shown, width - BESIDE, HIGHEST if width <= HALF else 6.4)
+    canvas = Canvas(width, panel_height(box, label) + TOP + 0.31)
+    return canvas, panel(canvas, 0.0, 0.0, shown, box, norm=norm, cmap=cmap, label=label)
+
+
+def panel_height(box: tuple[float, float], label: str) -> float:
+    """Return the height in inches of a panel without its scale bar: a colour bar needs room for its numbers."""
+    return max(box[1], LOWEST_BAR if label else 0.0)
+
+
+def panel(
+    canvas: Canvas, left: float, top: float, shown: Field, box: tuple[float, float], *, norm: Normalize, cmap: str,
+    label: str,
+) -> Axes:  # fmt: skip
+    """Put a map with its colour bar and its scale bar somewhere on a canvas."""
+    high = panel_height(box, label)
+    axes = canvas.axes(left + 0.02, top + TOP, *box)
     show(axes, shown, norm=norm, cmap=cmap)
-    scale_bar(canvas, 0.02, box[1] + 0.06, inches=box[0], um=shown.width)
+    scale_bar(canvas, left + 0.02, top + TOP + box[1] + 0.03, inches=box[0], um=shown.width)
     if label:
-        colour_bar(canvas.axes(box[0] + 0.12, 0.03, 0.12, high), norm=norm, cmap=cmap)
-        canvas.text(box[0] + BESIDE, 0.03 + high / 2, label, rotation=90, va="center", ha="right")
-    return canvas, axes
+        colour_bar(canvas.axes(left + box[0] + 0.12, top + TOP, 0.12, high), norm=norm, cmap=cmap)
+        canvas.text(left + box[0] + BESIDE, top + TOP + high / 2, label, rotation=90, va="center", ha="right")
+    return axes
+
+
+def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float]:
+    """Return round levels between two values, and their step; none where the two are next to the same."""
+    if not high - low > 1e-6 * max(abs(low), abs(high)):
+        return np.empty(0), 0.0
+    step = round_below((high - low) / steps)
+    return np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, step
+
+
+def contours(axes: Axes, shown: Field, levels: Array, *, labels: bool = False) -> None:
+    """Draw contour lines of a field, with their values on request."""
+    rows, cols = shown.values.shape
+    left, right, bottom, top = shown.extent
+    x = left + (np.arange(cols) + 0.5) * (right - left) / cols
+    y = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
+    known = shown.values[np.isfinite(shown.values)]
+    if min(rows, cols) < 2 or known.size == 0:
+        return
+    levels = levels[(levels > known.min()) & (levels < known.max())]
+    if levels.size == 0:
+        return
+    lines = axes.contour(
+        x, y, np.ma.masked_invalid(shown.values), levels=levels, colors="white", linewidths=1.0 if labels else 0.5,
+        alpha=0.9 if labels else 0.7,
+    )  # fmt: skip
+    if labels:
+        for text in axes.clabel(lines, fmt="%g", fontsize=8, inline=True):
+            text.set_path_effects(halo(1.4, "#22292f"))
 
 
 def limits(values: ArrayLike, *, percent: float = 1.0, symmetric: bool = False) -> Normalize:

@@ -6,11 +6,14 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
+from numpy.typing import NDArray
 
 from planish.report.draw import (
     ACCENT,
+    BESIDE,
     FULL,
     HALF,
+    HIGHEST,
     LOWEST_BAR,
     SOFT,
     Array,
@@ -20,14 +23,17 @@ from planish.report.draw import (
     field,
     fit_box,
     limits,
+    panel,
+    panel_height,
     scale_bar,
     show,
 )
 from planish.report.draw import pitch as step_of
-from planish.report.text import count, in_figure, number, plain, unit
+from planish.report.text import count, in_figure, in_words, number, plain, unit
 
 PROPERTY = "viridis"
 CYCLIC = "twilight"
+GREYS = "gray"
 _BESIDE = 1.62  # inches for the distribution, the colour bar and its numbers
 _BINS = 80
 
@@ -59,18 +65,13 @@ def _draw(maps: xr.Dataset, name: str, width: float, rim_um: float) -> Picture:
     box = fit_box(shown, width - _BESIDE, 6.4 if width == FULL else 4.8)
     known = values[np.isfinite(values)]
     mean, sd = float(known.mean()), float(known.std())
-    # An angle of fibres begins again at 180 degrees, and so must its colours.
-    turns = str(data.attrs.get("units")) == "deg" and name.endswith("angle")
-    norm = Normalize(0.0, 180.0) if turns else limits(known)
-    colours = CYCLIC if turns else PROPERTY
-    title = in_figure(str(data.attrs.get("long_name", name)))
-    units = in_figure(unit(str(data.attrs.get("units", "um"))))
+    norm, colours = colours_of(data, known)
     high = max(box[1], LOWEST_BAR)
     canvas = Canvas(width, high + 0.34)
     show(canvas.axes(0.02, 0.03, *box), shown, norm=norm, cmap=colours)
     left = box[0] + 0.14
     colour_bar(canvas.axes(left, 0.03, 0.13, high), norm=norm, cmap=colours)
-    label = f"{title} / {units}" if units else title
+    label = label_of(data)
     canvas.text(box[0] + _BESIDE - 0.03, 0.03 + high / 2, label, rotation=90, va="center", ha="right", fontsize=8.5)
     _distribution(canvas.axes(left + 0.55, 0.03, 0.62, high), known, norm, mean, sd)
     scale_bar(canvas, 0.02, box[1] + 0.06, inches=box[0], um=shown.width)
@@ -82,6 +83,67 @@ def _draw(maps: xr.Dataset, name: str, width: float, rim_um: float) -> Picture:
             f"{number(mean)} ± {number(sd)} {unit(str(data.attrs.get('units', 'um')))} (mean ± standard deviation). "
             f"n = {count(known.size)} map pixels of {grid}; mask: columns with both faces found, holes and "
             f"{plain(rim_um)} around them left out (grey). Colours from the 1st to the 99th percentile."
+        ),
+    )
+
+
+def colours_of(data: xr.DataArray, known: Array) -> tuple[Normalize, str]:
+    """Return the colour limits of a map and the name of its colours."""
+    name = str(data.name)
+    # An angle of fibres begins again at 180 degrees, and so must its colours.
+    if str(data.attrs.get("units")) == "deg" and name.endswith("angle"):
+        return Normalize(0.0, 180.0), CYCLIC
+    return limits(known), GREYS if name == "image" else PROPERTY
+
+
+def label_of(data: xr.DataArray) -> str:
+    """Return a map's title with its unit, as a figure can show it."""
+    title = in_figure(str(data.attrs.get("long_name", data.name)))
+    units = in_figure(unit(str(data.attrs.get("units", "um"))))
+    return f"{title} / {units}" if units else title
+
+
+def draw_beside(
+    maps: tuple[xr.DataArray, xr.DataArray],
+    valid: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    *,
+    names: tuple[str, str],
+    shared: bool,
+) -> Picture:
+    """Draw two maps on one grid side by side.
+
+    Parameters
+    ----------
+    maps : (DataArray, DataArray), dims (y, x)
+    valid : (ndarray of bool, ndarray of bool), shape (rows, cols)
+        What is shown of each.
+    names : (str, str)
+        Whose maps they are.
+    shared : bool
+        Whether they have one scale of colours, as where both are of the same quantity.
+    """
+    shown = [np.where(use, m.values.astype(np.float64), np.nan) for m, use in zip(maps, valid, strict=True)]
+    known = [values[np.isfinite(values)] for values in shown]
+    both = np.concatenate(known)
+    y, x = maps[0]["y"].values, maps[0]["x"].values
+    fields = [field(values, y, x, width=HALF - BESIDE) for values in shown]
+    box = fit_box(fields[0], HALF - BESIDE, HIGHEST)
+    canvas = Canvas(FULL, panel_height(box, "colours") + 0.62)
+    for data, drawn, own, name, left in zip(maps, fields, known, names, (0.0, FULL - HALF), strict=True):
+        norm, colours = colours_of(data, both if shared else own)
+        canvas.text(left + 0.02, 0.18, in_figure(name), fontweight="bold", fontsize=9.5, va="baseline")
+        panel(canvas, left, 0.24, drawn, box, norm=norm, cmap=colours, label=label_of(data))
+    titles = [f"{in_words(str(m.attrs.get('long_name', m.name)))} of {n}" for m, n in zip(maps, names, strict=True)]
+    units = [unit(str(m.attrs.get("units", "um"))) or "none" for m in maps]
+    return canvas.picture(
+        kind="jpeg",
+        title=f"{names[0]} on the pixels of {names[1]}",
+        caption=(
+            f"Left, {titles[0]}; right, {titles[1]}, of the same places. "
+            f"{'Both have one scale of colours' if shared else 'Each has colours of its own'}, from the 1st to the "
+            f"99th percentile. n = {count(known[0].size)} and {count(known[1].size)} pixels of "
+            f"{plain(round(step_of(x), 4))}; units: {units[0]} and {units[1]}; mask: measured, and away from holes "
+            "and their rims."
         ),
     )
 

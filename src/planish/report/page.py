@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
-from jinja2 import Environment, StrictUndefined
 
-from planish.report import tables
-from planish.report.draw import Picture, house_style
+from planish.report import promise, tables
+from planish.report.draw import FULL, HALF, Picture, house_style
 from planish.report.flattening import draw_curvature, draw_progress
+from planish.report.ground import image_ground
+from planish.report.lags import draw_lags
 from planish.report.maps import draw_maps
-from planish.report.registration import draw_outlines, draw_registration
-from planish.report.relation import draw_relation
+from planish.report.outlines import draw_outlines
+from planish.report.registration import draw_expected_error, draw_registration
+from planish.report.relation import draw_relation, image_pair
 from planish.report.slices import draw_slices
+from planish.report.template import Section, numbered, render
 from planish.report.text import in_words
 from planish.report.verdict import give_verdict
 from planish.report.warp import draw_strain, draw_warp
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Section:
-    """A part of the page: its name in addresses, its title in the list of contents."""
-
-    name: str
-    title: str
-
 
 _SECTIONS = (
     Section(name="inputs", title="What went in"),
@@ -71,21 +63,22 @@ def render_report(*, groups: dict[str, xr.Dataset], marks: xr.Dataset | None, re
     """Return the page of :func:`write_report` as text."""
     linked = groups.get("linked") if tables.is_link(results) else None
     names = tables.long_names(groups)
+    headline = in_words(names.get(str(results.get("headline")), ""))
     with house_style():
         pictures = _pictures(groups, linked, marks, results)
-    sections = [s for s in _SECTIONS if linked is not None or s.name not in _LINK_ONLY]
-    inputs = tables.inputs(results)
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(
-        files("planish.report").joinpath("templates/report.html.j2").read_text(encoding="utf-8")
-    )
-    page = template.render(
+    told = results.get("lag") if linked is not None else None
+    check = promise.lag_check(told, first=headline, second="the image")
+    return render(
+        "run.html.j2",
         linked=linked is not None,
-        sections=sections,
-        pictures=pictures,
-        inputs=inputs,
+        sections=[s for s in _SECTIONS if linked is not None or s.name not in _LINK_ONLY],
+        pictures=numbered(pictures),
+        inputs=tables.inputs(results),
+        orientation=promise.orientation(results),
         verdict=give_verdict(results, names),
         gates=tables.gates(results),
+        checks=[check] if check is not None else [],
+        registered=promise.registered(results),
         surfaces=results["surfaces"],
         joined=tables.joined(results),
         columns=tables.columns(results),
@@ -94,19 +87,18 @@ def render_report(*, groups: dict[str, xr.Dataset], marks: xr.Dataset | None, re
         further=tables.further(results, names),
         numbers=tables.numbers(results),
         mark_rows=tables.mark_rows(marks) if marks is not None and linked is not None else [],
-        transform=tables.transform(results) if linked is not None else [],
-        match_sentence=str(results["marks"].get("sentence", "")) if linked is not None else "",
+        transform=[*tables.transform(results["marks"]), *promise.lag_rows(told)] if linked is not None else [],
+        match_sentences=promise.match_sentences(results["marks"]) if linked is not None else [],
         compare=tables.compare(results) if linked is not None else [],
         compare_sentence=tables.compare_sentence(results) if linked is not None else "",
         correlations=tables.correlations(results, names) if linked is not None else [],
-        point_sizes=tables.point_sizes(results) if linked is not None else [],
-        headline=in_words(names.get(str(results.get("headline")), "")),
+        point_sizes=tables.point_sizes(results["correlation"]) if linked is not None else [],
+        headline=headline,
         greys=tables.greys(results),
         parameters=tables.parameters(results),
         versions={"planish": results["planish"], **results.get("versions", {})},
         method=tables.METHOD,
     )
-    return f"{page}\n"
 
 
 def _pictures(
@@ -134,10 +126,21 @@ def _pictures(
     if linked is None or headline is None:
         return pictures
     choices = parameters["correlate"]
+    told = results.get("lag")
     if marks is not None:
-        hole_um = sum(parameters["registration"]["hole_um"]) / 2
-        pictures["registration"] = [draw_registration(linked, marks, hole_um=float(hole_um))]
+        hole_um = float(sum(parameters["registration"]["hole_um"]) / 2)
+        ground = image_ground(linked)
+        title = in_words(str(linked[headline].attrs.get("long_name", headline)))
+        lags = draw_lags(told, ground, first=title, second="the image", width=HALF)
+        error = None
+        if "expected_error" in linked:
+            # Alone it takes the whole width, beside the lags half of it.
+            width = FULL if lags is None else HALF
+            error = draw_expected_error(linked["expected_error"], marks, hole_um=hole_um, width=width)
+        drawn = draw_registration(ground, marks, hole_um=hole_um, axis=promise.axis_in_image(results))
+        pictures["registration"] = [drawn, *(picture for picture in (error, lags) if picture is not None)]
     pictures["outlines"] = draw_outlines(linked, name=headline, thin_um=float(choices["thin_um"]))
     rows = [row for row in results["correlation"] if row["property"] == headline]
-    pictures["relation"] = [draw_relation(linked, headline, rows, point_um=float(choices["point_um"]))]
+    how: dict[str, Any] = {"point_um": float(choices["point_um"]), "registered": promise.registered(results)}
+    pictures["relation"] = [draw_relation(image_pair(linked, headline), rows, **how)]
     return pictures

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from planish.report.text import NONE, count, fixed, length, number, percent, plain, size, unit
+from planish.report.text import NONE, capital, count, fixed, length, number, percent, plain, size, typeset, unit
 
 METHOD = (
     "U. Hirn, J. Kritzinger, M. Donoser, W. Bauer: Introducing a concept to link 3D paper structure to 2D paper "
@@ -168,10 +168,10 @@ def numbers(results: Row) -> list[tuple[str, str]]:
             )
             out.append((f"Thin coating, {words}", f"{shares}, at columns of {length(thin['support_um'])}"))
             if thin["warning"]:
-                out.append(("", str(thin["warning"]).replace(" um", "\u202fµm")))
+                out.append(("", typeset(str(thin["warning"]))))
         rough = told.get(f"roughness_{side}", {})
         if "reason" in rough:
-            out.append((f"Roughness, {words}", str(rough["reason"]).replace(" um", "\u202fµm")))
+            out.append((f"Roughness, {words}", typeset(str(rough["reason"]))))
         elif rough:
             values = ", ".join(f"{key.capitalize()} {number(rough[key])}{units}" for key, units in _ROUGHNESS.items())
             filters = f"S-filter {length(rough['s_filter_um'])}, L-filter {length(rough['l_filter_um'])}"
@@ -205,9 +205,8 @@ def mark_rows(marks: xr.Dataset) -> list[Row]:
     ]
 
 
-def transform(results: Row) -> list[tuple[str, str]]:
-    """Return the transformation in numbers."""
-    m = results["marks"]
+def transform(m: Row, *, names: tuple[str, str] = ("volume", "image")) -> list[tuple[str, str]]:
+    """Return a transformation in numbers, from what the results say of its marks."""
     loo = m["leave_one_out_rms_um"]
     found = [
         ("Scale", f"{m['scale']:.5f}"),
@@ -218,23 +217,22 @@ def transform(results: Row) -> list[tuple[str, str]]:
         ("Leave-one-out, rms", f"{number(loo, 2)} µm" if loo is not None else NONE),
     ]
     if "model_sentence" in m:  # runs of planish before it chose a model have none
-        found.insert(0, ("Model", in_um(m["model_sentence"])))
+        found.insert(0, ("Model", typeset(m["model_sentence"])))
         error = m["expected_error_um"]
         words = NONE
         if error is not None and error["median"] is not None:
             words = f"{number(error['median'], 2)} µm (median), {number(error['largest'], 2)} µm at most"
         found.append(("Expected error of a pixel, rms", words))
-        found += [("Warning", in_um(text)) for text in m["warnings"]]
+        found += [("Warning", typeset(text)) for text in m["warnings"]]
     if m.get("source") == "file":
         return [("Marks", f"{m['matched']} pairs from a table"), *found]
-    found_in = (m.get("found_volume", NONE), m.get("found_image", NONE))
-    seen = f"{m['matched']} matched, of {found_in[0]} holes in the volume and {found_in[1]} in the image"
+    found_in = [m.get(f"found_{name}", NONE) for name in names]
+    articles = ["the " if name in ("volume", "image") else "" for name in names]
+    seen = (
+        f"{m['matched']} matched, of {found_in[0]} holes in {articles[0]}{names[0]} and {found_in[1]} in "
+        f"{articles[1]}{names[1]}"
+    )
     return [("Marks", seen), *found]
-
-
-def in_um(text: str) -> str:
-    """Write a sentence of the program's with the report's unit."""
-    return text.replace(" um", " µm")
 
 
 def compare(results: Row) -> list[Row]:
@@ -246,7 +244,7 @@ def compare(results: Row) -> list[Row]:
         out.append({
             "name": name[:1].upper() + name[1:],
             "rms": number(found[0]["marks_rms_um"], 3),
-            "pairs": [_cells(row) for row in found],
+            "pairs": [cells(row) for row in found],
             "best": row_is_flattened(name),
         })  # fmt: skip
     return out
@@ -278,12 +276,13 @@ def correlations(results: Row, names: dict[str, str]) -> list[Row]:
     rows = results["correlation"]
     out: list[Row] = []
     for name in dict.fromkeys(row["property"] for row in rows):
-        pairs = [_cells(row) for row in rows if row["property"] == name]
+        pairs = [cells(row) for row in rows if row["property"] == name]
         out.append({"name": names.get(name, name), "pairs": pairs, "best": name == results["headline"]})
     return out
 
 
-def _cells(row: Row) -> Row:
+def cells(row: Row) -> Row:
+    """Return one correlation as a table shows it."""
     return {
         "n": count(row["n"]),
         "r": fixed(row["r"], 3),
@@ -293,15 +292,19 @@ def _cells(row: Row) -> Row:
     }
 
 
-def point_sizes(results: Row) -> list[str]:
-    """Return the point sizes of the two halves of the tables."""
-    return list(dict.fromkeys(plain(round(float(row["point_um"]), 4)) for row in results["correlation"]))
+def point_sizes(rows: list[Row]) -> list[str]:
+    """Return the point sizes of the two halves of a table of correlations."""
+    return list(dict.fromkeys(plain(round(float(row["point_um"]), 4)) for row in rows))
 
 
-def gates(results: Row) -> list[Row]:
+def gates(results: Row, *, capitals: bool = True) -> list[Row]:
     """Return the quality gates: name, light and sentence with typeset units."""
     return [
-        {"name": str(g["name"]), "passed": bool(g["passed"]), "sentence": str(g["sentence"]).replace(" um", "\u202fµm")}
+        {
+            "name": capital(str(g["name"])) if capitals else str(g["name"]),
+            "passed": bool(g["passed"]),
+            "sentence": typeset(str(g["sentence"])),
+        }
         for g in results["quality"]
     ]
 
@@ -331,11 +334,29 @@ def _grey(value: float | None, key: str) -> str:
 
 def parameters(results: Row) -> list[tuple[str, list[tuple[str, str]]]]:
     """Return every parameter, by section."""
-    return [
-        (str(section), [(str(key), _parameter(value, str(key))) for key, value in values.items()])
-        for section, values in results["parameters"].items()
-        if values
-    ]
+    out: list[tuple[str, list[tuple[str, str]]]] = []
+    loose: list[tuple[str, str]] = []
+    for section, values in results["parameters"].items():
+        if isinstance(values, dict):
+            out.append((str(section), _flat(values)))
+        elif isinstance(values, list) and values and all(isinstance(v, dict) for v in values):
+            out += [(f"{section}, {v.get('name', k + 1)}", _flat(v)) for k, v in enumerate(values)]
+        else:
+            loose.append((str(section), _parameter(values, str(section))))
+    if loose:
+        out.append(("others", loose))
+    return [(name, rows) for name, rows in out if rows]
+
+
+def _flat(values: Row, before: str = "") -> list[tuple[str, str]]:
+    """Write a section of parameters; what lies in a section of its own has that one's name before it."""
+    rows: list[tuple[str, str]] = []
+    for key, value in values.items():
+        if isinstance(value, dict):
+            rows += _flat(value, f"{before}{key}.")
+        else:
+            rows.append((f"{before}{key}", _parameter(value, str(key))))
+    return rows
 
 
 def _parameter(value: Any, key: str) -> str:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 
 NONE = "–"
 _UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "g/cm3": "g/cm³", "1/mm2": "1/mm²", "deg": "°", "1": ""}
 _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
+_MICROMETRES, _DEGREES = re.compile(r" um\b"), re.compile(r" deg\b")
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -37,7 +39,20 @@ def fixed(value: float | None, decimals: int) -> str:
     """Write a number with so many decimals, and a dash where there is none."""
     if value is None or not math.isfinite(value):
         return NONE
-    return _signed(f"{value:,.{decimals}f}")
+    return _signed(f"{round(value, decimals) + 0.0:,.{decimals}f}")  # no minus sign on a zero
+
+
+def beside(value: float | None, spread: float | None) -> str:
+    r"""Write a number with the decimals that two significant digits of its spread have.
+
+    Examples
+    --------
+    >>> beside(2.49817, 0.0722), beside(1234.5, 87.0), beside(1.5, None)
+    ('2.498', '1\u202f234', '1.50')
+    """
+    if not spread or not math.isfinite(spread):
+        return number(value)
+    return fixed(value, max(1 - math.floor(math.log10(abs(spread))), 0))
 
 
 def count(value: int | None) -> str:
@@ -89,6 +104,22 @@ def in_words(title: str) -> str:
     head, comma, tail = title.partition(", ")
     head = head[:1].lower() + head[1:]
     return f"{head} ({tail})" if comma else head
+
+
+def capital(text: str) -> str:
+    """Begin a text with a capital letter and leave the rest as it is."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def typeset(text: str) -> str:
+    r"""Write a sentence of the program's, whose units are ASCII, with the report's units.
+
+    Examples
+    --------
+    >>> typeset("lag 2.1 um at 30 deg, maximum 3 um.")
+    'lag 2.1\u202fµm at 30°, maximum 3\u202fµm.'
+    """
+    return _DEGREES.sub("°", _MICROMETRES.sub(f"{_SPACE}µm", text))
 
 
 def in_figure(text: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from planish.report.promise import registered
 from planish.report.tables import Row, is_link
 from planish.report.text import NONE, count, fixed, in_words, length, number, percent, plain
 
@@ -34,12 +35,19 @@ def give_verdict(results: Row, names: dict[str, str]) -> Verdict:
     """Say what came out, as far as it goes and no further."""
     gates = results["quality"]
     failed = [gate for gate in gates if not gate["passed"]]
-    summary = f"All {len(gates)} quality gates are passed." if not failed else (
+    sentence, tiles = _link_verdict(results, names) if is_link(results) else _map_verdict(results, names)
+    return Verdict(sentence=sentence, tiles=tiles, passed=not failed, summary=summarise(gates))
+
+
+def summarise(gates: list[Row]) -> str:
+    """Say how many quality gates were passed."""
+    failed = [gate for gate in gates if not gate["passed"]]
+    if not failed:
+        return "The quality gate is passed." if len(gates) == 1 else f"All {len(gates)} quality gates are passed."
+    return (
         f"{len(failed)} of {len(gates)} quality gates {'is' if len(failed) == 1 else 'are'} not passed; "
         "read them before using a number of this page."
-    )  # fmt: skip
-    sentence, tiles = _link_verdict(results, names) if is_link(results) else _map_verdict(results, names)
-    return Verdict(sentence=sentence, tiles=tiles, passed=not failed, summary=summary)
+    )
 
 
 def _link_verdict(results: Row, names: dict[str, str]) -> tuple[str, tuple[Tile, ...]]:
@@ -48,7 +56,7 @@ def _link_verdict(results: Row, names: dict[str, str]) -> tuple[str, tuple[Tile,
     pixel, point = _pair(results["correlation"], headline)
     marks, linked = results["marks"], results["linked"]
     loo = marks["leave_one_out_rms_um"]
-    what = in_words(title)
+    what, how = in_words(title), registered(results)
     if pixel.get("r2") is None:
         sentence = (
             f"{title} and the image could not be correlated: {count(pixel.get('n', 0))} pixels are valid in both, or "
@@ -65,14 +73,14 @@ def _link_verdict(results: Row, names: dict[str, str]) -> tuple[str, tuple[Tile,
         )
         if point.get("r2") is not None:
             sentence += f", and for {percent(point['r2'], 2)} over points of {plain(point['point_um'])}"
-        sentence += "."
+        sentence += f" ({how})."
     if loo is None:
         sentence += f" {marks['matched']} marks were used."
     else:
         sentence += f" The {marks['matched']} marks agree to {length(loo, 2)} when each is predicted from the others."
     return sentence, (
-        Tile(value=fixed(pixel.get("r2"), 3), label="r² at the pixel", note=_tile_note(pixel)),
-        Tile(value=fixed(point.get("r2"), 3), label=f"r² at {plain(_point_um(results))}", note=_tile_note(point)),
+        Tile(value=fixed(pixel.get("r2"), 3), label="r² at the pixel", note=_tile_note(pixel, how)),
+        Tile(value=fixed(point.get("r2"), 3), label=f"r² at {plain(_point_um(results))}", note=_tile_note(point, how)),
         Tile(
             value=number(loo, 2),
             unit="µm",
@@ -126,8 +134,8 @@ def _map_verdict(results: Row, names: dict[str, str]) -> tuple[str, tuple[Tile, 
     )
 
 
-def _tile_note(row: Row) -> str:
-    return f"r = {number(row.get('r'))}, n = {count(row.get('n'))}"
+def _tile_note(row: Row, how: str) -> str:
+    return f"r = {number(row.get('r'))}, n = {count(row.get('n'))}; {how}"
 
 
 def _point_um(results: Row) -> float:

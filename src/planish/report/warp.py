@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 
 from planish.report.draw import (
@@ -16,10 +15,12 @@ from planish.report.draw import (
     Field,
     Picture,
     colour_bar,
+    contours,
     field,
     fit_box,
     half_page,
     halo,
+    levels_between,
     limits,
     pitch,
     round_below,
@@ -46,16 +47,15 @@ def draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> list[Picture]:
     norm = limits(height, percent=0.1)
     canvas, axes = half_page(heights, norm=norm, cmap=GEOMETRY, label="height above the median / µm")
     low, high = np.nanpercentile(height, [0.1, 99.9])
-    step = round_below(max((high - low) / 6, 1e-9))
-    levels = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
-    if levels.size > 1:
-        _contours(axes, heights, levels)
+    levels, step = levels_between(float(low), float(high), steps=6)
+    contours(axes, heights, levels)
+    every = f"Contours every {plain(step)}. " if levels.size else ""
     n = int(np.isfinite(height).sum())
     mask = "mask: columns with a sheet or a bridged hole, the largest connected piece"
     warp = canvas.picture(
         kind="jpeg",
         title="Warp: height of the centre surface",
-        caption=f"Seen from the top side. Contours every {plain(step)}. n = {count(n)} columns of {bar}; {mask}.",
+        caption=f"Seen from the top side. {every}n = {count(n)} columns of {bar}; {mask}.",
     )
     return [warp, _displacement(flat)]
 
@@ -145,11 +145,3 @@ def on_top(values: Array, y: Array, x: Array, flat: xr.Dataset, width: float) ->
     if flat.attrs.get("mirrored_view", 0):
         values = values[:, ::-1]
     return field(values, y, x, width=width), f"{plain(round(pitch(y), 4))} × {plain(round(pitch(x), 4))}"
-
-
-def _contours(axes: Axes, shown: Field, levels: Array) -> None:
-    rows, cols = shown.values.shape
-    left, right, bottom, top = shown.extent
-    x = left + (np.arange(cols) + 0.5) * (right - left) / cols
-    y = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
-    axes.contour(x, y, np.ma.masked_invalid(shown.values), levels=levels, colors="white", linewidths=0.5, alpha=0.7)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from planish.surface.envelope import rolling_ball
 from planish.surface.faces import Faces
 from planish.surface.holes import half_closed
 from planish.surface.params import SurfaceParams
+from planish.surface.presence import LAYERS, TITLES
 from planish.surface.regions import LEAVES, PARTICLE, STATUS, TOUCHING, regions
 
 Array = NDArray[np.float64]
@@ -35,13 +36,14 @@ class Found:
     runs_out : (rows, cols)
         Columns in which it may run out of the volume.
     presence : callable
-        Given the centre surface, the sheet's thickness and the direction of its top, the share of material.
+        Given the centre surface, the sheet's thickness and the direction of its top, the share of material in each
+        layer.
     """
 
     faces: Faces
     touching: Mask
     runs_out: Mask
-    presence: Callable[[Array, float, float], Array]
+    presence: Callable[[Array, float, float], Mapping[str, Array]]
 
 
 def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found) -> xr.Dataset:
@@ -93,7 +95,9 @@ def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found
     data: dict[str, tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]] = {
         name: (("y", "x"), values, {"units": "um", "long_name": title}) for name, (values, title) in heights.items()
     }
-    data["presence"] = (("y", "x"), present, {"units": "1", "long_name": "Material below the top face"})
+    for name, share in present.items():
+        layer: dict[str, object] = {"units": "1", "long_name": TITLES[name], "layer": list(LAYERS[name])}
+        data[name] = (("y", "x"), share, layer)
     flags: dict[str, object] = {
         "long_name": "Status",
         "flag_values": list(STATUS),

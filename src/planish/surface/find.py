@@ -49,7 +49,9 @@ def find_surfaces(
     Dataset, dims (y, x) = rows and columns of the frame
         ``top``, ``bottom``, ``interface_top``, ``interface_bottom``, ``centre``: heights in um, coordinates along the
         axis through the sheet. NaN where there is no sheet; the interface of a side without a coating is all NaN.
-        ``centre`` runs on across holes. ``presence``: share of material along the normal below the top face, 0 to 1.
+        ``centre`` runs on across holes. ``presence``: share of material along the normal below the top face, 0 to 1;
+        ``presence_centre`` and ``presence_bottom``: the same around the centre surface and above the bottom face. Their
+        attribute ``layer`` says from where to where, in shares of the thickness from the centre towards the top.
         ``status``: 0 measured, 1 no sheet, 2 rim of a hole or gap, 3 face not found, 5 the sheet touches another or
         itself, 6 it leaves the volume, 7 a particle sticks to it; 4 is left to the measurement. With
         ``envelope_um`` also ``top_envelope`` and ``bottom_envelope``.
@@ -78,7 +80,7 @@ def find_surfaces(
         levels = _swapped(levels)
     touching, runs_out = doubtful(guide, survey.coarse, learnt.edge.width, columns.shape[2])
 
-    def presence(centre: Array, thickness: float, up: float) -> Array:
+    def presence(centre: Array, thickness: float, up: float) -> dict[str, Array]:
         base = learnt.scale.polarity * learnt.base + learnt.scale.air
         return find_presence(columns, centre, thickness, up, (learnt.scale.air, base), engine)
 

@@ -124,7 +124,7 @@ def surfaces_from_labels(
     coated = share[0] > _COATED_SHARE, share[1] > _COATED_SHARE
     touching, runs_out = doubtful(guide, coarse, 0.0, columns.shape[2])
 
-    def presence(centre: Array, thickness: float, up: float) -> Array:
+    def presence(centre: Array, thickness: float, up: float) -> dict[str, Array]:
         return find_presence(columns, centre, thickness, up, (0.0, 1.0), engine)
 
     surfaces = assemble(

@@ -1,4 +1,4 @@
-"""Where there is material below the top face: what holes are found in."""
+"""Where there is material in three layers of the sheet: what holes are found in."""
 
 from __future__ import annotations
 
@@ -13,7 +13,21 @@ from planish.surface.columns import Columns
 
 Array = NDArray[np.float64]
 
-_FROM, _TO, _STEPS = 0.1, 0.42, 7  # of the thickness, from the centre surface towards the top
+_FROM, _TO, _STEPS = 0.1, 0.42, 7  # of the thickness, and places between; the bottom's layer mirrors the top's
+_INNER = _FROM + (_TO - _FROM) / (_STEPS - 1)  # the centre's layer reaches to the second place of either neighbour
+
+LAYERS = {
+    "presence": (_FROM, _TO),
+    "presence_centre": (-_INNER, _INNER),
+    "presence_bottom": (-_TO, -_FROM),
+}
+"""First and last place of each layer in shares of the thickness, from the centre surface towards the top."""
+
+TITLES = {
+    "presence": "Material below the top face",
+    "presence_centre": "Material around the centre surface",
+    "presence_bottom": "Material above the bottom face",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,15 +37,15 @@ class _Look:
     columns: Columns
     depth: Array
     normals: tuple[Array, Array, Array]
-    offsets: Array
+    thickness: float
     low: float
     high: float
 
 
 def find_presence(
     columns: Columns, centre: Array, thickness: float, up: float, levels: tuple[float, float], engine: Engine
-) -> Array:
-    """Share of material in the upper third of the sheet, along the true normals, of every column; 0 to 1.
+) -> dict[str, Array]:
+    """Share of material in three layers of the sheet, along the true normals, of every column; 0 to 1.
 
     Parameters
     ----------
@@ -48,8 +62,14 @@ def find_presence(
 
     Returns
     -------
-    (rows, cols)
+    dict of (rows, cols)
+        One map for each of ``LAYERS``: ``presence`` below the top face, ``presence_centre`` and ``presence_bottom``.
         NaN where there is no centre surface or the normal leaves the volume.
+
+    Notes
+    -----
+    The voxels are read once for all layers. The bottom's layer mirrors the top's: with the other side on top, the two
+    maps change places to the last bit.
     """
     shape, pitch = columns.shape[:2], columns.pitch
     slope = [np.gradient(centre, p, axis=i) for i, p in enumerate(pitch[:2])]
@@ -62,35 +82,48 @@ def find_presence(
         at = tile.rows, tile.cols
         return _Look(
             columns=columns, depth=depth[at], normals=(normals[0][at], normals[1][at], normals[2][at]),
-            offsets=np.linspace(_FROM, _TO, _STEPS) * thickness, low=air, high=base,
+            thickness=thickness, low=air, high=base,
         )  # fmt: skip
 
-    out = np.full(shape, np.nan)
-    for tile, part in engine.map("presence", _look, job, columns.tiles(engine)):
-        out[tile.rows, tile.cols] = part
-    return out
+    out = np.full((len(LAYERS), *shape), np.nan)
+    for tile, part in engine.map("layers", _look, job, columns.tiles(engine)):
+        out[:, tile.rows, tile.cols] = part
+    return dict(zip(LAYERS, out, strict=True))
+
+
+def _places() -> tuple[Array, NDArray[np.int64]]:
+    """Places along the normal in shares of the thickness, and which of them each layer is the mean of."""
+    outer = np.linspace(_FROM, _TO, _STEPS)
+    # The centre's layer takes the two places of either neighbour that lie in it, and three of its own.
+    inner = np.array([0.0, 2 * outer[0] - outer[1]])
+    places = np.concatenate([outer, -outer, inner, -inner[1:]])
+    top = np.arange(_STEPS)
+    centre = np.array([0, 1, _STEPS, _STEPS + 1, *range(2 * _STEPS, places.size)])
+    return places, np.stack([top, centre, top + _STEPS]).astype(np.int64)
 
 
 def _look(look: _Look, tile: Tile) -> Array:
     whole = look.columns.shape
-    out = np.full(tile.shape, np.nan)
+    out = np.full((len(LAYERS), *tile.shape), np.nan)
     depth, rows, cols, along = (np.ascontiguousarray(a) for a in (look.depth, *look.normals))
     known = np.isfinite(depth) & np.isfinite(along)
     if not known.any():
         return out
+    places, layers = _places()
+    offsets = places * look.thickness
     # Only what the normals pass through is read.
-    ends = [depth[known] + s * along[known] for s in look.offsets[[0, -1]]]
+    ends = [depth[known] + s * along[known] for s in (offsets.min(), offsets.max())]
     low, high = min(float(e.min()) for e in ends), max(float(e.max()) for e in ends)
     if high < 0 or low > whole[2] - 1:
         return out
     first = min(max(int(np.floor(low)), 0), whole[2] - 2)
     part = slice(first, min(int(np.ceil(high)) + 2, whole[2]))
-    farthest = float(np.abs(look.offsets).max())
+    farthest = float(np.abs(offsets).max())
     lead = [int(np.ceil(farthest * float(np.abs(n[known]).max()))) + 1 for n in (rows, cols)]
     outside = tile.grown(lead[0], lead[1], whole[:2])
     inner = tile.within(outside)
     grey = look.columns.grey(outside, depth=part)
     _kernels.presence(
-        grey, first, whole[2], inner.r0, inner.c0, depth, rows, cols, along, look.offsets, look.low, look.high, out
+        grey, first, whole[2], inner.r0, inner.c0, depth, rows, cols, along, offsets, layers, look.low, look.high, out
     )
     return out

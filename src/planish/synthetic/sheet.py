@@ -54,6 +54,12 @@ class Sheet:
     base_mass: Field
     holes: Array
 
+    def covers(self, low: Array, high: Array) -> bool:
+        """Whether the fields reach from (u, v) = ``low`` to ``high``, in um."""
+        rows, cols = self.faces.shape[1:]
+        end = np.add(self.origin, PITCH_UM * np.array([cols - 1, rows - 1]))
+        return bool(np.all(low >= self.origin) and np.all(high <= end))
+
     def at(self, field: Field, u: Array, v: Array) -> Array:
         """Bilinear value of one field at material coordinates; the same rule that the renderer uses."""
         x = np.clip((u - self.origin[0]) / PITCH_UM, 0.0, field.shape[1] - 1.000001)

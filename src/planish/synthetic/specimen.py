@@ -130,13 +130,15 @@ class Specimen:
         )
 
 
-def make_specimen(params: SpecimenParams, *, threads: int = 2) -> Specimen:
+def make_specimen(params: SpecimenParams, *, threads: int = 2, sheet: Sheet | None = None) -> Specimen:
     """Make the specimen of ``params.seed``; the same parameters give the same bytes on any number of threads.
+
+    With ``sheet``, that of another specimen, it is the same piece of paper, bent as ``params`` say.
 
     Raises
     ------
     ValueError
-        If the holes do not fit into the field.
+        If the holes do not fit into the field, or the given sheet does not reach as far as this one has to.
     """
     width, height = params.size_um
     # The sheet's own origin comes to the middle of the volume; then one sees which material the volume shows.
@@ -155,10 +157,13 @@ def make_specimen(params: SpecimenParams, *, threads: int = 2) -> Specimen:
     corners = pose.inverse(frame)
     low = np.minimum(spread[:2], corners.min(axis=0)) - _BEYOND_UM
     high = np.maximum(spread[2:], corners.max(axis=0)) + _BEYOND_UM
-    inner_low = np.array([under[:, 0, 0].max(), under[0, :, 1].max()])
-    inner_high = np.array([under[:, -1, 0].min(), under[-1, :, 1].min()])
-    centres = hole_pattern(params.holes, inner_low, inner_high, params.seed)
-    sheet = make_sheet(p, params.holes, low=low, high=high, centres=centres, seed=params.seed)
+    if sheet is None:
+        inner_low = np.array([under[:, 0, 0].max(), under[0, :, 1].max()])
+        inner_high = np.array([under[:, -1, 0].min(), under[-1, :, 1].min()])
+        centres = hole_pattern(params.holes, inner_low, inner_high, params.seed)
+        sheet = make_sheet(p, params.holes, low=low, high=high, centres=centres, seed=params.seed)
+    elif not sheet.covers(spread[:2], spread[2:]):
+        raise ValueError("the given sheet does not reach as far as the volume shows it; bend it more or make it larger")
     return Specimen(
         params=params, warp=warp, sheet=sheet, pose=pose, extent_um=(width, height, high_z - low_z),
         image_shape=image_shape, threads=threads,

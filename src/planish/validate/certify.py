@@ -5,7 +5,8 @@ from __future__ import annotations
 import shutil
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from planish.core.errors import InputError, PlanishError, ResourceError
-from planish.pipeline import Progress, Run, run_study
+from planish.pipeline import Layers, Progress, Run, run_study
 from planish.study import Study
 from planish.synthetic import InstrumentFiles, make_specimen, write_instruments
 from planish.synthetic.params import SpecimenParams
@@ -22,6 +23,7 @@ from planish.validate.example import Example, make_example
 from planish.validate.figures import FIGURES
 from planish.validate.ledger import in_order, make_ledger
 from planish.validate.mesh import mesh_values
+from planish.validate.pair import make_pair, pair_study, pair_values
 from planish.validate.scenario import Limit, Scenario
 from planish.validate.spread import Values
 
@@ -166,12 +168,36 @@ def run_scenario(
             values = in_order(mesh_values(seed, once=k == 0))
             entries.append(Entry(seed=seed, values=values, seconds=time.perf_counter() - start))
             continue
+        if scenario.kind == "pair":
+            entries.append(run_pair(scenario, seed, out=out, progress=progress, threads=threads))
+            continue
         entry, seen = run_specimen(
             scenario, scenario.params(seed), seed, out=out, progress=progress, threads=threads, keep=example is None
         )
         entries.append(entry)
         example = example or seen
     return Certificate(scenario=scenario, entries=tuple(entries), example=example)
+
+
+def run_pair(
+    scenario: Scenario, seed: int, *, out: Path | None = None, progress: Progress | None = None, threads: int = 2
+) -> Entry:
+    """Make one sheet under two instruments, link their volumes, remove the files."""
+    with _folder(out) as folder:
+        try:
+            made = make_pair(scenario, seed, folder, threads=threads)
+        except ValueError as error:
+            raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
+        start = time.perf_counter()
+        try:
+            run = run_study(pair_study(scenario, made), folder / "run", progress=progress)
+        except ResourceError:
+            raise  # says something of this machine and nothing of the specimen
+        except PlanishError as error:
+            return _refused(error, seed, folder, time.perf_counter() - start)
+        seconds = time.perf_counter() - start
+        _tell(progress, "compare", "with the truth")
+        return Entry(seed=seed, values=in_order(pair_values(made, run)), gates=_failed(run), seconds=seconds)
 
 
 def run_specimen(
@@ -185,8 +211,7 @@ def run_specimen(
     keep: bool = False,
 ) -> tuple[Entry, Example | None]:
     """Make one specimen, run the program on its files, remove them; with ``keep``, also its maps for a picture."""
-    folder = Path(tempfile.mkdtemp(prefix="planish-validate-", dir=out))
-    try:
+    with _folder(out) as folder:
         try:
             specimen = make_specimen(params, threads=threads)
         except ValueError as error:
@@ -199,17 +224,28 @@ def run_specimen(
         except ResourceError:
             raise  # says something of this machine and nothing of the specimen
         except PlanishError as error:
-            seconds = time.perf_counter() - start
-            # The folder's name is made up anew each time and says nothing to a reader.
-            refusal = str(error).replace(f"{folder}/", "")
-            return Entry(seed=seed, values={}, refusal=refusal, seconds=seconds), None
+            return _refused(error, seed, folder, time.perf_counter() - start), None
         seconds = time.perf_counter() - start
         _tell(progress, "compare", "with the truth")
         values = make_ledger(specimen, made, run, point_um=scenario.point_um).values
         example = make_example(specimen, made, run, seed) if keep else None
         return Entry(seed=seed, values=values, gates=_failed(run), seconds=seconds), example
+
+
+@contextmanager
+def _folder(out: Path | None) -> Generator[Path]:
+    """Give a folder for the files of one specimen; it is removed at the end."""
+    folder = Path(tempfile.mkdtemp(prefix="planish-validate-", dir=out))
+    try:
+        yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _refused(error: PlanishError, seed: int, folder: Path, seconds: float) -> Entry:
+    """What is left of a specimen that the program refused."""
+    # The folder's name is made up anew each time and says nothing to a reader.
+    return Entry(seed=seed, values={}, refusal=str(error).replace(f"{folder}/", ""), seconds=seconds)
 
 
 def scenario_study(scenario: Scenario, made: InstrumentFiles) -> Study:
@@ -246,7 +282,7 @@ def _worse(name: str) -> Limit:
     return Limit(limit=0.0) if FIGURES[name].small or "ratio" in name else Limit(least=0.0)
 
 
-def _failed(run: Run) -> tuple[str, ...]:
+def _failed(run: Run | Layers) -> tuple[str, ...]:
     return tuple(f"{gate.name}: {gate.sentence}" for gate in run.gates if not gate.passed)
 
 

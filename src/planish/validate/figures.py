@@ -46,6 +46,7 @@ STAGES = {
     "registration": "Registration",
     "resampling": "Resampling",
     "statistic": "Statistic",
+    "pair": "Two instruments",
 }
 
 FACES = {
@@ -169,7 +170,25 @@ def _all() -> list[Figure]:
         add(f"r_{key}", "statistic", "1", f"r at the {what}, measured", f"{sentence}, of the measured map", small=False)
         add(f"r_true_{key}", "statistic", "1", f"r at the {what}, true", f"{sentence}, of the true map", small=False)
         add(f"r_difference_{key}", "statistic", "1", f"r at the {what}, difference", "measured minus true")
+    _pair(add)
     return found
+
+
+def _pair(add: Callable[..., None]) -> None:
+    sentence = "distance in the sheet between the materials that the two volumes show at one pixel"
+    for key, title, word in (("median", "median", "median"), ("p95", "95 %", "95th percentile"), ("rms", "rms", "rms")):
+        add(f"pair_{key}", "pair", "um", f"error of a pixel, {title}", f"{word} over the pixels: {sentence}")
+    sentence = "error of a pixel that the run itself expects from its marks, rms over the same pixels"
+    add("pair_predicted_rms", "pair", "um", "expected error, rms", sentence, small=False)
+    for key, what in (("first", "first"), ("second", "second")):
+        sentence = f"mean of measured minus true thickness of the top coating in the {what} volume"
+        add(f"pair_coating_{key}_bias", "pair", "um", f"top coating, {what} volume, mean error", sentence)
+    sentence = "correlation of the two measured maps of the top coating at the pixel"
+    add("pair_r", "pair", "1", "r of the coating at the pixel", sentence, small=False)
+    sentence = "correlation of the two measured maps of the top coating at the larger point"
+    add("pair_r_point", "pair", "1", "r of the coating at the larger point", sentence, small=False)
+    sentence = "standard deviation of the second coating map minus the first, at the pixel"
+    add("pair_difference_sd", "pair", "um", "difference of the coatings, sd", sentence)
 
 
 def _mesh(add: Callable[..., None]) -> None:

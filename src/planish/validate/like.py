@@ -122,7 +122,10 @@ def _results(folder: Path) -> dict[str, Any]:
 
 
 def _study(folder: Path) -> Study:
-    return read_study(folder / "run.toml")
+    study = read_study(folder / "run.toml")
+    if not isinstance(study, Study):
+        raise FileError(f"{folder} holds several linked layers. Give the run of one volume with --like.")
+    return study
 
 
 def _with_scan(params: SpecimenParams, results: dict[str, Any], taken: list[str], assumed: list[str]) -> SpecimenParams:

@@ -59,14 +59,21 @@ class Limit(Table):
         return min(values) if self.limit is None else max(values, key=abs)
 
 
+class Second(Table):
+    """The second instrument of a pair, and what it does otherwise to the same sheet (how it is bent, above all)."""
+
+    instrument: Instrument
+    specimen: dict[str, Any] = {}
+
+
 class Scenario(Table):
     """One kind of specimen and how it is measured.
 
     Attributes
     ----------
     name, title : str
-    kind : {"line", "mesh"}
-        The whole line through files, or the relaxation of the spring mesh alone.
+    kind : {"line", "pair", "mesh"}
+        The whole line through files; two volumes of one sheet, linked; or the relaxation of the spring mesh alone.
     preset : str
         Paper, a key of :data:`planish.synthetic.presets.PRESETS`.
     size : str or (float, float)
@@ -84,6 +91,8 @@ class Scenario(Table):
         Edge of the larger points of the correlation.
     specimen : dict
         Fields of SpecimenParams that differ from their defaults; nested as they are there.
+    second : Second or None
+        The other instrument of a pair, which is the reference.
     study : dict
         Tables of run.toml that differ from their defaults.
     limits : dict of Limit
@@ -91,7 +100,7 @@ class Scenario(Table):
 
     name: str
     title: str
-    kind: Literal["line", "mesh"] = "line"
+    kind: Literal["line", "pair", "mesh"] = "line"
     preset: str = "wfc135"
     size: Literal["T0", "T1", "T2"] | tuple[Length, Length] = "T1"
     instrument: Instrument = "stack"
@@ -101,6 +110,7 @@ class Scenario(Table):
     or_warned: bool = False
     point_um: Length = 100.0
     specimen: dict[str, Any] = {}
+    second: Second | None = None
     study: dict[str, dict[str, Any]] = {}
     limits: dict[str, Limit] = {}
 
@@ -125,10 +135,19 @@ class Scenario(Table):
         return value
 
     @model_validator(mode="after")
+    def _two_for_a_pair(self) -> Self:
+        if (self.kind == "pair") != (self.second is not None):
+            raise ValueError("a pair, and nothing else, has a table [second]")
+        return self
+
+    @model_validator(mode="after")
     def _can_be_made(self) -> Self:
         try:
             _check_kinds(SpecimenParams(), self.specimen, "specimen")
             self.params(0)
+            if self.second is not None:
+                _check_kinds(SpecimenParams(), self.second.specimen, "second.specimen")
+                self.second_params(0)
         except KeyError as error:
             raise ValueError(f"specimen has no field {error}") from error
         for table, changes in self.study.items():
@@ -149,6 +168,12 @@ class Scenario(Table):
         if chosen == ALL:
             return params
         return without(params, NUISANCES) if isinstance(chosen, str) else with_only(params, chosen)
+
+    def second_params(self, seed: int) -> SpecimenParams:
+        """Parameters of the same sheet under the second instrument."""
+        assert self.second is not None
+        changed: SpecimenParams = amended(self.params(seed), self.second.specimen)
+        return changed
 
     @property
     def active(self) -> list[str]:

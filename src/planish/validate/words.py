@@ -26,6 +26,11 @@ def verdict(certificate: Certificate) -> str:
     if not found:
         return "The program gave no result on specimens like these."
     said: list[str] = []
+    if certificate.scenario.kind == "pair":
+        return (
+            f"Two volumes of one sheet, linked through their maps: a point is off by {_um(found['pair_median'])} "
+            f"(median), {_um(found['pair_p95'])} (95 %)."
+        )
     if "tre_median" in found and "tre_p95" in found:
         said.append(
             f"On specimens like these a point of the map is off by {_um(found['tre_median'])} (median), "
@@ -59,7 +64,7 @@ def summary(certificate: Certificate) -> str:
     """How many specimens came through and how many limits are met."""
     entries, checks = certificate.entries, certificate.checks()
     n = len(entries)
-    word = "specimen" if certificate.scenario.kind == "line" else "deformation"
+    word = "deformation" if certificate.scenario.kind == "mesh" else "specimen"
     said: list[str] = []
     refused = sum(entry.refusal is not None for entry in entries)
     gated = sum(bool(entry.gates) for entry in entries)

@@ -1,0 +1,338 @@
+"""Several layers (runs, volumes, images) on the pixels of one reference, each brought there in one step."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish import __version__
+from planish.analyze import correlate, correlate_at
+from planish.compute import Compute
+from planish.core.errors import CannotRegister
+from planish.io import read_image
+from planish.marks import find_holes
+from planish.marks.files import read_pairs
+from planish.measure import PROPERTIES
+from planish.pipeline.grid import Grid, agreement, expected_error, headline_of, image_attrs, image_on, sheet_on
+from planish.pipeline.marking import (
+    Joined,
+    Plane,
+    check_enough,
+    holes_of_map,
+    in_flat,
+    join_found,
+    join_given,
+    outside_holes,
+    read_design,
+)
+from planish.pipeline.orientation import orientation_results
+from planish.pipeline.run import Array, Layers, Progress, Run, read_run, silent
+from planish.pipeline.sheet import map_sheet
+from planish.register import Chain
+from planish.results import (
+    Gate,
+    direction_gates,
+    field_gate,
+    input_results,
+    map_gates,
+    mark_gates,
+    mark_results,
+    marks_table,
+    parameter_results,
+)
+from planish.study import LayerSection, LayersStudy, RegistrationSection
+from planish.surface.presence import LAYERS
+
+_LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Layer:
+    """One layer as it was read: a sheet with its maps, or an image."""
+
+    section: LayerSection
+    plane: Plane
+    grid: Grid
+    sheet: Run | None
+    image: xr.DataArray | None
+
+    @property
+    def name(self) -> str:
+        return self.section.name
+
+    @property
+    def rim_um(self) -> float:
+        """Width around a hole that is left out."""
+        return 0.0 if self.sheet is None else self.sheet.study.surface.rim_um
+
+
+def link_layers(
+    study: LayersStudy, *, progress: Progress | None = None, compute: Compute | None = None, kept: Path | None = None
+) -> Layers:
+    """Register layers to the last one, bring all onto its pixels, and correlate them in pairs.
+
+    Parameters
+    ----------
+    study : LayersStudy
+    progress : callable, optional
+        Called with the name of a stage and a few words.
+    compute : Compute, optional
+        What may be used.
+    kept : Path, optional
+        Folder for the results of single tiles of volumes that are mapped.
+
+    Returns
+    -------
+    Layers
+
+    Notes
+    -----
+    The sheets themselves are never registered in space; their maps are (Hirn et al. 2009, section 3.4). The
+    transformations of a chain are composed, so every layer is resampled once, from its own mesh or pixels.
+    """
+    tell, compute = progress or silent, compute or Compute()
+    pattern = read_design(study.registration.design)
+    layers = [_read(section, study, compute, tell, kept) for section in study.layers]
+    reference = layers[-1]
+    joined: dict[str, tuple[_Layer, Joined]] = {}
+    for k, layer in enumerate(layers[:-1]):
+        to = layers[k + 1] if study.chain else reference
+        tell("register", f"{layer.name} to {to.name}")
+        joined[layer.name] = (to, _join(layer, to, study.registration, pattern))
+    ways = {layer.name: _way(layer, joined) for layer in layers[:-1]}
+    maps: dict[str, xr.Dataset] = {}
+    away = np.ones(reference.grid.shape, dtype=bool)
+    rim = max(layer.rim_um for layer in layers)
+    for layer in layers:
+        tell("link", f"{layer.name} on {reference.name}")
+        way = ways.get(layer.name)
+        maps[layer.name] = _own(layer) if way is None else _carried(layer, way, reference.grid, compute)
+        away &= _away_from_holes(layer, way, reference.grid, rim)
+    for data in maps.values():
+        known = np.isfinite(data[headline_of(data)].values) & away
+        data["valid"] = (("y", "x"), known, {"long_name": "Measured, and away from holes and their rims"})
+    pairs = [row for a, b in combinations(maps, 2) for row in _compare(a, b, maps, study.correlate.point_um)]
+    tell("correlate", f"{len(pairs)} pairs of maps")
+    told = [_told(layer, joined.get(layer.name), ways.get(layer.name), maps[layer.name], joined) for layer in layers]
+    results: dict[str, Any] = {
+        "planish": __version__,
+        "versions": {name: version(name) for name in ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")},
+        "reference": reference.name,
+        "chain": study.chain,
+        "layers": told,
+        "pairs": pairs,
+        "lags": [_lag(name, reference.name, maps) for name in ways],
+    }
+    gates = tuple(
+        gate for layer, facts in zip(layers, told, strict=True) for gate in _gates(layer, facts, reference.name)
+    )
+    results["quality"] = [asdict(gate) for gate in gates]
+    results["parameters"] = parameter_results(study)
+    return Layers(
+        study=study,
+        groups={f"layers/{name}": data for name, data in maps.items()},
+        marks={name: marks_table(found.labels, found.fit) for name, (_, found) in joined.items()},
+        runs={layer.name: layer.sheet for layer in layers if layer.sheet is not None and layer.section.map is not None},
+        results=results,
+        gates=gates,
+    )
+
+
+def _read(
+    section: LayerSection, study: LayersStudy, compute: Compute, tell: Progress, kept: Path | None
+) -> _Layer:  # fmt: skip
+    """Read one layer, map it where it is a volume, and find its holes."""
+    hole_um = study.registration.hole_um
+    if section.image is not None:
+        tell("read", Path(section.image.path).name)
+        given = section.image
+        image = read_image(
+            Path(given.path), pixel_um=given.pixel_um, channel=given.channel, override_size=given.override_size
+        )
+        pixel = (float(image.attrs["pixel_um"][0]), float(image.attrs["pixel_um"][1]))
+        tell("marks", f"holes of {section.name}")
+        holes = find_holes(image.values, pixel_um=pixel, diameter_um=hole_um)
+        plane = Plane(name=section.name, holes=holes, side=given.side, md_deg=given.md_deg)
+        grid = Grid(y_um=image["y"].values, x_um=image["x"].values)
+        return _Layer(section=section, plane=plane, grid=grid, sheet=None, image=image)
+    if section.run is not None:
+        tell("read", Path(section.run).name)
+        sheet = read_run(Path(section.run))
+    else:
+        assert section.map is not None
+        sheet = map_sheet(
+            section.map, progress=tell, compute=compute, kept=None if kept is None else kept / section.name
+        )
+    maps = sheet.groups["maps"]
+    plane = Plane(
+        name=section.name, holes=holes_of_map(maps, hole_um), sheet=True, md_deg=sheet.study.volume.md_deg
+    )  # fmt: skip
+    grid = Grid(y_um=maps["v"].values, x_um=maps["u"].values)
+    return _Layer(section=section, plane=plane, grid=grid, sheet=sheet, image=None)
+
+
+def _join(layer: _Layer, to: _Layer, r: RegistrationSection, pattern: Any) -> Joined:
+    """Register one layer to another one."""
+    path = layer.section.marks
+    if path is None:
+        for one in (layer, to):
+            check_enough(one.plane, r.hole_um)
+        moving = layer.plane
+        if layer.sheet is not None and to.plane.faces == "bottom":
+            moving = replace(moving, holes=holes_of_map(layer.sheet.groups["maps"], r.hole_um, "bottom"))
+        return join_found(moving, to.plane, r, pattern)
+    size: dict[str, Any] = {}
+    for side, one in (("moving", layer), ("fixed", to)):
+        if one.image is not None:
+            size |= {f"{side}_um": one.grid.pixel_um, f"{side}_shape": one.grid.shape}
+    given = read_pairs(path, **size)
+    if layer.sheet is not None:
+        moving_um = in_flat(given, layer.sheet.groups["flat"], layer.sheet.groups["surfaces"])
+    else:
+        moving_um = np.stack([given["moving_x"].values, given["moving_y"].values], axis=1)
+    return join_given(given, moving_um, layer.plane, to.plane, r)
+
+
+def _way(layer: _Layer, joined: dict[str, tuple[_Layer, Joined]]) -> Chain:
+    """All transformations from a layer to the reference."""
+    fits = []
+    at = layer
+    while at.name in joined:
+        at, found = joined[at.name]
+        fits.append(found.fit)
+    return Chain(fits=tuple(fits))
+
+
+def _own(layer: _Layer) -> xr.Dataset:
+    """The reference's own maps."""
+    if layer.image is not None:
+        data = (("y", "x"), layer.image.values, image_attrs(layer.image))
+        return xr.Dataset({"image": data}, coords=layer.grid.coords)
+    assert layer.sheet is not None
+    maps = layer.sheet.groups["maps"].rename({"v": "y", "u": "x"})
+    return maps.drop_vars(["projected_u", "projected_v", "valid", *LAYERS], errors="ignore")
+
+
+def _carried(layer: _Layer, way: Chain, grid: Grid, compute: Compute) -> xr.Dataset:
+    """A layer on the reference's pixels."""
+    if layer.sheet is not None:
+        data = sheet_on(grid, layer.sheet.groups["surfaces"], layer.sheet.groups["flat"], way)
+        shown = data["u"].values
+    else:
+        assert layer.image is not None
+        data = image_on(grid, layer.image, way, memory_bytes=compute.volume_bytes)
+        shown = data["image"].values
+    if not np.isfinite(shown).any():
+        raise CannotRegister(
+            f"The layer {layer.name} does not meet the reference: by its marks it lies beside it. Check the marks."
+        )
+    return data.assign(expected_error=expected_error(way, grid, shown))
+
+
+def _away_from_holes(layer: _Layer, way: Chain | None, grid: Grid, rim_um: float) -> Any:
+    """Pixels of the reference that are away from the holes of one layer."""
+    holes = layer.plane.holes
+    assert holes is not None
+    at = np.stack([holes["x"].values, holes["y"].values], axis=1)
+    there = at if way is None else way(at)
+    radii = 0.5 * (1.0 if way is None else way.similarity.scale) * holes["diameter"].values + rim_um
+    known = np.isfinite(there).all(axis=1)
+    return outside_holes(grid.y_um, grid.x_um, there[known], radii[known])
+
+
+def _compare(a: str, b: str, maps: dict[str, xr.Dataset], point_um: float) -> list[dict[str, Any]]:
+    """Correlate two layers: the same properties of two sheets, or what stands for each of the two."""
+    first, second = maps[a], maps[b]
+    shared = [name for name in PROPERTIES if name in first and name in second]
+    names = [(name, name) for name in shared] or [(headline_of(first), headline_of(second))]
+    valid = first["valid"].values & second["valid"].values
+    y, x = first["y"].values, first["x"].values
+    pixel = float(y[1] - y[0]), float(x[1] - x[0])
+    rows: list[dict[str, Any]] = []
+    for of_a, of_b in names:
+        p, q = (np.where(valid, d[n].values.astype(np.float64), np.nan) for d, n in ((first, of_a), (second, of_b)))
+        if not (np.isfinite(p) & np.isfinite(q)).any():
+            continue
+        coarse, *means = correlate_at(p, q, pixel_um=pixel, point_um=point_um)
+        same = of_a == of_b and of_a in PROPERTIES
+        for row, (u, v) in ((correlate(p, q, point_um=float(np.sqrt(pixel[0] * pixel[1]))), (p, q)), (coarse, means)):
+            found = {"a": a, "a_map": of_a, "b": b, "b_map": of_b, **row.to_dict(), "same_quantity": same}
+            rows.append(found | (_differences(u, v, str(first[of_a].attrs.get("units", "1"))) if same else {}))
+    return rows
+
+
+def _differences(a: Array, b: Array, units: str) -> dict[str, Any]:
+    """Mean and spread of b - a, and the limits of agreement."""
+    off = (b - a)[np.isfinite(a) & np.isfinite(b)]
+    mean = float(off.mean()) if off.size else None
+    sd = float(off.std(ddof=1)) if off.size > 1 else None
+    limits = None if mean is None or sd is None else [mean - _LIMITS * sd, mean + _LIMITS * sd]
+    return {"difference_mean": mean, "difference_sd": sd, "limits": limits, "units": units}
+
+
+def _lag(name: str, reference: str, maps: dict[str, xr.Dataset]) -> dict[str, Any]:
+    """Whether a layer and the reference themselves agree that they lie right."""
+    a, b = maps[name], maps[reference]
+    own, other = headline_of(a), headline_of(b)
+    y, x = a["y"].values, a["x"].values
+    found = agreement(
+        a[own].values, b[other].values, a["valid"].values & b["valid"].values,
+        (float(y[1] - y[0]), float(x[1] - x[0])), a["expected_error"].values, own,
+    )  # fmt: skip
+    return {"a": name, "b": reference, **(found or {})}
+
+
+def _told(
+    layer: _Layer, joined: tuple[_Layer, Joined] | None, way: Chain | None, maps: xr.Dataset,
+    all_joined: dict[str, tuple[_Layer, Joined]],
+) -> dict[str, Any]:  # fmt: skip
+    """What the results say of one layer."""
+    if layer.image is not None and layer.section.image is not None:
+        source = input_results(layer.image, Path(layer.section.image.path), pixel_um=list(layer.grid.pixel_um))
+    else:
+        assert layer.sheet is not None
+        source = layer.sheet.results["inputs"]["volume"]
+    facts: dict[str, Any] = {
+        "name": layer.name,
+        "kind": "image" if layer.sheet is None else "sheet",
+        "source": source,
+        "to": None,
+        "path": [layer.name],
+        "headline": headline_of(maps),
+        "share_of_reference": float(np.isfinite(maps[headline_of(maps)].values).mean()),
+        "marks": None,
+        "expected_error_um": None,
+        "orientation": None,
+    }
+    if joined is None or way is None:
+        return facts
+    to, found = joined
+    at, path = layer, [layer.name]
+    while at.name in all_joined:
+        at = all_joined[at.name][0]
+        path.append(at.name)
+    marks = found.seen | mark_results(found.fit, maps)
+    return facts | {
+        "to": to.name,
+        "path": path,
+        "marks": marks,
+        "expected_error_um": marks["expected_error_um"],
+        "orientation": orientation_results(layer.plane, to.plane, found.fit),
+    }
+
+
+def _gates(layer: _Layer, facts: dict[str, Any], reference: str) -> list[Gate]:
+    """Gates of one layer, named after it."""
+    found: list[Gate] = []
+    if layer.sheet is not None:
+        found += map_gates(layer.sheet.results)
+    if facts["marks"] is not None:
+        found += (*mark_gates(facts["marks"]), *direction_gates(facts["orientation"]))
+        found.append(field_gate(facts["share_of_reference"], reference, layer.name))
+    return [replace(gate, name=f"{layer.name}: {gate.name}") for gate in found]

@@ -1,0 +1,196 @@
+"""From a volume to flattened maps of the properties of its sheet."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish import __version__
+from planish.compute import Compute, column_step, engine
+from planish.core.errors import InputError, VolumeError
+from planish.core.frame import Frame
+from planish.flatten import Flattened, FlattenParams, flatten_sheet
+from planish.io import find_place
+from planish.measure import PROPERTIES, measure_properties
+from planish.pipeline.run import Array, Progress, Run, silent
+from planish.pipeline.volume import read_sheet_volume, some_slices
+from planish.properties import further_maps, further_results, measure_more, number_results, with_angles
+from planish.resample import covering_grid, find_places, resample_dataset
+from planish.results import (
+    flatten_results,
+    input_results,
+    map_gates,
+    parameter_results,
+    property_results,
+    section_results,
+    surface_results,
+)
+from planish.study import Study
+from planish.surface import SurfaceParams, find_surfaces, surfaces_from_labels
+from planish.surface.presence import LAYERS
+
+_THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room on both sides
+_LEAST_SHARE = 0.15  # of the columns: with less there is no map
+
+
+def map_sheet(
+    study: Study, *, progress: Progress | None = None, compute: Compute | None = None, kept: Path | None = None
+) -> Run:
+    """Go from a volume to flattened maps of its properties.
+
+    Parameters
+    ----------
+    study : Study
+    progress : callable, optional
+        Called with the name of a stage and a few words.
+    compute : Compute, optional
+        What the run may use.
+    kept : Path, optional
+        Folder for the results of single tiles, where a run that was killed finds them again.
+    """
+    tell = progress or silent
+    tell("read", find_place(study.volume.path).path.name)
+    compute = compute or Compute()
+    volume, sections = read_sheet_volume(study.volume, compute, tell)
+    voxel = tuple(float(v) for v in volume.attrs["voxel_um"])
+    frame = Frame(through=study.volume.through, top=study.volume.top)
+    step = column_step(volume, frame, study.volume.column_um, compute)
+    if step > 1 and study.surface.labels is not None:
+        raise InputError(
+            f"The labels of {step} x {step} voxels have no mean: labels need columns of one voxel, and more memory "
+            "(--memory), or a cropped volume."
+        )
+    wide = f", columns of {step} x {step}" if step > 1 else ""
+    tell("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
+    s = study.surface
+    params = SurfaceParams(
+        sheet_grey=s.sheet_grey, seed_um=s.seed_um, coating_grey=s.coating_grey, fringe=s.fringe,
+        envelope_um=s.envelope_um, method=s.method, cutoff_um=s.cutoff_um, rim_um=s.rim_um, step=step,
+    )  # fmt: skip
+    with engine(compute, kept=None if kept is None else kept / str(step)) as tiles:
+        if s.labels is None:
+            surfaces = find_surfaces(volume, frame=frame, params=params, engine=tiles)
+        else:
+            meaning = s.labels.model_dump()
+            surfaces = surfaces_from_labels(volume, frame=frame, meaning=meaning, params=params, engine=tiles)
+    _check_thickness(surfaces)
+    tell("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
+    found, properties = surfaces, measure_properties(surfaces)
+    surfaces = surfaces.drop_vars("status").merge(properties, combine_attrs="override")
+    if s.labels is None:
+        further = measure_more(volume, surfaces, study.properties, compute, tell).drop_vars("status")
+        surfaces = surfaces.merge(further, compat="override", combine_attrs="override")
+    elif study.properties.maps:
+        raise InputError("Further maps are measured in grey values; a volume of labels has none. Leave --property out.")
+    numbers = number_results(volume, surfaces, study.properties)
+    tell("flatten", "eight-spring mesh")
+    f = study.flatten
+    # A column whose normal meets no face still has its place in the sheet.
+    flattened = flatten_sheet(found, params=FlattenParams(mesh_um=f.mesh_um, method=f.method, rest=f.rest))
+    steps = pitch(surfaces)
+    # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
+    column_um = study.volume.column_um or (float(np.sqrt(steps[0] * steps[1])) if step > 1 else None)
+    map_um = study.flatten.map_um or float(np.sqrt(steps[0] * steps[1]))
+    tell("resample", f"{map_um:.3g} um pixels")
+    study = study.model_copy(
+        update={
+            "volume": study.volume.model_copy(update={"voxel_um": voxel, "column_um": column_um}),
+            "flatten": study.flatten.model_copy(update={"mesh_um": flattened.mesh_um, "map_um": map_um}),
+        }
+    )
+    maps = _flat_maps(surfaces, flattened, map_um)
+    groups = {
+        "surfaces": surfaces,
+        "flat": flattened.flat,
+        "strain": flattened.strain,
+        "maps": maps,
+        "slices": some_slices(volume, frame, step),
+    }
+    results: dict[str, Any] = {
+        "planish": __version__,
+        "versions": {name: version(name) for name in ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")},
+        "inputs": {"volume": input_results(volume, Path(study.volume.path), voxel_um=list(voxel))},
+        "surfaces": surface_results(surfaces),
+        "properties": property_results(surfaces),
+        "further": further_results(surfaces),
+        "numbers": numbers,
+        "flatten": flatten_results(flattened),
+    }
+    if sections is not None:
+        groups["sections"] = sections
+        results["sections"] = section_results(sections)
+    gates = map_gates(results)
+    results["quality"] = [asdict(gate) for gate in gates]
+    results["parameters"] = parameter_results(study)
+    return Run(study=study, groups=groups, marks=None, results=results, gates=gates)
+
+
+def _check_thickness(surfaces: xr.Dataset) -> None:
+    thickness = float(surfaces.attrs["thickness_um"])
+    low, high = _THICKNESS_UM
+    if not low <= thickness <= high:
+        voxel = ", ".join(f"{v:g}" for v in surfaces.attrs["voxel_um"])
+        raise VolumeError(
+            f"The sheet would be {thickness:.3g} um thick; paper and board have {low:g} to {high:g} um. "
+            f"The voxel size of "
+            f"{voxel} um (z, y, x) is probably in another unit. Give the right one with --voxel-um and --override-size."
+        )
+    measured = float((surfaces["status"].values == 0).mean())
+    if measured < _LEAST_SHARE:
+        raise VolumeError(
+            f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns only; "
+            f"{100 * _LEAST_SHARE:.0f} % are "
+            "needed for a map. Check --through and --sheet-grey, and that the sheet does not leave the volume."
+        )
+
+
+def pitch(data: xr.Dataset) -> tuple[float, float]:
+    """Pitch of rows and columns, in um."""
+    y, x = data["y"].values, data["x"].values
+    return float(y[1] - y[0]), float(x[1] - x[0])
+
+
+def uv(flat: xr.Dataset, names: tuple[str, str] = ("u", "v")) -> Array:
+    """Flat coordinates of the columns, (rows, cols, 2)."""
+    return np.stack([flat[n].values for n in names], axis=-1)
+
+
+def on_mesh(surfaces: xr.Dataset, flat: xr.Dataset) -> xr.Dataset:
+    """Variables that travel to maps: properties, where in the volume, and where in the projection."""
+    frame = Frame.of(surfaces)
+    lateral = {frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :]}
+    shape = surfaces["centre"].shape
+    data = surfaces[[*PROPERTIES, *further_maps(surfaces)]].assign(
+        {k: flat[k] for k in ("u", "v", "projected_u", "projected_v")}
+    )
+    for axis in "xyz":
+        values = surfaces["centre"].values if axis == frame.through else np.broadcast_to(lateral[axis], shape)
+        values = np.where(np.isfinite(flat["u"].values), values, np.nan)
+        title = f"Centre surface, {axis} in the volume"
+        data[f"volume_{axis}"] = (("y", "x"), values, {"units": "um", "long_name": title})
+    return data
+
+
+def single(data: xr.Dataset) -> xr.Dataset:
+    """Properties in single precision, as they are stored; geometry stays double."""
+    names = (*PROPERTIES, *further_maps(data), *LAYERS)
+    return data.assign({k: data[k].astype(np.float32) for k in names if k in data})
+
+
+def _flat_maps(surfaces: xr.Dataset, flattened: Flattened, map_um: float) -> xr.Dataset:
+    nodes = uv(flattened.flat)
+    shape, origin = covering_grid(nodes, map_um)
+    places = find_places(nodes, shape=shape, pixel_um=(map_um, map_um), origin_um=origin, least_um=min(pitch(surfaces)))
+    coords = {"v": origin[1] + map_um * np.arange(shape[0]), "u": origin[0] + map_um * np.arange(shape[1])}
+    source = on_mesh(surfaces, flattened.flat).drop_vars(["u", "v"])
+    source = source.assign({name: surfaces[name] for name in LAYERS})
+    maps = with_angles(resample_dataset(source, places, dims=("v", "u"), coords=coords))
+    maps["valid"] = (("v", "u"), np.isfinite(maps["thickness"].values), {"long_name": "Measured"})
+    apart = float(np.mean(LAYERS["presence"]) - np.mean(LAYERS["presence_bottom"]))
+    maps.attrs = {"overlaps": places.overlaps, "layers_apart_um": apart * float(surfaces.attrs["thickness_um"])}
+    return single(maps)

@@ -1,0 +1,141 @@
+"""The volume of a run, whatever it was stored as."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish.compute import Compute, by_name
+from planish.core.errors import InputError, ResourceError, VolumeError
+from planish.core.frame import Frame
+from planish.io import find_place, read_volume
+from planish.io.sections import is_section_folder, read_section_stack
+from planish.pipeline.run import Progress
+from planish.results import section_results
+from planish.sections import align_sections, find_band, fixed_places, normalise_sections, regular_volume
+from planish.study import VolumeSection
+
+_SLICES = 3
+
+
+def read_sheet_volume(
+    section: VolumeSection, compute: Compute, tell: Progress
+) -> tuple[xr.DataArray, xr.Dataset | None]:
+    """Read a volume; serial sections are aligned and joined, and come with what was done to each of them."""
+    path = find_place(section.path).path
+    size: dict[str, Any] = {
+        "voxel_um": section.voxel_um,
+        "channel": section.channel,
+        "override_size": section.override_size,
+    }
+    if is_section_folder(path):
+        if compute.scheduler is not None:
+            raise InputError(f"{path.name} holds sections, which --scheduler cannot work on. Import them first.")
+        volume, sections = join_sections(section, compute, tell)
+        _in_parts(volume, path, compute, f" --through {section.through}")
+        return volume, sections
+    if section.fixed_rows is not None or section.fixed_cols is not None:
+        raise InputError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
+    how: dict[str, Any] = size | {"memory_limit_bytes": compute.volume_bytes}
+    volume = read_volume(section.path, **how)
+    _in_parts(volume, path, compute)
+    return (volume if compute.scheduler is None else by_name(volume, section.path, how)), None
+
+
+def read_whole(section: VolumeSection, compute: Compute, tell: Progress) -> xr.DataArray:
+    """Read a volume, or join serial sections to one, of any size: what does not fit into memory is worked out in parts.
+
+    What was done to sections is in the attributes, in short.
+    """
+    if not is_section_folder(section.path):
+        return read_volume(
+            section.path, voxel_um=section.voxel_um, channel=section.channel, override_size=section.override_size,
+            memory_limit_bytes=compute.volume_bytes,
+        )  # fmt: skip
+    volume, sections = join_sections(section, compute, tell)
+    return volume.assign_attrs(sections=section_results(sections))
+
+
+def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, options: str = "") -> None:
+    """Refuse a volume that is neither in memory nor can be read in parts."""
+    if volume.encoding.get("whole_slices"):
+        raise ResourceError(
+            f"{path.name} has {volume.size * volume.dtype.itemsize / 1e9:.1f} GB, of the memory "
+            f"{compute.volume_bytes / 1e9:.1f} GB may hold a volume, and its slices can only be decoded whole. Bring "
+            f"it into a store first: planish import {path.name}{options} --out {path.stem}.zarr"
+        )
+
+
+def join_sections(section: VolumeSection, compute: Compute, tell: Progress) -> tuple[xr.DataArray, xr.Dataset]:
+    """Align serial sections and join them to a volume; return it with what was done to each section.
+
+    Raises
+    ------
+    VolumeError
+        If the axis through the sheet is not given, or the sections do not fit together.
+    """
+    path = Path(section.path)
+    if section.through == "z":
+        raise VolumeError(
+            f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to section. "
+            "Give --through y where it runs along the rows of the photographs, x where along their columns."
+        )
+    stack = read_section_stack(
+        path, voxel_um=section.voxel_um, channel=section.channel, override_size=section.override_size,
+        # The photographs and the volume made from them are in memory at the same time.
+        memory_limit_bytes=compute.volume_bytes // 2,
+    )  # fmt: skip
+    tell("align", f"{len(stack.values)} sections")
+    where = (stack.values, stack.positions_um, stack.pixel_um)
+    band = find_band(stack.values, np.abs(stack.positions_um - stack.positions_um[0]), stack.pixel_um)
+    fixed = None
+    if section.fixed_rows is not None or section.fixed_cols is not None:
+        fixed = fixed_places(stack.values, stack.pixel_um, rows=section.fixed_rows, cols=section.fixed_cols)
+    found = align_sections(*where, band=band, fixed=fixed)
+    gains = normalise_sections(*where, band=band)
+    volume = regular_volume(*where, alignment=found, gains=gains, attrs=stack.attrs)
+    um = {"units": "um"}
+    first = float(volume.attrs["first_position_um"])
+    sections = xr.Dataset(
+        {
+            "position": ("section", stack.positions_um - first, um | {"long_name": "Place along the volume"}),
+            "shift_row": ("section", found.shift_um[:, 0], um | {"long_name": "Shift taken off, rows"}),
+            "shift_col": ("section", found.shift_um[:, 1], um | {"long_name": "Shift taken off, columns"}),
+            "rotation": ("section", found.rotation_rad, {"units": "rad", "long_name": "Rotation taken off"}),
+            "aligned": ("section", found.aligned, {"long_name": "Aligned; others count as missing"}),
+            "gain": ("section", gains.gain, {"units": "1", "long_name": "Gain put on the grey"}),
+        },
+        attrs={
+            "kind": stack.kind,
+            "first_position_um": first,
+            "cutoff_um": found.cutoff_um,
+            "missing": int(volume.attrs["sections_missing"]),
+            "jitter_left_um": [float(v) for v in found.jitter_left_um],
+            "pairs_used": found.pairs_used,
+            "pairs_refused": found.pairs_refused,
+            "fixed": [name for name, held in zip(("row", "col", "rotation"), found.fixed, strict=True) if held],
+        },
+    )
+    return volume, sections
+
+
+def some_slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
+    """A few slices through the sheet, to draw its surfaces on; ``row`` is the row of columns that each lies in."""
+    rows = volume.sizes[frame.rows] // step * step
+    at = np.unique(np.linspace(0, rows - 1, _SLICES + 2).astype(int)[1:-1])
+    parts = [frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load()).values[0] for k in at]
+    values = np.stack([np.ascontiguousarray(part.T) for part in parts])
+    coords = {
+        "slice": volume.coords[frame.rows].values[at],
+        "height": volume.coords[frame.through].values,
+        "x": volume.coords[frame.cols].values,
+    }
+    data = xr.Dataset(
+        {"grey": (("slice", "height", "x"), values, {"long_name": "Grey value", "units": "1"})},
+        coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()},
+        attrs=frame.attrs(),
+    )
+    return data.assign(row=("slice", at // step))

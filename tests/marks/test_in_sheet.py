@@ -1,0 +1,201 @@
+"""Holes followed through the sheet, in maps and in a volume whose holes are formulas."""
+
+import numpy as np
+import pytest
+
+from planish.core.errors import MarkError, SizeError
+from planish.core.frame import Frame
+from planish.core.tiles import Engine
+from planish.marks import find_holes, find_holes_in_sheet
+from planish.surface.columns import Columns
+from planish.surface.presence import LAYERS, find_presence
+from surface.sheets import volume
+
+PIXEL = 4.0
+SHAPE = (280, 320)
+CENTRES = np.array([(250.0, 220.0), (700.0, 230.0), (1050.0, 300.0), (240.0, 640.0), (660.0, 800.0), (1060.0, 860.0)])
+# From the middle of the top's layer to that of the bottom's, in shares of the thickness.
+APART = 0.52
+
+
+def layer_map(name, leans, *, diameter=170.0, taper=0.15, depth=None, centres=CENTRES):
+    """Share of material in a layer; a hole moves by its lean, and loses ``taper`` of its diameter, from face to face.
+
+    ``depth``: how deep each hole was burnt, from the top face, in shares of the thickness.
+    """
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] * PIXEL
+    out = np.zeros(SHAPE)
+    places = np.linspace(*LAYERS[name], 21)
+    for t in places:
+        share = np.ones(SHAPE)
+        for k, ((u, v), (a, b)) in enumerate(zip(centres, np.broadcast_to(leans, centres.shape), strict=True)):
+            if depth is None or 0.5 - t < depth[k]:
+                r = np.hypot(x - u + t * a, y - v + t * b)
+                share = np.minimum(share, np.clip(0.5 + (r - 0.5 * diameter * (1 + taper * t)) / PIXEL, 0, 1))
+        out += share / places.size
+    return out + np.random.default_rng(0).normal(0, 0.03, SHAPE)
+
+
+def layer_maps(leans, **more):
+    return [layer_map(name, leans, **more) for name in LAYERS]
+
+
+def xy(holes, suffix=""):
+    return np.stack([holes[f"x{suffix}"].values, holes[f"y{suffix}"].values], axis=1)
+
+
+def test_an_oblique_laser_is_measured():
+    lean = np.array([14.0, -9.0])
+    maps = layer_maps(lean)
+    found = find_holes_in_sheet(*maps, pixel_um=PIXEL, apart_um=APART * 100.0)
+    assert found.sizes == {"mark": 6}
+    order = np.lexsort(CENTRES.T)
+    for name, share in (("_top", 0.26), ("_centre", 0.0), ("_bottom", -0.26), ("", 0.26)):
+        error = xy(found, name) - (CENTRES[order] - share * lean)
+        print(f"{name or 'x, y':>7}: {np.abs(error).max():.2f} um off at most")
+        assert np.abs(error).max() < 0.5
+    np.testing.assert_allclose(found.attrs["offset_um"], APART * lean, atol=0.2)
+    np.testing.assert_allclose(found.attrs["tilt_deg"], np.degrees(np.arctan(lean / 100.0)), atol=0.3)
+    assert np.max(found.attrs["offset_spread_um"]) < 0.5
+    # Over 0.52 of the thickness 15 % of the diameter from face to face: 13 um.
+    narrower = found["diameter_top"].values - found["diameter_bottom"].values
+    np.testing.assert_allclose(narrower, 0.15 * APART * 170.0, atol=1.5)
+    assert (found["cov_xx_bottom"].values > 0).all()
+    assert (found.attrs["through"], found.attrs["closed"], found.attrs["unclear"]) == (6, 0, 0)
+    assert (found["other_side"].values == 0).all()
+
+
+def test_the_side_that_the_image_shows():
+    lean = np.array([10.0, 6.0])
+    maps = layer_maps(lean)
+    top, bottom = (find_holes_in_sheet(*maps, pixel_um=PIXEL, side=side) for side in ("top", "bottom"))
+    plain = find_holes(maps[0], pixel_um=PIXEL, polarity="dark")
+    for name in plain.data_vars:
+        np.testing.assert_array_equal(top[name], plain[name])
+    np.testing.assert_array_equal(xy(bottom), xy(bottom, "_bottom"))
+    np.testing.assert_allclose(xy(bottom), xy(top, "_bottom"), atol=0.3)
+    np.testing.assert_allclose(bottom.attrs["offset_um"], top.attrs["offset_um"], atol=0.3)
+    moved = find_holes_in_sheet(*maps, pixel_um=PIXEL, origin_um=(-30.0, 70.0))
+    for name in ("", "_top", "_centre", "_bottom"):
+        np.testing.assert_allclose(xy(moved, name), xy(top, name) + np.array([70.0, -30.0]), atol=1e-9)
+    np.testing.assert_allclose(moved["offset_x"], top["offset_x"], atol=1e-9)
+    assert moved["x"].attrs["units"] == "um"
+
+
+def test_holes_that_are_half_through_stay_and_are_counted():
+    depth = np.array([1.0, 0.5, 1.0, 0.5, 1.0, 1.0])
+    maps = layer_maps(np.array([8.0, 0.0]), depth=depth)
+    found = find_holes_in_sheet(*maps, pixel_um=PIXEL)
+    closed = depth[np.lexsort(CENTRES.T)] < 1
+    assert found.sizes == {"mark": 6}
+    np.testing.assert_array_equal(found["other_side"].values == 1, closed)
+    for name in ("x_bottom", "y_bottom", "diameter_bottom", "cov_xy_bottom", "offset_x", "offset_y"):
+        np.testing.assert_array_equal(np.isnan(found[name].values), closed)
+    assert np.isfinite(found["x_top"].values).all()
+    assert (found.attrs["through"], found.attrs["closed"], found.attrs["unclear"]) == (4, 2, 0)
+    assert found.attrs["offset_count"] == 4
+    # Seen from below, the two are not there.
+    below = find_holes_in_sheet(*maps, pixel_um=PIXEL, side="bottom")
+    assert below.sizes == {"mark": 4}
+    assert below.attrs["other_side_only"] == 2
+
+
+def test_what_is_open_but_not_round_or_not_known_is_unclear():
+    maps = layer_maps(np.zeros(2))
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] * PIXEL
+    maps[2][(np.hypot(x - 250, y - 220) < 100) & (x > 265)] = 1.0
+    maps[2][np.hypot(x - 700, y - 230) < 60] = np.nan
+    found = find_holes_in_sheet(*maps, pixel_um=PIXEL)
+    assert found["other_side"].values.tolist() == [2, 2, 0, 0, 0, 0]
+    assert (found.attrs["through"], found.attrs["closed"], found.attrs["unclear"]) == (4, 0, 2)
+
+
+def test_leans_that_differ_are_a_spread():
+    leans = np.array([(0.0, 4.0), (20.0, -4.0), (-20.0, 2.0), (10.0, 0.0), (-10.0, -2.0), (2.0, 0.0)])
+    found = find_holes_in_sheet(*layer_maps(leans), pixel_um=PIXEL)
+    true = APART * leans[np.lexsort(CENTRES.T)]
+    np.testing.assert_allclose(xy(found, "_bottom") - xy(found, "_top"), true, atol=0.6)
+    np.testing.assert_allclose(np.stack([found["offset_x"], found["offset_y"]], axis=1), true, atol=0.6)
+    median = np.median(true, axis=0)
+    np.testing.assert_allclose(found.attrs["offset_um"], median, atol=0.4)
+    spread = 1.4826 * np.median(np.abs(true - median), axis=0)
+    np.testing.assert_allclose(found.attrs["offset_spread_um"], spread, rtol=0.2)
+    np.testing.assert_allclose(found.attrs["offset_error_um"], 1.2533 * spread / np.sqrt(6), rtol=0.2)
+
+
+def test_far_offsets_are_followed_as_long_as_the_holes_are_round():
+    """Up to 0.4 diameters; holes that lean more are smeared in the maps, and none is made up."""
+    lean = np.array([0.0, 140.0])
+    depth = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.5])
+    found = find_holes_in_sheet(*layer_maps(lean, taper=0.0, depth=depth), pixel_um=PIXEL)
+    assert (found.attrs["through"], found.attrs["closed"]) == (5, 1)
+    np.testing.assert_allclose(found.attrs["offset_um"], APART * lean, atol=1.0)
+    found = find_holes_in_sheet(*layer_maps(2 * lean, taper=0.0), pixel_um=PIXEL)
+    assert found.attrs["through"] == 0
+
+
+def test_a_run_that_has_the_top_only():
+    top = layer_map("presence", np.zeros(2))
+    found = find_holes_in_sheet(top, pixel_um=PIXEL)
+    assert found.sizes == {"mark": 6}
+    np.testing.assert_array_equal(xy(found), xy(found, "_top"))
+    for name in ("x_centre", "y_bottom", "diameter_centre", "offset_x"):
+        assert np.isnan(found[name].values).all()
+    assert found.attrs["layers"] == ["top"]
+    assert (found.attrs["through"], found.attrs["closed"], found.attrs["unclear"]) == (0, 0, 6)
+    assert np.isnan(found.attrs["offset_um"]).all()
+    with pytest.raises(MarkError, match=r"bottom of the sheet.*old ones"):
+        find_holes_in_sheet(top, pixel_um=PIXEL, side="bottom")
+
+
+def test_a_sheet_without_holes_and_with_one():
+    plain = [np.ones(SHAPE)] * 3
+    found = find_holes_in_sheet(*plain, pixel_um=PIXEL)
+    assert found.sizes == {"mark": 0}
+    assert {"x", "x_bottom", "offset_y", "other_side"} <= set(found.data_vars)
+    assert np.isnan(found.attrs["offset_um"]).all()
+    one = find_holes_in_sheet(*layer_maps(np.zeros(2), centres=CENTRES[:1]), pixel_um=PIXEL)
+    assert one.attrs["offset_count"] == 1
+    assert np.isfinite(one.attrs["offset_um"]).all()
+    assert np.isnan(one.attrs["offset_spread_um"]).all()
+
+
+def test_what_cannot_be_followed():
+    maps = [np.ones(SHAPE)] * 3
+    with pytest.raises(MarkError, match="different shapes"):
+        find_holes_in_sheet(maps[0], maps[1][1:], maps[2], pixel_um=PIXEL)
+    with pytest.raises(MarkError, match="'top' or the 'bottom'"):
+        find_holes_in_sheet(*maps, pixel_um=PIXEL, side="left")
+    with pytest.raises(SizeError, match="positive"):
+        find_holes_in_sheet(*maps, pixel_um=PIXEL, apart_um=0.0)
+    with pytest.raises(SizeError, match="positive"):
+        find_holes_in_sheet(*maps, pixel_um=-1.0)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.2])
+def test_oblique_holes_in_a_volume(slope):
+    """Voxels of a sheet, flat or tilted; its holes lean by 8 and -5 degrees against the sheet's normal."""
+    voxel, thickness, radius = 3.0, 90.0, 70.0
+    z, y, x = np.meshgrid(*(np.arange(n) * voxel for n in (66, 150, 200)), indexing="ij")
+    long = np.hypot(1.0, slope)
+    height = 100.0 + slope * (x - x.mean())
+    s = (z - height) / long
+    foot = x + s * slope / long
+    lean = np.tan(np.radians([8.0, -5.0]))
+    solid = np.abs(s) < 0.5 * thickness
+    holes = [(160.0, 140.0), (430.0, 130.0), (300.0, 310.0)]
+    for u, v in holes:
+        # The place in the sheet, from the hole's own middle, along the slope and across it.
+        along, across = (foot - u) * long - s * lean[0], y - v - s * lean[1]
+        solid &= np.hypot(along, across) > radius * (1 + 0.2 * s / thickness)
+    grey = np.where(solid, 180, 20).astype(np.uint8)
+    columns = Columns(volume=volume(grey, voxel), frame=Frame())
+    present = find_presence(columns, height[0], thickness, 1.0, (20.0, 180.0), Engine(threads=1))
+    pixel = (voxel, voxel * long)
+    found = find_holes_in_sheet(*present.values(), pixel_um=pixel, apart_um=APART * thickness)
+    assert found.sizes == {"mark": 3}
+    expected = APART * thickness * -lean
+    print(f"slope {slope}: {found.attrs['offset_um']} um of {expected}, tilt {found.attrs['tilt_deg']} degrees")
+    np.testing.assert_allclose(found.attrs["offset_um"], expected, atol=0.3 * voxel)
+    np.testing.assert_allclose(xy(found, "_centre"), sorted(((u * long, v) for u, v in holes), key=lambda p: p[1]),
+                               atol=0.3 * voxel)  # fmt: skip

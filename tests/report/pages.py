@@ -1,0 +1,50 @@
+"""What the tests of pages read of a page."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+
+VOID = {"meta", "link", "img", "br"}
+
+
+class Page(HTMLParser):
+    """What a test asks of a page: sections, headings, figures, text, addresses; and that its tags are balanced."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.sections: list[str] = []
+        self.images: list[dict[str, str]] = []
+        self.addresses: list[str] = []
+        self.metas: list[dict[str, str]] = []
+        self.tags: set[str] = set()
+        self.handlers: list[str] = []
+        self.words: dict[str, list[str]] = {}
+        self._open: list[str] = []
+        self.feed(html)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {k: v or "" for k, v in attrs}
+        self.tags.add(tag)
+        self.handlers += [k for k in given if k.startswith("on")]
+        self.addresses += [given[k] for k in ("src", "href", "action", "srcset", "data") if k in given]
+        if tag == "section":
+            self.sections.append(given["id"])
+        if tag == "img":
+            self.images.append(given)
+        if tag == "meta":
+            self.metas.append(given)
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag, f"</{tag}> closes nothing"
+
+    def handle_data(self, data: str) -> None:
+        for tag in set(self._open):
+            self.words.setdefault(tag, []).append(data)
+
+    def text(self, tag: str = "body") -> str:
+        return re.sub(r"[ \n]+", " ", "".join(self.words.get(tag, [])))

@@ -1,0 +1,255 @@
+"""The page of several layers: what it shows of each layer and each pair, and that names stay text."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from planish.analyze import correlate, correlate_at
+from planish.report.draw import house_style
+from planish.report.layer_tables import at_largest, by_pair
+from planish.report.layers import render_layers, write_layers_report
+from planish.report.relation import block_means, draw_pair, pair_of
+from planish.report.text import beside
+from report.pages import Page
+
+UM = {"units": "um"}
+MICRO = "\u202fµm"
+OFFSET, SPREAD = 2.5, 0.8  # um: what map b of the coating has more than map a, and how much that varies
+
+Given = dict[str, Any]
+
+
+def sheet(coating: np.ndarray, x: np.ndarray, y: np.ndarray, *, joined: bool) -> xr.Dataset:
+    """Return a layer with a coating and a thickness."""
+    titles = {"coating_top": "Coating thickness, top side", "thickness": "Sheet thickness"}
+    values = {"coating_top": coating, "thickness": 90 + 0.2 * coating}
+    data = xr.Dataset(
+        {k: (("y", "x"), v.astype(np.float32), UM | {"long_name": titles[k]}) for k, v in values.items()},
+        {"y": y, "x": x},
+    )
+    return finish(data, "coating_top", joined=joined)
+
+
+def finish(data: xr.Dataset, name: str, *, joined: bool) -> xr.Dataset:
+    """Add what every layer has beside its maps."""
+    y, x = np.meshgrid(data["y"].values, data["x"].values, indexing="ij")
+    data["valid"] = (("y", "x"), np.isfinite(data[name].values) & (np.hypot(y - 300, x - 500) > 90))
+    if joined:
+        error = np.where(np.isfinite(data[name].values), 1 + 0.002 * np.hypot(y - 300, x - 300), np.nan)
+        data["expected_error"] = (("y", "x"), error.astype(np.float32), UM)
+    return data
+
+
+def marks_of(seed: int) -> xr.Dataset:
+    rng = np.random.default_rng(seed)
+    fixed = np.array([[150.0, 120.0], [700.0, 140.0], [430.0, 500.0], [300.0, 330.0]])
+    residual = rng.normal(0, 0.8, fixed.shape)
+    parts = {"moving": fixed + 3, "fixed": fixed, "residual": residual}
+    values = {f"{k}_{axis}": v[:, i] for k, v in parts.items() for i, axis in enumerate("xy")}
+    table = xr.Dataset({k: ("mark", v) for k, v in values.items()})
+    return table.assign(residual=("mark", np.hypot(*residual.T)), label=("mark", np.array(list("abcd"), dtype=object)))
+
+
+def link_of(maps: dict[str, xr.Dataset], a: str, a_map: str, b: str, b_map: str) -> list[Given]:
+    """Return the rows of a pair as the program makes them."""
+    valid = maps[a]["valid"].values & maps[b]["valid"].values
+    p, q = (np.where(valid, maps[n][m].values.astype(float), np.nan) for n, m in ((a, a_map), (b, b_map)))
+    coarse, *means = correlate_at(p, q, pixel_um=(6.0, 6.0), point_um=60.0)
+    rows: list[Given] = []
+    for row, (u, v) in ((correlate(p, q, point_um=6.0), (p, q)), (coarse, means)):
+        rows.append({"a": a, "a_map": a_map, "b": b, "b_map": b_map, **row.to_dict(), "same_quantity": a_map == b_map})
+        off = (v - u)[np.isfinite(u) & np.isfinite(v)]
+        if a_map == b_map and off.size > 1:
+            mean, sd = float(off.mean()), float(off.std(ddof=1))
+            limits = [mean - 1.96 * sd, mean + 1.96 * sd]
+            rows[-1] |= {"difference_mean": mean, "difference_sd": sd, "limits": limits, "units": "um"}
+    return rows
+
+
+def layers(*, chain: bool = False, blank: bool = False) -> Given:
+    """Return a sheet before and after calendering and a photograph, on the pixels of the sheet after it."""
+    rng = np.random.default_rng(3)
+    y, x = 6.0 * np.arange(100), 6.0 * np.arange(140)
+    after = 18 + 4 * np.sin(y / 41)[:, None] * np.cos(x / 55)[None, :]
+    before = after - OFFSET + rng.normal(0, SPREAD, after.shape)
+    before[:, :20] = np.nan
+    photo = 1000 + 30 * (after - 18) + rng.normal(0, 30, after.shape)
+    if blank:
+        before[:], photo[:] = np.nan, np.nan
+    image = xr.Dataset(
+        {"image": (("y", "x"), photo.astype(np.float32), {"long_name": "Luminance", "units": "1"})}, {"y": y, "x": x}
+    )
+    maps = {
+        "before": sheet(before, x, y, joined=True),
+        "photo": finish(image, "image", joined=True),
+        "after": sheet(after, x, y, joined=False),
+    }
+    marks = {"before": marks_of(1), "photo": marks_of(2)}
+    ways = {"before": ["before", "photo", "after"] if chain else ["before", "after"], "photo": ["photo", "after"]}
+    told = [
+        {
+            "name": name, "kind": "image" if name == "photo" else "sheet", "path": ways.get(name, [name]),
+            "source": {"name": f"{name}.tif", "shape": [100, 140], "sha256": "ab" * 32, "pixel_um": [6.0, 6.0]},
+            "to": ways[name][1] if name in ways else None,
+            "headline": "image" if name == "photo" else "coating_top",
+            "share_of_reference": 0.86, "marks": None, "expected_error_um": None, "orientation": None,
+        }
+        for name in maps
+    ]  # fmt: skip
+    for layer in told[:2]:
+        error = {"median": 1.4, "largest": 2.6}
+        layer["marks"] = {
+            "source": "found", f"found_{layer['name']}": 5, f"found_{layer['to']}": 6, "matched": 4,
+            "sentence": f"4 marks of {layer['name']} agree to 0.9 um.", "model_sentence": "similarity: 0.9 um.",
+            "warnings": [], "expected_error_um": error, "rms_um": 0.9, "leave_one_out_rms_um": 1.5, "scale": 1.001,
+            "rotation_deg": 3.0, "shift_um": [3.0, 4.0], "mirrored": False,
+        }  # fmt: skip
+        layer["expected_error_um"] = error
+        layer["orientation"] = {"md_deg_image": None, "md_deg_image_from_map": 30.0,
+                                "sentence": f"The machine direction lies at 30 deg in {layer['to']}."}  # fmt: skip
+    compared = (
+        ("before", "coating_top", "after", "coating_top"),
+        ("before", "thickness", "after", "thickness"),
+        ("photo", "image", "after", "coating_top"),
+    )
+    pairs = [row for which in compared for row in link_of(maps, *which)]
+    lag = {
+        "property": "coating_top", "lag_um": [0.5, -0.2], "se_um": [0.3, 0.3], "length_um": 0.54, "length_se_um": 0.3,
+        "agrees": True, "silence": None, "expected_um": 1.5, "sentence": "lag 0.5 ± 0.3 um: agrees",
+        "pixel_um": [6.0, 6.0], "tile_um": 300.0, "split_um": None, "lags_of_bands_um": [None, None],
+        "tiles": [{"x": 300.0, "y": 300.0, "lag_um": [0.5, -0.2], "distinct": True},
+                  {"x": 500.0, "y": 300.0, "lag_um": None, "distinct": False}],
+    }  # fmt: skip
+    results = {
+        "planish": "0.1.0", "versions": {"numpy": "2.4.6"}, "reference": "after", "chain": chain, "layers": told,
+        "pairs": pairs, "lags": [{"a": "before", "b": "after", **lag}, {"a": "photo", "b": "after"}],
+        "quality": [{"name": "before: marks", "passed": True, "sentence": "4 marks agree to 1.5 um."}],
+        "parameters": {"chain": chain, "layers": [{"name": "before", "map": {"volume": {"voxel_um": [3.0, 3.0, 3.0]}}}],
+                       "registration": {"hole_um": [100.0, 300.0]}},
+    }  # fmt: skip
+    groups = {f"layers/{name}": data for name, data in maps.items()}
+    return {"groups": groups, "marks": marks, "results": results}
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return render_layers(**layers())
+
+
+@pytest.fixture(scope="module")
+def chain_page() -> str:
+    given = layers(chain=True)
+    given["results"]["registration_kind"] = "refined (cross-fitted)"
+    return render_layers(**given)
+
+
+def test_page_tells_of_every_layer_and_pair(page: str) -> None:
+    read = Page(page)
+    text = read.text()
+    assert read.sections == ["layers", "places", "pairs", "record"]
+    assert read.text("title") == "3 layers on the pixels of after"
+    for expected in ("before.tif", "photo.tif", "after.tif", "86\u202f%", "1.4; 2.6", "before → after",
+                     f"4 marks of before agree to 0.9{MICRO}.", "at 30° in after", "The quality gate is passed.",
+                     "4 matched, of 5 holes in before and 6 in after", f"Points of 60{MICRO}"):  # fmt: skip
+        assert expected in text
+    # Beside the maps: residuals and expected error of either layer, the lags of one; and a figure a pair.
+    assert len(read.images) == 2 * 3 + 1 + 3
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>", page, flags=re.DOTALL)
+    assert [int(v) for v in re.findall(r"<b>Figure (\d+)\.", page)] == [*range(1, len(captions) + 1)]
+    for caption in captions:
+        assert re.search(r"\bn\b", caption)
+        assert "mask" in caption.lower()
+
+
+def test_every_correlation_says_how_the_maps_were_registered(page: str, chain_page: str) -> None:
+    text = Page(page).text()
+    # The verdict's number, a caption a pair, and the table.
+    assert len(re.findall("registration: marks only", text, flags=re.IGNORECASE)) == 1 + 3 + 1
+    other = Page(chain_page).text()
+    assert "marks only" not in other
+    assert "registration: refined (cross-fitted)" in other
+
+
+def test_the_difference_is_told_where_both_are_the_same_quantity(page: str) -> None:
+    rows = [at_largest(rows) for rows in by_pair(layers()["results"]["pairs"])]
+    assert [row["point_um"] for row in rows] == [60.0] * 3
+    assert rows[0]["difference_mean"] == pytest.approx(OFFSET, abs=0.05)
+    text = Page(page).text()
+    found = beside(rows[0]["difference_mean"], rows[0]["difference_sd"])
+    assert f"coating thickness (top side) of after less that of before is {found} µm on average" in text
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>", page, flags=re.DOTALL)[-3:]
+    assert ["the difference (upward map less the map across)" in c for c in captions] == [True, True, False]
+
+
+def test_difference_and_its_drawing_have_one_sign() -> None:
+    given = layers()
+    a, b = (given["groups"][f"layers/{name}"]["coating_top"] for name in ("before", "after"))
+    pair = pair_of(a, b, np.ones(a.shape, dtype=bool))
+    first, second = block_means(pair, point_um=60.0)
+    row = at_largest(by_pair(given["results"]["pairs"])[0])
+    assert float((second - first).mean()) == pytest.approx(row["difference_mean"], abs=0.1)
+
+
+def test_marks_of_a_chain_are_drawn_in_the_layer_that_they_join(page: str, chain_page: str) -> None:
+    text = Page(chain_page).text()
+    assert "before → photo → after" in text
+    assert "Places are those of photo" in text
+    assert "Places are those of" not in Page(page).text()
+
+
+def test_lags_that_were_not_found_are_left_out(page: str) -> None:
+    read = Page(page)
+    assert "before against after agrees" in read.text("li")
+    assert "photo against" not in read.text("li")
+
+
+def test_layers_without_a_common_point_still_have_a_page() -> None:
+    given = layers(blank=True)
+    text = Page(render_layers(**given)).text()
+    assert not re.search(r"\b(nan|None|inf)\b", text)
+    given["results"] |= {"pairs": [], "lags": []}
+    for layer in given["results"]["layers"]:
+        layer |= {"marks": None, "expected_error_um": None}
+    given["marks"] = {}
+    text = Page(render_layers(**given)).text()
+    assert "No two layers have points in common" in text
+    assert not re.search(r"\b(nan|None|inf)\b", text)
+
+
+def test_names_stay_text() -> None:
+    hostile = "<script>alert('x')</script>\"><img src=x onerror=alert(1)> $\\frac$ {{ 7*7 }}"
+    given = layers()
+    swap = {"before": hostile}
+    given["groups"] = {k.replace("before", hostile): v for k, v in given["groups"].items()}
+    given["marks"] = {swap.get(k, k): v for k, v in given["marks"].items()}
+    for row in (*given["results"]["pairs"], *given["results"]["lags"]):
+        row["a"] = swap.get(row["a"], row["a"])
+    given["results"]["layers"][0] |= {"name": hostile, "path": [hostile, "after"]}
+    given["results"]["layers"][0]["source"]["name"] = hostile
+    given["groups"]["layers/after"]["coating_top"].attrs |= {"long_name": hostile, "units": hostile}
+    read = Page(render_layers(**given))
+    assert not read.tags & {"script"}
+    assert read.handlers == []
+    assert hostile in read.text("h1")
+    assert hostile in read.text("figcaption")
+    assert {a.split(":")[0] for a in read.addresses if not a.startswith("#")} == {"data"}
+
+
+def test_same_input_gives_the_same_bytes(tmp_path: Path, page: str) -> None:
+    write_layers_report(tmp_path / "report.html", **layers())
+    assert (tmp_path / "report.html").read_bytes() == page.encode("utf-8")
+
+
+def test_a_pair_without_correlation_is_drawn() -> None:
+    a = layers(blank=True)["groups"]["layers/before"]["coating_top"]
+    row = {"point_um": 60.0, "n": 0, "r": None, "r2": None, "slope": None, "intercept": None, "same_quantity": True,
+           "difference_mean": None, "difference_sd": None, "limits": None, "units": "um"}  # fmt: skip
+    with house_style():
+        drawn = draw_pair(pair_of(a, a, np.ones(a.shape, dtype=bool)), row, registered="registration: marks only")
+    assert "n = 0 points" in drawn.caption
