@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from benchmarks.holes import DIAMETER_UM, Score, look, make_presence, make_scene
+from benchmarks.holes import DIAMETER_UM, Score, around, least_error, look, make_presence, make_scene
 
 from planish.marks import find_holes
 
@@ -43,6 +43,42 @@ def test_print_makes_no_holes_in_transmitted_light(paper):
     score = Score()
     look(make_scene(3, paper, 20, bright=True), score)
     assert (score.false, score.missed) == (0, 0)
+
+
+@pytest.mark.parametrize(("paper", "across"), [("screen", 12), ("screen", 60), ("text", 35), ("unresolved", 60)])
+def test_holes_are_found_under_print(paper, across):
+    """In reflected light ink lies over rims and hides them in part; dots of ink upon ink are as dark as holes."""
+    score = Score()
+    for seed in (1, 4):
+        look(make_scene(seed, paper, across), score)
+    print(f"{score.found} found, {score.missed} missed, {score.false} false, {score.rms('centroid'):.2f} um")
+    assert score.false == 0
+    assert score.found >= 0.95 * (score.found + score.missed)
+    assert score.rms("centroid") < 0.1 * DIAMETER_UM / across + 2.0
+
+
+def test_a_blot_without_char_is_no_hole():
+    """As dark as the holes to a tenth, sharp, and half as large again: it lacks what the others have."""
+    scene = make_scene(5, "mottle", 20)
+    y, x = np.indices(scene.image.shape) * scene.pixel
+    free = next(
+        (cx, cy)
+        for cy in np.arange(300.0, 2900.0, 50.0)
+        for cx in np.arange(300.0, 3700.0, 50.0)
+        if min(np.hypot(h.x - cx, h.y - cy) for h in scene.holes) > 500
+    )
+    floor = np.median([scene.image[round(h.y / scene.pixel), round(h.x / scene.pixel)] for h in scene.holes])
+    scene.image[np.hypot(x - free[0], y - free[1]) < 105] = floor + 0.04
+    score = Score()
+    look(scene, score)
+    assert (score.false, score.missed) == (0, 0)
+
+
+def test_the_least_error_is_that_of_the_first_wave_of_a_rim():
+    rng = np.random.default_rng(0)
+    angle = np.arange(720) * np.pi / 360
+    rims = np.array([around(rng, 4.0, 30.0, np.pi * DIAMETER_UM) for _ in range(4000)])
+    assert least_error() == pytest.approx(np.std(2 * np.mean(rims * np.cos(angle), axis=1)), rel=0.05)
 
 
 def test_smooth_rims_are_stated_as_smooth():

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.marks import _kernels
+from planish.marks import _area_kernels as k
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -51,9 +51,9 @@ def reduce_to(
         The image, its pixel size ``(y, x)`` in um, and the ``(x, y)`` of its first pixel's centre in um.
     """
     factors = [max(1, min(int(target_um / size + 1e-6), n // 4)) for size, n in zip(pixel_um, image.shape, strict=True)]
-    small = image if factors == [1, 1] else _kernels.area_mean(image, factors[0], factors[1])
+    small = image if factors == [1, 1] else k.area_mean(image, factors[0], factors[1])
     size = (pixel_um[0] * factors[0], pixel_um[1] * factors[1])
-    return small, size, np.array([(factors[1] - 1) / 2 * pixel_um[1], (factors[0] - 1) / 2 * pixel_um[0]])
+    return (small, size, np.array([(factors[1] - 1) / 2 * pixel_um[1], (factors[0] - 1) / 2 * pixel_um[0]]))
 
 
 def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[float, float]) -> list[Response]:
@@ -78,9 +78,9 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
     widths = np.append(radii / np.sqrt(2 * ratio), radii[-1] * np.sqrt(ratio / 2))
     steps = np.sqrt(np.diff(widths**2, prepend=0.0))
     responses: list[Response] = []
-    before, size, origin = np.ascontiguousarray(filled, dtype=np.float32), pixel_um, np.zeros(2)
+    before, size, origin = (np.ascontiguousarray(filled, dtype=np.float32), pixel_um, np.zeros(2))
     for rung, step in enumerate(steps):
-        after = _kernels.gaussian(before, float(step) / size[0], float(step) / size[1])
+        after = k.gaussian(before, float(step) / size[0], float(step) / size[1])
         if rung:
             responses.append(Response(float(radii[rung - 1]), after - before, size, origin))
         # The wider the blobs, the coarser a raster shows them just as well.
@@ -160,14 +160,13 @@ def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float) ->
     factors = [max(1, int(width_um / 4 / size)) for size in pixel_um]
     sigmas = tuple(width_um / size / factor for size, factor in zip(pixel_um, factors, strict=True))
     share, values = (
-        ndimage.gaussian_filter(part, sigmas, truncate=3.0)
-        for part in _kernels.block_sums(image, factors[0], factors[1])
+        ndimage.gaussian_filter(part, sigmas, truncate=3.0) for part in k.block_sums(image, factors[0], factors[1])
     )
     near = share > 1e-3
     some = _some(image)
     typical = np.float32(np.median(some)) if some.size else np.float32(0)
     mean = np.where(near, values / np.where(near, share, np.float32(1)), typical)
-    return _kernels.stretched(mean, image.shape[0], image.shape[1], factors[0], factors[1])
+    return k.stretched(mean, image.shape[0], image.shape[1], factors[0], factors[1])
 
 
 def peaks(responses: list[Response], sign: float, least: list[float], spreads: list[float]) -> Floats:
@@ -185,12 +184,12 @@ def peaks(responses: list[Response], sign: float, least: list[float], spreads: l
     Returns
     -------
     ndarray, shape (n, 3)
-        ``x, y`` in um, and the response in units of its spread.
+        ``x, y`` in um, and the largest response there, over all radii, in units of its spread.
     """
     found: list[Floats] = []
     for (radius, values, pixel, origin), weakest, spread in zip(responses, least, spreads, strict=True):
         reach = [max(1, round(0.5 * radius / size)) for size in pixel]
-        tops = _kernels.tops(values, np.float32(sign), np.float32(max(weakest, 0.0)), reach[0], reach[1])
+        tops = k.tops(values, np.float32(sign), np.float32(max(weakest, 0.0)), reach[0], reach[1])
         place = tops[:, [1, 0]] * np.array([pixel[1], pixel[0]]) + origin
         found.append(np.column_stack([place, tops[:, 2] / max(spread, 1e-30), tops[:, 2]]))
     every = np.concatenate(found)
@@ -199,7 +198,11 @@ def peaks(responses: list[Response], sign: float, least: list[float], spreads: l
 
 
 def _thinned(points: Floats, least: float) -> Floats:
-    """Drop points that share a cell of size ``least`` with a stronger one."""
+    """Drop points that share a cell of size ``least`` with one before them; the largest third number is kept."""
     cells = np.floor(points[:, :2] / least).astype(np.int64)
-    _, first = np.unique(cells, axis=0, return_index=True)
-    return points[np.sort(first)]
+    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    largest = np.full(len(first), -np.inf)
+    np.maximum.at(largest, cell.ravel(), points[:, 2])
+    kept = points[first]
+    kept[:, 2] = largest
+    return kept[np.argsort(first)]

@@ -6,10 +6,11 @@ from typing import Literal
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError, SizeError
-from planish.marks import _kernels as k
+from planish.marks import _measure_kernels as k
 from planish.marks.candidates import (
     ACROSS_COARSE,
     ACROSS_FINE,
@@ -23,45 +24,25 @@ from planish.marks.candidates import (
     regular,
     texture,
 )
+from planish.marks.judge import (
+    LEAST_CONTRAST,
+    LEAST_OTHERS,
+    WORTH_A_LOOK,
+    doubtful,
+    family,
+    is_hole,
+    is_whole,
+    joined,
+    resembling,
+    set_covariance,
+    strongest_apart,
+    unlike_removed,
+)
 
 Polarity = Literal["auto", "dark", "bright"]
 
-LARGEST_AXIS_RATIO = 1.3
-LEAST_COVERAGE = 0.7
-# Step from the floor to the sheet, in robust standard deviations of the sheet around and of the whole: mottle rarely
-# makes three.
-LEAST_CONTRAST = 3.2
-# Answer to a disc, in robust standard deviations of the same answer all over the sheet. What is worth a look, and what
-# is a hole even where dots, lines or fibres make a large texture: nothing regular reaches the second.
-WORTH_A_LOOK = 4.0
-LEAST_STANDING = 10.0
-# The floor of a hole is flat and its rim a step; a blotch of mottle is neither. Shares of the whole step; the char
-# around a hole may take two thirds of it.
-LARGEST_FLATNESS = 0.25
-LARGEST_UNEVENNESS = 0.2
-LEAST_STEP = 0.28
-# Step over +-10 um across the rim as a share of that over +-25 um: a gentle slope makes less.
-LEAST_SHARPNESS = 0.45
-# Char so narrow that its outer edge comes within the wider distance makes less, too; but no slope has a floor so flat.
-SHARP_ENOUGH, FLAT = 0.36, 0.05
-# Rim about its ellipse, rms: share of the radius, beside 0.3 pixels.
-LARGEST_ROUGHNESS = 0.09
-# Fewer pixels across a hole leave nothing to tell a rim from a slope by.
-LEAST_PIXELS = 6.0
-# Holes of one laser look alike: beside others, a mark that reaches less than this share of their depth is dirt or a pit
-# (in transmitted light, of their median step), and one whose diameter differs by this factor is something else.
-LEAST_DEPTH = 0.7
-LEAST_SHARE_OF_MEDIAN = 0.5
-LARGEST_FACTOR = 1.6
-
-# Floors that agree to this share are alike; this much more of the step at the rim itself means that nothing is burnt.
-SAME_DEPTH = 0.92
-MORE_OF_THE_STEP = 0.15
-
-# Of the variance of a centre, what a rim's own roughness says; the rest is what all rims say.
-OWN_WAVES = 0.5
-# Error that the raster adds, in pixels.
-PIXEL_ERROR = 0.02
+# Shares of the depth of the holes at which a floor may end.
+FLOOR_SHARES = (0.2, 0.08, 0.13, 0.27, 0.35)
 
 # Diameter of the middle of the default range.
 USUAL_UM = 173.2
@@ -150,17 +131,18 @@ def find_holes(
     times = USUAL_UM / np.sqrt(low * high)
     times = 1.0 if 0.5 <= times <= 2.0 else float(times)
     as_holes = (size[0] * times, size[1] * times)
-    found = _holes(grey, as_holes, low / 2 * times, high / 2 * times, signs) if _usable(grey, size, low) else []
-    best = max(found, key=lambda pair: float(np.sum(pair[1][:, k.STEP])), default=(signs[0], np.empty((0, k.COLUMNS))))
-    best[1][:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE]] /= times
-    best[1][:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= times**2
-    return _dataset(best[1], best[0])
+    sign, rows = signs[0], np.empty((0, k.COLUMNS))
+    if _usable(grey, size, low):
+        sign, rows = _holes(grey, as_holes, low / 2 * times, high / 2 * times, signs)
+    rows[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE]] /= times
+    rows[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= times**2
+    return _dataset(rows, sign)
 
 
 def _holes(
     grey: Image, size: tuple[float, float], low: float, high: float, signs: tuple[float, ...]
-) -> list[tuple[float, Floats]]:
-    """Sign and rows of `_kernels.measure` for each polarity; radii and centres in um of the full image."""
+) -> tuple[float, Floats]:
+    """Sign and rows of `measure` for the polarity with the stronger holes; lengths in um of the full image."""
     fine, fine_size, fine_origin = reduce_to(grey, size, 2 * low / ACROSS_FINE)
     coarse, coarse_size, coarse_origin = reduce_to(fine, fine_size, 2 * low / ACROSS_COARSE)
     responses = blob_responses(coarse, coarse_size, (low, high))
@@ -173,107 +155,45 @@ def _holes(
     share = min(least) / plain if plain > 0 else 1.0
     # Before a rim is measured its place may be some pixels off: less contrast is asked for.
     worth = (0.8 * share * LEAST_CONTRAST * quiet, 0.75 * LEAST_CONTRAST if share >= 1.0 else 0.0)
-    found: list[tuple[float, Floats]] = []
+    found: list[tuple[float, Floats, Floats, float]] = []
     for sign in signs:
         places = peaks(responses, sign, least, spreads)
         x, y = np.ascontiguousarray((places[:, :2] + coarse_origin).T)
         rows = k.measure(fine, fine_size[1], fine_size[0], x, y, sign, low, high, *worth)
         rows[:, k.STANDING] = places[:, 2]
-        rows = rows[_is_hole(rows, fine_size, low, high)]
+        rows = rows[is_hole(rows, fine_size, low, high)]
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
         circles = np.stack([*(rows[:, k.X : k.Y + 1] - coarse_origin).T, rows[:, k.RADIUS] + CHAR_UM], axis=1)
         whole = texture(coarse, coarse_size, 2 * high, circles) if len(rows) else 0.0
         rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], whole)
-        rows = _strongest_apart(rows[_is_hole(rows, fine_size, low, high)])
-        rows = _unlike_removed(rows[_is_whole(rows, fine.shape, fine_size)], sign)
-        _set_covariance(rows, fine_size)
-        rows[:, k.X] += fine_origin[0]
-        rows[:, k.Y] += fine_origin[1]
-        found.append((sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))]))
-    return found
+        rows = strongest_apart(rows[is_hole(rows, fine_size, low, high)])
+        rows = unlike_removed(rows[is_whole(rows, fine.shape, fine_size)], sign)
+        found.append((sign, rows, np.stack([x, y], axis=1), whole))
+    sign, rows, places, whole = max(found, key=lambda one: float(np.sum(one[1][:, k.STEP])))
+    if len(rows) >= LEAST_OTHERS:
+        floors = _floors(fine, fine_size, sign, places, rows)
+        floors[:, k.TEXTURE] = np.maximum(floors[:, k.TEXTURE], whole)
+        rows = joined(rows, floors)
+    set_covariance(rows, fine_size)
+    rows[:, k.X] += fine_origin[0]
+    rows[:, k.Y] += fine_origin[1]
+    return sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))]
 
 
-def _is_whole(rows: Floats, shape: tuple[int, ...], size: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return which circles lie inside the image."""
-    bottom, right = ((n - 1) * step for n, step in zip(shape, size, strict=True))
-    x, y, radius = rows[:, k.X], rows[:, k.Y], rows[:, k.RADIUS] + rows[:, k.HALF_DIFFERENCE]
-    return (x >= radius) & (y >= radius) & (x <= right - radius) & (y <= bottom - radius)
-
-
-def _is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -> NDArray[np.bool_]:
-    radius, half = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE]
-    total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
-    with np.errstate(invalid="ignore"):
-        return (
-            (radius >= max(low, LEAST_PIXELS / 2 * max(size)))
-            & (radius <= high)
-            & ((radius + half) < LARGEST_AXIS_RATIO * (radius - half))
-            & (rows[:, k.COVERAGE] >= LEAST_COVERAGE)
-            & ((total > LEAST_CONTRAST * rows[:, k.TEXTURE]) | (rows[:, k.STANDING] > LEAST_STANDING))
-            & (rows[:, k.STEP] > LEAST_STEP * total)
-            & (
-                (rows[:, k.STEP] > LEAST_SHARPNESS * rows[:, k.FAR_STEP])
-                | ((rows[:, k.STEP] > SHARP_ENOUGH * rows[:, k.FAR_STEP]) & (rows[:, k.FLATNESS] < FLAT * total))
-            )
-            & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * total)
-            & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * total)
-            & (rows[:, k.ROUGHNESS] < LARGEST_ROUGHNESS * radius + 0.3 * max(size))
-        )
-
-
-def _strongest_apart(rows: Floats) -> Floats:
-    """Of rows whose circles overlap keep the one with the most complete and smoothest rim."""
-    quality = rows[:, k.COVERAGE] - rows[:, k.ROUGHNESS] / rows[:, k.RADIUS]
-    kept: list[int] = []
-    for row in np.argsort(-quality, kind="stable"):
-        taken = rows[kept]
-        away = np.hypot(taken[:, k.X] - rows[row, k.X], taken[:, k.Y] - rows[row, k.Y])
-        if np.all(away >= taken[:, k.RADIUS] + rows[row, k.RADIUS]):
-            kept.append(int(row))
-    return rows[kept]
-
-
-def _unlike_removed(rows: Floats, sign: float) -> Floats:
-    """Drop marks much fainter, smaller or larger than the rest, or paler and without the burnt rim of the rest."""
-    if len(rows) < 3:
-        return rows
-    inside, outside = rows[:, k.INSIDE], rows[:, k.OUTSIDE]
-    step = outside - inside
-    typical = np.median(step)
-    # In weak light a hole's step is small, but its floor is as dark as the others'.
-    floor = np.median(inside[step >= typical])
-    depth = step / np.maximum(outside - floor, step)
-    alike = depth >= LEAST_DEPTH
-    if sign < 0:
-        # In transmitted light floors fade with the lamp, and nothing but a hole shines.
-        alike |= step >= LEAST_SHARE_OF_MEDIAN * typical
-    # Char takes a part of the step; what is less deep than the others and has none is ink or dirt.
-    rim = rows[:, k.STEP] / step
-    alike &= (depth >= SAME_DEPTH) | (rim < np.median(rim[depth >= SAME_DEPTH]) + MORE_OF_THE_STEP)
-    rows = rows[alike]
-    radius = rows[:, k.RADIUS]
-    factor = radius / np.median(radius)
-    return rows[(factor < LARGEST_FACTOR) & (factor > 1 / LARGEST_FACTOR)]
-
-
-def _set_covariance(rows: Floats, size: tuple[float, float]) -> None:
-    """Scale the covariances by the size of the wave that moves a centre, in place.
-
-    One rim has few waves to judge from, so what all rims of an image tell counts as much as a rim's own. Long waves are
-    larger than short ones, as with any rough line; the first is reached by going on in the square of the order.
-    """
-    if not len(rows):
-        return
-    low, high = rows[:, k.LOW_WAVES], rows[:, k.HIGH_WAVES]
-    both = (low + 2 * high) / 3
-    fall = np.clip(np.mean(low) / max(float(np.mean(high)), 1e-30), 1.0, 8.0)
-    # Mean squares of the orders: 1; 12.5 of the third and fourth; 43.5 of the fifth to eighth.
-    first = np.mean(low) * fall ** (11.5 / 31.0)
-    own = first / max(float(np.mean(both)), 1e-30) * both
-    variance = OWN_WAVES * own + (1 - OWN_WAVES) * np.median(own)
-    rows[:, k.COV_XX] = rows[:, k.COV_XX] * variance + (PIXEL_ERROR * size[1]) ** 2
-    rows[:, k.COV_YY] = rows[:, k.COV_YY] * variance + (PIXEL_ERROR * size[0]) ** 2
-    rows[:, k.COV_XY] *= variance
+def _floors(image: Image, size: tuple[float, float], sign: float, places: Floats, rows: Floats) -> Floats:
+    """Measure floors where no clear hole is."""
+    typical = family(rows)
+    clear = rows[~doubtful(rows)]
+    if len(clear):
+        away, nearest = KDTree(clear[:, [k.X, k.Y]]).query(places)
+        places = places[away > clear[nearest, k.RADIUS]]
+    x, y = np.ascontiguousarray(places.T)
+    levels = (typical.radius, typical.floor, typical.depth, FLOOR_SHARES)
+    floors = resembling(k.measure_floors(image, size[1], size[0], x, y, sign, *levels), rows, size)
+    # A rim lies farther out than its floor.
+    rims = floors.copy()
+    rims[:, k.RADIUS] = np.maximum(rims[:, k.RADIUS], typical.radius)
+    return floors[is_whole(rims, image.shape, size)]
 
 
 def _dataset(rows: Floats, sign: float) -> xr.Dataset:

@@ -131,8 +131,10 @@ def link_sheet(
         }
     )
     assert study.image is not None
-    results = run.results
-    results["inputs"]["image"] = input_results(image, Path(study.image.path), pixel_um=list(pixel))
+    # What judges the whole comes at the end, also where the sheet was judged alone before.
+    results = {k: v for k, v in run.results.items() if k not in ("quality", "parameters")}
+    seen = input_results(image, Path(study.image.path), pixel_um=list(pixel))
+    results["inputs"] = results["inputs"] | {"image": seen}
     results["marks"] = joined.seen | mark_results(fit, linked)
     results["orientation"] = orientation_results(moving, fixed, fit)
     results["headline"] = headline

@@ -1,0 +1,210 @@
+# pyright: standard
+"""Edges and grey levels along the rays of a round hole: numpy and numba only, arrays in, arrays out.
+
+Images are float32 ``(y, x)`` with NaN where there is no data; pixel ``(i, j)`` has its centre at
+``(j * px, i * py)`` um. ``sign`` is +1 for holes darker than the sheet, -1 for brighter ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def sample(image, x, y):
+    """Bilinear value at column ``x`` and row ``y``; NaN outside the pixel centres or beside missing data."""
+    rows, columns = image.shape
+    if x < 0.0 or y < 0.0 or x > columns - 1 or y > rows - 1:
+        return np.nan
+    j, i = min(int(x), columns - 2), min(int(y), rows - 2)
+    u, v = x - j, y - i
+    return (image[i, j] * (1 - u) + image[i, j + 1] * u) * (1 - v) + (
+        image[i + 1, j] * (1 - u) + image[i + 1, j + 1] * u
+    ) * v
+
+
+@njit(cache=True, nogil=True)
+def innermost_edges(image, px, py, cx, cy, sign, low, high, dt, window, rays):
+    """Return the radius of the innermost strong edge on each ray (NaN where there is none)."""
+    count = int((high + window) / dt) + 2
+    reach = max(1, int(round(window / dt)))
+    first = max(reach, int(low / dt))
+    rises = np.full((rays, count), np.nan)
+    peaks = np.empty(rays)
+    valid = 0
+    sums = np.empty(count + 1)
+    radii = np.full(rays, np.nan)
+    for k in range(rays):
+        angle = 2 * np.pi * k / rays
+        sx, sy = np.cos(angle) * dt / px, np.sin(angle) * dt / py
+        sums[0] = 0.0
+        last = count
+        for t in range(count):
+            value = sample(image, cx / px + sx * t, cy / py + sy * t)
+            if value != value:
+                last = t
+                break
+            sums[t + 1] = sums[t] + sign * value
+        peak = -np.inf
+        for t in range(first, last - reach):
+            # Sample t sits on the edge and counts for neither side.
+            rise = (sums[t + reach + 1] - sums[t + 1] - sums[t] + sums[t - reach]) / reach
+            rises[k, t] = rise
+            peak = max(peak, rise)
+        if peak > -np.inf and last >= min(count, int(0.6 * count)):
+            peaks[valid] = peak
+            valid += 1
+    if 2 * valid < rays:
+        return radii, 0.0
+    strong = 0.5 * np.median(peaks[:valid])
+    if strong <= 0.0:
+        return radii, 0.0
+    for k in range(rays):
+        for t in range(first, count - reach):
+            rise = rises[k, t]
+            if rise >= strong:
+                # Climb to the top of this edge.
+                top = t
+                for s in range(t + 1, min(count - reach, t + 2 * reach + 1)):
+                    if rises[k, s] > rises[k, top]:
+                        top = s
+                    elif rises[k, s] < 0.8 * rises[k, top]:
+                        break
+                radii[k] = top * dt
+                break
+    return radii, strong
+
+
+@njit(cache=True, nogil=True)
+def _level(image, x, y, sx, sy, start, stop, dt):
+    """Mean along a ray between two radii; NaN if a sample is missing."""
+    count = max(1, int(round((stop - start) / dt)) + 1)
+    total = 0.0
+    for s in range(count):
+        t = start + (stop - start) * s / max(1, count - 1)
+        total += sample(image, x + sx * t, y + sy * t)
+    return total / count
+
+
+@njit(cache=True, nogil=True)
+def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
+    """Return the half-level radius, the step, the step over a wider distance and the level just outside on each ray.
+
+    The edges lie within ``search`` of the modelled radii; NaN where there is none.
+    """
+    rays = model.shape[0]
+    radii, steps, far_steps = (np.full(rays, np.nan), np.full(rays, np.nan), np.full(rays, np.nan))
+    nears = np.full(rays, np.nan)
+    gap = max(4.0, 0.9 * pixel)  # from the edge to where the plateaus begin
+    width = max(7.0, 0.8 * pixel)  # over which a plateau is averaged; well under the width of the char
+    reach = max(1, int(round(max(5.0, pixel) / dt)))
+    for k in range(rays):
+        angle = 2 * np.pi * k / rays
+        x0, y0 = cx / px, cy / py
+        sx, sy = np.cos(angle) / px, np.sin(angle) / py
+        start = max(0.0, model[k] - search - reach * dt)
+        count = int((model[k] + search + reach * dt - start) / dt) + 2
+        values = np.empty(count)
+        sums = np.zeros(count + 1)
+        rises = np.zeros(count)
+        for t in range(count):
+            r = start + t * dt
+            values[t] = sign * sample(image, x0 + sx * r, y0 + sy * r)
+            sums[t + 1] = sums[t] + values[t]
+        if not np.isfinite(sums[count]):
+            continue
+        best, top = -np.inf, -1
+        for t in range(reach, count - reach):
+            rises[t] = sums[t + reach + 1] - sums[t + 1] - sums[t] + sums[t - reach]
+            best = max(best, rises[t])
+        if best <= 0.0:
+            continue
+        # Narrow char lies within the window: the first strong edge is the hole's, even if the char's own is stronger.
+        # The edge of the tapered wall at the other face is weaker than two thirds.
+        for t in range(reach, count - reach):
+            if rises[t] >= 0.65 * best:
+                top = t
+                while top + 1 < count - reach and rises[top + 1] >= rises[top]:
+                    top += 1
+                break
+        edge = start + top * dt
+        inner = sign * _level(image, x0, y0, sx, sy, max(0.0, edge - gap - width), max(0.0, edge - gap), dt)
+        outer = sign * _level(image, x0, y0, sx, sy, edge + gap, edge + gap + width, dt)
+        if not (outer > inner):
+            continue
+        half = 0.5 * (inner + outer)
+        # The crossing nearest to the steepest place, on a profile smoothed over three samples.
+        nearest = np.nan
+        for t in range(1, count - 2):
+            before = (values[t - 1] + 2 * values[t] + values[t + 1]) / 4
+            after = (values[t] + 2 * values[t + 1] + values[t + 2]) / 4
+            if before < half <= after:
+                r = start + (t + (half - before) / (after - before)) * dt
+                if not (abs(r - edge) >= abs(nearest - edge)):
+                    nearest = r
+        if abs(nearest - edge) <= 1.5 * gap:
+            radii[k] = nearest
+            steps[k] = outer - inner
+            nears[k] = outer
+            wide = 18.0 + 0.5 * pixel
+            far_steps[k] = sign * (
+                _level(image, x0, y0, sx, sy, edge + wide, edge + wide + width, dt)
+                - _level(image, x0, y0, sx, sy, max(0.0, edge - wide - width), max(0.0, edge - wide), dt)
+            )
+    return radii, steps, far_steps, nears
+
+
+@njit(cache=True, nogil=True)
+def first_crossings(image, px, py, cx, cy, sign, level, reach, dt, rays):
+    """Return the radius where the grey first rises through a level on each ray; NaN where it does not."""
+    radii = np.full(rays, np.nan)
+    count = int(reach / dt) + 1
+    for k in range(rays):
+        angle = 2 * np.pi * k / rays
+        sx, sy = np.cos(angle) / px, np.sin(angle) / py
+        before = sign * sample(image, cx / px, cy / py)
+        for t in range(1, count):
+            after = sign * sample(image, cx / px + sx * t * dt, cy / py + sy * t * dt)
+            if after != after:
+                break
+            if before < level <= after:
+                radii[k] = (t - 1 + (level - before) / (after - before)) * dt
+                break
+            before = after
+    return radii
+
+
+@njit(cache=True, nogil=True)
+def levels(image, px, py, cx, cy, sign, radius, pixel):
+    """Return inside level, its spread, flatness, outside level and texture around a fitted circle."""
+    rays, rings = 32, 8
+    core, wall = np.empty(rays * rings), np.empty(rays)
+    outside = np.empty(rays * rings)
+    for k in range(rays):
+        angle = 2 * np.pi * (k + 0.5) / rays
+        sx, sy = np.cos(angle) / px, np.sin(angle) / py
+        for s in range(rings):
+            # Equal areas: radii go with the square root.
+            r = 0.65 * radius * np.sqrt((s + 0.5) / rings)
+            core[k * rings + s] = sign * sample(image, cx / px + sx * r, cy / py + sy * r)
+            r = radius + 45.0 + pixel + (0.7 * radius) * (s + 0.5) / rings
+            outside[k * rings + s] = sign * sample(image, cx / px + sx * r, cy / py + sy * r)
+        r = min(0.75 * radius, radius - 1.2 * pixel)
+        wall[k] = sign * sample(image, cx / px + sx * r, cy / py + sy * r)
+    inside = np.nanmedian(core)
+    spread = 1.4826 * np.nanmedian(np.abs(core - inside))
+    around = outside[np.isfinite(outside)]
+    if around.size < rays * rings // 3:
+        return inside, spread, np.nan, np.nan, np.nan
+    level = np.median(around)
+    texture = 1.4826 * np.median(np.abs(around - level))
+    total, count = 0.0, 0
+    for k in range(rays):
+        for s in range(rings // 4):
+            value = core[k * rings + s]
+            if value == value:
+                total += value
+                count += 1
+    centre = total / count if count else np.nan
+    return inside, spread, np.nanmedian(wall) - centre, level, texture

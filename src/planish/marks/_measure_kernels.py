@@ -1,0 +1,234 @@
+# pyright: standard
+"""Round holes measured at places where they may be: numpy and numba only, arrays in, arrays out.
+
+Images are float32 ``(y, x)`` with NaN where there is no data; pixel ``(i, j)`` has its centre at
+``(j * px, i * py)`` um. ``sign`` is +1 for holes darker than the sheet, -1 for brighter ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from planish.marks._edge_kernels import first_crossings, half_level_edges, innermost_edges, levels
+from planish.marks._outline_kernels import fit_outline, waves
+
+# Columns of the results.
+(
+    X,
+    Y,
+    RADIUS,
+    HALF_DIFFERENCE,
+    COV_XX,
+    COV_YY,
+    COV_XY,
+    COVERAGE,
+    STEP,
+    INSIDE,
+    OUTSIDE,
+    TEXTURE,
+    ROUGHNESS,
+    FLATNESS,
+) = range(14)
+UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAVES, BURNT, STANDING = range(14, 20)
+COLUMNS = 20
+
+RAYS = 96
+
+
+@njit(cache=True, nogil=True)
+def measure(image, px, py, xs, ys, sign, low, high, least, contrast):
+    """Measure a round hole at each candidate place.
+
+    ``xs, ys`` (n,) in um; ``low, high`` the range of radii in um; a step below ``least``, or below ``contrast`` times
+    the texture around, is not looked at closely. Returns ``(n, COLUMNS)``: centre, radius, half the difference between
+    the half axes, covariance of the centre for waves of the rim of amplitude 1, share of the rim found, step at the
+    rim, levels inside and outside times ``sign``, robust standard deviation of the sheet around, rms of the rim about
+    the ellipse, rise of the floor towards the rim, unevenness of the floor, step over a wider distance, variances of
+    the waves around the rim, long and short ones, and how far the sheet just outside the rim is from the sheet around
+    (the last column is left to others). Lengths in um. NaN rows where there is no hole.
+    """
+    pixel = max(px, py)
+    out = np.full((xs.size, COLUMNS), np.nan)
+    for h in range(xs.size):
+        cx, cy, radius, scale = _circle(image, px, py, xs[h], ys[h], sign, low, high, least, contrast)
+        if radius != radius:
+            continue
+        found = True
+        model = np.full(RAYS, radius)
+        search = max(0.15 * radius, 2 * pixel, 10.0, min(3 * scale, 0.3 * radius))
+        dt = max(0.5 * pixel, 0.5)
+        radii, steps, far_steps, nears = (np.empty(RAYS), np.empty(RAYS), np.empty(RAYS), np.empty(RAYS))
+        fit, weight = np.zeros(5), np.zeros(RAYS)
+        inverse = np.zeros((5, 5))
+        for _turn in range(3):
+            radii, steps, far_steps, nears = half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel)
+            step = np.nanmedian(steps)
+            for k in range(RAYS):
+                if not (steps[k] >= 0.35 * step):
+                    radii[k] = np.nan
+            fit, weight, scale, inverse = fit_outline(radii, 2, 0.3 + 0.1 * pixel)
+            if np.sum(weight) == 0.0 or np.hypot(fit[1], fit[2]) > 0.5 * radius:
+                found = False
+                break
+            cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]
+            for k in range(RAYS):
+                angle = 4 * np.pi * k / RAYS
+                model[k] = fit[0] + fit[3] * np.cos(angle) + fit[4] * np.sin(angle)
+            search = max(1.2 * pixel, 6.0, 4 * scale)
+        if not found or not (0.5 * low < radius < 1.5 * high):
+            continue
+        _describe(out[h], image, px, py, cx, cy, sign, radii, fit, weight, inverse)
+        out[h, STEP], out[h, FAR_STEP] = np.nanmedian(steps), np.nanmedian(far_steps)
+        out[h, BURNT] = out[h, OUTSIDE] - np.nanmedian(nears)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _circle(image, px, py, cx, cy, sign, low, high, least, contrast):
+    """Return centre, radius and scatter of the circle through the innermost strong edges; NaN if there is none."""
+    pixel = max(px, py)
+    window = max(14.0, 1.4 * pixel)
+    radius, scale = np.nan, 0.0
+    for turn in range(4):
+        rays = 36 if turn == 0 else 64
+        radii, _strong = innermost_edges(
+            image, px, py, cx, cy, sign, 0.5 * low, 1.25 * high, max(0.7 * pixel, 2.5), window, rays
+        )
+        fit, weight, scale, _ = fit_outline(radii, 1, 0.5)
+        strongly = 0.0
+        for k in range(rays):
+            strongly += weight[k] > 0.0
+        radius = fit[0]
+        if strongly < 0.5 * rays or scale > 0.3 * radius or not (0.6 * low < radius < 1.4 * high):
+            return cx, cy, np.nan, scale
+        shift = np.hypot(fit[1], fit[2])
+        if shift > radius:
+            return cx, cy, np.nan, scale
+        cx, cy = cx + fit[1], cy + fit[2]
+        if turn == 0:
+            # Most places are mottle; a look at the levels tells, long before the rim is known.
+            inside, spread, flatness, outside, texture = levels(image, px, py, cx, cy, sign, radius, pixel)
+            total = outside - inside
+            if total < max(least, contrast * texture) or spread > 0.35 * total or flatness > 0.4 * total:
+                return cx, cy, np.nan, scale
+        if turn > 0 and shift < 0.1 * pixel:
+            break
+    return cx, cy, radius, scale
+
+
+@njit(cache=True, nogil=True)
+def measure_floors(image, px, py, xs, ys, sign, radius, floor, depth, shares):
+    """Measure the outline of the floor of a hole near each place: where the grey leaves the level of the floor.
+
+    What is printed over a rim may hide its edge, and never the floor. ``radius``, ``floor`` (times ``sign``) and
+    ``depth`` are those of the other holes of the image. Of the levels, ``shares`` of the way from the floor to the
+    sheet, the one with the roundest outline is taken. Returns ``(n, COLUMNS)`` as `measure` does, without the steps at
+    the rim.
+    """
+    pixel = max(px, py)
+    dt = max(0.25 * pixel, 0.5)
+    out = np.full((xs.size, COLUMNS), np.nan)
+    row, at, seen = np.empty(COLUMNS), np.empty((xs.size, 2)), 0
+    for h in range(xs.size):
+        x, y = _middle_of_floor(image, px, py, xs[h], ys[h], sign, radius, floor + shares[0] * depth)
+        # Places beside each other lead to one hole.
+        known = x != x
+        for other in range(seen):
+            known |= np.hypot(x - at[other, 0], y - at[other, 1]) < 0.1 * radius
+        if known:
+            continue
+        at[seen, 0], at[seen, 1] = x, y
+        seen += 1
+        best = np.inf
+        model = np.empty(RAYS)
+        for share in shares:
+            cx, cy = x, y
+            fit, weight, inverse, radii = (np.zeros(5), np.zeros(RAYS), np.zeros((5, 5)), np.empty(RAYS))
+            found = True
+            for turn in range(6):
+                radii = first_crossings(image, px, py, cx, cy, sign, floor + share * depth, 1.6 * radius, dt, RAYS)
+                fit, weight, _, inverse = fit_outline(radii, 1 if turn < 2 else 2, 0.3 + 0.1 * pixel)
+                cx, cy = cx + fit[1], cy + fit[2]
+                if np.sum(weight) == 0.0 or np.hypot(cx - x, cy - y) > 0.6 * radius:
+                    found = False
+                    break
+                if turn > 2 and np.hypot(fit[1], fit[2]) < 0.05 * pixel:
+                    break
+            if found:
+                _describe(row, image, px, py, cx, cy, sign, radii, fit, weight, inverse)
+                # About the circle, not the ellipse: a blot beside a hole makes an ellipse of both.
+                wave = 0.5 * row[HALF_DIFFERENCE] * row[HALF_DIFFERENCE]
+                poor = np.sqrt(row[ROUGHNESS] ** 2 + wave) / row[RADIUS] - row[COVERAGE]
+                if poor < best:
+                    best = poor
+                    out[h] = row
+                    for k in range(RAYS):
+                        angle = 4 * np.pi * k / RAYS
+                        model[k] = fit[0] + fit[3] * np.cos(angle) + fit[4] * np.sin(angle)
+        if best < np.inf:
+            search = max(1.2 * pixel, 6.0)
+            _, _, _, nears = half_level_edges(
+                image, px, py, out[h, X], out[h, Y], sign, model, search, max(0.5 * pixel, 0.5), pixel
+            )
+            out[h, BURNT] = out[h, OUTSIDE] - np.nanmedian(nears)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _middle_of_floor(image, px, py, x, y, sign, radius, level):
+    """Return the centroid of what is below a level within a radius, followed until it rests; NaN where it is little."""
+    for _turn in range(6):
+        total, tx, ty = 0, 0.0, 0.0
+        i0, i1 = (max(int((y - radius) / py) + 1, 0), min(int((y + radius) / py) + 1, image.shape[0]))
+        j0, j1 = (max(int((x - radius) / px) + 1, 0), min(int((x + radius) / px) + 1, image.shape[1]))
+        for i in range(i0, i1):
+            for j in range(j0, j1):
+                if sign * image[i, j] < level and np.hypot(j * px - x, i * py - y) <= radius:
+                    total += 1
+                    tx += j * px
+                    ty += i * py
+        # A hole fills a third of the circle even where the place is poor, or its wall is wide.
+        if 3 * total * px * py < np.pi * radius * radius:
+            return np.nan, np.nan
+        shift = np.hypot(tx / total - x, ty / total - y)
+        x, y = tx / total, ty / total
+        if shift < 0.2 * max(px, py):
+            break
+    return x, y
+
+
+@njit(cache=True, nogil=True)
+def _describe(row, image, px, py, cx, cy, sign, radii, fit, weight, inverse):
+    """Write what a fitted outline says into a row; steps at the rim are left out."""
+    pixel = max(px, py)
+    # Share of the rim that is there; and how rough it is.
+    error = np.zeros(RAYS)
+    used, squares = 0, 0.0
+    for k in range(RAYS):
+        if weight[k] > 0.0:
+            angle = 2 * np.pi * k / RAYS
+            error[k] = radii[k] - (
+                fit[0]
+                + fit[1] * np.cos(angle)
+                + fit[2] * np.sin(angle)
+                + fit[3] * np.cos(2 * angle)
+                + fit[4] * np.sin(2 * angle)
+            )
+            squares += error[k] ** 2
+            used += 1
+    inside, spread, flatness, outside, texture = levels(image, px, py, cx, cy, sign, fit[0], pixel)
+    row[:] = np.nan
+    row[X], row[Y], row[RADIUS], row[HALF_DIFFERENCE] = (cx, cy, fit[0], np.hypot(fit[3], fit[4]))
+    # Waves 3 and 4 to the round, and 5 to 8. The first is what moves the centre; its size can only be told from them.
+    row[LOW_WAVES], row[HIGH_WAVES] = waves(error, weight)
+    # As if the rays were independent; the waves' own variance is put in once all holes are known.
+    variance = RAYS / 2
+    row[COV_XX], row[COV_YY], row[COV_XY] = (
+        variance * inverse[1, 1],
+        variance * inverse[2, 2],
+        variance * inverse[1, 2],
+    )
+    row[COVERAGE], row[ROUGHNESS] = used / RAYS, np.sqrt(squares / max(1, used))
+    row[INSIDE], row[OUTSIDE], row[TEXTURE] = inside, outside, texture
+    row[FLATNESS], row[UNEVENNESS] = flatness, spread

@@ -1,0 +1,265 @@
+"""Which of the marks that were measured are laser holes: each by itself, and all of an image beside each other."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.marks import _measure_kernels as k
+from planish.marks.candidates import Floats
+
+LARGEST_AXIS_RATIO = 1.3
+LEAST_COVERAGE = 0.7
+# Step from the floor to the sheet, in robust standard deviations of the sheet around and of the whole: mottle rarely
+# makes three.
+LEAST_CONTRAST = 3.2
+# Answer to a disc, in robust standard deviations of the same answer all over the sheet. What is worth a look, and what
+# is a hole even where dots, lines or fibres make a large texture: nothing regular reaches the second.
+WORTH_A_LOOK = 4.0
+LEAST_STANDING = 10.0
+# The floor of a hole is flat and its rim a step; a blotch of mottle is neither. Shares of the whole step; the char
+# around a hole may take two thirds of it.
+LARGEST_FLATNESS = 0.25
+LARGEST_UNEVENNESS = 0.2
+LEAST_STEP = 0.28
+# Step over +-10 um across the rim as a share of that over +-25 um: a gentle slope makes less.
+LEAST_SHARPNESS = 0.45
+# Char so narrow that its outer edge comes within the wider distance makes less, too; but no slope has a floor so flat.
+SHARP_ENOUGH, FLAT = 0.36, 0.05
+# Rim about its ellipse, rms: share of the radius, beside 0.3 pixels.
+LARGEST_ROUGHNESS = 0.09
+# Fewer pixels across a hole leave nothing to tell a rim from a slope by.
+LEAST_PIXELS = 6.0
+# Holes of one laser look alike. How alike floors are they say themselves, within limits (shares of the depth): what
+# differs more is dirt or a pit (not so in transmitted light, where the share of the median step counts). So is what
+# differs in the diameter by the larger factor.
+LEAST_OTHERS = 3
+# Floors have a long tail (real targets: 27 standard deviations), so only what is far off is out by its floor alone.
+FAR = 30.0
+UNLIKE_FLOORS = (0.06, 0.3)
+LIKE_FLOORS = (0.02, 0.08)
+LEAST_SHARE_OF_MEDIAN = 0.5
+LARGEST_FACTOR = 1.6
+LIKE_SIZES = (0.12, 0.15)
+LIKE_OUTLINES = (0.03, 0.1)
+# For a floor whose rim is not seen all around; and how good an outline is no floor is better than, and how much better
+# a floor has to be. The quality is the share of the rim less its roughness over its radius.
+RESEMBLING_FACTOR = 1.35
+CLEAR, BETTER = 0.95, 0.015
+# A floor that is deeper by this share of the step is that of the hole, and the other what lies beside it.
+DEEPER = 0.05
+# Share of the step that the burnt sheet has to take before it is looked for.
+BURNT = 0.15
+# This much more of the step at the rim itself means that nothing is burnt.
+MORE_OF_THE_STEP = 0.15
+
+# Of the variance of a centre, what a rim's own roughness says; the rest is what all rims say.
+OWN_WAVES = 0.5
+# Error that the raster adds, in pixels.
+PIXEL_ERROR = 0.02
+
+
+def is_whole(rows: Floats, shape: tuple[int, ...], size: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return which circles lie inside the image."""
+    bottom, right = ((n - 1) * step for n, step in zip(shape, size, strict=True))
+    x, y, radius = (rows[:, k.X], rows[:, k.Y], rows[:, k.RADIUS] + rows[:, k.HALF_DIFFERENCE])
+    return (x >= radius) & (y >= radius) & (x <= right - radius) & (y <= bottom - radius)
+
+
+def is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -> NDArray[np.bool_]:
+    """Return which rows of `measure` look like a hole, each by itself; ``low, high`` the range of radii in um."""
+    radius, half = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE]
+    total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
+    with np.errstate(invalid="ignore"):
+        return (
+            (radius >= max(low, LEAST_PIXELS / 2 * max(size)))
+            & (radius <= high)
+            & ((radius + half) < LARGEST_AXIS_RATIO * (radius - half))
+            & (rows[:, k.COVERAGE] >= LEAST_COVERAGE)
+            & ((total > LEAST_CONTRAST * rows[:, k.TEXTURE]) | (rows[:, k.STANDING] > LEAST_STANDING))
+            & (rows[:, k.STEP] > LEAST_STEP * total)
+            & (
+                (rows[:, k.STEP] > LEAST_SHARPNESS * rows[:, k.FAR_STEP])
+                | ((rows[:, k.STEP] > SHARP_ENOUGH * rows[:, k.FAR_STEP]) & (rows[:, k.FLATNESS] < FLAT * total))
+            )
+            & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * total)
+            & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * total)
+            & (rows[:, k.ROUGHNESS] < LARGEST_ROUGHNESS * radius + 0.3 * max(size))
+        )
+
+
+def strongest_apart(rows: Floats) -> Floats:
+    """Of rows whose circles overlap keep the deepest, and of those as deep the one with the best rim."""
+    step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
+    quality = _quality(rows)
+    deepest = np.ones(len(rows), bool)
+    for row in range(len(rows)):
+        deeper = rows[row, k.INSIDE] - rows[:, k.INSIDE] > DEEPER * step
+        deepest[row] = not np.any(deeper & (_away(rows, rows[row]) < 0))
+    kept: list[int] = []
+    for row in np.argsort(-quality, kind="stable"):
+        if deepest[row] and np.all(_away(rows[kept], rows[row]) >= 0):
+            kept.append(int(row))
+    return rows[kept]
+
+
+def _away(rows: Floats, row: Floats) -> Floats:
+    """Gaps between circles and one circle; negative where they overlap."""
+    return np.hypot(rows[:, k.X] - row[k.X], rows[:, k.Y] - row[k.Y]) - rows[:, k.RADIUS] - row[k.RADIUS]
+
+
+class Family(NamedTuple):
+    """What the holes of one image have in common; levels times the sign of the holes."""
+
+    floor: float
+    outside: float
+    slope: float
+    """By how much the floor brightens with the sheet around, where the light is uneven."""
+    scatter: float
+    """Robust standard deviation of the floors, share of the depth."""
+    radius: float
+    burnt: float
+    rim: float
+    """Share of the step that the burnt sheet takes, and that is left at the rim."""
+
+    @property
+    def depth(self) -> float:
+        """Step from the floor to the sheet."""
+        return self.outside - self.floor
+
+    def floor_at(self, outside: Floats) -> Floats:
+        """Level of a floor where the sheet around has a level."""
+        return self.floor + self.slope * (outside - self.outside)
+
+
+def family(rows: Floats) -> Family:
+    """Return what is typical of rows."""
+    inside, outside = rows[:, k.INSIDE], rows[:, k.OUTSIDE]
+    step = outside - inside
+    # The deeper half: what is less deep may be ink or dirt.
+    deep = step >= np.median(step)
+    sheet = float(np.median(outside[deep]))
+    # Uneven light brightens floors with the sheet, and print does not: the slope counts if it explains the floors.
+    some = step >= 0.7 * np.median(step)
+    slope, scatter = 0.0, _scatter(inside[deep])
+    steeper = _slope(outside[some], inside[some])
+    if _scatter(inside[deep] - steeper * outside[deep]) < 0.5 * scatter:
+        slope, scatter = steeper, _scatter(inside[deep] - steeper * outside[deep])
+    floor = float(np.median(inside[deep] - slope * (outside[deep] - sheet)))
+    burnt, rim = (float(np.nanmedian(rows[deep, column] / step[deep])) for column in (k.BURNT, k.STEP))
+    return Family(floor, sheet, slope, scatter / (sheet - floor), float(np.median(rows[deep, k.RADIUS])), burnt, rim)
+
+
+def _scatter(values: Floats) -> float:
+    """Robust standard deviation."""
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+
+
+def _slope(x: Floats, y: Floats) -> float:
+    """Slope of the resistant line through the medians of the outer thirds (Tukey), from 0 to 1; 0 for a few points."""
+    third = len(x) // 3
+    if third < 3:
+        return 0.0
+    order = np.argsort(x, kind="stable")
+    low, high = order[:third], order[-third:]
+    across = float(np.median(x[high]) - np.median(x[low]))
+    rise = float(np.median(y[high]) - np.median(y[low]))
+    return float(np.clip(rise / across, 0.0, 1.0)) if across > 0 else 0.0
+
+
+def unlike_removed(rows: Floats, sign: float) -> Floats:
+    """Drop marks much fainter, smaller or larger than the rest, and those unlike them in two ways."""
+    if len(rows) < LEAST_OTHERS:
+        return rows
+    typical = family(rows)
+    outside, step = rows[:, k.OUTSIDE], rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
+    depth = step / np.maximum(outside - typical.floor_at(outside), step)
+    fits = depth >= 1 - np.clip(FAR * typical.scatter, *UNLIKE_FLOORS)
+    if sign < 0:
+        # In transmitted light floors fade with the lamp, and nothing but a hole shines.
+        fits |= step >= LEAST_SHARE_OF_MEDIAN * np.median(step)
+    if not np.any(fits):
+        return rows[fits]
+    size = np.log(rows[:, k.RADIUS])
+    away = np.abs(size - np.median(size[fits]))
+    fits &= away < np.log(LARGEST_FACTOR)
+    # Char takes a part of the step; what has none and is odd, taking together that it is less deep, less round and of
+    # another size, is ink or dirt.
+    good = _quality(rows)
+    odd = (
+        ((1 - depth) / np.clip(4 * typical.scatter, *LIKE_FLOORS)) ** 2
+        + (away / np.clip(3 * _scatter(size[fits]), *LIKE_SIZES)) ** 2
+        + (np.minimum(good - np.median(good[fits]), 0) / np.clip(3 * _scatter(good[fits]), *LIKE_OUTLINES)) ** 2
+    ) > 1
+    bare = (rows[:, k.STEP] > (typical.rim + MORE_OF_THE_STEP) * step) | _bare(rows, typical)
+    return rows[fits & ~(odd & bare)]
+
+
+def _bare(rows: Floats, typical: Family) -> NDArray[np.bool_]:
+    """Return which marks are not burnt while the others are."""
+    step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
+    # In transmitted light char is darker than the sheet and holes are brighter: its share is negative.
+    there = abs(typical.burnt) > BURNT
+    return there & (np.sign(typical.burnt) * rows[:, k.BURNT] < 0.5 * abs(typical.burnt) * step)
+
+
+def doubtful(rows: Floats) -> NDArray[np.bool_]:
+    """Return which outlines are so rough or so incomplete that what is printed may be a part of them."""
+    return _quality(rows) < CLEAR
+
+
+def resembling(rows: Floats, others: Floats, size: tuple[float, float]) -> Floats:
+    """Of floors that were measured keep the round ones that are like those of the other holes."""
+    typical = family(others)
+    radius, half, step = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE], rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
+    with np.errstate(invalid="ignore"):
+        away = np.abs(rows[:, k.INSIDE] - typical.floor_at(rows[:, k.OUTSIDE]))
+        good = (
+            ((radius + half) < LARGEST_AXIS_RATIO * (radius - half))
+            & (rows[:, k.COVERAGE] >= LEAST_COVERAGE)
+            & (rows[:, k.ROUGHNESS] < LARGEST_ROUGHNESS * radius + 0.3 * max(size))
+            & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * typical.depth)
+            & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * typical.depth)
+            & (away < np.clip(4 * typical.scatter, *LIKE_FLOORS) * typical.depth)
+            & (step > LEAST_SHARE_OF_MEDIAN * typical.depth)
+            & (np.abs(np.log(radius / typical.radius)) < np.log(RESEMBLING_FACTOR))
+            & ~_bare(rows, typical)
+        )
+    return strongest_apart(rows[good])
+
+
+def joined(rows: Floats, floors: Floats) -> Floats:
+    """Add floors to rows; where one lies on a row, the clearly better of the two stays."""
+    for floor in floors:
+        on = _away(rows, floor) < 0
+        if np.all(_quality(rows[on]) + BETTER < _quality(floor[None])):
+            rows = np.concatenate([rows[~on], floor[None]])
+    return rows
+
+
+def _quality(rows: Floats) -> Floats:
+    """Share of the rim that is there less its rms about the circle over the radius."""
+    rough = np.sqrt(rows[:, k.ROUGHNESS] ** 2 + 0.5 * rows[:, k.HALF_DIFFERENCE] ** 2)
+    return rows[:, k.COVERAGE] - rough / rows[:, k.RADIUS]
+
+
+def set_covariance(rows: Floats, size: tuple[float, float]) -> None:
+    """Scale the covariances by the size of the wave that moves a centre, in place.
+
+    One rim has few waves to judge from, so what all rims of an image tell counts as much as a rim's own. Long waves are
+    larger than short ones, as with any rough line; the first is reached by going on in the square of the order.
+    """
+    if not len(rows):
+        return
+    low, high = rows[:, k.LOW_WAVES], rows[:, k.HIGH_WAVES]
+    both = (low + 2 * high) / 3
+    fall = np.clip(np.mean(low) / max(float(np.mean(high)), 1e-30), 1.0, 8.0)
+    # Mean squares of the orders: 1; 12.5 of the third and fourth; 43.5 of the fifth to eighth.
+    first = np.mean(low) * fall ** (11.5 / 31.0)
+    own = first / max(float(np.mean(both)), 1e-30) * both
+    variance = OWN_WAVES * own + (1 - OWN_WAVES) * np.median(own)
+    rows[:, k.COV_XX] = rows[:, k.COV_XX] * variance + (PIXEL_ERROR * size[1]) ** 2
+    rows[:, k.COV_YY] = rows[:, k.COV_YY] * variance + (PIXEL_ERROR * size[0]) ** 2
+    rows[:, k.COV_XY] *= variance

@@ -1,0 +1,290 @@
+"""Layers onto one reference: runs, two volumes, two images, chains; which side, which way, and what is refused."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+
+from planish.core.transform import Similarity
+from planish.pipeline import link_layers, read_run, run_study
+from planish.properties import turned_angles, with_angles
+from planish.register import fit_transform
+from planish.study import (
+    ImageSection,
+    LayerSection,
+    LayersStudy,
+    RegistrationSection,
+    Study,
+    VolumeSection,
+    read_study,
+    write_study,
+)
+from planish.synthetic import CameraParams, InstrumentFiles, ScannerParams, Warp, make_specimen, write_instruments
+from planish.validate.pair import pair_values
+
+
+@pytest.fixture(scope="module")
+def other(specimen):
+    """The same sheet, bent otherwise, under another scanner and another camera."""
+    params = replace(
+        specimen.params,
+        warp=Warp(slope=0.25, wavelength_um=2300.0, phase_rad=2.0, ruling_deg=80.0),
+        scanner=ScannerParams(voxel_um=3.5, fwhm_um=4.5),
+        camera=CameraParams(pixel_um=6.0, turn_deg=40.0, radial=0.0, stretch=0.0, shading=0.0, nuisance_sd=0.004),
+        seed=6,
+    )
+    return make_specimen(params, sheet=specimen.sheet)
+
+
+@pytest.fixture(scope="module")
+def other_files(other, tmp_path_factory):
+    return write_instruments(other, tmp_path_factory.mktemp("other"))
+
+
+@pytest.fixture(scope="module")
+def other_run(other_files, tmp_path_factory):
+    out = tmp_path_factory.mktemp("mapped") / "other"
+    run_study(Study(volume=VolumeSection(path=str(other_files.volume))), out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def image_pair(specimen_files, other_files):
+    """The image of one camera on the pixels of the other's."""
+    layers = (
+        LayerSection(name="small", image=ImageSection(path=str(specimen_files[1]))),
+        LayerSection(name="large", image=ImageSection(path=str(other_files.image))),
+    )
+    return link_layers(LayersStudy(layers=layers))
+
+
+def test_a_run_linked_to_an_image_is_the_volume_linked_to_it(planish, linked_run, specimen_files):
+    again = linked_run.parent / "again"
+    code, _, err = planish("link", linked_run, specimen_files[1], "-o", again)
+    assert code == 0, err
+    compared = filecmp.dircmp(linked_run, again)
+    files = [p.relative_to(linked_run) for p in linked_run.rglob("*") if p.is_file()]
+    assert len(files) > 20
+    assert not compared.left_only
+    assert not compared.right_only
+    _, different, missing = filecmp.cmpfiles(linked_run, again, [str(f) for f in files], shallow=False)
+    assert (different, missing) == ([], [])
+
+
+def test_two_volumes_show_the_same_material_at_the_same_pixel(specimen, other, other_files, specimen_files, other_run):
+    files = write_instruments_of(specimen, specimen_files)
+    layers = (
+        LayerSection(name="first", map=Study(volume=VolumeSection(path=str(specimen_files[0])))),
+        LayerSection(name="second", run=str(other_run)),
+    )
+    found = link_layers(LayersStudy(layers=layers))
+    assert found.passed
+    # Truth needs the run of either layer; the second one was mapped before.
+    whole = replace(found, runs=found.runs | {"second": read_run(other_run)})
+    values = pair_values([(specimen, files), (other, other_files)], whole)
+    assert values["pair_median"] < 1.5
+    assert values["pair_p95"] < 3.0
+    assert values["pair_r"] > 0.97
+    told = found.results["layers"][0]
+    assert told["path"] == ["first", "second"]
+    assert told["orientation"]["mirrored_volume"] is False
+    grid = found.groups["layers/second"]
+    own = xr.open_datatree(other_run / "maps.zarr", engine="zarr")["maps"].to_dataset()
+    # The reference itself is not resampled at all.
+    np.testing.assert_array_equal(grid["coating_top"].values, own["coating_top"].values)
+    same = next(row for row in found.results["pairs"] if row["a_map"] == "thickness")
+    assert abs(same["difference_mean"]) < 0.5
+    assert same["limits"][0] < same["difference_mean"] < same["limits"][1]
+
+
+def write_instruments_of(specimen, files):
+    """What :func:`write_instruments` returned for the shared specimen."""
+    voxel = specimen.params.scanner.voxel_um
+    return InstrumentFiles(
+        volume=files[0], image=files[1], voxel_um=(voxel,) * 3, through="z", to_physical=lambda points, _=None: points
+    )
+
+
+def test_an_image_lies_on_another_image(specimen, other, image_pair):
+    found, truth = image_pair, other.truth
+    layer = found.groups["layers/small"]
+    fit = found.results["layers"][0]["marks"]
+    assert fit["matched"] == 5
+    # Where a pixel of the reference lies in the first image, and the material that this one shows there.
+    y, x = np.meshgrid(layer["y"].values, layer["x"].values, indexing="ij")
+    shown = np.isfinite(layer["image"].values)
+    marks = found.marks["small"]
+    moving, fixed = (np.stack([marks[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed"))
+    back = fit_transform(moving, fixed, model="similarity", mirrored=False).inverse(np.stack([x, y], axis=-1))
+    material = specimen.pose.inverse(back[shown])
+    off = np.hypot(*(material - np.stack([truth["u"].values[shown], truth["v"].values[shown]], axis=-1)).T)
+    assert np.nanmedian(off) < 1.5
+    assert found.results["pairs"][0]["r"] > 0.8
+    assert np.nanmax(layer["expected_error"].values) < 10.0
+
+
+def test_a_chain_is_composed_and_its_error_adds_up(planish, linked_run, specimen_files, other_files, tmp_path):
+    """Sheet to its own image to the other camera's image."""
+    out = tmp_path / "run"
+    layers = (f"ct={linked_run}", f"near={specimen_files[1]}", f"far={other_files.image}")
+    code, text, err = planish("link", *layers, "--chain", "-o", out)
+    assert code == 0, err
+    assert "ct to near" in text
+    results = json.loads((out / "results.json").read_text())
+    ct, near, far = results["layers"]
+    assert (ct["to"], ct["path"]) == ("near", ["ct", "near", "far"])
+    assert (near["to"], far["to"], results["reference"]) == ("far", None, "far")
+    assert ct["expected_error_um"]["median"] > near["expected_error_um"]["median"]
+    tree = xr.open_datatree(out / "maps.zarr", engine="zarr")
+    assert tree["layers/ct"]["coating_top"].shape == tree["layers/far"]["image"].shape
+    code, text, err = planish("link", layers[0], layers[2], "-o", tmp_path / "direct", "--json")
+    assert code == 0, err
+    direct = next(r["r"] for r in json.loads(text)["correlation"] if r["property"] == "coating_top")
+    chained = next(r["r"] for r in results["pairs"] if (r["a"], r["b"]) == ("ct", "far"))
+    assert chained == pytest.approx(direct, abs=0.02)
+    # Written by the program, so that it can be done again.
+    code, _, err = planish("run", out / "run.toml", "-o", tmp_path / "again")
+    assert code == 0
+    assert "same bytes" in err
+    code, _, err = planish("report", out, "-o", tmp_path / "page.html")
+    assert code == 0, err
+    assert (tmp_path / "page.html").read_bytes() == (out / "report.html").read_bytes()
+
+
+def test_an_image_of_the_bottom_is_mirrored_when_that_is_said_and_refused_when_not(
+    planish, linked_run, specimen_files, tmp_path
+):
+    flipped = tmp_path / "flipped.tif"
+    with tifffile.TiffFile(specimen_files[1]) as tif:
+        page = tif.pages[0]
+        tifffile.imwrite(flipped, page.asarray()[:, ::-1])
+    size = ("--pixel-um", "5", "--json")
+    code, _, err = planish("link", linked_run, flipped, *size, "-o", tmp_path / "not")
+    assert code == 3
+    assert "mirror" in err
+    code, out, err = planish("link", linked_run, flipped, *size, "--image-side", "bottom", "-o", tmp_path / "run")
+    assert code == 0, err
+    told = json.loads(out)
+    assert told["marks"]["mirrored"] is True
+    assert told["orientation"]["image_side"] == "bottom"
+    assert told["orientation"]["mirrored_volume"] is False
+    assert told["headline"] == "coating_bottom"
+    assert "bottom side of the sheet, as given" in told["orientation"]["sentence"]
+
+
+@pytest.mark.parametrize(("given", "code"), [("-7.0", 0), ("60", 4)])
+def test_machine_directions_that_contradict_each_other_fail_a_gate(
+    planish, linked_run, specimen_files, tmp_path, given, code
+):
+    study = (linked_run / "run.toml").read_text()
+    rotation = json.loads((linked_run / "results.json").read_text())["marks"]["rotation_deg"]
+    home = tmp_path / "with_md"
+    home.mkdir()
+    # The map's machine direction lies along its x axis; in the image it is turned by the rotation of the marks.
+    run = home / "run"
+    run.mkdir()
+    for item in linked_run.iterdir():
+        if item.name != "run.toml":
+            (run / item.name).symlink_to(item)
+    (run / "run.toml").write_text(study.replace("[volume]", "[volume]\nmd_deg = 0.0"))
+    angle = f"{rotation + float(given) - (-7.0):.3f}" if code == 0 else given
+    got, out, err = planish(
+        "link", run, specimen_files[1], f"--image-md-deg={angle}", "-o", tmp_path / "run", "--json"
+    )  # fmt: skip
+    assert got == code, err
+    told = json.loads(out)
+    assert told["orientation"]["md_deg_image_from_map"] == pytest.approx(rotation % 180, abs=1e-6)
+    assert ("machine direction" in err) == (code == 4)
+    assert any(gate["name"] == "machine direction" for gate in told["quality"])
+
+
+def test_the_design_names_the_holes(planish, specimen, linked_run, specimen_files, tmp_path):
+    table = tmp_path / "burnt.csv"
+    turned = specimen.sheet.holes @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + 5000.0
+    # In the laser's coordinates y runs up.
+    rows = "\n".join(f"{x:.3f},{-y:.3f}" for x, y in turned)
+    table.write_text(f"x_um,y_um\n{rows}\n")
+    code, out, err = planish(
+        "link", linked_run, specimen_files[1], "--design", table, "-o", tmp_path / "run", "--json"
+    )  # fmt: skip
+    assert code == 0, err
+    told = json.loads(out)["marks"]
+    assert told["design"]["holes"] == len(specimen.sheet.holes)
+    labels = [line.split(",")[0] for line in (tmp_path / "run" / "marks.csv").read_text().splitlines()[1:]]
+    assert len(set(labels)) == told["matched"] == 5
+
+
+def test_what_is_refused_says_why(planish, linked_run, specimen_files, other_run, tmp_path):
+    volume, image = specimen_files
+    out = ("-o", tmp_path / "run")
+    for arguments, code, words in (
+        ((image,), 2, ("reference last",)),
+        ((linked_run, image, "--voxel-um", "3"), 2, ("--voxel-um", "keeps the options")),
+        ((f"a={image}", f"a={volume}", other_run), 2, ("a stands there more than once",)),
+        ((linked_run, other_run, image, "--marks", "pairs.csv"), 2, ("--marks", "study file")),
+        ((linked_run, tmp_path / "nothing.tif"), 3, ("nothing.tif",)),
+        ((linked_run, image, "--image-side", "left"), 2, ("--image-side",)),
+        ((linked_run, image, "--design", tmp_path / "none.json"), 3, ("none.json",)),
+    ):
+        got, _, err = planish("link", *arguments, *out)
+        assert got == code, err
+        assert all(word in err for word in words), err
+        assert "Traceback" not in err
+        assert not (tmp_path / "run").exists()
+
+
+def test_layers_that_do_not_show_one_specimen_are_refused(planish, linked_run, tmp_path):
+    rng = np.random.default_rng(0)
+    picture = np.full((400, 500), 180, dtype=np.uint8) + rng.integers(0, 20, (400, 500), dtype=np.uint8)
+    tifffile.imwrite(tmp_path / "blank.tif", picture)
+    code, _, err = planish(
+        "link", linked_run, tmp_path / "blank.tif", linked_run, "--pixel-um", "5", "-o", tmp_path / "run"
+    )  # fmt: skip
+    assert code in (2, 3)
+    assert not (tmp_path / "run").exists()
+    code, _, err = planish(
+        "link", f"a={tmp_path / 'blank.tif'}", f"b={linked_run}", "--pixel-um", "5", "-o", tmp_path / "run"
+    )  # fmt: skip
+    assert code == 3
+    assert "No hole was found in the a" in err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_study_of_layers_is_read_as_it_was_written(tmp_path):
+    study = LayersStudy(
+        layers=(
+            LayerSection(name="ct", map=Study(volume=VolumeSection(path=str(tmp_path / "v.tif"), md_deg=12.0))),
+            LayerSection(name="lm", run=str(tmp_path / "lm"), marks=str(tmp_path / "pairs.csv")),
+            LayerSection(name="photo", image=ImageSection(path=str(tmp_path / "p.png"), side="bottom")),
+        ),
+        chain=True,
+        registration=RegistrationSection(design=str(tmp_path / "pattern.json")),
+    )
+    (tmp_path / "run").mkdir()
+    write_study(study, tmp_path / "run", home=tmp_path / "run", version="1")
+    text = (tmp_path / "run" / "run.toml").read_text()
+    assert 'path = "../v.tif"' in text
+    assert str(tmp_path) not in text
+    assert read_study(tmp_path / "run" / "run.toml") == study
+
+
+def test_fibre_directions_turn_with_the_sheet():
+    angle = np.deg2rad(np.array([[10.0, 80.0], [-35.0, 60.0]]))
+    maps = xr.Dataset(
+        {
+            "fibre_cos2": (("y", "x"), 0.4 * np.cos(2 * angle)),
+            "fibre_sin2": (("y", "x"), 0.4 * np.sin(2 * angle)),
+            "fibre_angle": (("y", "x"), np.rad2deg(angle)),
+        }
+    )
+    for way in (Similarity(rotation_rad=0.4), Similarity(rotation_rad=-1.1, mirrored=True, scale=1.02)):
+        ends = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ way.matrix().T
+        expected = np.rad2deg(np.arctan2(ends[..., 1], ends[..., 0]))
+        found = with_angles(turned_angles(maps, way))["fibre_angle"].values
+        np.testing.assert_allclose((found - expected + 90) % 180 - 90, 0.0, atol=1e-9)
