@@ -12,6 +12,7 @@ import numpy as np
 
 from planish.cli.options import (
     SURFACE,
+    design_option,
     existing,
     hole_option,
     image_options,
@@ -238,19 +239,31 @@ def holes(
 @existing("fixed")
 @out_option("CSV table of pairs to make; it must not exist.")
 @match_options
-def register(moving: Path, fixed: Path, out: Path, mirror: bool, tolerance_um: float, model: Model) -> None:
+@design_option
+def register(
+    moving: Path, fixed: Path, out: Path, mirror: bool, tolerance_um: float, model: Model, design: Path | None
+) -> None:
     """Match the holes in MOVING and FIXED, two tables of 'planish holes', and fit what takes one to the other."""
     from planish.io.run_folder import refuse_existing
     from planish.marks import read_holes, write_marks
-    from planish.register import fit_transform, match_marks
+    from planish.marks.design import read_pattern
+    from planish.register import fit_transform, match_by_design, match_marks
     from planish.results import marks_table
 
     refuse_existing(out)
     a, b = (np.stack([h["x"].values, h["y"].values], axis=1) for h in (read_holes(moving), read_holes(fixed)))
-    matched = match_marks(a, b, tolerance_um=tolerance_um, mirror=mirror)
+    if design is None:
+        matched = match_marks(a, b, tolerance_um=tolerance_um, mirror=mirror)
+        labels = [f"hole {k + 1}" for k in range(len(matched.pairs))]
+    else:
+        pattern = read_pattern(design)
+        matched = match_by_design(
+            a, b, pattern.seen_um, labels=pattern.labels, tolerance_um=tolerance_um, mirror=mirror
+        )  # fmt: skip
+        labels = list(matched.labels)
     a, b = a[matched.pairs[:, 0]], b[matched.pairs[:, 1]]
     fit = fit_transform(a, b, model=model, mirrored=matched.mirrored, lowest="similarity")
-    write_marks(marks_table([f"hole {k + 1}" for k in range(len(a))], fit), out)
+    write_marks(marks_table(labels, fit), out)
     click.echo(matched.sentence)
     click.echo(fit.sentence)
     click.echo(f"{out}: {len(a)} pairs, residual {fit.rms_um:.2f} um rms, scale {fit.transform.scale:.4f}")

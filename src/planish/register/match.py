@@ -119,8 +119,8 @@ def match_marks(
     if other is not None and other.log_chance < min(best - 1.0, ACCEPTED_LOG_CHANCE):
         raise CannotRegister(
             f"{seen}: {0 if found is None else len(found.pairs)} agree, but {len(other.pairs)} do if one side is "
-            "turned over, as in a mirror image: one is probably seen from the wrong side. Check --top and --through; "
-            "if the slices are numbered against the usual sense, pass --mirror."
+            "turned over, as in a mirror image: one is probably seen from the wrong side. Check --image-side, --top "
+            "and --through; if the slices are numbered against the usual sense, pass --mirror."
         )
     if found is None:
         raise CannotRegister(_no_match(seen, 2, 4, mirror, min(len(source), len(target))))
@@ -135,7 +135,7 @@ def match_marks(
         raise CannotRegister(
             f"{seen}: {count} agree in the best arrangement, {rival} in a different one, which is too close to tell: "
             "the pattern is symmetric or ambiguous. Find more of the marks (range of hole diameters), remove false "
-            "ones, or give the pairs with --marks."
+            "ones, give the pattern that was burnt (--design) or pairs (--marks)."
             + (" Without --mirror, only one hand would compete." if mirror else "")
         )
     transform, rms = fit_similarity(source[found.pairs[:, 0]], target[found.pairs[:, 1]], mirrored=found.mirrored)
@@ -174,7 +174,8 @@ def _refuse_confusable(seen: str, a: Floats, b: Floats, least_um: float) -> None
         if np.diff(sides).min() < least_um:
             raise CannotRegister(
                 f"{seen}: three marks match, but two of their three distances are alike within {least_um:g} um, so "
-                "they could be taken for one another. Add a fourth mark, or give the pairs with --marks."
+                "they could be taken for one another. Add a fourth mark, give the pattern that was burnt (--design) or "
+                "pairs (--marks)."
             )
 
 
@@ -189,7 +190,7 @@ def _refuse_symmetric(
     raise CannotRegister(
         f"{seen}: {count} agree, but the pattern may be symmetric or regular: of the {like.marks} marks seen in all, "
         f"{like.repeated} fall on a mark again when the pattern is {like.describe()}, and the others may have been "
-        "lost. Give the pairs with --marks, or add marks "
+        "lost. Give the pattern that was burnt (--design) or pairs (--marks), or add marks "
         "that break the symmetry."
     )
 
@@ -201,19 +202,20 @@ def _too_few(seen: str, name: str, points: Floats) -> str:
         + (f" (at {where} um)" if len(points) else "")
         + " cannot be matched without a hint; at least 3 on each side are needed, 4 or more are better. "
         "Check that the holes are in the field and that the pixel and voxel sizes are right, widen the range of hole "
-        "diameters, or give the pairs with --marks."
+        "diameters, give the pattern that was burnt (--design) or pairs (--marks)."
     )
 
 
 def _no_match(seen: str, count: int, need: int, mirror: bool, of: int) -> str:
     if of == 3:
         return (
-            f"{seen}: with three marks on a side an agreement may be chance. Add a fourth, or give pairs with --marks."
+            f"{seen}: with three marks on a side an agreement may be chance. Add a fourth, give the pattern that was "
+            "burnt (--design), or pairs (--marks)."
         )
     needed = f"about {need} have to" if need <= of else f"more than the {of} of the smaller side would have to"
     return (
         f"{seen}: no arrangement explains them: {count} agree at best, and {needed}, closer than chance would bring "
-        "them. Check the pixel and voxel sizes, and --top: the side that the image shows"
+        "them. Check the pixel and voxel sizes, --top, and --image-side: the side that the image shows"
         + ("" if mirror else "; if the slices are numbered against the usual sense pass --mirror")
-        + "; find more of the marks, or give the pairs with --marks."
+        + "; find more of the marks, give the pattern that was burnt (--design) or pairs (--marks)."
     )
