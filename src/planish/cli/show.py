@@ -15,9 +15,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 
 if TYPE_CHECKING:
+    from planish.gates import Gate
     from planish.pipeline import Layers, Run
     from planish.pipeline import Progress as Tell
-    from planish.results import Gate
 
 
 @contextmanager

@@ -12,37 +12,21 @@ from numpy.typing import NDArray
 
 from planish.analyze import correlate, correlate_at
 from planish.compute import Compute
+from planish.gates import link_gates, map_gates
 from planish.io import read_image
 from planish.marks import find_holes
 from planish.marks.files import read_pairs
 from planish.measure import PROPERTIES
 from planish.pipeline.grid import Grid, agreement, expected_error, headline_of, image_attrs, sheet_on
-from planish.pipeline.marking import (
-    Plane,
-    at_flat,
-    check_enough,
-    holes_of_map,
-    in_flat,
-    join_found,
-    join_given,
-    outside_holes,
-    read_design,
-)
+from planish.pipeline.holes import at_flat, holes_of_map, in_flat, outside_holes
+from planish.pipeline.marking import Plane, check_enough, join_found, join_given, read_design
 from planish.pipeline.orientation import orientation_results
 from planish.pipeline.run import Array, Progress, Run, silent
 from planish.pipeline.sheet import map_sheet, pitch, uv
 from planish.properties import further_maps
 from planish.register import Chain, FittedTransform, Model, fit_transform
 from planish.resample import find_places, resample
-from planish.results import (
-    input_results,
-    link_gates,
-    linked_results,
-    map_gates,
-    mark_results,
-    marks_table,
-    parameter_results,
-)
+from planish.results import input_results, linked_results, mark_results, marks_table, parameter_results
 from planish.study import Study
 
 MODEL_WORDS = {

@@ -12,44 +12,23 @@ import numpy as np
 import xarray as xr
 
 from planish import __version__
-from planish.analyze import correlate, correlate_at
 from planish.compute import Compute
 from planish.core.errors import CannotRegister
+from planish.gates import Gate, direction_gates, field_gate, map_gates, mark_gates
 from planish.io import read_image
 from planish.marks import find_holes
 from planish.marks.files import read_pairs
-from planish.measure import PROPERTIES
-from planish.pipeline.grid import Grid, agreement, expected_error, headline_of, image_attrs, image_on, sheet_on
-from planish.pipeline.marking import (
-    Joined,
-    Plane,
-    check_enough,
-    holes_of_map,
-    in_flat,
-    join_found,
-    join_given,
-    outside_holes,
-    read_design,
-)
+from planish.pipeline.grid import Grid, expected_error, headline_of, image_attrs, image_on, sheet_on
+from planish.pipeline.holes import holes_of_map, in_flat, outside_holes
+from planish.pipeline.marking import Joined, Plane, check_enough, join_found, join_given, read_design
 from planish.pipeline.orientation import orientation_results
-from planish.pipeline.run import Array, Layers, Progress, Run, read_run, silent
+from planish.pipeline.pairs import compare, lag_between
+from planish.pipeline.run import Layers, Progress, Run, read_run, silent
 from planish.pipeline.sheet import map_sheet
 from planish.register import Chain
-from planish.results import (
-    Gate,
-    direction_gates,
-    field_gate,
-    input_results,
-    map_gates,
-    mark_gates,
-    mark_results,
-    marks_table,
-    parameter_results,
-)
+from planish.results import input_results, mark_results, marks_table, parameter_results
 from planish.study import LayerSection, LayersStudy, RegistrationSection
 from planish.surface.presence import LAYERS
-
-_LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -117,7 +96,7 @@ def link_layers(
     for data in maps.values():
         known = np.isfinite(data[headline_of(data)].values) & away
         data["valid"] = (("y", "x"), known, {"long_name": "Measured, and away from holes and their rims"})
-    pairs = [row for a, b in combinations(maps, 2) for row in _compare(a, b, maps, study.correlate.point_um)]
+    pairs = [row for a, b in combinations(maps, 2) for row in compare(a, b, maps, study.correlate.point_um)]
     tell("correlate", f"{len(pairs)} pairs of maps")
     told = [_told(layer, joined.get(layer.name), ways.get(layer.name), maps[layer.name], joined) for layer in layers]
     results: dict[str, Any] = {
@@ -127,7 +106,7 @@ def link_layers(
         "chain": study.chain,
         "layers": told,
         "pairs": pairs,
-        "lags": [_lag(name, reference.name, maps) for name in ways],
+        "lags": [lag_between(name, reference.name, maps) for name in ways],
     }
     gates = tuple(
         gate for layer, facts in zip(layers, told, strict=True) for gate in _gates(layer, facts, reference.name)
@@ -244,48 +223,6 @@ def _away_from_holes(layer: _Layer, way: Chain | None, grid: Grid, rim_um: float
     radii = 0.5 * (1.0 if way is None else way.similarity.scale) * holes["diameter"].values + rim_um
     known = np.isfinite(there).all(axis=1)
     return outside_holes(grid.y_um, grid.x_um, there[known], radii[known])
-
-
-def _compare(a: str, b: str, maps: dict[str, xr.Dataset], point_um: float) -> list[dict[str, Any]]:
-    """Correlate two layers: the same properties of two sheets, or what stands for each of the two."""
-    first, second = maps[a], maps[b]
-    shared = [name for name in PROPERTIES if name in first and name in second]
-    names = [(name, name) for name in shared] or [(headline_of(first), headline_of(second))]
-    valid = first["valid"].values & second["valid"].values
-    y, x = first["y"].values, first["x"].values
-    pixel = float(y[1] - y[0]), float(x[1] - x[0])
-    rows: list[dict[str, Any]] = []
-    for of_a, of_b in names:
-        p, q = (np.where(valid, d[n].values.astype(np.float64), np.nan) for d, n in ((first, of_a), (second, of_b)))
-        if not (np.isfinite(p) & np.isfinite(q)).any():
-            continue
-        coarse, *means = correlate_at(p, q, pixel_um=pixel, point_um=point_um)
-        same = of_a == of_b and of_a in PROPERTIES
-        for row, (u, v) in ((correlate(p, q, point_um=float(np.sqrt(pixel[0] * pixel[1]))), (p, q)), (coarse, means)):
-            found = {"a": a, "a_map": of_a, "b": b, "b_map": of_b, **row.to_dict(), "same_quantity": same}
-            rows.append(found | (_differences(u, v, str(first[of_a].attrs.get("units", "1"))) if same else {}))
-    return rows
-
-
-def _differences(a: Array, b: Array, units: str) -> dict[str, Any]:
-    """Mean and spread of b - a, and the limits of agreement."""
-    off = (b - a)[np.isfinite(a) & np.isfinite(b)]
-    mean = float(off.mean()) if off.size else None
-    sd = float(off.std(ddof=1)) if off.size > 1 else None
-    limits = None if mean is None or sd is None else [mean - _LIMITS * sd, mean + _LIMITS * sd]
-    return {"difference_mean": mean, "difference_sd": sd, "limits": limits, "units": units}
-
-
-def _lag(name: str, reference: str, maps: dict[str, xr.Dataset]) -> dict[str, Any]:
-    """Whether a layer and the reference themselves agree that they lie right."""
-    a, b = maps[name], maps[reference]
-    own, other = headline_of(a), headline_of(b)
-    y, x = a["y"].values, a["x"].values
-    found = agreement(
-        a[own].values, b[other].values, a["valid"].values & b["valid"].values,
-        (float(y[1] - y[0]), float(x[1] - x[0])), a["expected_error"].values, own,
-    )  # fmt: skip
-    return {"a": name, "b": reference, **(found or {})}
 
 
 def _told(

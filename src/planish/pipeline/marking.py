@@ -10,17 +10,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, MarkError
-from planish.core.frame import Frame
-from planish.marks import Side, find_holes_in_sheet
+from planish.marks import Side
 from planish.marks.design import Pattern, read_pattern
+from planish.pipeline.holes import in_sheet_results
 from planish.pipeline.run import Array
 from planish.register import FittedTransform, fit_transform, match_by_design, match_marks
 from planish.study import RegistrationSection
-from planish.surface.presence import LAYERS
-
-_ENOUGH_THROUGH = 4  # holes seen on both sides: the median of fewer is no better than none
-_MIDDLE = float(np.mean(LAYERS["presence"]))  # of the layer, as a share of the thickness from the centre surface
-_TO_FACE = (0.5 - _MIDDLE) / (_MIDDLE - float(np.mean(LAYERS["presence_bottom"])))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,109 +159,6 @@ def read_design(path: str | None) -> Pattern | None:
     return None if path is None else read_pattern(path)
 
 
-def holes_of_map(maps: xr.Dataset, hole_um: tuple[float, float], side: Side = "top") -> xr.Dataset:
-    """Holes of the flattened sheet, in (u, v), as they are at the face that the other plane shows.
-
-    They are found in a layer below that face, and a laser that stands obliquely shifts them from layer to layer. A
-    hole that is seen on both sides is carried on along its own axis to the face, one that is not along the median of
-    the others.
-
-    Maps of an older run, which hold one layer only, give those of the top for either side.
-    """
-    step = float(maps["u"].values[1] - maps["u"].values[0])
-    layers = {"top": "presence", "centre": "presence_centre", "bottom": "presence_bottom"}
-    whole = "presence_bottom" in maps
-    holes = find_holes_in_sheet(
-        **{layer: maps[name].values if name in maps else None for layer, name in layers.items()},
-        pixel_um=step, origin_um=(float(maps["v"].values[0]), float(maps["u"].values[0])), diameter_um=hole_um,
-        side=side if whole else "top", apart_um=maps.attrs.get("layers_apart_um"),
-    )  # fmt: skip
-    if not whole or holes.attrs["offset_count"] < _ENOUGH_THROUGH:
-        return holes
-    other = "bottom" if side == "top" else "top"
-    outward = -_TO_FACE if side == "top" else _TO_FACE
-    own = np.isfinite(holes["offset_x"].values)
-    moved: dict[str, Any] = {}
-    for axis, shared in zip("xy", holes.attrs["offset_um"], strict=True):
-        lean = np.where(own, holes[f"offset_{axis}"].values, shared)
-        moved[axis] = holes[axis].copy(data=holes[axis].values + outward * lean)
-    for name in ("cov_xx", "cov_xy", "cov_yy"):
-        near, far = holes[name].values, holes[f"{name}_{other}"].values
-        spread = (1 + _TO_FACE) ** 2 * near + _TO_FACE**2 * far
-        moved[name] = holes[name].copy(data=np.where(own, spread, near))
-    return holes.assign(moved)
-
-
-def in_sheet_results(holes: xr.Dataset | None) -> dict[str, Any] | None:
-    """What the holes of a sheet look like through its thickness; None where none were looked for in a sheet."""
-    if holes is None or "through" not in holes.attrs:
-        return None
-    counts = {k: int(holes.attrs[k]) for k in ("through", "closed", "unclear", "other_side_only", "offset_count")}
-    found = {
-        k: [float(v) if np.isfinite(v) else None for v in holes.attrs[k]]
-        for k in ("offset_um", "offset_spread_um", "offset_error_um", "tilt_deg")
-        if k in holes.attrs
-    }
-    offset, error = (np.array(holes.attrs[k], dtype=np.float64) for k in ("offset_um", "offset_error_um"))
-    text = "No hole was seen on both sides of the sheet."
-    if np.isfinite(offset).all():
-        text = (
-            f"{counts['offset_count']} holes run through the sheet, shifted by {np.hypot(*offset):.1f} um from its "
-            "upper to its lower third"
-        )
-        text += f" (± {np.sqrt(np.mean(error**2)):.1f} um)." if np.isfinite(error).all() else "."
-    if counts["closed"]:
-        text += f" {counts['closed']} {'is' if counts['closed'] == 1 else 'are'} closed on the other side."
-    return counts | found | {"side": str(holes.attrs["side"]), "sentence": text}
-
-
-def in_flat(given: xr.Dataset, flat: xr.Dataset, surfaces: xr.Dataset) -> Array:
-    """Given marks (n, 2) in the flat map: as they are, or from the volume by the column they lie in."""
-    if "moving_x" in given:
-        return np.stack([given["moving_x"].values, given["moving_y"].values], axis=1)
-    frame = Frame.of(surfaces)
-    y, x = surfaces["y"].values, surfaces["x"].values
-    row = (given[f"volume_{frame.rows}"].values - y[0]) / (y[1] - y[0])
-    col = (given[f"volume_{frame.cols}"].values - x[0]) / (x[1] - x[0])
-    moving = np.stack([_bilinear(flat[k].values, row, col) for k in ("u", "v")], axis=1)
-    lost = [str(n) for n, p in zip(given["label"].values, moving, strict=True) if not np.isfinite(p).all()]
-    if lost:
-        raise MarkError(
-            f"The marks {', '.join(lost)} do not lie on the sheet. Check the axes and the unit (um) of the table."
-        )
-    return moving
-
-
-def at_flat(maps: xr.Dataset, names: tuple[str, str], points: Array) -> Array:
-    """Values of two maps at points (n, 2) of the flat sheet."""
-    u, v = maps["u"].values, maps["v"].values
-    row, col = (points[:, 1] - v[0]) / (v[1] - v[0]), (points[:, 0] - u[0]) / (u[1] - u[0])
-    found = np.stack([_bilinear(maps[n].values, row, col) for n in names], axis=1)
-    if not np.isfinite(found).all():
-        raise MarkError("A mark lies outside the flattened sheet. Remove it from the table of marks.")
-    return found
-
-
-def outside_holes(
-    y_um: Array, x_um: Array, centres_um: Array, radii_um: Array
-) -> NDArray[np.bool_]:  # fmt: skip
-    """Pixels of a regular grid that are away from every hole and its rim.
-
-    Parameters
-    ----------
-    y_um, x_um : (rows,) and (cols,)
-        Where the pixels lie.
-    centres_um : (n, 2), as (x, y)
-    radii_um : (n,)
-    """
-    away = np.ones((y_um.size, x_um.size), dtype=bool)
-    for (x, y), radius in zip(centres_um, radii_um, strict=True):
-        rows = slice(*np.searchsorted(y_um, (y - radius, y + radius)))
-        cols = slice(*np.searchsorted(x_um, (x - radius, x + radius)))
-        away[rows, cols] &= np.hypot(x_um[None, cols] - x, y_um[rows, None] - y) > radius
-    return away
-
-
 def _fitted(
     moving: Array, fixed: Array, r: RegistrationSection, *, mirrored: bool | None,
     spread: tuple[Array, Array] | None = None,
@@ -313,15 +205,3 @@ def check_enough(plane: Plane, hole_um: tuple[float, float]) -> None:
         f"match. Looked for round holes of {hole_um[0]:g} to {hole_um[1]:g} um (--hole-um). Check the "
         f"{'voxel' if plane.name == 'volume' else 'pixel'} size, or give pairs of points with --marks."
     )
-
-
-def _bilinear(field: Array, row: Array, col: Array) -> Array:
-    """Value of a field at fractional rows and columns; NaN outside."""
-    rows, cols = field.shape
-    inside = (row >= 0) & (row <= rows - 1) & (col >= 0) & (col <= cols - 1)
-    i = np.clip(np.floor(np.where(inside, row, 0)).astype(int), 0, rows - 2)
-    j = np.clip(np.floor(np.where(inside, col, 0)).astype(int), 0, cols - 2)
-    fr, fc = row - i, col - j
-    value = (field[i, j] * (1 - fc) + field[i, j + 1] * fc) * (1 - fr)
-    value += (field[i + 1, j] * (1 - fc) + field[i + 1, j + 1] * fc) * fr
-    return np.where(inside, value, np.nan)

@@ -13,8 +13,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError
+from planish.gates import Gate
 from planish.io.run_folder import read_tree
-from planish.results import Gate
 from planish.study import LayersStudy, Study, read_study
 
 Array = NDArray[np.float64]

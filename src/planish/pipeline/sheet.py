@@ -15,6 +15,7 @@ from planish.compute import Compute, column_step, engine
 from planish.core.errors import InputError, VolumeError
 from planish.core.frame import Frame
 from planish.flatten import Flattened, FlattenParams, flatten_sheet
+from planish.gates import map_gates
 from planish.io import find_place
 from planish.measure import PROPERTIES, measure_properties
 from planish.pipeline.run import Array, Progress, Run, silent
@@ -24,7 +25,6 @@ from planish.resample import covering_grid, find_places, resample_dataset
 from planish.results import (
     flatten_results,
     input_results,
-    map_gates,
     parameter_results,
     property_results,
     section_results,

@@ -206,7 +206,7 @@ def _fit_tile(fit: _Fit, tile: Tile) -> Array:
             outer, amid = np.ascontiguousarray(fit.again[k]), 0.5 * learnt.base
         _fit_kernels.fit_faces(
             np.ascontiguousarray(grey[:, :, ::-1]) if high else grey, outer, other, tilt, 0.0, edge.width,
-            learnt.noise, side.level, side.spread, side.coated, learnt.reach, result, 0.0,
+            learnt.scatter, side.level, side.spread, side.coated, learnt.reach, result, 0.0,
             amid, edge.fringe or None, edge.ratio,
         )  # fmt: skip
         out[2 * k : 2 * k + 2] = result[:2]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from planish.surface.learnt import FRINGE_PX, Edge, Side
-from planish.surface.sample import Sample, Sampler
+from planish.surface.sample import Sample, Sampler, most_cost
 
 Array = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ def _beside(sampler: Sampler, sample: Sample, side: Side, edge: Edge) -> Array:
     grey = np.take_along_axis(sample.grey[0], np.where(inside, depth, 0), axis=1)
     away = (face[:, None] - depth) * sample.tilt[0][:, None] / unit
     # What floats in the air is left out.
-    air = inside & (np.abs(grey) < 5.0 * sampler.noise)
+    air = inside & (np.abs(grey) < 5.0 * sampler.scatter)
     rows = int(sample.row.max()) + 1
     row = np.broadcast_to(sample.row[0][:, None], grey.shape)
 
@@ -98,6 +98,7 @@ def with_fringe(
     few = {high: sample.thinned(3 if thin else 4) for high, sample in samples.items()}
     size = max(sum(s.outer.size for s in few.values()), 1)
     window = _WINDOW * max(edge.width, 1.0)
+    most = {high: most_cost(sampler.fit(sample, sides[high], edge, window)[4]) for high, sample in few.items()}
 
     def put(at: Array) -> tuple[Edge, dict[bool, Side]]:
         tried = Edge(
@@ -114,7 +115,7 @@ def with_fringe(
         total = 0.0
         for high, sample in few.items():
             found = sampler.fit(sample, put_to[high], tried, window)[4]
-            total += float(np.sum(np.where(np.isfinite(found), np.minimum(found, 400.0), 400.0)))
+            total += float(np.sum(np.where(np.isfinite(found), np.minimum(found, most[high]), most[high])))
         loose = (float(at[2]) / _LOOSE) ** 2 + float(np.sum(at[3:] ** 2))
         return total / size + 1e-4 * loose + max(-float(at[1]), 0.0)
 

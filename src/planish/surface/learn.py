@@ -14,7 +14,7 @@ from planish.surface.learnt import Edge, Learnt, Side
 from planish.surface.levels import is_coating, spread
 from planish.surface.oriented import Guide
 from planish.surface.params import SurfaceParams
-from planish.surface.sample import Sample, Sampler
+from planish.surface.sample import Sample, Sampler, most_cost
 from planish.surface.survey import Survey
 from planish.surface.thin import thin_levels
 
@@ -66,8 +66,8 @@ class _Learner:
         if told:
             sides = {high: self._told_side(samples[high], side, edge, base) for high, side in sides.items()}
         return Learnt(
-            scale=sampler.scale, noise=sampler.noise, base=base, edge=edge, reach=sampler.reach, amid=sampler.amid,
-            high=sides[True], low=sides[False],
+            scale=sampler.scale, noise=sampler.noise, scatter=sampler.scatter, base=base, edge=edge,
+            reach=sampler.reach, amid=sampler.amid, high=sides[True], low=sides[False],
         )  # fmt: skip
 
     def _base(self, sample: Sample) -> tuple[float, float]:
@@ -131,13 +131,15 @@ class _Learner:
     def _blur(self, samples: dict[bool, Sample], sides: dict[bool, Side], fringe: float) -> float:
         """Width of the blur in voxels: the one with which the staircase fits the sample best."""
         costs = np.zeros(_WIDTHS.size)
-        for i, width in enumerate(_WIDTHS):
-            edge = Edge(width=float(width), fringe=fringe)
-            for high, sample in samples.items():
-                cost = self.sampler.fit(sample.thinned(4), sides[high], edge)[4]
-                cost = cost[np.isfinite(cost)]
+        for high, sample in samples.items():
+            few = sample.thinned(4)
+            edges = [Edge(width=float(width), fringe=fringe) for width in _WIDTHS]
+            tried = [self.sampler.fit(few, sides[high], edge)[4] for edge in edges]
+            most = min((most_cost(cost) for cost in tried if np.isfinite(cost).any()), default=0.0)
+            for i, cost in enumerate(tried):
+                known = cost[np.isfinite(cost)]
                 # A blur so wide that it reaches the end of every column cannot be tried.
-                costs[i] += float(np.mean(np.minimum(cost, 400.0))) if cost.size else np.inf
+                costs[i] += float(np.mean(np.minimum(known, most))) if known.size else np.inf
         best = int(np.argmin(costs))
         if 0 < best < costs.size - 1 and np.isfinite(costs[best + 1]):
             a, b, c = costs[best - 1 : best + 2]

@@ -73,6 +73,8 @@ class Learnt:
     scale : Scale
     noise : float
         Standard deviation of what the fit sees in the air.
+    scatter : float
+        Standard deviation by which the fit takes a sample to differ from its model: the noise or more.
     base : float
         Level of the base above the air.
     edge : Edge
@@ -87,6 +89,7 @@ class Learnt:
 
     scale: Scale
     noise: float
+    scatter: float
     base: float
     edge: Edge
     reach: float

@@ -28,6 +28,10 @@ _CORRELATED = 1.15  # noise over that of neighbouring voxels' differences, from 
 _BLENDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # voxels
 _BESIDE_UM = 15.0  # from the face into the air
 _QUIET_BLEND = 2.0  # columns
+_ROUNDED = 12.0**-0.5  # standard deviation of what rounding to whole numbers takes off
+_MISFIT = 0.01  # of the base's contrast: no column is a staircase to within less
+_ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts for more
+_USUAL = 4.0  # times the usual cost: the same where most columns cost so much
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +60,9 @@ class Sampler:
     scale : Scale
     noise : float
         Standard deviation of what the fit sees in the air.
+    scatter : float
+        Standard deviation by which the fit takes a sample to differ from its model: the noise, but no less than what
+        rounding and the paper's own texture leave. Without noise nothing would weigh beside a sample otherwise.
     reach : float
         How far outside the expected face a search starts, in voxels.
     amid : float
@@ -71,6 +78,7 @@ class Sampler:
         # How far the block's face may lie from a column's own: a block's slope and the roughness.
         self.reach = 2.0 + 1.5 * survey.coarse.block * max(self.pitch[:2]) / self.pitch[2]
         self.noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air) + 1e-9)
+        self.scatter = self.noise
         self.rows = self._chosen_rows()
         self.kept: dict[tuple[Tile, float], NDArray[np.float32]] = {}
 
@@ -120,7 +128,12 @@ class Sampler:
         return Sample(grey=grey, outer=outer, other=other, tilt=tilt, row=row)  # type: ignore[arg-type]
 
     def calm(self, base: float) -> None:
-        """Choose how far columns are averaged with their neighbours, and what noise that leaves."""
+        """Choose how far columns are averaged with their neighbours, and what noise and scatter that leaves."""
+        self._choose_blend(base)
+        whole = np.issubdtype(self.columns.volume.dtype, np.integer)
+        self.scatter = max(self.noise, _ROUNDED if whole else 0.0, _MISFIT * base)
+
+    def _choose_blend(self, base: float) -> None:
         whole = self._air_noise()
         if not whole > _CORRELATED * self.noise:
             cnr = base / self.noise
@@ -172,7 +185,16 @@ class Sampler:
         """Fit every column: (5, 1, n) face, thickness, both greys and cost."""
         result = np.empty((5, *sample.outer.shape))
         _fit_kernels.fit_faces(
-            sample.grey, sample.outer, sample.other, sample.tilt, 0.0, edge.width, self.noise, side.level, side.spread,
-            side.coated, self.reach, result, window, self.amid, edge.fringe or None, edge.ratio,
+            sample.grey, sample.outer, sample.other, sample.tilt, 0.0, edge.width, self.scatter, side.level,
+            side.spread, side.coated, self.reach, result, window, self.amid, edge.fringe or None, edge.ratio,
         )  # fmt: skip
         return result
+
+
+def most_cost(cost: Array) -> float:
+    """Cost above which a column counts no more: its fit went astray.
+
+    Where most columns cost more than that, the staircase is what does not fit, and what fits it worse must still show.
+    """
+    known = cost[np.isfinite(cost)]
+    return max(_ASTRAY, _USUAL * float(np.median(known))) if known.size else _ASTRAY

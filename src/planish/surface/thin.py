@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from planish.surface.learnt import Edge, Side
-from planish.surface.sample import Sample, Sampler
+from planish.surface.sample import Sample, Sampler, most_cost
 
 Array = NDArray[np.float64]
 
+_WINDOW = 1.3  # widths of the blur: the blur that is found may be wider than the one at first
 _TRIALS = 80  # of the search for the grey of coatings that are nowhere thick
 _SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)  # logarithm of their grey over the brightest that was seen
 
@@ -26,6 +27,8 @@ def thin_levels(
     """
     few = {high: sample.thinned(3) for high, sample in samples.items()}
     size = max(sum(s.outer.size for s in few.values()), 1)
+    window = _WINDOW * edge.width
+    most = {high: most_cost(sampler.fit(sample, sides[high], edge, window)[4]) for high, sample in few.items()}
 
     def put(at: Array) -> tuple[Edge, dict[bool, Side]]:
         put_to = dict(sides)
@@ -37,8 +40,8 @@ def thin_levels(
         tried, put_to = put(at)
         total = 0.0
         for high, sample in few.items():
-            found = sampler.fit(sample, put_to[high], tried, 1.3 * edge.width)[4]
-            total += float(np.sum(np.where(np.isfinite(found), np.minimum(found, 400.0), 400.0)))
+            found = sampler.fit(sample, put_to[high], tried, window)[4]
+            total += float(np.sum(np.where(np.isfinite(found), np.minimum(found, most[high]), most[high])))
         # A layer's grey is seldom far from the brightest that was seen of it.
         return total / size + 1e-4 * float(np.sum(at**2))
 

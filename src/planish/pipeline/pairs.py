@@ -1,0 +1,57 @@
+"""Two layers on one grid against each other: correlation, differences of equal quantities, and their lag."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish.analyze import correlate, correlate_at
+from planish.measure import PROPERTIES
+from planish.pipeline.grid import agreement, headline_of
+from planish.pipeline.run import Array
+
+_LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
+
+
+def compare(a: str, b: str, maps: dict[str, xr.Dataset], point_um: float) -> list[dict[str, Any]]:
+    """Correlate two layers: the same properties of two sheets, or what stands for each of the two."""
+    first, second = maps[a], maps[b]
+    shared = [name for name in PROPERTIES if name in first and name in second]
+    names = [(name, name) for name in shared] or [(headline_of(first), headline_of(second))]
+    valid = first["valid"].values & second["valid"].values
+    y, x = first["y"].values, first["x"].values
+    pixel = float(y[1] - y[0]), float(x[1] - x[0])
+    rows: list[dict[str, Any]] = []
+    for of_a, of_b in names:
+        p, q = (np.where(valid, d[n].values.astype(np.float64), np.nan) for d, n in ((first, of_a), (second, of_b)))
+        if not (np.isfinite(p) & np.isfinite(q)).any():
+            continue
+        coarse, *means = correlate_at(p, q, pixel_um=pixel, point_um=point_um)
+        same = of_a == of_b and of_a in PROPERTIES
+        for row, (u, v) in ((correlate(p, q, point_um=float(np.sqrt(pixel[0] * pixel[1]))), (p, q)), (coarse, means)):
+            found = {"a": a, "a_map": of_a, "b": b, "b_map": of_b, **row.to_dict(), "same_quantity": same}
+            rows.append(found | (_differences(u, v, str(first[of_a].attrs.get("units", "1"))) if same else {}))
+    return rows
+
+
+def _differences(a: Array, b: Array, units: str) -> dict[str, Any]:
+    """Mean and spread of b - a, and the limits of agreement."""
+    off = (b - a)[np.isfinite(a) & np.isfinite(b)]
+    mean = float(off.mean()) if off.size else None
+    sd = float(off.std(ddof=1)) if off.size > 1 else None
+    limits = None if mean is None or sd is None else [mean - _LIMITS * sd, mean + _LIMITS * sd]
+    return {"difference_mean": mean, "difference_sd": sd, "limits": limits, "units": units}
+
+
+def lag_between(name: str, reference: str, maps: dict[str, xr.Dataset]) -> dict[str, Any]:
+    """Whether a layer and the reference themselves agree that they lie right."""
+    a, b = maps[name], maps[reference]
+    own, other = headline_of(a), headline_of(b)
+    y, x = a["y"].values, a["x"].values
+    found = agreement(
+        a[own].values, b[other].values, a["valid"].values & b["valid"].values,
+        (float(y[1] - y[0]), float(x[1] - x[0])), a["expected_error"].values, own,
+    )  # fmt: skip
+    return {"a": name, "b": reference, **(found or {})}
