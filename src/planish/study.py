@@ -131,6 +131,7 @@ class RegistrationSection(Section):
     tolerance_um: Length = 25.0
     mirror: bool = False
     model: Literal["rigid", "similarity", "affine", "projective", "tps", "auto"] = "auto"
+    refine: Literal["affine", "bspline"] | None = None
 
 
 class CorrelateSection(Section):

@@ -86,7 +86,7 @@ def test_table_of_a_certificate(certificate):
     rows = terminal_rows(certificate)
     assert all(len(row) == 7 for row in rows)
     assert [row[0] for row in rows if not row[0].startswith(" ")] == [
-        STAGES[s] for s in STAGES if s not in ("mesh", "sections")
+        STAGES[s] for s in STAGES if s not in ("mesh", "sections", "pair")
     ]
     assert sum(row[-1] == "met" for row in rows) == len(certificate.scenario.limits)
     text = markdown(certificate)

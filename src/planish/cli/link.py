@@ -29,7 +29,8 @@ from planish.cli.options import (
 
 _OF_A_LINK = {
     "layers", "out", "pixel_um", "channel", "override_size", "image_side", "image_md_deg", "marks", "design", "chain",
-    "mirror", "tolerance_um", "model", "hole_um", "point_um", "memory_bytes", "threads", "scheduler", "as_json",
+    "mirror", "tolerance_um", "model", "refine", "hole_um", "point_um", "memory_bytes", "threads",
+    "scheduler", "as_json",
 }  # fmt: skip
 """Options that mean something without a volume."""
 
@@ -50,6 +51,12 @@ _OF_A_LINK = {
     help="Pairs of points from planish or another program (docs/marks-files.md), instead of finding the holes.",
 )
 @design_option
+@click.option(
+    "--refine",
+    type=click.Choice(["affine", "bspline"]),
+    help="Also refine the marks' registration by the maps themselves (one image only; needs planish[refine]). The maps "
+    "go into the group 'refined'; r is cross-fitted, or stands beside a searched null.",
+)
 @click.option("--chain", is_flag=True, help="Register each layer to the next one, and carry it on from there.")
 @match_options
 @hole_option
@@ -84,7 +91,7 @@ def link(
     kinds = [_kind(path) for _, path in named]
     if "volume" not in kinds:
         _refuse_options(ctx, [path for _, path in named])
-    registration = {k: options[k] for k in ("mirror", "tolerance_um", "hole_um", "model")}
+    registration = {k: options[k] for k in ("mirror", "tolerance_um", "hole_um", "model", "refine")}
     registration["design"] = str(options["design"].absolute()) if options["design"] else None
     correlate = {"point_um": options["point_um"]}
     given = str(marks.absolute()) if marks else None
@@ -101,6 +108,8 @@ def link(
         sheet = read_run(named[0][1])
         study = checked(sheet.study.model_dump() | parts)
         return run_and_show(study, out, as_json=as_json, options=options, sheet=sheet)
+    if options["refine"]:
+        raise click.UsageError("--refine is for one volume or run and one image. Link these two alone to refine them.")
     if given and len(layers) > 2:
         raise click.UsageError(
             "--marks holds pairs of two layers, but more are given. Write them into a study file (docs/linking.md)."

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planish.analyze import masked_lag
 from planish.core.errors import SizeError
+from planish.core.transform import Similarity
 from planish.pipeline.run import Array
 from planish.pipeline.sheet import on_mesh, pitch, single, uv
 from planish.properties import turned_angles, with_angles
@@ -56,7 +57,20 @@ class Grid:
         return {"y": self.y_um, "x": self.x_um}
 
 
-def sheet_on(grid: Grid, surfaces: xr.Dataset, flat: xr.Dataset, way: Chain) -> xr.Dataset:
+class Way(Protocol):
+    """What takes points of a sheet to the reference."""
+
+    def __call__(self, points: ArrayLike, /) -> Array:
+        """Take points (..., 2) to the reference, in um."""
+        ...
+
+    @property
+    def similarity(self) -> Similarity:
+        """The closest similarity."""
+        ...
+
+
+def sheet_on(grid: Grid, surfaces: xr.Dataset, flat: xr.Dataset, way: Way) -> xr.Dataset:
     """All maps of a sheet (y, x) on a grid, in one step from the mesh: nothing is resampled twice."""
     places = find_places(
         way(uv(flat)), shape=grid.shape, pixel_um=grid.pixel_um, origin_um=grid.origin_um,

@@ -15,6 +15,7 @@ from planish.pipeline.run import Array
 from planish.surface.presence import LAYERS
 
 _ENOUGH_THROUGH = 4  # holes seen on both sides: the median of fewer is no better than none
+_STANDS_OUT = 3.0  # standard errors of the median offset
 _MIDDLE = float(np.mean(LAYERS["presence"]))  # of the layer, as a share of the thickness from the centre surface
 _TO_FACE = (0.5 - _MIDDLE) / (_MIDDLE - float(np.mean(LAYERS["presence_bottom"])))
 
@@ -22,9 +23,9 @@ _TO_FACE = (0.5 - _MIDDLE) / (_MIDDLE - float(np.mean(LAYERS["presence_bottom"])
 def holes_of_map(maps: xr.Dataset, hole_um: tuple[float, float], side: Side = "top") -> xr.Dataset:
     """Holes of the flattened sheet, in (u, v), as they are at the face that the other plane shows.
 
-    They are found in a layer below that face, and a laser that stands obliquely shifts them from layer to layer. A
-    hole that is seen on both sides is carried on along its own axis to the face, one that is not along the median of
-    the others.
+    They are found in a layer below that face. A laser that stands obliquely shifts all of them alike from layer to
+    layer; where that stands out from their scatter, what it makes from the layer to the face is put on. Offsets of
+    single holes are mostly the roughness of their rims, and are left alone.
 
     Maps of an older run, which hold one layer only, give those of the top for either side.
     """
@@ -36,20 +37,12 @@ def holes_of_map(maps: xr.Dataset, hole_um: tuple[float, float], side: Side = "t
         pixel_um=step, origin_um=(float(maps["v"].values[0]), float(maps["u"].values[0])), diameter_um=hole_um,
         side=side if whole else "top", apart_um=maps.attrs.get("layers_apart_um"),
     )  # fmt: skip
-    if not whole or holes.attrs["offset_count"] < _ENOUGH_THROUGH:
+    offset, error = (np.array(holes.attrs[k], dtype=np.float64) for k in ("offset_um", "offset_error_um"))
+    sure = holes.attrs["offset_count"] >= _ENOUGH_THROUGH and np.hypot(*offset) > _STANDS_OUT * np.hypot(*error)
+    if not whole or not sure:
         return holes
-    other = "bottom" if side == "top" else "top"
-    outward = -_TO_FACE if side == "top" else _TO_FACE
-    own = np.isfinite(holes["offset_x"].values)
-    moved: dict[str, Any] = {}
-    for axis, shared in zip("xy", holes.attrs["offset_um"], strict=True):
-        lean = np.where(own, holes[f"offset_{axis}"].values, shared)
-        moved[axis] = holes[axis].copy(data=holes[axis].values + outward * lean)
-    for name in ("cov_xx", "cov_xy", "cov_yy"):
-        near, far = holes[name].values, holes[f"{name}_{other}"].values
-        spread = (1 + _TO_FACE) ** 2 * near + _TO_FACE**2 * far
-        moved[name] = holes[name].copy(data=np.where(own, spread, near))
-    return holes.assign(moved)
+    outward = (-_TO_FACE if side == "top" else _TO_FACE) * offset
+    return holes.assign({k: holes[k].copy(data=holes[k].values + d) for k, d in zip("xy", outward, strict=True)})
 
 
 def in_sheet_results(holes: xr.Dataset | None) -> dict[str, Any] | None:

@@ -21,6 +21,7 @@ from planish.pipeline.grid import Grid, agreement, expected_error, headline_of, 
 from planish.pipeline.holes import at_flat, holes_of_map, in_flat, outside_holes
 from planish.pipeline.marking import Plane, check_enough, join_found, join_given, read_design
 from planish.pipeline.orientation import orientation_results
+from planish.pipeline.refinement import refine_link
 from planish.pipeline.run import Array, Progress, Run, silent
 from planish.pipeline.sheet import map_sheet, pitch, uv
 from planish.properties import further_maps
@@ -129,10 +130,15 @@ def link_sheet(
         linked["expected_error"].values, headline,
     )  # fmt: skip
     results["linked"] = linked_results(linked, away)
+    groups = run.groups | {"linked": linked}
+    if r.refine is not None:
+        tell("refine", r.refine)
+        way, results["refinement"] = refine_link(linked, headline, grid, fit, r.refine)
+        # Beside the marks' own: nothing that the page correlates has been fitted to what it is correlated with.
+        groups["refined"] = sheet_on(grid, surfaces, flat, way)
     gates = (*map_gates(results), *link_gates(results))
     results["quality"] = [asdict(gate) for gate in gates]
     results["parameters"] = parameter_results(study)
-    groups = run.groups | {"linked": linked}
     return Run(study=study, groups=groups, marks=marks_table(joined.labels, fit), results=results, gates=gates)
 
 

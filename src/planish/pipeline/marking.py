@@ -117,7 +117,11 @@ def join_found(moving: Plane, fixed: Plane, r: RegistrationSection, pattern: Pat
     if (told := in_sheet_results(moving.holes)) is not None:
         seen["tilt"] = told
     if pattern is not None:
-        seen["design"] = {"name": pattern.name, "holes": len(pattern.labels)}
+        seen["design"] = {
+            "name": pattern.name,
+            "holes": len(pattern.labels),
+            "sentence": f"The marks were told by the pattern {pattern.name} of {len(pattern.labels)} holes.",
+        }
     return Joined(
         fit=fit,
         labels=labels,

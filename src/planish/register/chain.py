@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,7 +61,7 @@ class Chain:
             at = fit(at)
         return np.array(found)
 
-    @cached_property
+    @property
     def similarity(self) -> Similarity:
         """The closest similarity at the middle of the first link's marks."""
         if len(self.fits) == 1:

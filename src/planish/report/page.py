@@ -88,7 +88,9 @@ def render_report(*, groups: dict[str, xr.Dataset], marks: xr.Dataset | None, re
         numbers=tables.numbers(results),
         mark_rows=tables.mark_rows(marks) if marks is not None and linked is not None else [],
         transform=[*tables.transform(results["marks"]), *promise.lag_rows(told)] if linked is not None else [],
-        match_sentences=promise.match_sentences(results["marks"]) if linked is not None else [],
+        match_sentences=promise.match_sentences(results["marks"], results.get("refinement"))
+        if linked is not None
+        else [],
         compare=tables.compare(results) if linked is not None else [],
         compare_sentence=tables.compare_sentence(results) if linked is not None else "",
         correlations=tables.correlations(results, names) if linked is not None else [],

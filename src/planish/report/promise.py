@@ -124,9 +124,19 @@ def axis_in_image(
     return None
 
 
-def match_sentences(marks: Row | None) -> list[str]:
-    """Return what is said of the match: the match itself, the design of the marks, the tilt of their holes."""
+def match_sentences(marks: Row | None, refinement: Row | None = None) -> list[str]:
+    """Return what is said of the match: the match itself, the design of the marks, the tilt of their holes.
+
+    And of a refinement by the maps themselves, if there was one: what it moved, and a correlation that it has not made.
+    """
     told = marks or {}
     parts = [told, *(told.get(key) or {} for key in ("design", "tilt"))]
     found = [part.get("sentence") for part in parts if isinstance(part, dict)]
+    if refinement:
+        r = refinement["correlation"]
+        found.append(
+            f"Refined by the maps themselves, in the group 'refined': {refinement['sentence']} {r['sentence']} "
+            f"(waves below {refinement['longest_wave_um']:g} um). All other correlations here rest on the marks."
+        )
+        found += refinement["warnings"]
     return [typeset(str(text)) for text in found if text]

@@ -1,0 +1,98 @@
+"""The registration refined by the maps themselves, and a correlation that this has not made too large."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from planish.analyze import CrossFitted, SearchedNull, cross_fitted, in_band, searched_null
+from planish.core.errors import CannotMeasure
+from planish.core.transform import Similarity
+from planish.pipeline.grid import Grid
+from planish.pipeline.run import Array
+from planish.register import Chain, FittedTransform, Refined, refine
+from planish.register.refine import Refinement
+
+_COARSEST_UM = 1000.0  # slower variations are taken off both maps: they make tiles and guards as large as they are
+_SURROGATES = 19
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RefinedWay:
+    """The marks' way to the reference, and then where the maps say that it ends."""
+
+    marks: Chain
+    refined: Refined
+
+    def __call__(self, points: ArrayLike) -> Array:
+        """Take points ``(..., 2)`` of the sheet to the reference, in um."""
+        return self.refined(self.marks(points))
+
+    @property
+    def similarity(self) -> Similarity:
+        """That of the marks: the refinement is close to the identity."""
+        return self.marks.similarity
+
+
+def refine_link(
+    linked: xr.Dataset, headline: str, grid: Grid, fit: FittedTransform, model: Refinement
+) -> tuple[RefinedWay, dict[str, Any]]:
+    """Refine a link by its headline property and the image, and correlate without the bias of that.
+
+    Parameters
+    ----------
+    linked : Dataset (y, x)
+        As the marks place it.
+    headline : str
+        The property that is laid onto the image.
+    grid : Grid
+    fit : FittedTransform
+        To the marks.
+    model : {"affine", "bspline"}
+
+    Returns
+    -------
+    way : RefinedWay
+    results : dict
+        What the refinement changed, and r over tiles that it has not seen; where the map is too small for such tiles,
+        r after the search beside what the search reaches on unrelated maps.
+
+    Raises
+    ------
+    CannotRegister
+        If SimpleITK is missing, or the refinement folds the map or leaves what the marks allow.
+    """
+    pixel, valid = grid.pixel_um, linked["valid"].values
+    a, b = (_detail(linked[name].values, valid, pixel) for name in (headline, "image"))
+    found = refine(a, b, valid, pixel_um=pixel, fit=fit, model=model)
+
+    def tune(other: Array, look: NDArray[np.bool_]) -> Array:
+        return refine(other, b, look, pixel_um=pixel, fit=fit, model=model, bounded=False).image_at(b, pixel)
+
+    told: CrossFitted | SearchedNull
+    try:
+        told = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel)
+    except CannotMeasure:
+        told = searched_null(a, tune, valid=valid, surrogates=_SURROGATES)
+    of_r = {"r": float(told.r), "registration": str(told.registration.value), "sentence": told.sentence}
+    if isinstance(told, CrossFitted):
+        of_r |= {"n": int(told.n), "tile_um": float(told.tile_um), "guard_um": float(told.guard_um)}
+    else:
+        of_r |= {"null_95": float(told.null_95), "p": float(told.p), "surrogates": int(told.surrogates)}
+    results = {
+        "model": found.model, "metric": found.metric, "property": headline, "moved_rms_um": float(found.moved_um[0]),
+        "moved_most_um": float(found.moved_um[1]), "share_of_expected_error": float(found.share),
+        "area": [float(v) for v in found.area], "strain": float(found.strain), "warnings": list(found.warnings),
+        "sentence": found.sentence, "longest_wave_um": _COARSEST_UM, "correlation": of_r,
+    }  # fmt: skip
+    return RefinedWay(marks=Chain(fits=(fit,)), refined=found), results
+
+
+def _detail(values: Array, valid: NDArray[np.bool_], pixel_um: tuple[float, float]) -> Array:
+    """A map without its slow variations; NaN where it is not valid."""
+    known = valid & np.isfinite(values)
+    return np.where(known, in_band(values.astype(np.float64), known, pixel_um, (None, _COARSEST_UM)), np.nan)
