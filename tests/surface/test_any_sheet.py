@@ -8,6 +8,7 @@ import pytest
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.surface import SurfaceParams, find_surfaces
+from planish.surface.sample import most_cost
 from surface.sheets import Sheet
 
 PLAIN = Sheet(lateral=(48, 52), margin=20.0, thickness=60.0)
@@ -42,6 +43,26 @@ def test_faces_layers_and_coated_sides_without_an_option(name):
         if np.isfinite(true_inner).all():
             coating = frame.sign * (found[face].values - inner - truth[face] + true_inner)[ok] * sheet.cosine
             assert abs(coating.mean()) < 0.5
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+def test_a_volume_without_noise_is_measured_no_worse_than_a_noisy_one(dtype):
+    """The paper's texture is all that is left then; it says nothing about the blur and the greys of the layers."""
+    sheet = replace(PLAIN, texture=0.2, noise=0.0, dtype=dtype)
+    truth = sheet.surfaces()
+    found = find_surfaces(sheet.volume())
+    assert found.attrs["blur_um"] == pytest.approx(sheet.fwhm / 2.3548, rel=0.1)
+    for name in ("interface_top", "interface_bottom"):
+        error = (found[name].values - truth[name])[found["status"].values == 0]
+        print(f"{dtype} {name}: rms {np.sqrt(np.mean(error**2)):.2f} um")
+        assert np.sqrt(np.mean(error**2)) < 0.5 * sheet.voxel
+
+
+def test_a_cost_that_most_columns_exceed_is_no_bound():
+    """Blurs whose costs are all cut at one number could not be told apart."""
+    assert most_cost(np.array([1.0, 2.0, 3.0, 1e6, np.nan])) == 400.0
+    assert most_cost(np.array([5e3, 6e3, 7e3, np.nan])) > 7e3
+    assert most_cost(np.array([np.nan])) == 400.0
 
 
 @pytest.mark.parametrize("coats", [(3.0, 3.0), (4.0, 15.0)])
