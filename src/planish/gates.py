@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,6 +72,7 @@ def _section_gates(told: dict[str, Any] | None) -> tuple[Gate, ...]:
 
 
 _MD_LIMIT_DEG = 10.0
+_LEAST_LIKE, _MOST_CROSSWISE = 0.3, 0.2  # r
 
 
 def direction_gates(told: dict[str, Any] | None) -> tuple[Gate, ...]:
@@ -78,11 +80,12 @@ def direction_gates(told: dict[str, Any] | None) -> tuple[Gate, ...]:
     if told is None or told["md_deg_image"] is None or told["md_deg_image_from_map"] is None:
         return ()
     off = abs((told["md_deg_image"] - told["md_deg_image_from_map"] + 90.0) % 180.0 - 90.0)
+    between = " and ".join(told.get("between", ("volume", "image")))
     return (
         _gate(
             "machine direction", off, _MD_LIMIT_DEG, least=False,
-            good=f"The machine directions of volume and image differ by {off:.1f}°.",
-            bad=f"The machine directions of volume and image differ by {off:.1f}°: one was given wrongly, or the marks "
+            good=f"The machine directions of {between} differ by {off:.1f}°.",
+            bad=f"The machine directions of {between} differ by {off:.1f}°: one was given wrongly, or the marks "
             "were matched wrongly.",
         ),
     )  # fmt: skip
@@ -131,3 +134,29 @@ def field_gate(share: float, reference: str, layer: str) -> Gate:
         good=f"{100 * share:.0f} % of {reference} shows {layer}.",
         bad=f"Only {100 * share:.1f} % of {reference} shows {layer}.",
     )  # fmt: skip
+
+
+def sheet_gates(a: str, b: str, like: dict[str, float] | None) -> tuple[Gate, ...]:
+    """Gates of two sheets: they are one specimen, seen from the same side."""
+    if like is None or not math.isfinite(like["thickness"]):
+        return ()
+    found = [
+        _gate(
+            f"{a} and {b}: one sheet", like["thickness"], _LEAST_LIKE, least=True,
+            good=f"The thicknesses of {a} and {b} go together (r = {like['thickness']:.2f}).",
+            bad=f"The thicknesses of {a} and {b} do not go together (r = {like['thickness']:.2f}): either they are not "
+            "the same piece of paper, or they do not lie on each other, or one of them is measured badly.",
+        )
+    ]  # fmt: skip
+    if math.isfinite(like["same_sides"]) and math.isfinite(like["crosswise"]):
+        found.append(
+            _gate(
+                f"{a} and {b}: sides", like["crosswise"] - like["same_sides"], _MOST_CROSSWISE, least=False,
+                good=f"The coatings of {a} and {b} go together side by side (r = {like['same_sides']:.2f}), not "
+                f"crosswise ({like['crosswise']:.2f}).",
+                bad=f"The coatings of {a} and {b} go together crosswise (r = {like['crosswise']:.2f}), not side by "
+                f"side ({like['same_sides']:.2f}): top and bottom of one of the two are exchanged. Check --top, and "
+                "whether its slices are numbered against the usual sense.",
+            )
+        )  # fmt: skip
+    return tuple(found)

@@ -154,7 +154,7 @@ def flatten_results(flattened: Flattened) -> dict[str, Any]:
 def mark_results(fit: FittedTransform, linked: xr.Dataset) -> dict[str, Any]:
     """The transformation, how well the marks agree, and what that says of the pixels."""
     t = fit.transform
-    error = linked["expected_error"].values[linked["valid"].values]
+    error = linked["expected_error"].values
     error = error[np.isfinite(error)]
     return {
         "matched": len(fit.residuals_um),

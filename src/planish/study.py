@@ -156,7 +156,8 @@ class Study(Section):
 class LayerSection(Section):
     """One of several layers: a run that is there, a volume that is mapped first, or an image.
 
-    ``marks`` are pairs of points of this layer (moving) and the one that it is registered to (fixed).
+    ``marks`` are pairs of points of this layer (moving) and the one that it is registered to (fixed). ``md_deg`` is for
+    runs and volumes; an image states its own.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
@@ -164,6 +165,7 @@ class LayerSection(Section):
     map: Study | None = None
     image: ImageSection | None = None
     marks: str | None = None
+    md_deg: Axis | None = None
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -183,6 +185,7 @@ class LayersStudy(Section):
 
     layers: Annotated[tuple[LayerSection, ...], Field(min_length=2)]
     chain: bool = False
+    rim_um: Annotated[float, Field(ge=0)] = 100.0
     registration: RegistrationSection = RegistrationSection()
     correlate: CorrelateSection = CorrelateSection()
 
@@ -191,7 +194,9 @@ class LayersStudy(Section):
         names = [layer.name for layer in self.layers]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ValueError(f"every layer needs a name of its own; {', '.join(twice)} stands there more than once")
+            raise ValueError(
+                f"every layer needs a name of its own (NAME=PATH); {', '.join(twice)} stands there more than once"
+            )
         if self.registration.marks is not None:
             raise ValueError("pairs of marks belong to a layer here, not to all")
         if self.layers[-1].marks is not None:

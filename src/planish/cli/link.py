@@ -28,8 +28,8 @@ from planish.cli.options import (
 )
 
 _OF_A_LINK = {
-    "layers", "out", "pixel_um", "channel", "override_size", "image_side", "image_md_deg", "marks", "design", "chain",
-    "mirror", "tolerance_um", "model", "refine", "hole_um", "point_um", "memory_bytes", "threads",
+    "layers", "out", "pixel_um", "channel", "override_size", "image_side", "md_deg", "image_md_deg", "marks", "design",
+    "chain", "mirror", "tolerance_um", "model", "refine", "hole_um", "point_um", "memory_bytes", "threads",
     "scheduler", "as_json",
 }  # fmt: skip
 """Options that mean something without a volume."""
@@ -87,7 +87,7 @@ def link(
     """
     if len(layers) < 2:
         raise click.UsageError("Something to link it to is missing: give two layers or more, the reference last.")
-    named = [_named(text) for text in layers]
+    named = _all_named(layers)
     kinds = [_kind(path) for _, path in named]
     if "volume" not in kinds:
         _refuse_options(ctx, [path for _, path in named])
@@ -106,7 +106,10 @@ def link(
         from planish.pipeline import read_run
 
         sheet = read_run(named[0][1])
-        study = checked(sheet.study.model_dump() | parts)
+        told = sheet.study.model_dump()
+        if options["md_deg"] is not None:
+            told["volume"]["md_deg"] = options["md_deg"]
+        study = checked(told | parts)
         return run_and_show(study, out, as_json=as_json, options=options, sheet=sheet)
     if options["refine"]:
         raise click.UsageError("--refine is for one volume or run and one image. Link these two alone to refine them.")
@@ -127,14 +130,31 @@ def link(
     return run_and_show(several, out, as_json=as_json, options=options)
 
 
-def _named(text: str) -> tuple[str, Path]:
-    """Part NAME=PATH; without a name, one is made of the path."""
-    found = re.fullmatch(r"([A-Za-z0-9][A-Za-z0-9_-]*)=(.+)", text)
-    if found:
-        return found[1], Path(found[2])
-    path = Path(text)
-    stem = re.sub(r"[^A-Za-z0-9_-]+", "-", path.absolute().stem).strip("-_")
-    return stem[:40] or "layer", path
+def _all_named(texts: tuple[str, ...]) -> list[tuple[str, Path]]:
+    """Part NAME=PATH; names that are not given are made of the paths, with their folders' where files are alike."""
+    given = [_named(text) for text in texts]
+    stems = [name or _as_name(path.absolute().stem) for name, path in given]
+    return [
+        (name or (f"{_as_name(path.absolute().parent.name)}-{stem}"[:40] if stems.count(stem) > 1 else stem), path)
+        for (name, path), stem in zip(given, stems, strict=True)
+    ]
+
+
+def _named(text: str) -> tuple[str | None, Path]:
+    name, sign, rest = text.partition("=")
+    if not sign or not rest or Path(text).exists():
+        return None, Path(text)
+    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}", name):
+        return name, Path(rest)
+    if Path(rest).exists():
+        raise click.UsageError(
+            f"{name!r} is no name of a layer: letters from A to Z, digits, - and _ are possible, at most 40."
+        )
+    return None, Path(text)
+
+
+def _as_name(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:40] or "layer"
 
 
 def _kind(path: Path) -> str:
@@ -172,7 +192,7 @@ def _image(path: Path, options: dict[str, Any]) -> dict[str, Any]:
 def _layer(kind: str, path: Path, options: dict[str, Any]) -> dict[str, Any]:
     """One layer as the study wants it."""
     if kind == "run":
-        return {"run": str(path.absolute())}
+        return {"run": str(path.absolute()), "md_deg": options["md_deg"]}
     return {"image": _image(path, options)} if kind == "image" else {"map": _sheet(path, options)}
 
 

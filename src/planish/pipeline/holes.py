@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from planish.core.errors import MarkError
 from planish.core.frame import Frame
@@ -93,6 +94,38 @@ def at_flat(maps: xr.Dataset, names: tuple[str, str], points: Array) -> Array:
     if not np.isfinite(found).all():
         raise MarkError("A mark lies outside the flattened sheet. Remove it from the table of marks.")
     return found
+
+
+def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> Array:
+    """Circles (n, 3: x, y, radius in um) around holes that the border of an image cuts: those are not found.
+
+    They are what touches the border, is beyond half way from the sheet to the floor of the holes that were found, and
+    has a tenth of their area or more.
+    """
+    if not holes.sizes["mark"]:
+        return np.empty((0, 3))
+    values = np.asarray(image.values, dtype=np.float64)
+    y, x = image["y"].values, image["x"].values
+    at, radius = np.stack([holes["x"].values, holes["y"].values], axis=1), 0.5 * holes["diameter"].values
+    floor = float(np.nanmedian(values[~outside_holes(y, x, at, 0.6 * radius)]))
+    sheet = float(np.nanmedian(values[outside_holes(y, x, at, 1.5 * radius)]))
+    if not np.isfinite(floor - sheet) or floor == sheet:
+        return np.empty((0, 3))
+    beyond = np.isfinite(values) & ((values - sheet) / (floor - sheet) > 0.5)
+    labels = np.asarray(ndimage.label(beyond)[0])
+    border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    step = float(y[1] - y[0]), float(x[1] - x[0])
+    least = 0.1 * np.pi * float(np.median(radius)) ** 2 / (step[0] * step[1])
+    found: list[tuple[float, float, float]] = []
+    for label in border[border > 0]:
+        rows, cols = np.nonzero(labels == label)
+        if rows.size < least:
+            continue
+        places = np.stack([x[cols], y[rows]], axis=1)
+        middle = places.mean(axis=0)
+        reach = np.hypot(*(places - middle).T).max()
+        found.append((float(middle[0]), float(middle[1]), float(reach)))
+    return np.array(found).reshape(-1, 3)
 
 
 def outside_holes(

@@ -95,19 +95,16 @@ def link_sheet(
         (ROWS[1], ("projected_u", "projected_v"), projected_um, "similarity"),
         (ROWS[2], ("u", "v"), fit.moving, "similarity"),
     )
-    ways: list[tuple[str, tuple[str, str], FittedTransform]] = [
-        (name, names, fit_transform(marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False))
-        for name, names, marks, model in kinds
-    ]
-    if fit.model != "similarity":
-        ways.append((f"flattened, {MODEL_WORDS[fit.model]}", ("u", "v"), fit))
-    table = [
-        row
-        for name, names, way in ways
-        for row in _table_rows(
+    table: list[dict[str, Any]] = []
+    for name, names, marks, model in kinds if fit.model != "similarity" else kinds[:2]:
+        way = fit_transform(marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False)
+        table += _table_rows(
             name, surfaces, flat, names, way, image, pixel, away, headline, study.correlate.point_um
-        )
-    ]  # fmt: skip
+        )  # fmt: skip
+    correlation = _correlations(linked, pixel, study.correlate.point_um)
+    # The run's own way: the numbers that stand everywhere else, too.
+    own = {"registration": f"flattened, {MODEL_WORDS[fit.model]}", "property": headline, "marks_rms_um": fit.rms_um}
+    table += [own | row for row in correlation if row["property"] == headline]
     study = run.study.model_copy(
         update={
             "image": study.image.model_copy(update={"pixel_um": pixel}),
@@ -124,7 +121,7 @@ def link_sheet(
     results["orientation"] = orientation_results(moving, fixed, fit)
     results["headline"] = headline
     results["table"] = table
-    results["correlation"] = _correlations(linked, pixel, study.correlate.point_um)
+    results["correlation"] = correlation
     results["lag"] = agreement(
         linked[headline].values, linked["image"].values, linked["valid"].values, pixel,
         linked["expected_error"].values, headline,

@@ -10,19 +10,20 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from planish import __version__
 from planish.compute import Compute
 from planish.core.errors import CannotRegister
-from planish.gates import Gate, direction_gates, field_gate, map_gates, mark_gates
+from planish.gates import Gate, direction_gates, field_gate, map_gates, mark_gates, sheet_gates
 from planish.io import read_image
 from planish.marks import find_holes
 from planish.marks.files import read_pairs
 from planish.pipeline.grid import Grid, expected_error, headline_of, image_attrs, image_on, sheet_on
-from planish.pipeline.holes import holes_of_map, in_flat, outside_holes
+from planish.pipeline.holes import cut_holes, holes_of_map, in_flat, outside_holes
 from planish.pipeline.marking import Joined, Plane, check_enough, join_found, join_given, read_design
 from planish.pipeline.orientation import orientation_results
-from planish.pipeline.pairs import compare, lag_between
+from planish.pipeline.pairs import compare, lag_between, likeness, side_seen
 from planish.pipeline.run import Layers, Progress, Run, read_run, silent
 from planish.pipeline.sheet import map_sheet
 from planish.register import Chain
@@ -44,11 +45,6 @@ class _Layer:
     @property
     def name(self) -> str:
         return self.section.name
-
-    @property
-    def rim_um(self) -> float:
-        """Width around a hole that is left out."""
-        return 0.0 if self.sheet is None else self.sheet.study.surface.rim_um
 
 
 def link_layers(
@@ -87,18 +83,20 @@ def link_layers(
     ways = {layer.name: _way(layer, joined) for layer in layers[:-1]}
     maps: dict[str, xr.Dataset] = {}
     away = np.ones(reference.grid.shape, dtype=bool)
-    rim = max(layer.rim_um for layer in layers)
     for layer in layers:
         tell("link", f"{layer.name} on {reference.name}")
         way = ways.get(layer.name)
         maps[layer.name] = _own(layer) if way is None else _carried(layer, way, reference.grid, compute)
-        away &= _away_from_holes(layer, way, reference.grid, rim)
-    for data in maps.values():
+        away &= _away_from_holes(layer, way, reference.grid, study.rim_um)
+    for layer in layers:
+        data = maps[layer.name]
+        data.attrs["faces"] = layer.plane.faces
         known = np.isfinite(data[headline_of(data)].values) & away
         data["valid"] = (("y", "x"), known, {"long_name": "Measured, and away from holes and their rims"})
-    pairs = [row for a, b in combinations(maps, 2) for row in compare(a, b, maps, study.correlate.point_um)]
+    point_um = study.correlate.point_um
+    pairs = [row for a, b in combinations(maps, 2) for row in compare(a, b, maps, point_um)]
     tell("correlate", f"{len(pairs)} pairs of maps")
-    told = [_told(layer, joined.get(layer.name), ways.get(layer.name), maps[layer.name], joined) for layer in layers]
+    told = [_told(layer, reference, joined, ways.get(layer.name), maps) for layer in layers]
     results: dict[str, Any] = {
         "planish": __version__,
         "versions": {name: version(name) for name in ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")},
@@ -108,8 +106,9 @@ def link_layers(
         "pairs": pairs,
         "lags": [lag_between(name, reference.name, maps) for name in ways],
     }
-    gates = tuple(
-        gate for layer, facts in zip(layers, told, strict=True) for gate in _gates(layer, facts, reference.name)
+    gates = (
+        *(gate for layer, facts in zip(layers, told, strict=True) for gate in _gates(layer, facts, reference.name)),
+        *(gate for a, b in combinations(maps, 2) for gate in sheet_gates(a, b, likeness(maps[a], maps[b], point_um))),
     )
     results["quality"] = [asdict(gate) for gate in gates]
     results["parameters"] = parameter_results(study)
@@ -162,10 +161,8 @@ def _join(layer: _Layer, to: _Layer, r: RegistrationSection, pattern: Any) -> Jo
     if path is None:
         for one in (layer, to):
             check_enough(one.plane, r.hole_um)
-        moving = layer.plane
-        if layer.sheet is not None and to.plane.faces == "bottom":
-            moving = replace(moving, holes=holes_of_map(layer.sheet.groups["maps"], r.hole_um, "bottom"))
-        return join_found(moving, to.plane, r, pattern)
+        moving, fixed = _as_seen(layer, to, r), _as_seen(to, layer, r)
+        return join_found(moving, fixed, r, pattern)
     size: dict[str, Any] = {}
     for side, one in (("moving", layer), ("fixed", to)):
         if one.image is not None:
@@ -176,6 +173,13 @@ def _join(layer: _Layer, to: _Layer, r: RegistrationSection, pattern: Any) -> Jo
     else:
         moving_um = np.stack([given["moving_x"].values, given["moving_y"].values], axis=1)
     return join_given(given, moving_um, layer.plane, to.plane, r)
+
+
+def _as_seen(layer: _Layer, other: _Layer, r: RegistrationSection) -> Plane:
+    """The plane of a layer with the holes of the face that the other layer shows."""
+    if layer.sheet is None or other.sheet is not None or other.plane.faces == "top":
+        return layer.plane
+    return replace(layer.plane, holes=holes_of_map(layer.sheet.groups["maps"], r.hole_um, "bottom"))
 
 
 def _way(layer: _Layer, joined: dict[str, tuple[_Layer, Joined]]) -> Chain:
@@ -214,22 +218,27 @@ def _carried(layer: _Layer, way: Chain, grid: Grid, compute: Compute) -> xr.Data
     return data.assign(expected_error=expected_error(way, grid, shown))
 
 
-def _away_from_holes(layer: _Layer, way: Chain | None, grid: Grid, rim_um: float) -> Any:
-    """Pixels of the reference that are away from the holes of one layer."""
+def _away_from_holes(layer: _Layer, way: Chain | None, grid: Grid, rim_um: float) -> NDArray[np.bool_]:
+    """Pixels of the reference that are away from the holes of one layer, also from those that its border cuts."""
     holes = layer.plane.holes
     assert holes is not None
     at = np.stack([holes["x"].values, holes["y"].values], axis=1)
+    radii = 0.5 * holes["diameter"].values
+    if layer.image is not None:
+        cut = cut_holes(layer.image, holes)
+        at, radii = np.concatenate([at, cut[:, :2]]), np.concatenate([radii, cut[:, 2]])
     there = at if way is None else way(at)
-    radii = 0.5 * (1.0 if way is None else way.similarity.scale) * holes["diameter"].values + rim_um
     known = np.isfinite(there).all(axis=1)
-    return outside_holes(grid.y_um, grid.x_um, there[known], radii[known])
+    scale = 1.0 if way is None else way.similarity.scale
+    return outside_holes(grid.y_um, grid.x_um, there[known], scale * radii[known] + rim_um)
 
 
 def _told(
-    layer: _Layer, joined: tuple[_Layer, Joined] | None, way: Chain | None, maps: xr.Dataset,
-    all_joined: dict[str, tuple[_Layer, Joined]],
+    layer: _Layer, reference: _Layer, joined: dict[str, tuple[_Layer, Joined]], way: Chain | None,
+    maps: dict[str, xr.Dataset],
 ) -> dict[str, Any]:  # fmt: skip
     """What the results say of one layer."""
+    data = maps[layer.name]
     if layer.image is not None and layer.section.image is not None:
         source = input_results(layer.image, Path(layer.section.image.path), pixel_um=list(layer.grid.pixel_um))
     else:
@@ -241,20 +250,20 @@ def _told(
         "source": source,
         "to": None,
         "path": [layer.name],
-        "headline": headline_of(maps),
-        "share_of_reference": float(np.isfinite(maps[headline_of(maps)].values).mean()),
+        "headline": headline_of(data, side_seen(data, maps[reference.name])),
+        "share_of_reference": float(np.isfinite(data["volume_z" if layer.sheet else "image"].values).mean()),
         "marks": None,
         "expected_error_um": None,
         "orientation": None,
     }
-    if joined is None or way is None:
+    if layer.name not in joined or way is None:
         return facts
-    to, found = joined
+    to, found = joined[layer.name]
     at, path = layer, [layer.name]
-    while at.name in all_joined:
-        at = all_joined[at.name][0]
+    while at.name in joined:
+        at = joined[at.name][0]
         path.append(at.name)
-    marks = found.seen | mark_results(found.fit, maps)
+    marks = found.seen | mark_results(found.fit, data)
     return facts | {
         "to": to.name,
         "path": path,

@@ -91,12 +91,14 @@ def join_found(moving: Plane, fixed: Plane, r: RegistrationSection, pattern: Pat
     how: dict[str, Any] = {
         "scale_tolerance": r.scale_tolerance, "tolerance_um": r.tolerance_um, "mirror": r.mirror, "names": names
     }  # fmt: skip
+    behind = False
     if pattern is None:
         found = match_marks(turned, b, **how)
         labels = [f"hole {k + 1}" for k in range(len(found.pairs))]
     else:
         found = match_by_design(turned, b, pattern.seen_um, labels=pattern.labels, **how)
         labels = list(found.labels)
+        behind = found.fixed.mirrored
     pairs = found.pairs
     if len(pairs) < 3:
         raise CannotRegister(
@@ -120,7 +122,8 @@ def join_found(moving: Plane, fixed: Plane, r: RegistrationSection, pattern: Pat
         seen["design"] = {
             "name": pattern.name,
             "holes": len(pattern.labels),
-            "sentence": f"The marks were told by the pattern {pattern.name} of {len(pattern.labels)} holes.",
+            "sentence": f"The marks were told by the pattern {pattern.name} of {len(pattern.labels)} holes"
+            + (", which is seen from behind, or drawn with its y axis the other way." if behind else "."),
         }
     return Joined(
         fit=fit,

@@ -30,10 +30,14 @@ def orientation_results(moving: Plane, fixed: Plane, fit: FittedTransform) -> di
             f"in the {fixed.name}" + ("." if fixed.md_deg is None else f"; {_angle(fixed.md_deg)} was given there.")
         )
     elif fixed.md_deg is not None:
-        words.append(f"The machine direction lies at {_angle(fixed.md_deg)} in the {fixed.name}, as given.")
+        words.append(
+            f"The machine direction lies at {_angle(fixed.md_deg)} in the {fixed.name}, as given; nothing was given for "
+            f"the {moving.name} to compare it with."
+        )
     else:
         words.append("The machine direction is not known: nobody gave it.")
     return {
+        "between": [moving.name, fixed.name],
         "image_side": fixed.faces,
         "side_source": "given" if fixed.side or fixed.sheet else "not given, taken as top",
         "mirrored_volume": numbered_back,

@@ -8,18 +8,51 @@ import numpy as np
 import xarray as xr
 
 from planish.analyze import correlate, correlate_at
+from planish.marks import Side
 from planish.measure import PROPERTIES
 from planish.pipeline.grid import agreement, headline_of
 from planish.pipeline.run import Array
 
+_FEW = 12  # points
 _LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
+
+
+def side_seen(a: xr.Dataset, b: xr.Dataset) -> Side:
+    """Side of the sheet that a pair is about: the one that an image shows, or the top."""
+    faces = [data.attrs.get("faces") for data in (a, b) if "image" in data]
+    return "bottom" if "bottom" in faces else "top"
+
+
+def likeness(a: xr.Dataset, b: xr.Dataset, point_um: float) -> dict[str, float] | None:
+    """How much two sheets look like one: r of their thickness, and of their coatings side by side and crosswise.
+
+    Over points of ``point_um``, or pixels where too few of those are known. None for others than two sheets.
+    """
+    if "thickness" not in a or "thickness" not in b:
+        return None
+    y, x = a["y"].values, a["x"].values
+    pixel = float(y[1] - y[0]), float(x[1] - x[0])
+    valid = a["valid"].values & b["valid"].values
+
+    def r(of_a: str, of_b: str) -> float:
+        p, q = (np.where(valid, d[n].values.astype(np.float64), np.nan) for d, n in ((a, of_a), (b, of_b)))
+        coarse = correlate_at(p, q, pixel_um=pixel, point_um=point_um)[0]
+        return coarse.r if coarse.n >= _FEW else correlate(p, q, point_um=point_um).r
+
+    sides = ("coating_top", "coating_bottom")
+    return {
+        "thickness": r("thickness", "thickness"),
+        "same_sides": float(np.mean([r(side, side) for side in sides])),
+        "crosswise": float(np.mean([r(sides[k], sides[1 - k]) for k in (0, 1)])),
+    }
 
 
 def compare(a: str, b: str, maps: dict[str, xr.Dataset], point_um: float) -> list[dict[str, Any]]:
     """Correlate two layers: the same properties of two sheets, or what stands for each of the two."""
     first, second = maps[a], maps[b]
     shared = [name for name in PROPERTIES if name in first and name in second]
-    names = [(name, name) for name in shared] or [(headline_of(first), headline_of(second))]
+    side = side_seen(first, second)
+    names = [(name, name) for name in shared] or [(headline_of(first, side), headline_of(second, side))]
     valid = first["valid"].values & second["valid"].values
     y, x = first["y"].values, first["x"].values
     pixel = float(y[1] - y[0]), float(x[1] - x[0])
@@ -48,7 +81,8 @@ def _differences(a: Array, b: Array, units: str) -> dict[str, Any]:
 def lag_between(name: str, reference: str, maps: dict[str, xr.Dataset]) -> dict[str, Any]:
     """Whether a layer and the reference themselves agree that they lie right."""
     a, b = maps[name], maps[reference]
-    own, other = headline_of(a), headline_of(b)
+    side = side_seen(a, b)
+    own, other = headline_of(a, side), headline_of(b, side)
     y, x = a["y"].values, a["x"].values
     found = agreement(
         a[own].values, b[other].values, a["valid"].values & b["valid"].values,

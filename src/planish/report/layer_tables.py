@@ -58,7 +58,9 @@ def layers_verdict(results: Row, maps: dict[str, xr.Dataset]) -> Verdict:
             f"{beside(first['difference_mean'], sd)} {units} on average; 95 % of normal differences lie between "
             f"{beside(low, sd)} and {beside(high, sd)} {units}."
         )
-    best = next((row for row in rows if row.get("r2") is not None), {})
+    onto = [row for row in rows if reference in (row["a"], row["b"]) and row.get("r2") is not None]
+    # The pair onto the reference that goes together least: one that does well says nothing of the others.
+    best = min(onto, key=lambda row: float(row["r2"]), default={}) if len(joined) > 1 else next(iter(onto), {})
     note = (
         f"{best['a']} and {best['b']}: r = {number(best['r'])}, n = {count(best['n'])}; {promise.registered(results)}"
         if best
