@@ -31,8 +31,8 @@ def orientation_results(moving: Plane, fixed: Plane, fit: FittedTransform) -> di
         )
     elif fixed.md_deg is not None:
         words.append(
-            f"The machine direction lies at {_angle(fixed.md_deg)} in the {fixed.name}, as given; nothing was given for "
-            f"the {moving.name} to compare it with."
+            f"The machine direction lies at {_angle(fixed.md_deg)} in the {fixed.name}, as given; for the "
+            f"{moving.name} nothing was given to compare it with."
         )
     else:
         words.append("The machine direction is not known: nobody gave it.")
