@@ -301,6 +301,18 @@ def test_a_refined_link_stands_beside_that_of_the_marks(planish, linked_run, spe
     assert "Refined by the maps themselves" in (tmp_path / "run" / "report.html").read_text()
 
 
+def test_info_tells_what_a_run_is(planish, linked_run, other_run, tmp_path):
+    code, out, _ = planish("info", linked_run)
+    assert code == 0
+    assert "run of a volume and an image" in out
+    assert "image: image.tif" in out
+    assert "8 of 8 passed" in out
+    code, out, _ = planish("info", other_run, "--json")
+    assert json.loads(out)["kind"] == "run of a volume"
+    (tmp_path / "run.toml").write_text("")
+    assert planish("info", tmp_path)[0] == 3
+
+
 def test_what_is_refused_says_why(planish, linked_run, specimen_files, other_run, tmp_path):
     volume, image = specimen_files
     out = ("-o", tmp_path / "run")

@@ -27,7 +27,7 @@ from planish.cli.options import (
     surface_options,
     volume_options,
 )
-from planish.cli.show import fact_lines, finish, finish_layers, stages
+from planish.cli.show import fact_lines, finish, finish_layers, run_facts, run_lines, stages
 
 if TYPE_CHECKING:
     from planish.pipeline import Run
@@ -260,10 +260,11 @@ def info(path: Path, as_json: bool) -> int:
     """Tell what PATH holds: shape, type, voxel or pixel size and where it was read, grey values, what looks wrong."""
     from planish.io import describe
 
-    facts = describe(path)
+    run = run_facts(path)
+    facts = run or describe(path)
     if as_json:
         click.echo(json.dumps(facts, indent=2, allow_nan=False))
         return 0
-    for line in fact_lines(facts):
+    for line in run_lines(facts) if run else fact_lines(facts):
         click.echo(line)
     return 0

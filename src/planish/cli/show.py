@@ -94,6 +94,7 @@ def finish_layers(layers: Layers, out: Path, *, as_json: bool) -> int:
                 f"{row['point_um']:g}", str(row["n"]), number(row["r"]), number(row["r2"]), number(row["slope"], 4),
             )
             for row in results["pairs"]
+            if row["n"]
         ]  # fmt: skip
         table("Layers against each other", ("", "point um", "n", "r", "r2", "slope"), pairs)
         click.echo(f"report: {out / 'report.html'}")
@@ -147,9 +148,42 @@ def _correlation(results: dict[str, Any]) -> None:
             number(r["marks_rms_um"], 1),
         )
         for r in results["table"]
+        if r["n"]
     ]
+    if any(not r["n"] for r in results["table"]):
+        click.echo("Points that are larger than what both show have no correlation and are left out.")
     title = f"Image against {results['headline']}"
     table(title, ("registration", "point um", "n", "r", "r2", "slope", "marks um"), rows)
+
+
+def run_facts(path: Path) -> dict[str, Any] | None:
+    """Tell what a run folder holds; None where it is none, or damaged."""
+    if not (path / "run.toml").is_file():
+        return None
+    try:
+        results: dict[str, Any] = json.loads((path / "results.json").read_text(encoding="utf-8"))
+        if "layers" in results:
+            kind = "run of several layers"
+            inputs = {str(layer["name"]): str(layer["source"]["name"]) for layer in results["layers"]}
+        else:
+            kind = "run of a volume and an image" if "linked" in results else "run of a volume"
+            inputs = {str(k): str(v["name"]) for k, v in results["inputs"].items()}
+        failed = [str(gate["name"]) for gate in results["quality"] if not gate["passed"]]
+        return {"kind": kind, "file_name": path.absolute().name, "inputs": inputs, "gates": len(results["quality"]),
+                "gates_failed": failed, "planish": str(results["planish"])}  # fmt: skip
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def run_lines(facts: dict[str, Any]) -> list[str]:
+    """Write the facts of a run for a reader."""
+    failed = facts["gates_failed"]
+    return [
+        f"{facts['file_name']}: {facts['kind']}, planish {facts['planish']}",
+        *(f"{name}: {file}" for name, file in facts["inputs"].items()),
+        f"quality gates: {facts['gates'] - len(failed)} of {facts['gates']} passed"
+        + (f"; not passed: {', '.join(failed)}" if failed else ""),
+    ]
 
 
 def fact_lines(facts: dict[str, Any]) -> list[str]:

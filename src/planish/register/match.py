@@ -215,7 +215,8 @@ def _no_match(seen: str, count: int, need: int, mirror: bool, of: int) -> str:
     needed = f"about {need} have to" if need <= of else f"more than the {of} of the smaller side would have to"
     return (
         f"{seen}: no arrangement explains them: {count} agree at best, and {needed}, closer than chance would bring "
-        "them. Check the pixel and voxel sizes, --top, and --image-side: the side that the image shows"
+        "them. Dots of a print that are as large as holes count as marks: raise the lower end of --hole-um. Check the "
+        "pixel and voxel sizes, --top, and --image-side: the side that the image shows"
         + ("" if mirror else "; if the slices are numbered against the usual sense pass --mirror")
         + "; find more of the marks, give the pattern that was burnt (--design) or pairs (--marks)."
     )
