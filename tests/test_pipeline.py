@@ -11,7 +11,9 @@ import pytest
 import tifffile
 import xarray as xr
 
+from planish.marks import read_marks
 from planish.pipeline import ROWS
+from planish.register import fit_transform
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +133,10 @@ def test_given_marks_replace_the_search(planish, linked_run, specimen_files, tmp
     found = json.loads(out)
     assert found["marks"]["source"] == "file"
     # Pairs from a file say nothing of their errors: all weigh the same.
+    marks = read_marks(linked_run / "marks.csv")
+    moving, fixed = (np.stack([marks[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed"))
+    plain = fit_transform(moving, fixed, model="auto", mirrored=False, lowest="similarity")
+    assert found["marks"]["scale"] == pytest.approx(plain.transform.scale, rel=1e-12)
     assert found["marks"]["scale"] == pytest.approx(results["marks"]["scale"], rel=3e-4)
 
 

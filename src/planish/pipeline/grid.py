@@ -43,7 +43,11 @@ class Grid:
 
     @property
     def pixel_um(self) -> tuple[float, float]:
-        """Pitch of rows and columns."""
+        """Pitch of rows and columns; SizeError for a single row or column, which has none."""
+        if min(self.shape) < 2:
+            raise SizeError(
+                f"The reference has {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed to lay a layer onto it."
+            )
         return float(self.y_um[1] - self.y_um[0]), float(self.x_um[1] - self.x_um[0])
 
     @property
