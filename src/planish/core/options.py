@@ -1,0 +1,82 @@
+"""Options: each is one field of a parameter model and makes the study file, the command line and the Python default.
+
+A stage keeps its options in its ``params.py``::
+
+    class SurfaceParams(Params):
+        cutoff_um: float = option(400.0, gt=0, help="Wavelength of the centre surface that its smoothing halves.")
+
+The study is put together of these models, ``planish.cli`` makes click options of the same fields, and functions take the
+model as ``params``. A field that no command shows has ``cli=None``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.fields import FieldInfo
+
+
+class Params(BaseModel):
+    """Frozen options of one stage; unknown names are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """How the command line shows a field.
+
+    Attributes
+    ----------
+    flags : tuple of str
+        Such as ``("--cutoff-um",)``.
+    metavar : str or None
+        Placeholder of the value in the help, where the type does not say it.
+    repeat : bool
+        Whether one number stands for all of a tuple.
+    """
+
+    flags: tuple[str, ...]
+    metavar: str | None = None
+    repeat: bool = False
+
+
+_FROM_NAME = "from the name"
+
+
+def option(
+    default: Any = ..., *, help: str, cli: str | None = _FROM_NAME, metavar: str | None = None, repeat: bool = False,
+    **limits: Any,
+) -> Any:  # fmt: skip
+    """Make a field of a :class:`Params` model.
+
+    Parameters
+    ----------
+    default : value
+        Where the field is not given; without one the field is required.
+    help : str
+        One sentence: what it is, with its unit and when it is needed.
+    cli : str or None
+        Flags of the command line, ``"--property"`` or ``"--out -o"``; made of the field's name where not given, none
+        where None.
+    metavar, repeat
+        As in :class:`Shown`.
+    **limits
+        ``gt``, ``ge``, ``lt``, ``le``, ``min_length`` ..., as for :func:`pydantic.Field`.
+    """
+    extra: dict[str, Any] = {"cli": cli, "metavar": metavar, "repeat": repeat}
+    return Field(default, description=help, json_schema_extra={"planish": extra}, **limits)
+
+
+def options_of(model: type[Params]) -> Iterator[tuple[str, FieldInfo, Shown]]:
+    """Give name, field and appearance of every field of a model that the command line shows."""
+    for name, field in model.model_fields.items():
+        extra = field.json_schema_extra
+        noted: Any = extra.get("planish") if isinstance(extra, dict) else None
+        if noted is None or noted["cli"] is None:
+            continue
+        flags = f"--{name.replace('_', '-')}" if noted["cli"] == _FROM_NAME else str(noted["cli"])
+        yield name, field, Shown(flags=tuple(flags.split()), metavar=noted["metavar"], repeat=noted["repeat"])
