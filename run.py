@@ -2,7 +2,8 @@
 r"""Set planish up in this folder and run it. Needs Python 3.11, 3.12 or 3.13, and nothing else.
 
     python3 run.py demo     link a made-up specimen; prints the table and the path of the report
-    python3 run.py test     run the tests; what follows goes to pytest: python3 run.py test -k flatten
+    python3 run.py test     run the fast tests; what follows goes to pytest: python3 run.py test -k flatten
+                            --all runs the studies too (Monte Carlo, certificates, whole corpora of damage)
     python3 run.py check    format, lint, types, import contracts, tests (--no-tests leaves the tests out)
     python3 run.py bench    run the benchmarks
     python3 run.py docs     write docs/cli.md from the program's own help
@@ -93,7 +94,7 @@ def check(*, tests: bool) -> int:
         "imports": [python, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"],
     }
     if tests:
-        steps["tests"] = PYTEST
+        steps["tests"] = [*PYTEST, "--cpu-limit", "5"]
     failed: list[str] = []
     for name, command in steps.items():
         say(f"--- {name}")

@@ -1,9 +1,11 @@
-"""What all tests share: where measured data lie, and repeatable property tests."""
+"""What all tests share: small specimens, measured data, repeatable property tests, studies, and the limit on CPU time."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
@@ -29,11 +31,116 @@ settings.register_profile("planish", derandomize=True, deadline=None)
 settings.load_profile("planish")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark every test that asks for measured data as ``realdata``."""
+# --- the fast set and the studies ----------------------------------------------------------------------------
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add ``--all`` and ``--cpu-limit``."""
+    group = parser.getgroup("planish")
+    group.addoption("--all", action="store_true", help="run the studies too")
+    group.addoption("--cpu-limit", type=float, metavar="SECONDS", help="fail if a fast test uses more CPU time, warm")
+    group.addoption("--warm", action="store_true", help="all is compiled: --cpu-limit decides")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark tests on measured data; leave the studies out unless all tests, or tests by name, are asked for."""
     for item in items:
         if "shared_data" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.realdata)
+    if config.option.all or "study" in config.option.markexpr or any("::" in argument for argument in config.args):
+        return
+    studies = [item for item in items if item.get_closest_marker("study")]
+    if studies:
+        config.hook.pytest_deselected(items=studies)
+        items[:] = [item for item in items if not item.get_closest_marker("study")]
+
+
+# --- CPU time of each test -----------------------------------------------------------------------------------
+
+SHARED = pytest.StashKey[float]()  # CPU seconds spent in fixtures that several tests share
+USED = pytest.StashKey[float]()
+
+
+def cpu_seconds() -> float:
+    """CPU time of this process, all its threads, and its children that ended."""
+    return sum(os.times()[:4])
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(
+    fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
+) -> Generator[None, object, object]:
+    """Take the time of a shared fixture off the test that happens to make it."""
+    session = request.session
+    if fixturedef.scope == "function" or SHARED in session.stash and session.stash[SHARED] < 0:
+        return (yield)
+    before, spent = cpu_seconds(), session.stash.get(SHARED, 0.0)
+    session.stash[SHARED] = -1.0  # a shared fixture within a shared fixture counts once
+    try:
+        return (yield)
+    finally:
+        session.stash[SHARED] = spent + cpu_seconds() - before
+
+
+def count(item: pytest.Item) -> Generator[None, object, object]:
+    """Add what the wrapped step uses to the test's CPU time."""
+    before, shared = cpu_seconds(), item.session.stash.get(SHARED, 0.0)
+    try:
+        return (yield)
+    finally:
+        used = cpu_seconds() - before - (item.session.stash.get(SHARED, 0.0) - shared)
+        item.stash[USED] = item.stash.get(USED, 0.0) + used
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None, object, object]:
+    return (yield from count(item))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+    try:
+        return (yield from count(item))
+    finally:
+        item.user_properties.append(("study" if item.get_closest_marker("study") else "cpu_s", item.stash[USED]))
+
+
+class CpuLimit:
+    """Collects the tests above the limit; those of a cold run are taken again, warm and one after the other."""
+
+    def __init__(self, limit: float, *, warm: bool) -> None:
+        self.limit, self.warm, self.over = limit, warm, dict[str, float]()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        used = dict(report.user_properties).get("cpu_s", 0.0)
+        if report.when == "call" and isinstance(used, float) and used > self.limit:
+            self.over[report.nodeid] = used
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        if not self.over or session.exitstatus == pytest.ExitCode.INTERRUPTED:
+            return
+        if self.warm:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+            return
+        print(f"\n{len(self.over)} tests used more than {self.limit:g} s CPU; once more, now that all is compiled:")
+        command = [sys.executable, "-m", "pytest", "-q", "--no-header", "-p", "no:cacheprovider", "--warm"]
+        command += ["--cpu-limit", str(self.limit), *self.over]
+        if subprocess.run(command, check=False, cwd=session.config.rootpath).returncode:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        if self.warm:
+            for name, used in self.over.items():
+                terminalreporter.line(f"{used:.1f} s CPU, limit {self.limit:g} s: {name}", red=True)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    limit = config.option.cpu_limit
+    if limit is not None and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(CpuLimit(limit, warm=config.option.warm))
+
+
+# --- what tests share ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="session")

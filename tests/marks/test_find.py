@@ -61,7 +61,7 @@ def test_holes_are_found_and_centred(kind, pixel):
     assert rms <= 0.1 * pixel + 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_precision_over_many_textures():
     """Thirty-six sheets of every look: nothing but holes is found."""
     hits = false = missed = 0

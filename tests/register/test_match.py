@@ -24,7 +24,7 @@ def test_whole_patterns_are_matched(count):
     assert right >= 0.9 * 60
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_missing_and_false_marks_are_right_or_refused_but_never_wrong():
     """A thousand patterns, 30 % missing on each side and 30 % false ones."""
     rng = np.random.default_rng(0)
