@@ -1,0 +1,509 @@
+"""What a run says in numbers: frozen models that make ``results.json``, its JSON schema and the page.
+
+NaN and infinity have no place in JSON: such numbers are None. Lengths are in um where the name says so.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from planish.core.errors import FileError
+
+FORMAT = 2
+"""Version of the schema; planish 0.1.0 wrote files without one."""
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Number = Annotated[float | None, BeforeValidator(_finite)]
+Pair = tuple[float, float]
+Side = Literal["top", "bottom"]
+
+
+class Facts(BaseModel):
+    """A frozen part of the results; it can be made of the object of a stage that has the same attributes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, from_attributes=True, protected_namespaces=())
+
+
+class Gate(Facts):
+    """One condition that a result has to meet to be used without a second look."""
+
+    name: str
+    value: Number
+    limit: float
+    passed: bool
+    sentence: str
+
+
+class InputFile(Facts):
+    """A file that was read, and the hash that tells it from every other."""
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: str
+    bytes: int
+    sha256: str
+    size_um: tuple[float, ...] = Field(description="Voxel size (z, y, x) or pixel size (y, x).")
+    size_source: str
+
+
+# --- a sheet -------------------------------------------------------------------------------------------------------
+
+
+class SurfaceFacts(Facts):
+    """What the surface search learnt, and how much of the sheet it measured."""
+
+    through: Literal["z", "y", "x"]
+    top_side: Literal["high", "low"]
+    row_axis: str
+    col_axis: str
+    thickness_um: Number
+    blur_um: Number
+    fringe: Number
+    fringe_um: Number
+    cutoff_um: Number
+    rim_um: Number
+    saturated_share: Number = Field(description="Share of the sheet's voxels at the end of the grey scale.")
+    missing_share: Number
+    polarity: Number
+    grey_air: Number
+    grey_base: Number
+    grey_coating_top: Number
+    grey_coating_bottom: Number
+    grey_noise: Number
+    columns: int
+    particles_removed: int
+    half_closed_holes: int
+    shares: dict[str, float] = Field(description="Share of the columns with each status.")
+
+
+class PropertyFacts(Facts):
+    """Distribution of one property over the columns."""
+
+    units: str
+    n: int
+    mean: float
+    sd: float
+    p5: float
+    median: float
+    p95: float
+    standard_error: Number = Field(default=None, description="Median of the standard errors of single columns.")
+    support_um: Number = Field(default=None, description="Size of the region that one value stands for.")
+
+
+class ThinFacts(Facts):
+    """Shares of a coating that are thinner than some limits."""
+
+    thinner_than_um: tuple[float, ...]
+    share: tuple[Number, ...]
+    support_um: float
+    warning: str | None
+
+
+class RoughnessFacts(Facts):
+    """Areal roughness numbers (ISO 25178-2) of one face, or the reason why there are none."""
+
+    sa: Number = None
+    sq: Number = None
+    ssk: Number = None
+    sku: Number = None
+    sz: Number = None
+    sdq: Number = None
+    n: int | None = None
+    s_filter_um: Number = None
+    l_filter_um: Number = None
+    reason: str | None = None
+
+
+class TwoSidesFacts(Facts):
+    """Top against bottom."""
+
+    coating_difference_um: Number = None
+    coating_sd_ratio: Number = None
+    coating_correlation: Number = None
+    coating_n: int | None = None
+    topography_difference_um: Number = None
+    topography_sd_ratio: Number = None
+    topography_correlation: Number = None
+    topography_n: int | None = None
+
+
+class ProfileFacts(Facts):
+    """Mean of some properties over the depth of the sheet, 0 at the top face and 1 at the bottom face."""
+
+    depth: tuple[float, ...]
+    values: dict[str, tuple[Number, ...]]
+
+
+class SheetNumbers(Facts):
+    """What describes a sheet and is no map; keyed by side."""
+
+    thin: dict[Side, ThinFacts]
+    roughness: dict[Side, RoughnessFacts]
+    two_sides: TwoSidesFacts
+    profiles: ProfileFacts | None = None
+
+
+class Percentiles(Facts):
+    """Distribution of one strain over the mesh."""
+
+    median: Number
+    p5: Number
+    p95: Number
+    p95_abs: Number
+    max_abs: Number
+
+
+class GeodesicFacts(Facts):
+    """Relative errors of long distances: flat against along the surface."""
+
+    p50: Number
+    p95: Number
+    largest: Number
+    used: int
+    dropped: int
+
+
+class DistortionFacts(Facts):
+    """How much the flattening strained the sheet."""
+
+    area: Percentiles
+    axial_u: Percentiles
+    axial_v: Percentiles
+    shear: Percentiles
+    cells: int
+    inverted_cells: int
+    boundary_space_um: Number
+    boundary_flat_um: Number
+    growth_percent: Number
+    growth_anisotropy_percent: Number
+    growth_direction_deg: Number
+    displacement_median_um: Number
+    displacement_p95_um: Number
+    displacement_max_um: Number
+    geodesics: GeodesicFacts | None
+
+
+class CurvatureFacts(Facts):
+    """Whether the surface can be flat at all."""
+
+    patch_um: float
+    limit: float
+    share: Number
+    largest: Number
+    verdict: str
+
+
+class FlattenFacts(Facts):
+    """How the flattening ended."""
+
+    outcome: str
+    sentence: str
+    steps: int
+    energy_um2: float
+    mesh_um: float
+    folded_cells: int
+    edge_strain_p95: Number
+    edge_strain_max: Number
+    method: str
+    springs: int
+    straight_share: Number
+    distortion: DistortionFacts
+    curvature: CurvatureFacts
+    largest_move_um: Number
+
+
+class SectionFacts(Facts):
+    """How serial sections were joined: what was taken off, and what is left of the quick errors."""
+
+    kind: str
+    count: int
+    not_aligned: int
+    missing: int
+    cutoff_um: float
+    fixed: tuple[str, ...]
+    pairs_used: int
+    pairs_refused: int
+    gain_sd: Number
+    shift_row_rms_um: Number
+    shift_col_rms_um: Number
+    jitter_left_row_um: Number
+    jitter_left_col_um: Number
+
+
+class SheetFacts(Facts):
+    """A sheet that was measured and flattened."""
+
+    surfaces: SurfaceFacts
+    properties: dict[str, PropertyFacts]
+    numbers: SheetNumbers
+    flatten: FlattenFacts
+    sections: SectionFacts | None = None
+
+
+# --- layers brought together -----------------------------------------------------------------------------------------
+
+
+class HoleTiltFacts(Facts):
+    """What the holes of a sheet look like through its thickness."""
+
+    through: int
+    closed: int
+    unclear: int
+    other_side_only: int
+    offset_count: int
+    offset_um: tuple[Number, Number]
+    offset_spread_um: tuple[Number, Number]
+    offset_error_um: tuple[Number, Number]
+    tilt_deg: tuple[Number, Number] | None = None
+    side: Side
+    sentence: str
+
+
+class ExpectedError(Facts):
+    """How far a pixel may be off, rms, over the map."""
+
+    median_um: float
+    largest_um: float
+
+
+class OrientationFacts(Facts):
+    """How two planes lie on each other: side, hand and machine direction, as given."""
+
+    image_side: Side
+    side_given: bool
+    mirrored_volume: bool
+    md_deg_moving: Number
+    md_deg_fixed: Number
+    md_deg_fixed_from_moving: Number
+    sentence: str
+
+
+class LagTile(Facts):
+    """Lag of one part of the map."""
+
+    x: float
+    y: float
+    lag_um: Pair | None
+    distinct: bool
+
+
+class LagFacts(Facts):
+    """What two maps say of their registration by their own texture; a check, and no gate."""
+
+    property: str
+    lag_um: Pair | None
+    se_um: Pair | None
+    length_um: Number
+    length_se_um: Number
+    r: Number
+    r_at_zero: Number
+    null_95: Number
+    null_99: Number
+    silence: str | None
+    agrees: bool | None
+    expected_um: Number
+    sentence: str
+    pixel_um: Pair
+    n: int
+    reach_um: float
+    split_um: Number
+    lags_of_bands_um: tuple[Pair | None, ...]
+    tile_um: Number
+    tiles: tuple[LagTile, ...]
+
+
+class RegistrationFacts(Facts):
+    """How a layer was registered to another one."""
+
+    to: str = Field(description="Layer that it was registered to.")
+    path: tuple[str, ...] = Field(description="Layers from this one to the reference.")
+    source: str = Field(description="'found', or the kind of file that the marks came from.")
+    found_moving: int
+    found_fixed: int
+    matched: int
+    second_best: int | None = Field(description="Marks that the second-best match has in common.")
+    match_sentence: str | None
+    design: str | None = None
+    tilt: HoleTiltFacts | None = None
+    model: str
+    model_sentence: str
+    warnings: tuple[str, ...]
+    rms_um: float
+    leave_one_out_rms_um: Number
+    expected_error: ExpectedError | None
+    scale: float
+    rotation_deg: float
+    shift_um: Pair
+    mirrored: bool
+    orientation: OrientationFacts
+    lag: LagFacts | None = None
+
+
+class LayerFacts(Facts):
+    """One layer: a sheet or an image."""
+
+    name: str
+    kind: Literal["sheet", "image"]
+    source: InputFile
+    headline: str = Field(description="The map that stands for the layer.")
+    share_of_reference: Number = None
+    registration: RegistrationFacts | None = None
+    sheet: SheetFacts | None = None
+
+
+class CorrelationRow(Facts):
+    """Correlation of two maps over points of one size; ``slope`` and ``intercept`` give b from a."""
+
+    a: str
+    a_map: str
+    b: str
+    b_map: str
+    point_um: float
+    n: int
+    r: Number
+    r2: Number
+    slope: Number
+    intercept: Number
+    same_quantity: bool = False
+    difference_mean: Number = None
+    difference_sd: Number = None
+    limits: Pair | None = None
+    units: str | None = None
+
+
+class ComparisonRow(Facts):
+    """The headline correlation with one way of registering, as the paper's Table 1 compares them."""
+
+    registration: str
+    property: str
+    marks_rms_um: float
+    point_um: float
+    n: int
+    r: Number
+    r2: Number
+    slope: Number
+    intercept: Number
+
+
+class LinkedArea(Facts):
+    """How much of the reference shows all layers, and how much of that is valid."""
+
+    pixels: int
+    share_on_sheet: float
+    share_valid: float
+    share_valid_of_sheet: float
+    share_valid_away_from_holes: float
+
+
+class RefinementR(Facts):
+    """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
+
+    r: Number
+    registration: str
+    sentence: str
+    n: int | None = None
+    tile_um: Number = None
+    guard_um: Number = None
+    null_95: Number = None
+    p: Number = None
+    surrogates: int | None = None
+
+
+class RefinementFacts(Facts):
+    """A registration refined by the maps themselves."""
+
+    model: str
+    metric: str
+    property: str
+    moved_rms_um: float
+    moved_most_um: float
+    share_of_expected_error: float
+    area: tuple[float, ...]
+    strain: float
+    warnings: tuple[str, ...]
+    sentence: str
+    longest_wave_um: float
+    correlation: RefinementR
+
+
+class Results(Facts):
+    """All numbers of a run: a map of one sheet, or layers linked onto the last one."""
+
+    format: Literal[2] = FORMAT
+    planish: str
+    versions: dict[str, str]
+    layers: tuple[LayerFacts, ...] = Field(description="In the order given; the last one is the reference of a link.")
+    chain: bool = False
+    correlations: tuple[CorrelationRow, ...] = ()
+    comparison: tuple[ComparisonRow, ...] = ()
+    linked: LinkedArea | None = None
+    refinement: RefinementFacts | None = None
+    gates: tuple[Gate, ...]
+    parameters: dict[str, Any]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every quality gate was passed."""
+        return all(gate.passed for gate in self.gates)
+
+    @property
+    def is_link(self) -> bool:
+        """Whether layers were linked; otherwise one sheet was mapped."""
+        return len(self.layers) > 1
+
+    @property
+    def reference(self) -> LayerFacts:
+        """The layer that all others were brought to."""
+        return self.layers[-1]
+
+    @property
+    def moving(self) -> tuple[LayerFacts, ...]:
+        """The layers that were brought to the reference."""
+        return self.layers[:-1]
+
+    def layer(self, name: str) -> LayerFacts:
+        """The layer of a name."""
+        return next(layer for layer in self.layers if layer.name == name)
+
+    def to_json(self) -> str:
+        """The text of ``results.json``."""
+        return self.model_dump_json(indent=2) + "\n"
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read ``results.json``.
+
+        Raises
+        ------
+        FileError
+            If it cannot be read, is damaged, or was written by planish 0.1.0.
+        """
+        try:
+            data: Any = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise FileError(f"{path} cannot be read: {error}. Give a whole run folder, or repeat the run.") from error
+        if isinstance(data, dict) and str(data.get("planish", "")).startswith("0.1."):  # type: ignore[reportUnknownArgumentType]
+            raise FileError(OLD_RUN.format(folder=path.parent))
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise FileError(
+                f"{path} is no results file of planish: {'.'.join(map(str, first['loc']))}: {first['msg']}. "
+                "Give a whole run folder, or repeat the run."
+            ) from error
+
+
+OLD_RUN = (
+    "{folder} was made by planish 0.1.0. Its maps and its report.html stay readable, but the errors stated there are "
+    "about 1.5 times too small. Repeat it with this version: planish run {folder}/run.toml"
+)
