@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from naive import twice_smoothed
+from planish.surface import SurfaceParams
+from planish.surface.assemble import _centre
 from planish.surface.centre import gaussian_regression
 
 
@@ -42,3 +45,42 @@ def test_far_from_the_sheet_there_is_no_surface():
     height = np.full((200, 200), np.nan)
     height[:50] = 0.0
     assert np.isnan(gaussian_regression(height, (5.0, 5.0), cutoff_um=200.0)[150:]).all()
+
+
+def test_a_few_columns_far_from_all_others_spoil_nothing():
+    """Data with too few neighbours must not blank the second pass around them, nor be given a wider cut-off."""
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[0:60, 0:60] * 4.0
+    height = 0.2 * x + 8 * np.sin(x / 25) + rng.normal(0, 1, x.shape)
+    height[22:] = np.nan
+    whole = gaussian_regression(height, (4.0, 4.0), cutoff_um=100.0)
+    height[44:46, 28:30] = 0.2 * x[44:46, 28:30]
+    smooth = gaussian_regression(height, (4.0, 4.0), cutoff_um=100.0)
+    # the island lies beyond the reach of everything else
+    np.testing.assert_allclose(smooth[:22], whole[:22], atol=0.1)
+    np.testing.assert_allclose(smooth[44:46, 28:30], height[44:46, 28:30], atol=0.5)
+    assert np.isnan(smooth[56:]).all()
+
+
+def test_the_surface_is_that_of_the_cutoff_that_is_stated():
+    """Many burnt rims leave islands of a few columns between them; only gaps may be bridged with a wider cut-off."""
+    rng = np.random.default_rng(0)
+    pitch, cutoff = (4.0, 4.0), 300.0
+    y, x = np.mgrid[0:200, 0:240] * 4.0
+    middle = 20 * np.sin(x / 90) + ndimage.gaussian_filter(rng.normal(0, 40, x.shape), 6)
+    whole = gaussian_regression(middle, pitch, cutoff_um=cutoff)
+    middle[(np.hypot(y - 400, x - 480) < 1.1 * cutoff) & (np.hypot(y - 400, x - 480) > 25)] = np.nan
+    centre, used = _centre(middle, np.ones(middle.shape, bool), pitch, SurfaceParams(cutoff_um=cutoff))
+    assert np.isfinite(centre).all()
+    data = np.isfinite(middle)
+    wider = used > cutoff
+    assert wider.any()
+    # a block that is hardly known counts as a gap
+    assert not (wider & ndimage.binary_erosion(data, iterations=3, border_value=1)).any()
+    inner = ndimage.distance_transform_edt(data) * 4.0 > 60.0
+    doubled = gaussian_regression(middle, pitch, cutoff_um=2 * cutoff)
+    rms, of_doubled = (np.sqrt(np.mean((found - whole)[inner] ** 2)) for found in (centre, doubled))
+    print(
+        f"{cutoff:g} um: {100 * wider.mean():.2f} % bridged, {rms:.2f} um off, with twice the cut-off {of_doubled:.2f}"
+    )
+    assert rms < 0.2 * of_doubled

@@ -73,12 +73,13 @@ def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found
             f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of {params.rim_um:g} um only; "
             "nothing is left to measure. Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
         )
-    centre = _centre(middle, outline, pitch[:2], params)
+    centre, cutoff_used = _centre(middle, outline, pitch[:2], params)
     status = np.where(~np.isfinite(centre) | ~sheet, 1, np.where(rim, 2, np.where(seen, 0, 3)))
     for where, reason in (
         (stuck & (status == 3), PARTICLE), (touching & sheet, TOUCHING), (runs_out & (status > 0), LEAVES),
     ):  # fmt: skip
         status[where] = reason
+    bridged = cutoff_used > params.cutoff_um
     present = found.presence(centre, thickness, up)
     heights = {
         "top": (top, "Top face"),
@@ -98,6 +99,10 @@ def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found
     for name, share in present.items():
         layer: dict[str, object] = {"units": "1", "long_name": TITLES[name], "layer": list(LAYERS[name])}
         data[name] = (("y", "x"), share, layer)
+    if bridged.any():
+        title = "Cut-off of the centre surface, wider than stated across gaps"
+        used = cutoff_used.astype(np.float32)
+        data["centre_cutoff_um"] = (("y", "x"), used, {"units": "um", "long_name": title})
     flags: dict[str, object] = {
         "long_name": "Status",
         "flag_values": list(STATUS),
@@ -110,6 +115,7 @@ def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found
         **frame.attrs(),
         "thickness_um": thickness,
         "cutoff_um": params.cutoff_um,
+        "bridged_share": float(np.count_nonzero(bridged) / np.count_nonzero(np.isfinite(centre))),
         "rim_um": params.rim_um,
         "voxel_um": [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")],
         "particles_removed": faces.particles,
@@ -123,14 +129,18 @@ def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found
     return xr.Dataset(data, coords=coords, attrs=attrs)
 
 
-def _centre(middle: Array, outline: Mask, pitch: tuple[float, float], params: SurfaceParams) -> Array:
-    """Smooth the mean of the faces and carry it across holes."""
+def _centre(middle: Array, outline: Mask, pitch: tuple[float, float], params: SurfaceParams) -> tuple[Array, Array]:
+    """Smooth the mean of the faces and carry it across holes; the centre surface and the cut-off used, in um."""
+    cutoff_um = params.cutoff_um
     if params.method == "paper":
-        return np.where(outline, slice_smoothed(middle, pitch[1], cutoff_um=params.cutoff_um), np.nan)
-    centre = gaussian_regression(middle, pitch, cutoff_um=params.cutoff_um)
+        centre = np.where(outline, slice_smoothed(middle, pitch[1], cutoff_um=cutoff_um), np.nan)
+        return centre, np.where(np.isfinite(centre), cutoff_um, np.nan)
+    centre = gaussian_regression(middle, pitch, cutoff_um=cutoff_um)
+    used = np.full(centre.shape, cutoff_um)
     # A hole with its rim may be wider than a short cut-off reaches: it is bridged with a longer one.
-    for wider in (2.0, 4.0):
-        if np.isnan(centre[outline]).any():
-            bridge = gaussian_regression(middle, pitch, cutoff_um=wider * params.cutoff_um)
-            centre = np.where(np.isnan(centre), bridge, centre)
-    return np.where(outline, centre, np.nan)
+    for wider in (2.0 * cutoff_um, 4.0 * cutoff_um):
+        gap = np.isnan(centre)
+        if gap[outline].any():
+            bridge = gaussian_regression(middle, pitch, cutoff_um=wider)
+            centre, used = np.where(gap, bridge, centre), np.where(gap, wider, used)
+    return np.where(outline, centre, np.nan), np.where(outline & np.isfinite(centre), used, np.nan)

@@ -39,7 +39,7 @@ def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_
     Returns
     -------
     (rows, cols)
-        NaN where the neighbourhood holds too little.
+        NaN where nothing is known and the neighbourhood holds too little.
     """
     # The result has no wavelengths below the cut-off, so blocks of a 25th of it lose nothing.
     # A field that is hardly wider than that is cut into four all the same.
@@ -134,7 +134,8 @@ def _regress(mean: Array, weight: Array, pitch: tuple[float, float], cutoff: flo
             matrix[..., a, b] = moments[i + k, j + m]
     full = float(axes[0][1].sum() * axes[1][1].sum())
     # A field of view much smaller than the cut-off has no full neighbourhood anywhere; its own fullest counts then.
-    good = moments[0, 0] > _LEAST_WEIGHT * min(full, 4.0 * float(moments[0, 0].max()))
+    # Where there is data nothing is extrapolated, however few the neighbours are.
+    good = known | (moments[0, 0] > _LEAST_WEIGHT * min(full, 4.0 * float(moments[0, 0].max())))
     result = np.full(weight.shape, np.nan)
     system = matrix[good] + 1e-9 * full * np.eye(6)
     result[good] = np.linalg.solve(system, right[good][..., None])[..., 0, 0] + offset
