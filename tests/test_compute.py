@@ -94,17 +94,21 @@ def test_tiles_of_another_study_are_not_used(tmp_path):
     work = tmp_path / ".run.work"
     (work / "tiles").mkdir(parents=True)
     (work / "key").write_text("another")
+    (work / "lock").write_text("")  # what versions before the marker wrote
     (work / "tiles" / "0-1-0-1.npy").write_bytes(b"wrong")
     with work_folder(tmp_path / "run", "this") as folder:
         assert not list(folder.rglob("*.npy"))
 
 
 def test_what_a_run_left_that_was_killed_while_it_wrote_is_swept_up(tmp_path):
-    from planish.io.run_folder import new_folder, work_folder
+    from planish.io.run_folder import WORK_MARKER, new_folder, work_folder
 
+    with work_folder(tmp_path / "run", "this") as work:
+        marker = (work / WORK_MARKER).read_bytes()
     half = tmp_path / ".run.work" / ".run.abc.partial"
     half.mkdir(parents=True)
     (half / "maps.zarr").write_text("half")
+    (half.parent / WORK_MARKER).write_bytes(marker)
     with work_folder(tmp_path / "run", "this") as work, new_folder(tmp_path / "run", inside=work) as folder:
         assert not half.exists()
         (folder / "whole").write_text("whole")

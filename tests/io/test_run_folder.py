@@ -1,11 +1,12 @@
 import errno
+import shutil
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from planish.core.errors import FileError, ResourceError
-from planish.io.run_folder import new_folder, read_tree, write_json, write_tree
+from planish.io.run_folder import WORK_MARKER, new_folder, read_tree, work_folder, write_json, write_tree
 
 
 def test_a_folder_appears_only_when_whole(tmp_path):
@@ -39,6 +40,113 @@ def test_an_existing_folder_is_never_touched(tmp_path):
     (tmp_path / "run").mkdir()
     with pytest.raises(FileError, match="exists already"), new_folder(tmp_path / "run"):
         pytest.fail("must not get here")
+
+
+def tree(folder):
+    """All that stands in a folder, with the bytes of files and the targets of links."""
+    found = {}
+    for p in sorted(folder.rglob("*")):
+        name = p.relative_to(folder).as_posix()
+        found[name] = str(p.readlink()) if p.is_symlink() else p.read_bytes() if p.is_file() else "folder"
+    return found
+
+
+def linked_folder(work, victim):
+    work.symlink_to(victim, target_is_directory=True)
+
+
+def real_folder(work, victim):
+    shutil.copytree(victim, work)
+
+
+def empty_folder(work, _victim):
+    work.mkdir()
+
+
+def plain_file(work, _victim):
+    work.write_text("mine")
+
+
+def broken_link(work, _victim):
+    work.symlink_to("nowhere")
+
+
+def old_folder_with_more(work, _victim):
+    for name in ("key", "lock", "notes.txt"):
+        work.mkdir(exist_ok=True)
+        (work / name).write_text(name)
+
+
+def marked_folder_with_more(work, _victim):
+    with work_folder(work.parent / "run", "key") as made:
+        kept = tree(made)
+        text = kept[WORK_MARKER]
+    work.mkdir()
+    (work / WORK_MARKER).write_bytes(text)
+    (work / "thesis").mkdir()
+    (work / "thesis" / "chapter.tex").write_text("years")
+
+
+def lock_is_a_link(work, victim):
+    work.mkdir()
+    (work / "key").write_text("key")
+    (work / "lock").symlink_to(victim / "precious" / "data.txt")
+
+
+def tiles_are_a_link(work, victim):
+    old_folder_with_more(work, victim)
+    (work / "notes.txt").unlink()
+    (work / "tiles").symlink_to(victim, target_is_directory=True)
+
+
+def other_marker(work, _victim):
+    work.mkdir()
+    (work / WORK_MARKER).write_text("of another program")
+    (work / "tiles").mkdir()
+
+
+@pytest.mark.parametrize(
+    "stands_there",
+    [
+        linked_folder, real_folder, empty_folder, plain_file, broken_link, old_folder_with_more,
+        marked_folder_with_more, lock_is_a_link, tiles_are_a_link, other_marker,
+    ],
+)  # fmt: skip
+def test_what_is_not_ours_is_neither_removed_nor_written_into(tmp_path, stands_there):
+    victim, out = tmp_path / "victim", tmp_path / "out"
+    (victim / "precious").mkdir(parents=True)
+    (victim / "precious" / "data.txt").write_text("years of work")
+    out.mkdir()
+    stands_there(out / ".run.work", victim)
+    before = tree(tmp_path)
+    with pytest.raises(FileError, match=r"\.run\.work .*give another name with --out"), work_folder(out / "run", "key"):
+        pytest.fail("must not get here")
+    assert tree(tmp_path) == before
+
+
+def test_a_work_folder_goes_and_takes_nothing_along(tmp_path):
+    with work_folder(tmp_path / "run", "key") as work:
+        (work / "tiles" / "faces").mkdir(parents=True)
+    assert list(tmp_path.iterdir()) == []
+    with work_folder(tmp_path / "run", "key") as work:
+        (work / "tiles").mkdir()
+        (work / "notes.txt").write_text("put there meanwhile")
+    assert list(tree(work)) == ["notes.txt"]
+
+
+@pytest.mark.parametrize("version", ["old", "new"])
+def test_a_killed_run_finds_its_tiles(tmp_path, version):
+    with work_folder(tmp_path / "run", "key") as work:
+        (work / "tiles").mkdir()
+        (work / "tiles" / "0.npy").write_bytes(b"tile")
+        shutil.copytree(work, tmp_path / "killed")
+    (tmp_path / "killed").rename(work)
+    if version == "old":  # no marker before 0.2
+        (work / WORK_MARKER).unlink()
+        (work / "lock").touch()
+    with work_folder(tmp_path / "run", "key") as again:
+        assert (again / "tiles" / "0.npy").read_bytes() == b"tile"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_groups_survive_a_round_trip(tmp_path):

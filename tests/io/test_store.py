@@ -114,6 +114,23 @@ def test_another_volume_does_not_go_on_with_it(tmp_path, monkeypatch):
         write_store(volume(shape=(70, 130, 201)), tmp_path / "s.zarr")
 
 
+@pytest.mark.parametrize("note", [None, "", "[1]", '{"shape": [1, 2, 3]}'])
+@pytest.mark.parametrize("link", [False, True])
+def test_a_folder_in_the_way_is_neither_removed_nor_written_into(tmp_path, link, note):
+    real = tmp_path / ("elsewhere" if link else ".s.zarr.partial")
+    real.mkdir()
+    if note is not None:
+        (real / "source.json").write_text(note)
+    if link:
+        (tmp_path / ".s.zarr.partial").symlink_to(real, target_is_directory=True)
+    before = bytes_of(tmp_path)
+    with pytest.raises(InputError, match="give another name"):
+        write_store(volume(), tmp_path / "s.zarr")
+    assert real.is_dir()
+    assert not (tmp_path / "s.zarr").exists()
+    assert bytes_of(tmp_path) == before
+
+
 def test_a_lost_or_changed_shard_is_named(tmp_path):
     write_store(volume(), tmp_path / "s.zarr")
     assert missing_shards(tmp_path / "s.zarr") == []

@@ -12,8 +12,8 @@ import shutil
 import tempfile
 import time
 import warnings
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,10 @@ from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError, ResourceError
 
+WORK_MARKER = "planish-work-folder"
+"""File that marks a folder as one that planish made and may remove."""
+
+_WORK_TEXT = "Results of single tiles of a run that planish is working on. It removes this folder at the end.\n"
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -67,11 +71,13 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     Raises
     ------
     FileError
-        If another process is writing to ``path`` at this moment, or the folder cannot be made.
+        If another process is writing to ``path`` at this moment, the folder cannot be made, or something that is not
+        planish's has its name: a link, a file, or a folder without the marker. Nothing is touched then.
     """
     work = path.with_name(f".{path.name}.work")
     try:
-        work.mkdir(parents=True, exist_ok=True)
+        claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
+        _check_work_folder(work, path)
         lock = FileLock(work / "lock")
         lock.acquire(timeout=0)
     except Timeout as error:
@@ -81,11 +87,10 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     except OSError as error:
         raise as_planish(error, path) from error
     try:
+        (work / WORK_MARKER).write_text(_WORK_TEXT, encoding="utf-8", newline="\n")
         note = work / "key"
         if not (note.is_file() and note.read_text(encoding="utf-8") == key):
-            for stale in work.iterdir():
-                if stale.is_dir():
-                    shutil.rmtree(stale, ignore_errors=True)
+            shutil.rmtree(work / "tiles", ignore_errors=True)
             note.write_text(key, encoding="utf-8")
         for half in work.glob(".*.partial"):
             shutil.rmtree(half, ignore_errors=True)
@@ -94,7 +99,76 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
         raise as_planish(error, path) from error
     finally:
         lock.release()
-        _remove(work)
+        _remove_work(work)
+
+
+def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> None:
+    """Make a folder that carries a marker from its first moment, or leave the one that is there.
+
+    Raises
+    ------
+    FileError
+        If a link or a file stands at ``folder``: a link is never followed.
+    """
+    if is_link(folder) or (folder.exists() and not folder.is_dir()):
+        kind = "a link" if is_link(folder) else "a file"
+        raise FileError(
+            f"{folder} is {kind}; planish needs that name for a folder of its own while it writes {for_what.name}. "
+            f"Nothing was changed. Remove {kind} or give another name with --out."
+        )
+    if folder.exists():
+        return
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    made = Path(tempfile.mkdtemp(prefix=f"{folder.name}.", dir=folder.parent))
+    try:
+        (made / marker).write_text(text, encoding="utf-8", newline="\n")
+        made.chmod(0o755)
+        made.rename(folder)
+    except OSError:
+        shutil.rmtree(made, ignore_errors=True)
+        if not folder.is_dir():  # otherwise another process was faster
+            raise
+
+
+def is_link(path: Path) -> bool:
+    """Whether a path is a symbolic link or, on Windows, a junction."""
+    isjunction: Callable[[Path], bool] = getattr(os.path, "isjunction", lambda _path: False)  # from Python 3.12 on
+    return path.is_symlink() or isjunction(path)
+
+
+def _check_work_folder(work: Path, path: Path) -> None:
+    """Raise FileError unless everything in a folder was written by :func:`work_folder`."""
+    entries = list(work.iterdir())
+    foreign = sorted(entry.name for entry in entries if is_link(entry) or not _is_work_name(entry.name))
+    names = {entry.name for entry in entries}
+    marker = work / WORK_MARKER
+    # Versions before the marker wrote a key of 64 digits and a lock.
+    marked = marker.read_text(encoding="utf-8") == _WORK_TEXT if marker.name in names else {"key", "lock"} <= names
+    if foreign or not marked:
+        what = f"it holds {', '.join(foreign[:3])}" if foreign else f"it has no file {WORK_MARKER}"
+        raise FileError(
+            f"{work} was not made by planish ({what}); planish needs that name for a folder of its own while it "
+            f"writes {path.name}. Nothing was changed. Move that folder away or give another name with --out."
+        )
+
+
+def _is_work_name(name: str) -> bool:
+    """Whether a file or folder of this name may stand in a work folder."""
+    return name in (WORK_MARKER, "key", "lock", "tiles") or (name.startswith(".") and name.endswith(".partial"))
+
+
+def _remove_work(work: Path) -> None:
+    """Remove what :func:`work_folder` has written, the marker last, and the folder if nothing else is in it."""
+    if is_link(work) or not work.is_dir():
+        return
+    for entry in sorted(work.iterdir(), key=lambda entry: entry.name == WORK_MARKER):
+        if _is_work_name(entry.name):
+            if entry.is_dir() and not is_link(entry):
+                _remove(entry)
+            else:
+                entry.unlink(missing_ok=True)
+    with suppress(OSError):
+        work.rmdir()
 
 
 def _remove(folder: Path, *, patience_s: float = 10.0) -> None:

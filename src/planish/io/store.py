@@ -26,7 +26,7 @@ from zarr.codecs import ZstdCodec
 
 from planish.core.errors import FileError, InputError, ResourceError
 from planish.io import _kernels
-from planish.io.run_folder import as_planish, refuse_existing
+from planish.io.run_folder import as_planish, claim_folder, is_link, refuse_existing
 
 CHUNK = (64, 96, 96)
 """Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to 4 voxels."""
@@ -95,8 +95,7 @@ def write_store(
     partial = path.with_name(f".{path.name}.partial")
     source = _identity(volume)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.mkdir(exist_ok=True)
+        claim_folder(partial, _SOURCE, json.dumps(source), for_what=path)
         _same_source(partial, source)
         levels = _make_levels(partial, volume, shape, ome)
         done = Journal(partial, ome)
@@ -313,13 +312,18 @@ def _identity(volume: xr.DataArray) -> dict[str, Any]:
 
 
 def _same_source(folder: Path, source: dict[str, Any]) -> None:
-    """Note what is imported, or compare with what an import that stopped has noted."""
+    """Compare what is imported with what an import that stopped has noted."""
     note = folder / _SOURCE
-    if not note.is_file():
-        if any(folder.iterdir()):
-            raise InputError(f"{folder} is in the way and no import that stopped. Remove it, or give another name.")
-        note.write_text(json.dumps(source), encoding="utf-8")
-    elif json.loads(note.read_text(encoding="utf-8")) != json.loads(json.dumps(source)):
+    try:
+        noted = None if is_link(note) else json.loads(note.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        noted = None
+    if not isinstance(noted, dict) or not source.keys() - {"corrections"} <= noted.keys():
+        raise InputError(
+            f"{folder} is in the way and no import that stopped. Nothing was changed. Move that folder away, or give "
+            "another name with --out."
+        )
+    if noted != json.loads(json.dumps(source)):
         raise InputError(
             f"An import of another volume stopped half-way at {folder}. Remove that folder, or give another name with "
             "--out."
