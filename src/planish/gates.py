@@ -40,19 +40,29 @@ def map_gates(results: dict[str, Any]) -> tuple[Gate, ...]:
             good="No cell of the flattened mesh is folded.",
             bad=f"{f['folded_cells']} cells of the flattened mesh are folded; they are marked invalid.",
         ),
-        _gate(
-            "saturation", s["saturated_share"], 0.05, least=False,
-            good=f"{100 * s['saturated_share']:.1f} % of the sheet's voxels are saturated.",
-            bad=f"{100 * s['saturated_share']:.1f} % of the sheet's voxels are saturated (at the end of the grey "
-            "scale): the faces may be displaced. Export the volume with a wider grey window.",
-        ),
-        _gate(
-            "missing voxels", s["missing_share"], 0.05, least=False,
-            good=f"{100 * s['missing_share']:.1f} % of the voxels are NaN.",
-            bad=f"{100 * s['missing_share']:.1f} % of the voxels are NaN or infinite; columns with such voxels "
-            "near a face are not measured.",
-        ),
+        *_grey_gates(s),
         *_section_gates(results.get("sections")),
+    )  # fmt: skip
+
+
+def _grey_gates(s: dict[str, Any]) -> tuple[Gate, ...]:
+    """Gates of grey values; labels have none."""
+    saturated, missing = s["saturated_share"], s["missing_share"]
+    if saturated is None or missing is None:
+        return ()
+    return (
+        _gate(
+            "saturation", saturated, 0.05, least=False,
+            good=f"{100 * saturated:.1f} % of the sheet's voxels are saturated.",
+            bad=f"{100 * saturated:.1f} % of the sheet's voxels are saturated (at the end of the grey scale): the "
+            "faces may be displaced. Export the volume with a wider grey window.",
+        ),
+        _gate(
+            "missing voxels", missing, 0.05, least=False,
+            good=f"{100 * missing:.1f} % of the voxels are NaN.",
+            bad=f"{100 * missing:.1f} % of the voxels are NaN or infinite; columns with such voxels near a face are "
+            "not measured.",
+        ),
     )  # fmt: skip
 
 

@@ -74,8 +74,8 @@ def surface_results(surfaces: xr.Dataset) -> dict[str, Any]:
     status = surfaces["status"].values
     shares = {f"share_{name}": float((status == k).mean()) for k, name in enumerate(STATUS)}
     keys = (
-        "thickness_um", "blur_um", "fringe", "fringe_um", "cutoff_um", "bridged_share", "rim_um", "saturated_share", "missing_share",
-        "polarity",
+        "thickness_um", "blur_um", "fringe", "fringe_um", "cutoff_um", "bridged_share", "rim_um", "saturated_share",
+        "missing_share", "polarity",
     )  # fmt: skip
     greys = ("grey_air", "grey_base", "grey_coating_top", "grey_coating_bottom", "grey_noise")
     frame = {k: str(attrs[k]) for k in ("through", "top_side", "row_axis", "col_axis")}

@@ -50,7 +50,7 @@ def test_far_from_the_sheet_there_is_no_surface():
 def test_a_few_columns_far_from_all_others_spoil_nothing():
     """Data with too few neighbours must not blank the second pass around them, nor be given a wider cut-off."""
     rng = np.random.default_rng(1)
-    y, x = np.mgrid[0:60, 0:60] * 4.0
+    _y, x = np.mgrid[0:60, 0:60] * 4.0
     height = 0.2 * x + 8 * np.sin(x / 25) + rng.normal(0, 1, x.shape)
     height[22:] = np.nan
     whole = gaussian_regression(height, (4.0, 4.0), cutoff_um=100.0)

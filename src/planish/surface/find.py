@@ -51,8 +51,9 @@ def find_surfaces(
         axis through the sheet. NaN where there is no sheet; the interface of a side without a coating is all NaN.
         ``centre`` runs on across holes; where a hole or gap had to be bridged with a wider cut-off than the one stated,
         ``centre_cutoff_um`` gives the cut-off used (attribute ``bridged_share``: share of the columns). ``presence``:
-        share of material along the normal below the top face, 0 to 1; ``presence_centre`` and ``presence_bottom``: the same around the centre surface and above the bottom face. Their
-        attribute ``layer`` says from where to where, in shares of the thickness from the centre towards the top.
+        share of material along the normal below the top face, 0 to 1; ``presence_centre`` and ``presence_bottom``: the
+        same around the centre surface and above the bottom face. Their attribute ``layer`` says from where to where, in
+        shares of the thickness from the centre towards the top.
         ``status``: 0 measured, 1 no sheet, 2 rim of a hole or gap, 3 face not found, 5 the sheet touches another or
         itself, 6 it leaves the volume, 7 a particle sticks to it; 4 is left to the measurement. With
         ``envelope_um`` also ``top_envelope`` and ``bottom_envelope``.

@@ -1,0 +1,42 @@
+"""A volume of labels runs through the whole line: what is measured in grey values is left out, nothing stops late."""
+
+import numpy as np
+import pytest
+import tifffile
+from scipy import ndimage
+
+from planish.core.errors import InputError
+from planish.pipeline import run_study
+from planish.study import ImageSection, LabelsSection, PropertiesSection, Study, SurfaceSection, VolumeSection
+
+
+@pytest.fixture(scope="module")
+def labels(specimen, tmp_path_factory):
+    """The small specimen as another program would segment it: 0 air, 1 base, 2 coating."""
+    grey = ndimage.gaussian_filter(specimen.volume.astype(np.float32), 0.7)
+    air, base, coating = (float(np.percentile(grey, q)) for q in (5, 92, 99.8))
+    paper = grey > 0.5 * (air + base)
+    coat = ndimage.binary_dilation(grey > 0.5 * (base + coating), np.ones((3, 1, 1)))
+    path = tmp_path_factory.mktemp("labels") / "labels.tif"
+    tifffile.imwrite(path, np.where(paper, np.where(coat, 2, 1), 0).astype(np.uint8))
+    return path
+
+
+def study(labels, **sections):
+    volume = VolumeSection(path=str(labels), voxel_um=(4.0, 4.0, 4.0))
+    return Study(volume=volume, surface=SurfaceSection(labels=LabelsSection()), **sections)
+
+
+def test_labels_are_mapped_and_linked_to_the_end(labels, specimen_files, tmp_path):
+    run = run_study(study(labels, image=ImageSection(path=str(specimen_files[1]))), tmp_path / "run")
+    assert "linked" in run.groups
+    gates = {gate.name for gate in run.gates}
+    assert {"coverage", "fold-over"} <= gates
+    assert not {"saturation", "missing voxels"} & gates
+    assert np.isfinite(run.groups["maps"]["thickness"].values).mean() > 0.5
+    assert (tmp_path / "run" / "report.html").stat().st_size > 10_000
+
+
+def test_grey_properties_of_labels_are_refused(labels, tmp_path):
+    with pytest.raises(InputError, match="measured in grey values"):
+        run_study(study(labels, properties=PropertiesSection(maps=("porosity",))), tmp_path / "run")
