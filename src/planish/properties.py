@@ -11,6 +11,7 @@ import xarray as xr
 
 from planish.compute import Compute
 from planish.core.errors import CannotMeasure
+from planish.core.grid import pitch
 from planish.core.transform import Similarity
 from planish.measure import (
     PROPERTIES,
@@ -154,11 +155,11 @@ def number_results(volume: xr.DataArray, surfaces: xr.Dataset, section: Properti
     """What describes the sheet in numbers: thin and bare shares, roughness, two-sidedness, profiles in depth."""
     out: dict[str, Any] = {}
     options = ray_options(section)
-    pitch = _pitch(surfaces)
+    step = pitch(surfaces)
     for side in ("top", "bottom"):
         coating = surfaces[f"coating_{side}"]
         if np.isfinite(coating.values).any():
-            found = thin_fraction(coating.assign_attrs(support_um=float(np.sqrt(pitch[0] * pitch[1]))))
+            found = thin_fraction(coating.assign_attrs(support_um=float(np.sqrt(step[0] * step[1]))))
             out[f"thin_{side}"] = {
                 "thinner_than_um": [float(v) for v in found["marked"].values],
                 "share": [float(v) for v in found["marked_share"].values],
@@ -167,8 +168,8 @@ def number_results(volume: xr.DataArray, surfaces: xr.Dataset, section: Properti
             }
         filters = {"s_filter_um": options.s_filter_um, "l_filter_um": options.l_filter_um}
         try:
-            limited = scale_limited(surfaces[f"topography_{side}"].values, pitch, **filters)
-            numbers = asdict(roughness_numbers(limited, pitch, **filters))
+            limited = scale_limited(surfaces[f"topography_{side}"].values, step, **filters)
+            numbers = asdict(roughness_numbers(limited, step, **filters))
             out[f"roughness_{side}"] = {k: _plain(v) for k, v in numbers.items()}
         except CannotMeasure as reason:
             # A field smaller than the filters has no roughness; that is said, and is no fault of the run.
@@ -181,11 +182,6 @@ def number_results(volume: xr.DataArray, surfaces: xr.Dataset, section: Properti
             name: [_plain(float(v)) for v in found[name].values] for name in profiled
         }
     return out
-
-
-def _pitch(data: xr.Dataset) -> tuple[float, float]:
-    y, x = data["y"].values, data["x"].values
-    return float(y[1] - y[0]), float(x[1] - x[0])
 
 
 def _plain(value: Any) -> Any:

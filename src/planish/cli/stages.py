@@ -192,16 +192,16 @@ def flatten(surfaces: Path, out: Path, mesh_um: float | None, method: Method, re
 def resample(properties: Path, flat: Path, out: Path, map_um: float | None) -> None:
     """Bring PROPERTIES onto a regular grid of the FLAT sheet."""
     from planish.core.checks import check_same_grid
+    from planish.core.grid import pitch
     from planish.resample import covering_grid, find_places, resample_dataset
 
     data, coordinates = _read(properties, "properties"), _read(flat, "flat")
     check_same_grid(data, coordinates)
-    y, x = data["y"].values, data["x"].values
-    pitch = float(y[1] - y[0]), float(x[1] - x[0])
-    step = map_um or float(np.sqrt(pitch[0] * pitch[1]))
+    rows, cols = pitch(data)
+    step = map_um or float(np.sqrt(rows * cols))
     uv = np.stack([coordinates["u"].values, coordinates["v"].values], axis=-1)
     shape, origin = covering_grid(uv, step)
-    places = find_places(uv, shape=shape, pixel_um=(step, step), origin_um=origin, least_um=min(pitch))
+    places = find_places(uv, shape=shape, pixel_um=(step, step), origin_um=origin, least_um=min(rows, cols))
     coords = {"v": origin[1] + step * np.arange(shape[0]), "u": origin[0] + step * np.arange(shape[1])}
     maps = resample_dataset(data, places, dims=("v", "u"), coords=coords)
     _write(out, {"maps": maps}, f"{shape[1]} x {shape[0]} pixels of {step:g} um")
@@ -216,6 +216,7 @@ def holes(
     image: Path, out: Path, pixel_um: tuple[float, float] | None, channel: str, hole_um: tuple[float, float]
 ) -> None:
     """Find the laser holes in IMAGE: a picture, or a run whose flattened sheet is searched."""
+    from planish.core.grid import pitch
     from planish.io import read_image
     from planish.io.run_folder import refuse_existing
     from planish.marks import find_holes, write_holes
@@ -224,12 +225,12 @@ def holes(
     if image.is_dir():
         maps = _read(image, "maps")
         u, v = maps["u"].values, maps["v"].values
-        found = find_holes(maps["presence"].values, pixel_um=float(u[1] - u[0]), diameter_um=hole_um, polarity="dark")
+        found = find_holes(maps["presence"].values, pixel_um=pitch(maps)[1], diameter_um=hole_um, polarity="dark")
         found = found.assign(x=found["x"] + u[0], y=found["y"] + v[0])
     else:
         picture = read_image(image, pixel_um=pixel_um, channel=channel)
-        pitch = picture.attrs["pixel_um"]
-        found = find_holes(picture.values, pixel_um=(pitch[0], pitch[1]), diameter_um=hole_um)
+        rows, cols = picture.attrs["pixel_um"]
+        found = find_holes(picture.values, pixel_um=(rows, cols), diameter_um=hole_um)
     write_holes(found, out)
     click.echo(f"{out}: {found.sizes['mark']} holes")
 
@@ -288,11 +289,12 @@ def correlate(linked: Path, name: str, point_um: float, as_json: bool) -> None:
     from planish.analyze import correlate_at
     from planish.cli.show import number, table
     from planish.core.errors import InputError
+    from planish.core.grid import pitch
 
     data = _read(linked, "linked")
     if name not in data:
         raise InputError(f"{linked} has no map '{name}'; it holds {', '.join(map(str, data.data_vars))}.")
-    pixel = float(data["y"][1] - data["y"][0]), float(data["x"][1] - data["x"][0])
+    pixel = pitch(data)
     values = np.where(data["valid"].values, data[name].values.astype(np.float64), np.nan)
     image = data["image"].values.astype(np.float64)
     pairs = (

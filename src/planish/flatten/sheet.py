@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
 from planish.core.frame import Frame
+from planish.core.grid import bilinear
 from planish.core.outcome import Outcome
 from planish.flatten.curvature import CurvatureCheck, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
@@ -226,12 +227,7 @@ def _carried(move: Array, rows: NDArray[np.intp], cols: NDArray[np.intp], shape:
     filled = move[tuple(nearest)]
     r = np.interp(np.arange(shape[0]), rows, np.arange(rows.size))
     c = np.interp(np.arange(shape[1]), cols, np.arange(cols.size))
-    i, j = np.minimum(r.astype(int), rows.size - 2), np.minimum(c.astype(int), cols.size - 2)
-    fr, fc = (r - i)[:, None], (c - j)[None, :]
-    a, b = filled[i], filled[i + 1]
-    low = a[:, j] * (1 - fc) + a[:, j + 1] * fc
-    high = b[:, j] * (1 - fc) + b[:, j + 1] * fc
-    return low * (1 - fr) + high * fr
+    return bilinear(filled, r[:, None], c[None, :])
 
 
 def _fold_mask(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure, SurfaceError
 from planish.core.frame import Frame
+from planish.core.grid import pitch
 from planish.measure._kernels import along_normals
 
 Array = NDArray[np.float64]
@@ -65,10 +66,10 @@ def measure_properties(surfaces: xr.Dataset) -> xr.Dataset:
     if below:
         raise SurfaceError(f"The top lies below the bottom at {below} points. Check --top.")
     heights = {name: up * surfaces[name].values for name in needed[:-1]}
-    pitch = _pitch(surfaces)
-    normals = unit_normals(heights["centre"], pitch)
+    step = pitch(surfaces)
+    normals = unit_normals(heights["centre"], step)
     distance = {
-        name: along_normals(heights[name], heights["centre"], *normals, *pitch)
+        name: along_normals(heights[name], heights["centre"], *normals, *step)
         if np.isfinite(heights[name]).any()
         else np.full(heights["centre"].shape, np.nan)
         for name in needed[:-2]
@@ -112,8 +113,3 @@ def unit_normals(height: Array, pitch: tuple[float, float]) -> tuple[Array, Arra
     along_rows, along_cols = (np.gradient(height, p, axis=i) for i, p in enumerate(pitch))
     length = np.sqrt(1 + along_rows**2 + along_cols**2)
     return -along_rows / length, -along_cols / length, 1 / length
-
-
-def _pitch(surfaces: xr.Dataset) -> tuple[float, float]:
-    y, x = surfaces["y"].values, surfaces["x"].values
-    return float(y[1] - y[0]), float(x[1] - x[0])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure, SizeError, SurfaceError
 from planish.core.frame import Frame
+from planish.core.grid import pitch
 from planish.measure import _ray_kernels
 from planish.measure._kernels import along_normals
 from planish.measure.greys import Greys
@@ -94,10 +95,9 @@ class RayFrame:
         margin = 3 * greys.blur_um + 6 * voxel_um if margin_um is None else margin_um
         frame = Frame.of(surfaces)
         heights = {name: frame.sign * surfaces[name].values.astype(np.float64) for name in (*FACES, "centre")}
-        y, x = surfaces["y"].values, surfaces["x"].values
-        pitch = float(y[1] - y[0]), float(x[1] - x[0])
+        pitch_um = pitch(surfaces)
         status = surfaces["status"].values.astype(np.uint8)
-        faces, stretch = _meet(heights, pitch, rays)
+        faces, stretch = _meet(heights, pitch_um, rays)
         known = np.isfinite(faces["top"]) & np.isfinite(faces["bottom"]) & (status == 0)
         thick = float(np.median((faces["top"] - faces["bottom"])[known])) if known.any() else float("nan")
         whole = known & (np.abs(faces["top"]) < _FARTHEST * thick) & (np.abs(faces["bottom"]) < _FARTHEST * thick)
@@ -112,7 +112,7 @@ class RayFrame:
         low = int(np.floor((float(faces["bottom"][whole].min()) - margin) / step))
         high = int(np.ceil((float(faces["top"][whole].max()) + margin) / step))
         return cls(
-            frame=frame, rays=rays, heights=heights, faces=faces, status=status, pitch_um=pitch, voxel_um=voxel_um,
+            frame=frame, rays=rays, heights=heights, faces=faces, status=status, pitch_um=pitch_um, voxel_um=voxel_um,
             step_um=step, low=low, high=high, greys=greys, options=options or RayOptions(), mean_stretch=stretch,
             wide=wide,
         )  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -11,9 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from planish.analyze import masked_lag
 from planish.core.errors import SizeError
+from planish.core.grid import Grid, pitch
 from planish.core.transform import Similarity
 from planish.pipeline.run import Array
-from planish.pipeline.sheet import on_mesh, pitch, single, uv
+from planish.pipeline.sheet import on_mesh, single, uv
 from planish.properties import turned_angles, with_angles
 from planish.register import Chain
 from planish.resample import find_places, resample_dataset, warp_image
@@ -21,44 +21,6 @@ from planish.results import lag_results
 
 _LOOKED_AT = 200  # places a side at which the expected error is worked out; it varies over millimetres
 _REACH_UM, _COARSEST_UM, _TILE_UM, _SURROGATES = 150.0, 1000.0, 1000.0, 99
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Grid:
-    """Pixels of a reference.
-
-    Attributes
-    ----------
-    y_um, x_um : (rows,) and (cols,)
-        Where they lie.
-    """
-
-    y_um: Array
-    x_um: Array
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return self.y_um.size, self.x_um.size
-
-    @property
-    def pixel_um(self) -> tuple[float, float]:
-        """Pitch of rows and columns; SizeError for a single row or column, which has none."""
-        if min(self.shape) < 2:
-            raise SizeError(
-                f"The reference has {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed to lay a layer onto it."
-            )
-        return float(self.y_um[1] - self.y_um[0]), float(self.x_um[1] - self.x_um[0])
-
-    @property
-    def origin_um(self) -> tuple[float, float]:
-        """``(x, y)`` of the middle of the first pixel."""
-        return float(self.x_um[0]), float(self.y_um[0])
-
-    @property
-    def coords(self) -> dict[str, Any]:
-        """Coordinates of a dataset on it."""
-        return {"y": self.y_um, "x": self.x_um}
 
 
 class Way(Protocol):

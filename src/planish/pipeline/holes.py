@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from planish.core.errors import MarkError
 from planish.core.frame import Frame
+from planish.core.grid import pitch, values_at
 from planish.marks import Side, find_holes_in_sheet
 from planish.pipeline.run import Array
 from planish.surface.presence import LAYERS
@@ -30,7 +31,7 @@ def holes_of_map(maps: xr.Dataset, hole_um: tuple[float, float], side: Side = "t
 
     Maps of an older run, which hold one layer only, give those of the top for either side.
     """
-    step = float(maps["u"].values[1] - maps["u"].values[0])
+    step = pitch(maps)[1]
     layers = {"top": "presence", "centre": "presence_centre", "bottom": "presence_bottom"}
     whole = "presence_bottom" in maps
     holes = find_holes_in_sheet(
@@ -74,10 +75,8 @@ def in_flat(given: xr.Dataset, flat: xr.Dataset, surfaces: xr.Dataset) -> Array:
     if "moving_x" in given:
         return np.stack([given["moving_x"].values, given["moving_y"].values], axis=1)
     frame = Frame.of(surfaces)
-    y, x = surfaces["y"].values, surfaces["x"].values
-    row = (given[f"volume_{frame.rows}"].values - y[0]) / (y[1] - y[0])
-    col = (given[f"volume_{frame.cols}"].values - x[0]) / (x[1] - x[0])
-    moving = np.stack([_bilinear(flat[k].values, row, col) for k in ("u", "v")], axis=1)
+    columns = np.stack([given[f"volume_{axis}"].values for axis in (frame.cols, frame.rows)], axis=1)
+    moving = values_at(flat, ("u", "v"), columns)
     lost = [str(n) for n, p in zip(given["label"].values, moving, strict=True) if not np.isfinite(p).all()]
     if lost:
         raise MarkError(
@@ -88,9 +87,7 @@ def in_flat(given: xr.Dataset, flat: xr.Dataset, surfaces: xr.Dataset) -> Array:
 
 def at_flat(maps: xr.Dataset, names: tuple[str, str], points: Array) -> Array:
     """Values of two maps at points (n, 2) of the flat sheet."""
-    u, v = maps["u"].values, maps["v"].values
-    row, col = (points[:, 1] - v[0]) / (v[1] - v[0]), (points[:, 0] - u[0]) / (u[1] - u[0])
-    found = np.stack([_bilinear(maps[n].values, row, col) for n in names], axis=1)
+    found = values_at(maps, names, points)
     if not np.isfinite(found).all():
         raise MarkError("A mark lies outside the flattened sheet. Remove it from the table of marks.")
     return found
@@ -114,7 +111,7 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> Array:
     beyond = np.isfinite(values) & ((values - sheet) / (floor - sheet) > 0.5)
     labels = np.asarray(ndimage.label(beyond)[0])
     border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    step = float(y[1] - y[0]), float(x[1] - x[0])
+    step = pitch(image)
     least = 0.1 * np.pi * float(np.median(radius)) ** 2 / (step[0] * step[1])
     found: list[tuple[float, float, float]] = []
     for label in border[border > 0]:
@@ -146,15 +143,3 @@ def outside_holes(
         cols = slice(*np.searchsorted(x_um, (x - radius, x + radius)))
         away[rows, cols] &= np.hypot(x_um[None, cols] - x, y_um[rows, None] - y) > radius
     return away
-
-
-def _bilinear(field: Array, row: Array, col: Array) -> Array:
-    """Value of a field at fractional rows and columns; NaN outside."""
-    rows, cols = field.shape
-    inside = (row >= 0) & (row <= rows - 1) & (col >= 0) & (col <= cols - 1)
-    i = np.clip(np.floor(np.where(inside, row, 0)).astype(int), 0, rows - 2)
-    j = np.clip(np.floor(np.where(inside, col, 0)).astype(int), 0, cols - 2)
-    fr, fc = row - i, col - j
-    value = (field[i, j] * (1 - fc) + field[i, j + 1] * fc) * (1 - fr)
-    value += (field[i + 1, j] * (1 - fc) + field[i + 1, j + 1] * fc) * fr
-    return np.where(inside, value, np.nan)

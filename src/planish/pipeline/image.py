@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 
 from planish.analyze import correlate, correlate_at
 from planish.compute import Compute
+from planish.core.grid import Grid, pitch
 from planish.gates import link_gates, map_gates
 from planish.io import read_image
 from planish.marks import find_holes
 from planish.marks.files import read_pairs
 from planish.measure import PROPERTIES
-from planish.pipeline.grid import Grid, agreement, expected_error, headline_of, image_attrs, sheet_on
+from planish.pipeline.grid import agreement, expected_error, headline_of, image_attrs, sheet_on
 from planish.pipeline.holes import at_flat, holes_of_map, in_flat, outside_holes
 from planish.pipeline.marking import Plane, check_enough, join_found, join_given, read_design
 from planish.pipeline.orientation import orientation_results
 from planish.pipeline.refinement import refine_link
 from planish.pipeline.run import Array, Progress, Run, silent
-from planish.pipeline.sheet import map_sheet, pitch, uv
+from planish.pipeline.sheet import map_sheet, uv
 from planish.properties import further_maps
 from planish.register import Chain, FittedTransform, Model, fit_transform
 from planish.resample import find_places, resample
@@ -84,7 +85,7 @@ def link_sheet(
     projected_um = at_flat(maps, ("projected_u", "projected_v"), fit.moving)
     tell("link", f"{image.shape[0]} x {image.shape[1]} pixels")
     radii = 0.5 * joined.blocked_diameter_um + study.surface.rim_um
-    grid = Grid(y_um=image["y"].values, x_um=image["x"].values)
+    grid = Grid.of(image)
     away = outside_holes(grid.y_um, grid.x_um, joined.blocked_um, radii)
     linked = _linked(surfaces, flat, Chain(fits=(fit,)), image, grid, away)
     headline = headline_of(linked, fixed.faces)

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from planish import __version__
 from planish.compute import Compute
 from planish.core.errors import CannotRegister
+from planish.core.grid import Grid
 from planish.gates import Gate, direction_gates, field_gate, map_gates, mark_gates, sheet_gates
 from planish.io import read_image
 from planish.marks import find_holes
 from planish.marks.files import read_pairs
-from planish.pipeline.grid import Grid, expected_error, headline_of, image_attrs, image_on, sheet_on
+from planish.pipeline.grid import expected_error, headline_of, image_attrs, image_on, sheet_on
 from planish.pipeline.holes import cut_holes, holes_of_map, in_flat, outside_holes
 from planish.pipeline.marking import Joined, Plane, check_enough, join_found, join_given, read_design
 from planish.pipeline.orientation import orientation_results
@@ -137,7 +138,7 @@ def _read(
         tell("marks", f"holes of {section.name}")
         holes = find_holes(image.values, pixel_um=pixel, diameter_um=hole_um)
         plane = Plane(name=section.name, holes=holes, side=given.side, md_deg=given.md_deg)
-        grid = Grid(y_um=image["y"].values, x_um=image["x"].values)
+        grid = Grid.of(image)
         return _Layer(section=section, plane=plane, grid=grid, sheet=None, image=image)
     if section.run is not None:
         tell("read", Path(section.run).name)
@@ -151,7 +152,7 @@ def _read(
     plane = Plane(
         name=section.name, holes=holes_of_map(maps, hole_um), sheet=True, md_deg=sheet.study.volume.md_deg
     )  # fmt: skip
-    grid = Grid(y_um=maps["v"].values, x_um=maps["u"].values)
+    grid = Grid.of(maps)
     return _Layer(section=section, plane=plane, grid=grid, sheet=sheet, image=None)
 
 

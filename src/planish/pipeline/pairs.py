@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from planish.analyze import correlate, correlate_at
+from planish.core.grid import pitch
 from planish.marks import Side
 from planish.measure import PROPERTIES
 from planish.pipeline.grid import agreement, headline_of
@@ -30,8 +31,7 @@ def likeness(a: xr.Dataset, b: xr.Dataset, point_um: float) -> dict[str, float] 
     """
     if "thickness" not in a or "thickness" not in b:
         return None
-    y, x = a["y"].values, a["x"].values
-    pixel = float(y[1] - y[0]), float(x[1] - x[0])
+    pixel = pitch(a)
     valid = a["valid"].values & b["valid"].values
 
     def r(of_a: str, of_b: str) -> float:
@@ -54,8 +54,7 @@ def compare(a: str, b: str, maps: dict[str, xr.Dataset], point_um: float) -> lis
     side = side_seen(first, second)
     names = [(name, name) for name in shared] or [(headline_of(first, side), headline_of(second, side))]
     valid = first["valid"].values & second["valid"].values
-    y, x = first["y"].values, first["x"].values
-    pixel = float(y[1] - y[0]), float(x[1] - x[0])
+    pixel = pitch(first)
     rows: list[dict[str, Any]] = []
     for of_a, of_b in names:
         p, q = (np.where(valid, d[n].values.astype(np.float64), np.nan) for d, n in ((first, of_a), (second, of_b)))
@@ -83,9 +82,8 @@ def lag_between(name: str, reference: str, maps: dict[str, xr.Dataset]) -> dict[
     a, b = maps[name], maps[reference]
     side = side_seen(a, b)
     own, other = headline_of(a, side), headline_of(b, side)
-    y, x = a["y"].values, a["x"].values
     found = agreement(
         a[own].values, b[other].values, a["valid"].values & b["valid"].values,
-        (float(y[1] - y[0]), float(x[1] - x[0])), a["expected_error"].values, own,
+        pitch(a), a["expected_error"].values, own,
     )  # fmt: skip
     return {"a": name, "b": reference, **(found or {})}

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from planish.analyze import CrossFitted, SearchedNull, cross_fitted, in_band, searched_null
 from planish.core.errors import CannotMeasure
+from planish.core.grid import Grid
 from planish.core.transform import Similarity
-from planish.pipeline.grid import Grid
 from planish.pipeline.run import Array
 from planish.register import Chain, FittedTransform, Refined, refine
 from planish.register.refine import Refinement

@@ -14,6 +14,7 @@ from planish import __version__
 from planish.compute import Compute, column_step, engine
 from planish.core.errors import InputError, VolumeError
 from planish.core.frame import Frame
+from planish.core.grid import pitch
 from planish.flatten import Flattened, FlattenParams, flatten_sheet
 from planish.gates import map_gates
 from planish.io import find_place
@@ -147,12 +148,6 @@ def _check_thickness(surfaces: xr.Dataset) -> None:
             f"{100 * _LEAST_SHARE:.0f} % are "
             "needed for a map. Check --through and --sheet-grey, and that the sheet does not leave the volume."
         )
-
-
-def pitch(data: xr.Dataset) -> tuple[float, float]:
-    """Pitch of rows and columns, in um."""
-    y, x = data["y"].values, data["x"].values
-    return float(y[1] - y[0]), float(x[1] - x[0])
 
 
 def uv(flat: xr.Dataset, names: tuple[str, str] = ("u", "v")) -> Array:

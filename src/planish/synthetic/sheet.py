@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.grid import bilinear
 from planish.synthetic.fields import PITCH_UM, fibrous, generator, lowpass, noise, streaks
 from planish.synthetic.holes import burn
 from planish.synthetic.params import HoleParams, PaperParams
@@ -64,11 +65,7 @@ class Sheet:
         """Bilinear value of one field at material coordinates; the same rule that the renderer uses."""
         x = np.clip((u - self.origin[0]) / PITCH_UM, 0.0, field.shape[1] - 1.000001)
         y = np.clip((v - self.origin[1]) / PITCH_UM, 0.0, field.shape[0] - 1.000001)
-        j, i = x.astype(int), y.astype(int)
-        fx, fy = x - j, y - i
-        top = field[i, j] * (1 - fx) + field[i, j + 1] * fx
-        low = field[i + 1, j] * (1 - fx) + field[i + 1, j + 1] * fx
-        return top * (1 - fy) + low * fy
+        return bilinear(field, y, x)
 
     @cached_property
     def reach_um(self) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.area import area_mean
+from planish.core.grid import pitch
 from planish.pipeline import Run
 from planish.synthetic import InstrumentFiles, Specimen
 from planish.validate.image_errors import make_pixels
@@ -60,10 +61,10 @@ def make_example(specimen: Specimen, files: InstrumentFiles, run: Run, seed: int
     def smaller(values: Array) -> Array:
         return area_mean(np.asarray(values, dtype=np.float64), (factor, factor)) if factor > 1 else values
 
-    y, x = linked["y"].values, linked["x"].values
+    rows, cols = pitch(linked)
     return Example(
         seed=seed,
-        pixel_um=(factor * float(y[1] - y[0]), factor * float(x[1] - x[0])),
+        pixel_um=(factor * rows, factor * cols),
         image=smaller(np.asarray(linked["image"].values, dtype=np.float64)),
         away_um=smaller(away),
         name=name,

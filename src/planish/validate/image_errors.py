@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from planish.analyze import correlate, correlate_at
+from planish.core.grid import pitch, values_at
 from planish.marks import find_holes
 from planish.pipeline import Run
 from planish.register import FittedTransform, fit_transform
@@ -99,10 +100,8 @@ def pixel_errors(specimen: Specimen, run: Run, pixels: Pixels) -> Values:
         known = np.isfinite(found) & np.isfinite(true)
         count = int(np.count_nonzero(known))
         if count and np.count_nonzero(true[known] < thin_um) >= _LEAST_THIN * count:
-            y, x = linked["y"].values, linked["x"].values
-            pitch = float(y[1] - y[0]), float(x[1] - x[0])
             values["thin_dice"] = dice(found < thin_um, (true < thin_um) & known)
-            values["thin_lag"] = outline_lag(found, np.where(known, true, np.nan), thin_um, pitch)
+            values["thin_lag"] = outline_lag(found, np.where(known, true, np.nan), thin_um, pitch(linked))
     return values
 
 
@@ -113,16 +112,15 @@ def hole_errors(specimen: Specimen, files: InstrumentFiles, run: Run, lattice: L
     true = specimen.sheet.holes
     radius = 0.5 * float(np.mean(hole_um))
     y, x = linked["y"].values, linked["x"].values
-    pixel = float(y[1] - y[0]), float(x[1] - x[0])
+    pixel = pitch(linked)
     seen = find_holes(np.asarray(linked["image"].values), pixel_um=pixel, diameter_um=hole_um)
     in_image = np.asarray(specimen.pose.inverse(_xy(seen)), dtype=np.float64).reshape(-1, 2)
     places = specimen.pose(true)
     inside = np.all((places > radius) & (places < [x[-1] - radius, y[-1] - radius]), axis=1)
     values = _found(in_image, true, inside, "image")
-    step = float(maps["u"].values[1] - maps["u"].values[0])
-    seen = find_holes(maps["presence"].values, pixel_um=step, diameter_um=hole_um, polarity="dark")
+    seen = find_holes(maps["presence"].values, pixel_um=pitch(maps)[1], diameter_um=hole_um, polarity="dark")
     moving = _xy(seen) + np.array([maps["u"].values[0], maps["v"].values[0]])
-    volume = bilinear(maps, ("volume_x", "volume_y", "volume_z"), moving)
+    volume = values_at(maps, ("volume_x", "volume_y", "volume_z"), moving)
     in_sheet = material_at(specimen, files, volume, run.groups.get("sections"))[:, :2]
     known = lattice.material[np.isfinite(lattice.material[..., 0])][:, :2]
     ring = true[:, None] + np.concatenate([np.zeros((1, 2)), radius * _RING])
@@ -193,7 +191,7 @@ def _projection_error(
 ) -> float | None:
     """95th percentile over the columns that the image shows; the distance in the image, brought to the sheet."""
     names = ("projected_u", "projected_v")
-    marks = bilinear(run.groups["maps"], names, fit.moving)
+    marks = values_at(run.groups["maps"], names, fit.moving)
     if scale is None or not np.isfinite(marks).all():
         return None
     projected = fit_transform(marks, fit.fixed, mirrored=fit.transform.mirrored, robust=False)
@@ -216,13 +214,11 @@ def resampling_errors(specimen: Specimen, files: InstrumentFiles, run: Run, pixe
     points = file_points(surfaces, centre, rows, cols)
     u, v, _ = np.moveaxis(material_at(specimen, files, points, run.groups.get("sections")), -1, 0)
     fit = refit(run)
-    pixel = tuple(float(linked[d].values[1] - linked[d].values[0]) for d in ("y", "x"))
-    pitch = min(float(surfaces[d].values[1] - surfaces[d].values[0]) for d in ("y", "x"))
     uv = np.stack([flat["u"].values[rows], flat["v"].values[rows]], axis=-1)
     shape = pixels.u.shape
     places = find_places(
-        fit.transform(uv), shape=(shape[0], shape[1]), pixel_um=(pixel[0], pixel[1]),
-        least_um=pitch * fit.transform.scale,
+        fit.transform(uv), shape=(shape[0], shape[1]), pixel_um=pitch(linked),
+        least_um=min(pitch(surfaces)) * fit.transform.scale,
     )  # fmt: skip
     carried = resample(true_thickness(specimen.sheet, name, u, v), places)
     there = pixel_thickness(specimen.sheet, name, pixels.found[..., 0], pixels.found[..., 1], pixels.offsets)
@@ -234,7 +230,7 @@ def statistic_errors(specimen: Specimen, run: Run, pixels: Pixels, *, point_um: 
     """Correlation with the image of the measured and of the true map, over the same pixels."""
     linked, name = run.groups["linked"], str(run.results["headline"])
     image = np.asarray(linked["image"].values, dtype=np.float64)
-    pixel = float(linked["y"].values[1] - linked["y"].values[0]), float(linked["x"].values[1] - linked["x"].values[0])
+    pixel = pitch(linked)
     found = np.where(pixels.valid, np.asarray(linked[name].values, dtype=np.float64), np.nan)
     true = pixel_thickness(specimen.sheet, name, pixels.u, pixels.v, pixels.offsets)
     true = np.where(np.isfinite(found), true, np.nan)
@@ -251,23 +247,6 @@ def statistic_errors(specimen: Specimen, run: Run, pixels: Pixels, *, point_um: 
         values[f"r_true_{key}"] = two.r if both else None
         values[f"r_difference_{key}"] = one.r - two.r if both else None
     return values
-
-
-def bilinear(maps: xr.Dataset, names: tuple[str, ...], points: Array) -> Array:
-    """Values (n, len(names)) of flat maps (v, u) at points (n, 2); NaN outside."""
-    u, v = maps["u"].values, maps["v"].values
-    row, col = (points[:, 1] - v[0]) / (v[1] - v[0]), (points[:, 0] - u[0]) / (u[1] - u[0])
-    inside = (row >= 0) & (col >= 0) & (row <= len(v) - 1) & (col <= len(u) - 1)
-    i = np.clip(np.where(inside, row, 0).astype(int), 0, len(v) - 2)
-    j = np.clip(np.where(inside, col, 0).astype(int), 0, len(u) - 2)
-    down, right = row - i, col - j
-    out = np.full((len(points), len(names)), np.nan)
-    for k, name in enumerate(names):
-        m = np.asarray(maps[name].values, dtype=np.float64)
-        top = m[i, j] * (1 - right) + m[i, j + 1] * right
-        low = m[i + 1, j] * (1 - right) + m[i + 1, j + 1] * right
-        out[:, k] = np.where(inside, top * (1 - down) + low * down, np.nan)
-    return out
 
 
 def _xy(holes: xr.Dataset) -> Array:

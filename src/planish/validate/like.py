@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, InputError
 from planish.core.frame import Frame
+from planish.core.grid import pitch
 from planish.io.run_folder import read_tree
 from planish.marks import find_holes
 from planish.study import Study, read_study
@@ -191,12 +192,12 @@ def _with_warp(
 ) -> SpecimenParams:
     """Steepest slope, direction and wavelength of the centre surface."""
     surfaces, flat = groups["surfaces"], groups["flat"]
-    pitch = [float(surfaces[d].values[1] - surfaces[d].values[0]) for d in ("y", "x")]
-    every = [max(1, int(_SPECK_UM / 4 / p)) for p in pitch]
+    steps = pitch(surfaces)
+    every = [max(1, int(_SPECK_UM / 4 / p)) for p in steps]
     centre = np.asarray(surfaces["centre"].values[:: every[0], :: every[1]], dtype=np.float64)
     if min(centre.shape) < 3:
         raise InputError("The field of the run is too small to tell how the sheet is bent. Give a larger one.")
-    down, across = (np.gradient(centre, e * p, axis=i) for i, (e, p) in enumerate(zip(every, pitch, strict=True)))
+    down, across = (np.gradient(centre, e * p, axis=i) for i, (e, p) in enumerate(zip(every, steps, strict=True)))
     known = np.isfinite(down) & np.isfinite(across)
     if np.count_nonzero(known) < 10:
         raise InputError("The run holds next to no centre surface. Look at its report before making specimens like it.")
@@ -209,7 +210,7 @@ def _with_warp(
         directions = directions * np.array([[-1.0], [1.0]])
     ruling = float(np.rad2deg(np.arctan2(directions[1, 1], directions[0, 1])))
     ruling = (ruling + 90.0) % 180.0 - 90.0
-    waves = _wavelength(centre, every, pitch, slope)
+    waves = _wavelength(centre, every, steps, slope)
     taken.append(f"Slopes of up to {slope:.2g} (95 %), rolled along {ruling:.0f} degrees, waves of {waves:.0f} um.")
     share = float(np.sqrt(np.mean(aside**2) / max(float(np.mean(along**2)), 1e-12)))
     assumed.append(
@@ -225,7 +226,7 @@ def _with_warp(
     return replace(params, warp=warp)
 
 
-def _wavelength(centre: Array, every: list[int], pitch: list[float], slope: float) -> float:
+def _wavelength(centre: Array, every: list[int], pitch: tuple[float, float], slope: float) -> float:
     """Wavelength of a sine with this steepest slope and the height of the centre surface: 2 pi A / slope."""
     known = centre[np.isfinite(centre)]
     y, x = np.indices(centre.shape)[:, np.isfinite(centre)]
@@ -279,8 +280,7 @@ def _with_holes(
     found = None
     if "linked" in groups:
         linked = groups["linked"]
-        y, x = linked["y"].values, linked["x"].values
-        pixel = float(y[1] - y[0]), float(x[1] - x[0])
+        pixel = pitch(linked)
         found = find_holes(np.asarray(linked["image"].values), pixel_um=pixel, diameter_um=study.registration.hole_um)
     if found is not None and found.sizes["mark"] > 1:
         sizes = np.asarray(found["diameter"].values, dtype=np.float64)

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.frame import Frame
+from planish.core.grid import pitch
 from planish.synthetic import InstrumentFiles, Sheet, Specimen
 
 Array = NDArray[np.float64]
@@ -54,11 +55,11 @@ def make_lattice(specimen: Specimen, files: InstrumentFiles, groups: dict[str, x
     step = max(1, int(np.ceil(np.sqrt(surfaces["status"].size / _MOST_COLUMNS))))
     rows, cols = (np.arange(0, surfaces.sizes[d], step) for d in ("y", "x"))
     points = file_points(surfaces, surfaces["centre"].values[np.ix_(rows, cols)], rows, cols)
-    y, x = surfaces["y"].values, surfaces["x"].values
+    down, across = pitch(surfaces)
     return Lattice(
         rows=rows,
         cols=cols,
-        pitch_um=(float(step * (y[1] - y[0])), float(step * (x[1] - x[0]))),
+        pitch_um=(step * down, step * across),
         material=material_at(specimen, files, points, groups.get("sections")),
         measured=surfaces["status"].values[np.ix_(rows, cols)] == 0,
     )
@@ -112,7 +113,7 @@ def pixel_offsets(specimen: Specimen) -> Array:
     A pixel is an area: at 12 um it shows the mean of what fibres of 20 to 35 um do. One of 4 um is taken as a point.
     """
     truth = specimen.truth
-    step = tuple(float(truth[d].values[1] - truth[d].values[0]) for d in ("y", "x"))
+    step = pitch(truth)
     parts = [max(1, round(s / _FINEST_UM)) for s in step]
     y, x = (s * ((np.arange(n) + 0.5) / n - 0.5) for s, n in zip(step, parts, strict=True))
     around = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

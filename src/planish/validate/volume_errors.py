@@ -7,6 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.frame import Frame
+from planish.core.grid import pitch
 from planish.register import fit_transform
 from planish.sections.trend import quick_part
 from planish.synthetic import InstrumentFiles, Specimen
@@ -115,8 +116,7 @@ def _angles(
     """Angles in degrees between found and true normals; NaN where a neighbour is missing."""
     surfaces, sections = groups["surfaces"], groups.get("sections")
     centre = surfaces["centre"].values
-    pitch = [float(surfaces[d].values[1] - surfaces[d].values[0]) for d in ("y", "x")]
-    reach = [1 if sections is None else max(1, round(_WIDE_UM / p)) for p in pitch]
+    reach = [1 if sections is None else max(1, round(_WIDE_UM / p)) for p in pitch(surfaces)]
     sides: list[Array] = []
     for axis, (n, r) in enumerate(zip(centre.shape, reach, strict=True)):
         ends: list[Array] = []
@@ -160,8 +160,8 @@ def flattening_errors(groups: dict[str, xr.Dataset], lattice: Lattice) -> Values
     similar = fit_transform(flat[known], true[known], model="similarity", mirrored=mirrored, robust=False)
     away = np.hypot(rigid.residuals_um[:, 0], rigid.residuals_um[:, 1])
     strains: list[Array] = []
-    for axis, pitch in enumerate(lattice.pitch_um):
-        n = max(1, round(_EDGE_UM / pitch))
+    for axis, step in enumerate(lattice.pitch_um):
+        n = max(1, round(_EDGE_UM / step))
         edges = [np.linalg.norm(_apart(places, n, axis), axis=-1) for places in (flat, true)]
         with np.errstate(invalid="ignore", divide="ignore"):
             strain = edges[0] / edges[1] - 1.0

@@ -1,0 +1,84 @@
+"""Regular grids: their pitch, their pixels, and values between the pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import SizeError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grid:
+    """Pixels of a map or an image: what layers are brought to.
+
+    Attributes
+    ----------
+    y_um, x_um : (rows,) and (cols,)
+        Where the middles of the pixels lie.
+    """
+
+    y_um: Array
+    x_um: Array
+
+    @classmethod
+    def of(cls, data: xr.Dataset | xr.DataArray) -> Grid:
+        """Return the grid of maps (y, x), or (v, u)."""
+        rows, cols = ("y", "x") if "y" in data.dims else ("v", "u")
+        return cls(y_um=data[rows].values, x_um=data[cols].values)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.y_um.size, self.x_um.size
+
+    @property
+    def pixel_um(self) -> tuple[float, float]:
+        """Pitch of rows and columns; SizeError for a single row or column, which has none."""
+        if min(self.shape) < 2:
+            raise SizeError(
+                f"The reference has {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed to lay a layer onto it."
+            )
+        return float(self.y_um[1] - self.y_um[0]), float(self.x_um[1] - self.x_um[0])
+
+    @property
+    def origin_um(self) -> tuple[float, float]:
+        """``(x, y)`` of the middle of the first pixel."""
+        return float(self.x_um[0]), float(self.y_um[0])
+
+    @property
+    def coords(self) -> dict[str, Any]:
+        """Coordinates of a dataset on it."""
+        return {"y": self.y_um, "x": self.x_um}
+
+
+def pitch(data: xr.Dataset | xr.DataArray) -> tuple[float, float]:
+    """Distance of the rows and of the columns of maps (y, x), or (v, u), in um."""
+    return Grid.of(data).pixel_um
+
+
+def bilinear(field: NDArray[Any], row: Array, col: Array) -> Array:
+    """Values of a field (rows, cols) at fractional rows and columns; NaN outside the middles of its outer pixels."""
+    rows, cols = field.shape
+    inside = (row >= 0) & (row <= rows - 1) & (col >= 0) & (col <= cols - 1)
+    i = np.clip(np.where(inside, row, 0).astype(np.intp), 0, rows - 2)
+    j = np.clip(np.where(inside, col, 0).astype(np.intp), 0, cols - 2)
+    down, right = row - i, col - j
+    top = field[i, j] * (1 - right) + field[i, j + 1] * right
+    low = field[i + 1, j] * (1 - right) + field[i + 1, j + 1] * right
+    return np.where(inside, top * (1 - down) + low * down, np.nan)
+
+
+def values_at(maps: xr.Dataset, names: Sequence[str], points: Array) -> Array:
+    """Values (n, names) of maps (y, x) or (v, u) at points (n, 2), (x, y) or (u, v) in um; NaN outside."""
+    grid = Grid.of(maps)
+    (x, y), (down, across) = grid.origin_um, grid.pixel_um
+    row, col = (points[:, 1] - y) / down, (points[:, 0] - x) / across
+    return np.stack([bilinear(maps[name].values, row, col) for name in names], axis=1)
