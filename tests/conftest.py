@@ -72,7 +72,7 @@ def pytest_fixture_setup(
 ) -> Generator[None, object, object]:
     """Take the time of a shared fixture off the test that happens to make it."""
     session = request.session
-    if fixturedef.scope == "function" or SHARED in session.stash and session.stash[SHARED] < 0:
+    if fixturedef.scope == "function" or (SHARED in session.stash and session.stash[SHARED] < 0):
         return (yield)
     before, spent = cpu_seconds(), session.stash.get(SHARED, 0.0)
     session.stash[SHARED] = -1.0  # a shared fixture within a shared fixture counts once

@@ -8,7 +8,7 @@ from planish.analyze import by_shift, cross_fitted
 from planish.core.errors import CannotRegister, SizeError
 from planish.register import fit_transform
 from planish.register.free_form import FreeForm
-from planish.register.refine import refine
+from planish.register.refinement import refine
 
 itk = pytest.importorskip("SimpleITK")
 PIXEL = 10.0
@@ -114,7 +114,7 @@ def test_more_than_the_marks_allow_is_refused():
 
 
 def test_a_fold_is_refused_and_a_strain_is_told(monkeypatch):
-    module = importlib.import_module("planish.register.refine")
+    module = importlib.import_module("planish.register.refinement")
     linked, image, valid = maps(constant(0.0, 0.0), 4)
 
     def bent(height):

@@ -15,7 +15,7 @@ from planish.core.grid import Grid
 from planish.core.transform import Similarity
 from planish.pipeline.run import Array
 from planish.register import Chain, FittedTransform, Refined, refine
-from planish.register.refine import Refinement
+from planish.register.refinement import Refinement
 
 _COARSEST_UM = 1000.0  # slower variations are taken off both maps: they make tiles and guards as large as they are
 _SURROGATES = 19

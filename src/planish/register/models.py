@@ -187,6 +187,7 @@ class ProjectiveModel:
         return transform.target_size * design
 
 
+MODEL_NAMES = ("rigid", "similarity", "affine", "projective", "tps")
 MODELS: dict[str, Model] = {m.name: m for m in (Rigid(), Similar(), AffineModel(), ProjectiveModel())}
 
 

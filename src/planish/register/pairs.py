@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError
 
@@ -167,6 +166,8 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
 
 def _refuse_doubles(pairs: Pairs, used: NDArray[np.intp]) -> None:
     """Two marks at one place on a side are one mark that was given twice, or a wrong pair."""
+    from scipy.spatial import KDTree
+
     sides = {"moving": pairs.moving[used], "fixed": pairs.fixed[used]}
     for (name, here), there in zip(sides.items(), reversed(sides.values()), strict=True):
         near = COINCIDENT * max(1.0, float(np.abs(here).max()))

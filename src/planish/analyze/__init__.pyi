@@ -1,0 +1,15 @@
+from .correlation import Correlation as Correlation
+from .correlation import correlate as correlate
+from .correlation import correlate_at as correlate_at
+from .cross_fit import CrossFitted as CrossFitted
+from .cross_fit import Registration as Registration
+from .cross_fit import SearchedNull as SearchedNull
+from .cross_fit import Tune as Tune
+from .cross_fit import by_shift as by_shift
+from .cross_fit import cross_fitted as cross_fitted
+from .cross_fit import searched_null as searched_null
+from .lag import Lag as Lag
+from .lag import masked_lag as masked_lag
+from .lag_field import LagField as LagField
+from .params import CorrelateParams as CorrelateParams
+from .surrogates import in_band as in_band

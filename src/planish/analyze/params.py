@@ -1,0 +1,12 @@
+"""Options of the correlation."""
+
+from __future__ import annotations
+
+from planish.core.options import Params, option
+
+
+class CorrelateParams(Params):
+    """Point-wise correlation of two maps."""
+
+    point_um: float = option(100.0, gt=0, help="Edge of the averaging square (point) in um.")
+    thin_um: float = option(5.0, gt=0, cli=None, help="Coating thickness in um below which the page outlines it.")

@@ -1,0 +1,15 @@
+from .chain import Chain as Chain
+from .fit import Model as Model
+from .fit import fit_transform as fit_transform
+from .match import Matched as Matched
+from .match import match_marks as match_marks
+from .match_design import MatchedByDesign as MatchedByDesign
+from .match_design import MatchedToDesign as MatchedToDesign
+from .match_design import match_by_design as match_by_design
+from .match_design import match_to_design as match_to_design
+from .params import RegistrationParams as RegistrationParams
+from .refinement import Refined as Refined
+from .refinement import refine as refine
+from .result import FittedSimilarity as FittedSimilarity
+from .result import FittedTransform as FittedTransform
+from .strain import Transform as Transform

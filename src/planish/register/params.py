@@ -1,0 +1,46 @@
+"""Options of the registration: how marks of two layers are matched, and which model takes one to the other."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+from planish.core.options import Params, option
+from planish.register.models import MODEL_NAMES
+
+if TYPE_CHECKING:
+    ModelChoice = str
+else:
+    ModelChoice = Literal[(*MODEL_NAMES, "auto")]
+
+
+class RegistrationParams(Params):
+    """How marks are matched and which transformation is fitted to them."""
+
+    marks: str | None = option(
+        None,
+        metavar="FILE",
+        help="Pairs of points from planish or another program (docs/marks-files.md), instead of finding the holes.",
+    )
+    design: str | None = option(
+        None,
+        metavar="FILE",
+        help="The pattern that was burnt, pattern.json of 'planish marks design' or a CSV table: holes are identified "
+        "by their position in it.",
+    )
+    scale_tolerance: float = option(
+        0.03, gt=0, lt=0.5, cli=None, help="Largest deviation of the scale from 1 that the calibrations allow."
+    )
+    tolerance_um: float = option(25.0, gt=0, help="Largest distance in um between two marks that match.")
+    mirror: bool = option(
+        False, help="Also try mirror images: for a volume whose slices are numbered against the usual sense."
+    )
+    model: ModelChoice = option(
+        "auto",
+        help="Transformation from the moving to the fixed layer. auto takes the simplest model that the marks support, "
+        f"from {MODEL_NAMES[0]} to {MODEL_NAMES[-1]}.",
+    )
+    refine: Literal["affine", "bspline"] | None = option(
+        None,
+        help="Also refine the registration by the maps themselves (one image only; needs planish[refine]). The maps go "
+        "into the group 'refined'; r is cross-fitted, or stands beside a searched null.",
+    )
