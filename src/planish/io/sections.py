@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import SizeError, VolumeError
 from planish.io.colour import check_channel, colour_attrs, grey_of, refuse_channel, to_grey
-from planish.io.cut_counter import COUNTER, check_folder, read_counter
+from planish.io.cut_counter import COUNTER, read_counter
 from planish.io.guard import check_memory, default_memory_limit, size_of_file
 from planish.io.lazy import LazyArray, PagedArray
 from planish.io.loaded import check_type, supported_type
@@ -101,7 +101,6 @@ def read_section_stack(
     """
     folder = Path(path)
     counter = read_counter(folder)
-    check_folder(folder, counter)
     files = [folder / name for name in counter.names]
     channel = check_channel(channel)
     values, first = load_sections(files, channel=channel, memory_limit_bytes=memory_limit_bytes)

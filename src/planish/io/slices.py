@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -133,7 +134,7 @@ def slice_step(numbers: list[int]) -> int:
     return math.gcd(*(b - a for a, b in pairwise(ordered)))
 
 
-def some(numbers: list[int]) -> str:
-    """Write the first few numbers."""
-    more = ", ..." if len(numbers) > MOST_NAMES else ""
-    return ", ".join(map(str, numbers[:MOST_NAMES])) + more
+def some(items: Sequence[object]) -> str:
+    """Write the first few names or numbers."""
+    more = ", ..." if len(items) > MOST_NAMES else ""
+    return ", ".join(map(str, items[:MOST_NAMES])) + more

@@ -1,0 +1,262 @@
+"""CSV tables: one reader that names all faults at once, and one writer.
+
+A table is text in UTF-8 (with or without byte order mark, or UTF-16 with one), its columns separated by comma, semicolon
+or tab. Where they are not separated by commas, numbers may have a decimal comma. Empty lines and lines that start with
+``#`` are no rows. Column names are compared in small letters, in any order; columns that nobody asks for are passed over.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.errors import FileError, InputError, PlanishError
+
+LARGEST_FILE = 10_000_000
+"""Bytes; no table of marks, holes or sections is larger."""
+
+MOST_FAULTS = 8
+"""Faults that one message names; of the others it gives the number."""
+
+
+class Row(NamedTuple):
+    """A row and the number of its line in the file, counted from 1."""
+
+    line: int
+    cells: list[str]
+
+
+class Rows(NamedTuple):
+    """What stands in a text: rows, comments without their sign, separator, and faults of single lines."""
+
+    rows: list[Row]
+    comments: list[str]
+    delimiter: str
+    faults: list[str]
+
+
+def read_text(path: str | Path, *, what: str = "table") -> str:
+    """Read a small text file.
+
+    Parameters
+    ----------
+    path : path
+    what : str
+        What the file should be, for the messages.
+
+    Raises
+    ------
+    FileError
+        If it cannot be read, has more than 10 MB, or is no text.
+    """
+    place = Path(path)
+    try:
+        if place.exists() and not place.is_file():
+            raise FileError(f"{place.name} is no file. Give the file of the {what}.")
+        with place.open("rb") as file:
+            data = file.read(LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise FileError(f"{place} cannot be read: {why}. Check the path.") from error
+    if len(data) > LARGEST_FILE:
+        raise FileError(f"{place.name} is larger than {LARGEST_FILE // 1_000_000} MB and no {what}.")
+    return decode_text(data, place.name, what=what)
+
+
+def decode_text(data: bytes, name: str, *, what: str = "table") -> str:
+    """Text of the bytes of a file, without byte order mark.
+
+    Raises
+    ------
+    FileError
+        If they are no text.
+    """
+    utf_16 = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    try:
+        text = data.decode("utf-16" if utf_16 else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileError(f"{name} is no text in UTF-8. Save the {what} as text in UTF-8.") from error
+    if "\0" in text:
+        raise FileError(f"{name} holds binary data and is no {what}. Check that it is the right file.")
+    return text
+
+
+def split_rows(text: str) -> Rows:
+    """Rows of a text, whether the first of them is a header or not; cells without blanks at their ends."""
+    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    comments = [line.lstrip("#").strip() for _, line in lines if line.startswith("#")]
+    lines = [(number, line) for number, line in lines if not line.startswith("#")]
+    delimiter = max(",;\t", key=lines[0][1].count) if lines else ","
+    rows: list[Row] = []
+    faults: list[str] = []
+    for number, line in lines:
+        try:
+            cells = next(csv.reader([line], delimiter=delimiter, strict=True))
+        except csv.Error as error:
+            faults.append(f"row {number}: {error}")
+            continue
+        rows.append(Row(number, [cell.strip() for cell in cells]))
+    return Rows(rows, comments, delimiter, faults)
+
+
+def finite(value: object, *, decimal_comma: bool = False) -> float | None:
+    """Return the number in a text or of a JSON value; None where it is none or not finite."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        return None
+    if decimal_comma and isinstance(value, str) and value.count(",") == 1 and "." not in value:
+        value = value.replace(",", ".")
+    try:
+        number = float(value)
+    except (ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+@dataclass(slots=True, kw_only=True)
+class Table:
+    """A table with a header. Faults are collected and raised once, by :meth:`check`.
+
+    Attributes
+    ----------
+    name : str
+        Name of the file.
+    header : list of str
+        Column names in small letters.
+    rows : list of Row
+        Rows with as many cells as the header.
+    comments : list of str
+    error : type
+        Class of the error that names the faults.
+    advice : str
+        What the table has to look like; ends the messages about its header.
+    faults : list of str
+    """
+
+    name: str
+    header: list[str]
+    rows: list[Row]
+    comments: list[str] = field(default_factory=list[str])
+    error: type[PlanishError] = InputError
+    advice: str = ""
+    decimal_comma: bool = False
+    faults: list[str] = field(default_factory=list[str])
+
+    def text(self, row: Row, column: str, default: str = "") -> str:
+        """Cell of a row; the default where there is no such column, or nothing in the cell."""
+        return (row.cells[self.header.index(column)] if column in self.header else "") or default
+
+    def number(self, row: Row, column: str) -> float:
+        """Give the finite number in a cell; anything else is a fault and NaN."""
+        text = self.text(row, column)
+        value = finite(text, decimal_comma=self.decimal_comma)
+        if value is None:
+            if column in self.header:  # that a column is missing is a fault already
+                self.fault(row, f"{column} {text!r} is not a finite number")
+            return math.nan
+        return value
+
+    def numbers(self, columns: Sequence[str]) -> NDArray[np.float64]:
+        """Give the finite numbers of several columns, shape (rows, columns)."""
+        values = [[self.number(row, column) for column in columns] for row in self.rows]
+        return np.array(values, dtype=np.float64).reshape(-1, len(columns))
+
+    def fault(self, row: Row, words: str) -> None:
+        """Note a fault of a row."""
+        self.faults.append(f"row {row.line}: {words}")
+
+    def check(self, remedy: str = "Correct these rows.") -> None:
+        """Raise all faults as one error; nothing where there is none."""
+        raise_faults(self.name, self.faults, remedy, error=self.error)
+
+
+def read_table(
+    path: str | Path, *, needed: Sequence[str], error: type[PlanishError], what: str = "table", advice: str = ""
+) -> Table:
+    """Read a table with a header.
+
+    Parameters
+    ----------
+    path : path
+    needed : sequence of str
+        Columns that have to be there; others may be.
+    error : type
+        Class of the error for a file that can be read and is no such table.
+    what : str
+        What the file should be, for the messages.
+    advice : str
+        What the table has to look like, one sentence; made of `needed` where not given.
+
+    Returns
+    -------
+    Table
+        With the faults of header and rows, which :meth:`Table.check` raises together with those found later.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read or is no text.
+    PlanishError
+        Of the class `error`, if the table is empty.
+    """
+    place = Path(path)
+    return parse_table(read_text(place, what=what), place.name, needed=needed, error=error, advice=advice)
+
+
+def parse_table(
+    text: str, name: str, *, needed: Sequence[str], error: type[PlanishError], advice: str = ""
+) -> Table:  # fmt: skip
+    """Make a table of a text that was read already; see :func:`read_table`."""
+    advice = advice or f"The first row has to name the columns {', '.join(needed)}."
+    found = split_rows(text)
+    if not found.rows:
+        raise error(f"{name} is empty. {advice}")
+    first, *others = found.rows
+    header = [cell.lower() for cell in first.cells]
+    faults: list[str] = []
+    missing = [column for column in needed if column not in header]
+    twice = sorted({column for column in header if column and header.count(column) > 1})
+    if missing:
+        faults.append(f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]}). {advice}")
+    if twice:
+        faults.append(f"columns given twice: {', '.join(twice)}")
+    faults += found.faults
+    wrong = [row for row in others if len(row.cells) != len(header)]
+    faults += [f"row {row.line} has {len(row.cells)} columns, the header {len(header)}" for row in wrong]
+    if found.delimiter == "," and any(len(row.cells) > len(header) for row in wrong):
+        faults[-1] += " (decimal commas need semicolons between the columns)"
+    rows = [row for row in others if len(row.cells) == len(header)]
+    return Table(
+        name=name, header=header, rows=rows, comments=found.comments, error=error, advice=advice,
+        decimal_comma=found.delimiter != ",", faults=faults,
+    )  # fmt: skip
+
+
+def raise_faults(name: str, faults: Sequence[str], remedy: str, *, error: type[PlanishError]) -> None:
+    """Raise all faults as one message; nothing where there is none.
+
+    Raises
+    ------
+    PlanishError
+        Of the class `error`, if there is a fault.
+    """
+    if faults:
+        more = f"; and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
+        raise error(f"{name}: {'; '.join(faults[:MOST_FAULTS])}{more}. {remedy}")
+
+
+def table_text(header: Sequence[str], rows: Iterable[Sequence[Any]], *, quote_all: bool = False) -> str:
+    """Text of a table, lines ending with a line feed; floats are written so that they read back to the same number."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL if quote_all else csv.QUOTE_MINIMAL)
+    if header:
+        writer.writerow(header)
+    writer.writerows([repr(float(c)) if isinstance(c, (float, np.floating)) else c for c in row] for row in rows)
+    return text.getvalue()

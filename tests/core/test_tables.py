@@ -1,0 +1,92 @@
+"""Tables: what is read, and that all faults of a file are named at once."""
+
+import numpy as np
+import pytest
+
+from planish.core.errors import FileError, MarkError
+from planish.core.tables import LARGEST_FILE, finite, parse_table, read_table, read_text, split_rows, table_text
+
+
+def read(folder, text, *, encoding="utf-8", needed=("x_um", "y_um")):
+    (folder / "t.csv").write_bytes(text.encode(encoding))
+    table = read_table(folder / "t.csv", needed=needed, error=MarkError)
+    found = table.numbers(needed)
+    table.check()
+    return found
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("delimiter", list(",;\t"))
+def test_any_spreadsheet_gives_the_same(tmp_path, encoding, end, delimiter):
+    rows = [["y_um ", "note", "X_um"], ["2", "\u00b5", "-1.5e3"], ["4", '"a b"', "0"]]
+    text = end.join(["# from a spreadsheet", *(delimiter.join(row) for row in rows), "", ""])
+    np.testing.assert_array_equal(read(tmp_path, text, encoding=encoding), [[-1500.0, 2.0], [0.0, 4.0]])
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_decimal_commas(tmp_path, delimiter):
+    text = delimiter.join(("x_um", "y_um")) + "\n" + delimiter.join(("1,5", "-2,25"))
+    np.testing.assert_array_equal(read(tmp_path, text), [[1.5, -2.25]])
+
+
+def test_all_faults_are_named_at_once(tmp_path):
+    text = 'x_um,x_um,z\n1,2\n\n3,4,5,6\na,1,2\n"b,1,2\n'
+    with pytest.raises(MarkError) as caught:
+        read(tmp_path, text)
+    message = str(caught.value)
+    for words in (
+        "columns missing: y_um (found x_um, x_um, z)", "columns given twice: x_um", "row 2 has 2 columns, the header 3",
+        "row 4 has 4 columns", "decimal commas need semicolons", "row 5: x_um 'a' is not a finite number", "row 6:",
+    ):  # fmt: skip
+        assert words in message
+    assert message.count("y_um '") == 0
+
+
+def test_of_many_faults_the_number_is_given(tmp_path):
+    with pytest.raises(MarkError, match="; and 12 more. Correct these rows."):
+        read(tmp_path, "x_um,y_um\n" + "1,one\n" * 20)
+
+
+@pytest.mark.parametrize("text", ["", "\n", "# nothing\n"])
+def test_an_empty_table_says_what_is_needed(tmp_path, text):
+    with pytest.raises(MarkError, match=r"t\.csv is empty.*x_um, y_um"):
+        read(tmp_path, text)
+
+
+def test_what_is_no_text_is_refused(tmp_path):
+    place = tmp_path / "t.csv"
+    for data in (b"x_um,\xff\n", b"\xff\xfea", b"x\0um,y_um\n"):
+        place.write_bytes(data)
+        with pytest.raises(FileError, match=r"no text in UTF-8|binary data"):
+            read_text(place)
+    place.write_bytes(b"1" * (LARGEST_FILE + 1))
+    with pytest.raises(FileError, match="larger than 10 MB and no table of marks"):
+        read_text(place, what="table of marks")
+    with pytest.raises(FileError, match="cannot be read"):
+        read_text(tmp_path / "none.csv")
+    with pytest.raises(FileError, match="is no file"):
+        read_text(tmp_path)
+
+
+def test_numbers_of_any_source():
+    assert [finite(v) for v in (1, 2.5, "3", " 4e1 ", True, None, "1,5", "nan", "inf", 10**400, [1])] == [
+        1.0, 2.5, 3.0, 40.0, None, None, None, None, None, None, None,
+    ]  # fmt: skip
+    assert finite("1,5", decimal_comma=True) == 1.5
+    assert finite("1,000.5", decimal_comma=True) is None
+
+
+def test_a_table_without_header_is_split_too():
+    found = split_rows('"a, b";true; 1\n# comment \n c;false;2\n')
+    assert found.rows == [(1, ["a, b", "true", "1"]), (3, ["c", "false", "2"])]
+    assert (found.comments, found.delimiter, found.faults) == (["comment"], ";", [])
+
+
+def test_what_is_written_reads_back_to_the_same_numbers():
+    values = [0.1, 1 / 3, np.float64(2e-300), np.float32(0.1)]
+    text = table_text(["label", "x_um"], [[f"a {k}, b", v] for k, v in enumerate(values)])
+    table = parse_table(text, "t", needed=("x_um",), error=MarkError)
+    assert list(table.numbers(["x_um"])[:, 0]) == [float(v) for v in values]
+    assert table.text(table.rows[1], "label") == "a 1, b"
+    assert table.text(table.rows[0], "unit", "um") == "um"
