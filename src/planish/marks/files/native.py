@@ -99,6 +99,7 @@ class _File(_Part):
     units: Literal["um"]
     axes: _Axes
     layers: Annotated[list[_Layer], Field(min_length=1, max_length=16)]
+    registration: dict[str, Any] | None = None
     marks: Annotated[list[_Mark], Field(max_length=MOST_MARKS)]
 
 
@@ -152,7 +153,7 @@ def read_native(content: Mapping[str, Any], name: str) -> xr.Dataset:
         },
     )
     check_marks(found, name)
-    return found
+    return found if file.registration is None else found.assign_attrs(registration=file.registration)
 
 
 def native_text(marks: xr.Dataset) -> str:
@@ -177,6 +178,8 @@ def native_text(marks: xr.Dataset) -> str:
         rows.append(row)
     head: dict[str, Any] = {"format": FORMAT, "version": VERSION, "units": "um", "axes": {"x": "right", "y": "down"}}
     head["layers"] = [{"name": layer, **about_layer(marks, layer)} for layer in layers]
+    if "registration" in marks.attrs:
+        head["registration"] = marks.attrs["registration"]
     try:
         _File.model_validate(head | {"marks": rows})
     except ValidationError as error:
