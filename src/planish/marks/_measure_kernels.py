@@ -119,7 +119,7 @@ def _circle(image, px, py, cx, cy, sign, low, high, least, contrast):
 
 @njit(cache=True, nogil=True)
 def measure_floors(image, px, py, xs, ys, sign, radius, floor, depth, shares):
-    """Measure the outline of the floor of a hole near each place: where the grey leaves the level of the floor.
+    """Measure the outline of the floor of a hole about each place of `middles_of_floors`: where the grey leaves the level of the floor.
 
     What is printed over a rim may hide its edge, and never the floor. ``radius``, ``floor`` (times ``sign``) and
     ``depth`` are those of the other holes of the image. Of the levels, ``shares`` of the way from the floor to the
@@ -129,17 +129,9 @@ def measure_floors(image, px, py, xs, ys, sign, radius, floor, depth, shares):
     pixel = max(px, py)
     dt = max(0.25 * pixel, 0.5)
     out = np.full((xs.size, COLUMNS), np.nan)
-    row, at, seen = np.empty(COLUMNS), np.empty((xs.size, 2)), 0
+    row = np.empty(COLUMNS)
     for h in range(xs.size):
-        x, y = _middle_of_floor(image, px, py, xs[h], ys[h], sign, radius, floor + shares[0] * depth)
-        # Places beside each other lead to one hole.
-        known = x != x
-        for other in range(seen):
-            known |= np.hypot(x - at[other, 0], y - at[other, 1]) < 0.1 * radius
-        if known:
-            continue
-        at[seen, 0], at[seen, 1] = x, y
-        seen += 1
+        x, y = xs[h], ys[h]
         best = np.inf
         model = np.empty(RAYS)
         for share in shares:
@@ -176,26 +168,31 @@ def measure_floors(image, px, py, xs, ys, sign, radius, floor, depth, shares):
 
 
 @njit(cache=True, nogil=True)
-def _middle_of_floor(image, px, py, x, y, sign, radius, level):
-    """Return the centroid of what is below a level within a radius, followed until it rests; NaN where it is little."""
-    for _turn in range(6):
-        total, tx, ty = 0, 0.0, 0.0
-        i0, i1 = (max(int((y - radius) / py) + 1, 0), min(int((y + radius) / py) + 1, image.shape[0]))
-        j0, j1 = (max(int((x - radius) / px) + 1, 0), min(int((x + radius) / px) + 1, image.shape[1]))
-        for i in range(i0, i1):
-            for j in range(j0, j1):
-                if sign * image[i, j] < level and np.hypot(j * px - x, i * py - y) <= radius:
-                    total += 1
-                    tx += j * px
-                    ty += i * py
-        # A hole fills a third of the circle even where the place is poor, or its wall is wide.
-        if 3 * total * px * py < np.pi * radius * radius:
-            return np.nan, np.nan
-        shift = np.hypot(tx / total - x, ty / total - y)
-        x, y = tx / total, ty / total
-        if shift < 0.2 * max(px, py):
-            break
-    return x, y
+def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
+    """Return centroids (n, 2) of what is below a level within a radius, followed until they rest; NaN if it is little."""
+    out = np.full((xs.size, 2), np.nan)
+    for h in range(xs.size):
+        x, y = xs[h], ys[h]
+        for _turn in range(6):
+            total, tx, ty = 0, 0.0, 0.0
+            i0, i1 = (max(int((y - radius) / py) + 1, 0), min(int((y + radius) / py) + 1, image.shape[0]))
+            j0, j1 = (max(int((x - radius) / px) + 1, 0), min(int((x + radius) / px) + 1, image.shape[1]))
+            for i in range(i0, i1):
+                for j in range(j0, j1):
+                    if sign * image[i, j] < level and np.hypot(j * px - x, i * py - y) <= radius:
+                        total += 1
+                        tx += j * px
+                        ty += i * py
+            # A hole fills a third of the circle even where the place is poor, or its wall is wide.
+            if 3 * total * px * py < np.pi * radius * radius:
+                x, y = np.nan, np.nan
+                break
+            shift = np.hypot(tx / total - x, ty / total - y)
+            x, y = tx / total, ty / total
+            if shift < 0.2 * max(px, py):
+                break
+        out[h] = x, y
+    return out
 
 
 @njit(cache=True, nogil=True)

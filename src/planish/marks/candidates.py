@@ -20,7 +20,10 @@ Image = NDArray[np.float32]
 # Pixels across the smallest hole where candidates are looked for, and where rims are measured.
 ACROSS_COARSE = 8.0
 ACROSS_FINE = 40.0
-MOST_CANDIDATES = 6000
+# So many candidates are measured whatever the size of the image. Beyond, a square of TILE smallest radii has as many as
+# smallest holes would cover it: taken over the whole image, the strongest would all lie where the light is best.
+ENOUGH_CANDIDATES = 6000
+TILE = 40.0
 
 
 class Response(NamedTuple):
@@ -169,8 +172,8 @@ def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float) ->
     return k.stretched(mean, image.shape[0], image.shape[1], factors[0], factors[1])
 
 
-def peaks(responses: list[Response], sign: float, least: list[float], spreads: list[float]) -> Floats:
-    """Return the strongest extremes over place and scale, strongest first.
+def peaks(responses: list[Response], sign: float, least: list[float], spreads: list[float]) -> tuple[Floats, int]:
+    """Return the strongest extremes over place and scale, strongest first, and how many more there are.
 
     Parameters
     ----------
@@ -179,12 +182,14 @@ def peaks(responses: list[Response], sign: float, least: list[float], spreads: l
     sign : {1, -1}
         Which extremes: dark or bright discs.
     least, spreads : list of float
-        Weakest response to look at, and what `regular` says, for each radius.
+        Weakest response to inspect, and what `regular` says, for each radius.
 
     Returns
     -------
-    ndarray, shape (n, 3)
+    places : ndarray, shape (n, 3)
         ``x, y`` in um, and the largest response there, over all radii, in units of its spread.
+    dropped : int
+        Candidates beyond the limit of their part of the image.
     """
     found: list[Floats] = []
     for (radius, values, pixel, origin), weakest, spread in zip(responses, least, spreads, strict=True):
@@ -194,7 +199,21 @@ def peaks(responses: list[Response], sign: float, least: list[float], spreads: l
         found.append(np.column_stack([place, tops[:, 2] / max(spread, 1e-30), tops[:, 2]]))
     every = np.concatenate(found)
     order = np.argsort(-every[:, 3], kind="stable")
-    return _thinned(every[order, :3], 0.5 * responses[0].radius)[:MOST_CANDIDATES]
+    places = _thinned(every[order, :3], 0.5 * responses[0].radius)
+    kept = _strongest_by_tile(places, responses[0].radius)
+    return places[kept], int(np.count_nonzero(~kept))
+
+
+def _strongest_by_tile(places: Floats, radius: float) -> NDArray[np.bool_]:
+    """Which places, strongest first, are among the strongest of their square of the image."""
+    if len(places) <= ENOUGH_CANDIDATES:
+        return np.ones(len(places), bool)
+    tiles = np.floor(places[:, :2] / (TILE * radius)).astype(np.int64)
+    _, tile, count = np.unique(tiles, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(tile.ravel(), kind="stable")
+    rank = np.empty(len(places), np.int64)
+    rank[order] = np.arange(len(places)) - np.repeat(np.cumsum(count) - count, count)
+    return rank < TILE**2 / np.pi
 
 
 def _thinned(points: Floats, least: float) -> Floats:

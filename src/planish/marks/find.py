@@ -30,6 +30,7 @@ from planish.marks.judge import (
     WORTH_A_LOOK,
     doubtful,
     family,
+    first_apart,
     is_hole,
     is_whole,
     joined,
@@ -91,7 +92,10 @@ def find_holes(
         ``x, y`` (um), ``cov_xx, cov_yy, cov_xy`` (um2), ``diameter`` (um), ``axis_ratio``, ``arc_coverage`` (0 to 1)
         and ``contrast`` (negative for dark holes). Sorted by y, then x. Empty, without an error, where there is no
         hole.
-        ``attrs["polarity"]`` says which kind was found.
+        ``attrs["polarity"]`` says which kind was found. ``attrs["candidates_dropped"]`` counts places that might be
+        holes and were not measured: in large images at most as many are measured as smallest holes would cover the
+        area, the strongest of each part of the image. It is 0 but for very dense patterns, or where ``diameter_um``
+        begins far above their size.
 
     Raises
     ------
@@ -131,18 +135,18 @@ def find_holes(
     times = USUAL_UM / np.sqrt(low * high)
     times = 1.0 if 0.5 <= times <= 2.0 else float(times)
     as_holes = (size[0] * times, size[1] * times)
-    sign, rows = signs[0], np.empty((0, k.COLUMNS))
+    sign, rows, dropped = signs[0], np.empty((0, k.COLUMNS)), 0
     if _usable(grey, size, low):
-        sign, rows = _holes(grey, as_holes, low / 2 * times, high / 2 * times, signs)
+        sign, rows, dropped = _holes(grey, as_holes, low / 2 * times, high / 2 * times, signs)
     rows[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE]] /= times
     rows[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= times**2
-    return _dataset(rows, sign)
+    return _dataset(rows, sign).assign_attrs(candidates_dropped=dropped)
 
 
 def _holes(
     grey: Image, size: tuple[float, float], low: float, high: float, signs: tuple[float, ...]
-) -> tuple[float, Floats]:
-    """Sign and rows of `measure` for the polarity with the stronger holes; lengths in um of the full image."""
+) -> tuple[float, Floats, int]:
+    """Sign, rows of `measure` and dropped candidates of the polarity with the stronger holes; lengths in um of the full image."""
     fine, fine_size, fine_origin = reduce_to(grey, size, 2 * low / ACROSS_FINE)
     coarse, coarse_size, coarse_origin = reduce_to(fine, fine_size, 2 * low / ACROSS_COARSE)
     responses = blob_responses(coarse, coarse_size, (low, high))
@@ -155,9 +159,9 @@ def _holes(
     share = min(least) / plain if plain > 0 else 1.0
     # Before a rim is measured its place may be some pixels off: less contrast is asked for.
     worth = (0.8 * share * LEAST_CONTRAST * quiet, 0.75 * LEAST_CONTRAST if share >= 1.0 else 0.0)
-    found: list[tuple[float, Floats, Floats, float]] = []
+    found: list[tuple[float, Floats, Floats, float, int]] = []
     for sign in signs:
-        places = peaks(responses, sign, least, spreads)
+        places, dropped = peaks(responses, sign, least, spreads)
         x, y = np.ascontiguousarray((places[:, :2] + coarse_origin).T)
         rows = k.measure(fine, fine_size[1], fine_size[0], x, y, sign, low, high, *worth)
         rows[:, k.STANDING] = places[:, 2]
@@ -168,8 +172,8 @@ def _holes(
         rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], whole)
         rows = strongest_apart(rows[is_hole(rows, fine_size, low, high)])
         rows = unlike_removed(rows[is_whole(rows, fine.shape, fine_size)], sign)
-        found.append((sign, rows, np.stack([x, y], axis=1), whole))
-    sign, rows, places, whole = max(found, key=lambda one: float(np.sum(one[1][:, k.STEP])))
+        found.append((sign, rows, np.stack([x, y], axis=1), whole, dropped))
+    sign, rows, places, whole, dropped = max(found, key=lambda one: float(np.sum(one[1][:, k.STEP])))
     if len(rows) >= LEAST_OTHERS:
         floors = _floors(fine, fine_size, sign, places, rows)
         floors[:, k.TEXTURE] = np.maximum(floors[:, k.TEXTURE], whole)
@@ -177,7 +181,7 @@ def _holes(
     set_covariance(rows, fine_size)
     rows[:, k.X] += fine_origin[0]
     rows[:, k.Y] += fine_origin[1]
-    return sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))]
+    return sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))], dropped
 
 
 def _floors(image: Image, size: tuple[float, float], sign: float, places: Floats, rows: Floats) -> Floats:
@@ -188,6 +192,13 @@ def _floors(image: Image, size: tuple[float, float], sign: float, places: Floats
         away, nearest = KDTree(clear[:, [k.X, k.Y]]).query(places)
         places = places[away > clear[nearest, k.RADIUS]]
     x, y = np.ascontiguousarray(places.T)
+    level = typical.floor + FLOOR_SHARES[0] * typical.depth
+    at = k.middles_of_floors(image, size[1], size[0], x, y, sign, typical.radius, level)
+    at = at[np.isfinite(at[:, 0])]
+    # Places beside each other lead to one hole.
+    near = KDTree(at).query_pairs(0.1 * typical.radius, output_type="ndarray") if len(at) else np.empty((0, 2), np.intp)
+    one, other = np.concatenate([near, near[:, ::-1]]).T
+    x, y = np.ascontiguousarray(at[first_apart(np.arange(len(at)), one, other)].T)
     levels = (typical.radius, typical.floor, typical.depth, FLOOR_SHARES)
     floors = resembling(k.measure_floors(image, size[1], size[0], x, y, sign, *levels), rows, size)
     # A rim lies farther out than its floor.

@@ -6,9 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from planish.marks import _measure_kernels as k
 from planish.marks.candidates import Floats
+
+Ints = NDArray[np.intp]
 
 LARGEST_AXIS_RATIO = 1.3
 LEAST_COVERAGE = 0.7
@@ -92,22 +95,38 @@ def is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) ->
 
 def strongest_apart(rows: Floats) -> Floats:
     """Of rows whose circles overlap keep the deepest, and of those as deep the one with the best rim."""
+    pairs = _overlapping(rows, rows)
+    one, other = pairs[pairs[:, 0] != pairs[:, 1]].T
     step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
-    quality = _quality(rows)
-    deepest = np.ones(len(rows), bool)
-    for row in range(len(rows)):
-        deeper = rows[row, k.INSIDE] - rows[:, k.INSIDE] > DEEPER * step
-        deepest[row] = not np.any(deeper & (_away(rows, rows[row]) < 0))
+    shallow = np.zeros(len(rows), bool)
+    shallow[one[rows[one, k.INSIDE] - rows[other, k.INSIDE] > DEEPER * step[one]]] = True
+    order = np.argsort(-_quality(rows), kind="stable")
+    return rows[first_apart(order[~shallow[order]], one, other)]
+
+
+def first_apart(order: Ints, one: Ints, other: Ints) -> list[int]:
+    """Of points in order keep each that is no neighbour of one kept before; neighbours are ``one[i], other[i]``."""
+    by = np.argsort(one, kind="stable")
+    one, other = one[by], other[by]
+    taken: set[int] = set()
     kept: list[int] = []
-    for row in np.argsort(-quality, kind="stable"):
-        if deepest[row] and np.all(_away(rows[kept], rows[row]) >= 0):
+    for row, start, stop in zip(order, np.searchsorted(one, order), np.searchsorted(one, order, "right"), strict=True):
+        if int(row) not in taken:
             kept.append(int(row))
-    return rows[kept]
+            taken.update(other[start:stop].tolist())
+    return kept
 
 
-def _away(rows: Floats, row: Floats) -> Floats:
-    """Gaps between circles and one circle; negative where they overlap."""
-    return np.hypot(rows[:, k.X] - row[k.X], rows[:, k.Y] - row[k.Y]) - rows[:, k.RADIUS] - row[k.RADIUS]
+def _overlapping(rows: Floats, others: Floats) -> Ints:
+    """Pairs (n, 2) of circles of rows and of others that overlap."""
+    if not len(rows) or not len(others):
+        return np.empty((0, 2), np.intp)
+    largest = float(others[:, k.RADIUS].max())
+    near = KDTree(others[:, [k.X, k.Y]]).query_ball_point(rows[:, [k.X, k.Y]], 1.001 * (rows[:, k.RADIUS] + largest))
+    one = np.repeat(np.arange(len(rows)), [len(found) for found in near])
+    other = np.concatenate([np.asarray(found, dtype=np.intp) for found in near])
+    away = np.hypot(rows[one, k.X] - others[other, k.X], rows[one, k.Y] - others[other, k.Y])
+    return np.stack([one, other], axis=1)[away - rows[one, k.RADIUS] - others[other, k.RADIUS] < 0]
 
 
 class Family(NamedTuple):
@@ -231,12 +250,17 @@ def resembling(rows: Floats, others: Floats, size: tuple[float, float]) -> Float
 
 
 def joined(rows: Floats, floors: Floats) -> Floats:
-    """Add floors to rows; where one lies on a row, the clearly better of the two stays."""
-    for floor in floors:
-        on = _away(rows, floor) < 0
-        if np.all(_quality(rows[on]) + BETTER < _quality(floor[None])):
-            rows = np.concatenate([rows[~on], floor[None]])
-    return rows
+    """Add floors, which do not overlap, to rows; where one lies on a row, the clearly better of the two stays."""
+    stays, added = np.ones(len(rows), bool), np.zeros(len(floors), bool)
+    pairs = _overlapping(floors, rows)
+    better = _quality(floors) - BETTER
+    quality = _quality(rows)
+    for floor in range(len(floors)):
+        on = pairs[slice(*np.searchsorted(pairs[:, 0], (floor, floor + 1))), 1]
+        on = on[stays[on]]
+        added[floor] = np.all(quality[on] < better[floor])
+        stays[on] &= not added[floor]
+    return np.concatenate([rows[stays], floors[added]])
 
 
 def _quality(rows: Floats) -> Floats:

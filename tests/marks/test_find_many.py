@@ -1,0 +1,99 @@
+"""Thousands of holes: none is lost where the light is poor, and overlaps are judged as pair by pair."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from planish.marks import _measure_kernels as k
+from planish.marks import candidates, find_holes
+from planish.marks.judge import BETTER, DEEPER, joined, strongest_apart
+
+
+def lit_from_one_side(across, pixel=10.0, pitch=300.0, noise=0.004):
+    """Dots of 160 um on a lattice; on the left half the sheet has a fifth of the light."""
+    rng = np.random.default_rng(0)
+    side = int(across * pitch / pixel)
+    y, x = np.mgrid[:side, :side] * pixel
+    dot = np.hypot(x % pitch - pitch / 2, y % pitch - pitch / 2) < 80
+    light = 0.6 + 0.4 * np.tanh((x - x.max() / 2) / 500)
+    return ndimage.gaussian_filter(light * (1 - 0.8 * dot), 0.7) + rng.normal(0, noise, (side, side))
+
+
+def test_dim_regions_keep_their_holes(monkeypatch):
+    """With a limit for the whole image the dim half would have none."""
+    monkeypatch.setattr(candidates, "ENOUGH_CANDIDATES", 150)
+    across = 18
+    found = find_holes(lit_from_one_side(across), pixel_um=10.0)
+    left = np.count_nonzero(found.x.values < 150.0 * across)
+    print(f"{left} of {across**2 // 2} in the dim half, {found.sizes['mark']} of {across**2}")
+    assert found.sizes["mark"] >= 0.98 * across**2
+    assert left >= 0.97 * across**2 / 2
+
+
+def test_each_part_of_an_image_has_a_limit_of_its_own():
+    rng = np.random.default_rng(0)
+    crowded, sparse = rng.uniform(0, 1999, (3000, 3)), rng.uniform(2001, 20000, (4000, 3))
+    kept = candidates._strongest_by_tile(np.concatenate([crowded, sparse]), 50.0)
+    assert np.count_nonzero(kept[:3000]) == 510
+    assert kept[:510].all()
+    assert kept[3000:].all()
+    assert candidates._strongest_by_tile(crowded, 50.0).all(), "a small image keeps all"
+
+
+def test_dropped_candidates_are_counted(monkeypatch):
+    image = lit_from_one_side(6)
+    assert find_holes(image, pixel_um=10.0).attrs["candidates_dropped"] == 0
+    monkeypatch.setattr(candidates, "_strongest_by_tile", lambda places, _radius: np.arange(len(places)) < 20)
+    found = find_holes(image, pixel_um=10.0)
+    assert found.attrs["candidates_dropped"] >= 16
+    assert found.sizes["mark"] <= 20
+
+
+def rows_of(rng, count, field):
+    rows = rng.uniform(0.0, 1.0, (count, k.COLUMNS))
+    rows[:, [k.X, k.Y]] *= field
+    rows[:, k.RADIUS] = rng.uniform(50, 150, count)
+    rows[:, k.OUTSIDE] = rows[:, k.INSIDE] + rng.uniform(0.5, 3.0, count)
+    return rows
+
+
+def apart(rows, row):
+    return np.hypot(rows[:, k.X] - row[k.X], rows[:, k.Y] - row[k.Y]) - rows[:, k.RADIUS] - row[k.RADIUS]
+
+
+def quality(rows):
+    rough = np.sqrt(rows[:, k.ROUGHNESS] ** 2 + 0.5 * rows[:, k.HALF_DIFFERENCE] ** 2)
+    return rows[:, k.COVERAGE] - rough / rows[:, k.RADIUS]
+
+
+def naive_strongest_apart(rows):
+    step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
+    deepest = [
+        not np.any((row[k.INSIDE] - rows[:, k.INSIDE] > DEEPER * s) & (apart(rows, row) < 0))
+        for row, s in zip(rows, step, strict=True)
+    ]
+    kept = []
+    for at in np.argsort(-quality(rows), kind="stable"):
+        if deepest[at] and np.all(apart(rows[kept], rows[at]) >= 0):
+            kept.append(at)
+    return rows[kept]
+
+
+def naive_joined(rows, floors):
+    for floor in floors:
+        on = apart(rows, floor) < 0
+        if np.all(quality(rows[on]) + BETTER < quality(floor[None])):
+            rows = np.concatenate([rows[~on], floor[None]])
+    return rows
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 40, 300])
+def test_overlaps_are_judged_as_pair_by_pair(count):
+    rng = np.random.default_rng(count)
+    rows, others = rows_of(rng, count, 2000.0), rows_of(rng, count // 2, 2000.0)
+    clear, floors = naive_strongest_apart(rows), naive_strongest_apart(others)
+    np.testing.assert_array_equal(strongest_apart(rows), clear)
+    both = joined(clear, floors)
+    np.testing.assert_array_equal(both, naive_joined(clear, floors))
+    if count == 300:
+        assert len(clear) < len(both) < len(clear) + len(floors)
