@@ -42,7 +42,7 @@ def test_equals_the_slow_twin_on_a_rough_sheet():
     centre = 20 * np.sin(x / 40) + 0.2 * y
     surface = centre + 30 + rng.normal(0, 1.0, centre.shape)
     normals = unit_normals(centre, (3.0, 3.0))
-    fast = along_normals(surface, centre, *normals, 3.0, 3.0)
+    fast = along_normals(surface, centre, *normals, 3.0, 3.0, 0)
     inner = [(i, j) for i in range(8, 22, 3) for j in range(12, 28, 3)]
     slow = [distance_along_normal(surface, centre, normals, (3.0, 3.0), i, j) for i, j in inner]
     # both close the root to 1e-4 um in height

@@ -30,6 +30,8 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TINY = np.float32(1e-30)
 _FAINT = np.float32(1e-12)
+# Kinds of start of ``smooth``; a number written there would be a type of its own, and compiled once more.
+_NEW, _CORRECTED = np.int64(0), np.int64(1)
 _SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
 _SUMS = {**_SETTINGS, "fastmath": {"contract", "nsz", "reassoc"}}
 # A loop is compiled to vector instructions only where it is seen that its row buffers overlap nothing else: inside the
@@ -244,7 +246,9 @@ def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n,
     t0, t1, t2, t3, p1, p2, p3, gx, gy, buffer = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8], b[9]
     last = near.shape[1] - 1
     above, below = np.zeros((2, 1, near.shape[2]), np.float32), np.zeros((2, 1, near.shape[2]), np.float32)
-    above[:, 0], below[:, 0] = edge[:, 0], edge[:, 1]
+    for c in range(2):
+        for j in range(near.shape[2]):
+            above[c, 0, j], below[c, 0, j] = edge[c, 0, j], edge[c, 1, j]
     # The rows beyond the border belong to other threads (or to the padding): made ready in copies of our own.
     if r0 > 1:
         _fresh_copy(kind, coarse, above, force, ease, first, r0 - 1, n)
@@ -386,16 +390,17 @@ def survey(xy, rest, stiff, side, sums, n, r0, r1):
 
 
 @njit(**_SETTINGS)
-def descend(near, stiff, ease, force, move, alone, cols, inverse, row, col, first, second, once):
+def descend(near, stiff, ease, force, move, alone, cols, last, inverse, row, col, first, second, once):
     """One V-cycle over levels small enough for one thread: corrects ``move[0]`` for ``force[0]``.
 
-    All but the last three are tuples over the levels, finest first. The coarsest level is solved by ``inverse`` (2
-    nodes, 2 nodes), the nodes standing at [row, col] of its arrays.
+    The first seven are tuples over the levels, finest first. The coarsest level, number ``last``, is solved by
+    ``inverse`` (2 nodes, 2 nodes), the nodes standing at [row, col] of its arrays.
     """
-    last = len(near) - 1
     for k in range(last):
         rows = near[k].shape[1] - 2
-        smooth(0, near[k], stiff[k], ease[k], force[k], move[k], move[k], alone[k], first, second, cols[k], 1, rows + 1)
+        smooth(
+            _NEW, near[k], stiff[k], ease[k], force[k], move[k], move[k], alone[k], first, second, cols[k], 1, rows + 1
+        )
         restrict(near[k], stiff[k], force[k], move[k], force[k + 1], cols[k], cols[k + 1], 1, near[k + 1].shape[1] - 1)
     f, u = force[last], move[last]
     for a in range(row.size):
@@ -408,5 +413,17 @@ def descend(near, stiff, ease, force, move, alone, cols, inverse, row, col, firs
     for k in range(last - 1, -1, -1):
         rows = near[k].shape[1] - 2
         smooth(
-            1, near[k], stiff[k], ease[k], force[k], move[k + 1], move[k], alone[k], once, once, cols[k], 1, rows + 1
+            _CORRECTED,
+            near[k],
+            stiff[k],
+            ease[k],
+            force[k],
+            move[k + 1],
+            move[k],
+            alone[k],
+            once,
+            once,
+            cols[k],
+            1,
+            rows + 1,
         )

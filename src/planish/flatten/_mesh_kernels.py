@@ -18,6 +18,8 @@ _INNER_SUMS = {**_INNER, "fastmath": {"contract", "nsz", "reassoc"}}
 _AGREE = 0.5
 # Differences of curvature that would change a rest length by less than this share do not count as disagreement.
 _FAINT = 1e-6
+# Offsets along a row; a number written in a call would be a type of its own, and the callee compiled for each.
+_THIS, _NEXT = np.int64(0), np.int64(1)
 
 
 @njit(**_INNER)
@@ -155,18 +157,18 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
     for i in range(r0, r1):
         _load(points, scale, i + 2, rows[(i + 2) % 8], n)
         here, there = rows[(i - 1) % 8], rows[i % 8]
-        _chords(here, here, 0, 1, rest[0, i], n)
-        _chords(here, there, 0, 0, rest[1, i], n)
-        _chords(here, there, 0, 1, rest[2, i], n)
-        _chords(here, there, 1, 0, rest[3, i], n)
+        _chords(here, here, _THIS, _NEXT, rest[0, i], n)
+        _chords(here, there, _THIS, _THIS, rest[1, i], n)
+        _chords(here, there, _THIS, _NEXT, rest[2, i], n)
+        _chords(here, there, _NEXT, _THIS, rest[3, i], n)
         left = 0.0
         if arc:
             _bend(there, rows[(i + 1) % 8], rows[(i + 2) % 8], bends[(i + 1) % 4], n)
             q = _mend(bends[(i - 1) % 4], bends[i % 4], bends[(i + 1) % 4], mended[i % 2], n)
-            left += _arcs(p[0], p[0], 0, 1, rest[0, i], n)
-            left += _arcs(p[1], q[1], 0, 0, rest[1, i], n)
-            left += _arcs(p[2], q[2], 0, 1, rest[2, i], n)
-            left += _arcs(p[3], q[3], 1, 0, rest[3, i], n)
+            left += _arcs(p[0], p[0], _THIS, _NEXT, rest[0, i], n)
+            left += _arcs(p[1], q[1], _THIS, _THIS, rest[1, i], n)
+            left += _arcs(p[2], q[2], _THIS, _NEXT, rest[2, i], n)
+            left += _arcs(p[3], q[3], _NEXT, _THIS, rest[3, i], n)
             p = q
         springs = 0
         for family in range(4):

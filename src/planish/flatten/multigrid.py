@@ -50,6 +50,9 @@ _RATE = 0.1
 _ROUGHLY = 0.1
 """Tolerance on the coarser levels: one step, as a rule."""
 
+_CHAIN = 5
+"""Levels handed to ``descend``, the last one repeated where there are fewer: each other number is compiled anew."""
+
 _STEPS = 300
 
 _ROUGH = 0.02
@@ -266,10 +269,13 @@ class Multigrid:
         """Arrays of the levels from ``k`` on, as ``descend`` wants them."""
         if k not in self._chains:
             part = self.levels[k:]
+            last = len(part) - 1
+            part = [*part, *part[-1:] * (_CHAIN - len(part))]
             names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
             row, col = (1 + index for index in np.nonzero(self._network.mask))
             self._chains[k] = (
                 *(tuple(getattr(v, name) for v in part) for name in names),
+                last,
                 self._exact.inverse,
                 row,
                 col,

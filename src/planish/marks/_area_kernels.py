@@ -82,14 +82,15 @@ def gaussian(image, sy, sx):
     wide = np.empty(columns + 2 * rx, np.float32)
     line = np.empty(columns, np.float32)
     for i in range(rows):
-        line[:] = down[ry] * image[i]
+        middle = image[i]
+        for j in range(columns):
+            line[j] = down[ry] * middle[j]
         for k in range(1, ry + 1):
             above, below, w = (image[max(i - k, 0)], image[min(i + k, rows - 1)], down[ry + k])
             for j in range(columns):
                 line[j] += w * (above[j] + below[j])
-        wide[:rx] = line[0]
-        wide[rx : rx + columns] = line
-        wide[rx + columns :] = line[columns - 1]
+        for j in range(columns + 2 * rx):
+            wide[j] = line[min(max(j - rx, 0), columns - 1)]
         mean = out[i]
         w = along[rx]
         for j in range(columns):

@@ -34,6 +34,8 @@ UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAVES, BURNT, STANDING = range(14, 20)
 COLUMNS = 20
 
 RAYS = 96
+# Orders of an outline; a number written in the call would be a type of its own, and compiled once more.
+_ONE, _TWO = np.int64(1), np.int64(2)
 
 
 @njit(cache=True, nogil=True)
@@ -67,7 +69,7 @@ def measure(image, px, py, xs, ys, sign, low, high, least, contrast):
             for k in range(RAYS):
                 if not (steps[k] >= 0.35 * step):
                     radii[k] = np.nan
-            fit, weight, scale, inverse = fit_outline(radii, 2, 0.3 + 0.1 * pixel)
+            fit, weight, scale, inverse = fit_outline(radii, _TWO, 0.3 + 0.1 * pixel)
             if np.sum(weight) == 0.0 or np.hypot(fit[1], fit[2]) > 0.5 * radius:
                 found = False
                 break
@@ -95,7 +97,7 @@ def _circle(image, px, py, cx, cy, sign, low, high, least, contrast):
         radii, _strong = innermost_edges(
             image, px, py, cx, cy, sign, 0.5 * low, 1.25 * high, max(0.7 * pixel, 2.5), window, rays
         )
-        fit, weight, scale, _ = fit_outline(radii, 1, 0.5)
+        fit, weight, scale, _ = fit_outline(radii, _ONE, 0.5)
         strongly = 0.0
         for k in range(rays):
             strongly += weight[k] > 0.0
@@ -140,7 +142,7 @@ def measure_floors(image, px, py, xs, ys, sign, radius, floor, depth, shares):
             found = True
             for turn in range(6):
                 radii = first_crossings(image, px, py, cx, cy, sign, floor + share * depth, 1.6 * radius, dt, RAYS)
-                fit, weight, _, inverse = fit_outline(radii, 1 if turn < 2 else 2, 0.3 + 0.1 * pixel)
+                fit, weight, _, inverse = fit_outline(radii, _ONE if turn < 2 else _TWO, 0.3 + 0.1 * pixel)
                 cx, cy = cx + fit[1], cy + fit[2]
                 if np.sum(weight) == 0.0 or np.hypot(cx - x, cy - y) > 0.6 * radius:
                     found = False

@@ -12,8 +12,11 @@ def _solve(matrix, right):
     """Solve a small symmetric positive system by Gauss elimination; returns zeros where it is singular."""
     n = matrix.shape[0]
     a = np.empty((n, n + right.shape[1]))
-    a[:, :n] = matrix
-    a[:, n:] = right
+    for r in range(n):  # element by element: an assignment of slices takes seconds to compile
+        for k in range(n):
+            a[r, k] = matrix[r, k]
+        for k in range(right.shape[1]):
+            a[r, n + k] = right[r, k]
     for c in range(n):
         best = c
         for r in range(c + 1, n):

@@ -38,7 +38,7 @@ def height_at(field, r, c):
 
 
 @njit(cache=True, nogil=True)
-def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_c, first=0):
+def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_c, first):
     """Signed distance from the centre surface to ``surface`` along the normals.
 
     Parameters

@@ -69,7 +69,7 @@ def measure_properties(surfaces: xr.Dataset) -> xr.Dataset:
     step = pitch(surfaces)
     normals = unit_normals(heights["centre"], step)
     distance = {
-        name: along_normals(heights[name], heights["centre"], *normals, *step)
+        name: along_normals(heights[name], heights["centre"], *normals, *step, 0)
         if np.isfinite(heights[name]).any()
         else np.full(heights["centre"].shape, np.nan)
         for name in needed[:-2]

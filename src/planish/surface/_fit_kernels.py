@@ -336,7 +336,7 @@ def fit_faces(
                 now = fit_column(g, lo, hi, air, noise, w, p, prior, local, coated, matrix, step, fringe, ratio)
                 if now < cost:
                     cost = now
-                    best[:] = p
+                    best[0], best[1], best[2], best[3] = p[0], p[1], p[2], p[3]
             if cost < 1e299 and lo - 2 <= best[0] <= hi + 2:
                 for n in range(4):
                     result[n, i, j] = best[n]
