@@ -121,7 +121,7 @@ def _circle(image, px, py, cx, cy, sign, low, high, least, contrast):
 
 @njit(cache=True, nogil=True)
 def measure_floors(image, px, py, xs, ys, sign, radius, floor, depth, shares):
-    """Measure the outline of the floor of a hole about each place of `middles_of_floors`: where the grey leaves the level of the floor.
+    """Measure the outline of a hole's floor about each place of `middles_of_floors`: where the grey leaves its level.
 
     What is printed over a rim may hide its edge, and never the floor. ``radius``, ``floor`` (times ``sign``) and
     ``depth`` are those of the other holes of the image. Of the levels, ``shares`` of the way from the floor to the
@@ -171,7 +171,7 @@ def measure_floors(image, px, py, xs, ys, sign, radius, floor, depth, shares):
 
 @njit(cache=True, nogil=True)
 def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
-    """Return centroids (n, 2) of what is below a level within a radius, followed until they rest; NaN if it is little."""
+    """Return centroids (n, 2) of what is below a level within a radius, followed until they rest; NaN if too little."""
     out = np.full((xs.size, 2), np.nan)
     for h in range(xs.size):
         x, y = xs[h], ys[h]

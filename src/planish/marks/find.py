@@ -146,7 +146,7 @@ def find_holes(
 def _holes(
     grey: Image, size: tuple[float, float], low: float, high: float, signs: tuple[float, ...]
 ) -> tuple[float, Floats, int]:
-    """Sign, rows of `measure` and dropped candidates of the polarity with the stronger holes; lengths in um of the full image."""
+    """Sign, rows of `measure` and dropped candidates of the polarity with the stronger holes; lengths in um."""
     fine, fine_size, fine_origin = reduce_to(grey, size, 2 * low / ACROSS_FINE)
     coarse, coarse_size, coarse_origin = reduce_to(fine, fine_size, 2 * low / ACROSS_COARSE)
     responses = blob_responses(coarse, coarse_size, (low, high))

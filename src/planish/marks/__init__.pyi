@@ -1,0 +1,13 @@
+from .design import Pattern as Pattern
+from .design import check_pattern as check_pattern
+from .design import design_pattern as design_pattern
+from .design import own_pattern as own_pattern
+from .find import Polarity as Polarity
+from .find import find_holes as find_holes
+from .holes_table import read_holes as read_holes
+from .holes_table import write_holes as write_holes
+from .in_sheet import Side as Side
+from .in_sheet import find_holes_in_sheet as find_holes_in_sheet
+from .params import HoleParams as HoleParams
+from .table import read_marks as read_marks
+from .table import write_marks as write_marks

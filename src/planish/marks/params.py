@@ -1,0 +1,19 @@
+"""Options of the search for laser holes."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from planish.core.options import Params, option
+
+Diameter = Annotated[float, Field(gt=0)]
+
+
+class HoleParams(Params):
+    """Which holes are looked for."""
+
+    hole_um: tuple[Diameter, Diameter] = option(
+        (100.0, 300.0), metavar="LEAST,MOST", help="Range of hole diameters in um."
+    )
