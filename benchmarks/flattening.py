@@ -15,8 +15,8 @@ from scipy import ndimage
 
 from benchmarks import surfaces
 from benchmarks._unit import Unit
+from planish.core.threads import available
 from planish.flatten import RelaxationParams, relax_grid
-from planish.flatten.relax import available_cores
 
 SIZES = {"S": (24, 32), "M": (96, 128), "L": (384, 512), "XL": (1536, 2048)}
 
@@ -39,7 +39,7 @@ def speed(repeats=7):
     )
     for name in ("M", "L", "XL"):
         rows, cols = SIZES[name]
-        threads = 1 if rows * cols < 100_000 else available_cores()
+        threads = 1 if rows * cols < 100_000 else available()
         unit = Unit(rows, cols, threads)
         for kind in ("smooth", "rough"):
             points = getattr(surfaces, kind)(rows, cols)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,6 +15,7 @@ from planish.analyze.peak import MARGIN, Peak, covariance_of, find_peak, rival_r
 from planish.analyze.surrogates import Unrelated, in_band, without_plane
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, SizeError
+from planish.core.threads import map_threads
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -28,7 +28,6 @@ _FLOOR_PIXELS, _FLOOR_WAVES = 0.1, 0.02
 _NOWHERE = (math.nan, math.nan)
 _MOST_PIXELS = 400_000
 _SEED = 20090501
-_THREADS = 2
 _RIVAL = 0.5  # of the peak's height
 _DIFFERENT = -2 * math.log(0.02)  # squared distance of two lags in standard errors that chance exceeds once in 50
 
@@ -288,8 +287,7 @@ def _search(
         other = unrelated.draw(np.random.default_rng((_SEED, k)))
         return float(np.nanmax(np.abs(correlate(other)[allowed]), initial=0.0))
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        highest = list(pool.map(height, range(surrogates)))
+    highest = map_threads(height, range(surrogates))
     null = (float(np.quantile(highest, 0.95, method="higher")), _gumbel_99(np.array(highest)))
     rival = math.nan if peak is None else rival_r(r, peak, allowed)
     silence: Silence | None = None

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -13,10 +14,11 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.threads import count_threads, thread_pool
+
 Job = TypeVar("Job")
 Result = NDArray[Any]
 
-_MOST_THREADS = 8
 _AHEAD = 2  # tiles that wait for their turn, beside those that are worked on
 
 
@@ -69,7 +71,7 @@ class Engine:
     Attributes
     ----------
     threads : int or None
-        Local threads; one a core, eight at most, where not given.
+        Local threads; as :func:`planish.core.threads.count_threads` says where not given.
     memory_bytes : int
         What the tiles that are in memory at the same time may take.
     executor : Executor or None
@@ -94,7 +96,7 @@ class Engine:
         """Tiles that are worked on at the same time."""
         if self.executor is not None:
             return self.workers or 1
-        return self.threads or min(os.cpu_count() or 1, _MOST_THREADS)
+        return count_threads(self.threads)
 
     def map(
         self, what: str, work: Callable[[Job, Tile], Result], job: Callable[[Tile], Job], tiles: Sequence[Tile]
@@ -111,9 +113,6 @@ class Engine:
             Gives what ``work`` needs to know for a tile. For an executor of other processes it is sent there.
         tiles : sequence of Tile
         """
-        local = ThreadPoolExecutor(self.at_once) if self.executor is None else None
-        pool = local or self.executor
-        assert pool is not None
         waiting: deque[tuple[Tile, Future[Result] | Result]] = deque()
         done = 0
 
@@ -125,24 +124,23 @@ class Engine:
             self._keep(what, tile, result)
             return tile, result
 
-        try:
-            for tile in tiles:
-                found = self._found(what, tile)
-                waiting.append((tile, pool.submit(work, job(tile), tile) if found is None else found))
-                if len(waiting) >= self.at_once + _AHEAD:
+        with thread_pool(self.threads) if self.executor is None else nullcontext(self.executor) as pool:
+            try:
+                for tile in tiles:
+                    found = self._found(what, tile)
+                    waiting.append((tile, pool.submit(work, job(tile), tile) if found is None else found))
+                    if len(waiting) >= self.at_once + _AHEAD:
+                        yield take()
+                        done += 1
+                        self.tell(what, done, len(tiles))
+                while waiting:
                     yield take()
                     done += 1
                     self.tell(what, done, len(tiles))
-            while waiting:
-                yield take()
-                done += 1
-                self.tell(what, done, len(tiles))
-        finally:
-            for _, future in waiting:
-                if not isinstance(future, np.ndarray):
-                    future.cancel()
-            if local is not None:
-                local.shutdown(cancel_futures=True)
+            finally:
+                for _, future in waiting:
+                    if not isinstance(future, np.ndarray):
+                        future.cancel()
 
     def _place(self, what: str, tile: Tile) -> Path | None:
         # Named by what it covers: with another memory or number of threads the tiles are others.

@@ -6,7 +6,6 @@ All sums are whole numbers. They do not depend on the order in which slices are 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.threads import thread_pool
 from planish.correct import _kernels
 from planish.correct.levels import Levels, missing, smoothed
 from planish.correct.turning import SECTORS, Turning
@@ -126,7 +126,7 @@ def take_sums(
     def sort(item: tuple[int, Slice]) -> tuple[int, Counts, NDArray[np.uint8], Counts]:
         return item[0], *_sorted(item[1], levels)
 
-    with ThreadPoolExecutor(threads) as pool:
+    with thread_pool(threads) as pool:
         for group in _groups(slices):
             for number, grey, kind, depth in pool.map(sort, group):
                 k = min(int(number * middles.size / length), middles.size - 1)

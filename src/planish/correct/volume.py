@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,6 +13,7 @@ from xarray.backends import BackendArray
 from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 from planish.core.errors import InputError
+from planish.core.threads import count_threads
 from planish.correct import _kernels
 from planish.correct.cupping import factor, find_cupping, middle_factor
 from planish.correct.levels import Levels, find_levels
@@ -177,7 +177,7 @@ def correct_volume(
             "--correct-rings and --correct-cupping."
         )
     turning = make_turning(volume, axis, centre_um)
-    threads = threads or min(os.cpu_count() or 1, 8)
+    threads = count_threads(threads)
     say = tell or _silent
     record = Corrections(axis=axis, centre_um=turning.centre_um, asked=asked, length=turning.shape[0])
     look = [values for _, values in slices_of(volume, turning, most=_LOOK, memory_bytes=memory_bytes)]

@@ -29,7 +29,7 @@ class Team:
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
-        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+        self._pool: ThreadPoolExecutor | None = None
 
     def __enter__(self) -> Team:
         """Use as a context: the threads end with it."""
@@ -55,10 +55,11 @@ class Team:
 
     def each(self, kernel: Callable[..., Any], calls: list[tuple[Any, ...]]) -> None:
         """Call ``kernel`` once with each list of arguments, and wait for all of them."""
-        if self._pool is None or len(calls) == 1:
+        if self.threads == 1 or len(calls) == 1:
             for call in calls:
                 kernel(*call)
             return
+        self._pool = self._pool or ThreadPoolExecutor(self.threads - 1)
         running = [self._pool.submit(kernel, *call) for call in calls[1:]]
         try:
             kernel(*calls[0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -12,6 +11,7 @@ from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
 from planish.core.outcome import Outcome
+from planish.core.threads import count_threads
 from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments
 from planish.flatten.infill import make_up
@@ -122,7 +122,7 @@ def relax_grid(
         points, weights, made_up = _weigh(points, np.asarray(weights, dtype=np.float64))
     start = None if start is None else np.ascontiguousarray(start, dtype=np.float64)
     pitch = mean_pitch(points)
-    with Team(threads or available_cores()) as team:
+    with Team(count_threads(threads)) as team:
         level, springs, straight = make_springs(points, pitch, rest, team)
         gaps = springs < _all_springs(level.rows, level.cols)
         if gaps:
@@ -164,11 +164,6 @@ def relax_grid(
         outcome = Outcome.FOLDED
     return Relaxed(uv=uv, energy=float(energy) * pitch * pitch, springs=springs, outcome=outcome, steps=steps,
                    history=history, folded=folded, made_up=made_up, straight_share=straight, pitch=pitch)  # fmt: skip
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def folded_cells(points: Array, uv: Array, *, side: float = 1.0, floor: float = 0.0) -> NDArray[np.bool_]:

@@ -13,7 +13,6 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
 from planish.core.errors import FileError, InputError, ResourceError
+from planish.core.threads import count_threads, limit_threads, thread_pool
 from planish.io import _kernels
 from planish.io.run_folder import as_planish, claim_folder, is_link, refuse_existing
 
@@ -99,11 +99,10 @@ def write_store(
         _same_source(partial, source)
         levels = _make_levels(partial, volume, shape, ome)
         done = Journal(partial, ome)
-        if threads is not None:
-            zarr.config.set({"threading.max_workers": threads, "async.concurrency": max(threads, 1)})
-        _first_two(volume, levels, done, memory_bytes=memory_bytes, tell=tell or _silent)
-        for k in range(2, len(levels)):
-            _coarser(levels[k - 1], levels[k], done, k)
+        with limit_threads(threads):
+            _first_two(volume, levels, done, memory_bytes=memory_bytes, tell=tell or _silent)
+            for k in range(2, len(levels)):
+                _coarser(levels[k - 1], levels[k], done, k)
         done.settle()
         (partial / _SOURCE).unlink()
         partial.rename(path)
@@ -208,7 +207,7 @@ def _first_two(volume: xr.DataArray, levels: list[_Level], done: Journal, *, mem
         if len(levels) > 1:
             _write(levels[1], _halved(where, 1), halve(values), done, 1)
 
-    with ThreadPoolExecutor(_AT_WORK) as pool:
+    with thread_pool(min(_AT_WORK, count_threads())) as pool:
         try:
             for n, _ in enumerate(pool.map(block, wheres)):
                 tell("import", n + 1, len(wheres))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TypeVar
 
@@ -13,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure, ResourceError
+from planish.core.threads import count_threads, map_threads
 from planish.measure.along_normals import STATUS
 from planish.measure.greys import Greys
 from planish.measure.options import RayOptions
@@ -141,7 +140,7 @@ def each_tile(
         If a single row with its halo does not fit into the memory.
     """
     count = frame.status.shape[0]
-    threads = threads or min(os.cpu_count() or 1, 8)
+    threads = count_threads(threads)
     per_row = frame.status.shape[1] * frame.samples * _PER_SAMPLE
     if rows is None:
         budget = (memory_bytes or _MEMORY_BYTES) / threads
@@ -160,10 +159,7 @@ def each_tile(
         tile = frame.tile(volume, slice(lo, hi))
         return work(tile, slice(at.start - lo, at.stop - lo), at)
 
-    if threads == 1:
-        return [one(at) for at in tiles]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(one, tiles))
+    return map_threads(one, tiles, number=threads)
 
 
 def _halo(one: Property, frame: RayFrame) -> int:

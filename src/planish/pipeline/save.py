@@ -8,6 +8,7 @@ from typing import Any, overload
 from planish import __version__
 from planish.compute import Compute, run_key
 from planish.core.errors import PlanishError
+from planish.core.threads import limit_threads
 from planish.io import fingerprint
 from planish.io.run_folder import new_folder, refuse_existing, work_folder, write_json, write_tree
 from planish.marks import write_marks
@@ -56,7 +57,7 @@ def run_study(
     refuse_existing(out)
     tell = progress or silent
     key = run_key(study.model_dump(mode="json"), [_hash(path) for path in _inputs(study)])
-    with work_folder(out, key) as work:
+    with work_folder(out, key) as work, limit_threads(None if compute is None else compute.threads):
         how: dict[str, Any] = {"progress": tell, "compute": compute, "kept": work / "tiles"}
         if isinstance(study, LayersStudy):
             layers = link_layers(study, **how)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from typing import TypeVar
+
+from planish.core.threads import count_threads, map_threads
 
 Result = TypeVar("Result")
 
@@ -26,10 +25,7 @@ def each_band(work: Callable[[int, int], Result], rows: int, *, threads: int | N
     threads : int, optional
         All processors, at most 8, where not given.
     """
-    threads = threads or min(os.cpu_count() or 1, 8)
+    threads = count_threads(threads)
     count = max(1, min(_BANDS * threads, rows // _LEAST_ROWS))
     edges = [rows * k // count for k in range(count + 1)]
-    if threads == 1 or count == 1:
-        return [work(begin, end) for begin, end in pairwise(edges)]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(work, edges[:-1], edges[1:]))
+    return map_threads(work, edges[:-1], edges[1:], number=min(threads, count))

@@ -6,9 +6,7 @@ become larger they are averaged, and labels are taken as they are.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Generator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, Protocol
@@ -17,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, InputError, ResourceError, SizeError
+from planish.core.threads import count_threads, map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.resample._warp_kernels import average, interpolate, take
 from planish.resample.patches import Patches, find_patches
@@ -33,7 +32,6 @@ off does not change the method in the middle of an image."""
 _TILE = (512, 4096)  # target pixels that are worked on together, always the same ones; whole blocks of the patches
 _WINDOW = 16 * 2**20  # bytes of the source that are read at once
 _SCRATCH = 8 * 2**20  # bytes a thread takes beside the tile and the window
-_MOST_THREADS = 8
 _MOST_SIDE = 2**22  # of the source: places are counted in 2^-40 of a pixel
 _MOST_UNDER = 2**26  # source pixels under one pixel
 _LOOKS = 17  # points per side of the target at which the transformation is looked at first
@@ -204,12 +202,7 @@ def warp_image(
     )
     tiles = tiles_of(shape, _TILE)
     one = partial(_warp_tile, work, warped)
-    if count == 1 or len(tiles) == 1:
-        met = [one(tile) for tile in tiles]
-    else:
-        with ThreadPoolExecutor(count) as pool:
-            met = list(pool.map(one, tiles))
-    if not any(met):
+    if not any(map_threads(one, tiles, number=min(count, len(tiles)))):
         raise _apart(work, shape)
     return warped
 
@@ -358,7 +351,7 @@ def _budget(source: Source, share: bool, arrays: int, memory: int, threads: int 
             f"The warped image needs {(arrays + least) / 1e9:.2f} GB of memory, {memory / 1e9:.2f} GB are allowed. "
             "Allow more, or give memory maps as out and out_valid."
         )
-    count = threads or min(os.cpu_count() or 1, _MOST_THREADS)
+    count = count_threads(threads)
     count = max(1, min(count, int((memory - arrays) // least)))
     free = (memory - arrays) // count - tile - _SCRATCH
     return count, max(2**20, min(_WINDOW, int(free / factor)))

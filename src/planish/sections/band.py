@@ -6,9 +6,7 @@ to section, so it lends neighbours no difference of its own.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d, label, median_filter
 
 from planish.core.errors import VolumeError
+from planish.core.threads import map_threads
 from planish.sections._kernels import block_means
 from planish.sections.trend import slow_part
 
@@ -82,17 +81,9 @@ class Band:
         return np.interp(np.arange(cols), self.at_col, self.row[section]).astype(np.float32)
 
 
-def workers(threads: int | None) -> int:
-    """Number of threads: all processors, at most 8, where not given."""
-    return threads or min(os.cpu_count() or 1, 8)
-
-
 def for_each(work: Callable[[int], Result], count: int, *, threads: int | None) -> list[Result]:
     """Call ``work(0)`` to ``work(count - 1)`` and return what they give, in order."""
-    if workers(threads) == 1:
-        return [work(i) for i in range(count)]
-    with ThreadPoolExecutor(workers(threads)) as pool:
-        return list(pool.map(work, range(count)))
+    return map_threads(work, range(count), number=threads)
 
 
 def check_stack(stack: Stack, positions_um: Array, pixel_um: tuple[float, float]) -> Array:

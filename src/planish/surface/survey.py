@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import VolumeError
+from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
 from planish.surface.choose import choose_sheet, make_choice, seed_grey
 from planish.surface.coarse import CoarseSheet, coarse_sheet, followed_sheet
@@ -151,8 +151,7 @@ def _sampled(columns: Columns, stride: tuple[int, int], engine: Engine) -> NDArr
         r = int(at[n]) * k
         out[n] = single.voxels(Tile(r, r + 1, 0, cols * k))[0, : cols * k : stride[1] * k]
 
-    with ThreadPoolExecutor(engine.at_once) as pool:
-        list(pool.map(read, range(at.size)))
+    map_threads(read, range(at.size), number=engine.at_once)
     return out
 
 

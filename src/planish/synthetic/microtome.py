@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.threads import count_threads, thread_pool
 from planish.synthetic.fields import generator
 from planish.synthetic.paint import Painter, Slab, gaussian_taps, smooth
 from planish.synthetic.params import SectionsParams
@@ -106,7 +106,8 @@ class Microtome:
         """Give the pictures (rows, cols) or (rows, cols, 3), one after the other."""
         _ = self.sheet.packed
         count = self.poses.index.size
-        with ThreadPoolExecutor(threads) as pool:
+        threads = min(threads, count_threads())
+        with thread_pool(threads) as pool:
             for at in range(0, count, 8 * threads):
                 yield from pool.map(self.picture, range(at, min(at + 8 * threads, count)))
 

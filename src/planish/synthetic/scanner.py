@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.threads import count_threads, thread_pool
 from planish.synthetic.fields import generator
 from planish.synthetic.paint import Painter, Slab, gaussian_taps, smooth, trimmed
 from planish.synthetic.params import ScannerParams
@@ -51,7 +51,8 @@ class Scanner:
         """Give (first row, tile (rows, x, z)) one after the other; some ``2 * threads`` tiles are in memory."""
         _ = self.sheet.packed, self._plane, self._cups  # made once, before threads ask for them
         starts = list(range(0, self.shape[1], tile_rows))
-        with ThreadPoolExecutor(threads) as pool:
+        threads = min(threads, count_threads())
+        with thread_pool(threads) as pool:
             for at in range(0, len(starts), threads):
                 part = starts[at : at + threads]
                 stops = [min(start + tile_rows, self.shape[1]) for start in part]

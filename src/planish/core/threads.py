@@ -1,0 +1,144 @@
+"""How many threads may be used: one setting, which every pool of planish asks; no result depends on it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+MOST = 8
+"""Threads that are used at most where no number is given: more of them wait for the memory."""
+
+_VARIABLES = (
+    "TIFFFILE_NUM_THREADS",
+    "TIFFFILE_NUM_IOTHREADS",
+    "ZARR_THREADING__MAX_WORKERS",
+    "ZARR_ASYNC__CONCURRENCY",
+)
+_limits: list[int] = []
+
+
+@contextmanager
+def limit_threads(number: int | None) -> Generator[int]:
+    """Limit all pools of this process, and those of the libraries that have a setting, to ``number`` threads.
+
+    Parameters
+    ----------
+    number : int or None
+        As many as :func:`available` says, eight at most, where None and nothing was set further out.
+    """
+    count = count_threads(number)
+    _limits.append(count)
+    try:
+        with _libraries(count):
+            yield count
+    finally:
+        _limits.pop()
+
+
+def count_threads(number: int | None = None) -> int:
+    """Return how many threads may run: ``number``, or what :func:`limit_threads` set, or what is available."""
+    if number is not None:
+        return max(1, number)
+    return _limits[-1] if _limits else min(available(), MOST)
+
+
+@contextmanager
+def thread_pool(number: int | None = None) -> Generator[Executor]:
+    """Give an executor of :func:`count_threads` threads; for one, an executor that works in the calling thread."""
+    count = count_threads(number)
+    pool = ThreadPoolExecutor(count) if count > 1 else _Here()
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def map_threads(work: Callable[..., T], *items: Iterable[Any], number: int | None = None) -> list[T]:
+    """Call ``work`` on every item and return what it gives, in order."""
+    with thread_pool(number) as pool:
+        return list(pool.map(work, *items))
+
+
+def available() -> int:
+    """Processors that this process may use.
+
+    ``PYTHON_CPU_COUNT`` if it is set; else those of its affinity (``taskset``), and no more than its control group's
+    share of time (containers, batch systems).
+    """
+    told = os.environ.get("PYTHON_CPU_COUNT", "")
+    if told.isdigit() and int(told) > 0:
+        return int(told)
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min([count, *_quotas(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup"))]))
+
+
+def _quotas(own: Path, groups: Path) -> list[int]:
+    """Processors that the limits of the process's control groups (version 1 and 2) amount to, rounded up."""
+    try:
+        lines = [line.split(":", 2) for line in own.read_text().splitlines()]
+    except OSError:
+        return []
+    found: list[int] = []
+    for _, controllers, path in (line for line in lines if len(line) == 3):
+        names = controllers.split(",")
+        if controllers and "cpu" not in names:
+            continue
+        # Inside a container the path may be the one outside: the group's own files then lie at the top.
+        folder = Path(path.lstrip("/"))
+        for root in (groups,) if not controllers else (groups / "cpu", groups / controllers):
+            for place in (root / folder, *(root / parent for parent in folder.parents), root):
+                try:
+                    if controllers:
+                        limit, period = ((place / f"cpu.cfs_{k}_us").read_text() for k in ("quota", "period"))
+                    else:
+                        limit, period = (place / "cpu.max").read_text().split()
+                    if int(limit) > 0 and int(period) > 0:
+                        found.append(-(-int(limit) // int(period)))
+                except (OSError, ValueError):  # not there, or "max"
+                    continue
+    return found
+
+
+@contextmanager
+def _libraries(count: int) -> Generator[None]:
+    """Limit the threads in which tifffile and zarr pack and unpack: those that are imported, and those that will be.
+
+    zarr keeps its pool once it has one, and a thread for its event loop whatever is asked for.
+    """
+    before = {name: os.environ.get(name) for name in _VARIABLES}
+    os.environ.update(dict.fromkeys(_VARIABLES, str(count)))
+    tiff: Any = getattr(sys.modules.get("tifffile"), "TIFF", None)
+    if tiff is not None:
+        tiff.MAXWORKERS = tiff.MAXIOWORKERS = count
+    config: Any = getattr(sys.modules.get("zarr"), "config", None)
+    try:
+        with config.set({"threading.max_workers": count, "async.concurrency": count}) if config else nullcontext():
+            yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+class _Here(Executor):
+    """An executor that does the work where it is handed in."""
+
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        future: Future[T] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:  # noqa: BLE001  # it is raised where the result is asked for
+            future.set_exception(error)
+        return future
+
+    def map(self, fn: Callable[..., T], *iterables: Iterable[Any], **_: Any) -> Iterator[T]:
+        return map(fn, *iterables)
