@@ -5,7 +5,7 @@ import pytest
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
-from planish.register import FittedTransform, fit_transform
+from planish.register import chain_from_json, fit_transform, registration_from_json
 
 TURN = Similarity(scale=1.01, rotation_rad=0.3, shift_um=(50.0, 20.0))
 
@@ -95,7 +95,9 @@ def test_few_marks_are_said():
     assert "5 marks only" in fit_transform(marks(5), TURN(marks(5))).warnings[0]
 
 
-def test_text_that_is_no_fit():
-    for text in ("", "[]", "{}", '{"format": "other"}'):
-        with pytest.raises(MarkError):
-            FittedTransform.from_json(text)
+def test_what_is_no_registration_is_refused():
+    for data in (None, "", [], {}, {"format": "other"}, {"format": "planish registration 1", "model": "affine"}):
+        with pytest.raises(MarkError, match=r"no registration|format 'other'"):
+            registration_from_json(data)
+    with pytest.raises(MarkError, match="no chain"):
+        chain_from_json({})

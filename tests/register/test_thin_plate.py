@@ -7,7 +7,7 @@ from scipy.interpolate import RBFInterpolator
 from planish.core.errors import CannotRegister
 from planish.register import fit_transform
 from planish.register.pairs import Pairs
-from planish.register.smoothing import Smoothing, fit_thin_plate
+from planish.register.spline import Smoothing
 from planish.register.thin_plate import REASONS
 
 
@@ -33,7 +33,7 @@ def test_it_is_the_spline_of_scipy(smoothing):
     fixed, weights = bent(moving) + rng.normal(0, 2, (20, 2)), rng.uniform(0.5, 2, 20)
     twin = RBFInterpolator(moving, fixed, kernel="thin_plate_spline", degree=1, smoothing=smoothing / weights)
     where = marks(100, seed=2)
-    ours = fit_thin_plate(pairs_of(moving, fixed, weights), smoothing)
+    ours = Smoothing(pairs_of(moving, fixed, weights)).spline(smoothing)
     np.testing.assert_allclose(ours(where), twin(where), rtol=0, atol=1e-6)
 
 
@@ -42,7 +42,7 @@ def test_without_smoothing_it_goes_through_its_marks(n):
     """Coordinates of 20 mm: 1e-6 um."""
     moving = marks(n, 20000.0) + 20000.0
     fixed = bent(moving, 20000.0, 60.0)
-    spline = fit_thin_plate(pairs_of(moving, fixed), 0.0)
+    spline = Smoothing(pairs_of(moving, fixed)).spline(0.0)
     np.testing.assert_allclose(spline(moving), fixed, rtol=0, atol=1e-6)
     inside = marks(300, 20000.0, 5) + 20000.0
     np.testing.assert_allclose(spline.inverse(spline(inside)), inside, rtol=0, atol=1e-9 * 100)
@@ -59,7 +59,7 @@ def test_leave_one_out_equals_the_fit_without_each_mark_at_the_same_smoothing():
     for k in range(12):
         others = np.arange(12) != k
         pairs = Pairs(moving=moving, fixed=fit.fixed, information=fit.information).take(others)
-        twin = np.linalg.norm(fit_thin_plate(pairs, smoothing)(moving[k]) - fit.fixed[k])
+        twin = np.linalg.norm(Smoothing(pairs).spline(smoothing)(moving[k]) - fit.fixed[k])
         assert fit.leave_one_out_um[k] == pytest.approx(twin, rel=0, abs=1e-9)
 
 
@@ -77,7 +77,7 @@ def test_the_smoothing_is_the_one_that_misses_marks_left_out_least():
 
 def test_derivatives_are_differences():
     moving = marks(15)
-    spline = fit_thin_plate(pairs_of(moving, bent(moving)), 1e3)
+    spline = Smoothing(pairs_of(moving, bent(moving))).spline(1e3)
     where, step = marks(40, seed=6), 1e-3
     for axis in (0, 1):
         off = step * np.eye(2)[axis]
@@ -87,7 +87,7 @@ def test_derivatives_are_differences():
 
 def test_the_way_back_says_why_it_finds_nothing():
     moving = marks(15)
-    spline = fit_thin_plate(pairs_of(moving, bent(moving)), 0.0)
+    spline = Smoothing(pairs_of(moving, bent(moving))).spline(0.0)
     inside = spline([[1000.0, 1200.0]])[0]
     found, codes = spline.inverse.search([inside, [9e5, 0.0], [np.nan, 1.0]])
     np.testing.assert_allclose(found[0], [1000.0, 1200.0], rtol=0, atol=1e-9)

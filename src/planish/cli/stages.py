@@ -27,8 +27,6 @@ from planish.cli.options import (
 if TYPE_CHECKING:
     import xarray as xr
 
-    from planish.register import Model
-
 Method = Literal["multigrid", "relaxation"]
 Rest = Literal["arc", "chord"]
 
@@ -242,7 +240,7 @@ def holes(
 @match_options
 @design_option
 def register(
-    moving: Path, fixed: Path, out: Path, mirror: bool, tolerance_um: float, model: Model, design: Path | None
+    moving: Path, fixed: Path, out: Path, mirror: bool, tolerance_um: float, model: str, design: Path | None
 ) -> None:
     """Match the holes in MOVING and FIXED, two tables of 'planish holes', and fit what takes one to the other."""
     from planish.io.run_folder import refuse_existing

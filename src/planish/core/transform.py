@@ -2,13 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Pair = tuple[float, float]
+
+
+class Transform(Protocol):
+    """What every fitted transformation offers; scale, rotation, shift and hand are those of the closest similarity."""
+
+    @property
+    def scale(self) -> float: ...  # noqa: D102
+    @property
+    def rotation_rad(self) -> float: ...  # noqa: D102
+    @property
+    def shift_um(self) -> Pair: ...  # noqa: D102
+    @property
+    def mirrored(self) -> bool: ...  # noqa: D102
+
+    def __call__(self, points: ArrayLike, /) -> Floats:
+        """Transform points of shape ``(..., 2)``, in um."""
+        ...
+
+    def jacobian(self, points: ArrayLike, /) -> Floats:
+        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``."""
+        ...
+
+    def matrix(self) -> Floats:
+        """Return the 2 x 2 derivatives at the middle of the marks."""
+        ...
+
+    @property
+    def inverse(self) -> Callable[[ArrayLike], Floats]:
+        """The transformation back."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

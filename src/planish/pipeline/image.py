@@ -26,14 +26,12 @@ from planish.pipeline.refinement import refine_link
 from planish.pipeline.run import Array, Progress, Run, silent
 from planish.pipeline.sheet import map_sheet, uv
 from planish.properties import further_maps
-from planish.register import Chain, FittedTransform, Model, fit_transform
+from planish.register import Chain, FittedTransform, fit_transform
+from planish.register.models import MODELS
 from planish.resample import find_places, resample
 from planish.results import input_results, linked_results, mark_results, marks_table, parameter_results
 from planish.study import Study
 
-MODEL_WORDS = {
-    "rigid": "rigid", "similarity": "similarity", "affine": "affine", "projective": "projective", "tps": "spline"
-}  # fmt: skip
 ROWS = ("projection, no scale", "projection, similarity", "flattened, similarity")
 
 
@@ -91,7 +89,7 @@ def link_sheet(
     headline = headline_of(linked, fixed.faces)
     tell("correlate", headline)
     # Least squares of all marks, as in the paper: marks that do not fit are what shows that a way is wrong.
-    kinds: tuple[tuple[str, tuple[str, str], Array, Model], ...] = (
+    kinds: tuple[tuple[str, tuple[str, str], Array, str], ...] = (
         (ROWS[0], ("projected_u", "projected_v"), projected_um, "rigid"),
         (ROWS[1], ("projected_u", "projected_v"), projected_um, "similarity"),
         (ROWS[2], ("u", "v"), fit.moving, "similarity"),
@@ -104,7 +102,7 @@ def link_sheet(
         )  # fmt: skip
     correlation = _correlations(linked, pixel, study.correlate.point_um)
     # The run's own way: the numbers that stand everywhere else, too.
-    own = {"registration": f"flattened, {MODEL_WORDS[fit.model]}", "property": headline, "marks_rms_um": fit.rms_um}
+    own = {"registration": f"flattened, {MODELS[fit.model].words}", "property": headline, "marks_rms_um": fit.rms_um}
     table += [own | row for row in correlation if row["property"] == headline]
     study = run.study.model_copy(
         update={

@@ -1,5 +1,4 @@
 from .chain import Chain as Chain
-from .fit import Model as Model
 from .fit import fit_transform as fit_transform
 from .match import Matched as Matched
 from .match import match_marks as match_marks
@@ -10,6 +9,8 @@ from .match_design import match_to_design as match_to_design
 from .params import RegistrationParams as RegistrationParams
 from .refinement import Refined as Refined
 from .refinement import refine as refine
-from .result import FittedSimilarity as FittedSimilarity
 from .result import FittedTransform as FittedTransform
-from .strain import Transform as Transform
+from .saved import chain_from_json as chain_from_json
+from .saved import chain_to_json as chain_to_json
+from .saved import registration_from_json as registration_from_json
+from .saved import registration_to_json as registration_to_json

@@ -1,24 +1,20 @@
-"""Least-squares transformation between paired marks, with what it says about its own error: the door."""
+"""Least-squares transformation between paired marks, with its expected error."""
 
 from __future__ import annotations
 
-from typing import Literal, overload
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planish.core.errors import MarkError
-from planish.core.transform import Similarity
-from planish.register.ladder import RUNGS, climb, settled_weights
-from planish.register.models import MODELS
-from planish.register.pairs import Pairs, checked, listed, refuse_other_hand, rms_of_both_hands
-from planish.register.result import FittedSimilarity, FittedTransform, weighted_rms
-from planish.register.smoothing import LEAST, fit_thin_plate
-from planish.register.solve import noise_of
-from planish.register.strain import NOTABLE, Strain, Transform, strain_of
-
-Floats = NDArray[np.float64]
-Model = Literal["rigid", "similarity", "affine", "projective", "tps", "auto"]
+from planish.core.transform import Transform
+from planish.register.model import Floats
+from planish.register.models import MODELS, model_named
+from planish.register.pairs import Pairs, checked, listed, refuse_other_hand, rms_of_both_hands, weighted_rms
+from planish.register.result import FittedTransform
+from planish.register.select import select_model
+from planish.register.strain import NOTABLE, Strain
 
 _FEW = 6
 _SCALES = (0.8, 1.25)
@@ -26,40 +22,15 @@ _SCALES = (0.8, 1.25)
 _DISAGREE = 0.05
 
 
-@overload
 def fit_transform(
     moving: ArrayLike,
     fixed: ArrayLike,
     *,
-    model: Literal["rigid", "similarity"] = "similarity",
+    model: str = "similarity",
     mirrored: bool | None = False,
     weights: ArrayLike | None = None,
     robust: bool = True,
-) -> FittedSimilarity: ...
-
-
-@overload
-def fit_transform(
-    moving: ArrayLike,
-    fixed: ArrayLike,
-    *,
-    model: Model,
-    mirrored: bool | None = False,
-    weights: ArrayLike | None = None,
-    robust: bool = True,
-    lowest: Literal["rigid", "similarity"] = "rigid",
-) -> FittedTransform: ...
-
-
-def fit_transform(
-    moving: ArrayLike,
-    fixed: ArrayLike,
-    *,
-    model: Model = "similarity",
-    mirrored: bool | None = False,
-    weights: ArrayLike | None = None,
-    robust: bool = True,
-    lowest: Literal["rigid", "similarity"] = "rigid",
+    lowest: str = "rigid",
 ) -> FittedTransform:
     """Fit the transformation that takes the moving marks to the fixed marks by least squares.
 
@@ -67,11 +38,10 @@ def fit_transform(
     ----------
     moving, fixed : array-like, shape (n, 2), in um
         Paired marks ``(x, y)``. From one pair more than fixes the model on, the residuals say something of the error.
-    model : {"similarity", "rigid", "affine", "projective", "tps", "auto"}
-        Rotation and shift with one scale; without scale (scale 1); with a linear map; as a flat sheet is seen
-        obliquely; a thin-plate spline with the smoothing under which marks left out are missed least. At least 2, 2,
-        3, 4 and 6 pairs. ``auto`` climbs from rigid to the spline as long as marks left out are missed by over 10 %
-        less, and by more than chance.
+    model : str
+        One of :data:`planish.register.models.MODELS`: ``rigid``, ``similarity``, ``affine``, ``projective`` or ``tps``
+        (thin-plate spline with the smoothing under which marks left out are missed least); or ``auto``, which takes
+        the next model as long as marks left out are missed by over 10 % less, and by more than chance.
     mirrored : bool or None
         Whether the moving x axis runs the other way, as when the two maps show opposite sides of the sheet. ``None``
         takes the hand that fits better.
@@ -82,9 +52,9 @@ def fit_transform(
     robust : bool
         Whether marks that do not agree with the others are weighted down. Where no mark is further off than chance puts
         the furthest of n marks once in a hundred times, all weights are exactly 1 and nothing changes.
-    lowest : {"rigid", "similarity"}
-        Where ``auto`` begins. Two instruments hardly ever agree on the length of a micrometre, and a few marks cannot
-        always prove it: a similarity is the better start there.
+    lowest : str
+        Model at which ``auto`` begins. Two instruments hardly ever agree on the length of a micrometre, and a few marks
+        cannot always prove it: a similarity is the better start there.
 
     Returns
     -------
@@ -117,85 +87,79 @@ def fit_transform(
     >>> round(fit.transform.scale, 6), round(float(np.degrees(fit.transform.rotation_rad)), 6)
     (1.0, 90.0)
     """
-    if model not in (*RUNGS, "auto"):
-        raise MarkError(f"The model is {model!r}; it has to be one of {', '.join(RUNGS)} or auto.")
+    least = 0 if model == "auto" else model_named(model).least
     pairs = checked(moving, fixed, weights)
     used = pairs.weights > 0
     some = pairs.take(used)
     count = len(some)
-    if model != "auto":
-        least = LEAST if model == "tps" else MODELS[model].least
-        if count < least:
-            raise MarkError(
-                f"{count} pairs of marks given, a model of type {model} needs {least}. Add {least - count} or more, "
-                "away from the others, or choose a model with fewer parameters."
-            )
+    if count < least:
+        raise MarkError(
+            f"{count} pairs of marks given, a model of type {model} needs {least}. Add {least - count} or more, "
+            "away from the others, or choose a model with fewer parameters."
+        )
     if mirrored is None:
         missed, _ = rms_of_both_hands(some)
-        hand = missed[True] < missed[False]
+        mirrored = missed[True] < missed[False]
     else:
-        hand = mirrored
-        refuse_other_hand(some, hand)
-    share = np.ones(len(pairs))
+        refuse_other_hand(some, mirrored)
+    share, sentence = np.ones(len(pairs)), ""
     if model == "auto":
-        rung, share[used], sentence = climb(some, hand, robust=robust, lowest=lowest)
-    else:
-        rung, sentence = model, ""
-        if robust:
-            share[used] = settled_weights(some, rung, hand)
+        model, share[used], sentence = select_model(some, mirrored, robust=robust, lowest=lowest)
+    elif robust:
+        share[used] = MODELS[model].robust_weights(some, mirrored)
     final = pairs.times(share)
     held = final.take(final.weights > 0)
-    transform: Transform = fit_thin_plate(held) if rung == "tps" else MODELS[rung].fit(held, hand)
-    strain = strain_of(transform, held.moving, hand)
+    transform: Transform = MODELS[model].fit(held, mirrored)
     residuals = pairs.fixed - transform(pairs.moving)
     lengths = np.linalg.norm(residuals, axis=1)
-    about = f"{rung} from {len(held)} marks: residuals {weighted_rms(lengths, final.weights):.3g} um rms."
-    return (FittedSimilarity if isinstance(transform, Similarity) else FittedTransform)(
-        transform=transform,  # pyright: ignore[reportArgumentType]
-        model=rung,
+    about = f"{model} from {len(held)} marks: residuals {weighted_rms(lengths, final.weights):.3g} um rms."
+    fit = FittedTransform(
+        transform=transform,
+        model=model,
         moving=pairs.moving,
         fixed=pairs.fixed,
         information=final.information,
         robust_weights=share,
         residuals_um=residuals,
-        noise=None if rung == "tps" else noise_of(final, transform, MODELS[rung], share),  # pyright: ignore[reportArgumentType]
-        warnings=_warnings(final, share, lengths, transform, strain),
         sentence=f"{sentence} {about}".strip(),
     )
+    # Both refuse marks that do not support the model.
+    strain, _ = fit.strain, fit.errors
+    return replace(fit, warnings=_warnings(final, share, lengths, transform, strain))
 
 
 def _warnings(pairs: Pairs, share: Floats, lengths: Floats, transform: Transform, strain: Strain) -> tuple[str, ...]:
-    said: list[str] = []
+    found: list[str] = []
     doubted = np.flatnonzero((share < 1.0) & (lengths > 0))
     if doubted.size:
         off = ", ".join(f"{lengths[k]:.3g}" for k in doubted[:8])
-        said.append(
+        found.append(
             f"Mark{'s' * (doubted.size > 1)} {listed(doubted)} (counted from 0) do{'es' * (doubted.size == 1)} not "
             f"agree with the others (off by {off} um) and count{'s' * (doubted.size == 1)} less or not at all. "
             "Check them."
         )
     used = int(np.count_nonzero(pairs.weights > 0))
     if used < _FEW:
-        said.append(
+        found.append(
             f"{used} marks only: their error, and with it the expected error, is known to no better than about 40 %."
         )
     rms, spread = weighted_rms(lengths, pairs.weights), transform.scale * pairs.frame()[1]
     if rms > _DISAGREE * spread:
-        said.append(
+        found.append(
             f"The residuals, {rms:.3g} um rms, are {100 * rms / spread:.0f} % of the spread of the marks: many pairs "
             "are wrong. Check that every row pairs the same hole on both sides."
         )
     low, high = _SCALES
     if not low <= transform.scale <= high:
-        said.append(
+        found.append(
             f"Scale {transform.scale:.4g}: one side is probably in pixels, or its pixel size is wrong. "
             "Give both sides in um."
         )
     if strain.largest > NOTABLE:
         x, y = strain.at_um
-        said.append(
+        found.append(
             f"Local strain from {100 * strain.stretch[0]:+.2g} to {100 * strain.stretch[1]:+.2g} % between the marks, "
             f"largest near ({x:.4g}, {y:.4g}) um of the moving map. Paper strains by less than 1 %: check the marks "
             "there."
         )
-    return tuple(said)
+    return tuple(found)

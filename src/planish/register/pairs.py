@@ -130,6 +130,12 @@ def listed(which: Sequence[int] | NDArray[np.intp]) -> str:
     return ", ".join(str(int(k)) for k in which[:8]) + (", ..." if len(which) > 8 else "")
 
 
+def weighted_rms(lengths: Floats, weights: Floats) -> float:
+    """Root of the weighted mean square; what has no weight counts for nothing, also where it is NaN."""
+    used = weights > 0
+    return float(np.sqrt(np.sum(weights[used] * lengths[used] ** 2) / np.sum(weights)))
+
+
 def _points(marks: ArrayLike, name: str) -> Floats:
     points = np.array(marks, dtype=np.float64)
     if points.size == 0:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 from planish.core.options import Params, option
-from planish.register.models import MODEL_NAMES
+from planish.register.models import MODELS
 
 if TYPE_CHECKING:
     ModelChoice = str
 else:
-    ModelChoice = Literal[(*MODEL_NAMES, "auto")]
+    ModelChoice = Literal[(*MODELS, "auto")]
 
 
 class RegistrationParams(Params):
@@ -37,7 +37,7 @@ class RegistrationParams(Params):
     model: ModelChoice = option(
         "auto",
         help="Transformation from the moving to the fixed layer. auto takes the simplest model that the marks support, "
-        f"from {MODEL_NAMES[0]} to {MODEL_NAMES[-1]}.",
+        f"from {next(iter(MODELS))} to {next(reversed(MODELS))}.",
     )
     refine: Literal["affine", "bspline"] | None = option(
         None,

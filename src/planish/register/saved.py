@@ -1,91 +1,99 @@
-"""Transformations as they are written to JSON, and read back."""
+"""Registrations as JSON: a fit that is read back gives the same bytes wherever it is used."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import fields
+from typing import Any, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.transform import Affine, Projective, Similarity
-from planish.register.strain import Transform
-from planish.register.thin_plate import ThinPlate
+from planish.core.errors import MarkError
+from planish.register.chain import Chain
+from planish.register.models import model_named
+from planish.register.result import FittedTransform
 
-Floats = NDArray[np.float64]
-FORMAT = "planish transformation 1"
-
-
-def parameters_of(transform: Transform) -> dict[str, Any]:
-    """Say what a transformation has beside scale, rotation and shift."""
-    match transform:
-        case Similarity():
-            return {}
-        case Affine():
-            return {"linear": transform.linear, "source_um": transform.source, "target_um": transform.target}
-        case Projective():
-            return {
-                "homography": transform.homography, "source_um": transform.source, "target_um": transform.target,
-                "source_size_um": transform.source_size, "target_size_um": transform.target_size,
-            }  # fmt: skip
-        case ThinPlate():
-            return {
-                "source_um": transform.source, "size_um": transform.size, "nodes": transform.nodes.tolist(),
-                "affine_um": transform.affine.tolist(), "bend_um": transform.bend.tolist(),
-                "smoothing_um2": transform.smoothing_um2,
-            }  # fmt: skip
+FORMAT = "planish registration 1"
+_ARRAYS = ("moving", "fixed", "information", "robust_weights", "residuals_um")
 
 
-def transform_of(data: dict[str, Any]) -> Transform:
-    """Read a transformation back; ValueError, KeyError or TypeError where something is missing or wrong."""
-    own = data["transform"]
-    match data["model"]:
-        case "rigid" | "similarity":
-            return Similarity(
-                scale=as_number(data["scale"]), rotation_rad=as_number(data["rotation_rad"]),
-                shift_um=as_pair(data["shift_um"]), mirrored=bool(data["mirrored"]),
-            )  # fmt: skip
-        case "affine":
-            linear = (as_pair(own["linear"][0]), as_pair(own["linear"][1]))
-            middle = as_pair(own["source_um"])
-            return Affine(linear=linear, source=middle, target=as_pair(own["target_um"]))
-        case "projective":
-            rows = tuple((as_number(a), as_number(b), as_number(c)) for a, b, c in own["homography"])
-            return Projective(
-                homography=(rows[0], rows[1], rows[2]),
-                source=as_pair(own["source_um"]), target=as_pair(own["target_um"]),
-                source_size=as_number(own["source_size_um"]), target_size=as_number(own["target_size_um"]),
-            )  # fmt: skip
-        case "tps":
-            smoothing = own["smoothing_um2"]
-            return ThinPlate(
-                source=as_pair(own["source_um"]), size=as_number(own["size_um"]), nodes=as_array(own["nodes"]),
-                affine=as_array(own["affine_um"]), bend=as_array(own["bend_um"]),
-                # JSON has no infinity: null stands for the spline without bending.
-                smoothing_um2=float("inf") if smoothing is None else float(smoothing),
-            )  # fmt: skip
-        case other:
-            raise ValueError(f"model {other!r}")
+def registration_to_json(fit: FittedTransform) -> dict[str, Any]:
+    """Return a fit as numbers, texts, lists and dictionaries, for :func:`json.dump`; lengths in um.
+
+    Besides what `registration_from_json` needs it holds numbers to read: scale, rotation, errors of every mark. NaN
+    becomes None.
+    """
+    t = fit.transform
+    return {
+        "format": FORMAT,
+        "model": fit.model,
+        "sentence": fit.sentence,
+        "warnings": list(fit.warnings),
+        "scale": t.scale,
+        "rotation_rad": t.rotation_rad,
+        "shift_um": list(t.shift_um),
+        "mirrored": t.mirrored,
+        "rms_um": _plain(fit.rms_um),
+        "localisation_error_um": _plain(fit.localisation_error_um),
+        "leave_one_out_um": _plain(fit.leave_one_out_um),
+        "transform": {f.name: _plain(getattr(t, f.name)) for f in fields(model_named(fit.model).transform)},
+        **{name: _plain(getattr(fit, name)) for name in _ARRAYS},
+    }
 
 
-def without_nan(value: Any) -> Any:
-    """Put null in the place of numbers that JSON does not have."""
-    if isinstance(value, dict):
-        return {str(k): without_nan(v) for k, v in value.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+def registration_from_json(data: Any) -> FittedTransform:
+    """Read back what `registration_to_json` returned.
+
+    Raises
+    ------
+    MarkError
+        If it is no such fit.
+    """
+    try:
+        if data["format"] != FORMAT:
+            raise MarkError(f"The registration has the format {data['format']!r}; {FORMAT!r} is read.")
+        kind = model_named(data["model"]).transform
+        hints = get_type_hints(kind)
+        values = {f.name: _read(data["transform"][f.name], hints[f.name]) for f in fields(kind)}
+        return FittedTransform(
+            transform=kind(**values),
+            model=str(data["model"]),
+            sentence=str(data["sentence"]),
+            warnings=tuple(str(w) for w in data["warnings"]),
+            **{name: _read(data[name], NDArray[np.float64]) for name in _ARRAYS},
+        )
+    except (ValueError, KeyError, TypeError, IndexError) as fault:
+        raise MarkError(
+            f"This is no registration written by planish ({fault!r}). Register the marks again and save that."
+        ) from fault
+
+
+def chain_to_json(chain: Chain) -> list[dict[str, Any]]:
+    """Return the fits of a chain, the first one first."""
+    return [registration_to_json(fit) for fit in chain.fits]
+
+
+def chain_from_json(data: Any) -> Chain:
+    """Read back what `chain_to_json` returned; MarkError if it is no such chain."""
+    if not isinstance(data, list):
+        raise MarkError("This is no chain of registrations written by planish: a list is needed.")
+    return Chain(fits=tuple(registration_from_json(one) for one in data))  # pyright: ignore[reportUnknownVariableType]
+
+
+def _plain(value: Any) -> Any:
+    """Lists for arrays and tuples; None for NaN, texts for infinities, which JSON does not have."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
     if isinstance(value, (list, tuple)):
-        return [without_nan(v) for v in value]  # pyright: ignore[reportUnknownVariableType]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+        return [_plain(v) for v in value]  # pyright: ignore[reportUnknownVariableType]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None if np.isnan(value) else str(value)
+    return value
 
 
-def as_array(values: Any) -> Floats:
-    """Read an array; null is NaN."""
-    return np.array(values, dtype=np.float64)
-
-
-def as_number(value: Any) -> float:
-    """Read a number; null is NaN."""
-    return float("nan") if value is None else float(value)
-
-
-def as_pair(values: Any) -> tuple[float, float]:
-    """Read two numbers."""
-    return float(values[0]), float(values[1])
+def _read(value: Any, hint: Any) -> Any:
+    if get_origin(hint) is np.ndarray:
+        return np.array(value, dtype=np.float64)
+    if isinstance(value, list):
+        return tuple(_read(v, None) for v in value)  # pyright: ignore[reportUnknownVariableType]
+    return value if isinstance(value, bool) else float("nan") if value is None else float(value)

@@ -6,16 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay
 
 from planish.core.errors import CannotRegister
-from planish.core.transform import Affine, Projective, Similarity
-from planish.register.thin_plate import ThinPlate
+from planish.core.transform import Affine, Similarity, Transform
 
 Floats = NDArray[np.float64]
-Transform = Similarity | Affine | Projective | ThinPlate
 
-# Local strain from which on a user is told.
+# Local strain from which on a fit warns.
 NOTABLE = 0.01
 _GRID = 65
 
@@ -85,6 +82,8 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> Strain:
 
 
 def _inside(marks: Floats) -> Floats:
+    from scipy.spatial import Delaunay
+
     axes = [np.linspace(a, b, _GRID) for a, b in zip(marks.min(axis=0), marks.max(axis=0), strict=True)]
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     inside = Delaunay(marks - marks.mean(axis=0)).find_simplex(grid - marks.mean(axis=0)) >= 0

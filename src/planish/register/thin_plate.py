@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
 from planish.core.transform import NearSimilarity, Pair, Similarity, nearest_similarity
 
@@ -67,6 +66,11 @@ class ThinPlate(NearSimilarity):
     affine: Floats
     bend: Floats
     smoothing_um2: float
+
+    def __post_init__(self) -> None:
+        """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
+        for name in ("nodes", "affine", "bend"):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um; NaN stays NaN."""
@@ -147,6 +151,8 @@ class ThinPlateInverse:
         return found.reshape(given.shape), codes.reshape(given.shape[:-1])
 
     def _newton(self, wanted: Floats) -> tuple[Floats, Codes]:
+        from scipy.spatial import KDTree
+
         spline = self.forward
         nodes = spline.nodes * spline.size + np.array(spline.source)
         low, high = nodes.min(axis=0), nodes.max(axis=0)

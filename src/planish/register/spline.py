@@ -1,30 +1,116 @@
-"""The equations of the smoothing thin-plate spline, solved for every smoothing at once.
+"""The smoothing thin-plate spline, solved for every smoothing at once, and its errors.
 
 ``scipy.interpolate.RBFInterpolator`` solves the same equations for one smoothing, and gives neither the hat matrix, nor
 derivatives, nor the errors of marks left out, nor takes covariances. One eigenvalue decomposition with scipy gives all
 of them, for all smoothings: the spline is the best linear prediction of a random bending whose variance is ``1 /
 lambda`` times that of the marks (Wahba 1990, chapters 1 and 4; Cressie 1993, section 3.4).
+
+Its own prior is rough: under it, a map that bends smoothly gets an expected error of up to 1.7 times the true one. The
+expected error therefore takes the bending for a random field with the spline's kernel or a Gaussian covariance of one
+of several lengths, and any ratio of noise to bending; each is weighted by the restricted likelihood of the marks. No
+single guess of length or noise has to be right.
 """
 
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import eigh, qr, solve_triangular
-from scipy.optimize import minimize_scalar
 
 from planish.core.errors import CannotRegister
-from planish.register.equations import refuse_line
-from planish.register.pairs import Pairs, inverse_of
+from planish.register.model import Floats, Model, limit_squared, refuse_line
+from planish.register.pairs import COINCIDENT, Pairs, inverse_of
 from planish.register.thin_plate import ThinPlate, bending
-from planish.register.unseen import LENGTHS, Bendings, kernel
 
-Floats = NDArray[np.float64]
-
-LEAST = 6
+_LEAST = 6
 _TRIALS = 33
+# Lengths of the Gaussian covariances over the rms distance of the marks from their middle; 0 stands for the spline.
+_LENGTHS = (0.0, 0.5, 0.75, 1.1, 1.6, 2.4)
+# Noise over bending, relative to the largest eigenvalue of the kernel.
+_RATIOS = np.logspace(-6, 2, 33)
+
+
+class SplineModel(Model):
+    """An affine map and smooth local changes, as smooth as marks left out ask for."""
+
+    name, words = "tps", "spline"
+    purpose = "local distortion"
+    transform = ThinPlate
+    parameters, least, tried_from = 6, _LEAST, 8
+
+    def fit(self, pairs: Pairs, _mirrored: bool = False, _start: Any = None, /) -> ThinPlate:
+        """The spline with the smoothing under which marks left out are missed least."""
+        system = Smoothing(pairs)
+        return system.spline(system.choose())
+
+    def errors(self, pairs: Pairs, transform: ThinPlate, _robust: Floats, /) -> SplineErrors:
+        """Errors under all bendings that the marks make likely."""
+        return SplineErrors(pairs, transform)
+
+    def robust_weights(self, pairs: Pairs, _mirrored: bool, /) -> Floats:
+        """Weights 0 or 1: at most a quarter of the marks is left out.
+
+        The mark that the spline of the others misses most, over what it is expected to miss it, is left out as long as
+        that exceeds the limit; smoothing is chosen anew each time. A lone mark on a sharp local bend looks like a
+        wrong one.
+        """
+        n = len(pairs)
+        keep = np.ones(n, dtype=np.bool_)
+        floor = float(np.median(pairs.weights)) * (COINCIDENT * pairs.frame()[1]) ** 2
+        while np.count_nonzero(keep) > max(_LEAST + 1, (3 * n + 3) // 4):
+            system = Smoothing(pairs.take(keep))
+            smoothing = system.choose()
+            share = system.left_over(smoothing)
+            errors, covariance = system.missed(smoothing)
+            squares = np.nan_to_num(
+                np.sum(errors[..., None] * (inverse_of(covariance) @ errors[..., None]), axis=(1, 2))
+            )
+            total, freedom = float(np.sum(share * system.z**2)), system.freedom - 2
+            worst = int(np.argmax(squares))
+            others = max((total - squares[worst]) / freedom, floor)
+            if squares[worst] <= others * limit_squared(n, freedom):
+                break
+            keep[np.flatnonzero(keep)[worst]] = False
+        return keep.astype(np.float64)
+
+
+class SplineErrors:
+    """Errors of a spline; its smoothing stays as it is where marks are left out."""
+
+    def __init__(self, pairs: Pairs, transform: ThinPlate) -> None:
+        self._pairs, self._transform = pairs, transform
+        self._smoothing = transform.smoothing_um2
+
+    @cached_property
+    def _system(self) -> Smoothing:
+        return Smoothing(self._pairs.take(self._pairs.weights > 0))
+
+    @property
+    def mark_variance(self) -> float:
+        """Mean over the bendings of the variance of a coordinate of a mark with information 1."""
+        return self._system.bendings.mark_variance
+
+    def left_out(self) -> Floats:
+        """Vector by which the fit to all other marks misses each mark."""
+        used = self._pairs.weights > 0
+        missed = self._pairs.fixed - self._transform(self._pairs.moving)
+        errors, _ = self._system.missed(self._smoothing)
+        missed[used] = np.linalg.solve(self._system.whitening, errors[..., None])[..., 0]
+        return missed
+
+    def residual_freedom(self) -> tuple[float, float]:
+        """Sum of squares of the whitened residuals, and its degrees of freedom."""
+        return self._system.residual_freedom(self._smoothing)
+
+    def expected_square(self, points: Floats) -> Floats:
+        """Noise of the marks and bending that they do not see."""
+        return self._system.expected_square(self._smoothing, points)
+
+
+def _kernel(squares: Floats, length: float) -> Floats:
+    """Covariance of the bending at squared distances, in scaled coordinates."""
+    return np.exp(-0.5 * squares / length**2) if length > 0 else bending(squares)
 
 
 class Smoothing:
@@ -47,10 +133,12 @@ class Smoothing:
     """
 
     def __init__(self, pairs: Pairs) -> None:
+        from scipy.linalg import eigh, qr
+
         n = len(pairs)
-        if n < LEAST:
+        if n < _LEAST:
             raise CannotRegister(
-                f"{n} pairs of marks given, a thin-plate spline needs {LEAST}: 3 for its affine part and 3 to choose "
+                f"{n} pairs of marks given, a thin-plate spline needs {_LEAST}: 3 for its affine part and 3 to choose "
                 "its smoothing. Add more, or fit an affine transformation."
             )
         refuse_line(pairs, "tps")
@@ -111,6 +199,7 @@ class Smoothing:
 
     def choose(self) -> float:
         """Return the smoothing with the least sum of squares of marks left out; the smoothest among equals."""
+        from scipy.optimize import minimize_scalar
 
         def cost(smoothing_um2: float) -> float:
             return float(np.nansum(self.missed(smoothing_um2)[0] ** 2))
@@ -131,6 +220,8 @@ class Smoothing:
 
     def spline(self, smoothing_um2: float) -> ThinPlate:
         """Return the spline of a smoothing."""
+        from scipy.linalg import solve_triangular
+
         n = len(self.pairs)
         if np.isinf(smoothing_um2):
             dual, bend = np.zeros(2 * n), np.zeros((n, 2))
@@ -145,11 +236,15 @@ class Smoothing:
         )  # fmt: skip
 
     @cached_property
+    def _kernels(self) -> list[Floats]:
+        """Whitened covariances between the marks, one for each of the lengths."""
+        squares = np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)
+        return [self._covariance(_kernel(squares, length)) for length in _LENGTHS]
+
+    @cached_property
     def bendings(self) -> Bendings:
         """Bendings that the marks make likely, and what they leave to the error of a mark."""
-        squares = np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)
-        kernels = [self._covariance(kernel(squares, length)) for length in LENGTHS]
-        return Bendings(kernels, np.asarray(self.rest, dtype=np.float64), self.y)
+        return Bendings(self._kernels, np.asarray(self.rest, dtype=np.float64), self.y)
 
     def residual_freedom(self, smoothing_um2: float) -> tuple[float, float]:
         """Sum of squares of the whitened residuals, and its degrees of freedom."""
@@ -165,8 +260,6 @@ class Smoothing:
         bending that they do not see or the smoothing takes away, ``s' K s - 2 s' k + k(0)`` for each of `Bendings`.
         """
         out = np.zeros(len(points))
-        squares = np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)
-        kernels = [self._covariance(kernel(squares, length)) for length in LENGTHS]
         step = max(1, (1 << 18) // len(self.pairs))
         for start in range(0, len(points), step):
             at = (points[start : start + step] - self.middle) / self.size
@@ -175,11 +268,11 @@ class Smoothing:
             for axis in (0, 1):
                 unit = np.eye(2)[axis]
                 turned = (self.whitening @ unit).reshape(-1, 1)
-                seen = [turned * np.repeat(kernel(away, length).T, 2, axis=0) for length in LENGTHS]
+                seen = [turned * np.repeat(_kernel(away, length).T, 2, axis=0) for length in _LENGTHS]
                 shares = self._shares(smoothing_um2, at, unit, seen[0])
                 total += self.bendings.mark_variance * np.sum(shares**2, axis=0)
                 for between, here, length, variance in zip(
-                    kernels, seen, LENGTHS, self.bendings.variances, strict=True
+                    self._kernels, seen, _LENGTHS, self.bendings.variances, strict=True
                 ):
                     own = 1.0 if length > 0 else 0.0
                     total += variance * (np.sum(shares * (between @ shares - 2 * here), axis=0) + own)
@@ -188,6 +281,8 @@ class Smoothing:
 
     def _shares(self, smoothing_um2: float, at: Floats, unit: Floats, seen: Floats) -> Floats:
         """Weights of the whitened marks in one coordinate of the image of points (k, 2): shape (2n, k)."""
+        from scipy.linalg import solve_triangular
+
         plane = np.kron(np.column_stack([np.ones(len(at)), at]), unit).T
         shares = self.span @ solve_triangular(self.triangle, plane, trans="T")
         if np.isinf(smoothing_um2):
@@ -201,15 +296,44 @@ def _both(rows: Floats) -> Floats:
     return np.asarray(np.kron(rows, np.eye(2)), dtype=np.float64)
 
 
-def fit_thin_plate(pairs: Pairs, smoothing_um2: float | None = None) -> ThinPlate:
-    """Fit a thin-plate spline to marks.
+class Bendings:
+    """Bendings and their weights.
 
     Parameters
     ----------
-    pairs : Pairs
-        Marks with weights above 0.
-    smoothing_um2 : float, optional
-        0 goes through every mark; by default the one under which marks left out are missed least.
+    kernels : list of ndarray, shape (2n, 2n)
+        Whitened covariances between the marks, one for each of `_LENGTHS`.
+    rest : ndarray, shape (2n, 2n - 6)
+        Orthonormal basis of what the affine part cannot describe.
+    y : ndarray, shape (2n,)
+        Whitened fixed marks.
+
+    Attributes
+    ----------
+    mark_variance : float
+        Mean variance of a coordinate of a mark with information 1, in um**2.
+    variances : ndarray, shape (len(_LENGTHS),)
+        Mean variance of each bending times its weight, in um**2.
     """
-    system = Smoothing(pairs)
-    return system.spline(system.choose() if smoothing_um2 is None else smoothing_um2)
+
+    def __init__(self, kernels: list[Floats], rest: Floats, y: Floats) -> None:
+        from scipy.linalg import eigh
+
+        logs: list[Floats] = []
+        marks: list[Floats] = []
+        bent: list[Floats] = []
+        for values in kernels:
+            inner = rest.T @ values @ rest
+            eigenvalues, vectors = eigh(0.5 * (inner + inner.T))
+            squares = (vectors.T @ (rest.T @ y)) ** 2
+            ratios = _RATIOS * max(float(eigenvalues[-1]), 1e-300)
+            spread = np.maximum(eigenvalues, 0.0) + ratios[:, None]
+            total = np.maximum(np.sum(squares / spread, axis=1), 1e-300)
+            n = len(squares)
+            logs.append(-0.5 * np.sum(np.log(spread), axis=1) - 0.5 * n * np.log(total))
+            marks.append(ratios * total / n)
+            bent.append(total / n)
+        weights = np.exp(np.array(logs) - np.max(logs))
+        weights /= np.sum(weights)
+        self.mark_variance = float(np.sum(weights * np.array(marks)))
+        self.variances = np.sum(weights * np.array(bent), axis=1)

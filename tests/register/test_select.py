@@ -1,4 +1,4 @@
-"""Which model ``auto`` ends at."""
+"""Which model ``auto`` selects."""
 
 import numpy as np
 import pytest
@@ -31,20 +31,20 @@ def wavy(points):
         (wavy, "tps"),
     ],
 )
-def test_it_ends_at_the_truth(truth, model):
+def test_it_selects_the_true_model(truth, model):
     fit = fit_transform(*seen(truth, 16), model="auto")
     assert fit.model == model
     assert fit.sentence.startswith(f"{model} chosen from 16 marks")
 
 
-def test_a_shear_steps_over_the_scale():
-    """Scale alone helps nothing here: the rung is jumped."""
+def test_a_shear_passes_the_scale():
+    """Scale alone helps nothing here: the similarity is passed."""
     fit = fit_transform(*seen(Affine(linear=((1.02, 0.0), (0.0, 0.98))), 12), model="auto")
     assert fit.model == "affine"
 
 
-def test_it_does_not_climb_on_noise():
-    """25 similarities of 8 marks: the F test lets about 1 % through on each of three higher rungs."""
+def test_noise_takes_no_model_with_more_parameters():
+    """25 similarities of 8 marks: the F test lets about 1 % through on each of three further models."""
     ends = [fit_transform(*seen(TURN, 8, seed), model="auto", robust=False).model for seed in range(25)]
     assert sum(m in ("affine", "projective", "tps") for m in ends) <= 2
 
@@ -54,14 +54,14 @@ def test_it_says_what_it_could_not_try():
     assert "affine (5), projective (6), tps (8)" in fit.sentence
 
 
-def test_exact_marks_need_no_higher_rung():
+def test_exact_marks_need_no_other_model():
     points = marks(12)
     fit = fit_transform(points, TURN(points), model="auto")
     assert fit.model == "similarity"
     assert "fits exactly" in fit.sentence
 
 
-def test_a_wrong_mark_does_not_make_it_climb():
+def test_a_wrong_mark_changes_no_model():
     points, there = seen(TURN, 16)
     there[5] += 150.0
     fit = fit_transform(points, there, model="auto")

@@ -1,0 +1,125 @@
+"""Projective transformation: the oblique view of a flat sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from planish.core.errors import CannotRegister
+from planish.core.transform import Projective
+from planish.register.model import Floats, Frame, ParametricModel, refuse_line, solved
+from planish.register.pairs import Pairs
+
+_STEPS = 100
+
+
+class ProjectiveModel(ParametricModel):
+    """The oblique view of a flat sheet."""
+
+    name, words = "projective", "projective"
+    purpose = "camera oblique to the sheet"
+    transform = Projective
+    parameters, least, tried_from = 8, 4, 6
+    settles_weights = False
+
+    def fit(self, pairs: Pairs, _mirrored: bool, start: Any = None, /) -> Projective:
+        """Normalised direct linear transformation, then Gauss-Newton on the distances in the fixed map."""
+        middle, size = pairs.frame()
+        refuse_line(pairs, self.name)
+        share = pairs.weights / np.sum(pairs.weights)
+        target = share @ pairs.fixed
+        target_size = float(np.sqrt(share @ np.sum((pairs.fixed - target) ** 2, axis=1)))
+
+        def made(h: Floats) -> Projective:
+            rows = (h / h[2, 2]).tolist()
+            return Projective(
+                homography=(tuple(rows[0]), tuple(rows[1]), tuple(rows[2])),
+                source=(float(middle[0]), float(middle[1])), target=(float(target[0]), float(target[1])),
+                source_size=size, target_size=target_size,
+            )  # fmt: skip
+
+        if isinstance(start, Projective):
+            found = _rescaled(start, middle, size, target, target_size, made)
+        else:
+            found = made(_direct((pairs.moving - middle) / size, (pairs.fixed - target) / target_size, np.sqrt(share)))
+        whitening = pairs.whitening()
+        last = np.inf
+        for _ in range(_STEPS):
+            error = pairs.fixed - found(pairs.moving)
+            if not np.isfinite(error).all():
+                raise CannotRegister(
+                    "The projective transformation puts some marks behind the camera: the pairs do not show one flat "
+                    "sheet. Check the pairs, or fit an affine transformation."
+                )
+            step = solved(whitening, self.design(found, (middle, size), pairs.moving), error, self.name)
+            found = _stepped(found, step, pairs, whitening, made)
+            length = float(np.abs(step).max())
+            # The last digits do not settle: steps of rounding are as long as the one before.
+            if length < 1e-15 or (length < 1e-9 and length >= 0.5 * last):
+                break
+            last = length
+        return found
+
+    def design(self, transform: Projective, _frame: Frame, points: Floats, /) -> Floats:
+        """The first eight numbers of the 3 x 3 matrix, whose last one is 1."""
+        h = np.array(transform.homography)
+        at = (points - transform.source) / transform.source_size
+        below = (at @ h[2, :2] + h[2, 2])[..., None]
+        image = (at @ h[:2, :2].T + h[:2, 2]) / below
+        rows = np.concatenate([at, np.ones_like(below)], axis=-1) / below
+        design = np.zeros((*points.shape[:-1], 2, 8))
+        design[..., 0, 0:3] = rows
+        design[..., 1, 3:6] = rows
+        design[..., :, 6:8] = -image[..., :, None] * (at / below)[..., None, :]
+        return transform.target_size * design
+
+
+def _direct(at: Floats, to: Floats, root: Floats) -> Floats:
+    """Homography (3, 3) with the least algebraic error, from points scaled to size 1."""
+    one = np.concatenate([at, np.ones((len(at), 1))], axis=1)
+    rows = np.zeros((len(at), 2, 9))
+    rows[:, 0, 0:3] = rows[:, 1, 3:6] = one
+    rows[:, :, 6:9] = -to[:, :, None] * one[:, None, :]
+    _, sizes, right = np.linalg.svd((root[:, None, None] * rows).reshape(-1, 9), full_matrices=len(at) < 5)
+    h = right[-1].reshape(3, 3)
+    below = one @ h[2]
+    if sizes[7] < 1e-7 * sizes[0] or abs(h[2, 2]) < 1e-6 or not (np.all(below > 0) or np.all(below < 0)):
+        raise CannotRegister(
+            "The marks do not fix one projective transformation: too many lie on one line, or the pairs do not show "
+            "one flat sheet. Check the pairs, add marks away from that line, or fit an affine transformation."
+        )
+    return h
+
+
+def _rescaled(
+    start: Projective, middle: Floats, size: float, target: Floats, target_size: float,
+    made: Callable[[Floats], Projective],
+) -> Projective:  # fmt: skip
+    """Bring a transformation into the scaled coordinates of other marks."""
+    back = np.diag([size, size, 1.0])
+    back[:2, 2] = middle - start.source
+    into = np.diag([1 / start.source_size, 1 / start.source_size, 1.0]) @ back
+    out = np.diag([start.target_size, start.target_size, 1.0])
+    out[:2, 2] = np.asarray(start.target) - target
+    return made(np.diag([1 / target_size, 1 / target_size, 1.0]) @ out @ np.array(start.homography) @ into)
+
+
+def _stepped(
+    found: Projective, step: Floats, pairs: Pairs, whitening: Floats, made: Callable[[Floats], Projective]
+) -> Projective:
+    """Take a Gauss-Newton step, shortened until the error does not rise."""
+
+    def cost(transform: Projective) -> float:
+        error = whitening @ (pairs.fixed - transform(pairs.moving))[..., None]
+        return float(np.sum(error**2))
+
+    before = cost(found)
+    h = np.array(found.homography)
+    for halvings in range(12):
+        trial = made(h + np.append(step / 2**halvings, 0.0).reshape(3, 3))
+        after = cost(trial)
+        if np.isfinite(after) and after <= before * (1 + 1e-9) + 1e-300:
+            return trial
+    return found

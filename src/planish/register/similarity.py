@@ -1,0 +1,123 @@
+"""Rigid and similarity transformations: rotation and shift, without and with one scale."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.errors import MarkError
+from planish.core.transform import Similarity, Transform
+from planish.register.model import Floats, Frame, ParametricModel, solved
+from planish.register.pairs import COINCIDENT, Pairs, as_complex
+
+_STEPS = 100
+
+
+class RigidModel(ParametricModel):
+    """Rotation and shift."""
+
+    name, words = "rigid", "rigid"
+    purpose = "both sides calibrated"
+    transform = Similarity
+    parameters, least, tried_from = 3, 2, 2
+
+    def fit(self, pairs: Pairs, mirrored: bool, _start: Any = None, /) -> Similarity:
+        """Closed form for equal weights of both axes; Gauss-Newton on the angle from there for covariances."""
+        z_mean, middle, product, square = _sums(pairs, mirrored)
+        _refuse_no_rotation(product, square)
+        turn = product / abs(product)
+        if not pairs.isotropic:
+            z, w = as_complex(pairs.moving, mirrored), as_complex(pairs.fixed, False)
+            whitening = pairs.whitening()
+            size = float(np.sqrt(square))
+            last = np.inf
+            for _ in range(_STEPS):
+                turned = turn * (z - z_mean)
+                error = w - middle - turned
+                design = _columns(turned / size, only_turn=True)
+                step = solved(whitening, design, np.stack([error.real, error.imag], axis=-1), "rigid")
+                middle += complex(step[0], step[1])
+                turn *= np.exp(1j * step[2] / size)
+                length = float(np.abs(step).max())
+                if length < 1e-15 * size or length >= last:
+                    break
+                last = length
+        at = middle - turn * z_mean
+        return Similarity(rotation_rad=float(np.angle(turn)), shift_um=(at.real, at.imag), mirrored=mirrored)
+
+    def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
+        """Shift in x, shift in y, turn."""
+        return _columns(_turned(transform, frame, points), only_turn=True)
+
+
+class SimilarityModel(ParametricModel):
+    """Rotation, shift and one scale."""
+
+    name, words = "similarity", "similarity"
+    purpose = "one calibration in doubt; the transformation of Hirn et al. (2009)"
+    transform = Similarity
+    parameters, least, tried_from, linear = 4, 2, 3, True
+
+    def fit(self, pairs: Pairs, mirrored: bool, _start: Any = None, /) -> Similarity:
+        """Linear least squares; closed form in complex numbers for equal weights of both axes."""
+        middle, size = pairs.frame()
+        if pairs.isotropic:
+            z_mean, w_mean, product, square = _sums(pairs, mirrored)
+            alpha = product / square
+            _refuse_no_rotation(product, square)
+            at = w_mean - alpha * z_mean
+            return Similarity(
+                scale=abs(alpha), rotation_rad=float(np.angle(alpha)), shift_um=(at.real, at.imag), mirrored=mirrored
+            )
+        share = pairs.weights / np.sum(pairs.weights)
+        z = (as_complex(pairs.moving, mirrored) - as_complex(middle[None], mirrored)[0]) / size
+        target = share @ pairs.fixed
+        beta_x, beta_y, a, b = solved(pairs.whitening(), _columns(z), pairs.fixed - target, self.name)
+        _refuse_no_rotation(complex(a, b) / size, 1.0)
+        turn = Similarity(scale=float(np.hypot(a, b)) / size, rotation_rad=float(np.arctan2(b, a)), mirrored=mirrored)
+        shift = target + np.array([beta_x, beta_y]) - turn(middle)
+        return Similarity(
+            scale=turn.scale, rotation_rad=turn.rotation_rad, shift_um=(float(shift[0]), float(shift[1])),
+            mirrored=mirrored,
+        )  # fmt: skip
+
+    def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
+        """Shift in x, shift in y, stretch, turn."""
+        middle, size = frame
+        z = (as_complex(points.reshape(-1, 2) - middle, transform.mirrored) / size).reshape(points.shape[:-1])
+        return _columns(z)
+
+
+def _sums(pairs: Pairs, mirrored: bool) -> tuple[complex, complex, complex, float]:
+    """Weighted means of both sides as complex numbers, and means of ``conj(z) w`` and ``|z|**2`` around them."""
+    share = pairs.weights / np.sum(pairs.weights)
+    z, w = as_complex(pairs.moving, mirrored), as_complex(pairs.fixed, False)
+    z_mean, w_mean = share @ z, share @ w
+    zc, wc = z - z_mean, w - w_mean
+    product, square = np.sum(share * zc.conj() * wc), np.sum(share * (zc.real**2 + zc.imag**2))
+    return complex(z_mean), complex(w_mean), complex(product), float(square)
+
+
+def _refuse_no_rotation(product: complex, square: float) -> None:
+    if square <= 0.0 or abs(product) <= COINCIDENT * square:
+        raise MarkError(
+            "The marks fix no rotation: the directions between them disagree completely on the two sides. "
+            "Check that every row pairs the same hole on both sides."
+        )
+
+
+def _turned(transform: Transform, frame: Frame, points: Floats) -> NDArray[np.complex128]:
+    """Images of points (..., 2) around that of the middle, as complex numbers over the size."""
+    away = (transform(points) - transform(frame[0])) / frame[1]
+    return away[..., 0] + 1j * away[..., 1]
+
+
+def _columns(z: NDArray[np.complex128], *, only_turn: bool = False) -> Floats:
+    """Derivatives of ``beta + alpha z`` by the parts of beta and alpha (or of the turn alone): (..., 2, 4 or 3)."""
+    one, none = np.ones(z.shape), np.zeros(z.shape)
+    turn, stretch = (-z.imag, z.real), (z.real, z.imag)
+    rows = [[one, none, *([] if only_turn else [stretch[0]]), turn[0]],
+            [none, one, *([] if only_turn else [stretch[1]]), turn[1]]]  # fmt: skip
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
