@@ -1,0 +1,77 @@
+"""Options of the inputs: a volume and how the sheet lies in it, and an image and what it shows."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from planish.core.options import Params, option
+
+Size = Annotated[float, Field(gt=0)]
+Index = Annotated[int, Field(ge=0)]
+Channel = Literal["luminance", "red", "green", "blue"]
+
+
+class VolumeParams(Params):
+    """A volume and how the sheet lies in it."""
+
+    path: str = option(help="File or folder of the volume (docs/formats.md).", cli=None)
+    voxel_um: tuple[Size, Size, Size] | None = option(
+        None, metavar="SIZE|Z,Y,X", repeat=True, help="Voxel size in um, where the file does not state it."
+    )
+    through: Literal["z", "y", "x"] = option("z", help="Axis that runs through the sheet.")
+    top: Literal["high", "low"] = option(
+        "high", help="End of that axis at which the top side lies. Maps are displayed as seen from there."
+    )
+    override_size: bool = option(False, help="Take the sizes given here where a file states others.")
+    channel: Channel | None = option(
+        None,
+        cli="--volume-channel",
+        help="Channel of slices or sections in colour; luminance where not given.",
+    )
+    column_um: float | None = option(
+        None, gt=0, help="Width of the measured columns in um; single voxels where not given, or as the memory demands."
+    )
+    fixed_rows: tuple[Index, Index] | None = option(
+        None,
+        metavar="FIRST,LAST",
+        help="Serial sections: rows of the photographs with a straight line along them that does not move, such as the "
+        "edge of the block. Slow drift of the sections can then be separated from a bend of the sheet.",
+    )
+    fixed_cols: tuple[Index, Index] | None = option(
+        None, metavar="FIRST,LAST", help="The same for a line along the columns."
+    )
+    md_deg: float | None = option(
+        None,
+        ge=-180,
+        le=180,
+        metavar="ANGLE",
+        help="Machine direction in the flattened map, degrees clockwise from its x axis.",
+    )
+
+
+class ImageParams(Params):
+    """An image, and which side of the sheet it shows."""
+
+    path: str = option(help="File of the image.", cli=None)
+    pixel_um: tuple[Size, Size] | None = option(
+        None, metavar="SIZE|Y,X", repeat=True, help="Pixel size in um, where the image does not state it."
+    )
+    channel: str = option(
+        "luminance", help="Channel of a colour image: luminance, red, green, blue or a number from 0."
+    )
+    override_size: bool = option(False, cli=None, help="Take the size given here where the file states another.")
+    side: Literal["top", "bottom"] | None = option(
+        None,
+        cli="--image-side",
+        help="Side of the sheet that the image shows; where not given, top is assumed and the report says so.",
+    )
+    md_deg: float | None = option(
+        None,
+        ge=-180,
+        le=180,
+        cli="--image-md-deg",
+        metavar="ANGLE",
+        help="Machine direction in the image, likewise; compared with --md-deg, which the registration carries over.",
+    )
