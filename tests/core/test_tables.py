@@ -44,7 +44,7 @@ def test_all_faults_are_named_at_once(tmp_path):
 
 
 def test_of_many_faults_the_number_is_given(tmp_path):
-    with pytest.raises(MarkError, match="; and 12 more. Correct these rows."):
+    with pytest.raises(MarkError, match=r"; and 12 more\. Correct these rows\."):
         read(tmp_path, "x_um,y_um\n" + "1,one\n" * 20)
 
 

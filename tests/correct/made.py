@@ -4,6 +4,8 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
+from planish.correct import CorrectParams, correct_volume
+
 VOXEL = 3.0
 AIR, BASE, COATING = 400.0, 900.0, 2000.0
 CONTRAST = COATING - AIR
@@ -57,3 +59,8 @@ def as_volume(values):
         coords={a: np.arange(n) * VOXEL for a, n in zip("zyx", values.shape, strict=True)},
         attrs={"voxel_um": [VOXEL] * 3, "file_name": "made", "file_bytes": values.nbytes},
     )
+
+
+def correct(given, *, rings=True, cupping=True, axis="y", centre_um=None, **more):
+    params = CorrectParams(rings=rings, cupping=cupping, axis=axis, centre_um=centre_um)
+    return correct_volume(given, params=params, **more)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import zarr
 
-from correct.made import AIR, COATING, CONTRAST, VOXEL, as_volume, radius_um, ring, sheet, volume
+from correct.made import AIR, COATING, CONTRAST, VOXEL, as_volume, correct, radius_um, ring, sheet, volume
 from planish.core.errors import InputError, PlanishError, SizeError, VolumeError
-from planish.correct import correct_volume, write_picture
+from planish.correct import write_picture
 from planish.io.store import _identity, write_store
 
 SHAPE = (60, 100, 200)
@@ -28,7 +28,7 @@ def cup(loss, shape=SHAPE, axis="y"):
 def test_known_rings_are_found_at_their_radius_and_with_their_height(noise, tilt):
     clean = sheet(tilt_deg=tilt)
     given = volume(clean, noise=noise, rings=both_rings())
-    found = correct_volume(given, cupping=False, axis="y")
+    found = correct(given, cupping=False, axis="y")
     assert [r.radius_um for r in found.record.rings] == pytest.approx([at for at, _ in RINGS], abs=VOXEL / 2 + 0.01)
     # Bins of half a voxel and the line between their middles take 3 % off a crest of one voxel; the rest is noise.
     for got, (_, share) in zip(found.record.rings, RINGS, strict=True):
@@ -46,7 +46,7 @@ def test_known_rings_are_found_at_their_radius_and_with_their_height(noise, tilt
 def test_known_cupping_is_taken_off_and_the_mean_grey_stays(noise):
     clean = sheet()
     given = volume(clean * cup(0.06), noise=noise)
-    found = correct_volume(given, axis="y")
+    found = correct(given, axis="y")
     # Coating and base both say 6 %, seen from the largest radius at which there is sheet.
     # Without noise every voxel of a row falls on the same side of a border, which is good for 1 %.
     assert found.record.cupping.percent == pytest.approx(6.0, abs=0.4 if noise else 1.0)
@@ -65,7 +65,7 @@ def test_known_cupping_is_taken_off_and_the_mean_grey_stays(noise):
 def test_rings_and_cupping_together_leave_little_of_either():
     clean = sheet()
     given = volume(clean * cup(0.05), rings=both_rings())
-    found = correct_volume(given, axis="y")
+    found = correct(given, axis="y")
     assert len(found.record.rings) == 2
     assert found.record.cupping.percent == pytest.approx(5.0, abs=0.5)
 
@@ -73,7 +73,7 @@ def test_rings_and_cupping_together_leave_little_of_either():
 @pytest.mark.parametrize("noise", [0.08, 0.0])
 def test_a_clean_volume_is_given_back_as_it_is(noise):
     given = volume(sheet(), noise=noise)
-    found = correct_volume(given, axis="y")
+    found = correct(given, axis="y")
     assert not found.record.changes
     assert found.volume.variable._data is given.variable._data
     assert "no rings above noise" in found.record.sentences[0]
@@ -94,7 +94,7 @@ def test_a_clean_volume_is_given_back_as_it_is(noise):
 def test_true_variation_of_the_sheet_is_not_taken_for_rings_or_cupping(made):
     y, x = (np.arange(n) * VOXEL for n in SHAPE[1:])
     given = volume(sheet(**made(y[:, None], x[None])), noise=0.05)
-    found = correct_volume(given, axis="y")
+    found = correct(given, axis="y")
     assert not found.record.rings
     if found.record.cupping is not None:
         assert abs(found.record.cupping.percent) < 1.0
@@ -105,7 +105,7 @@ def test_true_variation_of_the_sheet_is_not_taken_for_rings_or_cupping(made):
 def test_a_coating_that_is_denser_at_the_edge_is_the_sheets_own():
     """The base does not share the trend, so it is no cupping."""
     coating = AIR + CONTRAST * cup(0.10)
-    found = correct_volume(volume(sheet(coating=coating)), axis="y")
+    found = correct(volume(sheet(coating=coating)), axis="y")
     assert {t.material: t.before for t in found.record.trends}["coating"] == pytest.approx(10, abs=2)
     assert found.record.cupping is None or found.record.cupping.percent < 1.0
 
@@ -114,7 +114,7 @@ def test_a_ring_that_fades_along_the_axis_is_followed():
     shape = (60, 240, 160)
     fade = np.linspace(0.0, 2.0, shape[1])[None, :, None]
     given = volume(sheet(shape), rings=ring(shape, 120.0, 0.05) * fade)
-    found = correct_volume(given, cupping=False, axis="y")
+    found = correct(given, cupping=False, axis="y")
     (got,) = found.record.rings
     assert got.least < 0.35
     assert got.most > 1.65
@@ -128,7 +128,7 @@ def test_the_axis_may_be_any_of_the_array(axis):
     given = volume(sheet() * cup(0.05), rings=both_rings())
     moved = {"z": ("y", "z", "x"), "x": ("z", "x", "y")}[axis]
     turned = as_volume(np.ascontiguousarray(given.transpose(*moved).values))
-    a, b = correct_volume(given, axis="y"), correct_volume(turned, axis=axis)
+    a, b = correct(given, axis="y"), correct(turned, axis=axis)
     assert a.record.rings == b.record.rings
     np.testing.assert_array_equal(b.volume.values, a.volume.transpose(*moved).values)
 
@@ -137,7 +137,7 @@ def test_a_sheet_across_the_axis_is_corrected_too():
     """Each slice then shows one material, or the sheet's face."""
     shape = (70, 150, 150)
     given = volume(sheet(shape), rings=both_rings(shape, axis="z"))
-    found = correct_volume(given, axis="z", cupping=False)
+    found = correct(given, axis="z", cupping=False)
     assert [r.radius_um for r in found.record.rings] == pytest.approx([at for at, _ in RINGS], abs=VOXEL / 2 + 0.01)
     assert [r.height / CONTRAST for r in found.record.rings] == pytest.approx([s for _, s in RINGS], rel=0.12)
 
@@ -146,16 +146,16 @@ def test_the_centre_can_be_told_and_may_lie_outside():
     centre = (250.0, 330.0)
     rings = ring(SHAPE, 200.0, 0.05, centre_um=centre)
     given = volume(sheet(), rings=rings)
-    assert correct_volume(given, axis="y", cupping=False).record.rings == ()
-    found = correct_volume(given, axis="y", centre_um=centre, cupping=False)
+    assert correct(given, axis="y", cupping=False).record.rings == ()
+    found = correct(given, axis="y", centre_um=centre, cupping=False)
     assert [r.radius_um for r in found.record.rings] == pytest.approx([200.0], abs=VOXEL / 2 + 0.01)
     assert found.record.centre_um == centre
 
 
 def test_neither_memory_nor_threads_nor_blocks_change_a_byte():
     given = volume(sheet() * cup(0.05), rings=both_rings(), dtype=np.uint16)
-    a = correct_volume(given, axis="y", threads=1)
-    b = correct_volume(given, axis="y", threads=3, memory_bytes=2**19)
+    a = correct(given, axis="y", threads=1)
+    b = correct(given, axis="y", threads=3, memory_bytes=2**19)
     assert a.record == b.record
     whole = a.volume.values
     assert whole.dtype == given.dtype
@@ -166,7 +166,7 @@ def test_neither_memory_nor_threads_nor_blocks_change_a_byte():
 
 def test_only_the_part_that_is_asked_for_is_read(monkeypatch):
     given = volume(sheet(), rings=both_rings())
-    found = correct_volume(given, axis="y", cupping=False)
+    found = correct(given, axis="y", cupping=False)
     seen = []
     apply = type(found.change).apply
     monkeypatch.setattr(
@@ -181,7 +181,7 @@ def test_the_type_stays_and_what_leaves_its_range_is_counted(dtype):
     scale = 255.0 / COATING  # the coating lies at the end of the byte
     given = volume(sheet() * cup(0.06), rings=both_rings(), noise=0.03, dtype=np.float32)
     given = given.copy(data=np.clip(np.rint(given.values * scale), 0, 255).astype(dtype))
-    found = correct_volume(given, axis="y")
+    found = correct(given, axis="y")
     assert found.volume.dtype == dtype
     assert found.volume.values.dtype == dtype
     values = found.volume.values
@@ -200,7 +200,7 @@ def test_the_corners_outside_the_scanners_circle_stay_as_they_are():
     given = volume(sheet(shape), rings=ring(shape, 120.0, 0.05))
     outside = np.broadcast_to(radius_um(shape) > 0.5 * 149 * VOXEL, shape)
     given.values[outside] = 0
-    found = correct_volume(given, axis="y", cupping=False)
+    found = correct(given, axis="y", cupping=False)
     assert len(found.record.rings) == 1
     assert found.record.air == pytest.approx(AIR, rel=0.05)
     assert not found.volume.values[outside].any()
@@ -209,14 +209,14 @@ def test_the_corners_outside_the_scanners_circle_stay_as_they_are():
 def test_missing_voxels_stay_missing():
     given = volume(sheet(), rings=both_rings(), dtype=np.float32)
     given.values[10:20, 30:40, 50:60] = np.nan
-    found = correct_volume(given, axis="y", cupping=False)
+    found = correct(given, axis="y", cupping=False)
     assert len(found.record.rings) == 2
     np.testing.assert_array_equal(np.isnan(found.volume.values), np.isnan(given.values))
 
 
 def test_without_a_sheet_nothing_is_done():
     given = volume(np.zeros(SHAPE), rings=both_rings())
-    found = correct_volume(given, axis="y")
+    found = correct(given, axis="y")
     assert found.record.sentences == ("No sheet stands out from the air: nothing was corrected.",)
     np.testing.assert_array_equal(found.volume.values, given.values)
 
@@ -234,13 +234,13 @@ def test_without_a_sheet_nothing_is_done():
 )
 def test_what_cannot_be_corrected_is_refused(made, options, kind, words):
     with pytest.raises(kind, match=words) as told:
-        correct_volume(made(), axis="y", **options)
+        correct(made(), axis="y", **options)
     assert isinstance(told.value, PlanishError)
 
 
 def test_the_store_says_what_was_corrected_and_does_not_go_on_with_other_options(tmp_path):
     given = volume(sheet(), rings=both_rings())
-    found = correct_volume(given, axis="y", cupping=False)
+    found = correct(given, axis="y", cupping=False)
     write_store(found.volume, tmp_path / "a.zarr")
     told = zarr.open_group(tmp_path / "a.zarr", mode="r").attrs["planish"]["corrections"]
     assert told == found.record.to_json()
@@ -256,7 +256,7 @@ def test_the_store_says_what_was_corrected_and_does_not_go_on_with_other_options
 
 def test_the_same_picture_has_the_same_bytes(tmp_path):
     given = volume(sheet() * cup(0.06), rings=both_rings())
-    found = correct_volume(given, axis="y")
+    found = correct(given, axis="y")
     for name in ("a.png", "b.png"):
         write_picture(found, given, tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
@@ -286,7 +286,7 @@ def test_import_corrects_on_the_way(planish, tmp_path, tiff):
     record = json.loads((tmp_path / "sheet.corrections.json").read_text())
     assert record["asked"] == ["rings", "cupping"]
     assert (tmp_path / "sheet.corrections.png").stat().st_size > 10_000
-    straight = correct_volume(read_volume(tiff, voxel_um=VOXEL), axis="y")
+    straight = correct(read_volume(tiff, voxel_um=VOXEL), axis="y")
     np.testing.assert_array_equal(read_volume(out).values, straight.volume.values)
 
 

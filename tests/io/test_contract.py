@@ -66,7 +66,7 @@ def test_values_type_and_size_come_back(tmp_path: Path, kind: str) -> None:
 def test_parts_equal_the_whole(tmp_path: Path, kind: str) -> None:
     case, path, _, given = written(kind, tmp_path)
     whole = expected(case)
-    volume = read_volume(path, memory_limit_bytes=LITTLE, **given)
+    volume = read_volume(path, memory_bytes=LITTLE, **given)
     assert isinstance(volume.variable._data, LazilyIndexedArray)
     for key in (
         {"z": slice(2, 7)}, {"y": slice(3, 11), "x": slice(1, 2)}, {"z": 5}, {"z": -1, "y": slice(None, None, -3)},
@@ -88,7 +88,7 @@ def test_parts_equal_the_whole(tmp_path: Path, kind: str) -> None:
 def test_four_threads_and_another_process_read_what_one_reads(tmp_path: Path, kind: str) -> None:
     case, path, _, given = written(kind, tmp_path)
     whole = expected(case)
-    volume = read_volume(path, memory_limit_bytes=LITTLE, **given)
+    volume = read_volume(path, memory_bytes=LITTLE, **given)
     sent = pickle.loads(pickle.dumps(volume))
     rng = np.random.default_rng(5)
     parts = [tuple(slice(*sorted(rng.integers(0, n + 1, 2))) for n in whole.shape) for _ in range(24)]
@@ -127,7 +127,7 @@ def test_a_cut_file_is_named(tmp_path: Path, kind: str) -> None:
             check_sentence(caught.value)
         if case.lazy:
             with pytest.raises((FileError, VolumeError)):
-                _ = read_volume(path, memory_limit_bytes=LITTLE, **given).values
+                _ = read_volume(path, memory_bytes=LITTLE, **given).values
 
 
 @pytest.mark.parametrize("kind", [kind for kind, case in CASES.items() if case.resize is not None])
@@ -200,7 +200,7 @@ def test_not_even_a_slice_fits(tmp_path: Path) -> None:
         place.mkdir()
         _, path, _, given = written(kind, place)
         if kind in ("BigTIFF pages", "NeXus", "raw"):  # rows are read where they lie
-            assert read_volume(path, memory_limit_bytes=100, **given).isel(z=3, y=4).size == VALUES.shape[2]
+            assert read_volume(path, memory_bytes=100, **given).isel(z=3, y=4).size == VALUES.shape[2]
         else:
             with pytest.raises(ResourceError, match="GiB of memory"):
-                read_volume(path, memory_limit_bytes=100, **given)
+                read_volume(path, memory_bytes=100, **given)

@@ -52,7 +52,7 @@ for line in Path(sys.argv[1]).read_text(encoding="utf-8").splitlines():
     print(json.dumps({"begin": item["name"]}), flush=True)
     calls = [
         lambda: read_volume(path, voxel_um=2.0, override_size=True).values,
-        lambda: read_volume(path, voxel_um=2.0, override_size=True, memory_limit_bytes=2500).values,
+        lambda: read_volume(path, voxel_um=2.0, override_size=True, memory_bytes=2500).values,
         lambda: describe(path),
         lambda: fingerprint(path),
     ]

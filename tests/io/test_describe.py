@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -210,3 +211,23 @@ def test_what_a_run_needs_grows_with_the_columns(tmp_path: Path) -> None:
     large = describe(write_sized(tmp_path / "w.tif", noise((9, 80, 100))))
     assert large["run_seconds"] - small["run_seconds"] == pytest.approx(35e-6 * 6000)
     assert large["run_bytes"] > small["run_bytes"] > 1e8
+
+
+def test_every_byte_is_read_once_for_its_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for k in range(3):
+        (tmp_path / f"s{k}.tif").write_bytes(b"x" * (1000 + k))
+    digest, read = hashlib.file_digest, list[int]()
+
+    def counted(file: Any, name: str) -> Any:
+        found = digest(file, name)
+        read.append(file.tell())
+        return found
+
+    monkeypatch.setattr(hashlib, "file_digest", counted)
+    first = fingerprint(tmp_path)
+    assert fingerprint(str(tmp_path)) == first
+    fingerprint(tmp_path / "s0.tif")
+    assert sum(read) == 1000 + 1001 + 1002
+    (tmp_path / "s0.tif").write_bytes(b"y" * 1000)  # another time of change
+    assert fingerprint(tmp_path) != first
+    assert sum(read) == 1000 + 1001 + 1002 + 1000

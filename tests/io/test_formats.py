@@ -88,7 +88,7 @@ def test_a_missing_library_names_the_command(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setitem(sys.modules, "SimpleITK", None)
     np.testing.assert_array_equal(read_volume(path).values, VALUES)  # not needed for what fits
     with pytest.raises(FileError, match=r'needs the library SimpleITK, which .* pip install "planish\[formats\]"'):
-        read_volume(path, memory_limit_bytes=2500)
+        read_volume(path, memory_bytes=2500)
     with pytest.raises(FileError, match="no_such_library"):
         extra("no_such_library", path)
 

@@ -178,7 +178,7 @@ def test_the_pixel_limit_is_ours_not_pillows(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)  # Image.open would raise
     assert read_image(tmp_path / "i.png", pixel_um=1).shape == (70, 90)
     with pytest.raises(ResourceError, match=r"^i\.png needs"):
-        read_image(tmp_path / "i.png", pixel_um=1, memory_limit_bytes=1000)
+        read_image(tmp_path / "i.png", pixel_um=1, memory_bytes=1000)
 
 
 def test_a_folder_is_no_image(tmp_path: Path) -> None:

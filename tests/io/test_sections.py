@@ -173,4 +173,4 @@ def test_sections_that_differ_are_refused(tmp_path: Path) -> None:
 
 def test_memory_is_asked_for_before_it_is_filled(tmp_path: Path) -> None:
     with pytest.raises(ResourceError, match="v needs"):
-        read_section_stack(write(tmp_path / "v"), memory_limit_bytes=200)
+        read_section_stack(write(tmp_path / "v"), memory_bytes=200)

@@ -137,10 +137,10 @@ def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path: Path) ->
     folder = write_folder(tmp_path / "v", values, ".png")
     grey = np.rint(values @ np.array([0.2126, 0.7152, 0.0722])).astype(np.uint8)
     for limit in (None, 500):  # at once, and in parts
-        volume = read_volume(folder, voxel_um=1, memory_limit_bytes=limit)
+        volume = read_volume(folder, voxel_um=1, memory_bytes=limit)
         np.testing.assert_array_equal(volume.isel(z=slice(1, 3)).values, grey[1:3])
         assert "no channel was chosen" in volume.attrs["colour"]
-        green = read_volume(folder, voxel_um=1, channel="green", memory_limit_bytes=limit)
+        green = read_volume(folder, voxel_um=1, channel="green", memory_bytes=limit)
         np.testing.assert_array_equal(green.values, values[..., 1])
         assert green.attrs["channel"] == "green"
     with pytest.raises(InputError, match=r"'cyan' is no channel.*--volume-channel"):
@@ -193,17 +193,17 @@ def test_a_damaged_slice_is_named(tmp_path: Path) -> None:
 
 def test_a_folder_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ResourceError, match=r"^v needs"):
-        read_volume(write_folder(tmp_path / "v", stack()), voxel_um=1, memory_limit_bytes=100)
+        read_volume(write_folder(tmp_path / "v", stack()), voxel_um=1, memory_bytes=100)
 
 
 @pytest.mark.parametrize("extension", [".tif", ".png"])
 def test_a_folder_that_does_not_fit_is_read_in_parts(tmp_path: Path, extension: str) -> None:
     folder = write_folder(tmp_path / "v", stack(), extension)
-    volume = read_volume(folder, voxel_um=1, memory_limit_bytes=500)
+    volume = read_volume(folder, voxel_um=1, memory_bytes=500)
     np.testing.assert_array_equal(volume.isel(z=slice(9, 12), y=slice(2, 4)).values, stack()[9:12, 2:4])
     Image.fromarray(stack()[3][:, :5]).save(folder / f"s3{extension}")
     with pytest.raises(VolumeError, match=rf"^s3\{extension} is 7 x 5 pixels"):
-        read_volume(folder, voxel_um=1, memory_limit_bytes=500)
+        read_volume(folder, voxel_um=1, memory_bytes=500)
 
 
 def test_of_uncompressed_slices_only_the_rows_asked_for_are_read(tmp_path: Path) -> None:
@@ -212,7 +212,7 @@ def test_of_uncompressed_slices_only_the_rows_asked_for_are_read(tmp_path: Path)
     values = np.random.default_rng(0).integers(0, 60000, (4, 500, 40)).astype(np.uint16)
     for i, page in enumerate(values):
         tifffile.imwrite(folder / f"{i}.tif", page, byteorder=">", rowsperstrip=64)
-    volume = read_volume(folder, voxel_um=1, memory_limit_bytes=100_000)
+    volume = read_volume(folder, voxel_um=1, memory_bytes=100_000)
     tracemalloc.start()
     try:
         part = volume.isel(y=slice(100, 110)).values
@@ -226,7 +226,7 @@ def test_of_uncompressed_slices_only_the_rows_asked_for_are_read(tmp_path: Path)
 
 def test_a_slice_that_changes_after_it_was_checked_is_noticed(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "v", stack(), ".png")
-    volume = read_volume(folder, voxel_um=1, memory_limit_bytes=500)
+    volume = read_volume(folder, voxel_um=1, memory_bytes=500)
     Image.fromarray(stack()[3][:, :5]).save(folder / "s3.png")
     with pytest.raises(VolumeError, match=r"^s3\.png is 7 x 5 pixels, 7 x 9 when"):
         _ = volume.isel(z=3).values

@@ -56,7 +56,7 @@ def test_a_given_size_has_to_agree(tmp_path: Path) -> None:
 def test_what_is_no_topography_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "s.x3p", "um")
     with pytest.raises(ResourceError, match=r"s\.x3p needs"):
-        read_topography(path, memory_limit_bytes=100)
+        read_topography(path, memory_bytes=100)
     data = path.read_bytes()
     for length in (0, 10, len(data) // 2, len(data) - 40):
         path.write_bytes(data[:length])

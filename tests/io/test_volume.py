@@ -109,7 +109,7 @@ def test_white_is_zero_is_turned_round(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["plain", "tifffile", "BigTIFF", "OME"])
 def test_an_uncompressed_stack_is_mapped_not_copied(tmp_path: Path, kind: str) -> None:
     tifffile.imwrite(tmp_path / "v.tif", stack(), photometric="minisblack", **KINDS[kind])
-    volume = read_volume(tmp_path / "v.tif", voxel_um=1, memory_limit_bytes=0)
+    volume = read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=0)
     assert isinstance(volume.data, np.memmap)
 
 
@@ -125,7 +125,7 @@ def test_a_stack_in_colour_becomes_luminance_or_the_channel_chosen(tmp_path: Pat
     blue = read_volume(tmp_path / "v.tif", voxel_um=1, channel="Blue")
     np.testing.assert_array_equal(blue.values, values[..., 2])
     if options != {"planarconfig": "separate"}:
-        lazy = read_volume(tmp_path / "v.tif", voxel_um=1, memory_limit_bytes=500)
+        lazy = read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=500)
         np.testing.assert_array_equal(lazy.isel(y=slice(2, 4)).values, grey[:, 2:4])
 
 
@@ -145,7 +145,7 @@ def test_parts_of_a_stack_that_does_not_fit_are_read(tmp_path: Path, options: di
     values = stack("uint8", (6, 37, 41))
     tifffile.imwrite(tmp_path / "v.tif", values, **({"photometric": "minisblack"} | options))
     whole = read_volume(tmp_path / "v.tif", voxel_um=1).values
-    part = read_volume(tmp_path / "v.tif", voxel_um=1, memory_limit_bytes=2000)
+    part = read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=2000)
     np.testing.assert_array_equal(part.isel(z=slice(1, 5, 2), y=slice(7, 31)).values, whole[1:5:2, 7:31])
     np.testing.assert_array_equal(part.values, whole)
 
@@ -153,7 +153,7 @@ def test_parts_of_a_stack_that_does_not_fit_are_read(tmp_path: Path, options: di
 def test_a_compressed_stack_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "v.tif", stack(), photometric="minisblack", compression="zlib")
     with pytest.raises(ResourceError, match=r"v\.tif needs .* GiB of memory, .* GiB may be used\. Crop"):
-        read_volume(tmp_path / "v.tif", voxel_um=1, memory_limit_bytes=100)
+        read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=100)
 
 
 @pytest.mark.parametrize(

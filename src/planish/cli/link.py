@@ -160,7 +160,7 @@ def _as_name(text: str) -> str:
 def _kind(path: Path) -> str:
     """Whether a path is a run, an image or a volume; what is wrong with it is said by its own reader."""
     from planish.io import find_place
-    from planish.io.describe import is_image
+    from planish.io.info import is_image
     from planish.io.sections import is_section_folder
     from planish.pipeline import is_run
 

@@ -67,10 +67,14 @@ def corrected_for_import(
         To be called when the store is whole: writes the record and the figure beside it.
     """
     from planish.core.errors import FileError
+    from planish.correct.params import CorrectParams
     from planish.io.run_folder import refuse_existing
 
-    wanted = {"rings": options["correct_rings"], "cupping": options["correct_cupping"]}
-    if not any(wanted.values()):
+    params = CorrectParams(
+        rings=options["correct_rings"], cupping=options["correct_cupping"],
+        axis=options["rotation_axis"] or "z", centre_um=options["rotation_centre_um"],
+    )  # fmt: skip
+    if not params.asked:
         if options["rotation_axis"] or options["rotation_centre_um"]:
             raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
         return data, lambda: None
@@ -81,11 +85,9 @@ def corrected_for_import(
         refuse_existing(path)
     found = correct_volume(
         data,
-        axis=options["rotation_axis"] or "z",
-        centre_um=options["rotation_centre_um"],
+        params=params,
         memory_bytes=memory_bytes,
         tell=lambda what, how_far: tell("correct", f"{what}, {how_far}"),
-        **wanted,
     )
     for sentence in found.record.sentences:
         click.echo(sentence)

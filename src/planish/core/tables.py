@@ -1,8 +1,8 @@
 """CSV tables: one reader that names all faults at once, and one writer.
 
-A table is text in UTF-8 (with or without byte order mark, or UTF-16 with one), its columns separated by comma, semicolon
-or tab. Where they are not separated by commas, numbers may have a decimal comma. Empty lines and lines that start with
-``#`` are no rows. Column names are compared in small letters, in any order; columns that nobody asks for are passed over.
+A table is text in UTF-8 (with or without byte order mark, or UTF-16 with one); its columns are separated by comma,
+semicolon or tab. Where they are not separated by commas, numbers may have a decimal comma. Empty lines and lines that
+start with ``#`` are no rows. Column names are compared in small letters, in any order; other columns are ignored.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
-"""Rings and cupping of a micro-CT volume: found, taken off, and told."""
+"""Rings and cupping of a micro-CT volume: found, corrected, and reported."""
 
-from planish.correct.picture import write_picture
-from planish.correct.record import Corrections, Cupping, Ring, Trend
-from planish.correct.volume import Corrected, correct_volume
+import lazy_loader as lazy  # pyright: ignore[reportMissingTypeStubs]
 
-__all__ = ["Corrected", "Corrections", "Cupping", "Ring", "Trend", "correct_volume", "write_picture"]
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

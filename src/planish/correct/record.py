@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from planish.correct.turning import Axis
+from planish.correct.params import Axis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

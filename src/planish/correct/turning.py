@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import InputError, SizeError, VolumeError
+from planish.correct.params import Axis
 
 Array = NDArray[np.float64]
-Axis = Literal["z", "y", "x"]
 
 SECTORS = 16
 """Parts of a full turn that are told apart: a ring shows in all of them, a structure of the sheet does not."""

@@ -17,10 +17,11 @@ from planish.core.threads import count_threads
 from planish.correct import _kernels
 from planish.correct.cupping import factor, find_cupping, middle_factor
 from planish.correct.levels import Levels, find_levels
+from planish.correct.params import CorrectParams
 from planish.correct.record import Corrections, Cupping, Trend
 from planish.correct.rings import Rings, find_rings, left_over
 from planish.correct.sums import Slice, Sums, slices_of, take_sums
-from planish.correct.turning import Axis, Turning, make_turning
+from planish.correct.turning import Turning, make_turning
 
 Array = NDArray[np.float64]
 Tell = Callable[[str, str], None]
@@ -125,23 +126,17 @@ class Corrected:
 
 
 def correct_volume(
-    volume: xr.DataArray, *, rings: bool = True, cupping: bool = True, axis: Axis = "z",
-    centre_um: tuple[float, float] | None = None, memory_bytes: int = 2**30, threads: int | None = None,
+    volume: xr.DataArray, *, params: CorrectParams, memory_bytes: int = 2**30, threads: int | None = None,
     tell: Tell | None = None,
 ) -> Corrected:  # fmt: skip
-    """Find rings and cupping of a micro-CT volume and take them off.
+    """Find rings and cupping of a micro-CT volume and correct them.
 
     Parameters
     ----------
     volume : DataArray, dims (z, y, x), with the voxel size in ``attrs["voxel_um"]``
         Read in slabs across the axis of rotation; it need not fit into memory.
-    rings, cupping : bool
-        What is corrected.
-    axis : {"z", "y", "x"}
-        Axis of rotation; z is the stacking axis of a file.
-    centre_um : (float, float), optional
-        Where the axis of rotation stands along the two other axes, in array order, in um from the middle of the first
-        voxel; the middle of the field where not given.
+    params : CorrectParams
+        What is corrected, and where the axis of rotation stands.
     memory_bytes : int
         What the slabs may take.
     threads : int, optional
@@ -168,18 +163,17 @@ def correct_volume(
     along the axis. The factor of the cupping is taken relative to its mean over the sheet, so that the sheet's mean
     grey stays; it says nothing about which radius shows the true grey.
     """
-    asked = tuple(name for name, on in (("rings", rings), ("cupping", cupping)) if on)
-    if not asked:
+    if not params.asked:
         raise InputError("Neither rings nor cupping is asked for. Give --correct-rings, --correct-cupping or both.")
     if volume.attrs.get("sections") is not None:
         raise InputError(
             "The volume was made from photographs of sections, which have neither rings nor cupping. Leave out "
             "--correct-rings and --correct-cupping."
         )
-    turning = make_turning(volume, axis, centre_um)
+    turning = make_turning(volume, params.axis, params.centre_um)
     threads = count_threads(threads)
     say = tell or _silent
-    record = Corrections(axis=axis, centre_um=turning.centre_um, asked=asked, length=turning.shape[0])
+    record = Corrections(axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=turning.shape[0])
     look = [values for _, values in slices_of(volume, turning, most=_LOOK, memory_bytes=memory_bytes)]
     rows, cols = np.arange(turning.shape[1]), np.arange(turning.shape[2])
     levels = find_levels(look, turning.radius_um(rows, cols))
@@ -189,7 +183,7 @@ def correct_volume(
     record = replace(record, air=levels.air, sheet=levels.sheet)
 
     def sums(slices: Iterator[tuple[int, Slice]], what: str) -> Sums:
-        say(what, f"{turning.shape[0]} slices across {axis}")
+        say(what, f"{turning.shape[0]} slices across {params.axis}")
         return take_sums(slices, turning, levels, threads=threads)
 
     before = sums(slices_of(volume, turning, memory_bytes=memory_bytes), "rings and cupping")

@@ -1,10 +1,5 @@
 """Files to volumes and images: every format is read here, and every length becomes micrometres."""
 
-from planish.io.describe import describe
-from planish.io.fingerprint import fingerprint
-from planish.io.formats import find_place
-from planish.io.image import read_image
-from planish.io.topography import read_topography
-from planish.io.volume import read_volume
+import lazy_loader as lazy  # pyright: ignore[reportMissingTypeStubs]
 
-__all__ = ["describe", "find_place", "fingerprint", "read_image", "read_topography", "read_volume"]
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,7 +1,7 @@
 """Which module reads which file: the one table, and the part of a path that chooses inside a file.
 
 A format is one line here and one module with the function
-``load(place, *, channel, memory_limit_bytes) -> LoadedVolume``; where a volume is made of several files, its function
+``load(place, *, channel, memory_bytes) -> LoadedVolume``; where a volume is made of several files, its function
 ``files(place)`` lists them.
 """
 

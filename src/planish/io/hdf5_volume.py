@@ -26,7 +26,7 @@ SIZE_NAMES = ("voxel_size", "element_size", "pixel_size", "spacing", "resolution
 """Attributes in which programs write the voxel size, with ``_um`` or another unit at the end, or the unit beside."""
 
 
-def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -> LoadedVolume:
+def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Read the data set that was chosen, that NeXus names, or the only one with three axes.
 
     Parameters
@@ -34,7 +34,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
     place : Place
     channel : str or None
         Passed over: there is no colour.
-    memory_limit_bytes : int or None
+    memory_bytes : int or None
 
     Returns
     -------
@@ -70,7 +70,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
         path,
         stated=stated,
         file_bytes=size_of_file(path) + (0 if file_path == path else size_of_file(file_path)),
-        memory_limit_bytes=memory_limit_bytes,
+        memory_bytes=memory_bytes,
         attrs={"dataset": name},
         notes=notes,
     )

@@ -27,7 +27,7 @@ def read_image(
     pixel_um: float | tuple[float, float] | None = None,
     channel: str = "luminance",
     override_size: bool = False,
-    memory_limit_bytes: int | None = None,
+    memory_bytes: int | None = None,
 ) -> xr.DataArray:
     """Read the 2D image of a sheet.
 
@@ -41,7 +41,7 @@ def read_image(
         "luminance", "red", "green", "blue", or the number of a channel, counted from 0.
     override_size : bool
         Whether `pixel_um` is taken although the metadata state another size.
-    memory_limit_bytes : int, optional
+    memory_bytes : int, optional
         Largest decoded size; default: three quarters of the memory available.
 
     Returns
@@ -70,12 +70,12 @@ def read_image(
     turned round; palettes are looked up.
     """
     path = Path(path)
-    picture = load_picture(path, memory_limit_bytes=memory_limit_bytes)
+    picture = load_picture(path, memory_bytes=memory_bytes)
     size, source = agreed_size(
         across(picture.stated), pixel_um, file_name=path.name, asked=PIXEL, override=override_size
     )
     height, width = picture.values.shape[:2]
-    check_memory(path, needed_bytes=4 * height * width, limit_bytes=memory_limit_bytes)
+    check_memory(path, needed_bytes=4 * height * width, limit_bytes=memory_bytes)
     values, long_name = pick_channel(picture, channel, file_name=path.name)
     return xr.DataArray(
         values,

@@ -264,7 +264,7 @@ def as_supported(array: LazyArray | NDArray[Any], path: Path) -> LazyArray | NDA
     )
 
 
-def settle(array: LazyArray | NDArray[Any], path: Path, *, memory_limit_bytes: int | None) -> LazyArray | NDArray[Any]:
+def settle(array: LazyArray | NDArray[Any], path: Path, *, memory_bytes: int | None) -> LazyArray | NDArray[Any]:
     """Read an array at once where it is small, and leave it in its file otherwise.
 
     Parameters
@@ -273,7 +273,7 @@ def settle(array: LazyArray | NDArray[Any], path: Path, *, memory_limit_bytes: i
         A mapped or decoded array comes back as it is.
     path : Path
         For the messages.
-    memory_limit_bytes : int, optional
+    memory_bytes : int, optional
         Largest decoded size. What decodes in whole slices is read at once up to this size, everything else up to
         :data:`EAGER_BYTES`.
 
@@ -290,13 +290,13 @@ def settle(array: LazyArray | NDArray[Any], path: Path, *, memory_limit_bytes: i
     """
     if not isinstance(array, LazyArray):
         return array
-    if is_small(array, memory_limit_bytes=memory_limit_bytes):
+    if is_small(array, memory_bytes=memory_bytes):
         return array[...]
-    check_memory(path, needed_bytes=array.piece_bytes, limit_bytes=memory_limit_bytes)
+    check_memory(path, needed_bytes=array.piece_bytes, limit_bytes=memory_bytes)
     return array
 
 
-def is_small(array: LazyArray, *, memory_limit_bytes: int | None) -> bool:
+def is_small(array: LazyArray, *, memory_bytes: int | None) -> bool:
     """Whether an array is read at once."""
-    limit = default_memory_limit() if memory_limit_bytes is None else memory_limit_bytes
+    limit = default_memory_limit() if memory_bytes is None else memory_bytes
     return array.nbytes <= (limit if array.whole_slices else min(limit, EAGER_BYTES))

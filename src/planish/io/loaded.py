@@ -50,7 +50,7 @@ def loaded(
     *,
     stated: Sequence[Stated],
     file_bytes: int,
-    memory_limit_bytes: int | None,
+    memory_bytes: int | None,
     attrs: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
 ) -> LoadedVolume:
@@ -62,7 +62,7 @@ def loaded(
     path : Path
     stated : sequence of Stated
     file_bytes : int
-    memory_limit_bytes : int, optional
+    memory_bytes : int, optional
     attrs, notes
         As in :class:`LoadedVolume`.
 
@@ -84,7 +84,7 @@ def loaded(
     if min(array.shape) == 1:
         raise VolumeError(f"{path.name} is no volume but {size_words(array.shape)} voxels (z, y, x). {ADVICE}")
     check_type(array.dtype, path)
-    values = settle(as_supported(array, path), path, memory_limit_bytes=memory_limit_bytes)
+    values = settle(as_supported(array, path), path, memory_bytes=memory_bytes)
     return LoadedVolume(
         values=values,
         stated=tuple(stated),

@@ -38,7 +38,7 @@ TYPES = {
 Variable = tuple[str, tuple[int, ...], str]
 
 
-def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -> LoadedVolume:
+def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Read the variable that was chosen, or the only one with three axes.
 
     Parameters
@@ -46,7 +46,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
     place : Place
     channel : str or None
         Passed over: there is no colour.
-    memory_limit_bytes : int or None
+    memory_bytes : int or None
 
     Returns
     -------
@@ -74,14 +74,14 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
     if new:
         array, notes = new_values(path, name, order)
     else:
-        array = old_values(path, name, shape, np.dtype(TYPES[kind]), memory_limit_bytes=memory_limit_bytes)
+        array = old_values(path, name, shape, np.dtype(TYPES[kind]), memory_bytes=memory_bytes)
         array, notes = np.squeeze(array).transpose(2, 0, 1), ()
     return loaded(
         array,
         path,
         stated=[stated_by_variable(path, new=new)],
         file_bytes=size_of_file(path),
-        memory_limit_bytes=memory_limit_bytes,
+        memory_bytes=memory_bytes,
         attrs={"variable": name},
         notes=notes,
     )
@@ -142,12 +142,12 @@ def new_values(path: Path, name: str, order: list[int]) -> tuple[LazyArray, tupl
 
 
 def old_values(
-    path: Path, name: str, shape: tuple[int, ...], dtype: np.dtype[Any], *, memory_limit_bytes: int | None
+    path: Path, name: str, shape: tuple[int, ...], dtype: np.dtype[Any], *, memory_bytes: int | None
 ) -> NDArray[Any]:
     """Values of a variable in a file up to version 7."""
     needed = math.prod(shape) * dtype.itemsize
     check_blown_up(path, decoded_bytes=needed, stored_bytes=size_of_file(path))
-    check_memory(path, needed_bytes=needed, limit_bytes=memory_limit_bytes)
+    check_memory(path, needed_bytes=needed, limit_bytes=memory_bytes)
     with reading(path):
         values = scipy_io.loadmat(str(path), variable_names=[name]).get(name)
     if not isinstance(values, np.ndarray) or values.shape != shape or values.dtype.kind not in "uif":

@@ -31,7 +31,7 @@ TYPES = {
 }  # fmt: skip
 
 
-def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -> LoadedVolume:
+def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Map, unpack or lazily read the values of a MetaImage.
 
     Parameters
@@ -39,7 +39,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
     place : Place
     channel : str or None
         Passed over: colour is refused.
-    memory_limit_bytes : int or None
+    memory_bytes : int or None
 
     Returns
     -------
@@ -69,13 +69,13 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
         raise VolumeError(f"{path.name} has values of the type {word!r}. Export it with integer or real values.")
     big = header.get("binarydatabyteordermsb", header.get("elementbyteordermsb", "False"))
     stored = np.dtype(TYPES[word]).newbyteorder(">" if is_true(big) else "<")
-    array, data = values_of(header, path, end, shape, stored, memory_limit_bytes=memory_limit_bytes)
+    array, data = values_of(header, path, end, shape, stored, memory_bytes=memory_bytes)
     return loaded(
         array,
         path,
         stated=stated_by_header(header, order),
         file_bytes=size_of_file(path) + (0 if data == path else size_of_file(data)),
-        memory_limit_bytes=memory_limit_bytes,
+        memory_bytes=memory_bytes,
     )
 
 
@@ -135,7 +135,7 @@ def values_of(
     shape: tuple[int, ...],
     stored: np.dtype[Any],
     *,
-    memory_limit_bytes: int | None,
+    memory_bytes: int | None,
 ) -> tuple[NDArray[Any] | LazyArray, Path]:
     """Find the data, and map, unpack or leave them; return them with their file."""
     if not is_true(header.get("binarydata", "True")):
@@ -151,14 +151,12 @@ def values_of(
             offset = max(size_of_file(data) - int(np.prod(shape, dtype=object)) * stored.itemsize, 0)
         return raw_values(path, data, shape, stored, offset=offset), data
     needed = int(np.prod(shape, dtype=object)) * stored.itemsize
-    if needed > (default_memory_limit() if memory_limit_bytes is None else memory_limit_bytes):
+    if needed > (default_memory_limit() if memory_bytes is None else memory_bytes):
         check_blown_up(data, decoded_bytes=needed, stored_bytes=size_of_file(data))
         # SimpleITK reads on behind the end of values that are shorter than declared.
         check_unpacked(path, data, needed, offset=offset, packing="deflate")
         return MetaArray(path, shape, stored.newbyteorder("=")), data
-    array = unpacked_values(
-        path, data, shape, stored, offset=offset, packing="deflate", memory_limit_bytes=memory_limit_bytes
-    )
+    array = unpacked_values(path, data, shape, stored, offset=offset, packing="deflate", memory_bytes=memory_bytes)
     return array, data
 
 

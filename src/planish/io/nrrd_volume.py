@@ -40,7 +40,7 @@ SPATIAL = frozenset({"domain", "space", "???", "none", ""})
 MEDICAL = "no unit written; mm, as programs for anatomical spaces have it"
 
 
-def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -> LoadedVolume:
+def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Map the values of a NRRD file, or unpack them.
 
     Parameters
@@ -48,7 +48,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
     place : Place
     channel : str or None
         Passed over: colour is refused.
-    memory_limit_bytes : int or None
+    memory_bytes : int or None
 
     Returns
     -------
@@ -73,13 +73,13 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
         raise VolumeError(f"{path.name} {what}: {size_words(sizes)} (fastest axis first). {ADVICE}")
     stored = stored_type(header, path)
     shape = tuple(sizes[axis] for axis in reversed(long))
-    array, data = values_of(header, path, end, shape, stored, memory_limit_bytes=memory_limit_bytes)
+    array, data = values_of(header, path, end, shape, stored, memory_bytes=memory_bytes)
     return loaded(
         array,
         path,
         stated=stated_by_header(header, tuple(reversed(long))),
         file_bytes=size_of_file(path) + (0 if data == path else size_of_file(data)),
-        memory_limit_bytes=memory_limit_bytes,
+        memory_bytes=memory_bytes,
     )
 
 
@@ -147,7 +147,7 @@ def values_of(
     shape: tuple[int, ...],
     stored: np.dtype[Any],
     *,
-    memory_limit_bytes: int | None,
+    memory_bytes: int | None,
 ) -> tuple[Any | LazyArray, Path]:
     """Find the data, and map or unpack them; return them with their file."""
     detached = data_file(header, path)
@@ -166,7 +166,7 @@ def values_of(
     if encoding not in PACKINGS:
         raise FileError(f"{path.name} has the encoding {encoding!r}. Save it with the encoding raw or gzip.")
     array = unpacked_values(
-        path, data, shape, stored, offset=offset, packing=PACKINGS[encoding], memory_limit_bytes=memory_limit_bytes
+        path, data, shape, stored, offset=offset, packing=PACKINGS[encoding], memory_bytes=memory_bytes
     )
     return array, data
 

@@ -95,13 +95,13 @@ def kind_of(path: Path) -> Literal["tiff", "png", "jpeg", "bmp"]:
     raise FileError(f"{path.name} is no TIFF, PNG, JPEG or BMP file. Export the image in one of these formats.")
 
 
-def load_picture(path: Path, *, memory_limit_bytes: int | None = None) -> Picture:
+def load_picture(path: Path, *, memory_bytes: int | None = None) -> Picture:
     """Decode a picture.
 
     Parameters
     ----------
     path : Path
-    memory_limit_bytes : int, optional
+    memory_bytes : int, optional
         Largest decoded size; default: three quarters of the memory available.
 
     Returns
@@ -116,11 +116,11 @@ def load_picture(path: Path, *, memory_limit_bytes: int | None = None) -> Pictur
         If it does not fit into the memory.
     """
     if kind_of(path) == "tiff":
-        return load_tiff(path, memory_limit_bytes=memory_limit_bytes)
-    return load_raster(path, memory_limit_bytes=memory_limit_bytes)
+        return load_tiff(path, memory_bytes=memory_bytes)
+    return load_raster(path, memory_bytes=memory_bytes)
 
 
-def load_tiff(path: Path, *, memory_limit_bytes: int | None) -> Picture:
+def load_tiff(path: Path, *, memory_bytes: int | None) -> Picture:
     """Decode the one picture of a TIFF file."""
     advice = "One picture is needed: save it alone."
     with open_tiff(path) as tif:
@@ -129,7 +129,7 @@ def load_tiff(path: Path, *, memory_limit_bytes: int | None) -> Picture:
         axes = sample_axes(series, path, advice=advice)
         page = series.keyframe
         stated = stated_by_tiff(tif, page, path)
-        values = map_or_decode(series, path, memory_limit_bytes=memory_limit_bytes)
+        values = map_or_decode(series, path, memory_bytes=memory_bytes)
         values = values.reshape([n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes])
         if axes[0] in "SC" and len(axes) == 3:
             values = np.moveaxis(values, 0, -1)
@@ -196,7 +196,7 @@ def look_up(index: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any], 
     return np.moveaxis(colormap[:, index.astype(np.intp)], 0, -1), bits, "rgb"
 
 
-def load_raster(path: Path, *, memory_limit_bytes: int | None) -> Picture:
+def load_raster(path: Path, *, memory_bytes: int | None) -> Picture:
     """Decode a PNG, JPEG or BMP file.
 
     The classes of Pillow are called directly: its own limit of pixels, which is a global, does not apply then,
@@ -218,7 +218,7 @@ def load_raster(path: Path, *, memory_limit_bytes: int | None) -> Picture:
     bands = len(image.getbands())
     needed = image.width * image.height * max(bands, 3 if image.mode == "P" else 1) * (2 if deep else 1)
     check_blown_up(path, decoded_bytes=needed, stored_bytes=size)
-    check_memory(path, needed_bytes=needed, limit_bytes=memory_limit_bytes)
+    check_memory(path, needed_bytes=needed, limit_bytes=memory_bytes)
     with reading(path):
         orientation = image.getexif().get(274, 1)
         dpi: Any = image.info.get("dpi")

@@ -32,7 +32,7 @@ LARGEST_HEADER = 100_000
 EXAMPLE = 'shape = [z, y, x], dtype = "uint16", byte_order = "little", voxel_um = 1.65'
 
 
-def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -> LoadedVolume:
+def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Map raw values as their header says; either of the two files is given.
 
     Parameters
@@ -40,7 +40,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
     place : Place
     channel : str or None
         Passed over: there is no colour.
-    memory_limit_bytes : int or None
+    memory_bytes : int or None
 
     Returns
     -------
@@ -62,7 +62,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
         header,
         stated=[Stated(source="the TOML header", um=voxel, note="" if None not in voxel else "it has no voxel_um")],
         file_bytes=size_of_file(header) + size_of_file(data),
-        memory_limit_bytes=memory_limit_bytes,
+        memory_bytes=memory_bytes,
     )
 
 

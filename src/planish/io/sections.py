@@ -59,7 +59,7 @@ def read_section_stack(
     voxel_um: float | tuple[float, float, float] | None = None,
     channel: str | None = None,
     override_size: bool = False,
-    memory_limit_bytes: int | None = None,
+    memory_bytes: int | None = None,
 ) -> SectionStack:
     """Read a folder of section photographs with its cut counter.
 
@@ -74,7 +74,7 @@ def read_section_stack(
         What is taken of sections in colour; luminance where not given.
     override_size : bool
         Whether the pixel size is taken although the metadata state another. The counter cannot be overridden.
-    memory_limit_bytes : int, optional
+    memory_bytes : int, optional
         Largest decoded size of all of them; default: three quarters of the memory available. More stay in their files.
 
     Returns
@@ -103,7 +103,7 @@ def read_section_stack(
     counter = read_counter(folder)
     files = [folder / name for name in counter.names]
     channel = check_channel(channel)
-    values, first = load_sections(files, channel=channel, memory_limit_bytes=memory_limit_bytes)
+    values, first = load_sections(files, channel=channel, memory_bytes=memory_bytes)
     stated, full_scale = first.stated, None if values.dtype.kind == "f" else first.full_scale
     size, source = section_size(
         stated, voxel_um, pitch_um=counter.pitch_um, folder_name=folder.name, override=override_size
@@ -126,26 +126,26 @@ def read_section_stack(
 
 
 def load_sections(
-    files: list[Path], *, channel: str | None, memory_limit_bytes: int | None
+    files: list[Path], *, channel: str | None, memory_bytes: int | None
 ) -> tuple[NDArray[Any] | LazyArray, Picture]:
     """Read pictures into one array, or leave them in their files where that is too large; and the first picture."""
-    first = load_picture(files[0], memory_limit_bytes=memory_limit_bytes)
+    first = load_picture(files[0], memory_bytes=memory_bytes)
     if first.values.ndim == 2 or first.colour == "grey":
         refuse_channel(channel, files[0].parent)
     grey = as_grey(first, files[0], channel=channel)
-    limit = default_memory_limit() if memory_limit_bytes is None else memory_limit_bytes
+    limit = default_memory_limit() if memory_bytes is None else memory_bytes
     if len(files) * grey.nbytes > limit:
         # A thread decodes a photograph while some others are compared.
         check_memory(files[0].parent, needed_bytes=4 * first.values.nbytes, limit_bytes=limit)
         colour = to_grey(channel) if first.values.ndim == 3 and first.colour == "rgb" else None
         heads = SliceHeads(files[0], colour)
-        offsets = [heads.check(file, first, memory_limit_bytes=limit) for file in files]
+        offsets = [heads.check(file, first, memory_bytes=limit) for file in files]
         pages = SliceFiles(files, offsets, heads.first, colour, grey.shape)
         shape = (len(files), int(grey.shape[0]), int(grey.shape[1]))
         return PagedArray(pages, shape, supported_type(grey.dtype), files[0].parent), first
     values = np.empty((len(files), *grey.shape), supported_type(grey.dtype))
     for i, file in enumerate(files):
-        picture = first if i == 0 else load_picture(file, memory_limit_bytes=memory_limit_bytes)
+        picture = first if i == 0 else load_picture(file, memory_bytes=memory_bytes)
         if picture.colour != first.colour:
             raise VolumeError(
                 f"{file.name} is {picture.colour}, {files[0].name} is {first.colour}. All sections need the same: "

@@ -26,7 +26,7 @@ from planish.io.tiff_chain import damaged
 ToGrey = Callable[[NDArray[Any]], NDArray[Any]]
 
 
-def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -> LoadedVolume:
+def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Read a folder of slices: at once where it fits, otherwise slice by slice when they are asked for.
 
     Parameters
@@ -34,7 +34,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
     place : Place
     channel : str or None
         What is taken of slices in colour.
-    memory_limit_bytes : int or None
+    memory_bytes : int or None
 
     Returns
     -------
@@ -48,7 +48,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
     folder = place.path
     scan = read_scan(folder)
     files = slice_files(folder, scan)
-    first = load_picture(files[0], memory_limit_bytes=memory_limit_bytes)
+    first = load_picture(files[0], memory_bytes=memory_bytes)
     rgb = first.values.ndim == 3 and first.colour == "rgb"
     colour = to_grey(channel) if rgb else None
     if not rgb:
@@ -59,17 +59,17 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
         check_extent(scan, files[0], *grey.shape)
     dtype = supported_type(grey.dtype)
     shape = (len(files), *grey.shape)
-    limit = default_memory_limit() if memory_limit_bytes is None else memory_limit_bytes
+    limit = default_memory_limit() if memory_bytes is None else memory_bytes
     heads = SliceHeads(files[0], colour)
     needed = len(files) * grey.size * dtype.itemsize
     if needed <= (limit if heads.first.offset is None else min(limit, EAGER_BYTES)):
         values: NDArray[Any] | PagedArray = np.empty(shape, dtype)
         for i, file in enumerate(files):
-            picture = first if i == 0 else load_picture(file, memory_limit_bytes=memory_limit_bytes)
+            picture = first if i == 0 else load_picture(file, memory_bytes=memory_bytes)
             values[i] = checked_slice(picture, first, colour, file=file, first_file=files[0])
     else:
         check_memory(folder, needed_bytes=2 * grey.nbytes, limit_bytes=limit)
-        offsets = [heads.check(file, first, memory_limit_bytes=limit) for file in files]
+        offsets = [heads.check(file, first, memory_bytes=limit) for file in files]
         values = PagedArray(SliceFiles(files, offsets, heads.first, colour, grey.shape), shape, dtype, folder)
     return LoadedVolume(
         values=values,
@@ -196,11 +196,11 @@ class SliceHeads:
     def __init__(self, first_file: Path, colour: ToGrey | None) -> None:
         self.first_file, self.colour, self.first = first_file, colour, Head(first_file)
 
-    def check(self, file: Path, first: Picture, *, memory_limit_bytes: int) -> int | None:
+    def check(self, file: Path, first: Picture, *, memory_bytes: int) -> int | None:
         """Return where the values of a slice lie; None where they have to be decoded."""
         head = Head(file)
         if head.kind != self.first.kind:
-            picture = load_picture(file, memory_limit_bytes=memory_limit_bytes)
+            picture = load_picture(file, memory_bytes=memory_bytes)
             checked_slice(picture, first, self.colour, file=file, first_file=self.first_file)
         return head.offset if head.stored == self.first.stored else None
 

@@ -81,7 +81,7 @@ def unpacked_values(
     *,
     offset: int,
     packing: str,
-    memory_limit_bytes: int | None,
+    memory_bytes: int | None,
 ) -> NDArray[Any]:
     """Unpack values that fill a file from an offset to its end.
 
@@ -91,7 +91,7 @@ def unpacked_values(
         As for :func:`raw_values`.
     packing : {"deflate", "bzip2"}
         Deflate with the header of zlib or that of gzip.
-    memory_limit_bytes : int or None
+    memory_bytes : int or None
 
     Returns
     -------
@@ -109,7 +109,7 @@ def unpacked_values(
     needed = math.prod(shape) * stored.itemsize
     stored_bytes = max(size_of_file(data) - offset, 0)
     check_blown_up(data, decoded_bytes=needed, stored_bytes=stored_bytes)
-    check_memory(path, needed_bytes=needed, limit_bytes=memory_limit_bytes)
+    check_memory(path, needed_bytes=needed, limit_bytes=memory_bytes)
     values = np.empty(needed, np.uint8)
     filled = 0
     for part in unpacked_parts(path, data, needed, offset=offset, packing=packing):

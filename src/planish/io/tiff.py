@@ -193,14 +193,14 @@ def stored_bytes_if_uncompressed(page: TiffPage) -> int | None:
     return rows * math.ceil(row_bits / 8)
 
 
-def map_or_decode(series: TiffPageSeries, path: Path, *, memory_limit_bytes: int | None) -> NDArray[Any]:
+def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | None) -> NDArray[Any]:
     """Return the values of a checked series, mapped from the file where they lie there as they are.
 
     Parameters
     ----------
     series : TiffPageSeries
     path : Path
-    memory_limit_bytes : int, optional
+    memory_bytes : int, optional
         Only for what must be decoded.
 
     Returns
@@ -221,7 +221,7 @@ def map_or_decode(series: TiffPageSeries, path: Path, *, memory_limit_bytes: int
         native = series.dtype.newbyteorder(series.keyframe.parent.byteorder) == series.dtype.newbyteorder("=")
         if offset is not None and native and not turned:
             return np.memmap(path, dtype=series.dtype, mode="r", offset=offset, shape=series.shape)
-    check_memory(path, needed_bytes=series.nbytes, limit_bytes=memory_limit_bytes)
+    check_memory(path, needed_bytes=series.nbytes, limit_bytes=memory_bytes)
     with reading(path):
         values = np.empty(series.shape, series.dtype.newbyteorder("="))
         decoded = series.asarray(out=values)

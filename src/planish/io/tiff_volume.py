@@ -50,7 +50,7 @@ MANY_CHANNELS = 16
 MEANINGS = {"C": "channels", "T": "time points", "S": "colour samples"}
 
 
-def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -> LoadedVolume:
+def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Read a TIFF stack in one file.
 
     Parameters
@@ -58,7 +58,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
     place : Place
     channel : str or None
         What is taken of a stack in colour.
-    memory_limit_bytes : int or None
+    memory_bytes : int or None
 
     Returns
     -------
@@ -86,9 +86,9 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
         if "S" not in axes:
             refuse_channel(channel, path)
         stated = stated_by_tiff(tif, page, path)
-        array = stack(series, path, axes, channel=channel, memory_limit_bytes=memory_limit_bytes)
+        array = stack(series, path, axes, channel=channel, memory_bytes=memory_bytes)
         bits = int(page.bitspersample)
-        values = settle(as_supported(array, path), path, memory_limit_bytes=memory_limit_bytes)
+        values = settle(as_supported(array, path), path, memory_bytes=memory_bytes)
     return LoadedVolume(
         values=values,
         stated=stated,
@@ -99,7 +99,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
 
 
 def stack(
-    series: TiffPageSeries, path: Path, axes: str, *, channel: str | None, memory_limit_bytes: int | None
+    series: TiffPageSeries, path: Path, axes: str, *, channel: str | None, memory_bytes: int | None
 ) -> NDArray[Any] | LazyArray:
     """Return the values of a checked series: mapped, left in its pages, or decoded."""
     shape = tuple(n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes)
@@ -124,12 +124,12 @@ def stack(
         with reading(path):
             pages = TiffPages(path, series, change=colour)
         array = PagedArray(pages, zyx, series.dtype.newbyteorder("="), path)
-        if colour is not None or not is_small(array, memory_limit_bytes=memory_limit_bytes):
+        if colour is not None or not is_small(array, memory_bytes=memory_bytes):
             return array
-    whole = map_or_decode(series, path, memory_limit_bytes=memory_limit_bytes).reshape(shape)
+    whole = map_or_decode(series, path, memory_bytes=memory_bytes).reshape(shape)
     if colour is None:
         return whole
-    check_memory(path, needed_bytes=whole.nbytes + math.prod(shape) // 3, limit_bytes=memory_limit_bytes)
+    check_memory(path, needed_bytes=whole.nbytes + math.prod(shape) // 3, limit_bytes=memory_bytes)
     return np.stack([colour(np.moveaxis(p, 0, -1) if axes[1] == "S" else p) for p in whole])
 
 

@@ -22,7 +22,7 @@ def read_topography(
     *,
     pixel_um: float | tuple[float, float] | None = None,
     override_size: bool = False,
-    memory_limit_bytes: int | None = None,
+    memory_bytes: int | None = None,
 ) -> xr.DataArray:
     """Read a map of heights.
 
@@ -34,7 +34,7 @@ def read_topography(
         Pixel size in um; not needed where the file states it.
     override_size : bool
         Whether `pixel_um` is taken although the file states another size.
-    memory_limit_bytes : int, optional
+    memory_bytes : int, optional
         Largest decoded size; default: three quarters of the memory available.
 
     Returns
@@ -67,7 +67,7 @@ def read_topography(
             raise FileError(
                 f"{path.name} holds a profile of {size_words(grid)} points, not a map. Give a map of heights."
             )
-        check_memory(path, needed_bytes=3 * 8 * grid[0] * grid[1], limit_bytes=memory_limit_bytes)
+        check_memory(path, needed_bytes=3 * 8 * grid[0] * grid[1], limit_bytes=memory_bytes)
         unit = str(channel.unit or "")
         length = unit_um(unit)
         if length is None:

@@ -21,7 +21,7 @@ def read_volume(
     voxel_um: float | tuple[float, float, float] | None = None,
     channel: str | None = None,
     override_size: bool = False,
-    memory_limit_bytes: int | None = None,
+    memory_bytes: int | None = None,
 ) -> xr.DataArray:
     """Read the 3D image of a sheet.
 
@@ -37,7 +37,7 @@ def read_volume(
         What is taken from TIFF stacks and slices in colour; luminance where not given.
     override_size : bool
         Whether `voxel_um` is taken although the metadata state another size.
-    memory_limit_bytes : int, optional
+    memory_bytes : int, optional
         Largest decoded size; default: three quarters of the memory available. An uncompressed stack in one
         piece is mapped from its file and needs none; what is larger than the limit stays in its file.
 
@@ -66,7 +66,7 @@ def read_volume(
         If not even a slice of it fits into the memory.
     """
     place = find_place(path)
-    loaded = load_volume(place, channel=channel, memory_limit_bytes=memory_limit_bytes)
+    loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
     name = place.path.name
     size, source = agreed_size(loaded.stated, voxel_um, file_name=name, asked=VOXEL, override=override_size)
     lazy = loaded.values if isinstance(loaded.values, LazyArray) else None
@@ -94,16 +94,14 @@ def read_volume(
     return found
 
 
-def load_volume(
-    path: Place | Path, *, channel: str | None = None, memory_limit_bytes: int | None = None
-) -> LoadedVolume:
+def load_volume(path: Place | Path, *, channel: str | None = None, memory_bytes: int | None = None) -> LoadedVolume:
     """Read the values of a volume, whatever its voxel size.
 
     Parameters
     ----------
     path : Place or Path
     channel : str, optional
-    memory_limit_bytes : int, optional
+    memory_bytes : int, optional
 
     Returns
     -------
@@ -116,4 +114,4 @@ def load_volume(
     """
     place = path if isinstance(path, Place) else find_place(path)
     load = loader(format_of(place))
-    return load(place, channel=check_channel(channel), memory_limit_bytes=memory_limit_bytes)
+    return load(place, channel=check_channel(channel), memory_bytes=memory_bytes)

@@ -28,7 +28,7 @@ LARGEST_METADATA = 50_000_000
 SPACE = "zyx"
 
 
-def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -> LoadedVolume:
+def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Read the first level of a multiscale image, or the array that was chosen, in parts when they are asked for.
 
     Parameters
@@ -37,7 +37,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
         The part is the path of an array or a group in the store: ``sheet.zarr:1`` is the second level.
     channel : str or None
         Passed over: several channels are refused.
-    memory_limit_bytes : int or None
+    memory_bytes : int or None
 
     Returns
     -------
@@ -81,7 +81,7 @@ def load(place: Place, *, channel: str | None, memory_limit_bytes: int | None) -
         path,
         stated=[] if multiscale is None else [stated_by_scale(multiscale, level, axes, order)],
         file_bytes=sum(file.stat().st_size for file in (path / name).rglob("*") if file.is_file()),
-        memory_limit_bytes=memory_limit_bytes,
+        memory_bytes=memory_bytes,
         attrs={"dataset": name or "/"},
         notes=notes,
     )

@@ -39,7 +39,7 @@ def read_sheet_volume(
         return volume, sections
     if section.fixed_rows is not None or section.fixed_cols is not None:
         raise InputError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
-    how: dict[str, Any] = size | {"memory_limit_bytes": compute.volume_bytes}
+    how: dict[str, Any] = size | {"memory_bytes": compute.volume_bytes}
     volume = read_volume(section.path, **how)
     _in_parts(volume, path, compute)
     return (volume if compute.scheduler is None else by_name(volume, section.path, how)), None
@@ -53,7 +53,7 @@ def read_whole(section: VolumeSection, compute: Compute, tell: Progress) -> xr.D
     if not is_section_folder(section.path):
         return read_volume(
             section.path, voxel_um=section.voxel_um, channel=section.channel, override_size=section.override_size,
-            memory_limit_bytes=compute.volume_bytes,
+            memory_bytes=compute.volume_bytes,
         )  # fmt: skip
     volume, sections = join_sections(section, compute, tell)
     return volume.assign_attrs(sections=section_results(sections))
@@ -86,7 +86,7 @@ def join_sections(section: VolumeSection, compute: Compute, tell: Progress) -> t
     stack = read_section_stack(
         path, voxel_um=section.voxel_um, channel=section.channel, override_size=section.override_size,
         # The photographs and the volume made from them are in memory at the same time.
-        memory_limit_bytes=compute.volume_bytes // 2,
+        memory_bytes=compute.volume_bytes // 2,
     )  # fmt: skip
     tell("align", f"{len(stack.values)} sections")
     where = (stack.values, stack.positions_um, stack.pixel_um)

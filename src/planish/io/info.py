@@ -44,7 +44,7 @@ def describe(
     pixel_um: float | tuple[float, float] | None = None,
     channel: str | None = None,
     override_size: bool = False,
-    memory_limit_bytes: int | None = None,
+    memory_bytes: int | None = None,
 ) -> dict[str, Any]:
     """Look through a volume or an image and tell what it holds; of large volumes, a few slices are looked at.
 
@@ -56,7 +56,7 @@ def describe(
     channel : str, optional
         As in :func:`planish.io.read_volume`, for volumes and sections.
     override_size : bool
-    memory_limit_bytes : int, optional
+    memory_bytes : int, optional
 
     Returns
     -------
@@ -76,12 +76,12 @@ def describe(
     place = find_place(path)
     path = place.path
     if is_image(place):
-        return describe_image(path, pixel_um, override_size=override_size, memory_limit_bytes=memory_limit_bytes)
+        return describe_image(path, pixel_um, override_size=override_size, memory_bytes=memory_bytes)
     if is_section_folder(path):
         return describe_sections(
-            path, voxel_um, channel=channel, override_size=override_size, memory_limit_bytes=memory_limit_bytes
+            path, voxel_um, channel=channel, override_size=override_size, memory_bytes=memory_bytes
         )
-    loaded = load_volume(place, channel=channel, memory_limit_bytes=memory_limit_bytes)
+    loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
     warnings = list(loaded.notes)
     found = format_of(place)
     if found.name == SLICES.name and "nrecon" not in loaded.attrs:
@@ -165,7 +165,7 @@ def describe_sections(
     *,
     channel: str | None,
     override_size: bool,
-    memory_limit_bytes: int | None,
+    memory_bytes: int | None,
 ) -> dict[str, Any]:
     """Tell what a folder of sections with its counter holds, as photographed."""
     problem = None
@@ -175,14 +175,12 @@ def describe_sections(
             voxel_um=voxel_um,
             channel=channel,
             override_size=override_size,
-            memory_limit_bytes=memory_limit_bytes,
+            memory_bytes=memory_bytes,
         )
     except SizeError as error:
         problem = str(error)
         # The values are told all the same; their size is not.
-        stack = read_section_stack(
-            path, voxel_um=1.0, channel=channel, override_size=True, memory_limit_bytes=memory_limit_bytes
-        )
+        stack = read_section_stack(path, voxel_um=1.0, channel=channel, override_size=True, memory_bytes=memory_bytes)
     steps = np.diff(stack.positions_um)
     step = float(np.median(steps))
     missing = int(np.sum(np.rint(steps / step) - 1))
@@ -214,10 +212,10 @@ def describe_image(
     pixel_um: float | tuple[float, float] | None,
     *,
     override_size: bool,
-    memory_limit_bytes: int | None,
+    memory_bytes: int | None,
 ) -> dict[str, Any]:
     """Tell what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
-    picture = load_picture(path, memory_limit_bytes=memory_limit_bytes)
+    picture = load_picture(path, memory_bytes=memory_bytes)
     warnings: list[str] = []
     try:
         values, _ = pick_channel(picture, "luminance", file_name=path.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 from planish.io.formats import SLICES, files_of, find_place, format_of
@@ -60,8 +61,16 @@ def fingerprint(path: str | Path) -> str:
     return total.hexdigest()
 
 
+_known: dict[tuple[Path, int, int, int], str] = {}
+"""Hashes of files read before by this process, by path, size, time of change and inode."""
+
+
 def hash_of_file(path: Path) -> str:
-    """SHA-256 of one file."""
+    """SHA-256 of one file; a file that has not changed since is not read again."""
     size_of_file(path)
     with reading(path), path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        status = os.fstat(file.fileno())
+        key = (path.absolute(), status.st_size, status.st_mtime_ns, status.st_ino)
+        if key not in _known:
+            _known[key] = hashlib.file_digest(file, "sha256").hexdigest()
+        return _known[key]
