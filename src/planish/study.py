@@ -9,22 +9,22 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from planish.core.errors import FileError, InputError
+from planish.core.options import Params
+from planish.surface.params import SurfaceParams
 
 Index = Annotated[int, Field(ge=0)]
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Axis = Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)]  # degrees; an axis has no head
 
 
-class Section(BaseModel):
+class Section(Params):
     """A table of the file: unknown keys are errors, nothing changes once read."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
-
-S = TypeVar("S", bound=Section)
+S = TypeVar("S", bound=Params)
 
 
 class VolumeSection(Section):
@@ -54,30 +54,6 @@ class ImageSection(Section):
 
 
 _PATHS = {"path", "run", "marks", "design"}
-Label = Annotated[int, Field(ge=0)]
-
-
-class LabelsSection(Section):
-    """What the labels of a volume mean that another program has segmented."""
-
-    air: tuple[Label, ...] = (0,)
-    base: tuple[Label, ...] = (1,)
-    coating: tuple[Label, ...] = (2,)
-    void: tuple[Label, ...] = ()
-
-
-class SurfaceSection(Section):
-    """Choices of the surface search."""
-
-    sheet_grey: tuple[float, float] | None = None
-    seed_um: tuple[float, float, float] | None = None
-    coating_grey: float | None = None
-    fringe: Literal["auto", "off"] | Annotated[float, Field(ge=0, le=1)] = "auto"
-    labels: LabelsSection | None = None
-    method: Literal["profile", "paper"] = "profile"
-    envelope_um: Length | None = None
-    cutoff_um: Length = 400.0
-    rim_um: Annotated[float, Field(ge=0)] = 100.0
 
 
 class PropertiesSection(Section):
@@ -146,7 +122,7 @@ class Study(Section):
 
     volume: VolumeSection
     image: ImageSection | None = None
-    surface: SurfaceSection = SurfaceSection()
+    surface: SurfaceParams = SurfaceParams()
     properties: PropertiesSection = PropertiesSection()
     flatten: FlattenSection = FlattenSection()
     registration: RegistrationSection = RegistrationSection()
@@ -259,8 +235,8 @@ def with_paths(section: S, change: Callable[[str], str]) -> S:
         value = getattr(section, name)
         if name in _PATHS and isinstance(value, str):
             update[name] = change(value)
-        elif isinstance(value, Section):
+        elif isinstance(value, Params):
             update[name] = with_paths(value, change)
-        elif isinstance(value, tuple) and value and isinstance(value[0], Section):
+        elif isinstance(value, tuple) and value and isinstance(value[0], Params):
             update[name] = tuple(with_paths(part, change) for part in value)
     return section.model_copy(update=update)

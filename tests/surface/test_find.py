@@ -8,6 +8,7 @@ from scipy import ndimage
 from naive import staircase
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
+from planish.core.tiles import Engine
 from planish.surface import SurfaceParams, find_surfaces
 from surface.sheets import VOXEL, slab, volume
 
@@ -52,8 +53,8 @@ def test_any_axis_gives_the_same_surfaces(through):
 
 def test_threads_change_nothing():
     grey, *_ = slab(wave=10.0)
-    one = find_surfaces(volume(grey), params=SurfaceParams(threads=1))
-    three = find_surfaces(volume(grey), params=SurfaceParams(threads=3))
+    one = find_surfaces(volume(grey), engine=Engine(threads=1))
+    three = find_surfaces(volume(grey), engine=Engine(threads=3))
     xr.testing.assert_identical(one, three)
 
 

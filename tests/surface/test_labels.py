@@ -4,13 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from planish.core.errors import VolumeError
+from planish.core.errors import InputError, VolumeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
-from planish.surface import SurfaceParams, find_surfaces, surfaces_from_labels
+from planish.surface import LabelParams, SurfaceParams, find_surfaces
 from planish.surface.slices import otsu
 from surface.sheets import Sheet
+
+
+def from_labels(volume, **how):
+    return find_surfaces(volume, params=SurfaceParams(labels=LabelParams(**how)))
+
 
 SHEET = Sheet(lateral=(50, 56), thickness=60.0, margin=15.0, coats=(14.0, 0.0))
 
@@ -19,7 +25,7 @@ SHEET = Sheet(lateral=(50, 56), thickness=60.0, margin=15.0, coats=(14.0, 0.0))
 @pytest.mark.parametrize("through", ["z", "x"])
 def test_boundaries_lie_within_half_a_voxel(tilt, through):
     sheet = replace(SHEET, tilt=tilt, through=through)
-    found = surfaces_from_labels(sheet.labels(), frame=Frame(through=through))
+    found = find_surfaces(sheet.labels(), frame=Frame(through=through), params=SurfaceParams(labels=LabelParams()))
     truth = sheet.surfaces()
     assert (found["status"].values == 0).mean() > 0.99
     for name in ("top", "bottom", "interface_top"):
@@ -30,10 +36,10 @@ def test_boundaries_lie_within_half_a_voxel(tilt, through):
 
 def test_meanings_may_be_given_and_several_labels_may_mean_the_same():
     labels = SHEET.labels()
-    plain = surfaces_from_labels(labels)
+    plain = from_labels(labels)
     other = np.array([7, 3, 9], dtype=np.uint8)[labels.values]
     other[:, ::2] = np.where(other[:, ::2] == 3, 4, other[:, ::2])
-    found = surfaces_from_labels(labels.copy(data=other), meaning={"air": 7, "base": (3, 4), "coating": 9})
+    found = from_labels(labels.copy(data=other), air=(7,), base=(3, 4), coating=(9,))
     for name in ("top", "bottom", "interface_top", "centre"):
         np.testing.assert_array_equal(found[name], plain[name])
 
@@ -43,25 +49,27 @@ def test_pores_belong_to_the_sheet_and_are_no_face():
     labels[(labels == 1) & (np.random.default_rng(0).random(labels.shape) < 0.3)] = 5
     given = SHEET.labels().copy(data=labels)
     with pytest.raises(VolumeError, match=r"label 5.*--label-void"):
-        surfaces_from_labels(given)
-    found = surfaces_from_labels(given, meaning={"void": 5})
-    np.testing.assert_array_equal(found["top"], surfaces_from_labels(SHEET.labels())["top"])
+        from_labels(given)
+    found = from_labels(given, void=(5,))
+    np.testing.assert_array_equal(found["top"], from_labels(SHEET.labels())["top"])
 
 
 def test_what_cannot_be_meant():
     with pytest.raises(VolumeError, match="two meanings"):
-        surfaces_from_labels(SHEET.labels(), meaning={"base": 2})
+        from_labels(SHEET.labels(), base=(2,))
     with pytest.raises(VolumeError, match="integers"):
-        surfaces_from_labels(SHEET.labels().astype(np.float32))
-    with pytest.raises(VolumeError, match="no meaning of a label"):
-        surfaces_from_labels(SHEET.labels(), meaning={"paper": 1})
+        from_labels(SHEET.labels().astype(np.float32))
+    with pytest.raises(ValidationError, match="paper"):
+        from_labels(SHEET.labels(), paper=(1,))
+    with pytest.raises(InputError, match="have no mean"):
+        find_surfaces(SHEET.labels(), params=SurfaceParams(labels=LabelParams()), step=2)
 
 
 @pytest.mark.parametrize("kind", ["labels", "paper"])
 def test_tiles_change_nothing(kind):
     def run(engine):
         if kind == "labels":
-            return surfaces_from_labels(SHEET.labels(), engine=engine)
+            return find_surfaces(SHEET.labels(), params=SurfaceParams(labels=LabelParams()), engine=engine)
         return find_surfaces(SHEET.volume(), params=SurfaceParams(method="paper"), engine=engine)
 
     one, other = run(Engine(threads=1)), run(Engine(threads=3, memory_bytes=2**20))

@@ -7,7 +7,8 @@ from scipy import ndimage
 
 from planish.core.errors import InputError
 from planish.pipeline import run_study
-from planish.study import ImageSection, LabelsSection, PropertiesSection, Study, SurfaceSection, VolumeSection
+from planish.study import ImageSection, PropertiesSection, Study, VolumeSection
+from planish.surface import LabelParams, SurfaceParams
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def labels(specimen, tmp_path_factory):
 
 def study(labels, **sections):
     volume = VolumeSection(path=str(labels), voxel_um=(4.0, 4.0, 4.0))
-    return Study(volume=volume, surface=SurfaceSection(labels=LabelsSection()), **sections)
+    return Study(volume=volume, surface=SurfaceParams(labels=LabelParams()), **sections)
 
 
 def test_labels_are_mapped_and_linked_to_the_end(labels, specimen_files, tmp_path):

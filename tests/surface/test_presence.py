@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
-from planish.surface import SurfaceParams, find_surfaces, surfaces_from_labels
+from planish.surface import LabelParams, SurfaceParams, find_surfaces
 from planish.surface.columns import Columns
 from planish.surface.presence import LAYERS, find_presence
 from surface.sheets import VOXEL, Sheet, slab, volume
@@ -140,7 +140,7 @@ def test_labels_carry_all_three():
     sheet = Sheet(lateral=(50, 56), thickness=60.0, margin=15.0, coats=(14.0, 0.0))
     labels = sheet.labels()
     labels.values[:, 20:30, 20:30] = 0
-    found = surfaces_from_labels(labels, params=SurfaceParams(rim_um=5.0))
+    found = find_surfaces(labels, params=SurfaceParams(rim_um=5.0, labels=LabelParams()))
     for name in LAYERS:
         assert found[name].values[25, 25] == 0.0
         assert found[name].values[5, 5] == 1.0

@@ -7,7 +7,7 @@ from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexed
 
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
-from planish.surface import SurfaceParams, find_surfaces
+from planish.surface import find_surfaces
 from planish.surface.columns import Columns
 from surface.sheets import VOXEL, slab, volume
 
@@ -68,7 +68,7 @@ def test_a_volume_on_disk_is_read_in_parts_and_gives_the_same():
 @pytest.mark.parametrize("slope", [0.0, 0.5])
 def test_wide_columns_find_the_same_faces(step, slope):
     grey, middle, half = slab(shape=(110, 121, 130), height=165.0, slope=slope, noise=12.0)
-    found = find_surfaces(volume(np.rint(grey).astype(np.uint8)), params=SurfaceParams(step=step))
+    found = find_surfaces(volume(np.rint(grey).astype(np.uint8)), step=step)
     assert found.sizes == {"y": 121 // step, "x": 130 // step}
     x = found["x"].values
     assert x[0] == pytest.approx(0.5 * (step - 1) * VOXEL)

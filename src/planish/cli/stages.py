@@ -115,16 +115,12 @@ def surface(volume: Path, out: Path, **options: Any) -> None:
     from planish.core.frame import Frame
     from planish.io import read_volume
     from planish.io.run_folder import refuse_existing
-    from planish.surface import SurfaceParams, find_surfaces, surfaces_from_labels
+    from planish.surface import SurfaceParams, find_surfaces
 
     refuse_existing(out)
     data = read_volume(volume, voxel_um=options["voxel_um"], override_size=options["override_size"])
-    params = SurfaceParams(**{k: options[k] for k in SURFACE})
-    frame, meaning = Frame(through=options["through"], top=options["top"]), meaning_of(options)
-    if meaning is None:
-        found = find_surfaces(data, frame=frame, params=params)
-    else:
-        found = surfaces_from_labels(data, frame=frame, meaning=meaning, params=params)
+    params = SurfaceParams.model_validate({k: options[k] for k in SURFACE} | {"labels": meaning_of(options)})
+    found = find_surfaces(data, frame=Frame(through=options["through"], top=options["top"]), params=params)
     share = float((found["status"].values == 0).mean())
     _write(
         out,

@@ -32,7 +32,7 @@ from planish.results import (
     surface_results,
 )
 from planish.study import Study
-from planish.surface import SurfaceParams, find_surfaces, surfaces_from_labels
+from planish.surface import find_surfaces
 from planish.surface.presence import LAYERS
 
 _THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room on both sides
@@ -61,29 +61,15 @@ def map_sheet(
     voxel = tuple(float(v) for v in volume.attrs["voxel_um"])
     frame = Frame(through=study.volume.through, top=study.volume.top)
     step = column_step(volume, frame, study.volume.column_um, compute)
-    if step > 1 and study.surface.labels is not None:
-        raise InputError(
-            f"The labels of {step} x {step} voxels have no mean: labels need columns of one voxel, and more memory "
-            "(--memory), or a cropped volume."
-        )
     wide = f", columns of {step} x {step}" if step > 1 else ""
     tell("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
-    s = study.surface
-    params = SurfaceParams(
-        sheet_grey=s.sheet_grey, seed_um=s.seed_um, coating_grey=s.coating_grey, fringe=s.fringe,
-        envelope_um=s.envelope_um, method=s.method, cutoff_um=s.cutoff_um, rim_um=s.rim_um, step=step,
-    )  # fmt: skip
     with engine(compute, kept=None if kept is None else kept / str(step)) as tiles:
-        if s.labels is None:
-            surfaces = find_surfaces(volume, frame=frame, params=params, engine=tiles)
-        else:
-            meaning = s.labels.model_dump()
-            surfaces = surfaces_from_labels(volume, frame=frame, meaning=meaning, params=params, engine=tiles)
+        surfaces = find_surfaces(volume, frame=frame, params=study.surface, step=step, engine=tiles)
     _check_thickness(surfaces)
     tell("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
     found, properties = surfaces, measure_properties(surfaces)
     surfaces = surfaces.drop_vars("status").merge(properties, combine_attrs="override")
-    if s.labels is None:
+    if study.surface.labels is None:
         further = measure_more(volume, surfaces, study.properties, compute, tell).drop_vars("status")
         surfaces = surfaces.merge(further, compat="override", combine_attrs="override")
     elif study.properties.maps:

@@ -1,7 +1,5 @@
 """From a volume to the faces, interfaces and centre of its sheet."""
 
-from planish.surface.find import find_surfaces
-from planish.surface.labels import MEANING, surfaces_from_labels
-from planish.surface.params import SurfaceParams
+import lazy_loader as lazy
 
-__all__ = ["MEANING", "SurfaceParams", "find_surfaces", "surfaces_from_labels"]
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

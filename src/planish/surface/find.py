@@ -8,11 +8,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.errors import InputError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
 from planish.surface.assemble import Found, assemble
 from planish.surface.columns import Columns
 from planish.surface.faces import find_faces
+from planish.surface.labels import surfaces_from_labels
 from planish.surface.learn import learn
 from planish.surface.levels import GreyLevels
 from planish.surface.oriented import make_guide
@@ -30,6 +32,7 @@ def find_surfaces(
     *,
     frame: Frame | None = None,
     params: SurfaceParams | None = None,
+    step: int = 1,
     engine: Engine | None = None,
 ) -> xr.Dataset:
     """Find top, bottom, interfaces and centre surface of the sheet in a volume.
@@ -37,10 +40,12 @@ def find_surfaces(
     Parameters
     ----------
     volume : DataArray, dims (z, y, x), coordinates in um
-        Grey values; NaN is missing.
+        Grey values, NaN is missing; with ``params.labels``, integer labels.
     frame : Frame
         Axis through the sheet and side of its top; z and its high end where not given.
     params : SurfaceParams
+    step : int
+        Width of a measured column in voxels: 1 measures every column of voxels, 3 the means of 3 x 3.
     engine : Engine
         How the tiles are worked on; local threads where not given. The result does not depend on it.
 
@@ -62,7 +67,9 @@ def find_surfaces(
     Raises
     ------
     VolumeError
-        If the volume holds no sheet, several, or one that fills it from end to end.
+        If the volume holds no sheet, several, or one that fills it from end to end; if a label has no meaning or two.
+    InputError
+        If columns of labels are wider than a voxel.
 
     Notes
     -----
@@ -71,8 +78,15 @@ def find_surfaces(
     """
     frame = frame or Frame()
     params = params or SurfaceParams()
-    engine = engine or Engine(threads=params.threads)
-    columns = Columns(volume=volume, frame=frame, step=params.step)
+    engine = engine or Engine()
+    if params.labels is not None:
+        if step > 1:
+            raise InputError(
+                f"The labels of {step} x {step} voxels have no mean: labels need columns of one voxel. Give more "
+                "memory (--memory), or crop the volume."
+            )
+        return surfaces_from_labels(volume, frame, params.labels, params, engine)
+    columns = Columns(volume=volume, frame=frame, step=step)
     survey = take_survey(columns, params, engine)
     columns = columns.padded(survey.padding)
     guide = make_guide(survey.coarse, columns)

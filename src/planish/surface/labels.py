@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,15 +17,12 @@ from planish.surface.assemble import Found, assemble
 from planish.surface.columns import Columns
 from planish.surface.faces import placed
 from planish.surface.oriented import Guide, make_guide
-from planish.surface.params import SurfaceParams
+from planish.surface.params import LabelParams, SurfaceParams
 from planish.surface.presence import find_presence
 from planish.surface.regions import doubtful
 from planish.surface.survey import survey_labels
 
 Array = NDArray[np.float64]
-Labels = int | Sequence[int] | None
-
-MEANING: dict[str, Labels] = {"air": 0, "base": 1, "coating": 2, "void": None}
 _CODES = {"air": 0, "base": 1, "void": 2, "coating": 3}
 _UNKNOWN = 255
 _COATED_SHARE = 0.02  # of the columns; below it a side has no coating
@@ -56,7 +52,7 @@ class LabelColumns(Columns):
         if (out == _UNKNOWN).any():
             label = raw[out == _UNKNOWN].flat[0]
             raise VolumeError(
-                f"The volume holds the label {label}, and it was not told what it means. Say which labels are air, "
+                f"The volume holds the label {label}, and its meaning is not given. Say which labels are air, "
                 "base, coating and void with --label-air, --label-base, --label-coating and --label-void."
             )
         return (out > 0).astype(np.uint8) if self.sheet else out
@@ -70,43 +66,14 @@ class _Job:
 
 
 def surfaces_from_labels(
-    labels: xr.DataArray,
-    *,
-    frame: Frame | None = None,
-    meaning: Mapping[str, Labels] | None = None,
-    params: SurfaceParams | None = None,
-    engine: Engine | None = None,
+    labels: xr.DataArray, frame: Frame, meaning: LabelParams, params: SurfaceParams, engine: Engine
 ) -> xr.Dataset:
-    """Find the surfaces of the sheet in a volume of labels.
-
-    Parameters
-    ----------
-    labels : DataArray of integers, dims (z, y, x), coordinates in um
-    frame : Frame
-    meaning : mapping, optional
-        Label, or labels, of ``air``, ``base``, ``coating`` and ``void`` (pores in the sheet). What is left out keeps
-        its default: 0, 1, 2, and no voids.
-    params : SurfaceParams
-        ``cutoff_um``, ``rim_um``, ``seed_um`` and ``envelope_um`` are used.
-    engine : Engine
-
-    Returns
-    -------
-    Dataset
-        As :func:`find_surfaces` gives it, without grey levels. A boundary lies half way between the voxels.
-
-    Raises
-    ------
-    VolumeError
-        If the labels are no integers, one has no meaning or two, or there is no single sheet.
-    """
-    frame, params = frame or Frame(), params or SurfaceParams()
-    engine = engine or Engine(threads=params.threads)
+    """Find the surfaces in labels: a boundary lies half way between the voxels, there are no grey levels."""
     if not np.issubdtype(labels.dtype, np.integer) and labels.dtype != np.bool_:
         raise VolumeError(
             f"Labels are integers; this volume holds {labels.dtype}. Give the label volume, not the grey."
         )
-    columns = LabelColumns(volume=labels, frame=frame, codes=_codes(meaning or {}))
+    columns = LabelColumns(volume=labels, frame=frame, codes=_codes(meaning))
     coarse = survey_labels(columns, params, engine)
     guide = make_guide(coarse, columns)
     coded = LabelColumns(volume=labels, frame=frame, codes=columns.codes, sheet=False)
@@ -138,14 +105,11 @@ def surfaces_from_labels(
     return surfaces
 
 
-def _codes(meaning: Mapping[str, Labels]) -> tuple[tuple[int, int], ...]:
-    unknown = sorted(set(meaning) - set(_CODES))
-    if unknown:
-        raise VolumeError(f"'{unknown[0]}' is no meaning of a label. There are air, base, coating and void.")
+def _codes(meaning: LabelParams) -> tuple[tuple[int, int], ...]:
     codes: dict[int, int] = {}
-    for name, given in (MEANING | dict(meaning)).items():
-        for label in () if given is None else (given,) if isinstance(given, int) else given:
-            if codes.setdefault(int(label), _CODES[name]) != _CODES[name]:
+    for name, code in _CODES.items():
+        for label in getattr(meaning, name):
+            if codes.setdefault(int(label), code) != code:
                 raise VolumeError(
                     f"The label {label} was given two meanings, one of them {name}. Give each label once."
                 )

@@ -1,0 +1,3 @@
+from .find import find_surfaces as find_surfaces
+from .params import LabelParams as LabelParams
+from .params import SurfaceParams as SurfaceParams
