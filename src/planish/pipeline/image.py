@@ -15,11 +15,11 @@ from planish.compute import Compute
 from planish.core.grid import Grid, pitch
 from planish.gates import link_gates, map_gates
 from planish.io import read_image
-from planish.marks import find_holes
+from planish.marks import HoleParams, find_holes, find_sheet_holes, hole_mask
 from planish.marks.files import read_pairs
 from planish.measure import PROPERTIES
 from planish.pipeline.grid import agreement, expected_error, headline_of, image_attrs, sheet_on
-from planish.pipeline.holes import at_flat, holes_of_map, in_flat, outside_holes
+from planish.pipeline.holes import at_flat, in_flat
 from planish.pipeline.marking import Plane, check_enough, join_found, join_given, read_design
 from planish.pipeline.orientation import orientation_results
 from planish.pipeline.refinement import refine_link
@@ -71,7 +71,7 @@ def link_sheet(
     holes = None
     if given is None:
         tell("register", "holes of the sheet")
-        holes = holes_of_map(maps, r.hole_um, fixed.faces)
+        holes = find_sheet_holes(maps, params=HoleParams(hole_um=r.hole_um), side=fixed.faces)
     else:
         tell("register", f"{given.sizes['mark']} pairs from {Path(r.marks or '').name}")
     moving = Plane(name="volume", holes=holes, sheet=True, md_deg=study.volume.md_deg)
@@ -84,7 +84,7 @@ def link_sheet(
     tell("link", f"{image.shape[0]} x {image.shape[1]} pixels")
     radii = 0.5 * joined.blocked_diameter_um + study.surface.rim_um
     grid = Grid.of(image)
-    away = outside_holes(grid.y_um, grid.x_um, joined.blocked_um, radii)
+    away = ~hole_mask(grid, joined.blocked_um, radii)
     linked = _linked(surfaces, flat, Chain(fits=(fit,)), image, grid, away)
     headline = headline_of(linked, fixed.faces)
     tell("correlate", headline)

@@ -18,10 +18,10 @@ from planish.core.errors import CannotRegister
 from planish.core.grid import Grid
 from planish.gates import Gate, direction_gates, field_gate, map_gates, mark_gates, sheet_gates
 from planish.io import read_image
-from planish.marks import find_holes
+from planish.marks import HoleParams, cut_holes, find_holes, find_sheet_holes, hole_mask
 from planish.marks.files import read_pairs
 from planish.pipeline.grid import expected_error, headline_of, image_attrs, image_on, sheet_on
-from planish.pipeline.holes import cut_holes, holes_of_map, in_flat, outside_holes
+from planish.pipeline.holes import in_flat
 from planish.pipeline.marking import Joined, Plane, check_enough, join_found, join_given, read_design
 from planish.pipeline.orientation import orientation_results
 from planish.pipeline.pairs import compare, lag_between, likeness, side_seen
@@ -149,9 +149,8 @@ def _read(
             section.map, progress=tell, compute=compute, kept=None if kept is None else kept / section.name
         )
     maps = sheet.groups["maps"]
-    plane = Plane(
-        name=section.name, holes=holes_of_map(maps, hole_um), sheet=True, md_deg=sheet.study.volume.md_deg
-    )  # fmt: skip
+    holes = find_sheet_holes(maps, params=HoleParams(hole_um=hole_um))
+    plane = Plane(name=section.name, holes=holes, sheet=True, md_deg=sheet.study.volume.md_deg)
     grid = Grid.of(maps)
     return _Layer(section=section, plane=plane, grid=grid, sheet=sheet, image=None)
 
@@ -180,7 +179,8 @@ def _as_seen(layer: _Layer, other: _Layer, r: RegistrationSection) -> Plane:
     """The plane of a layer with the holes of the face that the other layer shows."""
     if layer.sheet is None or other.sheet is not None or other.plane.faces == "top":
         return layer.plane
-    return replace(layer.plane, holes=holes_of_map(layer.sheet.groups["maps"], r.hole_um, "bottom"))
+    params = HoleParams(hole_um=r.hole_um)
+    return replace(layer.plane, holes=find_sheet_holes(layer.sheet.groups["maps"], params=params, side="bottom"))
 
 
 def _way(layer: _Layer, joined: dict[str, tuple[_Layer, Joined]]) -> Chain:
@@ -223,15 +223,13 @@ def _away_from_holes(layer: _Layer, way: Chain | None, grid: Grid, rim_um: float
     """Pixels of the reference that are away from the holes of one layer, also from those that its border cuts."""
     holes = layer.plane.holes
     assert holes is not None
-    at = np.stack([holes["x"].values, holes["y"].values], axis=1)
-    radii = 0.5 * holes["diameter"].values
-    if layer.image is not None:
-        cut = cut_holes(layer.image, holes)
-        at, radii = np.concatenate([at, cut[:, :2]]), np.concatenate([radii, cut[:, 2]])
+    every = [holes] if layer.image is None else [holes, cut_holes(layer.image, holes)]
+    at = np.concatenate([np.stack([h["x"].values, h["y"].values], axis=1) for h in every])
+    radii = np.concatenate([0.5 * h["diameter"].values for h in every])
     there = at if way is None else way(at)
     known = np.isfinite(there).all(axis=1)
     scale = 1.0 if way is None else way.similarity.scale
-    return outside_holes(grid.y_um, grid.x_um, there[known], scale * radii[known] + rim_um)
+    return ~hole_mask(grid, there[known], scale * radii[known] + rim_um)
 
 
 def _told(

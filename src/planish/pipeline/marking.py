@@ -10,9 +10,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, MarkError
-from planish.marks import Side
+from planish.marks import Side, hole_tilt
 from planish.marks.design import Pattern, read_pattern
-from planish.pipeline.holes import in_sheet_results
 from planish.pipeline.run import Array
 from planish.register import FittedTransform, fit_transform, match_by_design, match_marks
 from planish.study import RegistrationSection
@@ -116,8 +115,8 @@ def join_found(moving: Plane, fixed: Plane, r: RegistrationSection, pattern: Pat
     )
     seen: dict[str, Any] = {"source": "found", f"found_{names[0]}": len(a), f"found_{names[1]}": len(b),
                             "sentence": found.sentence, "rival_inliers": found.rival_inliers}  # fmt: skip
-    if (told := in_sheet_results(moving.holes)) is not None:
-        seen["tilt"] = told
+    if (told := hole_tilt(moving.holes)) is not None:
+        seen["tilt"] = told.model_dump(mode="json")
     if pattern is not None:
         seen["design"] = {
             "name": pattern.name,

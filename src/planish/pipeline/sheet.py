@@ -172,6 +172,11 @@ def _flat_maps(surfaces: xr.Dataset, flattened: Flattened, map_um: float) -> xr.
     source = source.assign({name: surfaces[name] for name in LAYERS})
     maps = with_angles(resample_dataset(source, places, dims=("v", "u"), coords=coords))
     maps["valid"] = (("v", "u"), np.isfinite(maps["thickness"].values), {"long_name": "Measured"})
-    apart = float(np.mean(LAYERS["presence"]) - np.mean(LAYERS["presence_bottom"]))
-    maps.attrs = {"overlaps": places.overlaps, "layers_apart_um": apart * float(surfaces.attrs["thickness_um"])}
+    # Where the layers lie that holes are found in: the face is half a thickness from the centre surface.
+    upper, lower = (float(np.mean(LAYERS[name])) for name in ("presence", "presence_bottom"))
+    maps.attrs = {
+        "overlaps": places.overlaps,
+        "layers_apart_um": (upper - lower) * float(surfaces.attrs["thickness_um"]),
+        "layer_to_face": (0.5 - upper) / (upper - lower),
+    }
     return single(maps)

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from planish.core.errors import MarkError, SizeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
-from planish.marks import find_holes, find_holes_in_sheet
+from planish.marks import HoleParams, find_holes, find_sheet_holes, hole_tilt
 from planish.surface.columns import Columns
 from planish.surface.presence import LAYERS, find_presence
 from surface.sheets import volume
@@ -40,6 +41,14 @@ def layer_maps(leans, **more):
     return [layer_map(name, leans, **more) for name in LAYERS]
 
 
+def dataset(*layers, pixel=(PIXEL, PIXEL), origin=(0.0, 0.0), **attrs):
+    """Maps of the layers that are there, top, centre, bottom."""
+    (rows, cols), names = layers[0].shape, list(LAYERS)
+    data = {name: (("v", "u"), layer) for name, layer in zip(names, layers, strict=False) if layer is not None}
+    coords = {"v": origin[0] + np.arange(rows) * pixel[0], "u": origin[1] + np.arange(cols) * pixel[1]}
+    return xr.Dataset(data, coords=coords, attrs=attrs)
+
+
 def xy(holes, suffix=""):
     return np.stack([holes[f"x{suffix}"].values, holes[f"y{suffix}"].values], axis=1)
 
@@ -47,7 +56,7 @@ def xy(holes, suffix=""):
 def test_an_oblique_laser_is_measured():
     lean = np.array([14.0, -9.0])
     maps = layer_maps(lean)
-    found = find_holes_in_sheet(*maps, pixel_um=PIXEL, apart_um=APART * 100.0)
+    found = find_sheet_holes(dataset(*maps, layers_apart_um=APART * 100.0))
     assert found.sizes == {"mark": 6}
     order = np.lexsort(CENTRES.T)
     for name, share in (("_top", 0.26), ("_centre", 0.0), ("_bottom", -0.26), ("", 0.26)):
@@ -68,14 +77,14 @@ def test_an_oblique_laser_is_measured():
 def test_the_side_that_the_image_shows():
     lean = np.array([10.0, 6.0])
     maps = layer_maps(lean)
-    top, bottom = (find_holes_in_sheet(*maps, pixel_um=PIXEL, side=side) for side in ("top", "bottom"))
+    top, bottom = (find_sheet_holes(dataset(*maps), side=side) for side in ("top", "bottom"))
     plain = find_holes(maps[0], pixel_um=PIXEL, polarity="dark")
     for name in plain.data_vars:
         np.testing.assert_array_equal(top[name], plain[name])
     np.testing.assert_array_equal(xy(bottom), xy(bottom, "_bottom"))
     np.testing.assert_allclose(xy(bottom), xy(top, "_bottom"), atol=0.3)
     np.testing.assert_allclose(bottom.attrs["offset_um"], top.attrs["offset_um"], atol=0.3)
-    moved = find_holes_in_sheet(*maps, pixel_um=PIXEL, origin_um=(-30.0, 70.0))
+    moved = find_sheet_holes(dataset(*maps, origin=(-30.0, 70.0)))
     for name in ("", "_top", "_centre", "_bottom"):
         np.testing.assert_allclose(xy(moved, name), xy(top, name) + np.array([70.0, -30.0]), atol=1e-9)
     np.testing.assert_allclose(moved["offset_x"], top["offset_x"], atol=1e-9)
@@ -85,7 +94,7 @@ def test_the_side_that_the_image_shows():
 def test_holes_that_are_half_through_stay_and_are_counted():
     depth = np.array([1.0, 0.5, 1.0, 0.5, 1.0, 1.0])
     maps = layer_maps(np.array([8.0, 0.0]), depth=depth)
-    found = find_holes_in_sheet(*maps, pixel_um=PIXEL)
+    found = find_sheet_holes(dataset(*maps))
     closed = depth[np.lexsort(CENTRES.T)] < 1
     assert found.sizes == {"mark": 6}
     np.testing.assert_array_equal(found["other_side"].values == 1, closed)
@@ -95,7 +104,7 @@ def test_holes_that_are_half_through_stay_and_are_counted():
     assert (found.attrs["through"], found.attrs["closed"], found.attrs["unclear"]) == (4, 2, 0)
     assert found.attrs["offset_count"] == 4
     # Seen from below, the two are not there.
-    below = find_holes_in_sheet(*maps, pixel_um=PIXEL, side="bottom")
+    below = find_sheet_holes(dataset(*maps), side="bottom")
     assert below.sizes == {"mark": 4}
     assert below.attrs["other_side_only"] == 2
 
@@ -105,14 +114,14 @@ def test_what_is_open_but_not_round_or_not_known_is_unclear():
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] * PIXEL
     maps[2][(np.hypot(x - 250, y - 220) < 100) & (x > 265)] = 1.0
     maps[2][np.hypot(x - 700, y - 230) < 60] = np.nan
-    found = find_holes_in_sheet(*maps, pixel_um=PIXEL)
+    found = find_sheet_holes(dataset(*maps))
     assert found["other_side"].values.tolist() == [2, 2, 0, 0, 0, 0]
     assert (found.attrs["through"], found.attrs["closed"], found.attrs["unclear"]) == (4, 0, 2)
 
 
 def test_leans_that_differ_are_a_spread():
     leans = np.array([(0.0, 4.0), (20.0, -4.0), (-20.0, 2.0), (10.0, 0.0), (-10.0, -2.0), (2.0, 0.0)])
-    found = find_holes_in_sheet(*layer_maps(leans), pixel_um=PIXEL)
+    found = find_sheet_holes(dataset(*layer_maps(leans)))
     true = APART * leans[np.lexsort(CENTRES.T)]
     np.testing.assert_allclose(xy(found, "_bottom") - xy(found, "_top"), true, atol=0.6)
     np.testing.assert_allclose(np.stack([found["offset_x"], found["offset_y"]], axis=1), true, atol=0.6)
@@ -127,16 +136,16 @@ def test_far_offsets_are_followed_as_long_as_the_holes_are_round():
     """Up to 0.4 diameters; holes that lean more are smeared in the maps, and none is made up."""
     lean = np.array([0.0, 140.0])
     depth = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.5])
-    found = find_holes_in_sheet(*layer_maps(lean, taper=0.0, depth=depth), pixel_um=PIXEL)
+    found = find_sheet_holes(dataset(*layer_maps(lean, taper=0.0, depth=depth)))
     assert (found.attrs["through"], found.attrs["closed"]) == (5, 1)
     np.testing.assert_allclose(found.attrs["offset_um"], APART * lean, atol=1.0)
-    found = find_holes_in_sheet(*layer_maps(2 * lean, taper=0.0), pixel_um=PIXEL)
+    found = find_sheet_holes(dataset(*layer_maps(2 * lean, taper=0.0)))
     assert found.attrs["through"] == 0
 
 
 def test_a_run_that_has_the_top_only():
     top = layer_map("presence", np.zeros(2))
-    found = find_holes_in_sheet(top, pixel_um=PIXEL)
+    found = find_sheet_holes(dataset(top))
     assert found.sizes == {"mark": 6}
     np.testing.assert_array_equal(xy(found), xy(found, "_top"))
     for name in ("x_centre", "y_bottom", "diameter_centre", "offset_x"):
@@ -144,32 +153,51 @@ def test_a_run_that_has_the_top_only():
     assert found.attrs["layers"] == ["top"]
     assert (found.attrs["through"], found.attrs["closed"], found.attrs["unclear"]) == (0, 0, 6)
     assert np.isnan(found.attrs["offset_um"]).all()
-    with pytest.raises(MarkError, match=r"bottom of the sheet.*old ones"):
-        find_holes_in_sheet(top, pixel_um=PIXEL, side="bottom")
+    assert "No hole was seen on both sides" in hole_tilt(found).sentence
+    # Maps that hold the top's layer only give its holes for either side, and say so.
+    below = find_sheet_holes(dataset(top), side="bottom")
+    assert below.attrs["side"] == "top"
+    np.testing.assert_array_equal(xy(below), xy(found))
+
+
+def test_a_common_offset_is_followed_to_the_face():
+    """The layer's middle lies .24 of the thickness below its face, .52 above the other's."""
+    lean = np.array([14.0, -9.0])
+    maps = dataset(*layer_maps(lean), layers_apart_um=52.0, layer_to_face=0.24 / 0.52)
+    order = np.lexsort(CENTRES.T)
+    for side, share in (("top", 0.5), ("bottom", -0.5)):
+        found = find_sheet_holes(maps, side=side)
+        assert np.abs(xy(found) - (CENTRES[order] - share * lean)).max() < 0.6
+        to_face = np.broadcast_to(found.attrs["to_face_um"], (6, 2))
+        np.testing.assert_allclose(xy(found) - xy(found, f"_{side}"), to_face, atol=1e-9)
+        assert hole_tilt(found).sentence.startswith("6 holes run through the sheet, shifted by 8.")
+    few = find_sheet_holes(dataset(*layer_maps(lean, centres=CENTRES[:3]), layer_to_face=0.24 / 0.52))
+    assert few.attrs["to_face_um"] == [0.0, 0.0]
+    assert hole_tilt(find_holes(maps["presence"].values, pixel_um=PIXEL)) is None
 
 
 def test_a_sheet_without_holes_and_with_one():
     plain = [np.ones(SHAPE)] * 3
-    found = find_holes_in_sheet(*plain, pixel_um=PIXEL)
+    found = find_sheet_holes(dataset(*plain))
     assert found.sizes == {"mark": 0}
     assert {"x", "x_bottom", "offset_y", "other_side"} <= set(found.data_vars)
     assert np.isnan(found.attrs["offset_um"]).all()
-    one = find_holes_in_sheet(*layer_maps(np.zeros(2), centres=CENTRES[:1]), pixel_um=PIXEL)
+    one = find_sheet_holes(dataset(*layer_maps(np.zeros(2), centres=CENTRES[:1])))
     assert one.attrs["offset_count"] == 1
     assert np.isfinite(one.attrs["offset_um"]).all()
     assert np.isnan(one.attrs["offset_spread_um"]).all()
 
 
 def test_what_cannot_be_followed():
-    maps = [np.ones(SHAPE)] * 3
-    with pytest.raises(MarkError, match="different shapes"):
-        find_holes_in_sheet(maps[0], maps[1][1:], maps[2], pixel_um=PIXEL)
+    maps = dataset(*[np.ones(SHAPE)] * 3)
     with pytest.raises(MarkError, match="'top' or the 'bottom'"):
-        find_holes_in_sheet(*maps, pixel_um=PIXEL, side="left")
-    with pytest.raises(SizeError, match="positive"):
-        find_holes_in_sheet(*maps, pixel_um=PIXEL, apart_um=0.0)
-    with pytest.raises(SizeError, match="positive"):
-        find_holes_in_sheet(*maps, pixel_um=-1.0)
+        find_sheet_holes(maps, side="left")
+    with pytest.raises(MarkError, match=r"no layer.*presence or presence_bottom"):
+        find_sheet_holes(maps[["presence_centre"]])
+    with pytest.raises(MarkError, match="diameters"):
+        find_sheet_holes(maps, params=HoleParams(hole_um=(300.0, 100.0)))
+    with pytest.raises(SizeError, match="2 x 2"):
+        find_sheet_holes(maps.isel(u=slice(1)))
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.2])
@@ -192,7 +220,7 @@ def test_oblique_holes_in_a_volume(slope):
     columns = Columns(volume=volume(grey, voxel), frame=Frame())
     present = find_presence(columns, height[0], thickness, 1.0, (20.0, 180.0), Engine(threads=1))
     pixel = (voxel, voxel * long)
-    found = find_holes_in_sheet(*present.values(), pixel_um=pixel, apart_um=APART * thickness)
+    found = find_sheet_holes(dataset(*present.values(), pixel=pixel, layers_apart_um=APART * thickness))
     assert found.sizes == {"mark": 3}
     expected = APART * thickness * -lean
     print(f"slope {slope}: {found.attrs['offset_um']} um of {expected}, tilt {found.attrs['tilt_deg']} degrees")

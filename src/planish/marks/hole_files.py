@@ -1,0 +1,260 @@
+"""Holes in files: JSON, which keeps everything to the last bit, and a CSV table to read."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import FileError, MarkError
+from planish.core.tables import finite, raise_faults, read_table, read_text, table_text
+
+FORMAT, VERSION = "planish-holes", 1
+_TABLE = ("x", "y", "diameter")
+_HEAD = ("format", "version", "units", "plane", "attributes", "variables")
+
+
+class _Kind(NamedTuple):
+    """What the values of a variable are in JSON."""
+
+    words: str
+    fits: Callable[[Any], bool]
+
+
+def _is_number(value: Any) -> bool:
+    return value is None or (not isinstance(value, str) and finite(value) is not None)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
+
+
+def _is_bool(value: Any) -> bool:
+    return isinstance(value, bool)
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _is_byte(value: Any) -> bool:
+    return _is_whole(value) and 0 <= value <= 255
+
+
+_KINDS = {
+    "float64": _Kind("numbers, or null where missing", _is_number),
+    "int64": _Kind("whole numbers", _is_whole),
+    "uint8": _Kind("whole numbers from 0 to 255", _is_byte),
+    "bool": _Kind("true or false", _is_bool),
+    "str": _Kind("texts", _is_text),
+}
+
+
+def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
+    """Make a JSON object of holes that :func:`holes_from_json` turns back into the same dataset.
+
+    Parameters
+    ----------
+    holes : Dataset, dims (mark)
+        Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`, with any further variables and
+        attributes. ``attrs["plane"]`` names the map or image in which they lie.
+
+    Returns
+    -------
+    dict
+        ``format``, ``version``, ``units``, ``plane``, ``attributes`` and ``variables``. Floats are exact; NaN is null.
+
+    Raises
+    ------
+    MarkError
+        If a variable or an attribute has no place in JSON.
+    """
+    faults: list[str] = []
+    variables: dict[str, Any] = {}
+    for name, variable in holes.variables.items():
+        kind = "str" if variable.dtype.kind == "U" else str(variable.dtype)
+        if variable.dims != ("mark",) or kind not in _KINDS:
+            faults.append(f"{name} has dims {variable.dims} and type {kind}")
+        elif kind == "float64" and np.isinf(variable.values).any():
+            faults.append(f"{name} holds infinite values")
+        else:
+            attributes = _plain(variable.attrs, str(name), faults)
+            variables[str(name)] = {"type": kind, "attributes": attributes, "values": _plain(variable.values)}
+    attributes = _plain({k: v for k, v in holes.attrs.items() if k != "plane"}, "the holes", faults)
+    raise_faults(
+        "The holes cannot be written", faults, f"Types are {', '.join(_KINDS)}, along 'mark'.", error=MarkError
+    )
+    head = {"format": FORMAT, "version": VERSION, "units": "um", "plane": holes.attrs.get("plane")}
+    return head | {"attributes": attributes, "variables": variables}
+
+
+def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Dataset:
+    """Make holes of a JSON object of :func:`holes_to_json`.
+
+    Parameters
+    ----------
+    content : mapping
+    name : str
+        What it was read from, for messages.
+
+    Raises
+    ------
+    MarkError
+        If it holds no holes, is of a later version, or a part is missing or malformed; all faults are named.
+    """
+    if content.get("format") != FORMAT:
+        raise MarkError(f"{name} holds no '{FORMAT}'. Give a file of 'planish holes'.")
+    version = content.get("version")
+    if version != VERSION:
+        raise MarkError(
+            f"{name} has version {version!r} of the format; this planish reads version {VERSION}. Update planish, or "
+            "find the holes again."
+        )
+    faults = [f"{key} is missing" for key in _HEAD if key not in content]
+    faults += [f"{key} is unknown" for key in content if key not in _HEAD]
+    plane, attributes, variables = (content.get(key) for key in ("plane", "attributes", "variables"))
+    if not (plane is None or isinstance(plane, str)):
+        faults.append(f"plane is {str(plane)[:40]!r}, not a name")
+    if content.get("units", "um") != "um":
+        faults.append(f"units is {str(content['units'])[:40]!r}, not 'um'")
+    if not isinstance(attributes, Mapping):
+        faults.append("attributes is no object")
+    data: dict[str, Any] = {}
+    for key, part in variables.items() if isinstance(variables, Mapping) else ():
+        made = _variable(part)
+        if isinstance(made, str):
+            faults.append(f"{key}: {made}")
+        else:
+            data[str(key)] = made
+    faults += [f"no {key}" for key in "xy" if key not in data and not any(f.startswith(f"{key}: ") for f in faults)]
+    if len(counts := {len(made[1]) for made in data.values()}) > 1:
+        faults.append(f"variables have {', '.join(map(str, sorted(counts)))} values; as many of each are needed")
+    raise_faults(name, faults, "Find the holes again, or correct these parts.", error=MarkError)
+    found = {key: _missing_as_nan(value) for key, value in (attributes or {}).items()}
+    return xr.Dataset(data, attrs=found if plane is None else {**found, "plane": plane})
+
+
+def write_holes(holes: xr.Dataset, path: str | Path) -> None:
+    """Write holes into a new file.
+
+    Parameters
+    ----------
+    holes : Dataset, dims (mark)
+    path : str or Path
+        ``.json`` keeps everything; ``.csv`` is the table to read: ``label, x_um, y_um, diameter_um``.
+
+    Raises
+    ------
+    FileError
+        If something stands there already, it cannot be written, or the suffix is another.
+    MarkError
+        If a variable or an attribute has no place in JSON.
+    """
+    place = Path(path)
+    if _suffix(place) == ".csv":
+        columns = [name for name in _TABLE if name in holes]
+        rows = zip(*(holes[name].values for name in columns), strict=True)
+        labelled = [(f"hole {k}", *row) for k, row in enumerate(rows, 1)]
+        text = table_text(["label", *(f"{name}_um" for name in columns)], labelled)
+    else:
+        content = holes_to_json(holes)
+        variables = content.pop("variables")
+        parts = [f" {json.dumps(k)}: {json.dumps(v, ensure_ascii=False, allow_nan=False)}" for k, v in content.items()]
+        listed = [
+            f"  {json.dumps(k)}: {json.dumps(v, ensure_ascii=False, allow_nan=False)}" for k, v in variables.items()
+        ]
+        text = "{\n" + ",\n".join([*parts, ' "variables": {\n' + ",\n".join(listed) + "\n }"]) + "\n}\n"
+    try:
+        with place.open("x", encoding="utf-8", newline="") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise FileError(f"{place} is already there; nothing is overwritten. Choose another name.") from error
+    except OSError as error:
+        raise FileError(f"{place} cannot be written: {error.strerror or error}. Choose another place.") from error
+
+
+def read_holes(path: str | Path) -> xr.Dataset:
+    """Read holes that :func:`write_holes` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.json`` gives the dataset that was written; of a table, ``.csv``, the columns ``x_um, y_um`` and, where it is
+        there, ``diameter_um`` are read and others passed over.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
+    MarkError
+        If something is missing or malformed; all faults are named.
+    """
+    place = Path(path)
+    if _suffix(place) == ".csv":
+        table = read_table(place, needed=("x_um", "y_um"), error=MarkError, what="table of holes")
+        columns = [name for name in _TABLE if f"{name}_um" in table.header]
+        data = table.numbers([f"{name}_um" for name in columns])
+        table.check()
+        if not len(data):
+            raise MarkError(f"{place.name} has a header and no hole. One row for each is needed.")
+        return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(columns, data.T, strict=True)})
+    try:
+        content: object = json.loads(read_text(place, what="file of holes"))
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{place.name} is damaged JSON: {error}. Find the holes again.") from error
+    if not isinstance(content, dict):
+        raise MarkError(f"{place.name} holds no '{FORMAT}'. Give a file of 'planish holes'.")
+    return holes_from_json(content, place.name)
+
+
+def _suffix(place: Path) -> str:
+    suffix = place.suffix.lower()
+    if suffix not in (".json", ".csv"):
+        raise FileError(f"{place.name} is no file of holes: .json keeps everything, .csv is the table to read.")
+    return suffix
+
+
+def _plain(value: Any, where: str = "", faults: list[str] | None = None) -> Any:
+    """Value as JSON has it; what has no place there is a fault."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v, f"{k} of {where}", faults) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v, where, faults) for v in value]
+    if isinstance(value, float) and math.isnan(value):
+        return None
+    if not isinstance(value, (str, int, float)) or value in (math.inf, -math.inf):
+        (faults if faults is not None else []).append(f"{where} is {value!r}")
+    return value
+
+
+def _missing_as_nan(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_missing_as_nan(v) for v in value]
+    if isinstance(value, dict):
+        return {k: _missing_as_nan(v) for k, v in value.items()}
+    return math.nan if value is None else value
+
+
+def _variable(part: Any) -> tuple[str, Any, Any] | str:
+    """Variable of its JSON, or what is wrong with it."""
+    if not isinstance(part, Mapping) or set(part) != {"type", "attributes", "values"}:
+        return "type, attributes and values are needed"
+    kind, attributes, values = part["type"], part["attributes"], part["values"]
+    if not isinstance(kind, str) or kind not in _KINDS:
+        return f"the type is {str(kind)[:40]!r}; there are {', '.join(_KINDS)}"
+    if not isinstance(attributes, Mapping):
+        return "attributes is no object"
+    if not isinstance(values, list):
+        return "values is no list"
+    wrong = next((f"{str(v)[:40]} at {k}" for k, v in enumerate(values) if not _KINDS[kind].fits(v)), None)
+    if wrong is not None:
+        return f"{wrong}; {_KINDS[kind].words} are needed"
+    array = np.array([math.nan if v is None else v for v in values], dtype=np.str_ if kind == "str" else kind)
+    return "mark", array, _missing_as_nan(dict(attributes))

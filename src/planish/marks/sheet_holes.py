@@ -1,0 +1,243 @@
+"""Laser holes of a flattened sheet: where its faces show them, and how they run through it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import MarkError
+from planish.core.grid import Grid
+from planish.core.results import HoleTiltFacts, Side
+from planish.marks.find import find_holes
+from planish.marks.params import HoleParams
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+MAPS = {"top": "presence", "centre": "presence_centre", "bottom": "presence_bottom"}
+PLACES = {"top": "below the top face", "centre": "at the centre surface", "bottom": "above the bottom face"}
+OF_A_LAYER = ("x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter")
+THROUGH, CLOSED, UNCLEAR = 0, 1, 2
+OTHER_SIDE = {THROUGH: "through", CLOSED: "closed", UNCLEAR: "unclear"}
+
+# A tapered hole is narrower, or wider, on the other side than what was asked for.
+OTHER_DIAMETER = 1.4
+# From one layer to another a hole moves by less than this share of its diameter: one that leans more is not round.
+REACH = 0.5
+# The middle of a hole, as a share of its diameter, and how much material in it closes a hole.
+MIDDLE, MATERIAL = 0.25, 0.5
+# Standard deviation of a normal distribution over its median absolute deviation; error of a median over that of a mean.
+MAD_TO_SD, MEDIAN_TO_MEAN = 1.4826, 1.2533
+# Holes seen on both sides: the median offset of fewer is no better than none. It counts from so many standard errors.
+ENOUGH_THROUGH, STANDS_OUT = 4, 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Offsets:
+    """From the top's rim to the bottom's: (n, 2) of each hole, NaN where one is not seen; median, spread, error."""
+
+    each: Floats
+    count: int
+    median: Floats
+    spread: Floats
+    error: Floats
+
+
+def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side: Side = "top") -> xr.Dataset:
+    """Find the laser holes that one side of a flattened sheet shows, and where they lie in its other layers.
+
+    Parameters
+    ----------
+    maps : Dataset, dims (v, u) or (y, x)
+        ``presence``, ``presence_centre`` and ``presence_bottom``: share of material in a layer below the top face,
+        around the centre surface and above the bottom face, 0 to 1, NaN where there is no data. A layer may be missing.
+        Attributes, where known: ``layers_apart_um``, from the middle of the top's layer to that of the bottom's, and
+        ``layer_to_face``, from the middle of a layer to its face as a share of that.
+    params : HoleParams, optional
+        Range of diameters on the side; in the other layers they may be 1.4 times off.
+    side : {"top", "bottom"}
+        Side that is shown. Where its layer is missing the other side's is searched.
+
+    Returns
+    -------
+    Dataset, dims (mark)
+        Holes as :func:`planish.marks.find_holes` gives them, ``x, y`` in the coordinates of the maps and at the face.
+        For each layer ``x_top, y_top, cov_xx_top, cov_yy_top, cov_xy_top, diameter_top``, and so on with ``_centre``
+        and ``_bottom``, where they were found; NaN where a hole is not seen. ``offset_x, offset_y``: from the top to
+        the bottom, um. ``other_side``: 0 seen on the other side, 1 closed there, 2 neither. Attributes:
+
+        - ``side``, that was searched, and ``layers``, those that are there;
+        - ``through``, ``closed``, ``unclear``: counts of ``other_side``; ``other_side_only``: what looks like a hole on
+          the other side and has no partner on this one;
+        - ``offset_count``, ``offset_um``, ``offset_spread_um``, ``offset_error_um``: holes seen on both sides, the
+          median (x, y) of their offsets, the robust standard deviation, and the standard error of the median;
+        - ``to_face_um``: (x, y) that was added to go from the layer to the face;
+        - ``tilt_deg``: angle (x, y) of the median offset with the normal, where ``layers_apart_um`` is known.
+
+    Raises
+    ------
+    MarkError
+        If there is no layer of either side, or the maps have no regular grid.
+
+    Notes
+    -----
+    An offset that all holes share is a laser that was not perpendicular, or a flattening that shears the layers: both
+    move the marks against an image of one side by as much. Where it stands out from its error, what it makes from the
+    layer to the face is added. Offsets of single holes are mostly the roughness of their rims and are left alone. Rims
+    of one hole lie within half its diameter; where it leans more, its layers are no longer round.
+
+    Examples
+    --------
+    >>> y, x = np.mgrid[:100, :120] * 5.0
+    >>> at = {"presence": 300, "presence_bottom": 306}
+    >>> layers = {name: (("y", "x"), np.hypot(x - u, y - 250) > 80) for name, u in at.items()}
+    >>> maps = xr.Dataset(layers, coords={"y": y[:, 0], "x": x[0]})
+    >>> find_sheet_holes(maps).offset_x.values.round(0)
+    array([6.])
+    """
+    if side not in ("top", "bottom"):
+        raise MarkError(f"The side is {side!r}; an image shows the 'top' or the 'bottom'.")
+    layers = {layer: maps[name].values for layer, name in MAPS.items() if name in maps}
+    other: Side = "bottom" if side == "top" else "top"
+    if side not in layers:
+        side, other = other, side
+    if side not in layers:
+        raise MarkError(
+            f"The maps hold no layer of the material at a face of the sheet ({MAPS['top']} or {MAPS['bottom']}). Make "
+            "them again from the volume."
+        )
+    low, high = (params or HoleParams()).hole_um
+    grid = Grid.of(maps)
+    pixel, origin = grid.pixel_um, np.array(grid.origin_um)
+    wider = low / OTHER_DIAMETER, high * OTHER_DIAMETER
+    found = {
+        layer: find_holes(share, pixel_um=pixel, diameter_um=(low, high) if layer == side else wider, polarity="dark")
+        for layer, share in layers.items()
+    }
+    at, diameters = _xy(found[side]), found[side]["diameter"].values
+    rows = {layer: np.arange(len(at)) if layer == side else np.full(len(at), -1) for layer in MAPS}
+    for layer in layers.keys() - {side}:
+        rows[layer] = _partners(at, _xy(found[layer]), REACH * diameters)
+    state = np.where(rows[other] >= 0, THROUGH, UNCLEAR).astype(np.uint8)
+    if other in layers:
+        partner = rows[other][state == THROUGH]
+        # Where the other side should show a hole: as far from this one as with the others.
+        moved = np.median(_xy(found[other])[partner] - at[state == THROUGH], axis=0) if len(partner) else np.zeros(2)
+        for k in np.flatnonzero(state == UNCLEAR).tolist():
+            inside = _middle(layers[other], pixel, at[k] + moved, MIDDLE * float(diameters[k]))
+            state[k] = CLOSED if inside.size and np.median(inside) > MATERIAL else UNCLEAR
+    found = {layer: _moved(holes, origin) for layer, holes in found.items()}
+    data = _at_layers(found, rows)
+    offsets = _offsets(_xy(data, "_bottom") - _xy(data, "_top"))
+    to_face = np.zeros(2)
+    sure = offsets.count >= ENOUGH_THROUGH and np.hypot(*offsets.median) > STANDS_OUT * np.hypot(*offsets.error)
+    if sure and maps.attrs.get("layer_to_face"):
+        outward = float(maps.attrs["layer_to_face"])
+        to_face = (-outward if side == "top" else outward) * offsets.median
+    out = _dataset(_moved(found[side], to_face), data, offsets, state)
+    out.attrs |= {
+        "side": side,
+        "layers": list(layers),
+        **{word: int(np.count_nonzero(state == k)) for k, word in OTHER_SIDE.items()},
+        "other_side_only": found[other].sizes["mark"] - int(np.count_nonzero(rows[other] >= 0))
+        if other in found
+        else 0,
+        "offset_count": offsets.count,
+        "offset_um": offsets.median.tolist(),
+        "offset_spread_um": offsets.spread.tolist(),
+        "offset_error_um": offsets.error.tolist(),
+        "to_face_um": to_face.tolist(),
+    }
+    if (apart_um := maps.attrs.get("layers_apart_um")) is not None:
+        out.attrs["tilt_deg"] = np.rad2deg(np.arctan2(offsets.median, apart_um)).tolist()
+    return out
+
+
+def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
+    """Say how the holes of :func:`find_sheet_holes` run through the sheet; None for holes that are not of a sheet."""
+    if holes is None or "through" not in holes.attrs:
+        return None
+    count, closed = int(holes.attrs["offset_count"]), int(holes.attrs["closed"])
+    offset, error = (np.array(holes.attrs[k], dtype=np.float64) for k in ("offset_um", "offset_error_um"))
+    text = "No hole was seen on both sides of the sheet."
+    if np.isfinite(offset).all():
+        text = (
+            f"{count} holes run through the sheet, shifted by {np.hypot(*offset):.1f} um from its upper to its lower "
+            "third"
+        )
+        text += f" (± {np.sqrt(np.mean(error**2)):.1f} um)." if np.isfinite(error).all() else "."
+    if closed:
+        text += f" {closed} {'is' if closed == 1 else 'are'} closed on the other side."
+    known = {k: v for k, v in holes.attrs.items() if k in HoleTiltFacts.model_fields}
+    return HoleTiltFacts.model_validate({**known, "sentence": text})
+
+
+def _moved(holes: xr.Dataset, by: Floats) -> xr.Dataset:
+    return holes.assign({k: holes[k].copy(data=holes[k].values + d) for k, d in zip("xy", by, strict=True)})
+
+
+def _xy(holes: xr.Dataset, suffix: str = "") -> Floats:
+    return np.stack([holes[f"x{suffix}"].values, holes[f"y{suffix}"].values], axis=1).astype(np.float64)
+
+
+def _partners(holes: Floats, found: Floats, reach: Floats) -> Ints:
+    """Row in ``found`` of each hole, -1 where it has none: either is the other's nearest, and within reach."""
+    from scipy.spatial import KDTree
+
+    rows = np.full(len(holes), -1)
+    if not len(holes) or not len(found):
+        return rows
+    nearest = np.asarray(KDTree(found).query(holes)[1], dtype=np.intp)
+    back = np.asarray(KDTree(holes).query(found)[1], dtype=np.intp)
+    away = np.hypot(*(found[nearest] - holes).T)
+    agreed = (back[nearest] == np.arange(len(holes))) & (away <= reach)
+    rows[agreed] = nearest[agreed]
+    return rows
+
+
+def _middle(share: NDArray[np.generic], pixel: tuple[float, float], at: Floats, radius: float) -> Floats:
+    """Values of a map within ``radius`` of a place (x, y), without those that are missing."""
+    sizes = zip(share.shape, pixel, at[::-1], strict=True)
+    down, along = (np.arange(n) * step - place for n, step, place in sizes)
+    rows, cols = (np.flatnonzero(np.abs(d) <= radius) for d in (down, along))
+    away = np.hypot(down[rows][:, None], along[cols][None])
+    values = share[np.ix_(rows, cols)].astype(np.float64)[away <= radius]
+    return values[np.isfinite(values)]
+
+
+def _at_layers(found: dict[str, xr.Dataset], rows: dict[str, Ints]) -> xr.Dataset:
+    """Each layer's values of the holes, NaN where they are not seen."""
+    data: dict[str, tuple[str, Floats, dict[str, str]]] = {}
+    about = next(iter(found.values()))
+    for layer, place in PLACES.items():
+        known = rows[layer] >= 0
+        for name in OF_A_LAYER:
+            values = np.full(known.shape, np.nan)
+            if known.any():
+                values[known] = found[layer][name].values[rows[layer][known]]
+            units, text = about[name].attrs["units"], f"{about[name].attrs['long_name']}, {place}"
+            data[f"{name}_{layer}"] = ("mark", values, {"units": units, "long_name": text})
+    return xr.Dataset(data)
+
+
+def _offsets(each: Floats) -> _Offsets:
+    known = each[np.isfinite(each).all(axis=1)]
+    nothing = np.full(2, np.nan)
+    median = np.median(known, axis=0) if len(known) else nothing
+    spread = MAD_TO_SD * np.median(np.abs(known - median), axis=0) if len(known) > 1 else nothing
+    error = MEDIAN_TO_MEAN * spread / np.sqrt(max(len(known), 1))
+    return _Offsets(each=each, count=len(known), median=median, spread=spread, error=error)
+
+
+def _dataset(holes: xr.Dataset, data: xr.Dataset, offsets: _Offsets, state: NDArray[np.uint8]) -> xr.Dataset:
+    flags = {"flag_values": list(OTHER_SIDE), "flag_meanings": " ".join(OTHER_SIDE.values())}
+    texts = ("Offset from the top to the bottom along the columns", "Offset from the top to the bottom down the rows")
+    added = {
+        f"offset_{axis}": ("mark", offsets.each[:, k], {"units": "um", "long_name": texts[k]})
+        for k, axis in enumerate("xy")
+    }
+    out = holes.merge(data, combine_attrs="override").assign(added)
+    return out.assign(other_side=("mark", state, {"long_name": "What the other side shows of the hole"} | flags))

@@ -1,0 +1,153 @@
+"""Holes in files: JSON gives back the same dataset to the last bit, CSV is the table to read."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+
+from marks.test_sheet_holes import CENTRES, PIXEL, dataset, layer_maps
+from planish.core.errors import FileError, MarkError
+from planish.marks import (
+    find_holes,
+    find_sheet_holes,
+    hole_tilt,
+    holes_from_json,
+    holes_to_json,
+    read_holes,
+    write_holes,
+)
+
+
+@pytest.fixture(scope="module")
+def found():
+    maps = layer_maps(np.array([8.0, 0.0]), depth=np.array([1.0, 0.5, 1.0, 1.0, 1.0, 1.0]))
+    return find_sheet_holes(dataset(*maps, layers_apart_um=52.0, layer_to_face=0.46))
+
+
+def test_holes_of_a_sheet_come_back_as_they_were(found, tmp_path):
+    write_holes(found, tmp_path / "holes.json")
+    back = read_holes(tmp_path / "holes.json")
+    xr.testing.assert_identical(back, found)
+    assert {k: v.dtype for k, v in back.items()} == {k: v.dtype for k, v in found.items()}
+    assert list(back.variables) == list(found.variables)
+    assert hole_tilt(back) == hole_tilt(found)
+    assert np.isnan(back["x_bottom"].values).sum() == 1
+    write_holes(back, tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_bytes() == (tmp_path / "holes.json").read_bytes()
+    assert '"through": 5' in (tmp_path / "holes.json").read_text()
+
+
+def test_holes_of_an_image_with_what_others_add(tmp_path):
+    holes = find_holes(layer_maps(np.zeros(2), centres=CENTRES[:3])[0], pixel_um=PIXEL)
+    holes = holes.assign(label=("mark", ["a", "b, ü", ""]), used=("mark", [True, False, True]), n=("mark", [1, 2, 3]))
+    holes = holes.assign_attrs(plane="image", offset_um=[np.nan, 1.5])
+    write_holes(holes, tmp_path / "holes.json")
+    assert json.loads((tmp_path / "holes.json").read_text(encoding="utf-8"))["plane"] == "image"
+    xr.testing.assert_identical(read_holes(tmp_path / "holes.json"), holes)
+    none = holes.isel(mark=slice(0))
+    xr.testing.assert_identical(holes_from_json(json.loads(json.dumps(holes_to_json(none)))), none)
+
+
+@given(st.lists(st.floats(allow_infinity=False), max_size=6))
+def test_every_float_survives(values):
+    holes = xr.Dataset({name: ("mark", np.array(values, dtype=np.float64)) for name in "xy"})
+    back = holes_from_json(json.loads(json.dumps(holes_to_json(holes), allow_nan=False)))
+    known = np.isfinite(values)
+    assert back["x"].values[known].tobytes() == holes["x"].values[known].tobytes()
+    assert np.isnan(back["x"].values[~known]).all()
+
+
+def test_the_table_to_read(found, tmp_path):
+    write_holes(found, tmp_path / "holes.csv")
+    assert (tmp_path / "holes.csv").read_text().startswith("label,x_um,y_um,diameter_um\nhole 1,")
+    back = read_holes(tmp_path / "holes.csv")
+    for name in ("x", "y", "diameter"):
+        np.testing.assert_array_equal(back[name], found[name])
+
+
+def with_part(found, **change):
+    return holes_to_json(found) | change
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"format": "planish-marks"}, "no 'planish-holes'"),
+    ({"version": 2}, "version 2.*Update planish"),
+    ({"units": "mm"}, "units is 'mm'"),
+    ({"plane": 3}, "plane is '3'"),
+    ({"attributes": []}, "attributes is no object"),
+    ({"more": 1}, "more is unknown"),
+    ({"variables": {}}, "no x; no y"),
+    ({"variables": 3}, "no x; no y"),
+])  # fmt: skip
+def test_a_malformed_file_is_refused(found, change, words):
+    with pytest.raises(MarkError, match=words):
+        holes_from_json(with_part(found, **change), "holes.json")
+    with pytest.raises(MarkError, match="variables is missing"):
+        holes_from_json({k: v for k, v in holes_to_json(found).items() if k != "variables"})
+
+
+@pytest.mark.parametrize(("part", "words"), [
+    ({"type": "complex128"}, "x: the type is 'complex128'"),
+    ({"type": ["float64"]}, "x: the type is"),
+    ({"values": [1.0, 2.0]}, "2, 6 values"),
+    ({"values": [1.0, 2.0, 3.0, "4", 5.0, 6.0]}, "x: 4 at 3; numbers"),
+    ({"values": [1.0, 2.0, 3.0, True, 5.0, 6.0]}, "x: True at 3"),
+    ({"values": [1.0, 2.0, 3.0, float("inf"), 5.0, 6.0]}, "x: inf at 3"),
+    ({"values": [1.0, 2.0, 3.0, 10**400, 5.0, 6.0]}, "x: 1000"),
+    ({"type": "uint8", "values": [1, 2, 3, 256, 5, 6]}, "x: 256 at 3"),
+    ({"type": "int64", "values": [1, 2, 3, 2**63, 5, 6]}, "x: 9223372036854775808 at 3"),
+    ({"type": "str"}, "texts are needed"),
+    ({"type": "bool"}, "true or false are needed"),
+    ({"values": 3}, "x: values is no list"),
+    ({"attributes": None}, "x: attributes is no object"),
+    ({"unit": "um"}, "x: type, attributes and values are needed"),
+])  # fmt: skip
+def test_a_malformed_variable_is_named(found, part, words):
+    content = holes_to_json(found)
+    content["variables"]["x"] = content["variables"]["x"] | part
+    with pytest.raises(MarkError, match=words):
+        holes_from_json(content)
+
+
+def test_what_has_no_place_in_the_file(found, tmp_path):
+    for wrong in (
+        found.assign_attrs(a=1j),
+        found.assign_attrs(a=[np.inf]),
+        found.assign(a=("mark", np.full(6, np.inf))),
+    ):
+        with pytest.raises(MarkError, match="cannot be written"):
+            holes_to_json(wrong)
+    with pytest.raises(MarkError, match="two has dims"):
+        holes_to_json(found.assign(two=(("mark", "k"), np.zeros((6, 2)))))
+    with pytest.raises(FileError, match=r"\.json keeps everything"):
+        write_holes(found, tmp_path / "holes.txt")
+    (tmp_path / "holes.json").write_text("{")
+    with pytest.raises(FileError, match="already there"):
+        write_holes(found, tmp_path / "holes.json")
+    with pytest.raises(FileError, match="damaged JSON"):
+        read_holes(tmp_path / "holes.json")
+    with pytest.raises(FileError, match="cannot be written"):
+        write_holes(found, tmp_path / "no" / "holes.json")
+    with pytest.raises(FileError, match="cannot be read"):
+        read_holes(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("", "empty"), ("x_um,y_um\n", "no hole"), ("x_um\n1\n", "columns missing: y_um"),
+    ("x_um,y_um\n1,2\n3,a\n5,nan\n", "row 3: y_um 'a'.*row 4: y_um 'nan'"),
+])  # fmt: skip
+def test_faults_of_a_table(tmp_path, text, words):
+    (tmp_path / "holes.csv").write_text(text)
+    with pytest.raises(MarkError, match=words):
+        read_holes(tmp_path / "holes.csv")
+
+
+def test_the_example_of_the_page():
+    page = (Path(__file__).resolve().parents[2] / "docs" / "marks.md").read_text(encoding="utf-8")
+    holes = holes_from_json(json.loads(page.split("```json\n")[1].split("```")[0]))
+    assert holes["x"].values.tolist() == [102.5, 873.25]
+    assert holes.attrs == {"polarity": "dark", "plane": "image"}
