@@ -70,8 +70,8 @@ def draw(name: str, seed: int, path: Path) -> None:
     crop = (slice(100, 480), slice(100, 480))
     wide = (0.0, 380 * 2.6, 380 * 2.6, 0.0)
     shades = {"cmap": "gray", "extent": wide, "vmin": 0.3, "vmax": 1.0}
-    axes["image"].imshow(specimen.image[crop], **shades)
-    axes["print"].imshow(specimen.printed[crop], **shades | {"vmin": 0.0})
+    axes["image"].imshow(specimen.image.values[crop], **shades)
+    axes["print"].imshow(specimen.printed.values[crop], **shades | {"vmin": 0.0})
     coated = params.paper.coating_top_um > 0
     truth = specimen.truth["coating_top" if coated else "thickness"].values[crop]
     shown = axes["coating"].imshow(truth, cmap="viridis", extent=wide, vmin=0 if coated else None)

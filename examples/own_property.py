@@ -30,9 +30,7 @@ def main() -> xr.Dataset:
         size_um=(700.0, 500.0), holes=HoleParams(pattern="irregular", count=1), warp=Warp(slope=0.3),
         scanner=ScannerParams(voxel_um=4.0), seed=2,
     )  # fmt: skip
-    grey = make_specimen(params).volume
-    places = {axis: 4.0 * np.arange(n) for axis, n in zip("zyx", grey.shape, strict=True)}
-    volume = xr.DataArray(grey, dims=("z", "y", "x"), coords=places)
+    volume = make_specimen(params).volume
     maps = measure_along_rays(volume, find_surfaces(volume), names=["skin", "thickness"])
     for name in ("skin", "thickness"):
         values = maps[name]

@@ -101,7 +101,7 @@ def test_too_few_holes_in_the_image(planish, specimen_files, holes_um, tmp_path,
 
 def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, tmp_path):
     """Fill all holes of the volume but two with the sheet beside them."""
-    volume = specimen.volume.copy()
+    volume = specimen.volume.values.copy()
     for u, v in specimen.sheet.holes[2:]:
         x, y, _ = specimen.warp.points(np.array([u]), np.array([v]))[0] / 4.0
         i, j = slice(max(int(y) - 34, 0), int(y) + 34), slice(max(int(x) - 34, 0), int(x) + 34)
@@ -143,7 +143,7 @@ def test_nan_voxels_everywhere_and_in_part(planish, specimen, tmp_path):
     empty = np.full((20, 40, 40), np.nan, np.float32)
     path = write_volume(tmp_path / "nan.tif", empty)
     stop(planish("map", path, "-o", tmp_path / "run"), 3, "NaN", out=tmp_path / "run")
-    part = specimen.volume.astype(np.float32)
+    part = specimen.volume.values.astype(np.float32)
     part[:, :30] = np.nan
     path = write_volume(tmp_path / "part.tif", part)
     code, _, err = planish("map", path, "-o", tmp_path / "run")
@@ -154,7 +154,7 @@ def test_nan_voxels_everywhere_and_in_part(planish, specimen, tmp_path):
 
 
 def test_saturated_voxels(planish, specimen, tmp_path):
-    bright = np.clip(specimen.volume.astype(float) * 1.6, 0, 255).astype(np.uint8)
+    bright = np.clip(specimen.volume.values.astype(float) * 1.6, 0, 255).astype(np.uint8)
     code, _, err = planish("map", write_volume(tmp_path / "bright.tif", bright), "-o", tmp_path / "run")
     assert code == 4
     assert "saturation" in err
@@ -185,7 +185,7 @@ def test_voxel_a_thousand_times_too_large_or_small(planish, specimen_files, tmp_
 
 def test_missing_sizes(planish, specimen, specimen_files, tmp_path):
     plain = tmp_path / "plain.png"
-    Image.fromarray(np.rint(specimen.image * 255).clip(0, 255).astype(np.uint8)).save(plain)
+    Image.fromarray(np.rint(specimen.image.values * 255).clip(0, 255).astype(np.uint8)).save(plain)
     stop(
         planish("link", specimen_files[0], plain, "-o", tmp_path / "run"),
         3,
@@ -195,7 +195,7 @@ def test_missing_sizes(planish, specimen, specimen_files, tmp_path):
         out=tmp_path / "run",
     )
     bare = tmp_path / "bare.tif"
-    tifffile.imwrite(bare, specimen.volume)
+    tifffile.imwrite(bare, specimen.volume.values)
     stop(planish("map", bare, "-o", tmp_path / "run"), 3, "bare.tif", "voxel size", "--voxel-um", out=tmp_path / "run")
 
 

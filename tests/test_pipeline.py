@@ -154,7 +154,7 @@ def test_marks_given_in_the_volume(planish, specimen, specimen_files, tmp_path):
 
 
 def test_a_mirrored_image_is_refused_and_found_when_declared(planish, specimen, specimen_files, tmp_path):
-    grey = np.rint(specimen.image * 60000).clip(0, 65535).astype(np.uint16)[:, ::-1]
+    grey = np.rint(specimen.image.values * 60000).clip(0, 65535).astype(np.uint16)[:, ::-1]
     tifffile.imwrite(tmp_path / "m.tif", grey, resolution=(2000, 2000), resolutionunit="CENTIMETER")
     code, _, err = planish("link", specimen_files[0], tmp_path / "m.tif", "-o", tmp_path / "run")
     assert code == 3

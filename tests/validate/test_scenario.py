@@ -58,7 +58,7 @@ def test_nuisances_all_none_and_some():
         ("[limits]\ntre_p95 = { limit = 1, least = 1 }", "either limit or least"),
         ("[specimen.warp]\nslop = 1", "slop"),
         ('[specimen.warp]\nslope = "steep"', "specimen.warp.slope"),
-        ("[specimen]\nwarp = 3", "a table is needed"),
+        ("[specimen]\nwarp = 3", "specimen.warp: .* dictionary"),
         ("[study.surfaces]\ncutoff_um = 100", "registration"),
         ("[study.surface]\ncutoff = 100", "cutoff_um"),
         ("seeds = 0", "seeds"),

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 _MAX_STEPS = 25
+_SINGLE = 8  # fields of a node that are not layers of the base
 _CLOSE_UM = 1e-3  # the step after it is smaller by the curvature times the distance, a twentieth
 
 
@@ -77,22 +78,6 @@ def invert(w, curve, x, y, z, u, v):
 
 
 @njit(cache=True, nogil=True)
-def ground(w, curve, x, y, u, v):
-    """Return (u, v, z) of the centre surface above the lateral point (x, y), from the guess (u, v)."""
-    for _ in range(_MAX_STEPS):
-        mx, my, _mz, ux, uy, _uz, vx, vy, _vz = frame_at(w, curve, u, v)
-        dx, dy = x - mx, y - my
-        det = ux * vy - uy * vx
-        du = (vy * dx - vx * dy) / det
-        dv = (ux * dy - uy * dx) / det
-        u += du
-        v += dv
-        if abs(du) + abs(dv) < _CLOSE_UM:
-            break
-    return u, v, frame_at(w, curve, u, v)[2]
-
-
-@njit(cache=True, nogil=True)
 def frames(w, curve, u, v):
     """Centre surface points (n, 3) and unit normals (n, 3) at the coordinates u, v (n,)."""
     points = np.empty((u.size, 3))
@@ -124,8 +109,18 @@ def columns(w, curve, ys, xs):
     for i in range(ys.size):
         for j in range(xs.size):
             # The guess does not come from a neighbour: a column gives the same bytes whatever tile it lies in.
-            u, v, z = ground(w, curve, xs[j], ys[i], xs[j] - w[7], ys[i] - w[8])
-            out[i, j, 0], out[i, j, 1], out[i, j, 2] = u, v, z
+            u, v = xs[j] - w[7], ys[i] - w[8]
+            for _ in range(_MAX_STEPS):
+                mx, my, _mz, ux, uy, _uz, vx, vy, _vz = frame_at(w, curve, u, v)
+                dx, dy = xs[j] - mx, ys[i] - my
+                det = ux * vy - uy * vx
+                du = (vy * dx - vx * dy) / det
+                dv = (ux * dy - uy * dx) / det
+                u += du
+                v += dv
+                if abs(du) + abs(dv) < _CLOSE_UM:
+                    break
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = u, v, frame_at(w, curve, u, v)[2]
     return out
 
 
@@ -161,7 +156,8 @@ def paint(
     """
     depth_voxels = slab.shape[2]
     last_row, last_col = fields.shape[0] - 1.000001, fields.shape[1] - 1.000001
-    layers = fields.shape[2] - 8
+    layers = fields.shape[2] - _SINGLE
+    at = np.empty(_SINGLE)
     for i in range(ys.size):
         for j in range(xs.size):
             lift = shift_z[i] + turn[i] * (xs[j] - middle[0])
@@ -182,28 +178,28 @@ def paint(
                 c, r = int(fx), int(fy)
                 fx -= c
                 fy -= r
-                top = _node(fields, r, c, fy, fx, 0)
-                low = _node(fields, r, c, fy, fx, 3)
+                for n in range(_SINGLE):
+                    at[n] = _bilinear(fields, r, c, fy, fx, n)
+                top, inner_top, inner_low, low = at[0], at[1], at[2], at[3]
                 if s > top + soft_um or s < low - soft_um:
                     continue
-                inner_top = _node(fields, r, c, fy, fx, 1)
-                inner_low = _node(fields, r, c, fy, fx, 2)
                 through = min(max((top - s) / max(top - low, 1e-6), 0.0), 1.0)
-                rim = _node(fields, r, c, fy, fx, 4) * (1 - through) + _node(fields, r, c, fy, fx, 5) * through
+                rim = at[4] * (1 - through) + at[5] * through
                 solid = _ramp(rim / soft_um)
                 in_sheet = _ramp((top - s) / soft_um) * _ramp((s - low) / soft_um)
                 in_base = _ramp((inner_top - s) / soft_um) * _ramp((s - inner_low) / soft_um)
                 depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (layers - 1)
                 layer = min(int(depth), layers - 2)
                 f = depth - layer
-                density = _node(fields, r, c, fy, fx, 8 + layer) * (1 - f) + _node(fields, r, c, fy, fx, 9 + layer) * f
-                burnt = _node(fields, r, c, fy, fx, 6) * _node(fields, r, c, fy, fx, 7)
-                value = in_base * grey[0] * density + max(in_sheet - in_base, 0.0) * grey[1] * burnt
+                under_it = _bilinear(fields, r, c, fy, fx, _SINGLE + layer)
+                above_it = _bilinear(fields, r, c, fy, fx, _SINGLE + 1 + layer)
+                density = under_it * (1 - f) + above_it * f
+                value = in_base * grey[0] * density + max(in_sheet - in_base, 0.0) * grey[1] * (at[6] * at[7])
                 slab[i, j, k] = value * solid
 
 
 @njit(cache=True, nogil=True)
-def _node(fields, r, c, fy, fx, n):
+def _bilinear(fields, r, c, fy, fx, n):
     top = fields[r, c, n] * (1 - fx) + fields[r, c + 1, n] * fx
     low = fields[r + 1, c, n] * (1 - fx) + fields[r + 1, c + 1, n] * fx
     return top * (1 - fy) + low * fy
@@ -212,47 +208,6 @@ def _node(fields, r, c, fy, fx, n):
 @njit(cache=True, nogil=True)
 def _ramp(t):
     return min(max(t + 0.5, 0.0), 1.0)
-
-
-@njit(cache=True, nogil=True)
-def smooth(slab, taps, axis):
-    """Filter slab (a, b, c) float32 along one axis with symmetric taps [centre, 1, 2, ...].
-
-    Only where the filter fits: the result is shorter by ``2 (taps.size - 1)`` along the axis.
-    """
-    reach = taps.size - 1
-    a, b, c = slab.shape
-    if axis == 0:
-        out = np.empty((a - 2 * reach, b, c), np.float32)
-        for i in range(out.shape[0]):
-            for j in range(b):
-                for k in range(c):
-                    out[i, j, k] = taps[0] * slab[i + reach, j, k]
-                for t in range(1, reach + 1):
-                    g = taps[t]
-                    for k in range(c):
-                        out[i, j, k] += g * (slab[i + reach - t, j, k] + slab[i + reach + t, j, k])
-    elif axis == 1:
-        out = np.empty((a, b - 2 * reach, c), np.float32)
-        for i in range(a):
-            for j in range(out.shape[1]):
-                for k in range(c):
-                    out[i, j, k] = taps[0] * slab[i, j + reach, k]
-                for t in range(1, reach + 1):
-                    g = taps[t]
-                    for k in range(c):
-                        out[i, j, k] += g * (slab[i, j + reach - t, k] + slab[i, j + reach + t, k])
-    else:
-        out = np.empty((a, b, c - 2 * reach), np.float32)
-        for i in range(a):
-            for j in range(b):
-                for k in range(out.shape[2]):
-                    out[i, j, k] = taps[0] * slab[i, j, k + reach]
-                for t in range(1, reach + 1):
-                    g = taps[t]
-                    for k in range(out.shape[2]):
-                        out[i, j, k] += g * (slab[i, j, k + reach - t] + slab[i, j, k + reach + t])
-    return out
 
 
 @njit(cache=True, nogil=True)

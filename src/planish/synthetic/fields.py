@@ -1,8 +1,6 @@
-"""Random fields on the sheet's grid: smooth noise, low-pass filters, fibres; and streams of random numbers by name."""
+"""Random fields on the sheet's grid: smooth noise, low-pass filters, fibres."""
 
 from __future__ import annotations
-
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +11,6 @@ from planish.synthetic import _kernels
 Array = NDArray[np.float64]
 PITCH_UM = 3.0  # of the sheet's grid
 _FIBRE_UM = ((1000.0, 2500.0), (20.0, 35.0))  # length, width of softwood and hardwood fibres together
-
-
-def stream(seed: int, *names: str) -> np.random.SeedSequence:
-    """Random numbers of their own for every name: a nuisance that is switched off changes no other one."""
-    return np.random.SeedSequence(seed, spawn_key=tuple(crc32(name.encode()) for name in names))
-
-
-def generator(seed: int, *names: str) -> np.random.Generator:
-    """Return the generator of a :func:`stream`."""
-    return np.random.default_rng(stream(seed, *names))
 
 
 def noise(shape: tuple[int, int], correlation_um: float, rng: np.random.Generator) -> Array:

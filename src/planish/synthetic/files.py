@@ -14,12 +14,15 @@ import tifffile
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.synthetic.specimen import Specimen
+from planish.synthetic.presets import SpecimenOptions
+from planish.synthetic.specimen import Specimen, make_specimen
 
 Array = NDArray[np.float64]
 Instrument = Literal["stack", "scanner", "sections"]
 COUNTER = "sections.csv"
 _PREFIX = "sheet_rec"
+_NODES_UM = 10.0
+_VOLUMES: dict[str, Instrument] = {"ct": "scanner", "sections": "sections", "stack": "stack"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,10 +71,9 @@ def _write_stack(specimen: Specimen, folder: Path) -> _Written:
     path = folder / "volume.tif"
     size = (1 / voxel, 1 / voxel)
     metadata = {"spacing": voxel, "unit": "um", "axes": "ZYX"}
-    tifffile.imwrite(path, specimen.volume, imagej=True, resolution=size, metadata=metadata)
+    tifffile.imwrite(path, specimen.volume.values, imagej=True, resolution=size, metadata=metadata)
 
-    def to_physical(points: Array, sections: xr.Dataset | None = None) -> Array:
-        del sections
+    def to_physical(points: Array, _sections: xr.Dataset | None = None) -> Array:
         return points
 
     return path, (voxel, voxel, voxel), "z", to_physical
@@ -82,7 +84,7 @@ def _write_scan(specimen: Specimen, folder: Path) -> _Written:
     place = folder / "scan"
     place.mkdir()
     rows = scanner.shape[1]
-    for start, tile in scanner.tiles(threads=specimen.threads):
+    for start, tile in scanner.tiles():
         for k, row in enumerate(tile):
             # Slices count down along y: so the sheet keeps its hand with its normal along the rows.
             name = f"{_PREFIX}{rows - 1 - start - k:08d}.tif"
@@ -90,15 +92,14 @@ def _write_scan(specimen: Specimen, folder: Path) -> _Written:
     (place / f"{_PREFIX.removesuffix('_rec')}_rec.log").write_text(_rec_log(specimen), encoding="utf-8")
     last = (rows - 1) * voxel
 
-    def to_physical(points: Array, sections: xr.Dataset | None = None) -> Array:
-        del sections
+    def to_physical(points: Array, _sections: xr.Dataset | None = None) -> Array:
         return np.stack([points[:, 0], last - points[:, 2], points[:, 1]], axis=1)
 
     return place, (voxel, voxel, voxel), "y", to_physical
 
 
 def _rec_log(specimen: Specimen) -> str:
-    """What NRecon tells about its slices, as far as a reader needs it."""
+    """Log file of NRecon, as far as a reader needs it."""
     p = specimen.params.scanner
     depth, rows, width = specimen.scanner.shape
     sections = {
@@ -137,7 +138,7 @@ def _write_sections(specimen: Specimen, folder: Path) -> _Written:
     place.mkdir()
     per_cm = 1e4 / p.pixel_um
     lines = ["# kind: block-face", "file,position_um"]
-    for k, picture in enumerate(microtome.pictures(threads=specimen.threads)):
+    for k, picture in enumerate(microtome.pictures()):
         name = f"section_{int(poses.index[k]):05d}.tif"
         tifffile.imwrite(place / name, picture, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
         lines.append(f"{name},{poses.counter_um[k]:.3f}")
@@ -164,7 +165,7 @@ def _write_sections(specimen: Specimen, folder: Path) -> _Written:
 
 def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Path:
     """Write the image with 16 bit and its pixel size; a name that ends in ``.ome.tif`` makes it OME-TIFF."""
-    reflectance = specimen.printed if printed else specimen.image
+    reflectance = (specimen.printed if printed else specimen.image).values
     grey = np.clip(np.rint(reflectance * 65535), 0, 65535).astype(np.uint16)
     pixel = specimen.params.camera.pixel_um
     size: dict[str, Any] = {"resolution": (1e4 / pixel, 1e4 / pixel), "resolutionunit": "CENTIMETER"}
@@ -175,13 +176,31 @@ def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Pat
     return path
 
 
-def write_nodes(specimen: Specimen, path: Path, *, pitch_um: float = 10.0) -> None:
+def write_specimen(options: SpecimenOptions, folder: Path, *, progress: Callable[[str], None] | None = None) -> None:
+    """Make the specimen that ``options`` order and write it: scan/, sections/, images, and truth/ apart from them."""
+    specimen = make_specimen(options.params())
+    large = options.size == "T3"  # without voxels: nodes of the centre surface instead
+    for name in (*options.instrument, "truth"):
+        if progress is not None:
+            progress(name)
+        if name == "truth":
+            write_truth(specimen, folder / "truth")
+        elif name not in _VOLUMES:
+            file = "printed.ome.tif" if name == "print" else "image.ome.tif"
+            write_image(specimen, folder / file, printed=name == "print")
+        elif not large:
+            write_instruments(specimen, folder, volume=_VOLUMES[name], image=False)
+    if large:
+        write_nodes(specimen, folder / "nodes.npz")
+
+
+def write_nodes(specimen: Specimen, path: Path) -> None:
     """Write nodes of the centre surface as ``.npz``: a specimen that is too large for voxels.
 
     ``points`` (rows, cols, 3) as x, y, z, ``u`` and ``v`` of each, and ``coating_top``; all in um.
     """
     x, y, _ = specimen.extent_um
-    columns = specimen.warp.columns(np.arange(0.0, y, pitch_um), np.arange(0.0, x, pitch_um))
+    columns = specimen.warp.columns(np.arange(0.0, y, _NODES_UM), np.arange(0.0, x, _NODES_UM))
     u, v = columns[..., 0], columns[..., 1]
     faces = specimen.sheet.faces
     coating = specimen.sheet.at(faces[0], u, v) - specimen.sheet.at(faces[1], u, v)

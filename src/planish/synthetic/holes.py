@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.synthetic.fields import PITCH_UM, generator
+from planish.synthetic.draws import generator
+from planish.synthetic.fields import PITCH_UM
 from planish.synthetic.params import HoleParams
 
 Array = NDArray[np.float64]

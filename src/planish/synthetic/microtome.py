@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.threads import count_threads, thread_pool
-from planish.synthetic.fields import generator
+from planish.synthetic.draws import generator
 from planish.synthetic.paint import Painter, Slab, gaussian_taps, smooth
 from planish.synthetic.params import SectionsParams
 from planish.synthetic.sheet import Sheet
@@ -102,11 +102,11 @@ class Microtome:
     shape: tuple[int, int]
     seed: int
 
-    def pictures(self, *, threads: int = 2) -> Iterator[NDArray[np.uint8]]:
+    def pictures(self, *, threads: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Give the pictures (rows, cols) or (rows, cols, 3), one after the other."""
         _ = self.sheet.packed
         count = self.poses.index.size
-        threads = min(threads, count_threads())
+        threads = count_threads(threads)
         with thread_pool(threads) as pool:
             for at in range(0, count, 8 * threads):
                 yield from pool.map(self.picture, range(at, min(at + 8 * threads, count)))

@@ -1,7 +1,8 @@
 """What a specimen is made of and how its instruments see it: every size with its unit and its reason.
 
-Numbers without another source are those of Hirn et al. (2009) or usual ones of the instruments named. A nuisance is off
-when its size is 0; :mod:`planish.synthetic.nuisances` lists them by name.
+Numbers without another source are those of Hirn et al. (2009) or usual ones of the instruments named. A field made by
+:func:`drawn` also holds the range in which real papers and instruments lie. A nuisance is off when its size is 0;
+:mod:`planish.synthetic.nuisances` lists them by name.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from planish.synthetic.draws import Strict, drawn
 from planish.synthetic.warp import Warp
 
 SIZES_UM = {
@@ -20,88 +22,88 @@ SIZES_UM = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PaperParams:
+class PaperParams(Strict):
     """The sheet itself, in its flat state; lengths in um, ``_sd`` are standard deviations.
 
     A correlation length is the distance at which the autocorrelation has fallen to 1/e.
     """
 
-    base_um: float = 55.0  # mean thickness of the base paper
-    base_fibre_sd_um: float = 3.0  # thickness at fibre scale, correlation length 35 um
-    base_floc_sd_um: float = 2.5  # thickness of flocs, 1.5 mm: formation
-    base_streak_sd_um: float = 0.0  # thickness along the machine direction; 1 um where the headbox streaks
-    roughness_um: float = 3.5  # Sq of each face of the base; outward heights of the two sides correlate by about -0.3
-    anisotropy: float = 1.5  # fibres along the machine direction (u) over those across
-    coating_top_um: float = 17.4  # 135 g/m2 wood-free coated paper before calendering, section 3.3.1
-    coating_bottom_um: float = 17.4
-    coating_sd_um: float = 4.5  # of the layer; what levelling does not give is random deposition at 100 um
+    base_um: float = drawn(55.0, 50.0, 60.0)  # mean thickness of the base paper
+    base_fibre_sd_um: float = drawn(3.0, 2.0, 4.0)  # thickness at fibre scale, correlation length 35 um
+    base_floc_sd_um: float = drawn(2.5, 1.5, 3.5)  # thickness of flocs, 1.5 mm: formation
+    base_streak_sd_um: float = drawn(0.0, 0.0, 1.0)  # along the machine direction; 1 um where the headbox streaks
+    roughness_um: float = drawn(3.5, 2.5, 4.5)  # Sq of each face of the base; outward heights correlate by about -0.3
+    anisotropy: float = drawn(1.5, 1.3, 1.8)  # fibres along the machine direction (u) over those across
+    coating_top_um: float = drawn(17.4, 9.0, 20.0)  # 135 g/m2 wood-free coated paper before calendering, section 3.3.1
+    coating_bottom_um: float = drawn(17.4, 9.0, 20.0)
+    coating_sd_um: float = drawn(4.5, 3.0, 5.0)  # of the layer: levelling, and random deposition at 100 um
     coating_noise_sd_um: float = 0.5  # of the outer face, correlation length 20 um
-    levelling_um: float = 250.0  # wavelength at which the coating's outer face follows the base by half
-    calendering: float = 1.0  # factor on the outer face's roughness that is left; 0.5 in a nip
+    levelling_um: float = drawn(250.0, 150.0, 350.0)  # wavelength that the coating's outer face follows by half
+    calendering: float = drawn(1.0, 0.5, 1.0)  # factor on the outer face's roughness that is left; 0.5 in a nip
     coating_g_per_cm3: float = 1.6  # GCC with 12 pph latex and 30 % voids
-    coating_density_sd: float = 0.04  # relative, correlation length 300 um, correlated 0.3 with the base's mass
+    coating_density_sd: float = drawn(0.04, 0.0, 0.06)  # relative, 300 um, correlated 0.3 with the base's mass
     base_g_per_cm3: float = 0.75
-    base_density_sd: float = 0.20  # of the base's grey, relative: fibres and voids (0.25 +- 0.05)
-    filler: float = 0.12  # share of the base's mass: grains of 2 um, denser in the middle of the sheet
+    base_density_sd: float = drawn(0.20, 0.1, 0.25)  # of the base's grey, relative: fibres and voids (0.25 +- 0.05)
+    filler: float = drawn(0.12, 0.05, 0.15)  # share of the base's mass: grains of 2 um, denser in the middle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HoleParams:
+class HoleParams(Strict):
     """The laser's holes, section 2.1."""
 
     pattern: Literal["coded", "irregular"] = "coded"  # lines with coded pitches around the field, or scattered
     count: int = 21  # 3 lines of 7; fewer where the field is small
-    diameter_um: float = 175.0  # 150 to 200 by the laser
+    diameter_um: float = drawn(175.0, 150.0, 200.0)  # 150 to 200 by the laser
     diameter_sd_um: float = 8.0
-    stage_um: float = 4.0  # rms error of the laser's stage, per axis
-    axis_ratio: float = 1.12  # largest, drawn between 1 and this
-    rim_um: float = 4.0  # roughness of the rim, correlation length 30 um
-    taper: float = 0.15  # loss of diameter from the top to the bottom face
-    tilt_deg: float = 3.0  # largest tilt of the beam
-    char_um: float = 40.0  # burnt rim
+    stage_um: float = drawn(4.0, 0.0, 8.0)  # rms error of the laser's stage, per axis
+    axis_ratio: float = drawn(1.12, 1.0, 1.12)  # largest, drawn between 1 and this
+    rim_um: float = drawn(4.0, 2.0, 5.0)  # roughness of the rim, correlation length 30 um
+    taper: float = drawn(0.15, 0.05, 0.2)  # loss of diameter from the top to the bottom face
+    tilt_deg: float = drawn(3.0, 0.0, 3.0)  # largest tilt of the beam
+    char_um: float = drawn(40.0, 20.0, 50.0)  # burnt rim
     char_sd_um: float = 10.0
-    half_closed: float = 0.05  # share of holes whose lower end is half filled
+    half_closed: float = drawn(0.05, 0.0, 0.1)  # share of holes whose lower end is half filled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ScannerParams:
+class ScannerParams(Strict):
     """X-ray micro-CT; shares are of the contrast between coating and air."""
 
-    voxel_um: float = 3.0
-    fwhm_um: float = 5.9  # of the point spread; 3 to 5 on a good scan of millimetres with 1.37 um voxels
+    voxel_um: float = drawn(3.0, 2.4, 3.2)
+    fwhm_um: float = drawn(5.9, 3.0, 5.0)  # of the point spread; 3 to 5 on a good scan with 1.37 um voxels
     grey: tuple[float, float, float] = (40.0, 90.0, 200.0)  # air, base, coating, in units of dtype
     dtype: Literal["uint8", "uint16", "float32"] = "uint8"
-    noise: float = 0.04  # 0.08 with 1.37 um voxels
-    noise_px: float = 0.0  # correlation length of the noise in voxels; reconstructions have about 2
-    fringe: float = 0.0  # phase contrast: minus this times the Laplacian of a Gaussian of 1.5 voxels; 0.12
-    cupping: float = 0.0  # beam hardening: loss in the middle of the field, 0.04
-    rings: int = 0  # 0 to 3
+    noise: float = drawn(0.04, 0.03, 0.1)  # 0.08 with 1.37 um voxels
+    noise_px: float = drawn(0.0, 0.0, 2.0)  # correlation length of the noise in voxels; reconstructions have about 2
+    fringe: float = drawn(0.0, 0.0, 0.12)  # phase contrast: minus this times the Laplacian of a Gaussian of 1.5 voxels
+    cupping: float = drawn(0.0, 0.0, 0.05)  # beam hardening: loss in the middle of the field, 0.04
+    rings: int = drawn(0, 0, 3)  # 0 to 3
     ring: float = 0.03  # size of a ring
-    streak: float = 0.0  # along the plane of the sheet, 0.03
+    streak: float = drawn(0.0, 0.0, 0.03)  # along the plane of the sheet, 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SectionsParams:
+class SectionsParams(Strict):
     """Serial sections under a light microscope; shares are of the contrast between coating and resin."""
 
-    pixel_um: float = 0.81
-    section_um: float = 3.0  # 9 to go faster
+    pixel_um: float = drawn(0.81, 2.0, 3.0)
+    section_um: float = drawn(3.0, 2.5, 4.0)  # 9 to go faster
     grey: tuple[float, float, float] = (215.0, 150.0, 60.0)  # resin, base, coating
     colour: bool = False  # red, green and blue, or a monochrome camera
-    jitter_um: float = 1.5  # of each section, along x and z, white
-    walk_um: float = 0.15  # random walk a section
-    rotation_deg: float = 0.02
-    thickness: float = 0.08  # error of a section's position, as a share of its thickness
-    missing: float = 0.01  # share of sections lost, in runs of at most 3
-    drift: float = 0.03  # gain of a section, and of each colour
-    defocus_um: float = 0.8  # Gaussian sigma
-    knife: float = 0.02  # marks of the knife
-    noise: float = 0.02
+    jitter_um: float = drawn(1.5, 0.5, 2.0)  # of each section, along x and z, white
+    walk_um: float = drawn(0.15, 0.0, 0.2)  # random walk a section
+    rotation_deg: float = drawn(0.02, 0.0, 0.03)
+    thickness: float = drawn(0.08, 0.0, 0.1)  # error of a section's position, as a share of its thickness
+    missing: float = drawn(0.01, 0.0, 0.02)  # share of sections lost, in runs of at most 3
+    drift: float = drawn(0.03, 0.0, 0.04)  # gain of a section, and of each colour
+    defocus_um: float = drawn(0.8, 0.3, 1.2)  # Gaussian sigma
+    knife: float = drawn(0.02, 0.0, 0.03)  # marks of the knife
+    noise: float = drawn(0.02, 0.01, 0.04)
     texture: float = 0.01  # of the resin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PrintParams:
+class PrintParams(Strict):
     """An offset print, section 3.3.2."""
 
     tone: float = 0.4  # area of the dots
@@ -113,31 +115,31 @@ class PrintParams:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CameraParams:
+class CameraParams(Strict):
     """A microscope image of the top side in diffuse light."""
 
-    pixel_um: float = 4.0  # 2.6 at 2.5x
-    turn_deg: float = 0.0  # of the specimen under the camera; + what is drawn within +- turn_range_deg
+    pixel_um: float = drawn(4.0, 2.6, 8.0)  # 2.6 at 2.5x
+    turn_deg: float = drawn(0.0, -180.0, 180.0)  # of the specimen under the camera; +- turn_range_deg
     turn_range_deg: float = 8.0
     shift_range_um: float = 1000.0  # drawn; the frame follows as far as it must to show most of the field
-    scale_range: float = 0.01  # error of the pixel size, drawn within +-
+    scale_range: float = drawn(0.01, 0.0, 0.01)  # error of the pixel size, drawn within +-
     mirrored: bool = False
-    radial: float = 0.001  # k1: relative displacement at half the frame's diagonal
-    stretch: float = 0.002  # machine against cross direction, drawn within +-
-    backing: Literal["pile", "black"] = "pile"  # behind the sheet
-    nuisance_sd: float = 0.012  # reflectance that does not come from the coating, correlation length 200 um
+    radial: float = drawn(0.001, -0.001, 0.001)  # k1: relative displacement at half the frame's diagonal
+    stretch: float = drawn(0.002, 0.0, 0.002)  # machine against cross direction, drawn within +-
+    backing: Literal["pile", "black"] = drawn("pile", of=("pile", "black"))  # behind the sheet
+    nuisance_sd: float = drawn(0.012, 0.004, 0.015)  # reflectance not due to the coating, correlation length 200 um
     oracle_r2: float | None = None  # instead: as much of it as brings r2 of the true maps at 100 um to this
     lateral_um: float = 0.0  # lateral scattering, exponential; 200
-    shading: float = 0.02  # of the light, per 0.1 of slope of the surface
-    vignetting: float = 0.04  # loss in the corners
-    lens_um: float = 3.0  # Gaussian sigma
-    noise: float = 0.005
+    shading: float = drawn(0.02, 0.0, 0.02)  # of the light, per 0.1 of slope of the surface
+    vignetting: float = drawn(0.04, 0.0, 0.06)  # loss in the corners
+    lens_um: float = drawn(3.0, 2.0, 4.0)  # Gaussian sigma
+    noise: float = drawn(0.005, 0.003, 0.008)
     bits: int = 12
     screen: PrintParams | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SpecimenParams:
+class SpecimenParams(Strict):
     """One specimen; the same seed is the same sheet under every instrument.
 
     Attributes

@@ -1,10 +1,19 @@
-"""Papers by name: the ones of Hirn et al. (2009), and an uncoated and a one-side-coated one as a contrast."""
+"""Papers by name: the ones of Hirn et al. (2009), and an uncoated and a one-side-coated one as a contrast.
+
+Also the specimen of the demo, and what a user orders by ``planish specimen``.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
-from planish.synthetic.params import PaperParams, ScannerParams
+from pydantic import field_validator
+
+from planish.core.options import Params, option
+from planish.synthetic.nuisances import NUISANCES, with_only
+from planish.synthetic.params import SIZES_UM, CameraParams, HoleParams, PaperParams, ScannerParams, SpecimenParams
+from planish.synthetic.warp import Warp
 
 _WFC135 = PaperParams(base_um=59.5)  # section 3.3.1, before calendering: base 59.5, coating 17.4 um
 
@@ -42,6 +51,55 @@ PRESETS: dict[str, tuple[str, PaperParams]] = {
 MICRO_CT = ScannerParams(
     fwhm_um=4.0, noise=0.08, noise_px=2.0, fringe=0.12, cupping=0.04, rings=2, streak=0.03, grey=(40.0, 80.0, 180.0)
 )
+
+# Diffuse light and an even base: the image shows mostly what the coating does.
+DEMO = SpecimenParams(
+    size_um=(1800.0, 1300.0),
+    holes=HoleParams(pattern="irregular", count=6),
+    warp=Warp(wavelength_um=2000.0),
+    camera=CameraParams(shading=0.003, nuisance_sd=0.004),
+)
+
+
+class SpecimenOptions(Params):
+    """What a user orders: a paper, a size, the instruments, and their errors."""
+
+    preset: str = option("wfc135", help="Paper; --list names them.", metavar="NAME")
+    size: Literal["T0", "T1", "T2", "T3"] = option(
+        "T1", help="0.8 x 0.6, 3 x 2, 8 x 6 or 20 x 15 mm; the last has no voxels."
+    )
+    seed: int = option(0, ge=0, help="Another one, another specimen.")
+    instrument: tuple[Literal["ct", "sections", "stack", "image", "print"], ...] = option(
+        ("ct", "sections", "image", "print"), help="What is written; repeatable. All but 'stack' where not given."
+    )
+    voxel_um: float = option(3.0, ge=0.5, help="Voxel of the scan.")
+    nuisance: tuple[str, ...] | None = option(
+        None, metavar="NAME", help="Only these are on; repeatable. 'none': no nuisance. All are on where not given."
+    )
+
+    @field_validator("preset")
+    @classmethod
+    def _known_paper(cls, value: str) -> str:
+        if value not in PRESETS:
+            raise ValueError(f"there is no paper {value!r}; there are {', '.join(PRESETS)}")
+        return value
+
+    @field_validator("nuisance")
+    @classmethod
+    def _known_nuisances(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        if unknown := [name for name in value or () if name not in NUISANCES and name != "none"]:
+            raise ValueError(f"there is no nuisance {', '.join(unknown)}; --list names them all")
+        return value
+
+    def params(self) -> SpecimenParams:
+        """Parameters of the specimen."""
+        # A field of a millimetre has no room for the coded pattern.
+        holes = HoleParams(pattern="irregular", count=3) if self.size == "T0" else HoleParams()
+        params = SpecimenParams(
+            size_um=SIZES_UM[self.size], paper=PRESETS[self.preset][1], holes=holes,
+            scanner=replace(MICRO_CT, voxel_um=self.voxel_um), seed=self.seed,
+        )  # fmt: skip
+        return params if self.nuisance is None else with_only(params, set(self.nuisance) - {"none"})
 
 
 def preset(name: str) -> PaperParams:

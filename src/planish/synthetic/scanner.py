@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.threads import count_threads, thread_pool
-from planish.synthetic.fields import generator
+from planish.synthetic.draws import generator
 from planish.synthetic.paint import Painter, Slab, gaussian_taps, smooth, trimmed
 from planish.synthetic.params import ScannerParams
 from planish.synthetic.sheet import Sheet
@@ -40,18 +40,20 @@ class Scanner:
     shape: tuple[int, int, int]
     seed: int
 
-    def volume(self, *, threads: int = 2, tile_rows: int = TILE_ROWS) -> NDArray[np.generic]:
+    def volume(self, *, threads: int | None = None, tile_rows: int = TILE_ROWS) -> NDArray[np.generic]:
         """Return the volume (z, y, x)."""
         out = np.empty(self.shape, dtype=self.params.dtype)
         for start, tile in self.tiles(threads=threads, tile_rows=tile_rows):
             out[:, start : start + tile.shape[0]] = tile.transpose(2, 0, 1)
         return out
 
-    def tiles(self, *, threads: int = 2, tile_rows: int = TILE_ROWS) -> Iterator[tuple[int, NDArray[np.generic]]]:
+    def tiles(
+        self, *, threads: int | None = None, tile_rows: int = TILE_ROWS
+    ) -> Iterator[tuple[int, NDArray[np.generic]]]:
         """Give (first row, tile (rows, x, z)) one after the other; some ``2 * threads`` tiles are in memory."""
         _ = self.sheet.packed, self._plane, self._cups  # made once, before threads ask for them
         starts = list(range(0, self.shape[1], tile_rows))
-        threads = min(threads, count_threads())
+        threads = count_threads(threads)
         with thread_pool(threads) as pool:
             for at in range(0, len(starts), threads):
                 part = starts[at : at + threads]

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.grid import bilinear
-from planish.synthetic.fields import PITCH_UM, fibrous, generator, lowpass, noise, streaks
+from planish.synthetic.draws import generator
+from planish.synthetic.fields import PITCH_UM, fibrous, lowpass, noise, streaks
 from planish.synthetic.holes import burn
 from planish.synthetic.params import HoleParams, PaperParams
 

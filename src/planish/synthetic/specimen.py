@@ -4,20 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.errors import FileError
 from planish.synthetic.camera import image_material, photograph
-from planish.synthetic.fields import generator, stream
+from planish.synthetic.draws import generator, stream
 from planish.synthetic.holes import hole_pattern
 from planish.synthetic.microtome import Microtome, Poses, draw_poses
 from planish.synthetic.params import SpecimenParams
 from planish.synthetic.pose import CameraPose, draw_pose
+from planish.synthetic.presets import DEMO
 from planish.synthetic.scanner import Scanner
 from planish.synthetic.sheet import Sheet, make_sheet
 from planish.synthetic.warp import Warp
+
+if TYPE_CHECKING:
+    from planish.synthetic.files import InstrumentFiles
 
 Array = NDArray[np.float64]
 
@@ -38,6 +45,8 @@ class Specimen:
     extent_um : (float, float, float)
         Of the volume along x, y, z.
     image_shape : (int, int)
+    files : InstrumentFiles or None
+        Where the files of its instruments are, if they were written.
     """
 
     params: SpecimenParams
@@ -46,7 +55,17 @@ class Specimen:
     pose: CameraPose
     extent_um: tuple[float, float, float]
     image_shape: tuple[int, int]
-    threads: int = 2
+    files: InstrumentFiles | None = None
+
+    def __repr__(self) -> str:
+        """Sizes of sheet, volume and image."""
+        (x, y, _), p = self.extent_um, self.params
+        shape = " x ".join(map(str, self.scanner.shape))
+        return (
+            f"Specimen({x / 1000:g} x {y / 1000:g} mm, seed {p.seed}; volume of {shape} voxels (z, y, x) of "
+            f"{p.scanner.voxel_um:g} um; image of {' x '.join(map(str, self.image_shape))} pixels of "
+            f"{p.camera.pixel_um:g} um; {len(self.sheet.holes)} holes)"
+        )
 
     @property
     def scanner(self) -> Scanner:
@@ -72,23 +91,34 @@ class Specimen:
         )  # fmt: skip
 
     @cached_property
-    def volume(self) -> NDArray[np.generic]:
-        """The scanned volume (z, y, x)."""
-        return self.scanner.volume(threads=self.threads)
+    def volume(self) -> xr.DataArray:
+        """The scanned volume, dims (z, y, x), with coordinates in um: as :func:`planish.read_volume` gives it."""
+        voxel = self.params.scanner.voxel_um
+        values = self.scanner.volume()
+        return _labelled(
+            values, ("z", "y", "x"), voxel, long_name="Grey value", voxel_um=[voxel] * 3, voxel_um_source="synthetic",
+            full_scale=float(np.iinfo(self.params.scanner.dtype).max) if values.dtype.kind == "u" else None,
+            file_bytes=values.nbytes,
+        )  # fmt: skip
 
     @cached_property
-    def image(self) -> NDArray[np.float32]:
-        """Reflectance (y, x) of the top side."""
+    def image(self) -> xr.DataArray:
+        """Reflectance of the top side, dims (y, x), with coordinates in um: as :func:`planish.read_image` gives it."""
         return self._photograph(printed=False)
 
     @cached_property
-    def printed(self) -> NDArray[np.float32]:
-        """Reflectance (y, x) after printing."""
+    def printed(self) -> xr.DataArray:
+        """Reflectance after printing, as :attr:`image`."""
         return self._photograph(printed=True)
 
-    def _photograph(self, *, printed: bool) -> NDArray[np.float32]:
-        seed = stream(self.params.seed, "camera")
-        return photograph(self.sheet, self.pose, self.params.camera, shape=self.image_shape, seed=seed, printed=printed)
+    def _photograph(self, *, printed: bool) -> xr.DataArray:
+        p, seed = self.params.camera, stream(self.params.seed, "camera")
+        values = photograph(self.sheet, self.pose, p, shape=self.image_shape, seed=seed, printed=printed)
+        return _labelled(
+            values, ("y", "x"), p.pixel_um, long_name="Reflectance", pixel_um=[p.pixel_um] * 2,
+            file_bytes=values.nbytes,
+            pixel_um_source="synthetic", full_scale=1.0, channel=None, stored_dtype=str(values.dtype), orientation=1,
+        )  # fmt: skip
 
     @cached_property
     def truth(self) -> xr.Dataset:
@@ -130,16 +160,49 @@ class Specimen:
         )
 
 
-def make_specimen(params: SpecimenParams, *, threads: int = 2, sheet: Sheet | None = None) -> Specimen:
-    """Make the specimen of ``params.seed``; the same parameters give the same bytes on any number of threads.
+def _labelled(values: NDArray[Any], dims: tuple[str, ...], pitch_um: float, **attrs: Any) -> xr.DataArray:
+    """Array with coordinates in um and the attributes that a reader of files gives."""
+    coords = {d: (d, np.arange(n) * pitch_um, {"units": "um"}) for d, n in zip(dims, values.shape, strict=True)}
+    name = "volume" if len(dims) == 3 else "image"
+    return xr.DataArray(values, coords, dims, name, {"units": "1", "file_name": "synthetic specimen", **attrs})
 
-    With ``sheet``, that of another specimen, it is the same piece of paper, bent as ``params`` say.
+
+def make_specimen(
+    params: SpecimenParams | None = None, folder: str | Path | None = None, *,
+    sheet: Sheet | None = None,
+) -> Specimen:  # fmt: skip
+    """Make a sheet of paper whose every property is known, as a scanner and a microscope show it.
+
+    Parameters
+    ----------
+    params : SpecimenParams, optional
+        Paper, holes, warp, instruments and seed; the specimen of the demo where not given (1.8 x 1.3 mm, six holes).
+        The same parameters give the same bytes on any number of threads.
+    folder : path, optional
+        Folder to make, for ``volume.tif``, ``image.tif`` and ``truth/``; nothing is written where not given.
+    sheet : Sheet, optional
+        That of another specimen: the same piece of paper, bent as ``params`` say.
+
+    Returns
+    -------
+    Specimen
+        ``volume``, ``image``, ``printed`` and ``truth`` are rendered when they are first used; ``files`` holds the
+        paths where they were written.
 
     Raises
     ------
+    FileError
+        If ``folder`` exists.
     ValueError
         If the holes do not fit into the field, or the given sheet does not reach as far as this one has to.
+
+    Examples
+    --------
+    >>> import planish as pl
+    >>> specimen = pl.make_specimen()  # doctest: +SKIP
+    >>> surfaces = pl.find_surfaces(specimen.volume)  # doctest: +SKIP
     """
+    params = params or DEMO
     width, height = params.size_um
     # The sheet's own origin comes to the middle of the volume; then one sees which material the volume shows.
     reach = 2.0 * max(params.size_um) / np.cos(np.arctan(params.warp.steepest)) + 1000.0
@@ -164,7 +227,17 @@ def make_specimen(params: SpecimenParams, *, threads: int = 2, sheet: Sheet | No
         sheet = make_sheet(p, params.holes, low=low, high=high, centres=centres, seed=params.seed)
     elif not sheet.covers(spread[:2], spread[2:]):
         raise ValueError("the given sheet does not reach as far as the volume shows it; bend it more or make it larger")
-    return Specimen(
+    made = Specimen(
         params=params, warp=warp, sheet=sheet, pose=pose, extent_um=(width, height, high_z - low_z),
-        image_shape=image_shape, threads=threads,
+        image_shape=image_shape
     )  # fmt: skip
+    if folder is None:
+        return made
+    from planish.synthetic.files import write_instruments, write_truth
+
+    place = Path(folder)
+    if place.exists():
+        raise FileError(f"{place} exists already. Name another folder for the specimen, or remove that one.")
+    files = write_instruments(made, place)
+    write_truth(made, place / "truth")
+    return replace(made, files=files)

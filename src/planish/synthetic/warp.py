@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.synthetic import _kernels
+from planish.synthetic.draws import Strict, drawn
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ _GAUSS_X, _GAUSS_W = np.polynomial.legendre.leggauss(5)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Warp:
+class Warp(Strict):
     """Centre surface ``m(u, v)`` of a bent sheet.
 
     The sheet is rolled along the direction ``ruling_deg`` from the u axis: its profile curve turns by
@@ -40,15 +40,15 @@ class Warp:
         Largest ``|u|`` and ``|v|`` that are asked for.
     """
 
-    slope: float = 0.5
-    tilt_deg: float = 0.0
-    wavelength_um: float = 3000.0
-    phase_rad: float = 0.6
-    ruling_deg: float = 20.0
-    bump_um: float = 0.0
+    slope: float = drawn(0.5, 0.0, 0.42)
+    tilt_deg: float = drawn(0.0, -7.0, 7.0)
+    wavelength_um: float = drawn(3000.0, 2500.0, 15000.0)
+    phase_rad: float = drawn(0.6, 0.0, 6.28)
+    ruling_deg: float = drawn(20.0, -90.0, 90.0)
+    bump_um: float = drawn(0.0, of=(0.0, 0.0, 50.0, 100.0, 150.0))
     bump_u_um: float = 0.0
     bump_v_um: float = 0.0
-    bump_radius_um: float = 800.0
+    bump_radius_um: float = drawn(800.0, 1500.0, 3000.0)
     shift_um: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reach_um: float = 8000.0
 
@@ -63,24 +63,31 @@ class Warp:
 
     def points(self, u: Array, v: Array) -> Array:
         """Return ``m(u, v)`` as (..., 3) in the order x, y, z, in um."""
-        u, v = np.broadcast_arrays(u, v)
-        points, _ = _kernels.frames(*self.packed(), u.ravel().astype(float), v.ravel().astype(float))
-        return points.reshape(*u.shape, 3)
+        return self._frames(u, v)[0]
 
     def normals(self, u: Array, v: Array) -> Array:
         """Return unit normals (..., 3), pointing to the top side (+z)."""
-        u, v = np.broadcast_arrays(u, v)
-        _, normals = _kernels.frames(*self.packed(), u.ravel().astype(float), v.ravel().astype(float))
-        return normals.reshape(*u.shape, 3)
+        return self._frames(u, v)[1]
 
     def material(self, points: Array) -> Array:
         """Return ``(u, v, s)`` of points ``(..., 3)`` given as x, y, z: the exact inverse of ``m + s n``."""
+        from planish.synthetic import _kernels
+
         flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
         return _kernels.materials(*self.packed(), flat).reshape(points.shape)
 
     def columns(self, y_um: Array, x_um: Array) -> Array:
         """Return ``(u, v, z)`` of the centre surface at the columns (y, x), shape (len(y), len(x), 3)."""
+        from planish.synthetic import _kernels
+
         return _kernels.columns(*self.packed(), np.asarray(y_um, float), np.asarray(x_um, float))
+
+    def _frames(self, u: Array, v: Array) -> tuple[Array, Array]:
+        from planish.synthetic import _kernels
+
+        u, v = np.broadcast_arrays(u, v)
+        points, normals = _kernels.frames(*self.packed(), u.ravel().astype(float), v.ravel().astype(float))
+        return points.reshape(*u.shape, 3), normals.reshape(*u.shape, 3)
 
 
 @lru_cache(maxsize=8)

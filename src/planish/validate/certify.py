@@ -134,10 +134,7 @@ class Certificate:
 def run_scenario(
     scenario: Scenario,
     seeds: int | Sequence[int] | None = None,
-    out: Path | None = None,
     progress: Progress | None = None,
-    *,
-    threads: int = 2,
 ) -> Certificate:
     """Make the specimens of a scenario, run the program on their files, and measure its errors.
 
@@ -146,12 +143,8 @@ def run_scenario(
     scenario : Scenario
     seeds : int or sequence of int, optional
         How many, or which; the scenario's own number where not given.
-    out : Path, optional
-        Existing folder for the temporary files, which are removed after each seed; the system's where not given.
     progress : callable, optional
         Told (stage, detail).
-    threads : int
-        Used to make the specimens; they do not depend on it.
 
     Returns
     -------
@@ -169,23 +162,19 @@ def run_scenario(
             entries.append(Entry(seed=seed, values=values, seconds=time.perf_counter() - start))
             continue
         if scenario.kind == "pair":
-            entries.append(run_pair(scenario, seed, out=out, progress=progress, threads=threads))
+            entries.append(run_pair(scenario, seed, progress=progress))
             continue
-        entry, seen = run_specimen(
-            scenario, scenario.params(seed), seed, out=out, progress=progress, threads=threads, keep=example is None
-        )
+        entry, seen = run_specimen(scenario, scenario.params(seed), seed, progress=progress, keep=example is None)
         entries.append(entry)
         example = example or seen
     return Certificate(scenario=scenario, entries=tuple(entries), example=example)
 
 
-def run_pair(
-    scenario: Scenario, seed: int, *, out: Path | None = None, progress: Progress | None = None, threads: int = 2
-) -> Entry:
+def run_pair(scenario: Scenario, seed: int, *, progress: Progress | None = None) -> Entry:
     """Make one sheet under two instruments, link their volumes, remove the files."""
-    with _folder(out) as folder:
+    with _folder() as folder:
         try:
-            made = make_pair(scenario, seed, folder, threads=threads)
+            made = make_pair(scenario, seed, folder)
         except ValueError as error:
             raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
         start = time.perf_counter()
@@ -205,15 +194,13 @@ def run_specimen(
     params: SpecimenParams,
     seed: int,
     *,
-    out: Path | None = None,
     progress: Progress | None = None,
-    threads: int = 2,
     keep: bool = False,
 ) -> tuple[Entry, Example | None]:
     """Make one specimen, run the program on its files, remove them; with ``keep``, also its maps for a picture."""
-    with _folder(out) as folder:
+    with _folder() as folder:
         try:
-            specimen = make_specimen(params, threads=threads)
+            specimen = make_specimen(params)
         except ValueError as error:
             raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
         made = write_instruments(specimen, folder / "specimen", volume=scenario.instrument, image=True)
@@ -233,9 +220,9 @@ def run_specimen(
 
 
 @contextmanager
-def _folder(out: Path | None) -> Generator[Path]:
+def _folder() -> Generator[Path]:
     """Give a folder for the files of one specimen; it is removed at the end."""
-    folder = Path(tempfile.mkdtemp(prefix="planish-validate-", dir=out))
+    folder = Path(tempfile.mkdtemp(prefix="planish-validate-"))
     try:
         yield folder
     finally:

@@ -24,12 +24,12 @@ NAMES = ("first", "second")
 
 
 def make_pair(
-    scenario: Scenario, seed: int, folder: Path, *, threads: int
+    scenario: Scenario, seed: int, folder: Path
 ) -> list[tuple[Specimen, InstrumentFiles]]:  # fmt: skip
     """Make the sheet as both instruments have it, and write their files."""
     assert scenario.second is not None
-    first = make_specimen(scenario.params(seed), threads=threads)
-    second = make_specimen(scenario.second_params(seed), threads=threads, sheet=first.sheet)
+    first = make_specimen(scenario.params(seed))
+    second = make_specimen(scenario.second_params(seed), sheet=first.sheet)
     instruments = (scenario.instrument, scenario.second.instrument)
     return [
         (specimen, write_instruments(specimen, folder / name, volume=instrument, image=False))

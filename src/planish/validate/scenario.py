@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import is_dataclass, replace
+from dataclasses import asdict, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator, model_validator
 
 from planish.core.errors import FileError, InputError
 from planish.study import Study
 from planish.synthetic.draws import draw_params
-from planish.synthetic.nuisances import NUISANCES, amended, nuisances_of, with_only, without
+from planish.synthetic.nuisances import NUISANCES, nuisances_of, with_only, without
 from planish.synthetic.params import SIZES_UM, SpecimenParams
 from planish.synthetic.presets import PRESETS, preset
 from planish.validate.figures import FIGURES
@@ -143,13 +143,11 @@ class Scenario(Table):
     @model_validator(mode="after")
     def _can_be_made(self) -> Self:
         try:
-            _check_kinds(SpecimenParams(), self.specimen, "specimen")
             self.params(0)
             if self.second is not None:
-                _check_kinds(SpecimenParams(), self.second.specimen, "second.specimen")
                 self.second_params(0)
-        except KeyError as error:
-            raise ValueError(f"specimen has no field {error}") from error
+        except ValidationError as error:
+            raise ValueError("; ".join(f"specimen.{place}: {fault}" for place, fault in faults_of(error))) from error
         for table, changes in self.study.items():
             _one_of(table, _STUDY_TABLES, "table of run.toml")
             fields = getattr(Study.model_fields[table].annotation, "model_fields", None)
@@ -161,7 +159,7 @@ class Scenario(Table):
         """Parameters of the specimen of ``seed``; ``nuisances`` replaces the scenario's own choice."""
         chosen = self.nuisances if nuisances is None else nuisances
         size = SIZES_UM[self.size] if isinstance(self.size, str) else self.size
-        params: SpecimenParams = amended(SpecimenParams(size_um=size, paper=preset(self.preset)), self.specimen)
+        params = amended(SpecimenParams(size_um=size, paper=preset(self.preset)), self.specimen)
         params = replace(params, seed=params.seed + seed)
         if self.drawn:
             params = draw_params(params)
@@ -172,8 +170,7 @@ class Scenario(Table):
     def second_params(self, seed: int) -> SpecimenParams:
         """Parameters of the same sheet under the second instrument."""
         assert self.second is not None
-        changed: SpecimenParams = amended(self.params(seed), self.second.specimen)
-        return changed
+        return amended(self.params(seed), self.second.specimen)
 
     @property
     def active(self) -> list[str]:
@@ -187,18 +184,26 @@ def _one_of(value: str, known: Any, what: str) -> str:
     return value
 
 
-def _check_kinds(old: Any, changes: dict[str, Any], place: str) -> None:
-    """Numbers stay numbers and tables tables; a name that does not exist is noticed where the changes are made."""
-    for name, value in changes.items():
-        here, there = f"{place}.{name}", getattr(old, name, value)
-        if isinstance(value, dict):
-            if not is_dataclass(there):
-                raise ValueError(f"{here} is a table; a value is needed")
-            _check_kinds(there, value, here)  # type: ignore[reportUnknownArgumentType]
-        elif is_dataclass(there):
-            raise ValueError(f"{here} is {value!r}; a table is needed")
-        elif isinstance(there, (int, float)) and not isinstance(value, (int, float)):
-            raise ValueError(f"{here} is {value!r}; a number is needed")
+def faults_of(error: ValidationError) -> list[tuple[str, str]]:
+    """Place and sentence of every fault."""
+    unknown = "unexpected_keyword_argument"
+    return [
+        (
+            ".".join(map(str, e["loc"])),
+            "no such field" if e["type"] == unknown else e["msg"].removeprefix("Value error, "),
+        )
+        for e in error.errors()
+    ]
+
+
+def amended(params: SpecimenParams, changes: dict[str, Any]) -> SpecimenParams:
+    """Replace fields by name, nested as they are; pydantic's ValueError names what is unknown or of a wrong kind."""
+    return TypeAdapter(SpecimenParams).validate_python(_merged(asdict(params), changes))
+
+
+def _merged(old: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    tables = {k: _merged(old[k], v) for k, v in changes.items() if isinstance(v, dict) and isinstance(old.get(k), dict)}
+    return old | changes | tables
 
 
 def scenario_names() -> list[str]:
@@ -237,6 +242,6 @@ def read_scenario(name_or_path: str | Path) -> Scenario:
     try:
         return Scenario.model_validate(data)
     except ValidationError as error:
-        found = [(".".join(map(str, e["loc"])), e["msg"].removeprefix("Value error, ")) for e in error.errors()]
+        found = faults_of(error)
         faults = "; ".join(f"{place}: {fault}" if place else fault for place, fault in found)
         raise InputError(f"The scenario {name} has {len(found)} faults: {faults}.") from error

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -79,10 +78,7 @@ class Sensitivity:
 def sensitivity(
     scenario: Scenario,
     seeds: int | Sequence[int] = 1,
-    out: Path | None = None,
     progress: Progress | None = None,
-    *,
-    threads: int = 2,
 ) -> Sensitivity:
     """Run a scenario without nuisances, with each alone, and with all; figures are rms over the seeds.
 
@@ -105,7 +101,7 @@ def sensitivity(
             if progress is not None:
                 progress("sensitivity", f"{what}, seed {seed}")
             entries.append(
-                run_specimen(scenario, scenario.params(seed, chosen), seed, out=out, threads=threads)[0]
+                run_specimen(scenario, scenario.params(seed, chosen), seed)[0]
             )  # fmt: skip
         refusals = [entry.refusal for entry in entries if entry.refusal is not None]
         return _pooled(entries), refusals[0] if refusals else None
