@@ -6,9 +6,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
+import tifffile
 from hypothesis import settings
 
 from planish.cli import main
@@ -177,6 +180,37 @@ def specimen_files(specimen, tmp_path_factory):
     """The same as files: paths of ``volume.tif`` and ``image.tif``."""
     files = write_instruments(specimen, tmp_path_factory.mktemp("specimen"))
     return files.volume, files.image
+
+
+@dataclass(frozen=True)
+class Files:
+    """A specimen on disk: the paths, and what ``planish link`` has to be told about them."""
+
+    volume: Path
+    image: Path
+    options: tuple[str, ...] = ()
+
+
+@pytest.fixture(scope="session")
+def upright(specimen_files) -> Files:
+    """The small specimen as it was made: its sheet through z, the image shows the top."""
+    return Files(*specimen_files)
+
+
+@pytest.fixture(scope="session")
+def laid(specimen, tmp_path_factory) -> Files:
+    """The small specimen turned about x: its sheet through y, the top at the low end; the image shows the bottom."""
+    folder = tmp_path_factory.mktemp("laid")
+    voxel, pixel = specimen.params.scanner.voxel_um, specimen.params.camera.pixel_um
+    volume = np.ascontiguousarray(specimen.volume[::-1].transpose(1, 0, 2))
+    meta = {"spacing": voxel, "unit": "um", "axes": "ZYX"}
+    tifffile.imwrite(folder / "volume.tif", volume, imagej=True, resolution=(1 / voxel, 1 / voxel), metadata=meta)
+    # From below the sheet is mirrored.
+    grey = np.rint(specimen.image * 60000).clip(0, 65535).astype(np.uint16)[:, ::-1]
+    size = (1e4 / pixel, 1e4 / pixel)
+    tifffile.imwrite(folder / "image.tif", grey, resolution=size, resolutionunit="CENTIMETER")
+    options = ("--through", "y", "--top", "low", "--image-side", "bottom")
+    return Files(folder / "volume.tif", folder / "image.tif", options)
 
 
 @pytest.fixture(scope="session")

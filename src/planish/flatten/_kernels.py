@@ -30,8 +30,10 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TINY = np.float32(1e-30)
 _FAINT = np.float32(1e-12)
-# Kinds of start of ``smooth``; a number written there would be a type of its own, and compiled once more.
+# The kinds of start of ``smooth``, and the first row; a number written in a call would be a type of its own, and the
+# callee compiled once more.
 _NEW, _CORRECTED = np.int64(0), np.int64(1)
+_FIRST = np.int64(1)
 _SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
 _SUMS = {**_SETTINGS, "fastmath": {"contract", "nsz", "reassoc"}}
 # A loop is compiled to vector instructions only where it is seen that its row buffers overlap nothing else: inside the
@@ -398,10 +400,11 @@ def descend(near, stiff, ease, force, move, alone, cols, last, inverse, row, col
     """
     for k in range(last):
         rows = near[k].shape[1] - 2
-        smooth(
-            _NEW, near[k], stiff[k], ease[k], force[k], move[k], move[k], alone[k], first, second, cols[k], 1, rows + 1
+        fixed = near[k], stiff[k], ease[k], force[k]
+        smooth(_NEW, *fixed, move[k], move[k], alone[k], first, second, cols[k], _FIRST, rows + 1)
+        restrict(
+            near[k], stiff[k], force[k], move[k], force[k + 1], cols[k], cols[k + 1], _FIRST, near[k + 1].shape[1] - 1
         )
-        restrict(near[k], stiff[k], force[k], move[k], force[k + 1], cols[k], cols[k + 1], 1, near[k + 1].shape[1] - 1)
     f, u = force[last], move[last]
     for a in range(row.size):
         x = y = 0.0
@@ -412,18 +415,5 @@ def descend(near, stiff, ease, force, move, alone, cols, last, inverse, row, col
         u[0, row[a], col[a]], u[1, row[a], col[a]] = x, y
     for k in range(last - 1, -1, -1):
         rows = near[k].shape[1] - 2
-        smooth(
-            _CORRECTED,
-            near[k],
-            stiff[k],
-            ease[k],
-            force[k],
-            move[k + 1],
-            move[k],
-            alone[k],
-            once,
-            once,
-            cols[k],
-            1,
-            rows + 1,
-        )
+        fixed = near[k], stiff[k], ease[k], force[k]
+        smooth(_CORRECTED, *fixed, move[k + 1], move[k], alone[k], once, once, cols[k], _FIRST, rows + 1)
