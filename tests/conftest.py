@@ -1,4 +1,4 @@
-"""What all tests share: small specimens, measured data, repeatable property tests, studies, and the limit on CPU time."""
+"""What all tests share: specimens, measured data, repeatable property tests, studies, the limit on CPU time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from filelock import FileLock
 from hypothesis import settings
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
 
 from planish.cli import main
 from planish.pipeline import run_study
@@ -139,8 +142,25 @@ class CpuLimit:
 
 def pytest_configure(config: pytest.Config) -> None:
     limit = config.option.cpu_limit
-    if limit is not None and not hasattr(config, "workerinput"):
+    if hasattr(config, "workerinput"):
+        compile_once(config.rootpath / ".pytest_cache" / "kernels")
+    elif limit is not None:
         config.pluginmanager.register(CpuLimit(limit, warm=config.option.warm))
+
+
+def compile_once(locks: Path) -> None:
+    """Let one worker compile a kernel while the others that need it wait, and then find it in numba's cache."""
+    compile_here = Dispatcher.compile
+
+    def compile_locked(self: Dispatcher, sig: object) -> object:
+        name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
+        if not name.startswith("planish."):
+            return compile_here(self, sig)
+        # The lock among threads comes first: a thread that held a file and waited for it would stop the others.
+        with global_compiler_lock, FileLock(locks / f"{name}.lock", is_singleton=True):
+            return compile_here(self, sig)
+
+    Dispatcher.compile = compile_locked
 
 
 # --- what tests share ----------------------------------------------------------------------------------------
@@ -215,12 +235,16 @@ def laid(specimen, tmp_path_factory) -> Files:
 
 @pytest.fixture(scope="session")
 def linked_run(specimen_files, tmp_path_factory):
-    """Link the small specimen once; give its run folder."""
-    out = tmp_path_factory.mktemp("linked") / "run"
+    """Link the small specimen once, for all workers; give its run folder, which no test may change."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "linked"
+    folder.mkdir(exist_ok=True)
     volume, image = specimen_files
     study = Study(volume=VolumeSection(path=str(volume)), image=ImageSection(path=str(image)))
-    run_study(study, out)
-    return out
+    with FileLock(folder / "lock"):
+        if not (folder / "run").exists():  # a run is whole or not there
+            run_study(study, folder / "run")
+    return folder / "run"
 
 
 @pytest.fixture
