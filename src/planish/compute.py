@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from xarray.backends import BackendArray
-from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 from planish import __version__
 from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
+from planish.core.lazy import LazyArray, Where, replaced
 from planish.core.tiles import Engine
 from planish.io import read_volume
 from planish.io.guard import default_memory_limit
@@ -65,7 +64,7 @@ class Compute:
         return self.memory_bytes if self.memory_bytes is not None else int(default_memory_limit() * 2 / 3)
 
 
-class FileVolume(BackendArray):
+class FileVolume(LazyArray):
     """A volume that travels to other processes as the name of its file; each of them opens it once.
 
     Parameters
@@ -82,12 +81,9 @@ class FileVolume(BackendArray):
     ) -> None:
         self.path, self.how, self.shape, self.dtype = path, how, shape, dtype
 
-    def __getitem__(self, key: ExplicitIndexer) -> Any:
+    def read(self, where: Where) -> NDArray[Any]:
         """Read a part."""
-        return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self._read)
-
-    def _read(self, key: tuple[Any, ...]) -> NDArray[Any]:
-        return opened(self.path, self.how).variable[key].values
+        return opened(self.path, self.how).variable[where].values
 
 
 @lru_cache(maxsize=1)
@@ -98,11 +94,7 @@ def opened(path: str, how: tuple[tuple[str, Any], ...]) -> xr.DataArray:
 
 def by_name(volume: xr.DataArray, path: str, how: dict[str, Any]) -> xr.DataArray:
     """Return the same volume, held by the name of its file."""
-    held = FileVolume(path, tuple(how.items()), volume.shape, volume.dtype)
-    variable = xr.Variable(volume.dims, LazilyIndexedArray(held), volume.attrs)
-    named = xr.DataArray(variable, coords=volume.coords, name=volume.name)
-    named.encoding.update(volume.encoding)
-    return named
+    return replaced(volume, FileVolume(path, tuple(how.items()), volume.shape, volume.dtype))
 
 
 def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, compute: Compute) -> int:

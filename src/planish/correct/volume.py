@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from xarray.backends import BackendArray
-from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 from planish.core.errors import InputError
+from planish.core.lazy import LazyArray, Where, replaced
 from planish.core.threads import count_threads
 from planish.correct import _kernels
 from planish.correct.cupping import factor, find_cupping, middle_factor
@@ -74,7 +73,7 @@ class Change:
         return out, int(clipped)
 
 
-class CorrectedArray(BackendArray):
+class CorrectedArray(LazyArray):
     """A volume whose parts are corrected when they are read; a voxel does not depend on the part.
 
     Parameters
@@ -87,18 +86,13 @@ class CorrectedArray(BackendArray):
         self.inner, self.change = inner.variable, change
         self.shape, self.dtype = inner.shape, inner.dtype
 
-    def __getitem__(self, key: ExplicitIndexer) -> Any:
-        """Read a part."""
-        return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self._read)
-
-    def _read(self, key: tuple[Any, ...]) -> NDArray[Any]:
-        places = [np.atleast_1d(np.arange(n)[k]) for n, k in zip(self.shape, key, strict=True)]
-        single = tuple(i for i, k in enumerate(key) if not isinstance(k, slice))
-        values = self.inner[key].values.reshape([p.size for p in places])
+    def read(self, where: Where) -> NDArray[Any]:
+        """Read a part and correct it."""
         order = self.change.turning.order
-        out, _ = self.change.apply(np.transpose(values, order), *(places[axis] for axis in order))
-        back = np.transpose(out, [order.index(axis) for axis in range(3)])
-        return np.ascontiguousarray(np.squeeze(back, single))
+        places = [np.arange(w.start, w.stop, w.step) for w in where]
+        values = np.transpose(self.inner[where].values, order)
+        out, _ = self.change.apply(values, *(places[axis] for axis in order))
+        return np.transpose(out, np.argsort(order))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -249,9 +243,7 @@ def _finished(
 ) -> Corrected:  # fmt: skip
     out = volume
     if change is not None:
-        lazy = LazilyIndexedArray(CorrectedArray(volume, change))
-        out = xr.DataArray(xr.Variable(volume.dims, lazy, volume.attrs), coords=volume.coords, name=volume.name)
-        out.encoding.update(volume.encoding)
+        out = replaced(volume, CorrectedArray(volume, change))
     out = out.assign_attrs(corrections=record.to_json())
     return Corrected(volume=out, record=record, turning=turning, before=before, after=after, change=change)
 

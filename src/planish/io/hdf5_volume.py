@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
+from planish.core.lazy import Where
 from planish.io.chunks import check_chunks
 from planish.io.formats import Place
 from planish.io.guard import reading, size_of_file
 from planish.io.hdf5_links import check_storage, find_dataset, listed, opened, volumes_in
-from planish.io.lazy import LazyArray, Where, turned
+from planish.io.lazy import FileArray, turned
 from planish.io.loaded import ADVICE, LoadedVolume, loaded
 from planish.io.nexus import axis_order, default_dataset, stated_by_nexus
 from planish.io.sizes import Stated, unit_um
@@ -126,7 +127,7 @@ def chunk_bytes(dataset: Any) -> int:
     return 0 if dataset.chunks is None else math.prod(dataset.chunks) * dataset.dtype.itemsize
 
 
-class Hdf5Array(LazyArray):
+class Hdf5Array(FileArray):
     """A data set, whose file is open only while it is read."""
 
     def __init__(self, path: Path, name: str, shape: tuple[int, ...], dtype: np.dtype[Any], piece_bytes: int) -> None:

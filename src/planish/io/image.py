@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, InputError
+from planish.core.lazy import labelled
 from planish.io.guard import check_memory, size_of_file
 from planish.io.picture import Picture, load_picture
 from planish.io.sizes import PIXEL, Stated, agreed_size
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue, Rec. ITU-R BT.709."""
@@ -77,27 +80,19 @@ def read_image(
     height, width = picture.values.shape[:2]
     check_memory(path, needed_bytes=4 * height * width, limit_bytes=memory_bytes)
     values, long_name = pick_channel(picture, channel, file_name=path.name)
-    return xr.DataArray(
-        values,
-        dims=("y", "x"),
-        coords={
-            "y": ("y", np.arange(height) * size[0], {"units": "um"}),
-            "x": ("x", np.arange(width) * size[1], {"units": "um"}),
-        },
-        name="image",
-        attrs={
-            "units": "1",
-            "long_name": long_name,
-            "pixel_um": list(size),
-            "pixel_um_source": source,
-            "channel": channel,
-            "full_scale": picture.full_scale,
-            "stored_dtype": str(picture.values.dtype),
-            "orientation": picture.orientation,
-            "file_name": path.name,
-            "file_bytes": size_of_file(path),
-        },
-    )
+    attrs = {
+        "units": "1",
+        "long_name": long_name,
+        "pixel_um": list(size),
+        "pixel_um_source": source,
+        "channel": channel,
+        "full_scale": picture.full_scale,
+        "stored_dtype": str(picture.values.dtype),
+        "orientation": picture.orientation,
+        "file_name": path.name,
+        "file_bytes": size_of_file(path),
+    }
+    return labelled(values, PIXEL.axes, size, name="image", attrs=attrs)
 
 
 def across(stated: Sequence[Stated]) -> list[Stated]:

@@ -14,7 +14,7 @@ from planish.core.errors import FileError, InputError, SizeError
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
-from planish.io.lazy import LazyArray
+from planish.io.lazy import FileArray
 from planish.io.loaded import LoadedVolume
 from planish.io.look import look
 from planish.io.picture import is_picture, kind_of, load_picture
@@ -93,7 +93,7 @@ def describe(
         loaded.stated, voxel_um, loaded.values.shape, warnings, name=path.name, asked=VOXEL, override=override_size
     )
     warnings += size_doubts(size["size_um"]) + window_doubts(loaded, seen)
-    if isinstance(loaded.values, LazyArray) and loaded.values.whole_slices:
+    if isinstance(loaded.values, FileArray) and loaded.values.whole_slices:
         warnings.append(
             "It does not fit into the memory, and its slices can only be decoded whole. Bring it into a store with "
             "'planish import' first."
@@ -112,17 +112,17 @@ def describe(
     }
 
 
-def how_stored(values: NDArray[Any] | LazyArray) -> str:
+def how_stored(values: NDArray[Any] | FileArray) -> str:
     """Say how a volume is held."""
-    if isinstance(values, LazyArray):
+    if isinstance(values, FileArray):
         return "read in parts when they are needed"
     return "mapped from its file" if isinstance(values, np.memmap) else "decoded in memory"
 
 
-def estimates(values: NDArray[Any] | LazyArray) -> dict[str, float]:
+def estimates(values: NDArray[Any] | FileArray) -> dict[str, float]:
     """Memory and time that ``planish map`` will need, roughly, if the sheet lies across the shortest axis."""
     columns = math.prod(values.shape) // min(values.shape)
-    decoded = 0 if isinstance(values, (np.memmap, LazyArray)) else values.nbytes
+    decoded = 0 if isinstance(values, (np.memmap, FileArray)) else values.nbytes
     return {
         "run_bytes": BASE_BYTES + COLUMN_BYTES * columns + decoded,
         "run_seconds": BASE_SECONDS + COLUMN_SECONDS * columns,

@@ -1,25 +1,21 @@
-"""Arrays that stay in their files: shape and type are known, and only the part that is asked for is read.
+"""Arrays that stay in their files, of which only the part that is asked for is read.
 
-xarray holds such an array as any of its backends does, wrapped in a ``LazilyIndexedArray``: ``volume.isel(...)`` moves
-the borders of the part, and ``.values`` reads it. Nothing that was read stays in memory, except the last few slices of
-formats that decode whole slices.
+Nothing that was read stays in memory, except the last few slices of formats that decode whole slices.
 """
 
 from __future__ import annotations
 
-import math
 import threading
-from abc import abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from xarray.backends import BackendArray
-from xarray.core.indexing import ExplicitIndexer, IndexingSupport, explicit_indexing_adapter
 
+from planish.core.lazy import LazyArray, Where
 from planish.io.guard import check_memory, default_memory_limit, reading
 
 EAGER_BYTES = 2**30
@@ -28,20 +24,14 @@ EAGER_BYTES = 2**30
 CACHE_BYTES = 256 * 2**20
 """Decoded slices that are kept, because the next part often lies in the same ones."""
 
-Where = tuple[slice, ...]
-"""One slice an axis, with a start and stop inside the array and a step above 0."""
 
-
-class LazyArray(BackendArray):
-    """An array in a file, read in parts; several threads may read at the same time.
+class FileArray(LazyArray):
+    """An array in a file.
 
     Attributes
     ----------
     path : Path
         For the messages.
-    shape : tuple of int
-    dtype : dtype
-        In the byte order of the machine.
     piece_bytes : int
         What is decoded at least, however small the part.
     whole_slices : bool
@@ -51,57 +41,13 @@ class LazyArray(BackendArray):
     """
 
     path: Path
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
     piece_bytes: int
     whole_slices: bool = False
     chunks: tuple[int, ...] | None = None
 
-    @property
-    def ndim(self) -> int:
-        """Number of axes."""
-        return len(self.shape)
-
-    @property
-    def nbytes(self) -> int:
-        """Size of the decoded array."""
-        return math.prod(self.shape) * self.dtype.itemsize
-
-    @abstractmethod
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a part, in the array's own type."""
-
-    def __getitem__(self, key: Any) -> Any:
-        """Read a part, for xarray or with the integers and slices of numpy."""
-        if isinstance(key, ExplicitIndexer):
-            return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self._basic)
-        keys = key if isinstance(key, tuple) else (key,)
-        if Ellipsis in keys:
-            at = keys.index(Ellipsis)
-            keys = keys[:at] + (slice(None),) * (len(self.shape) - len(keys) + 1) + keys[at + 1 :]
-        return self._basic(keys + (slice(None),) * (len(self.shape) - len(keys)))
-
-    def _basic(self, keys: tuple[Any, ...]) -> NDArray[Any]:
-        """Read what integers and slices select."""
-        where: list[slice] = []
-        after: list[Any] = []
-        for key, n in zip(keys, self.shape, strict=True):
-            if isinstance(key, slice):
-                places = range(n)[key]
-                ordered = places if places.step > 0 else places[::-1]
-                where.append(slice(ordered.start, ordered.stop, ordered.step))
-                after.append(slice(None, None, 1 if places.step > 0 else -1))
-            else:
-                place = range(n)[int(key)]
-                where.append(slice(place, place + 1, 1))
-                after.append(0)
-        shape = tuple(len(range(s.start, s.stop, s.step)) for s in where)
-        with reading(self.path):
-            part = self.read(tuple(where)) if all(shape) else np.empty(shape, self.dtype)
-            chosen = part[tuple(after)]
-            # A view would keep the whole file mapped, or the slice that it was cut from.
-            own = chosen.base is None or (chosen.base is part and part.base is None and chosen.size == part.size)
-            return np.ascontiguousarray(chosen, self.dtype) if own else np.array(chosen, dtype=self.dtype)
+    def guarded(self) -> AbstractContextManager[None]:
+        """Turn what a decoder raises into a FileError."""
+        return reading(self.path)
 
 
 class Pages(Protocol):
@@ -114,7 +60,7 @@ class Pages(Protocol):
         ...
 
 
-class PagedArray(LazyArray):
+class PagedArray(FileArray):
     """A volume stored page by page."""
 
     def __init__(self, pages: Pages, shape: tuple[int, int, int], dtype: np.dtype[Any], path: Path) -> None:
@@ -175,7 +121,7 @@ class PagedArray(LazyArray):
         return strip
 
 
-class MappedArray(LazyArray):
+class MappedArray(FileArray):
     """Values that lie in a file as they are, in whatever byte order; the file is open only while it is read."""
 
     piece_bytes = 0
@@ -190,7 +136,7 @@ class MappedArray(LazyArray):
         return np.asarray(mapped[where], self.dtype)
 
 
-def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> NDArray[Any] | LazyArray:
+def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> NDArray[Any] | FileArray:
     """Map values that lie in a file as they are; a memmap where the machine has their byte order."""
     if stored == stored.newbyteorder("=") and stored != np.float16:
         with reading(path):
@@ -198,12 +144,12 @@ def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset:
     return MappedArray(path, shape, stored, offset=offset)
 
 
-class ChangedArray(LazyArray):
+class ChangedArray(FileArray):
     """An array whose parts pass a function that changes each value for itself.
 
     Parameters
     ----------
-    inner : LazyArray
+    inner : FileArray
         May have a further last axis, the samples of a pixel, which `change` takes away.
     change : callable
         From a part of `inner` to that part of the array; can be pickled.
@@ -211,7 +157,7 @@ class ChangedArray(LazyArray):
 
     def __init__(
         self,
-        inner: LazyArray,
+        inner: FileArray,
         change: Callable[[NDArray[Any]], NDArray[Any]],
         *,
         dtype: np.dtype[Any],
@@ -228,10 +174,10 @@ class ChangedArray(LazyArray):
         return np.asarray(self.change(self.inner.read((*where, *samples))), self.dtype)
 
 
-class TurnedArray(LazyArray):
+class TurnedArray(FileArray):
     """An array seen with its axes in another order, without those of length 1 that are left out of `order`."""
 
-    def __init__(self, inner: LazyArray, order: Sequence[int]) -> None:
+    def __init__(self, inner: FileArray, order: Sequence[int]) -> None:
         self.inner, self.order = inner, tuple(order)
         self.shape = tuple(inner.shape[axis] for axis in order)
         self.chunks = None if inner.chunks is None else tuple(inner.chunks[axis] for axis in order)
@@ -249,27 +195,27 @@ class TurnedArray(LazyArray):
         )
 
 
-def turned(inner: LazyArray, order: Sequence[int]) -> LazyArray:
+def turned(inner: FileArray, order: Sequence[int]) -> FileArray:
     """Return the array itself where the order is its own."""
     return inner if tuple(order) == tuple(range(len(inner.shape))) else TurnedArray(inner, order)
 
 
-def as_supported(array: LazyArray | NDArray[Any], path: Path) -> LazyArray | NDArray[Any]:
+def as_supported(array: FileArray | NDArray[Any], path: Path) -> FileArray | NDArray[Any]:
     """Widen float16, in which the kernels cannot compute, to float32; other types stay."""
     if array.dtype != np.float16:
         return array
     wide = np.dtype(np.float32)
     return (
-        ChangedArray(array, np.asarray, dtype=wide, path=path) if isinstance(array, LazyArray) else array.astype(wide)
+        ChangedArray(array, np.asarray, dtype=wide, path=path) if isinstance(array, FileArray) else array.astype(wide)
     )
 
 
-def settle(array: LazyArray | NDArray[Any], path: Path, *, memory_bytes: int | None) -> LazyArray | NDArray[Any]:
+def settle(array: FileArray | NDArray[Any], path: Path, *, memory_bytes: int | None) -> FileArray | NDArray[Any]:
     """Read an array at once where it is small, and leave it in its file otherwise.
 
     Parameters
     ----------
-    array : LazyArray or ndarray
+    array : FileArray or ndarray
         A mapped or decoded array comes back as it is.
     path : Path
         For the messages.
@@ -279,7 +225,7 @@ def settle(array: LazyArray | NDArray[Any], path: Path, *, memory_bytes: int | N
 
     Returns
     -------
-    LazyArray or ndarray
+    FileArray or ndarray
 
     Raises
     ------
@@ -288,7 +234,7 @@ def settle(array: LazyArray | NDArray[Any], path: Path, *, memory_bytes: int | N
     ResourceError
         If the smallest piece that can be decoded is larger than the limit.
     """
-    if not isinstance(array, LazyArray):
+    if not isinstance(array, FileArray):
         return array
     if is_small(array, memory_bytes=memory_bytes):
         return array[...]
@@ -296,7 +242,7 @@ def settle(array: LazyArray | NDArray[Any], path: Path, *, memory_bytes: int | N
     return array
 
 
-def is_small(array: LazyArray, *, memory_bytes: int | None) -> bool:
+def is_small(array: FileArray, *, memory_bytes: int | None) -> bool:
     """Whether an array is read at once."""
     limit = default_memory_limit() if memory_bytes is None else memory_bytes
     return array.nbytes <= (limit if array.whole_slices else min(limit, EAGER_BYTES))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
-from planish.io.lazy import LazyArray, as_supported, settle
+from planish.io.lazy import FileArray, as_supported, settle
 from planish.io.sizes import Stated
 from planish.io.tiff import size_words
 
@@ -24,7 +24,7 @@ class LoadedVolume:
 
     Attributes
     ----------
-    values : ndarray, memmap or LazyArray, dims (z, y, x)
+    values : ndarray, memmap or FileArray, dims (z, y, x)
     stated : tuple of Stated
         Voxel size along z, y, x in the metadata.
     full_scale : int or None
@@ -36,7 +36,7 @@ class LoadedVolume:
         Sentences about what looks wrong in the files.
     """
 
-    values: NDArray[Any] | LazyArray
+    values: NDArray[Any] | FileArray
     stated: tuple[Stated, ...]
     full_scale: int | None
     file_bytes: int
@@ -45,7 +45,7 @@ class LoadedVolume:
 
 
 def loaded(
-    array: LazyArray | NDArray[Any],
+    array: FileArray | NDArray[Any],
     path: Path,
     *,
     stated: Sequence[Stated],
@@ -58,7 +58,7 @@ def loaded(
 
     Parameters
     ----------
-    array : LazyArray or ndarray, dims (z, y, x)
+    array : FileArray or ndarray, dims (z, y, x)
     path : Path
     stated : sequence of Stated
     file_bytes : int

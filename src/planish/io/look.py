@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.io.lazy import EAGER_BYTES, LazyArray
+from planish.io.lazy import EAGER_BYTES, FileArray
 from planish.io.slices import some
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
@@ -32,7 +32,7 @@ FEW_LEVELS = 16
 TELLING_PIXELS = 1000
 """Slices with fewer pixels may well be alike, or of one grey."""
 
-Values = NDArray[Any] | LazyArray
+Values = NDArray[Any] | FileArray
 
 
 @dataclass(kw_only=True)
@@ -82,7 +82,7 @@ def look(values: Values, full_scale: int | None, warnings: list[str], *, dims: t
 
     Parameters
     ----------
-    values : ndarray or LazyArray
+    values : ndarray or FileArray
         Of a volume or an image.
     full_scale : int or None
         Largest value the file can store.

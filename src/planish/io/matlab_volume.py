@@ -20,7 +20,7 @@ from planish.io.formats import Place
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
 from planish.io.hdf5_links import check_storage, is_hard, opened, volumes_in
 from planish.io.hdf5_volume import Hdf5Array, check_values, chunk_bytes, word
-from planish.io.lazy import LazyArray, turned
+from planish.io.lazy import FileArray, turned
 from planish.io.loaded import LoadedVolume, loaded
 from planish.io.matlab_headers import check_headings
 from planish.io.sizes import Stated
@@ -130,7 +130,7 @@ def variables_in_new(path: Path) -> list[Variable]:
     return found
 
 
-def new_values(path: Path, name: str, order: list[int]) -> tuple[LazyArray, tuple[str, ...]]:
+def new_values(path: Path, name: str, order: list[int]) -> tuple[FileArray, tuple[str, ...]]:
     """Values of a variable in a file of version 7.3, to be read in parts."""
     with opened(path) as file, reading(path):
         dataset: Any = file[name]

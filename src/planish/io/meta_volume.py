@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
+from planish.core.lazy import Where
 from planish.io.formats import Place, extra
 from planish.io.guard import check_blown_up, default_memory_limit, reading, size_of_file
-from planish.io.lazy import LazyArray, Where
+from planish.io.lazy import FileArray
 from planish.io.loaded import ADVICE, LoadedVolume, inside, loaded
 from planish.io.sizes import Stated, unit_um
 from planish.io.stored import check_shape, check_unpacked, raw_values, unpacked_values
@@ -136,7 +137,7 @@ def values_of(
     stored: np.dtype[Any],
     *,
     memory_bytes: int | None,
-) -> tuple[NDArray[Any] | LazyArray, Path]:
+) -> tuple[NDArray[Any] | FileArray, Path]:
     """Find the data, and map, unpack or leave them; return them with their file."""
     if not is_true(header.get("binarydata", "True")):
         raise FileError(f"{path.name} has its values written as text. Save it with binary values.")
@@ -160,7 +161,7 @@ def values_of(
     return array, data
 
 
-class MetaArray(LazyArray):
+class MetaArray(FileArray):
     """Compressed values, of which SimpleITK reads parts."""
 
     def __init__(self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from planish.core.errors import FileError, VolumeError
 from planish.io.formats import Place
 from planish.io.guard import reading, size_of_file
-from planish.io.lazy import LazyArray
+from planish.io.lazy import FileArray
 from planish.io.loaded import ADVICE, LoadedVolume, inside, loaded
 from planish.io.sizes import Stated, unit_um
 from planish.io.stored import raw_values, unpacked_values
@@ -148,7 +148,7 @@ def values_of(
     stored: np.dtype[Any],
     *,
     memory_bytes: int | None,
-) -> tuple[Any | LazyArray, Path]:
+) -> tuple[Any | FileArray, Path]:
     """Find the data, and map or unpack them; return them with their file."""
     detached = data_file(header, path)
     data = path if detached is None else detached

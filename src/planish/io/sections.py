@@ -13,7 +13,7 @@ from planish.core.errors import SizeError, VolumeError
 from planish.io.colour import check_channel, colour_attrs, grey_of, refuse_channel, to_grey
 from planish.io.cut_counter import COUNTER, read_counter
 from planish.io.guard import check_memory, default_memory_limit, size_of_file
-from planish.io.lazy import LazyArray, PagedArray
+from planish.io.lazy import FileArray, PagedArray
 from planish.io.loaded import check_type, supported_type
 from planish.io.picture import Picture, load_picture
 from planish.io.sizes import VOXEL, Stated, agree, agreed_size, as_given
@@ -27,7 +27,7 @@ class SectionStack:
 
     Attributes
     ----------
-    values : ndarray or LazyArray, dims (section, row, col)
+    values : ndarray or FileArray, dims (section, row, col)
         In the type of the files, float16 as float32; colour as luminance, rounded in integers. Photographs that do
         not fit into the memory stay in their files: ``values[i]`` decodes one.
     positions_um : ndarray (sections,)
@@ -41,7 +41,7 @@ class SectionStack:
         ``file_name``, ``file_bytes``, ``section_kind``; ``channel`` and ``colour`` where the files are in colour.
     """
 
-    values: NDArray[Any] | LazyArray
+    values: NDArray[Any] | FileArray
     positions_um: NDArray[np.float64]
     pixel_um: tuple[float, float]
     kind: str
@@ -127,7 +127,7 @@ def read_section_stack(
 
 def load_sections(
     files: list[Path], *, channel: str | None, memory_bytes: int | None
-) -> tuple[NDArray[Any] | LazyArray, Picture]:
+) -> tuple[NDArray[Any] | FileArray, Picture]:
     """Read pictures into one array, or leave them in their files where that is too large; and the first picture."""
     first = load_picture(files[0], memory_bytes=memory_bytes)
     if first.values.ndim == 2 or first.colour == "grey":

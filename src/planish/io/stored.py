@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
-from planish.io.lazy import LazyArray, mapped
+from planish.io.lazy import FileArray, mapped
 from planish.io.tiff import size_words
 
 READ_BYTES = 4 * 2**20
@@ -39,7 +39,7 @@ def check_shape(shape: tuple[int, ...], path: Path) -> None:
 
 def raw_values(
     path: Path, data: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int
-) -> NDArray[Any] | LazyArray:
+) -> NDArray[Any] | FileArray:
     """Map values that lie in a file as they are and fill it from an offset to its end.
 
     Parameters
@@ -54,7 +54,7 @@ def raw_values(
 
     Returns
     -------
-    memmap or LazyArray
+    memmap or FileArray
 
     Raises
     ------

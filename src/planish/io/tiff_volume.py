@@ -16,7 +16,7 @@ from planish.io.formats import Place
 from planish.io.guard import check_memory, reading, size_of_file
 from planish.io.lazy import (
     ChangedArray,
-    LazyArray,
+    FileArray,
     MappedArray,
     PagedArray,
     as_supported,
@@ -100,7 +100,7 @@ def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> Load
 
 def stack(
     series: TiffPageSeries, path: Path, axes: str, *, channel: str | None, memory_bytes: int | None
-) -> NDArray[Any] | LazyArray:
+) -> NDArray[Any] | FileArray:
     """Return the values of a checked series: mapped, left in its pages, or decoded."""
     shape = tuple(n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes)
     colour = to_grey(channel) if "S" in axes else None

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import FileError, SizeError
+from planish.core.lazy import labelled
 from planish.io.formats import extra
 from planish.io.guard import check_memory, quiet, reading, size_of_file
 from planish.io.sizes import PIXEL, Stated, agreed_size, as_given, unit_um
@@ -96,21 +97,13 @@ def read_topography(
     values[~np.isfinite(values)] = np.nan
     if not np.isfinite(values).any():
         raise FileError(f"{path.name} has no height in it, all are missing. Export it again.")
-    return xr.DataArray(
-        values,
-        dims=PIXEL.axes,
-        coords={
-            axis: (axis, np.arange(n) * um, {"units": "um"})
-            for axis, n, um in zip(PIXEL.axes, values.shape, size, strict=True)
-        },
-        name="topography",
-        attrs={
-            "units": "um",
-            "long_name": "Height",
-            "pixel_um": list(size),
-            "pixel_um_source": source,
-            "file_format": file_format,
-            "file_name": path.name,
-            "file_bytes": file_bytes,
-        },
-    )
+    attrs = {
+        "units": "um",
+        "long_name": "Height",
+        "pixel_um": list(size),
+        "pixel_um_source": source,
+        "file_format": file_format,
+        "file_name": path.name,
+        "file_bytes": file_bytes,
+    }
+    return labelled(values, PIXEL.axes, size, name="topography", attrs=attrs)

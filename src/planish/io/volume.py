@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-import xarray as xr
-from xarray.core.indexing import LazilyIndexedArray
-
+from planish.core.lazy import labelled
 from planish.io.colour import check_channel
 from planish.io.formats import Place, find_place, format_of, loader
-from planish.io.lazy import LazyArray
+from planish.io.lazy import FileArray
 from planish.io.loaded import LoadedVolume
 from planish.io.sizes import VOXEL, agreed_size
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def read_volume(
@@ -69,29 +70,20 @@ def read_volume(
     loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
     name = place.path.name
     size, source = agreed_size(loaded.stated, voxel_um, file_name=name, asked=VOXEL, override=override_size)
-    lazy = loaded.values if isinstance(loaded.values, LazyArray) else None
+    attrs = {
+        "units": "1",
+        "long_name": "Grey value",
+        "voxel_um": list(size),
+        "voxel_um_source": source,
+        "full_scale": loaded.full_scale,
+        "file_name": name,
+        "file_bytes": loaded.file_bytes,
+        **loaded.attrs,
+    }
     # How it is best read, for those who read it in tiles.
+    lazy = loaded.values if isinstance(loaded.values, FileArray) else None
     encoding = {} if lazy is None else {"whole_slices": lazy.whole_slices, "chunks": lazy.chunks}
-    found = xr.DataArray(
-        xr.Variable(VOXEL.axes, loaded.values if lazy is None else LazilyIndexedArray(lazy)),
-        coords={
-            axis: (axis, np.arange(n) * um, {"units": "um"})
-            for axis, n, um in zip(VOXEL.axes, loaded.values.shape, size, strict=True)
-        },
-        name="volume",
-        attrs={
-            "units": "1",
-            "long_name": "Grey value",
-            "voxel_um": list(size),
-            "voxel_um_source": source,
-            "full_scale": loaded.full_scale,
-            "file_name": name,
-            "file_bytes": loaded.file_bytes,
-            **loaded.attrs,
-        },
-    )
-    found.encoding.update(encoding)
-    return found
+    return labelled(loaded.values, VOXEL.axes, size, name="volume", attrs=attrs, encoding=encoding)
 
 
 def load_volume(path: Place | Path, *, channel: str | None = None, memory_bytes: int | None = None) -> LoadedVolume:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from planish.core.errors import FileError
-from planish.io.lazy import Where
+from planish.core.lazy import Where
 
 METADATA = frozenset({"zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata"})
 

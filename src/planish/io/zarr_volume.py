@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from zarr.storage import LocalStore
 
 from planish.core.errors import FileError, VolumeError
+from planish.core.lazy import Where
 from planish.io.chunks import check_chunks
 from planish.io.formats import Place
 from planish.io.guard import reading
-from planish.io.lazy import LazyArray, Where, turned
+from planish.io.lazy import FileArray, turned
 from planish.io.loaded import ADVICE, LoadedVolume, loaded
 from planish.io.sizes import Stated, unit_um
 from planish.io.store import missing_shards
@@ -291,7 +292,7 @@ def scale_of(owner: Any, count: int) -> list[float] | None:
     return None
 
 
-class ZarrArray(LazyArray):
+class ZarrArray(FileArray):
     """An array of a zarr store."""
 
     def __init__(

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from xarray.backends import BackendArray
-from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 from planish.core.errors import VolumeError
+from planish.core.lazy import LazyArray, Where, labelled
 from planish.sections._kernels import between
 from planish.sections.align import Alignment
 from planish.sections.band import Stack, check_stack, for_each
@@ -99,12 +98,12 @@ def regular_volume(
     held_planes = Planes(
         stack=stack, before=used[before], after=used[after], share=share, empty=empty, poses=poses, grades=grades
     )
-    values: NDArray[Any] | LazilyIndexedArray
+    values: NDArray[Any] | Planes
     if isinstance(stack, np.ndarray):
         values = np.empty(held_planes.shape, stack.dtype)
         for_each(lambda k: held_planes.fill(k, values[k]), planes.size, threads=threads)  # type: ignore[index]
     else:
-        values = LazilyIndexedArray(held_planes)
+        values = held_planes
     voxel = (pitch, *map(float, pixel_um))
     held: dict[str, Any] = {
         "units": "1",
@@ -119,21 +118,11 @@ def regular_volume(
     }
     if alignment is not None:
         held["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
-    volume = xr.DataArray(
-        xr.Variable(("z", "y", "x"), values),
-        coords={
-            axis: (axis, np.arange(size) * um, {"units": "um"})
-            for axis, size, um in zip("zyx", held_planes.shape, voxel, strict=True)
-        },
-        name="volume",
-        attrs=held,
-    )
-    if not isinstance(stack, np.ndarray):
-        volume.encoding["whole_slices"] = True
-    return volume
+    encoding = {} if isinstance(stack, np.ndarray) else {"whole_slices": True}
+    return labelled(values, "zyx", voxel, name="volume", attrs=held, encoding=encoding)
 
 
-class Planes(BackendArray):
+class Planes(LazyArray):
     """The planes of a volume, each worked out from the sections before and after it.
 
     Parameters
@@ -176,19 +165,14 @@ class Planes(BackendArray):
             self.dtype.kind != "f", out,
         )  # fmt: skip
 
-    def __getitem__(self, key: ExplicitIndexer) -> Any:
+    def read(self, where: Where) -> NDArray[Any]:
         """Work out a part."""
-        return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self._part)
-
-    def _part(self, key: tuple[Any, ...]) -> NDArray[Any]:
-        planes = np.atleast_1d(np.arange(self.shape[0])[key[0]])
         whole = np.empty(self.shape[1:], self.dtype)
         parts: list[NDArray[Any]] = []
-        for k in planes:
-            self.fill(int(k), whole)
-            parts.append(whole[key[1], key[2]].copy())
-        found = np.stack(parts) if parts else np.empty((0, *whole[key[1], key[2]].shape), self.dtype)
-        return found[0] if isinstance(key[0], (int, np.integer)) else found
+        for k in range(where[0].start, where[0].stop, where[0].step):
+            self.fill(k, whole)
+            parts.append(whole[where[1:]].copy())
+        return np.stack(parts)
 
 
 def _poses(n: int, alignment: Alignment | None, pixel_um: tuple[float, float]) -> Array:

@@ -1,0 +1,117 @@
+"""Arrays that are read or computed part by part: shape and type are known, values only where they are asked for."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import xarray as xr
+
+Where = tuple[slice, ...]
+"""One slice an axis, with a start and stop inside the array and a step above 0."""
+
+
+class LazyArray(ABC):
+    """An array of which parts are read with integers and slices; several threads may read at the same time.
+
+    Attributes
+    ----------
+    shape : tuple of int
+    dtype : dtype
+        In the byte order of the machine.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes."""
+        return len(self.shape)
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the whole array."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    @abstractmethod
+    def read(self, where: Where) -> NDArray[Any]:
+        """Read a part, in the array's own type."""
+
+    def guarded(self) -> AbstractContextManager[None]:
+        """Context in which parts are read, which may turn errors into others."""
+        return nullcontext()
+
+    def __getitem__(self, key: Any) -> NDArray[Any]:
+        """Read what integers and slices select."""
+        keys = key if isinstance(key, tuple) else (key,)
+        if Ellipsis in keys:
+            at = keys.index(Ellipsis)
+            keys = keys[:at] + (slice(None),) * (len(self.shape) - len(keys) + 1) + keys[at + 1 :]
+        keys += (slice(None),) * (len(self.shape) - len(keys))
+        where: list[slice] = []
+        after: list[Any] = []
+        for one, n in zip(keys, self.shape, strict=True):
+            if isinstance(one, slice):
+                places = range(n)[one]
+                ordered = places if places.step > 0 else places[::-1]
+                where.append(slice(ordered.start, ordered.stop, ordered.step))
+                after.append(slice(None, None, 1 if places.step > 0 else -1))
+            else:
+                place = range(n)[int(one)]
+                where.append(slice(place, place + 1, 1))
+                after.append(0)
+        shape = tuple(len(range(s.start, s.stop, s.step)) for s in where)
+        with self.guarded():
+            part = self.read(tuple(where)) if all(shape) else np.empty(shape, self.dtype)
+            chosen = part[tuple(after)]
+            # A view would keep the whole file mapped, or the slice that it was cut from.
+            own = chosen.base is None or (chosen.base is part and part.base is None and chosen.size == part.size)
+            return np.ascontiguousarray(chosen, self.dtype) if own else np.array(chosen, dtype=self.dtype)
+
+
+def labelled(
+    values: NDArray[Any] | LazyArray, dims: Sequence[str], size_um: Sequence[float], *, name: str,
+    attrs: Mapping[str, Any], encoding: Mapping[str, Any] | None = None,
+) -> xr.DataArray:  # fmt: skip
+    """Give an array coordinates in um: place i of an axis has its centre at i × size.
+
+    A :class:`LazyArray` stays one: ``isel`` moves the borders of the part, and ``values`` reads it.
+    """
+    import xarray as xr
+
+    coords = {
+        axis: (axis, np.arange(n) * um, {"units": "um"})
+        for axis, n, um in zip(dims, values.shape, size_um, strict=True)
+    }
+    held = xr.DataArray(xr.Variable(tuple(dims), _held(values)), coords=coords, name=name, attrs=dict(attrs))
+    held.encoding.update(encoding or {})
+    return held
+
+
+def replaced(volume: xr.DataArray, values: LazyArray) -> xr.DataArray:
+    """Give the same volume with other values."""
+    import xarray as xr
+
+    variable = xr.Variable(volume.dims, _held(values), volume.attrs)
+    held = xr.DataArray(variable, coords=volume.coords, name=volume.name)
+    held.encoding.update(volume.encoding)
+    return held
+
+
+def _held(values: NDArray[Any] | LazyArray) -> Any:
+    if not isinstance(values, LazyArray):
+        return values
+    from xarray.core.indexing import LazilyIndexedArray
+
+    from planish.core._backend import Backend
+
+    return LazilyIndexedArray(Backend(values))
