@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
+from planish.core.grid import Grid
+from planish.core.threads import limit_threads
 from planish.resample import Places, find_places, resample, resample_labels
 
 Array = NDArray[np.float64]
@@ -52,7 +54,12 @@ def main(rows: int = 2048, cols: int = 1536) -> int:
     truth = 0.3 * u[None, :] - 0.2 * v[:, None] + 5000.0
 
     def find(threads: int | None = None, mesh: Array = uv) -> Places:
-        return find_places(mesh, shape=(rows, cols), pixel_um=(_PITCH_UM, _PITCH_UM), threads=threads)
+        with limit_threads(threads):
+            return find_places(mesh, Grid.regular((rows, cols), _PITCH_UM))
+
+    def values(threads: int | None = None) -> Array:
+        with limit_threads(threads):
+            return resample(affine, places)
 
     processors = os.cpu_count() or 1
     print(f"{rows} x {cols} nodes to as many pixels, {processors} processors, load {os.getloadavg()[0]:.2f}; seconds")
@@ -64,7 +71,7 @@ def main(rows: int = 2048, cols: int = 1536) -> int:
     both: list[float] = []
     for threads in sorted({1, processors}):
         finding, _ = _timed(lambda threads=threads: find(threads))
-        sampling, _ = _timed(lambda threads=threads: resample(affine, places, threads=threads))
+        sampling, _ = _timed(lambda threads=threads: values(threads))
         both.append(finding + sampling)
         _row(f"planish, threads {threads}: places + values", finding, sampling)
     labels = (np.arange(rows * cols).reshape(rows, cols) % 7).astype(np.uint8)

@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.grid import Grid
+from planish.core.threads import limit_threads
 from planish.core.transform import Similarity
 from planish.register import fit_transform
 from planish.resample import warp_image
@@ -73,13 +75,13 @@ def measure(
     shape = rows // reduction, cols // reduction
     pixel = _PIXEL_UM * reduction
     corner = 0.5 * (pixel - _PIXEL_UM)
+    grid = Grid.regular(shape, pixel, (corner, corner))
     free = _BUDGET - source.nbytes - getrusage(RUSAGE_SELF).ru_maxrss * 1024
 
     def once() -> tuple[float, float, float]:
         begun, used = time.perf_counter(), time.process_time()
-        warped = warp_image(
-            source, _PIXEL_UM, to_source, shape, pixel, origin_um=(corner, corner), memory_bytes=free, threads=threads
-        )
+        with limit_threads(threads):
+            warped = warp_image(source, grid, to_source, pixel_um=_PIXEL_UM, memory_bytes=free)
         seconds, cpu = time.perf_counter() - begun, time.process_time() - used
         return seconds, cpu, float(np.count_nonzero(warped.valid)) / warped.valid.size
 

@@ -12,12 +12,10 @@ import xarray as xr
 from planish.compute import Compute
 from planish.core.errors import CannotMeasure
 from planish.core.grid import pitch
-from planish.core.transform import Similarity
 from planish.measure import (
     PROPERTIES,
     Densities,
     RayOptions,
-    axial_angle,
     depth_profiles,
     measure_along_rays,
     roughness_numbers,
@@ -94,38 +92,6 @@ def further_maps(surfaces: xr.Dataset) -> list[str]:
     maps = [str(name) for name, data in surfaces.data_vars.items() if "support_um" in data.attrs]
     errors = [f"{name}_se" for name in maps if f"{name}_se" in surfaces]
     return maps + [name for name in errors if np.isfinite(surfaces[name].values).any()]
-
-
-def turned_angles(maps: xr.Dataset, way: Similarity) -> xr.Dataset:
-    """Turn fibre directions with a sheet that is laid onto a reference: angles are those seen on its grid.
-
-    Parameters
-    ----------
-    maps : Dataset
-        Brought onto the reference; without fibre directions it comes back as it is.
-    way : Similarity
-        From the sheet to the reference.
-    """
-    if any(name not in maps for name in _PARTS):
-        return maps
-    cos2, sin2 = (maps[name] for name in _PARTS)
-    hand = -1.0 if way.mirrored else 1.0  # x reversed: the angle a becomes 180 - a, the double angle -2a
-    c, s = np.cos(2 * way.rotation_rad), np.sin(2 * way.rotation_rad)
-    return maps.assign(
-        {
-            _PARTS[0]: (c * cos2 - s * hand * sin2).assign_attrs(cos2.attrs),
-            _PARTS[1]: (s * cos2 + c * hand * sin2).assign_attrs(sin2.attrs),
-        }
-    )
-
-
-def with_angles(maps: xr.Dataset) -> xr.Dataset:
-    """Work fibre angles out again from their parts, after these were averaged on another grid."""
-    if "fibre_angle" not in maps or any(name not in maps for name in _PARTS):
-        return maps
-    cos2, sin2 = (maps[name].values.astype(np.float64) for name in _PARTS)
-    angle = np.where(np.isfinite(cos2) & np.isfinite(sin2), axial_angle(cos2, sin2), np.nan)
-    return maps.assign(fibre_angle=(maps["fibre_angle"].dims, angle, maps["fibre_angle"].attrs))
 
 
 def further_results(surfaces: xr.Dataset) -> dict[str, Any]:

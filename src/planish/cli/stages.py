@@ -196,11 +196,10 @@ def resample(properties: Path, flat: Path, out: Path, map_um: float | None) -> N
     rows, cols = pitch(data)
     step = map_um or float(np.sqrt(rows * cols))
     uv = np.stack([coordinates["u"].values, coordinates["v"].values], axis=-1)
-    shape, origin = covering_grid(uv, step)
-    places = find_places(uv, shape=shape, pixel_um=(step, step), origin_um=origin, least_um=min(rows, cols))
-    coords = {"v": origin[1] + step * np.arange(shape[0]), "u": origin[0] + step * np.arange(shape[1])}
-    maps = resample_dataset(data, places, dims=("v", "u"), coords=coords)
-    _write(out, {"maps": maps}, f"{shape[1]} x {shape[0]} pixels of {step:g} um")
+    grid = covering_grid(uv, step)
+    places = find_places(uv, grid, least_um=min(rows, cols))
+    maps = resample_dataset(data, places, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
+    _write(out, {"maps": maps}, f"{grid.shape[1]} x {grid.shape[0]} pixels of {step:g} um")
 
 
 @click.command()

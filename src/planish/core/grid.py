@@ -23,10 +23,22 @@ class Grid:
     ----------
     y_um, x_um : (rows,) and (cols,)
         Where the middles of the pixels lie.
+    step_um : (float, float) or None
+        Pitch of rows and columns; from the first two coordinates where None.
     """
 
     y_um: Array
     x_um: Array
+    step_um: tuple[float, float] | None = None
+
+    @classmethod
+    def regular(
+        cls, shape: tuple[int, int], pixel_um: float | tuple[float, float], origin_um: tuple[float, float] = (0.0, 0.0)
+    ) -> Grid:
+        """Return a grid of ``shape`` whose first pixel has its middle at ``origin_um``, (x, y)."""
+        rows, cols = (pixel_um, pixel_um) if isinstance(pixel_um, int | float) else pixel_um
+        y, x = origin_um[1] + rows * np.arange(shape[0]), origin_um[0] + cols * np.arange(shape[1])
+        return cls(y_um=y, x_um=x, step_um=(float(rows), float(cols)))
 
     @classmethod
     def of(cls, data: xr.Dataset | xr.DataArray) -> Grid:
@@ -42,6 +54,8 @@ class Grid:
     @property
     def pixel_um(self) -> tuple[float, float]:
         """Pitch of rows and columns; SizeError for a single row or column, which has none."""
+        if self.step_um is not None:
+            return self.step_um
         if min(self.shape) < 2:
             raise SizeError(
                 f"The reference has {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed to lay a layer onto it."

@@ -271,3 +271,8 @@ def _rows(linear: Floats) -> tuple[Pair, Pair]:
 def _everywhere(matrix: Floats, points: ArrayLike) -> Floats:
     shape = np.shape(np.asarray(points))[:-1]
     return np.broadcast_to(matrix, (*shape, 2, 2)).copy()
+
+
+def axial_angle(cosine: Floats, sine: Floats) -> Floats:
+    """Angle in degrees, -90 to 90, of a direction without sense, from means of the cosine and sine of its double."""
+    return np.rad2deg(0.5 * np.arctan2(sine, cosine))

@@ -99,7 +99,11 @@ def measure_properties(surfaces: xr.Dataset) -> xr.Dataset:
             "No normal of the centre surface meets both faces. Look at the surfaces with 'planish surface'."
         )
     data = {
-        name: (("y", "x"), np.where(valid, v, np.nan), {"units": "um", "long_name": PROPERTIES[name]})
+        name: (
+            ("y", "x"),
+            np.where(valid, v, np.nan),
+            {"units": "um", "long_name": PROPERTIES[name], "role": "property"},
+        )
         for name, v in values.items()
     }
     flags = {"long_name": "Status", "flag_values": [*range(len(STATUS))], "flag_meanings": " ".join(STATUS)}

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.transform import axial_angle
 from planish.measure import _orientation_kernels
 from planish.measure.options import RayOptions
 from planish.measure.porosity import void_level
@@ -144,11 +145,6 @@ def fibre_anisotropy(rays: Rays) -> Array:
     Noise adds to both eigenvalues and makes it smaller.
     """
     return np.hypot(*_components(rays, 0.0, 1.0))
-
-
-def axial_angle(cosine: Array, sine: Array) -> Array:
-    """Angle in degrees, -90 to 90, of the components ``fibre_cos2`` and ``fibre_sin2``, or of their means."""
-    return np.rad2deg(0.5 * np.arctan2(sine, cosine))
 
 
 def orientation_layers(count: int) -> tuple[Property, ...]:

@@ -18,7 +18,7 @@ from planish.io import read_image
 from planish.marks import HoleParams, find_holes, find_sheet_holes, hole_mask
 from planish.marks.files import read_pairs
 from planish.measure import PROPERTIES
-from planish.pipeline.grid import agreement, expected_error, headline_of, image_attrs, sheet_on
+from planish.pipeline.grid import agreement, headline_of
 from planish.pipeline.holes import at_flat, in_flat
 from planish.pipeline.marking import Plane, check_enough, join_found, join_given, read_design
 from planish.pipeline.orientation import orientation_results
@@ -28,7 +28,7 @@ from planish.pipeline.sheet import map_sheet, uv
 from planish.properties import further_maps
 from planish.register import Chain, FittedTransform, fit_transform
 from planish.register.models import MODELS
-from planish.resample import find_places, resample
+from planish.resample import expected_error, find_places, image_attrs, resample, resample_maps
 from planish.results import input_results, linked_results, mark_results, marks_table, parameter_results
 from planish.study import Study
 
@@ -131,7 +131,7 @@ def link_sheet(
         tell("refine", r.refine)
         way, results["refinement"] = refine_link(linked, headline, grid, fit, r.refine)
         # Beside the marks' own: nothing that the page correlates has been fitted to what it is correlated with.
-        groups["refined"] = sheet_on(grid, surfaces, flat, way)
+        groups["refined"] = resample_maps(surfaces, flat, onto=grid, transform=way)
     gates = (*map_gates(results), *link_gates(results))
     results["quality"] = [asdict(gate) for gate in gates]
     results["parameters"] = parameter_results(study)
@@ -142,7 +142,7 @@ def _linked(
     surfaces: xr.Dataset, flat: xr.Dataset, way: Chain, image: xr.DataArray, grid: Grid, away: NDArray[np.bool_]
 ) -> xr.Dataset:
     """All maps and the image on the image's pixels."""
-    linked = sheet_on(grid, surfaces, flat, way)
+    linked = resample_maps(surfaces, flat, onto=grid, transform=way)
     linked["image"] = (("y", "x"), image.values, image_attrs(image))
     valid = np.isfinite(linked["thickness"].values) & np.isfinite(image.values) & away
     linked["valid"] = (("y", "x"), valid, {"long_name": "Measured, and away from holes and their rims"})
@@ -156,7 +156,7 @@ def _table_rows(
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Correlation of the headline property with one way of bringing it to the image."""
     places = find_places(
-        fit.transform(uv(flat, names)), shape=(int(image.shape[0]), int(image.shape[1])), pixel_um=pixel,
+        fit.transform(uv(flat, names)), Grid.regular((int(image.shape[0]), int(image.shape[1])), pixel),
         least_um=min(pitch(surfaces)),
     )  # fmt: skip
     prop = np.where(away, resample(surfaces[headline].values, places), np.nan)

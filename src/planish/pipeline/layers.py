@@ -20,7 +20,7 @@ from planish.gates import Gate, direction_gates, field_gate, map_gates, mark_gat
 from planish.io import read_image
 from planish.marks import HoleParams, cut_holes, find_holes, find_sheet_holes, hole_mask
 from planish.marks.files import read_pairs
-from planish.pipeline.grid import expected_error, headline_of, image_attrs, image_on, sheet_on
+from planish.pipeline.grid import headline_of
 from planish.pipeline.holes import in_flat
 from planish.pipeline.marking import Joined, Plane, check_enough, join_found, join_given, read_design
 from planish.pipeline.orientation import orientation_results
@@ -28,6 +28,7 @@ from planish.pipeline.pairs import compare, lag_between, likeness, side_seen
 from planish.pipeline.run import Layers, Progress, Run, read_run, silent
 from planish.pipeline.sheet import map_sheet
 from planish.register import Chain
+from planish.resample import expected_error, image_attrs, resample_image, resample_maps
 from planish.results import input_results, mark_results, marks_table, parameter_results
 from planish.study import LayerSection, LayersStudy, RegistrationSection
 from planish.surface.presence import LAYERS
@@ -206,11 +207,11 @@ def _own(layer: _Layer) -> xr.Dataset:
 def _carried(layer: _Layer, way: Chain, grid: Grid, compute: Compute) -> xr.Dataset:
     """A layer on the reference's pixels."""
     if layer.sheet is not None:
-        data = sheet_on(grid, layer.sheet.groups["surfaces"], layer.sheet.groups["flat"], way)
+        data = resample_maps(layer.sheet.groups["surfaces"], layer.sheet.groups["flat"], onto=grid, transform=way)
         shown = data["u"].values
     else:
         assert layer.image is not None
-        data = image_on(grid, layer.image, way, memory_bytes=compute.volume_bytes)
+        data = resample_image(layer.image, grid, way, memory_bytes=compute.volume_bytes)
         shown = data["image"].values
     if not np.isfinite(shown).any():
         raise CannotRegister(

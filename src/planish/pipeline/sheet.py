@@ -15,14 +15,14 @@ from planish.compute import Compute, column_step, engine
 from planish.core.errors import InputError, VolumeError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.flatten import Flattened, FlattenParams, flatten_sheet
+from planish.flatten import FlattenParams, flatten_sheet
 from planish.gates import map_gates
 from planish.io import find_place
-from planish.measure import PROPERTIES, measure_properties
+from planish.measure import measure_properties
 from planish.pipeline.run import Array, Progress, Run, silent
 from planish.pipeline.volume import read_sheet_volume, some_slices
-from planish.properties import further_maps, further_results, measure_more, number_results, with_angles
-from planish.resample import covering_grid, find_places, resample_dataset
+from planish.properties import further_results, measure_more, number_results
+from planish.resample import resample_maps
 from planish.results import (
     flatten_results,
     input_results,
@@ -33,7 +33,6 @@ from planish.results import (
 )
 from planish.study import Study
 from planish.surface import find_surfaces
-from planish.surface.presence import LAYERS
 
 _THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room on both sides
 _LEAST_SHARE = 0.15  # of the columns: with less there is no map
@@ -90,7 +89,7 @@ def map_sheet(
             "flatten": study.flatten.model_copy(update={"mesh_um": flattened.mesh_um, "map_um": map_um}),
         }
     )
-    maps = _flat_maps(surfaces, flattened, map_um)
+    maps = resample_maps(surfaces, flattened.flat, map_um=map_um)
     groups = {
         "surfaces": surfaces,
         "flat": flattened.flat,
@@ -139,44 +138,3 @@ def _check_thickness(surfaces: xr.Dataset) -> None:
 def uv(flat: xr.Dataset, names: tuple[str, str] = ("u", "v")) -> Array:
     """Flat coordinates of the columns, (rows, cols, 2)."""
     return np.stack([flat[n].values for n in names], axis=-1)
-
-
-def on_mesh(surfaces: xr.Dataset, flat: xr.Dataset) -> xr.Dataset:
-    """Variables that travel to maps: properties, where in the volume, and where in the projection."""
-    frame = Frame.of(surfaces)
-    lateral = {frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :]}
-    shape = surfaces["centre"].shape
-    data = surfaces[[*PROPERTIES, *further_maps(surfaces)]].assign(
-        {k: flat[k] for k in ("u", "v", "projected_u", "projected_v")}
-    )
-    for axis in "xyz":
-        values = surfaces["centre"].values if axis == frame.through else np.broadcast_to(lateral[axis], shape)
-        values = np.where(np.isfinite(flat["u"].values), values, np.nan)
-        title = f"Centre surface, {axis} in the volume"
-        data[f"volume_{axis}"] = (("y", "x"), values, {"units": "um", "long_name": title})
-    return data
-
-
-def single(data: xr.Dataset) -> xr.Dataset:
-    """Properties in single precision, as they are stored; geometry stays double."""
-    names = (*PROPERTIES, *further_maps(data), *LAYERS)
-    return data.assign({k: data[k].astype(np.float32) for k in names if k in data})
-
-
-def _flat_maps(surfaces: xr.Dataset, flattened: Flattened, map_um: float) -> xr.Dataset:
-    nodes = uv(flattened.flat)
-    shape, origin = covering_grid(nodes, map_um)
-    places = find_places(nodes, shape=shape, pixel_um=(map_um, map_um), origin_um=origin, least_um=min(pitch(surfaces)))
-    coords = {"v": origin[1] + map_um * np.arange(shape[0]), "u": origin[0] + map_um * np.arange(shape[1])}
-    source = on_mesh(surfaces, flattened.flat).drop_vars(["u", "v"])
-    source = source.assign({name: surfaces[name] for name in LAYERS})
-    maps = with_angles(resample_dataset(source, places, dims=("v", "u"), coords=coords))
-    maps["valid"] = (("v", "u"), np.isfinite(maps["thickness"].values), {"long_name": "Measured"})
-    # Where the layers lie that holes are found in: the face is half a thickness from the centre surface.
-    upper, lower = (float(np.mean(LAYERS[name])) for name in ("presence", "presence_bottom"))
-    maps.attrs = {
-        "overlaps": places.overlaps,
-        "layers_apart_um": (upper - lower) * float(surfaces.attrs["thickness_um"]),
-        "layer_to_face": (0.5 - upper) / (upper - lower),
-    }
-    return single(maps)

@@ -1,17 +1,5 @@
 """From values on the flattened mesh to any regular grid, and from image to image."""
 
-from planish.resample.fields import resample, resample_dataset, resample_labels, support
-from planish.resample.places import Places, covering_grid, find_places
-from planish.resample.warp import Warped, warp_image
+import lazy_loader as lazy
 
-__all__ = [
-    "Places",
-    "Warped",
-    "covering_grid",
-    "find_places",
-    "resample",
-    "resample_dataset",
-    "resample_labels",
-    "support",
-    "warp_image",
-]
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -16,27 +16,6 @@ _SAME = 1e-6  # of a quad: what two quads with a common edge may differ in about
 
 
 @njit(cache=True, nogil=True)
-def extents(uv, first, pitch, segment, low, high, begin, end):
-    """Set ``low`` and ``high`` (rows, segments) to the extent of each row of nodes in rows of the target.
-
-    Segment s holds the nodes ``s * segment`` to ``(s + 1) * segment``, both included; missing nodes do not count.
-    """
-    cols = uv.shape[1]
-    per = 1.0 / pitch  # the same sums as in `locate`, so that both agree to the last bit
-    for i in range(begin, end):
-        for s in range(low.shape[1]):
-            least, most = np.inf, -np.inf
-            for j in range(s * segment, min((s + 1) * segment + 1, cols)):
-                v = uv[i, j, 1]
-                if v < least:
-                    least = v
-                if v > most:
-                    most = v
-            low[i, s] = (least - first) * per
-            high[i, s] = (most - first) * per
-
-
-@njit(cache=True, nogil=True)
 def _place(number, wb, wc, cols):
     """Row and column in the mesh of a point in a triangle of a quad."""
     node = number >> 1
@@ -56,7 +35,7 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
     first, pitch : (2)
         (u, v) of the centre of the target's first pixel, and from one pixel to the next.
     segment, low, high : int, (rows, segments), (rows, segments)
-        From :func:`extents`.
+        Extent of the nodes ``s * segment`` to ``(s + 1) * segment``, both included, of each row, in rows of the target.
     triangle : (rows_out, cols_out) int32
         Set to the number of the triangle; -1 where there is no quad. Where quads overlap, the first one stays.
     weight : (2, rows_out, cols_out)
@@ -182,11 +161,10 @@ def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end)
     fine : int
         Sub-pixels per pixel and axis.
     out, share : (rows_out, cols_out)
-        ``out`` is NaN where less than half of the sub-pixels are known. ``share`` may be (0, 0).
+        ``out`` is NaN where less than half of the sub-pixels are known.
     begin, end : int
         Rows of ``out`` to do.
     """
-    wanted = share.shape[0] > 0
     for y in range(begin, end):
         for x in range(out.shape[1]):
             total = 0.0
@@ -202,8 +180,7 @@ def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end)
                         total += value
                         known += 1
             out[y, x] = total / known if known > 0 and 2 * known >= fine * fine else np.nan
-            if wanted:
-                share[y, x] = known / (fine * fine)
+            share[y, x] = known / (fine * fine)
 
 
 @njit(cache=True, nogil=True)

@@ -4,8 +4,8 @@
 In a patch the mapping from the target to the source is bilinear; see :mod:`planish.resample.patches`. All kernels get
 a ``window`` (rows, cols) of the source that holds what lies under their patches, with the row ``r0`` and the column
 ``c0`` of the whole source that it begins at, and ``known`` (rows, cols) uint8 of the same window, or (0, 0) where every
-pixel of it is known. They write ``out``, ``valid`` (uint8) and, unless it is (0, 0), ``share``, which begin at the row
-``y0`` and the column ``x0`` of the target. What a patch gets depends on nothing but the patch and the source under it.
+pixel of it is known. They write ``out`` and ``valid`` (uint8), which begin at the row ``y0`` and the column ``x0`` of
+the target. Images and ``out`` are float64. What a patch gets depends on nothing but the patch and the source under it.
 """
 
 import numpy as np
@@ -80,11 +80,8 @@ def _with_care(window, known, m, n, v, u):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def interpolate(window, r0, c0, known, bounds, corners, half, out, valid, share, y0, x0):
-    """Bilinear values at the middles of the pixels; ``half`` is 0.5 where ``out`` is whole numbers, else 0.
-
-    A pixel is left as it is where one of the four around its place is not known and has weight.
-    """
+def interpolate(window, r0, c0, known, bounds, corners, out, valid, y0, x0):
+    """Bilinear values at the middles; a pixel is left as it is where one around it that has weight is not known."""
     unit = 2.0**_FINE
     per = 1.0 / unit
     mask = (np.int64(1) << _FINE) - 1
@@ -92,7 +89,6 @@ def interpolate(window, r0, c0, known, bounds, corners, half, out, valid, share,
     wide = np.uint64(cols)
     one = np.uint64(1)
     flat = window.reshape(-1)
-    wanted = share.shape[0] > 0
     shift_x, shift_y = np.int64(c0) << _FINE, np.int64(r0) << _FINE
     for p in range(bounds.shape[0]):
         top, bottom, left, right = bounds[p, 0], bounds[p, 1], bounds[p, 2], bounds[p, 3]
@@ -107,7 +103,7 @@ def interpolate(window, r0, c0, known, bounds, corners, half, out, valid, share,
             step_x, step_y = np.int64(np.rint(wx / width * unit)), np.int64(np.rint(wy / width * unit))
             at_x = np.int64(np.rint((lx + 0.5 * wx / width) * unit)) - shift_x
             at_y = np.int64(np.rint((ly + 0.5 * wy / width) * unit)) - shift_y
-            row = out[top - y0 + i]
+            row, good = out[top - y0 + i], valid[top - y0 + i]
             begin, end = 0, 0
             if quick:
                 begin, end = _within(at_x, step_x, np.int64(cols - 1) << _FINE, 0, width)
@@ -116,31 +112,25 @@ def interpolate(window, r0, c0, known, bounds, corners, half, out, valid, share,
                 x, y = at_x + k * step_x, at_y + k * step_y
                 at = np.uint64(y >> _FINE) * wide + np.uint64(x >> _FINE)
                 u, v = (x & mask) * per, (y & mask) * per
-                a, b = np.float64(flat[at]), np.float64(flat[at + one])
-                c, d = np.float64(flat[at + wide]), np.float64(flat[at + wide + one])
+                a, b = flat[at], flat[at + one]
+                c, d = flat[at + wide], flat[at + wide + one]
                 a += u * (b - a)
                 c += u * (d - c)
-                row[left - x0 + k] = a + v * (c - a) + half
-            if end > begin:
-                valid[top - y0 + i, left - x0 + begin : left - x0 + end] = 1
-                if wanted:
-                    share[top - y0 + i, left - x0 + begin : left - x0 + end] = 1.0
+                row[left - x0 + k] = a + v * (c - a)
+                good[left - x0 + k] = 1
             for side in range(2):
                 for k in range(end if side else 0, width if side else begin):
                     x, y = at_x + k * step_x, at_y + k * step_y
                     value = _with_care(window, known, y >> _FINE, x >> _FINE, (y & mask) * per, (x & mask) * per)
                     if value == value:
-                        row[left - x0 + k] = value + half
-                        valid[top - y0 + i, left - x0 + k] = 1
-                        if wanted:
-                            share[top - y0 + i, left - x0 + k] = 1.0
+                        row[left - x0 + k] = value
+                        good[left - x0 + k] = 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def take(window, r0, c0, known, bounds, corners, out, valid, share, y0, x0):
+def take(window, r0, c0, known, bounds, corners, out, valid, y0, x0):
     """Value of the pixel in which the middle of each pixel lies, bit by bit; left as it is where that is not known."""
     rows, cols = window.shape
-    wanted = share.shape[0] > 0
     for p in range(bounds.shape[0]):
         top, bottom, left, right = bounds[p, 0], bounds[p, 1], bounds[p, 2], bounds[p, 3]
         height, width = bottom - top, right - left
@@ -154,8 +144,6 @@ def take(window, r0, c0, known, bounds, corners, out, valid, share, y0, x0):
                     continue
                 out[top - y0 + i, left - x0 + k] = window[y, x]
                 valid[top - y0 + i, left - x0 + k] = 1
-                if wanted:
-                    share[top - y0 + i, left - x0 + k] = 1.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -230,47 +218,28 @@ def _under(sums, stride, x0, y0, x1, y1, slope):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_up(window, known, top, left, rows, cols, sums, stride):
-    """Sums down the columns of the part of the window that begins at ``top``, ``left``; nothing beside the window."""
-    sums[:cols] = 0.0
+def _add_up(window, known, top, left, rows, cols, sums, stride, counted):
+    """Sums down the columns of the part of the window that begins at ``top``, ``left``; nothing beside the window.
+
+    Of its values, or where ``counted`` of the number of known pixels.
+    """
+    for j in range(cols):
+        sums[j] = 0.0
     masked = known.shape[0] > 0
-    inside = left >= 0 and left + cols <= window.shape[1] and not masked
     first, last = max(-left, 0), min(window.shape[1] - left, cols)
     for i in range(rows):
-        y = top + i
-        before = sums[i * stride : i * stride + cols]
-        after = sums[(i + 1) * stride : (i + 1) * stride + cols]
-        if inside and 0 <= y < window.shape[0]:
-            line = window[y, left : left + cols]
-            for j in range(cols):
-                after[j] = before[j] + line[j]
-            continue
-        after[:] = before
+        y, at = top + i, i * stride
+        for j in range(cols):
+            sums[at + stride + j] = sums[at + j]
         if 0 <= y < window.shape[0]:
             for j in range(first, last):
                 if not masked or known[y, left + j]:
-                    after[j] += window[y, left + j]
+                    sums[at + stride + j] += 1.0 if counted else window[y, left + j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _count_up(window, known, top, left, rows, cols, sums, stride):
-    """The same of the number of known pixels."""
-    sums[:cols] = 0.0
-    masked = known.shape[0] > 0
-    for i in range(rows):
-        y = top + i
-        before = sums[i * stride : i * stride + cols]
-        after = sums[(i + 1) * stride : (i + 1) * stride + cols]
-        after[:] = before
-        if 0 <= y < window.shape[0]:
-            for j in range(max(-left, 0), min(window.shape[1] - left, cols)):
-                if not masked or known[y, left + j]:
-                    after[j] += 1.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def average(window, r0, c0, known, bounds, corners, half, out, valid, share, y0, x0):
-    """Mean over the quadrilateral that each pixel's outline becomes in the source; ``half`` as in `interpolate`.
+def average(window, r0, c0, known, bounds, corners, out, valid, y0, x0):
+    """Mean over the quadrilateral that each pixel's outline becomes in the source.
 
     A pixel of the source counts with the area of it that lies inside, exactly: the integral over the quadrilateral is
     the one along its four sides (Green), and neighbours share their sides. A pixel is left as it is where less than
@@ -291,7 +260,6 @@ def average(window, r0, c0, known, bounds, corners, half, out, valid, share, y0,
     sums = np.empty((most_rows + 1) * stride)
     weights = np.empty(0)
     above = np.empty((3, most_width))  # of each pixel's upper side and both others: values, what is known, area
-    wanted = share.shape[0] > 0
     for p in range(count):
         top, bottom, left, right = bounds[p, 0], bounds[p, 1], bounds[p, 2], bounds[p, 3]
         height, width = bottom - top, right - left
@@ -299,11 +267,11 @@ def average(window, r0, c0, known, bounds, corners, half, out, valid, share, y0,
         rows, cols = boxes[p, 2] - by, boxes[p, 3] - bx
         whole = by >= r0 and bx >= c0 and by + rows <= r0 + window.shape[0] and bx + cols <= c0 + window.shape[1]
         whole = whole and _all_known(known, by - r0, by + rows - 1 - r0, bx - c0, bx + cols - 1 - c0)
-        _add_up(window, known, by - r0, bx - c0, rows, cols, sums, stride)
+        _add_up(window, known, by - r0, bx - c0, rows, cols, sums, stride, False)
         if not whole:
             if weights.shape[0] == 0:
                 weights = np.empty(sums.shape)
-            _count_up(window, known, by - r0, bx - c0, rows, cols, weights, stride)
+            _add_up(window, known, by - r0, bx - c0, rows, cols, weights, stride, True)
         for i in range(height + 1):
             lx, ly, wx, wy = _side(corners[p], i / height)
             nx, ny, vx, vy = _side(corners[p], (i + 1) / height)
@@ -330,10 +298,8 @@ def average(window, r0, c0, known, bounds, corners, half, out, valid, share, y0,
                     total, area = above[0, k] - along, above[2, k] - along_area
                     part = area if whole else above[1, k] - along_known
                     if abs(area) > 0.0 and part / area >= 0.5 - _EDGE:  # not where the area is NaN
-                        out[top - y0 + i - 1, left - x0 + k] = total / part + half
+                        out[top - y0 + i - 1, left - x0 + k] = total / part
                         valid[top - y0 + i - 1, left - x0 + k] = 1
-                    if wanted and abs(area) > 0.0:
-                        share[top - y0 + i - 1, left - x0 + k] = min(max(part / area, 0.0), 1.0)
                 if i < height:
                     ex, ey = nx + (k + 1) * vx, ny + (k + 1) * vy
                     p0, q0, p1, q1 = ex - ax, ey - ay, cx - fx, cy - fy

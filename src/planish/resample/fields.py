@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 
 from planish.core.errors import SurfaceError
 from planish.resample._kernels import sample, vote
-from planish.resample.bands import each_band
-from planish.resample.places import Places
+from planish.resample.places import Places, each_band
 
 Array = NDArray[np.float64]
 Label = TypeVar("Label", bound=np.integer[Any] | np.bool_)
 
-_NOT_WANTED = np.empty((0, 0))
 
-
-def resample(field: NDArray[Any], places: Places, *, threads: int | None = None) -> Array:
+def resample(field: NDArray[Any], places: Places) -> Array:
     """Values of a mesh field on the grid: linear in each triangle, the mean over a pixel's sub-pixels.
 
     Parameters
@@ -29,8 +26,6 @@ def resample(field: NDArray[Any], places: Places, *, threads: int | None = None)
         Value of each node; NaN is missing.
     places : Places
         From :func:`find_places`, of a mesh of (rows, cols).
-    threads : int, optional
-        All processors, at most 8, where not given; the result does not depend on it.
 
     Returns
     -------
@@ -42,10 +37,10 @@ def resample(field: NDArray[Any], places: Places, *, threads: int | None = None)
     SurfaceError
         The field does not have the mesh's shape.
     """
-    return _sampled(field, places, _NOT_WANTED, threads)
+    return _sampled(field, places)[0]
 
 
-def support(known: NDArray[np.bool_], places: Places, *, threads: int | None = None) -> Array:
+def support(known: NDArray[np.bool_], places: Places) -> Array:
     """Share of each pixel's area that is known on the mesh, from 0 to 1.
 
     ``support(np.isfinite(field), places) >= 0.5`` is where :func:`resample` of the same field has a value.
@@ -54,18 +49,15 @@ def support(known: NDArray[np.bool_], places: Places, *, threads: int | None = N
     ----------
     known : (rows, cols)
         Nodes with a value.
-    places, threads
+    places : Places
         As for :func:`resample`.
     """
-    share = np.empty(places.shape)
-    _sampled(np.where(known, 0.0, np.nan), places, share, threads)
-    return share
+    return _sampled(np.where(known, 0.0, np.nan), places)[1]
 
 
 def resample_labels(
-    labels: NDArray[Label], places: Places, *, fill: int = 0, known: NDArray[np.bool_] | None = None,
-    threads: int | None = None,
-) -> NDArray[Label]:  # fmt: skip
+    labels: NDArray[Label], places: Places, *, fill: int = 0, known: NDArray[np.bool_] | None = None
+) -> NDArray[Label]:
     """Labels of the mesh's nodes on the grid, in their own type and never mixed.
 
     A point of the mesh has the label of the nearest node, counted in rows and columns of the mesh: each node holds the
@@ -83,8 +75,6 @@ def resample_labels(
         What stands where less than half of the pixel's area is known. To the vote it is a label like any other.
     known : (rows, cols), optional
         Nodes whose label counts; all where not given.
-    threads : int, optional
-        As for :func:`resample`.
 
     Returns
     -------
@@ -118,7 +108,7 @@ def resample_labels(
             begin, end,
         )  # fmt: skip
 
-    each_band(band, out.shape[0], threads=threads)
+    each_band(band, out.shape[0])
     return out.astype(labels.dtype)
 
 
@@ -169,16 +159,16 @@ def _check_mesh(field: NDArray[Any], places: Places) -> None:
         )
 
 
-def _sampled(field: NDArray[Any], places: Places, share: Array, threads: int | None) -> Array:
-    """Fill ``share`` where it has the grid's shape; return the values."""
+def _sampled(field: NDArray[Any], places: Places) -> tuple[Array, Array]:
+    """Values, and the share of each pixel that is known."""
     _check_mesh(field, places)
     nodes = np.ascontiguousarray(field, dtype=np.float64).reshape(-1)
-    out = np.empty(places.shape)
+    out, share = np.empty(places.shape), np.empty(places.shape)
 
     def band(begin: int, end: int) -> None:
         sample(
             nodes, places.mesh[1], places.triangle, places.weight, places.corners, places.fine, out, share, begin, end
         )
 
-    each_band(band, out.shape[0], threads=threads)
-    return out
+    each_band(band, out.shape[0])
+    return out, share

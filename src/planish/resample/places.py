@@ -6,25 +6,29 @@ used: no triangle can bridge a gap, and overlaps are noticed. The paper's mode c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import SurfaceError
-from planish.resample._kernels import extents, locate
-from planish.resample.bands import each_band
-from planish.resample.delaunay import triangulate
+from planish.core.grid import Grid
+from planish.core.threads import count_threads, map_threads
+from planish.resample._kernels import locate
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
 Method = Literal["quads", "delaunay"]
+Result = TypeVar("Result")
 
 _MOST_PIXELS = 2**31
 _MOST_NODES = 2**30  # two triangles per node are numbered in 32 bits
 _SEGMENT = 32  # quads whose extent is known together: passed over at once where they do not touch a band of pixels
 _MOST_FINE = 32
+_LEAST_ROWS = 32  # of a band: below that, starting a thread takes longer than the work
+_BANDS = 4  # per thread, so that one with an easy band takes over from one with a hard band
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,31 +65,20 @@ class Places:
         return self.triangle.shape[0] // self.fine, self.triangle.shape[1] // self.fine
 
 
-def find_places(
-    uv: Array, *, shape: tuple[int, int], pixel_um: tuple[float, float],
-    origin_um: tuple[float, float] = (0.0, 0.0), least_um: float | None = None, method: Method = "quads",
-    threads: int | None = None,
-) -> Places:  # fmt: skip
+def find_places(uv: Array, grid: Grid, *, least_um: float | None = None, method: Method = "quads") -> Places:
     """Locate the pixels of a regular grid in a mesh with flat coordinates ``uv``.
 
     Parameters
     ----------
     uv : (rows, cols, 2)
         Flat coordinates of the nodes in um; NaN where there is no sheet.
-    shape : (int, int)
-        Rows and columns of the grid.
-    pixel_um : (float, float)
-        Pitch of its rows and columns.
-    origin_um : (float, float)
-        (u, v) of the centre of its first pixel.
+    grid : Grid
     least_um : float, optional
         Pitch of the mesh. A pixel wider than that is cut into sub-pixels, so that it takes the mean over its area
         and not the value at its centre.
     method : {"quads", "delaunay"}
         Through the two triangles of each known quad; or through a new triangulation of the known nodes (scipy, some
         hundred times slower), which bridges gaps and does not notice folds.
-    threads : int, optional
-        All processors, at most 8, where not given; the result does not depend on it.
 
     Returns
     -------
@@ -101,55 +94,28 @@ def find_places(
     -----
     Where quads overlap, the first in the order of the mesh stays. A quad without one of its corners covers nothing.
     """
+    shape = grid.shape
     if min(shape) < 1 or shape[0] * shape[1] > _MOST_PIXELS:
         raise SurfaceError(f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size.")
     if uv.ndim != 3 or uv.shape[2] != 2 or uv.shape[0] * uv.shape[1] > _MOST_NODES:
         raise SurfaceError(
             f"The flat coordinates have the shape {uv.shape}; (rows, cols, 2) is needed, with 2^30 nodes at most."
         )
-    fine = max(1, int(np.ceil(max(pixel_um) / least_um - 1e-6))) if least_um else 1
+    pixel, origin = grid.pixel_um, grid.origin_um
+    fine = max(1, int(np.ceil(max(pixel) / least_um - 1e-6))) if least_um else 1
     fine = min(fine, _MOST_FINE)
-    uv = np.ascontiguousarray(uv, dtype=np.float64)
-    step = pixel_um[1] / fine, pixel_um[0] / fine
+    step = pixel[1] / fine, pixel[0] / fine
     # The first sub-pixel's centre lies half a pixel less half a sub-pixel before the pixel's.
-    first = origin_um[0] - 0.5 * (pixel_um[1] - step[0]), origin_um[1] - 0.5 * (pixel_um[0] - step[1])
+    first = origin[0] - 0.5 * (pixel[1] - step[0]), origin[1] - 0.5 * (pixel[0] - step[1])
     find = _in_quads if method == "quads" else _in_delaunay
-    return find(uv, first, step, shape, fine, threads)
-
-
-def _in_quads(
-    uv: Array, first: tuple[float, float], step: tuple[float, float], shape: tuple[int, int], fine: int,
-    threads: int | None,
-) -> Places:  # fmt: skip
-    rows, cols = uv.shape[:2]
     size = shape[0] * fine, shape[1] * fine
-    low, high = np.empty((2, rows, max(0, -(-(cols - 1) // _SEGMENT))))
-    triangle, weight, twice = np.empty(size, np.int32), np.empty((2, *size)), np.zeros(size, np.uint8)
-
-    def bounds(begin: int, end: int) -> None:
-        extents(uv, first[1], step[1], _SEGMENT, low, high, begin, end)
-
-    def band(begin: int, end: int) -> int:
-        return locate(uv, first, step, _SEGMENT, low, high, triangle, weight, twice, begin, end)
-
-    if rows:
-        each_band(bounds, rows, threads=threads)
-    overlaps = sum(each_band(band, size[0], threads=threads))
-    none = np.empty((0, 3), dtype=np.int32)
-    return Places(triangle=triangle, weight=weight, corners=none, mesh=(rows, cols), fine=fine, overlaps=overlaps)
-
-
-def _in_delaunay(
-    uv: Array, first: tuple[float, float], step: tuple[float, float], shape: tuple[int, int], fine: int,
-    _threads: int | None,
-) -> Places:  # fmt: skip
-    triangle, weight, corners = triangulate(uv, first, step, (shape[0] * fine, shape[1] * fine))
+    triangle, weight, corners, overlaps = find(np.ascontiguousarray(uv, dtype=np.float64), first, step, size)
     mesh = int(uv.shape[0]), int(uv.shape[1])
-    return Places(triangle=triangle, weight=weight, corners=corners, mesh=mesh, fine=fine, overlaps=0)
+    return Places(triangle=triangle, weight=weight, corners=corners, mesh=mesh, fine=fine, overlaps=overlaps)
 
 
-def covering_grid(uv: Array, pixel_um: float) -> tuple[tuple[int, int], tuple[float, float]]:
-    """Shape and origin (u, v) of the grid that covers the mesh; the origin is a multiple of the pixel.
+def covering_grid(uv: Array, pixel_um: float) -> Grid:
+    """Return the grid that covers the mesh; its origin (u, v) is a multiple of the pixel.
 
     Raises
     ------
@@ -161,4 +127,72 @@ def covering_grid(uv: Array, pixel_um: float) -> tuple[tuple[int, int], tuple[fl
         raise SurfaceError("No node of the mesh has flat coordinates. Check the surface and how it was flattened.")
     low, high = np.floor(known.min(axis=0) / pixel_um), np.ceil(known.max(axis=0) / pixel_um)
     size = (high - low).astype(int) + 1
-    return (int(size[1]), int(size[0])), (float(low[0] * pixel_um), float(low[1] * pixel_um))
+    return Grid.regular((int(size[1]), int(size[0])), pixel_um, (float(low[0] * pixel_um), float(low[1] * pixel_um)))
+
+
+def each_band(work: Callable[[int, int], Result], rows: int) -> list[Result]:
+    """Call ``work(begin, end)`` for bands of ``rows`` rows, on several threads, and return what it gives, in order."""
+    threads = count_threads()
+    count = max(1, min(_BANDS * threads, rows // _LEAST_ROWS))
+    edges = [rows * k // count for k in range(count + 1)]
+    return map_threads(work, edges[:-1], edges[1:], number=min(threads, count))
+
+
+def _in_quads(
+    uv: Array, first: tuple[float, float], step: tuple[float, float], size: tuple[int, int]
+) -> tuple[Indices, Array, Indices, int]:
+    """Triangles of the quads, weights, no table of corners, and how many sub-pixels lie in several quads."""
+    low, high = _extents(uv[..., 1], first[1], step[1])
+    triangle, weight, twice = np.empty(size, np.int32), np.empty((2, *size)), np.zeros(size, np.uint8)
+
+    def band(begin: int, end: int) -> int:
+        return locate(uv, first, step, _SEGMENT, low, high, triangle, weight, twice, begin, end)
+
+    overlaps = sum(each_band(band, size[0]))
+    return triangle, weight, np.empty((0, 3), dtype=np.int32), overlaps
+
+
+def _extents(v: Array, first: float, step: float) -> tuple[Array, Array]:
+    """Extent of each row's segments of nodes, both ends included, in rows of the target; without the missing ones."""
+    rows, cols = v.shape
+    starts = np.arange(0, cols - 1, _SEGMENT)
+    if not rows or not starts.size:
+        return np.empty((rows, 0)), np.empty((rows, 0))
+    found: list[Array] = []
+    for reduced, none in ((np.fmin, np.inf), (np.fmax, -np.inf)):
+        ends = reduced.reduceat(v, starts, axis=1)
+        ends[:, :-1] = reduced(ends[:, :-1], v[:, starts[1:]])
+        found.append((np.where(np.isnan(ends), none, ends) - first) * (1.0 / step))  # the same sums as in `locate`
+    return found[0], found[1]
+
+
+def _in_delaunay(
+    uv: Array, first: tuple[float, float], step: tuple[float, float], size: tuple[int, int]
+) -> tuple[Indices, Array, Indices, int]:
+    """The mode of the paper: its triangles know nothing of the mesh, bridge gaps and bays, and do not notice a fold."""
+    from scipy.spatial import Delaunay, QhullError
+
+    nodes = uv.reshape(-1, 2)
+    known = np.flatnonzero(np.isfinite(nodes).all(axis=1))
+    try:
+        found = Delaunay(nodes[known])
+    except (QhullError, ValueError) as error:
+        raise SurfaceError(
+            f"The {known.size} known nodes cannot be triangulated; at least 3 are needed that do not lie in one line. "
+            "Check the flat coordinates."
+        ) from error
+    corners = np.ascontiguousarray(known[found.simplices], dtype=np.int32)
+    triangle, weight = np.empty(size, dtype=np.int32), np.empty((2, *size))
+    u = first[0] + step[0] * np.arange(size[1])
+    for begin in range(0, size[0], _LEAST_ROWS):
+        v = first[1] + step[1] * np.arange(begin, min(begin + _LEAST_ROWS, size[0]))
+        points = np.stack(np.broadcast_arrays(u[None, :], v[:, None]), axis=-1)
+        here = found.find_simplex(points)
+        # Weights of the first two corners; without a triangle they are not used.
+        inverse = found.transform[here]
+        two = np.einsum("yxij,yxj->yxi", inverse[..., :2, :], points - inverse[..., 2, :])
+        rows = slice(begin, begin + len(v))
+        triangle[rows] = here
+        weight[0, rows] = two[..., 1]
+        weight[1, rows] = 1.0 - two.sum(axis=-1)
+    return triangle, weight, corners, 0

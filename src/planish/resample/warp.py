@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, InputError, ResourceError, SizeError
+from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.resample._warp_kernels import average, interpolate, take
@@ -36,7 +37,6 @@ _MOST_SIDE = 2**22  # of the source: places are counted in 2^-40 of a pixel
 _MOST_UNDER = 2**26  # source pixels under one pixel
 _LOOKS = 17  # points per side of the target at which the transformation is looked at first
 _SINGULAR = 1e-6  # of the square of the longest side of a cell of these: an area below that is none
-_FAST = ("uint8", "uint16", "float32", "float64")
 
 
 class Source(Protocol):
@@ -67,13 +67,10 @@ class Warped:
         NaN, or the fill value for whole numbers, where not valid.
     valid : (rows, cols) bool
         Pixels that have a value.
-    share : (rows, cols) float32, or None
-        Share of a pixel's area that lies on known pixels of the source; 0 or 1 where it was not averaged.
     """
 
     values: NDArray[Any]
     valid: Flags
-    share: NDArray[np.float32] | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,8 +80,7 @@ class _Work:
     source: Source
     pixel: Pair
     to_source: Callable[[Floats], Floats]
-    target_pixel: Pair
-    origin: Pair
+    grid: Grid
     method: WarpMethod
     valid: Source | None
     fill: int
@@ -92,7 +88,8 @@ class _Work:
 
     def mapping(self, points: Floats) -> Floats:
         """Places in source pixels of points (..., 2) in target pixels."""
-        at = points * (self.target_pixel[1], self.target_pixel[0]) + self.origin
+        rows, cols = self.grid.pixel_um
+        at = points * (cols, rows) + self.grid.origin_um
         found = np.asarray(self.to_source(at), dtype=np.float64)
         if found.shape != at.shape:
             raise InputError(
@@ -107,51 +104,41 @@ class _Work:
         return self.source.shape[0], self.source.shape[1]
 
     @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of the result: the source's, in the byte order of the machine."""
-        return self.source.dtype.newbyteorder("=")
+    def carrier(self) -> np.dtype[Any]:
+        """Type of the values in the kernels: real numbers, or whole ones of 64 bits, which those cannot hold."""
+        dtype = self.source.dtype.newbyteorder("=")
+        whole = self.method == "nearest" and dtype.kind in "iu" and dtype.itemsize == 8
+        return dtype if whole else np.dtype(np.float64)
 
 
 def warp_image(
-    source: Source, source_pixel_um: float | Pair, to_source: Callable[[Floats], Floats], shape: tuple[int, int],
-    pixel_um: float | Pair, *, origin_um: Pair = (0.0, 0.0), method: WarpMethod = "auto", valid: Source | None = None,
-    fill: int = 0, share: bool = False, memory_bytes: int = 2**31, threads: int | None = None,
-    out: NDArray[Any] | None = None, out_valid: Flags | None = None,
+    image: Source, grid: Grid, to_source: Callable[[Floats], Floats], *, pixel_um: float | Pair = 1.0,
+    method: WarpMethod = "auto", valid: Source | None = None, fill: int = 0, memory_bytes: int = 2**31,
 ) -> Warped:  # fmt: skip
     """Warp an image by a transformation.
 
     Parameters
     ----------
-    source : (rows, cols) or (rows, cols, channels)
+    image : (rows, cols) or (rows, cols, channels)
         Truth values, whole or real numbers; what is not finite is missing. An array, a memory map, or anything that has
         a shape and a type and can be cut as an array can. The middle of its first pixel is (0, 0) um.
-    source_pixel_um : float or (float, float)
-        Pitch of its rows and columns.
+    grid : Grid
+        Pixels of the target.
     to_source : callable
-        Takes points (..., 2), (x, y) in um, of the target to the source: the ``inverse`` of a transformation that takes
-        the source to the target. NaN where there is none. It is asked about few points, from several threads.
-    shape : (int, int)
-        Rows and columns of the target.
+        Takes points (..., 2), (x, y) in um, of the target to the image: the ``inverse`` of a transformation that takes
+        the image to the target. NaN where there is none. It is called for few points, from several threads.
     pixel_um : float or (float, float)
-        Pitch of its rows and columns.
-    origin_um : (float, float)
-        (x, y) of the middle of its first pixel.
+        Pitch of the image's rows and columns.
     method : {"auto", "bilinear", "area", "nearest"}
         Bilinear at the pixel's middle; the mean over the pixel's area; the value of the pixel in which the middle lies,
         for labels. ``auto`` averages where the longer side of a pixel is more than 1.1 source pixels long, and is
         bilinear elsewhere; it decides patch by patch. Truth values are taken as labels.
     valid : (rows, cols), optional
-        Source pixels that count.
+        Pixels of the image that count.
     fill : int
         What stands where a whole number is not valid.
-    share : bool
-        Whether to return the share of each pixel's area that is known.
     memory_bytes : int
-        What may be taken beside the source and what is given as ``out`` and ``out_valid``.
-    threads : int, optional
-        All processors, at most 8, where not given, and no more than fit into the memory.
-    out, out_valid : array, optional
-        Where to write values (type of the source) and validity (bool); memory maps for what does not fit.
+        What may be taken beside the image.
 
     Returns
     -------
@@ -161,7 +148,7 @@ def warp_image(
     Raises
     ------
     CannotRegister
-        The target does not meet the source, or the transformation makes a line of it.
+        The target does not meet the image, or the transformation makes a line of it.
     SizeError
         A pixel size or the grid is impossible.
     InputError
@@ -171,7 +158,7 @@ def warp_image(
 
     Notes
     -----
-    Places in the source are right to 0.01 source pixels, and exact for affine transformations. A pixel's area is the
+    Places in the image are right to 0.01 of its pixels, and exact for affine transformations. A pixel's area is the
     quadrilateral between the images of its four corners, and every source pixel counts with the part of it that lies
     inside: nothing is sampled, and of whole images the sums are kept. A pixel is valid where at least half of its area
     is known. Between the middles of source pixels, a bilinear value is known where all pixels that have weight are, as
@@ -180,42 +167,31 @@ def warp_image(
 
     Rounding leaves 1e-13 of the largest value nearby in a mean: say where values are that stand for missing ones.
     """
-    pixel, target_pixel = _pair(source_pixel_um, "source"), _pair(pixel_um, "target")
-    _check(source, shape, origin_um, method, valid, fill)
-    full = (*shape, *source.shape[2:])
-    needed = shape[0] * shape[1] * (4 * share + (out_valid is None))
-    needed += 0 if out is not None else int(np.prod(full)) * source.dtype.itemsize
-    dtype = source.dtype.newbyteorder("=")
-    _check_out(out, full, dtype, "out")
-    _check_out(out_valid, shape, np.dtype(bool), "out_valid")
-    count, window = _budget(source, share, needed, memory_bytes, threads)
-    chosen: WarpMethod = "nearest" if method == "auto" and source.dtype.kind == "b" else method
+    pixel = (pixel_um, pixel_um) if isinstance(pixel_um, int | float) else pixel_um
+    _check(image, pixel, grid, method, valid, fill)
+    dtype = image.dtype.newbyteorder("=")
+    full = (*grid.shape, *image.shape[2:])
+    needed = grid.shape[0] * grid.shape[1] + int(np.prod(full)) * dtype.itemsize
+    count, window = _budget(image, needed, memory_bytes)
+    chosen: WarpMethod = "nearest" if method == "auto" and dtype.kind == "b" else method
     work = _Work(
-        source=source, pixel=pixel, to_source=to_source, target_pixel=target_pixel, origin=origin_um,
-        method=chosen, valid=valid, fill=fill, window_bytes=window,
+        source=image, pixel=pixel, to_source=to_source, grid=grid, method=chosen, valid=valid, fill=fill,
+        window_bytes=window,
     )  # fmt: skip
-    _look(work, shape)
-    warped = Warped(
-        values=np.empty(full, dtype=dtype) if out is None else out,
-        valid=np.empty(shape, dtype=np.bool_) if out_valid is None else out_valid,
-        share=np.empty(shape, dtype=np.float32) if share else None,
-    )
-    tiles = tiles_of(shape, _TILE)
-    one = partial(_warp_tile, work, warped)
-    if not any(map_threads(one, tiles, number=min(count, len(tiles)))):
-        raise _apart(work, shape)
+    at = _probe(work)
+    warped = Warped(values=np.empty(full, dtype=dtype), valid=np.empty(grid.shape, dtype=np.bool_))
+    tiles = tiles_of(grid.shape, _TILE)
+    if not any(map_threads(partial(_warp_tile, work, warped), tiles, number=min(count, len(tiles)))):
+        raise _apart(work, at)
     return warped
 
 
 def _warp_tile(work: _Work, warped: Warped, tile: Tile) -> bool:
     """Do one tile; whether it meets the source, even if only where that is missing."""
-    source, dtype = work.source, work.dtype
-    inner = dtype if work.method == "nearest" or dtype.name in _FAST else np.dtype(np.float64)
-    blank = np.nan if dtype.kind == "f" else work.fill
-    channels = int(np.prod(source.shape[2:]))
-    values = np.full((channels, *tile.shape), blank, dtype=inner)
+    dtype = warped.values.dtype
+    channels = int(np.prod(work.source.shape[2:]))
+    values = np.full((channels, *tile.shape), np.nan if dtype.kind == "f" else work.fill, dtype=work.carrier)
     known = np.zeros(tile.shape, dtype=np.uint8)
-    share = np.zeros(tile.shape if warped.share is not None else (0, 0), dtype=np.float32)
     missing = False
     patches = find_patches(work.mapping, tile, work.size)
     # Those that are averaged have nothing in common with the others: one kernel each.
@@ -223,23 +199,19 @@ def _warp_tile(work: _Work, warped: Warped, tile: Tile) -> bool:
     for which in (averaged, ~averaged):
         kernel = average if which is averaged else take if work.method == "nearest" else interpolate
         for group in _groups(patches.some(np.flatnonzero(which)), work):
-            missing |= _warp_group(work, kernel, group, inner, values, known, share, tile)
-    rows, cols = tile.rows, tile.cols
-    if inner != dtype and dtype.kind in "iu":
-        np.rint(values, out=values)
+            missing |= _warp_group(work, kernel, group, values, known, tile)
+    if dtype.kind in "iu" and work.method != "nearest":
+        np.floor(values + 0.5, out=values, where=known.view(np.bool_))
     for k in range(channels):
-        place = (rows, cols) if len(source.shape) == 2 else (rows, cols, k)
+        place = (tile.rows, tile.cols) if warped.values.ndim == 2 else (tile.rows, tile.cols, k)
         warped.values[place] = values[k].astype(dtype, copy=False)
-    warped.valid[rows, cols] = known.view(np.bool_)
-    if warped.share is not None:
-        warped.share[rows, cols] = share
+    warped.valid[tile.rows, tile.cols] = known.view(np.bool_)
     return missing or bool(known.any())
 
 
 def _warp_group(
-    work: _Work, kernel: Callable[..., None], group: Patches, inner: np.dtype[Any], values: NDArray[Any],
-    known: NDArray[np.uint8], share: NDArray[np.float32], tile: Tile,
-) -> bool:  # fmt: skip
+    work: _Work, kernel: Callable[..., None], group: Patches, values: NDArray[Any], known: NDArray[np.uint8], tile: Tile
+) -> bool:
     """Read what lies under patches and do them; whether anything of it is missing."""
     (r0, r1), (c0, c1) = _window(group.corners, work.size)
     if r1 <= r0 or c1 <= c0:
@@ -247,22 +219,18 @@ def _warp_group(
     window = np.asarray(work.source[r0:r1, c0:c1])
     there = np.empty((0, 0), dtype=np.uint8)
     if work.valid is not None:
-        there = np.asarray(work.valid[r0:r1, c0:c1]).astype(np.bool_).view(np.uint8)
+        there = np.ascontiguousarray(work.valid[r0:r1, c0:c1], dtype=np.bool_).view(np.uint8)
     if window.dtype.kind == "f":
         finite = np.isfinite(window)
         if not finite.all():
             finite = finite if finite.ndim == 2 else finite.all(axis=2)
-            there = (finite & (there > 0) if there.size else finite).view(np.uint8)
+            there = np.ascontiguousarray(finite & (there > 0) if there.size else finite).view(np.uint8)
     if there.size and there.all():
         there = np.empty((0, 0), dtype=np.uint8)
-    half = () if kernel is take else (0.5 if inner.kind in "iu" else 0.0,)
     for k in range(len(values)):
-        plane = np.array(window if window.ndim == 2 else window[..., k], dtype=inner, order="C")
-        out = values[k]
-        if kernel is take:
-            # Bits, not numbers: one compiled kernel for all types of a size.
-            plane, out = (a.view(f"u{inner.itemsize}") for a in (plane, out))
-        kernel(plane, r0, c0, there, group.bounds, group.corners, *half, out, known, share, tile.r0, tile.c0)
+        plane = np.ascontiguousarray(window if window.ndim == 2 else window[..., k], dtype=work.carrier)
+        places = (plane.view(np.float64), r0, c0, there, group.bounds, group.corners)
+        kernel(*places, values[k].view(np.float64), known, tile.r0, tile.c0)
     return there.size > 0
 
 
@@ -306,68 +274,58 @@ def _window(corners: Floats, size: tuple[int, int]) -> tuple[tuple[int, int], tu
     return (max(int(r0), 0), min(int(r1), size[0])), (max(int(c0), 0), min(int(c1), size[1]))
 
 
-def _look(work: _Work, shape: tuple[int, int]) -> None:
-    """Refuse a transformation that makes a line or a point of the target."""
+def _probe(work: _Work) -> Floats:
+    """Places (n, n, 2) of the target in the source; refuse a transformation that makes a line or a point of it."""
+    shape = work.grid.shape
     y, x = (np.linspace(-0.5, n - 0.5, _LOOKS) for n in shape)
     at = work.mapping(np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=-1))
     # Per pixel: a grid of one row is narrow by right.
     down, across = (at[1:, :-1] - at[:-1, :-1]) / shape[0], (at[:-1, 1:] - at[:-1, :-1]) / shape[1]
     area = np.abs(down[..., 0] * across[..., 1] - down[..., 1] * across[..., 0])
     square = np.maximum(np.sum(down**2, axis=-1), np.sum(across**2, axis=-1))
-    seen = np.isfinite(area)
-    if seen.any() and not np.any(area[seen] > _SINGULAR * square[seen]):
+    known = np.isfinite(area)
+    if known.any() and not np.any(area[known] > _SINGULAR * square[known]):
         raise CannotRegister(
             "The transformation is singular: it makes a line or a point of the whole image. Fit it again, with marks "
             "that do not lie on one line."
         )
+    return at
 
 
-def _apart(work: _Work, shape: tuple[int, int]) -> CannotRegister:
+def _apart(work: _Work, at: Floats) -> CannotRegister:
     """The error for a target that does not meet the source."""
-    y, x = (np.linspace(-0.5, n - 0.5, _LOOKS) for n in shape)
-    at = work.mapping(np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=-1)).reshape(-1, 2)
-    at = at[np.isfinite(at).all(axis=1)] * (work.pixel[1], work.pixel[0])
+    at = at[np.isfinite(at).all(axis=-1)] * (work.pixel[1], work.pixel[0])
     where = "nowhere"
     if len(at):
         (a, b), (c, d) = at.min(axis=0), at.max(axis=0)
-        where = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the source"
+        where = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
     width, height = (work.size[k] * work.pixel[k] for k in (1, 0))
     return CannotRegister(
         f"The transformation takes the target {where}, which is {width:.0f} um wide and {height:.0f} um high: nothing "
-        "overlaps. Check the pixel sizes and the origin, and whether the transformation goes from target to source "
+        "overlaps. Check the pixel sizes and the origin, and whether the transformation goes from target to image "
         "(use its inverse if not)."
     )
 
 
-def _budget(source: Source, share: bool, arrays: int, memory: int, threads: int | None) -> tuple[int, int]:
+def _budget(source: Source, arrays: int, memory: int) -> tuple[int, int]:
     """Threads, and bytes of the source that each of them reads at once."""
     channels = int(np.prod(source.shape[2:]))
-    tile = _TILE[0] * _TILE[1] * (channels * max(source.dtype.itemsize, 8) + 1 + 4 * share)
+    tile = _TILE[0] * _TILE[1] * (channels * 8 + 1)
     # Read, then one plane of it as a real number, and what is known of it.
     factor = 1 + (8 + 2) / (source.dtype.itemsize * channels)
     least = tile + _SCRATCH + int(factor * 2**20)
     if arrays + least > memory:
         raise ResourceError(
             f"The warped image needs {(arrays + least) / 1e9:.2f} GB of memory, {memory / 1e9:.2f} GB are allowed. "
-            "Allow more, or give memory maps as out and out_valid."
+            "Allow more, or warp to a smaller or coarser grid."
         )
-    count = count_threads(threads)
-    count = max(1, min(count, int((memory - arrays) // least)))
+    count = max(1, min(count_threads(), int((memory - arrays) // least)))
     free = (memory - arrays) // count - tile - _SCRATCH
     return count, max(2**20, min(_WINDOW, int(free / factor)))
 
 
-def _pair(pixel_um: float | Pair, whose: str) -> Pair:
-    rows, cols = (pixel_um, pixel_um) if isinstance(pixel_um, int | float) else pixel_um
-    if not (0 < rows < np.inf and 0 < cols < np.inf):
-        raise SizeError(f"The pixel size of the {whose} is {rows:g} x {cols:g} um. Give positive numbers.")
-    return float(rows), float(cols)
-
-
-def _check(
-    source: Source, shape: tuple[int, int], origin: Pair, method: str, valid: Source | None, fill: int
-) -> None:  # fmt: skip
-    size, dtype = tuple(source.shape), source.dtype
+def _check(source: Source, pixel: Pair, grid: Grid, method: str, valid: Source | None, fill: int) -> None:
+    size, dtype, shape = tuple(source.shape), source.dtype, grid.shape
     faults: list[str] = []
     if len(size) not in (2, 3) or min(size, default=0) < 1:
         faults.append(f"the image has the shape {size}; (rows, cols) or (rows, cols, channels) is needed")
@@ -389,12 +347,10 @@ def _check(
         )
     if faults:
         raise InputError(f"The image cannot be warped: {'; '.join(faults)}.")
-    if len(shape) != 2 or min(shape) < 1 or not np.isfinite(origin).all():
+    if min(shape) < 1 or not np.isfinite(grid.origin_um).all():
         raise SizeError(
-            f"A grid of shape {shape} from {origin} um cannot be made. Check the pixel size and the origin."
+            f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size and the origin."
         )
-
-
-def _check_out(out: NDArray[Any] | None, shape: tuple[int, ...], dtype: np.dtype[Any], name: str) -> None:
-    if out is not None and (out.shape != shape or out.dtype != dtype):
-        raise InputError(f"{name} has the shape {out.shape} and {out.dtype} values; {shape} and {dtype} are needed.")
+    for whose, (rows, cols) in (("image", pixel), ("target", grid.pixel_um)):
+        if not (0 < rows < np.inf and 0 < cols < np.inf):
+            raise SizeError(f"The pixel size of the {whose} is {rows:g} x {cols:g} um. Give positive numbers.")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from planish.analyze import correlate, correlate_at
-from planish.core.grid import pitch, values_at
+from planish.core.grid import Grid, pitch, values_at
 from planish.marks import find_holes
 from planish.pipeline import Run
 from planish.register import FittedTransform, fit_transform
@@ -217,7 +217,7 @@ def resampling_errors(specimen: Specimen, files: InstrumentFiles, run: Run, pixe
     uv = np.stack([flat["u"].values[rows], flat["v"].values[rows]], axis=-1)
     shape = pixels.u.shape
     places = find_places(
-        fit.transform(uv), shape=(shape[0], shape[1]), pixel_um=pitch(linked),
+        fit.transform(uv), Grid.regular((shape[0], shape[1]), pitch(linked)),
         least_um=min(pitch(surfaces)) * fit.transform.scale,
     )  # fmt: skip
     carried = resample(true_thickness(specimen.sheet, name, u, v), places)

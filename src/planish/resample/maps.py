@@ -1,0 +1,207 @@
+"""The maps of a flattened sheet, and images, on a regular grid: each is brought there in one step."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from planish.core.errors import SurfaceError
+from planish.core.frame import Frame
+from planish.core.grid import Grid, pitch
+from planish.core.transform import Similarity, axial_angle
+from planish.resample.fields import resample_dataset
+from planish.resample.places import covering_grid, find_places
+from planish.resample.warp import warp_image
+
+Array = NDArray[np.float64]
+
+_LATTICE = 200  # places a side at which the expected error is worked out; it varies over millimetres
+
+
+class ToReference(Protocol):
+    """What takes points of a layer to the reference: a transformation, or several in a chain."""
+
+    def __call__(self, points: ArrayLike, /) -> Array:
+        """Take points (..., 2) to the reference, in um."""
+        ...
+
+    @property
+    def similarity(self) -> Similarity:
+        """The closest similarity."""
+        ...
+
+
+class WithErrors(Protocol):
+    """A registration that knows how far its points may be off."""
+
+    @property
+    def inverse(self) -> Any:
+        """The transformation back."""
+        ...
+
+    def expected_error_um(self, points: ArrayLike, /) -> Array:
+        """Expected error at points (..., 2) of the moving layer."""
+        ...
+
+
+def resample_maps(
+    surfaces: xr.Dataset, flat: xr.Dataset, *, onto: Grid | None = None, transform: ToReference | None = None,
+    map_um: float | None = None,
+) -> xr.Dataset:  # fmt: skip
+    """Bring the properties of a sheet onto its flat maps, or in one step onto the pixels of a reference.
+
+    Parameters
+    ----------
+    surfaces : Dataset, dims (y, x)
+        Surfaces with their measured properties: all variables whose attribute ``role`` is ``property`` or that have a
+        ``support_um``, and the standard errors of the latter.
+    flat : Dataset, dims (y, x), in um
+        Of :func:`planish.flatten.flatten_sheet`.
+    onto : Grid, optional
+        Pixels of a reference; a grid (v, u) that covers the flat sheet where not given.
+    transform : callable with a ``similarity``, optional
+        From the flat sheet to the reference; only with ``onto``.
+    map_um : float, optional
+        Pixel of the flat maps; the volume's columns where not given. Only without ``onto``.
+
+    Returns
+    -------
+    Dataset, dims (v, u), or (y, x) on a reference
+        The properties, and of each pixel the place in the volume (``volume_x``, ``volume_y``, ``volume_z``). Flat maps
+        also hold the place in the projection, the layers in which holes are looked for, and ``valid``; maps on a
+        reference the place ``u``, ``v`` in the flat sheet.
+
+    Raises
+    ------
+    SurfaceError
+        The surfaces hold no properties, or the sheet has no flat coordinates.
+
+    Notes
+    -----
+    The transformation is applied to the nodes of the sheet: values are interpolated once, from the volume's columns to
+    the pixels. Axial angles are averaged by their components, ``NAME_cos2`` and ``NAME_sin2`` for ``NAME_angle``.
+    """
+    uv = np.stack([flat[name].values for name in ("u", "v")], axis=-1)
+    step = pitch(surfaces)
+    properties, errors, layers = _measured(surfaces)
+    places = ("projected_u", "projected_v") if onto is None else ("u", "v")
+    data = surfaces[[*properties, *errors]].assign({name: flat[name] for name in places})
+    data = data.assign(_in_volume(surfaces, np.isfinite(flat["u"].values)))
+    similarity = Similarity()
+    if onto is None:
+        data = data.assign({name: surfaces[name] for name in layers})
+        grid = covering_grid(uv, map_um or float(np.sqrt(step[0] * step[1])))
+        found = find_places(uv, grid, least_um=min(step))
+        maps = resample_dataset(data, found, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
+    else:
+        if transform is not None:
+            uv, similarity = transform(uv), transform.similarity
+        found = find_places(uv, onto, least_um=min(step) * similarity.scale)
+        maps = resample_dataset(data, found, dims=("y", "x"), coords=onto.coords)
+    maps = _with_angles(maps, similarity)
+    if onto is None:
+        known = np.isfinite(maps["thickness"].values)
+        maps["valid"] = (("v", "u"), known, {"long_name": "Measured"})
+        maps.attrs["overlaps"] = found.overlaps
+        middles = [float(np.mean(surfaces[name].attrs["layer"])) for name in layers]
+        if middles:
+            # Where the layers lie that holes are found in: the face is half a thickness from the centre surface.
+            apart = max(middles) - min(middles)
+            maps.attrs["layers_apart_um"] = apart * float(surfaces.attrs["thickness_um"])
+            maps.attrs["layer_to_face"] = (0.5 - max(middles)) / apart
+    # Geometry stays double.
+    stored = [name for name in properties if "support_um" not in surfaces[name].attrs] + layers
+    return maps.assign({name: maps[name].astype(np.float32) for name in stored if name in maps})
+
+
+def resample_image(image: xr.DataArray, onto: Grid, transform: Any, *, memory_bytes: int = 2**31) -> xr.Dataset:
+    """Bring an image (y, x) onto the pixels of a reference.
+
+    Parameters
+    ----------
+    image : DataArray, dims (y, x)
+        With ``pixel_um`` in its attributes.
+    onto : Grid
+    transform : callable with an ``inverse``
+        From the image to the reference.
+    memory_bytes : int
+        What may be taken beside the image.
+
+    Returns
+    -------
+    Dataset, dims (y, x)
+        ``image``: means over the area where pixels become larger, interpolated elsewhere.
+    """
+    rows, cols = image.attrs["pixel_um"]
+    values = warp_image(
+        image.values, onto, transform.inverse, pixel_um=(float(rows), float(cols)), memory_bytes=memory_bytes
+    ).values
+    return xr.Dataset({"image": (("y", "x"), values, image_attrs(image))}, coords=onto.coords)
+
+
+def image_attrs(image: xr.DataArray) -> dict[str, str]:
+    """Name and unit of an image's values."""
+    return {"long_name": str(image.attrs.get("long_name", "Image")), "units": "1"}
+
+
+def expected_error(transform: WithErrors, grid: Grid, known: Array) -> xr.DataArray:
+    """How far each pixel of a reference may be off, in um, where ``known`` (y, x) is finite.
+
+    It is worked out on a lattice of at most some 200 x 200 places and interpolated between.
+    """
+    at = [np.linspace(v[0], v[-1], min(v.size, _LATTICE)) for v in (grid.y_um, grid.x_um)]
+    places = transform.inverse(np.stack(np.meshgrid(at[1], at[0]), axis=-1))
+    coarse = xr.DataArray(transform.expected_error_um(places), dims=("y", "x"), coords={"y": at[0], "x": at[1]})
+    fine = coarse.interp(y=grid.y_um, x=grid.x_um).values
+    values = np.where(np.isfinite(known), fine, np.nan).astype(np.float32)
+    attrs = {"long_name": "Expected error of the place, rms", "units": "um"}
+    return xr.DataArray(values, dims=("y", "x"), coords=grid.coords, attrs=attrs)
+
+
+def _measured(surfaces: xr.Dataset) -> tuple[list[str], list[str], list[str]]:
+    """Names of the properties, of the standard errors that are known, and of the layers that holes are found in."""
+    attrs = {str(name): data.attrs for name, data in surfaces.data_vars.items()}
+    own = [name for name, of in attrs.items() if of.get("role") == "property"]
+    more = [name for name, of in attrs.items() if "support_um" in of and name not in own]
+    if not own + more:
+        raise SurfaceError("The surfaces hold no properties. Measure them first (planish measure).")
+    errors = [f"{name}_se" for name in more if f"{name}_se" in surfaces]
+    errors = [name for name in errors if np.isfinite(surfaces[name].values).any()]
+    return own + more, errors, [name for name, of in attrs.items() if "layer" in of]
+
+
+def _in_volume(surfaces: xr.Dataset, known: NDArray[np.bool_]) -> dict[str, Any]:
+    """Where in the volume each column of the centre surface lies."""
+    frame = Frame.of(surfaces)
+    across = {
+        frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :],
+        frame.through: surfaces["centre"].values,
+    }  # fmt: skip
+    return {
+        f"volume_{axis}": (
+            ("y", "x"),
+            np.where(known, across[axis], np.nan),
+            {"units": "um", "long_name": f"Centre surface, {axis} in the volume"},
+        )
+        for axis in ("x", "y", "z")
+    }
+
+
+def _with_angles(maps: xr.Dataset, similarity: Similarity) -> xr.Dataset:
+    """Turn axial directions with the sheet, and work the angles out again from their averaged components."""
+    for name in [str(n).removesuffix("_angle") for n in maps.data_vars if str(n).endswith("_angle")]:
+        parts = [f"{name}_cos2", f"{name}_sin2"]
+        if any(part not in maps for part in parts):
+            continue
+        cos2, sin2 = (maps[part].values for part in parts)
+        if similarity.rotation_rad or similarity.mirrored:
+            hand = -1.0 if similarity.mirrored else 1.0  # x reversed: an angle a becomes 180 - a, its double -2a
+            c, s = np.cos(2 * similarity.rotation_rad), np.sin(2 * similarity.rotation_rad)
+            cos2, sin2 = c * cos2 - s * hand * sin2, s * cos2 + c * hand * sin2
+            maps = maps.assign({k: maps[k].copy(data=v) for k, v in zip(parts, (cos2, sin2), strict=True)})
+        angle = np.where(np.isfinite(cos2) & np.isfinite(sin2), axial_angle(cos2, sin2), np.nan)
+        maps = maps.assign({f"{name}_angle": maps[f"{name}_angle"].copy(data=angle)})
+    return maps
