@@ -27,6 +27,8 @@ from marks.files_by_hand import (
 )
 from planish.marks import read_holes, read_marks
 from planish.marks.files import (
+    FORMATS,
+    LayerFacts,
     Places,
     format_of,
     holes_of,
@@ -35,11 +37,13 @@ from planish.marks.files import (
     marks_of_holes,
     read_any,
     read_pairs,
+    target_of,
     used_pairs,
     write_any,
 )
+from planish.marks.files.formats import formats_table, module_of
 
-PIXELS = {"moving_um": MOVING_PIXEL, "fixed_um": FIXED_PIXEL}
+PIXELS = {"moving": LayerFacts(MOVING_PIXEL), "fixed": LayerFacts(FIXED_PIXEL)}
 
 
 @pytest.fixture
@@ -137,7 +141,7 @@ def test_elastix_index_is_pixels_from_nought(put, word):
     index = np.array([[0, 0], [100, 40], [7, 99]])
     text = elastix(index, word or "index")
     a = put(text if word else text.split("\n", 1)[1], "a.txt")
-    marks = read_any(a, put(elastix(index, "index"), "b.txt"), moving_um=2.5, fixed_um=(4.0, 3.0))
+    marks = read_any(a, put(elastix(index, "index"), "b.txt"), moving=LayerFacts(2.5), fixed=LayerFacts((4.0, 3.0)))
     assert same(marks, index * 2.5, index * [3.0, 4.0])
 
 
@@ -208,6 +212,16 @@ def test_the_two_tables_of_planish(put):
 def test_one_file_of_each_kind_goes_with_one_of_another(put):
     holes = "label,x_um,y_um\n" + "".join(f"{n},{x},{y}\n" for n, (x, y) in zip(LABELS, FIXED.tolist(), strict=True))
     assert same(read_any(put(elastix(MOVING / 1000), "a"), put(holes, "holes.csv")))
+
+
+def test_the_formats_of_the_page_are_those_of_the_table():
+    page = (Path(__file__).resolve().parents[2] / "docs" / "marks-files.md").read_text(encoding="utf-8")
+    assert formats_table() in page
+    for name, form in FORMATS.items():
+        module = module_of(name)
+        assert callable(module.looks_like)
+        assert hasattr(module, "write") == form.writable
+        assert len([s for s in form.suffixes if target_of(f"a{s}") == name]) == len(form.suffixes)
 
 
 # --- planish's own format
@@ -283,7 +297,7 @@ def some_marks(flat=True, origin=(0.0, 0.0)):
     )
 
 
-BACK = {"moving_um": (2.7, 2.5), "fixed_um": (4.1, 4.0), "moving_origin_um": (-350.5, 20.25)}
+BACK = {"moving": LayerFacts((2.7, 2.5), (-350.5, 20.25)), "fixed": LayerFacts((4.1, 4.0))}
 
 
 @pytest.mark.parametrize(("to", "unit"), [

@@ -9,8 +9,12 @@ from typing import Any, Literal
 import click
 
 from planish.cli.options import Numbers, json_option
+from planish.marks.files.formats import FORMATS, TARGETS, target_of
 
 _UNITS = click.Choice(["um", "mm", "pixel"])
+_BY_NAME = ", ".join(
+    f"{' or '.join(FORMATS[name].suffixes)} {FORMATS[name].title}" for name in TARGETS if FORMATS[name].suffixes
+)
 
 
 class Sizes(click.ParamType[tuple[float, ...]]):
@@ -37,12 +41,7 @@ class Sizes(click.ParamType[tuple[float, ...]]):
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="IN [IN2] OUT")
-@click.option(
-    "--to",
-    type=click.Choice(["json", "csv", "bigwarp", "elastix", "slicer", "matlab"]),
-    help="Format of OUT; where not given, .json planish, .csv planish's pairs, .txt elastix, .mrk.json Slicer, .mat "
-    "MATLAB.",
-)
+@click.option("--to", type=click.Choice(TARGETS), help=f"Format of OUT; where not given, by its name: {_BY_NAME}.")
 @click.option("--moving-pixel-um", type=Sizes(), help="Pixel size of the moving layer, where a file counts in pixels.")
 @click.option("--fixed-pixel-um", type=Sizes(), help="The same for the fixed layer.")
 @click.option(
@@ -60,7 +59,7 @@ class Sizes(click.ParamType[tuple[float, ...]]):
 @json_option
 def convert(
     files: tuple[Path, ...],
-    to: Literal["json", "csv", "bigwarp", "elastix", "slicer", "matlab"] | None,
+    to: str | None,
     unit: Literal["um", "mm", "pixel"] | None,
     out_unit: Literal["um", "mm", "pixel"] | None,
     swap: bool,
@@ -70,40 +69,32 @@ def convert(
 ) -> None:
     """Convert marks from one program's file into another's.
 
-    IN is a file of planish, BigWarp, elastix, 3D Slicer, MATLAB or ImageJ; what it is, is seen in its content. Where it
+    IN is a file of planish, BigWarp, elastix, 3D Slicer, MATLAB or ImageJ, recognised by its content. Where it
     holds one layer only, IN is the moving and IN2 the fixed one, and marks belong together in their order. For elastix,
     OUT becomes two files, for -mp and -fp.
     """
-    from planish.marks.files import TITLES, about_layer, layer_names, read_any, target_of, write_any
+    from planish.marks.files import LayerFacts, about_layer, layer_names, read_any, write_any
 
     if not 2 <= len(files) <= 3:
         raise click.UsageError("Give IN and OUT, or IN, IN2 and OUT.")
     *sources, out = files
     kind = to or target_of(out)
-    sizes = {"moving_um": options["moving_pixel_um"], "fixed_um": options["fixed_pixel_um"]}
-    origins = {k: options[k] for k in ("moving_origin_um", "fixed_origin_um")}
-    marks = read_any(*sources, **sizes, **origins, unit=unit, swap=swap)
-    made = write_any(marks, out, to=kind, **sizes, unit=out_unit, swap=swap_out)
-    layers = layer_names(marks)
-    read = marks.attrs["read_from"]
-    facts = {
-        "read": read,
-        "marks": marks.sizes["mark"],
-        "used": int(marks["used"].values.sum()),
-        "layers": layers,
-        "format": kind,
-        "files": [str(path) for path in made],
-    }
+    facts = {k: LayerFacts(options[f"{k}_pixel_um"], options[f"{k}_origin_um"]) for k in ("moving", "fixed")}
+    marks = read_any(*sources, **facts, unit=unit, swap=swap)
+    made = write_any(marks, out, to=kind, **facts, unit=out_unit, swap=swap_out)
+    layers, read = layer_names(marks), marks.attrs["read_from"]
+    used = int(marks["used"].values.sum())
     if as_json:
-        click.echo(json.dumps(facts, indent=2))
+        counts = {"read": read, "marks": marks.sizes["mark"], "used": used}
+        listed = {"layers": layers, "format": kind, "files": [str(path) for path in made]}
+        click.echo(json.dumps(counts | listed, indent=2))
         return
     names = ", ".join(str(path) for path in made)
-    click.echo(f"{names}: {facts['marks']} marks ({facts['used']} used) in {', '.join(layers)}")
+    click.echo(f"{names}: {marks.sizes['mark']} marks ({used} used) in {', '.join(layers)}")
     if not read["stated"] and unit is None:
-        click.echo(
-            f"{TITLES[read['format']]} states no unit; the positions were taken as {read['unit']} (--unit).", err=True
-        )
-    for layer in layers if kind not in ("json", "csv") else ():
+        title = FORMATS[read["format"]].title
+        click.echo(f"{title} states no unit; the positions were taken as {read['unit']} (--unit).", err=True)
+    for layer in layers if FORMATS[kind].unit is not None else ():
         origin = about_layer(marks, layer).get("origin_um", {"x": 0.0, "y": 0.0})
         if any(origin.values()):
             click.echo(

@@ -44,7 +44,12 @@ class Rows(NamedTuple):
 
 
 def read_text(path: str | Path, *, what: str = "table") -> str:
-    """Read a small text file.
+    """Read a small text file; see :func:`read_bytes` and :func:`decode_text`."""
+    return decode_text(read_bytes(path, what=what), Path(path).name, what=what)
+
+
+def read_bytes(path: str | Path, *, what: str = "table") -> bytes:
+    """Read a small file.
 
     Parameters
     ----------
@@ -55,7 +60,7 @@ def read_text(path: str | Path, *, what: str = "table") -> str:
     Raises
     ------
     FileError
-        If it cannot be read, has more than 10 MB, or is no text.
+        If it cannot be read or has more than 10 MB.
     """
     place = Path(path)
     try:
@@ -67,8 +72,10 @@ def read_text(path: str | Path, *, what: str = "table") -> str:
         why = getattr(error, "strerror", None) or error
         raise FileError(f"{place} cannot be read: {why}. Check the path.") from error
     if len(data) > LARGEST_FILE:
-        raise FileError(f"{place.name} is larger than {LARGEST_FILE // 1_000_000} MB and no {what}.")
-    return decode_text(data, place.name, what=what)
+        raise FileError(
+            f"{place.name} is larger than {LARGEST_FILE // 1_000_000} MB and no {what}. Check that it is the right file."
+        )
+    return data
 
 
 def decode_text(data: bytes, name: str, *, what: str = "table") -> str:
@@ -224,7 +231,7 @@ def parse_table(
     missing = [column for column in needed if column not in header]
     twice = sorted({column for column in header if column and header.count(column) > 1})
     if missing:
-        faults.append(f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]}). {advice}")
+        faults.append(f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]}). {advice.rstrip('.')}")
     if twice:
         faults.append(f"columns given twice: {', '.join(twice)}")
     faults += found.faults

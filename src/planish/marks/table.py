@@ -6,22 +6,22 @@ or ``volume_x_um, volume_y_um, volume_z_um`` in the volume. The second side, ``f
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from planish.core.errors import FileError, MarkError
+from planish.core.errors import MarkError
+from planish.core.tables import parse_table, read_text, split_rows, table_text
+
+Floats = NDArray[np.float64]
 
 MOVING = ("moving_x_um", "moving_y_um")
 VOLUME = ("volume_x_um", "volume_y_um", "volume_z_um")
 FIXED = ("fixed_x_um", "fixed_y_um")
 RESULTS = ("residual_um", "leave_one_out_um", "weight", "used")
-LARGEST_FILE = 10_000_000
-MOST_FAULTS = 8
 
 LONG_NAMES = {
     "moving_x": "Mark on the flattened map, x",
@@ -59,44 +59,33 @@ def read_marks(path: str | Path) -> xr.Dataset:
     MarkError
         If columns are missing or rows are malformed; the message names the rows.
     """
-    place = Path(path)
-    lines = _lines(place)
-    if not lines:
-        raise MarkError(f"{place.name} is empty. Its first row has to be {','.join(('label', *MOVING, *FIXED))}.")
-    (_, header), *rows = lines
-    names = [name.strip().lower() for name in header]
-    first = _first_side(place.name, names)
-    wanted = (*first, *FIXED)
-    columns = {name: names.index(name) for name in wanted}
-    label_at = names.index("label") if "label" in names else None
-    used_at = names.index("used") if "used" in names else None
-    labels: list[str] = []
-    values: list[list[float]] = []
-    numbers: list[int] = []
-    faults: list[str] = []
-    for number, row in rows:
-        if len(row) != len(names):
-            faults.append(f"row {number} has {len(row)} columns, the header {len(names)}")
-            continue
-        if used_at is not None and row[used_at].strip().lower() in ("0", "0.0", "false", "no"):
-            continue
-        numeric = [_number(row[columns[name]]) for name in wanted]
-        bad = [f"{name} {row[columns[name]]!r}" for name, value in zip(wanted, numeric, strict=True) if value is None]
-        if bad:
-            faults.append(f"row {number}: {', '.join(bad)} is not a finite number")
-            continue
-        labels.append(row[label_at].strip() if label_at is not None else str(len(labels) + 1))
-        values.append([value for value in numeric if value is not None])
-        numbers.append(number)
-    faults += _duplicates(labels, values, numbers, len(first))
-    if faults:
-        more = f"; and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
-        raise MarkError(f"{place.name}: {'; '.join(faults[:MOST_FAULTS])}{more}. Correct these rows.")
-    if not values:
-        raise MarkError(f"{place.name} has a header and no pair of marks. At least 3 rows are needed.")
-    table = np.array(values, dtype=np.float64)
-    data = {name.removesuffix("_um"): table[:, column] for column, name in enumerate(wanted)}
-    return _dataset(labels, data)
+    return pairs_of_text(read_text(path, what="table of marks"), Path(path).name)
+
+
+def pairs_of_text(text: str, name: str) -> xr.Dataset:
+    """Pairs of the text of a table; see :func:`read_marks`."""
+    header = [cell.lower() for row in split_rows(text).rows[:1] for cell in row.cells]
+    kinds = [side for side in (MOVING, VOLUME) if any(column in header for column in side)]
+    first = kinds[0] if kinds else MOVING
+    columns = (*first, *FIXED)
+    advice = f"Needed: label, then {', '.join(MOVING)} or {', '.join(VOLUME)}, then {', '.join(FIXED)}, all in um."
+    table = parse_table(text, name, needed=columns, error=MarkError, advice=advice)
+    if len(kinds) == 2:
+        table.faults.append("both moving and volume columns are there; keep one kind")
+    rows = [row for row in table.rows if table.text(row, "used").lower() not in ("0", "0.0", "false", "no")]
+    table.rows[:] = rows
+    values = table.numbers(columns)
+    labels = [table.text(row, "label") if "label" in table.header else str(k) for k, row in enumerate(rows, 1)]
+    good = np.flatnonzero(np.isfinite(values).all(axis=1))
+    table.faults += _repeated([labels[k] for k in good], values[good], [rows[k].line for k in good], len(first))
+    table.check()
+    if not rows:
+        raise MarkError(f"{name} has a header and no pair of marks. At least 3 rows are needed.")
+    data: dict[str, Any] = {
+        key: ("mark", column, {"units": "um", "long_name": LONG_NAMES[key]})
+        for key, column in zip((one.removesuffix("_um") for one in columns), values.T.copy(), strict=True)
+    }
+    return xr.Dataset(data | {"label": ("mark", np.array(labels, dtype=np.str_), {"long_name": "Name of the mark"})})
 
 
 def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
@@ -116,6 +105,11 @@ def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
     MarkError
         If a variable is missing.
     """
+    Path(path).write_text(pairs_text(dataset), encoding="utf-8", newline="\n")
+
+
+def pairs_text(dataset: xr.Dataset) -> str:
+    """Text of the table of pairs; see :func:`write_marks`."""
     held = {str(name).removesuffix("_um"): variable for name, variable in dataset.variables.items()}
     first = next((side for side in (MOVING, VOLUME) if all(name.removesuffix("_um") in held for name in side)), None)
     if first is None or any(name.removesuffix("_um") not in held for name in FIXED):
@@ -124,95 +118,23 @@ def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
             "volume_x, volume_y, volume_z are needed."
         )
     names = ["label", *first, *FIXED, *(name for name in RESULTS if name.removesuffix("_um") in held)]
-    count = dataset.sizes.get("mark", 0)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    for row in range(count):
-        cells: list[str] = []
-        for name in names:
-            key = name.removesuffix("_um")
-            value = held[key].values[row] if key in held else row + 1
-            cells.append(str(value) if key == "label" else str(int(value)) if key == "used" else repr(float(value)))
-        writer.writerow(cells)
-    Path(path).write_text(text.getvalue(), encoding="utf-8", newline="\n")
+    made = {"label": str, "used": int}
+    numbers = range(1, dataset.sizes.get("mark", 0) + 1)
+    keys = [name.removesuffix("_um") for name in names]
+    rows = zip(*(map(made.get(key, float), held[key].values if key in held else numbers) for key in keys), strict=True)
+    return table_text(names, list(rows))
 
 
-def _lines(place: Path) -> list[tuple[int, list[str]]]:
-    """Rows with their line numbers, without comments and empty lines."""
-    try:
-        if place.stat().st_size > LARGEST_FILE:
-            raise MarkError(f"{place.name} is larger than {LARGEST_FILE // 1_000_000} MB and no table of marks.")
-        text = place.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise FileError(f"{place} cannot be read: {error.strerror or error}. Check the path.") from error
-    except UnicodeDecodeError as error:
-        raise FileError(f"{place} is no text in UTF-8. Save the table as CSV (UTF-8).") from error
-    lines = text.splitlines()
-    numbered = enumerate(lines, 1)
-    used = [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
-    if not used:
-        return []
-    delimiter = max(",;\t", key=used[0][1].count)
-    try:
-        parsed = list(csv.reader([line for _, line in used], delimiter=delimiter, strict=True))
-    except csv.Error as error:
-        raise MarkError(f"{place.name} is no CSV table: {error}. One pair a row, with commas between.") from error
-    if len(parsed) != len(used):
-        raise MarkError(f"{place.name} has quoted text over several lines. One pair a row is needed.")
-    return [(number, row) for (number, _), row in zip(used, parsed, strict=True)]
-
-
-def _first_side(file: str, names: list[str]) -> tuple[str, ...]:
-    """Which frame the first side is given in, with every fault of the header in one message."""
+def _repeated(labels: list[str], values: Floats, lines: list[int], split: int) -> list[str]:
     faults: list[str] = []
-    repeated = sorted({name for name in names if names.count(name) > 1 and name})
-    if repeated:
-        faults.append(f"columns given twice: {', '.join(repeated)}")
-    some = [side for side in (MOVING, VOLUME) if any(name in names for name in side)]
-    if len(some) == 2:
-        faults.append("both moving and volume columns are there; keep one kind")
-    side = some[0] if some else MOVING
-    missing = [name for name in (*side, *FIXED) if name not in names]
-    if missing:
-        faults.append(f"columns missing: {', '.join(missing)}")
-    if faults:
-        raise MarkError(
-            f"{file}: {'; '.join(faults)}. Found {', '.join(names)}. Needed: label, then {', '.join(MOVING)} or "
-            f"{', '.join(VOLUME)}, then {', '.join(FIXED)}, all in um."
-        )
-    return side
-
-
-def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def _duplicates(labels: list[str], values: list[list[float]], numbers: list[int], split: int) -> list[str]:
-    faults: list[str] = []
-    keys = {
+    keys: dict[str, list[Any]] = {
         "label": [label or None for label in labels],
-        "first position": [tuple(row[:split]) for row in values],
-        "fixed position": [tuple(row[split:]) for row in values],
+        "first position": [tuple(row) for row in values[:, :split].tolist()],
+        "fixed position": [tuple(row) for row in values[:, split:].tolist()],
     }
     for what, entries in keys.items():
-        seen: dict[object, int] = {}
-        for number, entry in zip(numbers, entries, strict=True):
-            if entry is None:
-                continue
-            if entry in seen:
-                faults.append(f"rows {seen[entry]} and {number} have the same {what}")
-            seen.setdefault(entry, number)
+        first: dict[object, int] = {}
+        for line, entry in zip(lines, entries, strict=True):
+            if entry is not None and first.setdefault(entry, line) != line:
+                faults.append(f"rows {first[entry]} and {line} have the same {what}")
     return faults
-
-
-def _dataset(labels: list[str], data: dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]) -> xr.Dataset:
-    variables: dict[str, tuple[str, object, dict[str, str]]] = {
-        name: ("mark", values, {"units": "um", "long_name": LONG_NAMES[name]}) for name, values in data.items()
-    }
-    variables["label"] = ("mark", np.array(labels, dtype=np.str_), {"long_name": "Name of the mark"})
-    return xr.Dataset(variables)

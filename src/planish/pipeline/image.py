@@ -16,7 +16,7 @@ from planish.core.grid import Grid, pitch
 from planish.gates import link_gates, map_gates
 from planish.io import read_image
 from planish.marks import HoleParams, find_holes, find_sheet_holes, hole_mask
-from planish.marks.files import read_pairs
+from planish.marks.files import LayerFacts, read_pairs
 from planish.measure import PROPERTIES
 from planish.pipeline.grid import agreement, headline_of
 from planish.pipeline.holes import at_flat, in_flat
@@ -62,7 +62,7 @@ def link_sheet(
     r = study.registration
     read_design(r.design)  # what is wrong with it should not cost the time of the volume either
     tell("marks", "holes of the image")
-    given = read_pairs(r.marks, fixed_um=pixel, fixed_shape=image.shape) if r.marks else None
+    given = read_pairs(r.marks, fixed=LayerFacts(pixel, shape=image.shape)) if r.marks else None
     found = None if given is not None else find_holes(image.values, pixel_um=pixel, diameter_um=r.hole_um)
     fixed = Plane(name="image", holes=found, side=study.image.side, md_deg=study.image.md_deg)
     check_enough(fixed, r.hole_um)

@@ -19,7 +19,7 @@ from planish.core.grid import Grid
 from planish.gates import Gate, direction_gates, field_gate, map_gates, mark_gates, sheet_gates
 from planish.io import read_image
 from planish.marks import HoleParams, cut_holes, find_holes, find_sheet_holes, hole_mask
-from planish.marks.files import read_pairs
+from planish.marks.files import LayerFacts, read_pairs
 from planish.pipeline.grid import headline_of
 from planish.pipeline.holes import in_flat
 from planish.pipeline.marking import Joined, Plane, check_enough, join_found, join_given, read_design
@@ -164,11 +164,11 @@ def _join(layer: _Layer, to: _Layer, r: RegistrationSection, pattern: Any) -> Jo
             check_enough(one.plane, r.hole_um)
         moving, fixed = _as_seen(layer, to, r), _as_seen(to, layer, r)
         return join_found(moving, fixed, r, pattern)
-    size: dict[str, Any] = {}
-    for side, one in (("moving", layer), ("fixed", to)):
-        if one.image is not None:
-            size |= {f"{side}_um": one.grid.pixel_um, f"{side}_shape": one.grid.shape}
-    given = read_pairs(path, **size)
+    moving, fixed = (
+        LayerFacts() if one.image is None else LayerFacts(one.grid.pixel_um, shape=one.grid.shape)
+        for one in (layer, to)
+    )
+    given = read_pairs(path, moving=moving, fixed=fixed)
     if layer.sheet is not None:
         moving_um = in_flat(given, layer.sheet.groups["flat"], layer.sheet.groups["surfaces"])
     else:

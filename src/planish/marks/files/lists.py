@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError, SizeError
+from planish.marks.files.content import check_count
+from planish.marks.files.formats import Unit
 from planish.marks.files.model import EXTRAS, Floats, Places, make_marks
-from planish.marks.files.text import check_count
 
-Unit = Literal["um", "mm", "pixel"]
 UNITS: dict[str, float] = {"um": 1.0, "mm": 1000.0}
 
 _FIRST_NAMES = ("moving", "from", "source", "volume")
@@ -59,23 +59,41 @@ class PointList:
     about: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class LayerFacts:
     """What the user says of one layer.
 
     Attributes
     ----------
-    pixel_um : tuple of float or None, in um
-        One size, ``(y, x)``, or ``(z, y, x)`` for a volume.
-    origin_um : (float, float) or None, in um
-        ``(x, y)`` of the centre of the first pixel.
-    shape : (int, int) or None
+    pixel_um : float or sequence of float, in um, optional
+        One size, ``(y, x)``, or ``(z, y, x)`` for a volume; kept as a tuple.
+    origin_um : (float, float), in um, optional
+        ``(x, y)`` of the centre of the first pixel, from which other programs count.
+    shape : (int, int), optional
         Rows and columns.
+
+    Raises
+    ------
+    SizeError
+        If a size is no positive number, or an origin no finite one.
     """
 
-    pixel_um: tuple[float, ...] | None = None
-    origin_um: tuple[float, float] | None = None
-    shape: tuple[int, int] | None = None
+    pixel_um: Any = None
+    origin_um: Sequence[float] | None = None
+    shape: Sequence[int] | None = None
+
+    def __post_init__(self) -> None:
+        """Check sizes and origin."""
+        if self.pixel_um is not None:
+            sizes = tuple(float(v) for v in np.atleast_1d(np.asarray(self.pixel_um, dtype=np.float64)))
+            if not (1 <= len(sizes) <= 3 and all(np.isfinite(v) and v > 0 for v in sizes)):
+                raise SizeError(
+                    f"The pixel size of a layer is {self.pixel_um!r} um; one positive number, two (y, x), or three for "
+                    "a volume (z, y, x) are needed in --moving-pixel-um and --fixed-pixel-um."
+                )
+            object.__setattr__(self, "pixel_um", sizes)
+        if self.origin_um is not None and not (len(self.origin_um) == 2 and np.isfinite(self.origin_um).all()):
+            raise SizeError(f"The origin of a layer is {self.origin_um!r} um; two numbers (x, y) are needed.")
 
     def about(self) -> dict[str, Any]:
         """As it is kept with the marks."""
@@ -83,39 +101,10 @@ class LayerFacts:
         if self.pixel_um is not None:
             out["pixel_um"] = {"x": self.pixel_um[-1], "y": self.pixel_um[-2:][0]}
         if self.origin_um is not None:
-            out["origin_um"] = {"x": self.origin_um[0], "y": self.origin_um[1]}
+            out["origin_um"] = {"x": float(self.origin_um[0]), "y": float(self.origin_um[1])}
         if self.shape is not None:
             out["size_px"] = {"x": int(self.shape[1]), "y": int(self.shape[0])}
         return out
-
-
-def layer_facts(
-    pixel_um: float | Sequence[float] | None,
-    origin_um: Sequence[float] | None,
-    shape: Sequence[int] | None,
-    option: str,
-) -> LayerFacts:
-    """Check what the user says of one layer; ``option`` is the name of the side, for messages.
-
-    Raises
-    ------
-    SizeError
-        If a size is no positive number, or an origin no finite one.
-    """
-    sizes = None if pixel_um is None else tuple(float(v) for v in np.atleast_1d(np.asarray(pixel_um, dtype=np.float64)))
-    if sizes is not None and not (1 <= len(sizes) <= 3 and all(np.isfinite(v) and v > 0 for v in sizes)):
-        raise SizeError(
-            f"The pixel size of the {option} layer is {pixel_um!r} um; one positive number, two (y, x), or three for a "
-            f"volume (z, y, x) are needed in --{option}-pixel-um."
-        )
-    origin = None if origin_um is None else tuple(float(v) for v in origin_um)
-    if origin is not None and not (len(origin) == 2 and all(np.isfinite(v) for v in origin)):
-        raise SizeError(f"The origin of the {option} layer is {origin_um!r} um; two numbers (x, y) are needed.")
-    return LayerFacts(
-        pixel_um=sizes,
-        origin_um=None if origin is None else (origin[0], origin[1]),
-        shape=None if shape is None else (int(shape[0]), int(shape[1])),
-    )
 
 
 def scale_of(

@@ -13,8 +13,8 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
+from planish.marks.files.content import refuse
 from planish.marks.files.model import Floats, about_layer, labels_of, layer_names, points_of, used_of
-from planish.marks.files.text import raise_faults
 
 FARTHEST_UM = 1e9
 """Positions beyond are errors of unit or of writing; within, no arithmetic overflows."""
@@ -49,7 +49,7 @@ def check_marks(marks: xr.Dataset, name: str) -> None:
             if place in seen:
                 faults.append(f"{seen[place]} and {labels[k]} have the same position in {layer}")
             seen.setdefault(place, labels[k])
-    raise_faults(name, faults, "Give each mark a label and a place of its own.")
+    refuse(name, faults, "Give each mark a label and a place of its own.")
 
 
 def check_plausible(marks: xr.Dataset, name: str) -> None:

@@ -7,7 +7,6 @@ an error, because a misspelt one would be lost in silence.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -15,6 +14,9 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from planish.core.errors import MarkError
+from planish.core.tables import MOST_FAULTS
+from planish.marks.files.content import MOST_MARKS, Content, check_count, refuse
+from planish.marks.files.formats import Outgoing
 from planish.marks.files.model import (
     EXTRAS,
     RESIDUAL,
@@ -28,7 +30,6 @@ from planish.marks.files.model import (
     used_of,
 )
 from planish.marks.files.plausible import check_marks
-from planish.marks.files.text import MOST_FAULTS, MOST_MARKS, check_count
 
 FORMAT = "planish-marks"
 VERSION = 1
@@ -103,15 +104,13 @@ class _File(_Part):
     marks: Annotated[list[_Mark], Field(max_length=MOST_MARKS)]
 
 
-def read_native(content: Mapping[str, Any], name: str) -> xr.Dataset:
-    """Marks from the content of a JSON file.
+def looks_like(content: Content) -> bool:
+    """Whether it says so."""
+    return content.json is not None and content.json.get("format") == FORMAT
 
-    Parameters
-    ----------
-    content : mapping
-        As `json.loads` gives it.
-    name : str
-        Name of the file, for messages.
+
+def read(file: Content) -> xr.Dataset:
+    """Marks of a JSON file.
 
     Returns
     -------
@@ -123,6 +122,7 @@ def read_native(content: Mapping[str, Any], name: str) -> xr.Dataset:
     MarkError
         If the version is not known, or anything in the file is missing, unknown or out of range; all is named.
     """
+    name, content = file.name, file.json or {}
     version = content.get("version")
     if type(version) is int and version > VERSION:
         raise MarkError(
@@ -133,38 +133,36 @@ def read_native(content: Mapping[str, Any], name: str) -> xr.Dataset:
     if isinstance(marks, list):
         check_count(name, len(marks))
     try:
-        file = _File.model_validate(dict(content))
+        held = _File.model_validate(dict(content))
     except ValidationError as error:
         raise MarkError(f"{name}: {_faults(error)}. docs/marks-files.md describes the format.") from error
-    names = [layer.name for layer in file.layers]
-    faults = _own_faults(file, names)
-    if faults:
-        more = f"; and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
-        raise MarkError(f"{name}: {'; '.join(faults[:MOST_FAULTS])}{more}. docs/marks-files.md describes the format.")
+    names = [layer.name for layer in held.layers]
+    faults = _own_faults(held, names)
+    refuse(name, faults, "docs/marks-files.md describes the format.")
     found = make_marks(
-        [mark.label for mark in file.marks],
-        {layer: _places(file, layer) for layer in names},
-        used=[mark.used for mark in file.marks],
-        about={layer.name: layer.model_dump(exclude={"name"}, exclude_none=True) for layer in file.layers},
+        [mark.label for mark in held.marks],
+        {layer: _places(held, layer) for layer in names},
+        used=[mark.used for mark in held.marks],
+        about={layer.name: layer.model_dump(exclude={"name"}, exclude_none=True) for layer in held.layers},
         results={
             key: values
             for key in RESULTS
-            if np.isfinite(values := np.array([_or_nan(getattr(mark, f"{key}_um")) for mark in file.marks])).any()
+            if np.isfinite(values := np.array([_or_nan(getattr(mark, f"{key}_um")) for mark in held.marks])).any()
         },
     )
     check_marks(found, name)
-    return found if file.registration is None else found.assign_attrs(registration=file.registration)
+    return found if held.registration is None else found.assign_attrs(registration=held.registration)
 
 
-def native_text(marks: xr.Dataset) -> str:
-    """Text of the JSON file for marks; `read_native` gives the same numbers back.
+def write(out: Outgoing) -> dict[str, bytes]:
+    """Write a JSON file, from which `read` gives the same numbers back.
 
     Raises
     ------
     MarkError
         If the marks cannot be told apart or have values that the format does not allow.
     """
-    check_marks(marks, "The marks")
+    marks = out.marks
     layers = layer_names(marks)
     places = {layer: places_of(marks, layer) for layer in layers}
     labels, used = labels_of(marks), used_of(marks)
@@ -189,7 +187,8 @@ def native_text(marks: xr.Dataset) -> str:
         return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
     top = "".join(f' "{key}": {line(value)},\n' for key, value in head.items())
-    return f'{{\n{top} "marks": [\n' + ",\n".join(f"  {line(row)}" for row in rows) + "\n ]\n}\n"
+    text = f'{{\n{top} "marks": [\n' + ",\n".join(f"  {line(row)}" for row in rows) + "\n ]\n}\n"
+    return {"": text.encode()}
 
 
 def _places(file: _File, layer: str) -> Places:

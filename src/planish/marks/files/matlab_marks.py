@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from planish.core.errors import FileError, MarkError
+from planish.marks.files.content import Content
+from planish.marks.files.formats import Outgoing
 from planish.marks.files.lists import PointList
 from planish.marks.files.mat_arrays import LARGEST_MATRIX, matrices
 from planish.marks.files.model import Floats
@@ -26,12 +28,12 @@ HDF5 = b"\x89HDF\r\n\x1a\n"
 _SAVE = "Export the moving and fixed points of valid pairs, then save('marks.mat','movingPoints','fixedPoints')."
 
 
-def looks_like_matlab(data: bytes) -> bool:
-    """Whether it begins as a file of MATLAB 5 to 7.3."""
-    return data[:6] == b"MATLAB" or data.startswith(HDF5)
+def looks_like(content: Content) -> bool:
+    """Whether it begins as a file of MATLAB 5 to 7.3, or is called one; version 4 has no heading."""
+    return not content.text
 
 
-def read_matlab(data: bytes, name: str) -> list[PointList]:
+def read(content: Content) -> list[PointList]:
     """Moving and fixed points of a file.
 
     Raises
@@ -41,6 +43,7 @@ def read_matlab(data: bytes, name: str) -> list[PointList]:
     MarkError
         If it does not hold both variables, or they are no real n x 2 arrays of as many points.
     """
+    name, data = content.name, content.data
     new = data.startswith(HDF5) or data[512:520] == HDF5
     try:
         with warnings.catch_warnings():
@@ -68,15 +71,26 @@ def read_matlab(data: bytes, name: str) -> list[PointList]:
     ]
 
 
-def matlab_bytes(moving: Floats, fixed: Floats) -> bytes:
-    """Bytes of a file of version 5 for points of shape (n, 2), in pixels whose first centre is (1, 1)."""
+def write(out: Outgoing) -> dict[str, bytes]:
+    """Write a file of version 5.
+
+    Raises
+    ------
+    MarkError
+        If the marks lie in a volume.
+    """
     from scipy.io import savemat
 
+    moving, fixed = out.points.values()
+    if moving.shape[1] == 3:
+        raise MarkError(
+            "These marks lie in a volume; MATLAB's control points are flat. Use slicer, elastix or bigwarp."
+        )
     file: Any = io.BytesIO()
     savemat(file, {NAMES[0][0]: moving, NAMES[0][1]: fixed})
     # The usual heading holds the date; without it the same marks make the same bytes.
     heading = b"MATLAB 5.0 MAT-file, pairs of marks in pixels, first centre (1, 1)"
-    return heading.ljust(116) + file.getvalue()[116:]
+    return {"": heading.ljust(116) + file.getvalue()[116:]}
 
 
 def _arrays_in_new(data: bytes) -> dict[str, Floats | None]:

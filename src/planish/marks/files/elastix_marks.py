@@ -12,22 +12,23 @@ import re
 import numpy as np
 
 from planish.core.errors import MarkError
+from planish.core.tables import finite
+from planish.marks.files.content import Content, check_count, refuse
+from planish.marks.files.formats import Outgoing
 from planish.marks.files.lists import PointList
-from planish.marks.files.model import Floats
-from planish.marks.files.text import check_count, finite, raise_faults
 
-_COUNT = re.compile(r"\d{1,9}")
+_HEAD = re.compile(r"\s*(?:(point|index)(?:\s+|$))?(\S*)\s*?(?:\n|$)")
 _NEEDED = "'point' or 'index', the number of points, and one point a line, two or three numbers with spaces between"
 
 
-def looks_like_elastix(text: str) -> bool:
+def looks_like(content: Content) -> bool:
     """Whether it begins with ``point`` or ``index``, or with a whole number alone in its line."""
-    first = text.split(maxsplit=1)[:1]
-    line = text.lstrip().splitlines()[:1]
-    return first in (["point"], ["index"]) or bool(line and _COUNT.fullmatch(line[0].strip()))
+    first = content.text.split(maxsplit=1)[:1]
+    line = content.text.lstrip().splitlines()[:1]
+    return content.json is None and (first in (["point"], ["index"]) or bool(line and _is_count(line[0].strip())))
 
 
-def read_elastix(text: str, name: str) -> list[PointList]:
+def read(content: Content) -> list[PointList]:
     """Points of one file, as one list.
 
     Raises
@@ -35,18 +36,14 @@ def read_elastix(text: str, name: str) -> list[PointList]:
     MarkError
         If the number of points is not as stated, or a line is malformed.
     """
+    name, text = content.name, content.text
     check_count(name, text.count("\n") - 2)
-    lines = [line.split() for line in text.splitlines() if line.strip()]
     # Word and count may stand in one line or in two.
-    head = [word for line in lines[:2] for word in line][:2]
-    word = head[0] if head and head[0] in ("point", "index") else ""
-    taken = ([word] if word else []) + head[1 if word else 0 :][:1]
-    while taken and lines:
-        for _ in lines.pop(0):
-            taken = taken[1:]
-    count = head[1 if word else 0] if len(head) > (1 if word else 0) else ""
-    if not _COUNT.fullmatch(count):
+    head = _HEAD.match(text)
+    word, count = (head[1], head[2]) if head else ("", "")
+    if head is None or not _is_count(count):
         raise MarkError(f"{name} states no number of points (found {count!r}). elastix reads {_NEEDED}.")
+    lines = [line.split() for line in text[head.end() :].splitlines() if line.strip()]
     if len(lines) != int(count):
         raise MarkError(
             f"{name} states {int(count)} points and holds {len(lines)} lines of coordinates. Correct the number in its "
@@ -64,7 +61,7 @@ def read_elastix(text: str, name: str) -> list[PointList]:
         elif None in values:
             faults.append(f"point {k}: {cells[values.index(None)]!r} is no finite number")
         points.append([v for v in values if v is not None])
-    raise_faults(name, faults, f"elastix reads {_NEEDED}.")
+    refuse(name, faults, f"elastix reads {_NEEDED}.")
     numbers = [str(k + 1) for k in range(len(points))]
     in_space = word == "point"
     return [
@@ -75,7 +72,15 @@ def read_elastix(text: str, name: str) -> list[PointList]:
     ]  # fmt: skip
 
 
-def elastix_text(points: Floats) -> str:
-    """Text of one file for points of shape (n, 2) or (n, 3), in the unit of the image's space."""
-    lines = [" ".join(repr(float(v)) for v in row) for row in points]
-    return "\n".join(["point", str(len(lines)), *lines]) + "\n"
+def write(out: Outgoing) -> dict[str, bytes]:
+    """Write one file for each layer."""
+    files: dict[str, bytes] = {}
+    for role, points in out.points.items():
+        lines = [" ".join(repr(float(v)) for v in row) for row in points]
+        text = "\n".join(["point", str(len(lines)), *lines]) + "\n"
+        files["" if len(out.points) == 1 else f"-{role}"] = text.encode()
+    return files
+
+
+def _is_count(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) < 10

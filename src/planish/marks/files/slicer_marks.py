@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from planish.core.errors import MarkError
-from planish.marks.files.lists import PointList, Unit
-from planish.marks.files.model import Floats
-from planish.marks.files.text import check_count, finite, raise_faults
+from planish.core.tables import finite
+from planish.marks.files.content import Content, check_count, refuse
+from planish.marks.files.formats import Outgoing, Unit
+from planish.marks.files.lists import PointList
+from planish.marks.files.model import labels_of, used_of
 
 SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
@@ -27,7 +29,12 @@ MOST_LISTS = 16
 _STATES = ("defined", "undefined", "preview")
 
 
-def read_slicer(content: Mapping[str, Any], name: str) -> list[PointList]:
+def looks_like(content: Content) -> bool:
+    """Whether it is JSON with markups."""
+    return content.json is not None and "markups" in content.json
+
+
+def read(content: Content) -> list[PointList]:
     """Point lists of a file; lines, curves, planes and empty lists are passed over.
 
     Raises
@@ -35,7 +42,8 @@ def read_slicer(content: Mapping[str, Any], name: str) -> list[PointList]:
     MarkError
         If there is no list of points, or one is malformed.
     """
-    markups: object = content.get("markups")
+    name = content.name
+    markups: object = (content.json or {}).get("markups")
     entries: list[Mapping[str, Any]] = (
         [m for m in markups if isinstance(m, Mapping)] if isinstance(markups, list) else []
     )
@@ -48,10 +56,11 @@ def read_slicer(content: Mapping[str, Any], name: str) -> list[PointList]:
     return [_list(markup, k, name) for k, markup in enumerate(points)]
 
 
-def slicer_text(lists: list[tuple[str, list[str], list[bool], Floats]]) -> str:
-    """Text of a file with one list for each title, labels, selected, and points (n, 2) or (n, 3) in mm."""
+def write(out: Outgoing) -> dict[str, bytes]:
+    """Write one list for each layer, in mm."""
+    labels, used = labels_of(out.marks), [bool(v) for v in used_of(out.marks)]
     markups: list[dict[str, Any]] = []
-    for title, labels, used, points in lists:
+    for role, points in out.points.items():
         controls: list[dict[str, Any]] = []
         for k, label in enumerate(labels):
             there = bool(np.isfinite(points[k]).all())
@@ -59,19 +68,20 @@ def slicer_text(lists: list[tuple[str, list[str], list[bool], Floats]]) -> str:
             controls.append(
                 {
                     "id": str(k + 1), "label": label, "description": "", "associatedNodeID": "",
-                    "position": position, "selected": bool(used[k]), "locked": False, "visibility": True,
+                    "position": position, "selected": used[k], "locked": False, "visibility": True,
                     "positionStatus": "defined" if there else "undefined",
                 }
             )  # fmt: skip
         markups.append(
             {
-                "type": "Fiducial", "name": title, "coordinateSystem": "LPS", "coordinateUnits": "mm", "locked": False,
+                "type": "Fiducial", "name": out.layers.get(role, role), "coordinateSystem": "LPS",
+                "coordinateUnits": "mm", "locked": False,
                 "fixedNumberOfControlPoints": False, "labelFormat": "%N-%d", "lastUsedControlPointNumber": len(labels),
                 "controlPoints": controls,
             }
         )  # fmt: skip
     content = {"@schema": SCHEMA, "markups": markups}
-    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return {"": (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()}
 
 
 def _list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
@@ -103,7 +113,7 @@ def _list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
         labels.append(str(control.get("label") or f"{title} {number}"))
         used.append(control.get("selected", True) is not False)
         points.append([sign * v for sign, v in zip(signs, there, strict=True)])
-    raise_faults(name, faults, "Save the list in Slicer again.")
+    refuse(name, faults, "Save the list in Slicer again.")
     return PointList(
         title=title, labels=labels, points=np.array(points, dtype=np.float64), used=used, unit=unit, stated=True
     )

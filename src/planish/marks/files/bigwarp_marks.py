@@ -6,18 +6,17 @@ physical unit of the images. A position that is not set is ``Infinity``.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from planish.core.errors import MarkError
+from planish.core.tables import finite, table_text
+from planish.marks.files.content import Content, check_count, refuse
+from planish.marks.files.formats import Outgoing
 from planish.marks.files.lists import PointList
 from planish.marks.files.model import Floats, labels_of, used_of
-from planish.marks.files.text import Rows, check_count, finite, raise_faults
 
 COLUMNS = {6: 2, 8: 3}
 """Columns of a file, and the axes that they stand for."""
@@ -25,31 +24,37 @@ COLUMNS = {6: 2, 8: 3}
 _NEEDED = "name, active, moving x, y, target x, y (6 columns), or with z (8 columns)"
 
 
-def looks_like_bigwarp(rows: Rows) -> bool:
-    """Whether the second cell says true or false."""
-    return bool(rows) and len(rows[0][1]) > 2 and rows[0][1][1].lower() in ("true", "false")
+def looks_like(content: Content) -> bool:
+    """Whether the second cell says true or false, or the JSON holds landmarks."""
+    if content.json is not None:
+        return "movingPoints" in content.json or "landmarks" in content.json
+    return len(content.header) > 2 and content.header[1].lower() in ("true", "false")
 
 
-def read_bigwarp(rows: Rows, name: str) -> list[PointList]:
-    """Moving and target points of a CSV file.
+def read(content: Content) -> list[PointList]:
+    """Moving and target points.
 
     Raises
     ------
     MarkError
-        If a row has another number of columns, or a cell is no number; the rows are named.
+        If a row has another number of columns, or a cell is no number; the rows are named. In JSON: if a list is
+        missing or malformed, or they differ in length.
     """
-    axes = COLUMNS.get(len(rows[0][1]))
+    if content.json is not None:
+        return _read_json(content.json, content.name)
+    name, rows = content.name, content.rows
+    axes = COLUMNS.get(len(content.header))
     if axes is None:
         raise MarkError(
-            f"{name}, row {rows[0][0]} has {len(rows[0][1])} columns. BigWarp writes {_NEEDED}. Save the landmarks in "
-            "BigWarp again."
+            f"{name}, row {rows.rows[0].line} has {len(content.header)} columns. BigWarp writes {_NEEDED}. Save the "
+            "landmarks in BigWarp again."
         )
     width = 2 * axes + 2
     labels: list[str] = []
     used: list[bool] = []
     points: list[list[float]] = []
-    faults: list[str] = []
-    for number, row in rows:
+    faults = list(rows.faults)
+    for number, row in rows.rows:
         if len(row) != width:
             faults.append(f"row {number} has {len(row)} columns, the first {width}")
             continue
@@ -62,19 +67,26 @@ def read_bigwarp(rows: Rows, name: str) -> list[PointList]:
         labels.append(row[0] or f"row {number}")
         used.append(active == "true")
         points.append([np.nan if value is None else value for value in values])
-    raise_faults(name, faults, f"BigWarp writes {_NEEDED}.")
+    refuse(name, faults, f"BigWarp writes {_NEEDED}.")
     table = np.array(points, dtype=np.float64)
     return _lists(labels, used, table[:, :axes], table[:, axes:])
 
 
-def read_bigwarp_json(content: Mapping[str, Any], name: str) -> list[PointList]:
-    """Moving and target points of BigWarp's JSON, alone or in a project (``landmarks``).
+def write(out: Outgoing) -> dict[str, bytes]:
+    """Write a CSV file. A point without one of its positions is not active, as BigWarp has it."""
+    axes = max(points.shape[1] for points in out.points.values())
+    sides = [np.pad(side, ((0, 0), (0, axes - side.shape[1]))) for side in out.points.values()]
+    used = used_of(out.marks)
+    rows: list[list[str]] = []
+    for k, label in enumerate(labels_of(out.marks)):
+        there = [bool(np.isfinite(side[k]).all()) for side in sides]
+        cells = [repr(float(v)) if ok else "Infinity" for side, ok in zip(sides, there, strict=True) for v in side[k]]
+        rows.append([label, "true" if used[k] and all(there) else "false", *cells])
+    return {"": table_text([], rows, quote_all=True).encode()}
 
-    Raises
-    ------
-    MarkError
-        If a list is missing or malformed, or they differ in length.
-    """
+
+def _read_json(content: Mapping[str, Any], name: str) -> list[PointList]:
+    """Points of the JSON, alone or in a project (``landmarks``)."""
     inner: object = content.get("landmarks", content)
     marks: Mapping[str, Any] = inner if isinstance(inner, Mapping) else {}
     axes: Any = marks.get("numDimensions")
@@ -101,23 +113,6 @@ def read_bigwarp_json(content: Mapping[str, Any], name: str) -> list[PointList]:
             "active; as many of each are needed. Save the landmarks in BigWarp again."
         )
     return _lists(labels, used, np.array(moving), np.array(fixed))
-
-
-def bigwarp_text(marks: xr.Dataset, moving: Floats, fixed: Floats) -> str:
-    """Text of a CSV file; positions of shape (n, 2) or (n, 3) in the unit of the file, NaN where not set.
-
-    A point without one of its positions is not active, as BigWarp has it.
-    """
-    axes = max(moving.shape[1], fixed.shape[1])
-    sides = [np.pad(side, ((0, 0), (0, axes - side.shape[1]))) for side in (moving, fixed)]
-    text = io.StringIO()
-    writer = csv.writer(text, quoting=csv.QUOTE_ALL, lineterminator="\n")
-    used = used_of(marks)
-    for k, label in enumerate(labels_of(marks)):
-        there = [bool(np.isfinite(side[k]).all()) for side in sides]
-        cells = [repr(float(v)) if ok else "Infinity" for side, ok in zip(sides, there, strict=True) for v in side[k]]
-        writer.writerow([label, "true" if used[k] and all(there) else "false", *cells])
-    return text.getvalue()
 
 
 def _lists(labels: list[str], used: list[bool], moving: Floats, fixed: Floats) -> list[PointList]:

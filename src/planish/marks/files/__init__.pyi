@@ -1,0 +1,15 @@
+from .convert import format_of as format_of
+from .convert import read_any as read_any
+from .convert import read_pairs as read_pairs
+from .convert import write_any as write_any
+from .formats import FORMATS as FORMATS
+from .formats import target_of as target_of
+from .lists import LayerFacts as LayerFacts
+from .lists import Unit as Unit
+from .model import Places as Places
+from .model import about_layer as about_layer
+from .model import holes_of as holes_of
+from .model import layer_names as layer_names
+from .model import make_marks as make_marks
+from .model import marks_of_holes as marks_of_holes
+from .model import used_pairs as used_pairs

@@ -1,0 +1,23 @@
+"""ImageJ: results of the point tool with the columns ``X`` and ``Y``, in the unit of the image. Read only."""
+
+from __future__ import annotations
+
+from planish.marks.files.content import Content
+from planish.marks.files.csv_marks import read_points
+from planish.marks.files.lists import PointList
+
+
+def looks_like(content: Content) -> bool:
+    """Whether the header has the columns ``X`` and ``Y``."""
+    return {"X", "Y"} <= set(content.header)
+
+
+def read(content: Content) -> list[PointList]:
+    """Read the points of one layer.
+
+    Raises
+    ------
+    MarkError
+        If a number is malformed; the rows are named.
+    """
+    return [read_points(content, ("x", "y"), stated=False, source="clicked")]
