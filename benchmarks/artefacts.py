@@ -20,7 +20,7 @@ from planish.synthetic.nuisances import NUISANCES
 from planish.synthetic.params import SpecimenParams
 from planish.validate.ledger import make_ledger
 from planish.validate.scenario import ALL, NONE, Scenario, read_scenario
-from planish.validate.spread import Values
+from planish.validate.truth import Comparison, Values
 
 _MODES = ("profile", "paper")
 _FACES = ("top", "interface_top", "interface_bottom", "bottom")
@@ -68,7 +68,7 @@ def measure(scenario: Scenario, params: SpecimenParams, seed: int) -> list[Value
             volume = {"path": str(made.volume), "through": made.through}
             try:
                 run = map_sheet(Study.model_validate({"volume": volume, "surface": {"method": mode}}))
-                found.append(make_ledger(specimen, made, run).values)
+                found.append(make_ledger(Comparison(specimen=specimen, files=made, run=run)))
             except PlanishError as error:
                 found.append(f"refused: {error}")
         return found

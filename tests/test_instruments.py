@@ -19,6 +19,7 @@ from planish.synthetic import (
     write_instruments,
 )
 from planish.validate.ledger import make_ledger
+from planish.validate.truth import Comparison
 
 PARAMS = SpecimenParams(
     size_um=(1300.0, 1000.0),
@@ -38,7 +39,7 @@ def _link(params, instrument, folder):
         volume=VolumeSection(path=str(files.volume), through=files.through), image=ImageSection(path=str(files.image))
     )
     run = run_study(study, folder / "run")
-    return specimen, files, run, make_ledger(specimen, files, run)
+    return specimen, files, run, make_ledger(Comparison(specimen=specimen, files=files, run=run))
 
 
 def test_a_scan_across_the_axis_of_rotation_keeps_its_hand(tmp_path):

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import record
 from planish.core.errors import CannotRegister
-from planish.validate import certify, record
+from planish.validate import certify
 from planish.validate.certify import Certificate, Entry, run_scenario
 from planish.validate.drawings import dots
 from planish.validate.figures import STAGES
@@ -24,7 +25,7 @@ RECORDED = Path(__file__).with_name("recorded.toml")
 
 
 def test_no_figure_is_worse_than_recorded(certificate):
-    """Where a change makes a figure better for good, record it: python -m planish.validate.record FILE."""
+    """Where a change makes a figure better for good, record it: python tests/record.py FILE."""
     assert record.worse(certificate, record.read_recorded(RECORDED)) == []
 
 

@@ -7,25 +7,31 @@ import tempfile
 import time
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from planish.core.area import area_mean
 from planish.core.errors import InputError, PlanishError, ResourceError
+from planish.core.grid import pitch
 from planish.pipeline import Layers, Progress, Run, run_study
-from planish.study import Study
+from planish.study import LayersStudy, Study
 from planish.synthetic import InstrumentFiles, make_specimen, write_instruments
 from planish.synthetic.params import SpecimenParams
-from planish.validate.example import Example, make_example
 from planish.validate.figures import FIGURES
 from planish.validate.ledger import in_order, make_ledger
 from planish.validate.mesh import mesh_values
 from planish.validate.pair import make_pair, pair_study, pair_values
-from planish.validate.scenario import Limit, Scenario
-from planish.validate.spread import Values
+from planish.validate.scenario import Limit, Scenario, faults_of
+from planish.validate.truth import Comparison, Values
+
+Array = NDArray[np.float64]
+
+_MOST_PIXELS = 1200  # along the longer side: more than a picture on a page can show
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +61,56 @@ class Entry:
     def whole(self) -> bool:
         """Whether there is a result that passed its own gates."""
         return self.refusal is None and not self.gates
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Example:
+    """Maps (rows, cols) of one specimen on the image's pixels, NaN where nothing is valid.
+
+    Attributes
+    ----------
+    pixel_um : (float, float)
+        Pitch of rows and columns.
+    image : Array
+        Grey values.
+    away_um : Array
+        Error of a pixel in the sheet.
+    name : str
+        Property of the other two: ``coating_top``, or ``thickness`` of a paper without coating.
+    found_um, error_um : Array
+        The property as measured, and measured minus true.
+    """
+
+    seed: int
+    pixel_um: tuple[float, float]
+    image: Array
+    away_um: Array
+    name: str
+    found_um: Array
+    error_um: Array
+
+
+def make_example(both: Comparison, seed: int) -> Example | None:
+    """Maps of a linked run, as means over larger pixels where there are many; None without an image."""
+    if "linked" not in both.groups:
+        return None
+    name = both.headline
+    found = both.linked_values(name)
+    factor = max(1.0, max(found.shape) / _MOST_PIXELS)
+
+    def smaller(values: Array) -> Array:
+        return area_mean(np.asarray(values, dtype=np.float64), (factor, factor)) if factor > 1 else values
+
+    down, across = pitch(both.linked)
+    return Example(
+        seed=seed,
+        pixel_um=(factor * down, factor * across),
+        image=smaller(np.asarray(both.linked["image"].values, dtype=np.float64)),
+        away_um=smaller(both.away_um),
+        name=name,
+        found_um=smaller(found),
+        error_um=smaller(found - both.pixel_thickness(name, *both.true_uv)),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,9 +188,7 @@ class Certificate:
 
 
 def run_scenario(
-    scenario: Scenario,
-    seeds: int | Sequence[int] | None = None,
-    progress: Progress | None = None,
+    scenario: Scenario, seeds: int | Sequence[int] | None = None, progress: Progress | None = None
 ) -> Certificate:
     """Make the specimens of a scenario, run the program on their files, and measure its errors.
 
@@ -144,79 +198,82 @@ def run_scenario(
     seeds : int or sequence of int, optional
         How many, or which; the scenario's own number where not given.
     progress : callable, optional
-        Told (stage, detail).
+        Called with (stage, detail).
 
     Returns
     -------
     Certificate
-        A seed on which the program refuses is an entry with its sentence, no error.
+        A seed on which the program refuses is an entry with its message, no error.
     """
     numbers = seed_numbers(scenario, seeds)
     entries: list[Entry] = []
     example: Example | None = None
     for k, seed in enumerate(numbers):
-        _tell(progress, scenario.name, f"seed {seed}, {k + 1} of {len(numbers)}")
+        _report(progress, scenario.name, f"seed {seed}, {k + 1} of {len(numbers)}")
         if scenario.kind == "mesh":
             start = time.perf_counter()
             values = in_order(mesh_values(seed, once=k == 0))
             entries.append(Entry(seed=seed, values=values, seconds=time.perf_counter() - start))
-            continue
-        if scenario.kind == "pair":
-            entries.append(run_pair(scenario, seed, progress=progress))
-            continue
-        entry, seen = run_specimen(scenario, scenario.params(seed), seed, progress=progress, keep=example is None)
-        entries.append(entry)
-        example = example or seen
+        elif scenario.kind == "pair":
+            entries.append(_run_pair(scenario, seed, progress))
+        else:
+            entry, maps = run_specimen(scenario, scenario.params(seed), seed, progress, keep=example is None)
+            entries.append(entry)
+            example = example or maps
     return Certificate(scenario=scenario, entries=tuple(entries), example=example)
 
 
-def run_pair(scenario: Scenario, seed: int, *, progress: Progress | None = None) -> Entry:
-    """Make one sheet under two instruments, link their volumes, remove the files."""
-    with _folder() as folder:
-        try:
-            made = make_pair(scenario, seed, folder)
-        except ValueError as error:
-            raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
-        start = time.perf_counter()
-        try:
-            run = run_study(pair_study(scenario, made), folder / "run", progress=progress)
-        except ResourceError:
-            raise  # says something of this machine and nothing of the specimen
-        except PlanishError as error:
-            return _refused(error, seed, folder, time.perf_counter() - start)
-        seconds = time.perf_counter() - start
-        _tell(progress, "compare", "with the truth")
-        return Entry(seed=seed, values=in_order(pair_values(made, run)), gates=_failed(run), seconds=seconds)
-
-
 def run_specimen(
-    scenario: Scenario,
-    params: SpecimenParams,
-    seed: int,
-    *,
-    progress: Progress | None = None,
-    keep: bool = False,
+    scenario: Scenario, params: SpecimenParams, seed: int, progress: Progress | None = None, *, keep: bool = False
 ) -> tuple[Entry, Example | None]:
     """Make one specimen, run the program on its files, remove them; with ``keep``, also its maps for a picture."""
     with _folder() as folder:
-        try:
+        with _makes(scenario):
             specimen = make_specimen(params)
-        except ValueError as error:
-            raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
-        made = write_instruments(specimen, folder / "specimen", volume=scenario.instrument, image=True)
-        study = scenario_study(scenario, made)
-        start = time.perf_counter()
-        try:
-            run = run_study(study, folder / "run", progress=progress)
-        except ResourceError:
-            raise  # says something of this machine and nothing of the specimen
-        except PlanishError as error:
-            return _refused(error, seed, folder, time.perf_counter() - start), None
-        seconds = time.perf_counter() - start
-        _tell(progress, "compare", "with the truth")
-        values = make_ledger(specimen, made, run, point_um=scenario.point_um).values
-        example = make_example(specimen, made, run, seed) if keep else None
-        return Entry(seed=seed, values=values, gates=_failed(run), seconds=seconds), example
+        files = write_instruments(specimen, folder / "specimen", volume=scenario.instrument)
+        entry, run = _run(scenario_study(scenario, files), seed, folder, progress)
+        if run is None:
+            return entry, None
+        assert isinstance(run, Run)
+        both = Comparison(specimen=specimen, files=files, run=run)
+        values = make_ledger(both, point_um=scenario.point_um)
+        return replace(entry, values=values), make_example(both, seed) if keep else None
+
+
+def _run_pair(scenario: Scenario, seed: int, progress: Progress | None) -> Entry:
+    """Make one sheet under two instruments, link their volumes, remove the files."""
+    with _folder() as folder:
+        with _makes(scenario):
+            made = make_pair(scenario, seed, folder)
+        entry, run = _run(pair_study(scenario, made), seed, folder, progress)
+        return entry if run is None else replace(entry, values=in_order(pair_values(made, run)))  # type: ignore[arg-type]
+
+
+def _run(
+    study: Study | LayersStudy, seed: int, folder: Path, progress: Progress | None
+) -> tuple[Entry, Run | Layers | None]:
+    """Run a study in the folder; an entry without values yet, and the run, None where the program refused."""
+    start = time.perf_counter()
+    try:
+        run = run_study(study, folder / "run", progress=progress)
+    except ResourceError:
+        raise  # a matter of this machine, not of the specimen
+    except PlanishError as error:
+        # The folder's name is made up anew each time and means nothing to a reader.
+        refusal = str(error).replace(f"{folder}/", "")
+        return Entry(seed=seed, values={}, refusal=refusal, seconds=time.perf_counter() - start), None
+    seconds = time.perf_counter() - start
+    _report(progress, "compare", "with the truth")
+    gates = tuple(f"{gate.name}: {gate.sentence}" for gate in run.gates if not gate.passed)
+    return Entry(seed=seed, values={}, gates=gates, seconds=seconds), run
+
+
+@contextmanager
+def _makes(scenario: Scenario) -> Generator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
 
 
 @contextmanager
@@ -227,12 +284,6 @@ def _folder() -> Generator[Path]:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _refused(error: PlanishError, seed: int, folder: Path, seconds: float) -> Entry:
-    """What is left of a specimen that the program refused."""
-    # The folder's name is made up anew each time and says nothing to a reader.
-    return Entry(seed=seed, values={}, refusal=str(error).replace(f"{folder}/", ""), seconds=seconds)
 
 
 def scenario_study(scenario: Scenario, made: InstrumentFiles) -> Study:
@@ -255,7 +306,7 @@ def scenario_study(scenario: Scenario, made: InstrumentFiles) -> Study:
     try:
         return Study.model_validate(data)
     except ValidationError as error:
-        faults = "; ".join(f"study.{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+        faults = "; ".join(f"study.{place}: {fault}" for place, fault in faults_of(error))
         raise InputError(f"The scenario {scenario.name} asks for a study that is not possible: {faults}.") from error
 
 
@@ -266,13 +317,9 @@ def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[
 
 
 def _worse(name: str) -> Limit:
-    return Limit(limit=0.0) if FIGURES[name].small or "ratio" in name else Limit(least=0.0)
+    return Limit(limit=0.0) if FIGURES[name].better == "small" or "ratio" in name else Limit(least=0.0)
 
 
-def _failed(run: Run | Layers) -> tuple[str, ...]:
-    return tuple(f"{gate.name}: {gate.sentence}" for gate in run.gates if not gate.passed)
-
-
-def _tell(progress: Progress | None, stage: str, detail: str) -> None:
+def _report(progress: Progress | None, stage: str, detail: str) -> None:
     if progress is not None:
         progress(stage, detail)

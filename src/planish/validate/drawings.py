@@ -20,8 +20,7 @@ from planish.report.draw import (
     limits,
 )
 from planish.report.text import length, number, plain
-from planish.validate.certify import Certificate
-from planish.validate.example import Example
+from planish.validate.certify import Certificate, Example
 
 _NAMES = {"coating_top": "coating thickness", "thickness": "sheet thickness"}
 _DOTS = (150.0, 16.0)  # CSS pixels of a row of dots

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planish.core.outcome import Outcome
 from planish.flatten import relax_grid
 from planish.flatten.relaxation import RelaxationParams, relax_dynamically
-from planish.validate.spread import Values
+from planish.validate.truth import Values
 
 Array = NDArray[np.float64]
 

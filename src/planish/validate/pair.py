@@ -9,23 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from planish.pipeline import Layers
 from planish.study import LayersStudy
 from planish.synthetic import InstrumentFiles, Specimen, make_specimen, write_instruments
 from planish.validate.scenario import Scenario
-from planish.validate.spread import Values, percentile, rms
-from planish.validate.truth import material_at, true_thickness
+from planish.validate.truth import Comparison, Values, percentile, rms, true_thickness
 
 Array = NDArray[np.float64]
+Made = list[tuple[Specimen, InstrumentFiles]]
 NAMES = ("first", "second")
 
 
-def make_pair(
-    scenario: Scenario, seed: int, folder: Path
-) -> list[tuple[Specimen, InstrumentFiles]]:  # fmt: skip
+def make_pair(scenario: Scenario, seed: int, folder: Path) -> Made:
     """Make the sheet as both instruments have it, and write their files."""
     assert scenario.second is not None
     first = make_specimen(scenario.params(seed))
@@ -37,32 +34,28 @@ def make_pair(
     ]
 
 
-def pair_study(scenario: Scenario, made: list[tuple[Specimen, InstrumentFiles]]) -> LayersStudy:
+def pair_study(scenario: Scenario, made: Made) -> LayersStudy:
     """The study that links the first volume to the second."""
     layers: list[dict[str, Any]] = []
     for name, (_, files) in zip(NAMES, made, strict=True):
-        study: dict[str, Any] = {"volume": {"path": str(files.volume), "through": files.through}}
-        for table in ("surface", "properties", "flatten"):
-            study[table] = scenario.study.get(table, {})
-        layers.append({"name": name, "map": study})
-    return LayersStudy.model_validate(
-        {
-            "layers": layers,
-            "registration": scenario.study.get("registration", {}),
-            "correlate": {"point_um": scenario.point_um},
-        }
-    )
+        tables = {table: scenario.study.get(table, {}) for table in ("surface", "properties", "flatten")}
+        layers.append(
+            {"name": name, "map": {"volume": {"path": str(files.volume), "through": files.through}, **tables}}
+        )
+    registration, correlate = scenario.study.get("registration", {}), {"point_um": scenario.point_um}
+    return LayersStudy.model_validate({"layers": layers, "registration": registration, "correlate": correlate})
 
 
-def pair_values(made: list[tuple[Specimen, InstrumentFiles]], run: Layers) -> Values:
+def pair_values(made: Made, run: Layers) -> Values:
     """Figures of one pair; places and thicknesses against the truth of the sheet."""
     maps = [run.groups[f"layers/{name}"] for name in NAMES]
     valid = maps[0]["valid"].values & maps[1]["valid"].values
     values: Values = {}
     shown: list[Array] = []
     for name, (specimen, files), data in zip(NAMES, made, maps, strict=True):
-        sections = run.runs[name].groups.get("sections")
-        shown.append(_material(specimen, files, data, valid, sections))
+        places = np.stack([data[f"volume_{axis}"].values[valid] for axis in ("x", "y", "z")], axis=-1)
+        both = Comparison(specimen=specimen, files=files, run=run.runs[name])
+        shown.append(both.material_at(places.astype(np.float64)))
         true = true_thickness(specimen.sheet, "coating_top", shown[-1][..., 0], shown[-1][..., 1])
         values[f"pair_coating_{name}_bias"] = float(np.nanmean(data["coating_top"].values[valid] - true))
     off = np.hypot(*(shown[0] - shown[1])[..., :2].T)
@@ -74,12 +67,3 @@ def pair_values(made: list[tuple[Specimen, InstrumentFiles]], run: Layers) -> Va
         values["pair_r"], values["pair_r_point"] = rows[0]["r"], rows[1]["r"]
         values["pair_difference_sd"] = rows[0]["difference_sd"]
     return values
-
-
-def _material(
-    specimen: Specimen, files: InstrumentFiles, data: xr.Dataset, valid: NDArray[np.bool_],
-    sections: xr.Dataset | None,
-) -> Array:  # fmt: skip
-    """Material (n, 3) at the places in the volume that the run gives for valid pixels."""
-    places = np.stack([data[f"volume_{axis}"].values[valid] for axis in ("x", "y", "z")], axis=-1)
-    return material_at(specimen, files, places.astype(np.float64), sections)

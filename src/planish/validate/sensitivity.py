@@ -100,9 +100,7 @@ def sensitivity(
         for seed in numbers:
             if progress is not None:
                 progress("sensitivity", f"{what}, seed {seed}")
-            entries.append(
-                run_specimen(scenario, scenario.params(seed, chosen), seed)[0]
-            )  # fmt: skip
+            entries.append(run_specimen(scenario, scenario.params(seed, chosen), seed)[0])
         refusals = [entry.refusal for entry in entries if entry.refusal is not None]
         return _pooled(entries), refusals[0] if refusals else None
 

@@ -1,8 +1,9 @@
-"""What the ledger has to know of a specimen and its files, and how a place in a file becomes a place in the paper."""
+"""A run beside the truth of its specimen: which material a place of a file shows, and what is true there."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,13 @@ from numpy.typing import NDArray
 
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.pipeline import Run
 from planish.synthetic import InstrumentFiles, Sheet, Specimen
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
+Values = dict[str, float | None]
 
 FACE_ORDER = ("top", "interface_top", "interface_bottom", "bottom")
 _BETWEEN = {"coating_top": (0, 1), "coating_bottom": (2, 3), "base_thickness": (1, 2), "thickness": (0, 3)}
@@ -22,78 +26,139 @@ _MOST_COLUMNS = 400_000  # more columns do not make a percentile any surer
 _FINEST_UM = 4.0  # of a pixel that counts as a point: the sheet holds little below
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Lattice:
-    """A regular choice of the volume's columns with the material that their centre points show.
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """One run, the files that it read, and the specimen of which they were made.
 
-    Attributes
-    ----------
-    rows, cols : (m,), (n,) int
-        Indices of the columns.
-    pitch_um : (float, float)
-        Distance of neighbours in the lattice along rows and columns.
-    material : (m, n, 3)
-        True (u, v, s) in um of the point of the centre surface that the run found; NaN where it found none.
-    measured : (m, n)
-        Whether the run measured the column.
+    All errors are taken over a regular choice of at most some 400 000 columns of the volume, and over the image's
+    pixels. Material is (u, v, s) in um, NaN where a place is missing.
     """
 
-    rows: NDArray[np.intp]
-    cols: NDArray[np.intp]
-    pitch_um: tuple[float, float]
-    material: Array
-    measured: Mask
+    specimen: Specimen
+    files: InstrumentFiles
+    run: Run
+
+    @property
+    def groups(self) -> dict[str, xr.Dataset]:
+        """Datasets of the run."""
+        return self.run.groups
+
+    @cached_property
+    def columns(self) -> tuple[Index, Index]:
+        """Rows and columns of the chosen columns."""
+        surfaces = self.groups["surfaces"]
+        step = max(1, int(np.ceil(np.sqrt(surfaces["status"].size / _MOST_COLUMNS))))
+        return np.arange(0, surfaces.sizes["y"], step), np.arange(0, surfaces.sizes["x"], step)
+
+    @cached_property
+    def pitch_um(self) -> tuple[float, float]:
+        """Distance of neighbours among the chosen columns, along rows and columns."""
+        step = int(np.diff(self.columns[0][:2])[0]) if self.columns[0].size > 1 else 1
+        down, across = pitch(self.groups["surfaces"])
+        return step * down, step * across
 
     def take(self, values: NDArray[Any]) -> Array:
-        """Values (y, x) of the run at the lattice, as float64."""
-        return np.asarray(values[np.ix_(self.rows, self.cols)], dtype=np.float64)
+        """Values (y, x) of the run at the chosen columns, as float64."""
+        return np.asarray(values[np.ix_(*self.columns)], dtype=np.float64)
+
+    @cached_property
+    def material(self) -> Array:
+        """True material (rows, cols, 3) of the points of the centre surface that the run found."""
+        heights = self.groups["surfaces"]["centre"].values[np.ix_(*self.columns)]
+        return self.material_at(self.places(heights, *self.columns))
+
+    @cached_property
+    def measured(self) -> Mask:
+        """Whether the run measured the column."""
+        return self.groups["surfaces"]["status"].values[np.ix_(*self.columns)] == 0
+
+    def places(self, heights: Array, rows: Index, cols: Index) -> Array:
+        """Places (m, n, 3) as x, y, z of the file, in um, of heights (m, n) over the columns ``rows`` and ``cols``."""
+        surfaces = self.groups["surfaces"]
+        frame = Frame.of(surfaces)
+        along = {
+            frame.rows: surfaces["y"].values[rows][:, None],
+            frame.cols: surfaces["x"].values[cols][None, :],
+            frame.through: np.asarray(heights, dtype=np.float64),
+        }
+        return np.stack([np.broadcast_to(along[axis], heights.shape) for axis in ("x", "y", "z")], axis=-1)
+
+    def physical_at(self, places: Array) -> Array:
+        """Places (..., 3) in space of places in the file."""
+        sections = self.groups.get("sections")
+        return _where_known(lambda known: self.files.to_physical(known, sections), places)
+
+    def material_at(self, places: Array) -> Array:
+        """Material of places (..., 3) in the file."""
+        warp = self.specimen.warp
+        return _where_known(lambda known: warp.material(np.ascontiguousarray(known)), self.physical_at(places))
+
+    @property
+    def headline(self) -> str:
+        """Property that the run puts first: the coating, or the sheet's thickness where there is none."""
+        return str(self.run.results["headline"])
+
+    @property
+    def linked(self) -> xr.Dataset:
+        """Maps of the run on the image's pixels."""
+        return self.groups["linked"]
+
+    @cached_property
+    def valid(self) -> Mask:
+        """Valid pixels (y, x) of the image."""
+        return self.linked["valid"].values.astype(bool)
+
+    @cached_property
+    def true_uv(self) -> tuple[Array, Array]:
+        """True material (u, v) of the pixels."""
+        truth = self.specimen.truth
+        return np.asarray(truth["u"].values, np.float64), np.asarray(truth["v"].values, np.float64)
+
+    @cached_property
+    def found(self) -> Array:
+        """Material (y, x, 3) at the place in the volume that the run gives for each valid pixel."""
+        places = np.stack([self.linked[f"volume_{axis}"].values for axis in ("x", "y", "z")], axis=-1)
+        return self.material_at(np.where(self.valid[..., None], places, np.nan))
+
+    @cached_property
+    def away_um(self) -> Array:
+        """Error of each pixel: distance in the sheet between the material it shows and the one it was given."""
+        u, v = self.true_uv
+        return np.hypot(self.found[..., 0] - u, self.found[..., 1] - v)
+
+    def linked_values(self, name: str) -> Array:
+        """A property as it was linked; NaN where a pixel is not valid."""
+        return np.where(self.valid, np.asarray(self.linked[name].values, dtype=np.float64), np.nan)
+
+    def pixel_thickness(self, name: str, u: Array, v: Array) -> Array:
+        """True thickness in um as the mean over a pixel's area around the material (u, v)."""
+        total = np.zeros(u.shape)
+        for du, dv in self._offsets:
+            total += true_thickness(self.specimen.sheet, name, u + du, v + dv)
+        return total / len(self._offsets)
+
+    @cached_property
+    def _offsets(self) -> Array:
+        """Offsets (k, 2) in (u, v) from the middle of a pixel to the points that its mean is taken over.
+
+        A pixel is an area: at 12 um it shows the mean of fibres of 20 to 35 um. One of 4 um is taken as a point.
+        """
+        truth = self.specimen.truth
+        parts = [max(1, round(step / _FINEST_UM)) for step in pitch(truth)]
+        y, x = (s * ((np.arange(n) + 0.5) / n - 0.5) for s, n in zip(pitch(truth), parts, strict=True))
+        around = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        middle = np.array([float(truth[d].values.mean()) for d in ("x", "y")])
+        inverse = self.specimen.pose.inverse
+        return np.asarray(inverse(middle + around) - inverse(middle[None]), dtype=np.float64)
 
 
-def make_lattice(specimen: Specimen, files: InstrumentFiles, groups: dict[str, xr.Dataset]) -> Lattice:
-    """Choose at most some 400 000 columns of a run and find the material that each of them shows."""
-    surfaces = groups["surfaces"]
-    step = max(1, int(np.ceil(np.sqrt(surfaces["status"].size / _MOST_COLUMNS))))
-    rows, cols = (np.arange(0, surfaces.sizes[d], step) for d in ("y", "x"))
-    points = file_points(surfaces, surfaces["centre"].values[np.ix_(rows, cols)], rows, cols)
-    down, across = pitch(surfaces)
-    return Lattice(
-        rows=rows,
-        cols=cols,
-        pitch_um=(step * down, step * across),
-        material=material_at(specimen, files, points, groups.get("sections")),
-        measured=surfaces["status"].values[np.ix_(rows, cols)] == 0,
-    )
-
-
-def file_points(surfaces: xr.Dataset, heights: Array, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Array:
-    """Places (m, n, 3) as x, y, z of the file, in um, of heights (m, n) over the columns ``rows`` and ``cols``."""
-    frame = Frame.of(surfaces)
-    along = {
-        frame.rows: surfaces["y"].values[rows][:, None],
-        frame.cols: surfaces["x"].values[cols][None, :],
-        frame.through: np.asarray(heights, dtype=np.float64),
-    }
-    return np.stack([np.broadcast_to(along[axis], heights.shape) for axis in ("x", "y", "z")], axis=-1)
-
-
-def physical_at(files: InstrumentFiles, points: Array, sections: xr.Dataset | None) -> Array:
-    """Physical places (..., 3) of places in the file; NaN stays NaN."""
-    flat = points.reshape(-1, 3)
-    known = np.isfinite(flat).all(axis=-1)
-    found = np.full(flat.shape, np.nan)
+def _where_known(function: Any, points: Array) -> Array:
+    """Apply a function of (n, 3) to the points (..., 3) that are known."""
+    known = np.isfinite(points).all(axis=-1)
+    found = np.full(points.shape, np.nan)
     if known.any():
-        found[known] = files.to_physical(flat[known], sections)
-    return found.reshape(points.shape)
-
-
-def material_at(specimen: Specimen, files: InstrumentFiles, points: Array, sections: xr.Dataset | None) -> Array:
-    """Material (u, v, s) of places (..., 3) in the file, in um; NaN stays NaN."""
-    flat = physical_at(files, points, sections).reshape(-1, 3)
-    known = np.isfinite(flat).all(axis=-1)
-    found = np.full(flat.shape, np.nan)
-    if known.any():
-        found[known] = specimen.warp.material(np.ascontiguousarray(flat[known]))
-    return found.reshape(points.shape)
+        found[known] = function(points[known])
+    return found
 
 
 def true_face(sheet: Sheet, face: str, u: Array, v: Array) -> Array:
@@ -107,31 +172,28 @@ def true_thickness(sheet: Sheet, name: str, u: Array, v: Array) -> Array:
     return field_at(sheet, sheet.faces[outer] - sheet.faces[inner], u, v)
 
 
-def pixel_offsets(specimen: Specimen) -> Array:
-    """Offsets (k, 2) in (u, v) from the middle of an image pixel to the points that its mean is taken over.
-
-    A pixel is an area: at 12 um it shows the mean of what fibres of 20 to 35 um do. One of 4 um is taken as a point.
-    """
-    truth = specimen.truth
-    step = pitch(truth)
-    parts = [max(1, round(s / _FINEST_UM)) for s in step]
-    y, x = (s * ((np.arange(n) + 0.5) / n - 0.5) for s, n in zip(step, parts, strict=True))
-    around = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    middle = np.array([float(truth[d].values.mean()) for d in ("x", "y")])
-    return np.asarray(specimen.pose.inverse(middle + around) - specimen.pose.inverse(middle[None]), dtype=np.float64)
-
-
-def pixel_thickness(sheet: Sheet, name: str, u: Array, v: Array, offsets: Array) -> Array:
-    """True thickness in um as the mean over a pixel's area around the material (u, v)."""
-    total = np.zeros(u.shape)
-    for du, dv in offsets:
-        total += true_thickness(sheet, name, u + du, v + dv)
-    return total / len(offsets)
-
-
 def field_at(sheet: Sheet, field: NDArray[np.float32], u: Array, v: Array) -> Array:
     """Value of a field of the sheet at material (u, v); NaN where that is."""
     known = np.isfinite(u) & np.isfinite(v)
     found = np.full(u.shape, np.nan)
     found[known] = sheet.at(field, u[known], v[known])
     return found
+
+
+def rms(errors: Array) -> float | None:
+    """Root mean square of what is finite; None where nothing is."""
+    known = errors[np.isfinite(errors)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else None
+
+
+def percentile(errors: Array, percent: float) -> float | None:
+    """Percentile of the absolute value of what is finite; None where nothing is."""
+    known = np.abs(errors[np.isfinite(errors)])
+    return float(np.percentile(known, percent)) if known.size else None
+
+
+def three(stem: str, errors: Array) -> Values:
+    """``stem_bias``, ``stem_rmse`` and ``stem_p95`` of what is finite."""
+    known = errors[np.isfinite(errors)]
+    bias = float(known.mean()) if known.size else None
+    return {f"{stem}_bias": bias, f"{stem}_rmse": rms(errors), f"{stem}_p95": percentile(errors, 95)}

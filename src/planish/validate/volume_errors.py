@@ -3,25 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.register import fit_transform
 from planish.sections.trend import quick_part
-from planish.synthetic import InstrumentFiles, Specimen
 from planish.validate.figures import FACES, THICKNESSES
-from planish.validate.spread import Values, percentile, rms, three
-from planish.validate.truth import (
-    Lattice,
-    field_at,
-    file_points,
-    material_at,
-    physical_at,
-    true_face,
-    true_thickness,
-)
+from planish.validate.truth import Comparison, Values, field_at, percentile, rms, three, true_face, true_thickness
 
 Array = NDArray[np.float64]
 
@@ -31,14 +20,14 @@ _LEAST_SECTIONS = 4
 _NORMAL_LEAVES = 4  # status of a column whose faces are there
 
 
-def section_errors(files: InstrumentFiles, groups: dict[str, xr.Dataset]) -> Values:
+def section_errors(both: Comparison) -> Values:
     """How far aligned sections are from their true places, about the best straight line through them.
 
     A shift and a shear of the whole stack are no error of the sheet's structure: they are taken away.
     """
-    if "sections" not in groups:
+    if "sections" not in both.groups:
         return {}
-    sections, surfaces = groups["sections"], groups["surfaces"]
+    sections, surfaces = both.groups["sections"], both.groups["surfaces"]
     frame = Frame.of(surfaces)
     if frame.through == "z":
         return {}  # a section then shows the sheet from above, and its pose has other axes
@@ -51,7 +40,7 @@ def section_errors(files: InstrumentFiles, groups: dict[str, xr.Dataset]) -> Val
     points = np.stack([np.broadcast_to(middle[axis], across.shape) for axis in ("x", "y", "z")], axis=-1)
     if across.size < _LEAST_SECTIONS:
         return {}
-    moved = files.to_physical(points, sections) - points
+    moved = both.files.to_physical(points, sections) - points
     line = np.polynomial.polynomial.polyfit(across, moved, 1)
     left = moved - np.polynomial.polynomial.polyval(across, line).T
     # In the physical frame x runs along the section, y across the sections and z through the sheet.
@@ -67,41 +56,35 @@ def section_errors(files: InstrumentFiles, groups: dict[str, xr.Dataset]) -> Val
     }
 
 
-def surface_errors(
-    specimen: Specimen, files: InstrumentFiles, groups: dict[str, xr.Dataset], lattice: Lattice
-) -> Values:
+def surface_errors(both: Comparison) -> Values:
     """Heights of the four faces at the measured columns, along the true normals."""
-    surfaces = groups["surfaces"]
+    surfaces, sheet = both.groups["surfaces"], both.specimen.sheet
     values: Values = {}
     pool: list[Array] = []
     for face in FACES:
-        heights = lattice.take(surfaces[face].values)
-        heights[~lattice.measured] = np.nan
-        points = file_points(surfaces, heights, lattice.rows, lattice.cols)
-        u, v, s = np.moveaxis(material_at(specimen, files, points, groups.get("sections")), -1, 0)
-        errors = s - true_face(specimen.sheet, face, u, v)
+        heights = np.where(both.measured, both.take(surfaces[face].values), np.nan)
+        u, v, s = np.moveaxis(both.material_at(both.places(heights, *both.columns)), -1, 0)
+        errors = s - true_face(sheet, face, u, v)
         values |= three(face, errors)
         pool.append(errors[np.isfinite(errors)])
     values["surfaces_rmse"] = rms(np.concatenate(pool))
     # Columns that have a sheet: away from the true holes, and from the rims that are left out on purpose.
-    u, v, _ = np.moveaxis(lattice.material, -1, 0)
-    outside = np.fmin(*(field_at(specimen.sheet, field, u, v) for field in specimen.sheet.rim_um)) > 0
-    status = lattice.take(surfaces["status"].values)
+    u, v, _ = np.moveaxis(both.material, -1, 0)
+    outside = np.fmin(*(field_at(sheet, field, u, v) for field in sheet.rim_um)) > 0
+    status = both.take(surfaces["status"].values)
     has = outside & (status != 2)
     found = (status == 0) | (status == _NORMAL_LEAVES)
     values["found_share"] = 100.0 * float(np.mean(found[has])) if has.any() else None
-    values["measured_share"] = 100.0 * float(np.mean(lattice.measured[has])) if has.any() else None
+    values["measured_share"] = 100.0 * float(np.mean(both.measured[has])) if has.any() else None
     return values
 
 
-def centre_errors(
-    specimen: Specimen, files: InstrumentFiles, groups: dict[str, xr.Dataset], lattice: Lattice
-) -> Values:
+def centre_errors(both: Comparison) -> Values:
     """Height of the found centre surface over the true one, and the angle between their normals."""
-    u, v, s = np.moveaxis(np.where(lattice.measured[..., None], lattice.material, np.nan), -1, 0)
+    u, v, s = np.moveaxis(np.where(both.measured[..., None], both.material, np.nan), -1, 0)
     known = s[np.isfinite(s)]
     mean = float(known.mean()) if known.size else None
-    angle = _angles(specimen, files, groups, lattice, u, v)
+    angle = _angles(both, u, v)
     return {
         "centre_mean": mean,
         "centre_rms": rms(s - mean) if mean is not None else None,
@@ -110,48 +93,46 @@ def centre_errors(
     }
 
 
-def _angles(
-    specimen: Specimen, files: InstrumentFiles, groups: dict[str, xr.Dataset], lattice: Lattice, u: Array, v: Array
-) -> Array:
+def _angles(both: Comparison, u: Array, v: Array) -> Array:
     """Angles in degrees between found and true normals; NaN where a neighbour is missing."""
-    surfaces, sections = groups["surfaces"], groups.get("sections")
+    surfaces = both.groups["surfaces"]
     centre = surfaces["centre"].values
-    reach = [1 if sections is None else max(1, round(_WIDE_UM / p)) for p in pitch(surfaces)]
+    reach = [max(1, round(_WIDE_UM / p)) if "sections" in both.groups else 1 for p in pitch(surfaces)]
     sides: list[Array] = []
     for axis, (n, r) in enumerate(zip(centre.shape, reach, strict=True)):
         ends: list[Array] = []
-        for way in (-r, r):
-            index = [lattice.rows, lattice.cols]
-            index[axis] = np.clip(index[axis] + way, 0, n - 1)
+        for offset in (-r, r):
+            index = list(both.columns)
+            index[axis] = np.clip(index[axis] + offset, 0, n - 1)
             heights = np.asarray(centre[np.ix_(*index)], dtype=np.float64)
-            ends.append(physical_at(files, file_points(surfaces, heights, index[0], index[1]), sections))
+            ends.append(both.physical_at(both.places(heights, index[0], index[1])))
         sides.append(ends[1] - ends[0])
     found = np.cross(sides[1], sides[0])
     length = np.linalg.norm(found, axis=-1)
     known = np.isfinite(u) & (length > 0)
     angle = np.full(u.shape, np.nan)
-    true = specimen.warp.normals(u[known], v[known])
+    true = both.specimen.warp.normals(u[known], v[known])
     # The arc sine of the cross product keeps small angles, which the arc cosine loses to rounding.
     sine = np.linalg.norm(np.cross(found[known] / length[known][:, None], true), axis=-1)
     angle[known] = np.rad2deg(np.arcsin(np.clip(sine, 0.0, 1.0)))
     return angle
 
 
-def thickness_errors(specimen: Specimen, groups: dict[str, xr.Dataset], lattice: Lattice) -> Values:
+def thickness_errors(both: Comparison) -> Values:
     """Measured thicknesses of the columns against those of the material that they show."""
-    u, v = lattice.material[..., 0], lattice.material[..., 1]
+    u, v = both.material[..., 0], both.material[..., 1]
     values: Values = {}
     for name in THICKNESSES:
-        found = lattice.take(groups["surfaces"][name].values)
-        values |= three(f"column_{name}", found - true_thickness(specimen.sheet, name, u, v))
+        found = both.take(both.groups["surfaces"][name].values)
+        values |= three(f"column_{name}", found - true_thickness(both.specimen.sheet, name, u, v))
     return values
 
 
-def flattening_errors(groups: dict[str, xr.Dataset], lattice: Lattice) -> Values:
+def flattening_errors(both: Comparison) -> Values:
     """Flat places of the measured columns against their true ones, after the best turn and shift."""
-    flat = np.stack([lattice.take(groups["flat"][name].values) for name in ("u", "v")], axis=-1)
-    flat[~lattice.measured] = np.nan
-    true = lattice.material[..., :2]
+    flat = np.stack([both.take(both.groups["flat"][name].values) for name in ("u", "v")], axis=-1)
+    flat[~both.measured] = np.nan
+    true = both.material[..., :2]
     known = np.isfinite(flat).all(axis=-1) & np.isfinite(true).all(axis=-1)
     if np.count_nonzero(known) < 3:
         return {}
@@ -160,7 +141,7 @@ def flattening_errors(groups: dict[str, xr.Dataset], lattice: Lattice) -> Values
     similar = fit_transform(flat[known], true[known], model="similarity", mirrored=mirrored, robust=False)
     away = np.hypot(rigid.residuals_um[:, 0], rigid.residuals_um[:, 1])
     strains: list[Array] = []
-    for axis, step in enumerate(lattice.pitch_um):
+    for axis, step in enumerate(both.pitch_um):
         n = max(1, round(_EDGE_UM / step))
         edges = [np.linalg.norm(_apart(places, n, axis), axis=-1) for places in (flat, true)]
         with np.errstate(invalid="ignore", divide="ignore"):

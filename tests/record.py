@@ -1,4 +1,4 @@
-"""Record the figures of a scenario, and tell which of them got worse: ``python -m planish.validate.record FILE``."""
+"""Record the figures of a scenario, and name those that got worse: ``python tests/record.py FILE``."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def read_recorded(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise FileError(
-            f"{path} cannot be read: {error}. Make it with 'python -m planish.validate.record {path}'."
+            f"{path} cannot be read: {error}. Make it with 'python tests/record.py {path}'."
         ) from error
 
 
@@ -62,37 +62,33 @@ def worse(certificate: Certificate, recorded: dict[str, Any]) -> list[str]:
         figure = FIGURES.get(name)
         if figure is None:
             continue
-        grows = figure.small
-        if not grows and name not in _LARGE:
+        if figure.better == "neither":
             continue
         if name not in found:
             faults.append(f"{name}: {old['mean']:.4g} was recorded, now there is none")
             continue
         now, then = found[name].mean, float(old["mean"])
         allowed = max(_SPREADS * float(old["sd"]), _SHARE * abs(then), _FLOOR[figure.unit])
-        by = abs(now) - abs(then) if grows else then - now
+        by = abs(now) - abs(then) if figure.better == "small" else then - now
         if by > allowed:
             unit = "" if figure.unit == "1" else f" {figure.unit}"
             faults.append(f"{name}: {now:.4g}{unit} now, {then:.4g}{unit} recorded, {allowed:.2g}{unit} allowed")
     return faults
 
 
-_LARGE = frozenset({"found_share", "measured_share", "recall_image", "recall_volume", "thin_dice"})
-
-
 def main(arguments: list[str]) -> int:
     """Run the scenario and write its record."""
     if len(arguments) != 1:
-        sys.stderr.write("usage: python -m planish.validate.record FILE\n")
+        sys.stderr.write("usage: python tests/record.py FILE\n")
         return 2
 
-    def tell(stage: str, detail: str) -> None:
+    def report(stage: str, detail: str) -> None:
         sys.stderr.write(f"{stage}: {detail}\n")
 
-    certificate = run_scenario(read_scenario(_SCENARIO), progress=tell)
+    certificate = run_scenario(read_scenario(_SCENARIO), progress=report)
     head = (
         "# Figures of the small scenario, mean and standard deviation over its seeds.\n"
-        "# Made by: python -m planish.validate.record tests/validate/recorded.toml\n\n"
+        "# Made by: python tests/record.py tests/validate/recorded.toml\n\n"
     )
     Path(arguments[0]).write_text(head + tomli_w.dumps(record(certificate)), encoding="utf-8", newline="\n")
     return 0 if certificate.passed else 4
