@@ -1,8 +1,6 @@
 """MATLAB: ``movingPoints`` and ``fixedPoints`` of the Control Point Selection tool, in pixels that begin with 1.
 
 The centre of the first pixel is (1, 1).
-
-Files up to version 7 are read here, those of version 7.3 by h5py.
 """
 
 from __future__ import annotations
@@ -13,17 +11,18 @@ from typing import Any
 
 import numpy as np
 
+from planish.core import matlab
 from planish.core.errors import FileError, MarkError
 from planish.marks.files.content import Content
 from planish.marks.files.formats import Outgoing
 from planish.marks.files.lists import PointList
-from planish.marks.files.mat_arrays import LARGEST_MATRIX, matrices
 from planish.marks.files.model import Floats
 
 NAMES = (("movingPoints", "fixedPoints"), ("input_points", "base_points"))
 """Variables that hold pairs; the second two are those of MATLAB before 2013."""
 
-HDF5 = b"\x89HDF\r\n\x1a\n"
+LARGEST_MATRIX = 1_000_000
+"""Values; larger matrices are images."""
 
 _SAVE = "Export the moving and fixed points of valid pairs, then save('marks.mat','movingPoints','fixedPoints')."
 
@@ -44,11 +43,10 @@ def read(content: Content) -> list[PointList]:
         If it does not hold both variables, or they are no real n x 2 arrays of as many points.
     """
     name, data = content.name, content.data
-    new = data.startswith(HDF5) or data[512:520] == HDF5
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = _arrays_in_new(data) if new else matrices(data)
+            found = _arrays(data)
     except Exception as error:
         raise FileError(f"{name} cannot be read as a MATLAB file: {error or type(error).__name__}. {_SAVE}") from error
     pair = next((p for p in NAMES if all(n in found for n in p)), None)
@@ -93,24 +91,15 @@ def write(out: Outgoing) -> dict[str, bytes]:
     return {"": heading.ljust(116) + file.getvalue()[116:]}
 
 
-def _arrays_in_new(data: bytes) -> dict[str, Floats | None]:
-    """Variables of a file of version 7.3; None for what is no small real matrix."""
-    import h5py  # pyright: ignore[reportMissingTypeStubs]
-
-    with h5py.File(io.BytesIO(data), "r") as file:
-        found: dict[str, Floats | None] = {}
-        for key in file:
-            # A link could lead to any file of the machine.
-            if not isinstance(file.get(key, getlink=True), h5py.HardLink):
-                continue
-            item: Any = file[key]
-            found[str(key)] = None
-            if isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual:
-                shape = tuple(int(v) for v in item.shape or ())
-                # MATLAB stores columns first.
-                if len(shape) == 2 and item.dtype.kind in "uif" and shape[0] * shape[1] <= LARGEST_MATRIX:
-                    found[str(key)] = np.asarray(item[()], dtype=np.float64).T
-        return found
+def _arrays(data: bytes) -> dict[str, Floats | None]:
+    """Variables of a file; None for what is no small real matrix, or not asked for."""
+    file = io.BytesIO(data)
+    found: dict[str, Floats | None] = {}
+    for variable in matlab.variables(file):
+        small = variable.stored is not None and len(variable.shape) == 2 and variable.count <= LARGEST_MATRIX
+        wanted = any(variable.name in pair for pair in NAMES)
+        found[variable.name] = matlab.values(file, variable).astype(np.float64) if small and wanted else None
+    return found
 
 
 def _checked(values: Floats | None, variable: str, name: str) -> Floats:
