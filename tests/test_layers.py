@@ -346,7 +346,7 @@ def test_layers_that_do_not_show_one_specimen_are_refused(planish, linked_run, t
         "link", f"a={tmp_path / 'blank.tif'}", f"b={linked_run}", "--pixel-um", "5", "-o", tmp_path / "run"
     )  # fmt: skip
     assert code == 3
-    assert "No hole was found in the a" in err
+    assert "No hole found in the a" in err
     assert not (tmp_path / "run").exists()
 
 

@@ -1,0 +1,108 @@
+"""Holes of two planes, from their places and covariances to a registration."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from planish.core.errors import CannotRegister, MarkError
+from planish.core.transform import Similarity
+from planish.register import (
+    DesignedHoles,
+    GivenPairs,
+    HolePlane,
+    RegistrationParams,
+    check_enough,
+    fit_transform,
+    register_marks,
+)
+from register.patterns import scattered
+
+TURN = Similarity(scale=1.01, rotation_rad=0.4, shift_um=(300.0, -120.0))
+PARAMS = RegistrationParams()
+
+
+def plane(name, places, spread=None, faces="top"):
+    data = {"x": ("mark", places[:, 0]), "y": ("mark", places[:, 1]), "diameter": ("mark", np.full(len(places), 200.0))}
+    if spread is not None:
+        data |= {"cov_xx": ("mark", spread[:, 0, 0]), "cov_xy": ("mark", spread[:, 0, 1]),
+                 "cov_yy": ("mark", spread[:, 1, 1])}  # fmt: skip
+    return HolePlane(name=name, holes=xr.Dataset(data), faces=faces)
+
+
+def covariances(n, rng):
+    half = rng.uniform(-1, 1, (n, 2, 2)) + 1.5 * np.eye(2)
+    return half @ half.swapaxes(1, 2)
+
+
+def sides(seed=0, n=12):
+    rng = np.random.default_rng(seed)
+    a = scattered(n, rng)
+    order = rng.permutation(n)
+    b = TURN(a)[order] + rng.normal(0, 2, (n, 2))
+    return a, b, order, covariances(n, rng), covariances(n, rng)
+
+
+def test_holes_are_matched_and_weighted_by_their_covariances():
+    a, b, order, of_a, of_b = sides()
+    found = register_marks(plane("volume", a, of_a), plane("image", b, of_b), params=PARAMS)
+    assert np.array_equal(order[found.pairs[:, 1]], found.pairs[:, 0])
+    assert (found.source, found.labels[:2], found.second_best) == ("found", ("hole 1", "hole 2"), 0)
+    turn = fit_transform(a[found.pairs[:, 0]], b[found.pairs[:, 1]]).transform.matrix()
+    weights = turn @ of_a[found.pairs[:, 0]] @ turn.T + of_b[found.pairs[:, 1]]
+    twin = fit_transform(
+        a[found.pairs[:, 0]], b[found.pairs[:, 1]], model="auto", weights=weights, lowest="similarity"
+    )  # fmt: skip
+    assert found.fit(a).tobytes() == twin(a).tobytes()
+    assert found.fit.sentence == twin.sentence
+
+
+def test_the_pairs_that_were_found_given_back_are_the_same_registration():
+    a, b, _, of_a, of_b = sides(1)
+    planes = plane("volume", a, of_a), plane("image", b, of_b)
+    found = register_marks(*planes, params=PARAMS)
+    again = register_marks(*planes, params=PARAMS, pairs=GivenPairs(rows=found.pairs, labels=found.labels))
+    assert again.fit(a).tobytes() == found.fit(a).tobytes()
+    assert again.fit.expected_error_um(a).tobytes() == found.fit.expected_error_um(a).tobytes()
+    assert (again.labels, again.source, again.second_best) == (found.labels, "given", None)
+
+
+def test_without_covariances_all_marks_weigh_the_same():
+    a, b, _, of_a, _ = sides(2)
+    found = register_marks(plane("volume", a, of_a), plane("image", b), params=PARAMS)
+    assert np.all(found.fit.weights == 1.0)
+
+
+def test_opposite_sides_see_each_other_mirrored():
+    a, b, order, *_ = sides(3)
+    b = b * (-1.0, 1.0)
+    with pytest.raises(CannotRegister, match="--mirror"):
+        register_marks(plane("volume", a), plane("image", b), params=PARAMS)
+    found = register_marks(plane("volume", a), plane("image", b, faces="bottom"), params=PARAMS)
+    assert found.fit.mirrored
+    assert np.array_equal(order[found.pairs[:, 1]], found.pairs[:, 0])
+    mirrored = register_marks(plane("volume", a), plane("image", b), params=RegistrationParams(mirror=True))
+    assert mirrored.fit(a).tobytes() == found.fit(a).tobytes()
+
+
+def test_the_design_identifies_the_holes():
+    a, b, order, *_ = sides(4)
+    design = DesignedHoles(name="coded", places_um=a, labels=tuple(f"H{k}" for k in range(12)))
+    found = register_marks(plane("volume", a[2:]), plane("image", b), params=PARAMS, pattern=design)
+    assert (found.source, found.design) == ("design", "Holes identified by the pattern coded of 12 holes.")
+    assert [int(label[1:]) for label in found.labels] == order[found.pairs[:, 1]].tolist()
+
+
+def test_what_cannot_be_registered_is_refused():
+    a, b, *_ = sides(5)
+    three = GivenPairs(rows=np.array([[0, 0], [1, 1]]), labels=("a", "b"))
+    with pytest.raises(MarkError, match="2 control points given"):
+        register_marks(plane("volume", a), plane("image", b), params=PARAMS, pairs=three)
+    rows = np.repeat(np.arange(12)[:, None], 2, axis=1)
+    with pytest.raises(CannotRegister, match=r"scale of 1\.0600, which is 6\.0 % off"):
+        register_marks(
+            plane("volume", a), plane("image", 1.06 * a), params=PARAMS,
+            pairs=GivenPairs(rows=rows, labels=("",) * 12),
+        )  # fmt: skip
+    with pytest.raises(CannotRegister, match=r"Only 2 holes found in the image at \(.*100 to 300 um"):
+        check_enough(plane("image", b[:2]), (100.0, 300.0))
+    check_enough(HolePlane(name="image", holes=None), (100.0, 300.0))
