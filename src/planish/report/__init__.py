@@ -1,6 +1,5 @@
-"""From results to one HTML page that can be handed on."""
+"""From results to one HTML page that can be handed on, and to what a notebook shows."""
 
-from planish.report.layers import write_layers_report
-from planish.report.page import write_report
+import lazy_loader as lazy
 
-__all__ = ["write_layers_report", "write_report"]
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,88 +1,41 @@
-"""What every figure is made of: a canvas measured in inches, fields decimated by area, scale bars, colour bars.
+"""What every figure is made of: SVG measured in CSS pixels, maps in it as images, scale bars, colour bars, axes.
 
-Figures are drawn by Agg without pyplot, in matplotlib's own style and typeface and not in the user's, and encoded by
-Pillow: the same numbers give the same bytes.
+Text and lines stay sharp on screen and paper; the same numbers give the same bytes.
 """
 
 from __future__ import annotations
 
-import base64
-import io
-from collections.abc import Generator
-from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, Literal
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from html import escape
 
 import numpy as np
-from matplotlib import patheffects, style
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
-from matplotlib.text import Text
-from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike, NDArray
-from PIL import Image
+from numpy.typing import ArrayLike
 
 from planish.core.area import area_mean
-from planish.report.text import plain
+from planish.report.colours import MISSING, Array, Scale, image_uri
+from planish.report.text import fixed, plain
 
-Array = NDArray[np.float64]
-
-FULL = 10.4  # inches; one inch is 100 CSS pixels, so that a full figure fills the page's column
-HALF = 5.1
-BESIDE = 0.86  # to the right of a map on half a page: its colour bar
-DPI = 135  # a full figure is 1404 pixels wide
+FULL, HALF = 1040.0, 510.0  # CSS pixels: the page's column, and half of it
+BESIDE = 86.0  # to the right of a map on half a page: its colour bar
 INK, SOFT, FAINT = "#22292f", "#66707a", "#c9ced3"
-MISSING = "#d4d6d8"
-ACCENT = "#b3402a"
+ACCENT, POINT = "#b3402a", "#2f6690"
+SMALL, BIG = 11.0, 12.0  # font sizes
 
-TOP = 0.07  # inches above a map: half a line, for a number at the end of the colour bar
-HIGHEST = 4.8  # inches of a map on half a page
-LOWEST_BAR = 1.3  # inches of a colour bar beside a map that is lower than that
-_ENOUGH = 2_000_000  # values for a percentile
-
-_STYLE: dict[str, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 8.5,
-    "axes.labelsize": 8.5,
-    "axes.edgecolor": SOFT,
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.6,
-    "axes.unicode_minus": True,
-    "text.color": INK,
-    "text.parse_math": False,  # a dollar sign in a name is a dollar sign
-    "xtick.color": SOFT,
-    "ytick.color": SOFT,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 3,
-    "ytick.major.size": 3,
-}
+_DENSITY = 1.35  # pixels of an image in one CSS pixel
+_TOP = 8.0  # above a map: half a line, for a number at the end of the colour bar
+_HIGHEST = 480.0  # of a map on half a page
+_LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """A figure ready for the page.
+    """A figure ready for the page: SVG, its size in CSS pixels, and what it shows with n, unit and mask."""
 
-    Attributes
-    ----------
-    uri : str
-        The image itself, as a ``data:`` address.
-    width, height : int
-        On the page, in CSS pixels.
-    title, caption : str
-        What it shows; n, unit and mask.
-    """
-
-    uri: str
-    width: int
-    height: int
+    svg: str
+    width: float
+    height: float
     title: str
     caption: str
 
@@ -104,49 +57,260 @@ class Field:
         """Extent down, in um."""
         return abs(self.extent[3] - self.extent[2])
 
+    def fit(self, width: float, height: float) -> tuple[float, float]:
+        """Return the largest width and height that keep its proportions."""
+        ratio = self.height / self.width
+        return (width, width * ratio) if width * ratio <= height else (height / ratio, height)
+
 
 class Canvas:
-    """A figure whose parts are placed in inches from its upper left corner."""
+    """A figure whose parts are placed in CSS pixels from its upper left corner."""
 
     def __init__(self, width: float, height: float) -> None:
         self.width, self.height = width, height
-        self.figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
-        FigureCanvasAgg(self.figure)
+        self._parts: list[str | Axes] = []
 
-    def axes(self, left: float, top: float, width: float, height: float, **options: Any) -> Axes:
-        """Add axes."""
-        box = (left / self.width, 1 - (top + height) / self.height, width / self.width, height / self.height)
-        return self.figure.add_axes(box, **options)
+    def axes(self, left: float, top: float, width: float, height: float, extent: Iterable[float]) -> Axes:
+        """Add axes over (left, right, bottom, top) in the units of the data; what is drawn in them ends at them."""
+        axes = Axes(self, left, top, width, height, tuple(extent))
+        self._parts.append(axes)
+        return axes
 
-    def text(self, left: float, top: float, text: str, **options: Any) -> Text:
-        """Write on the figure itself."""
-        return self.figure.text(left / self.width, 1 - top / self.height, text, **options)
+    def text(
+        self, x: float, y: float, text: str, *, size: float = BIG, anchor: str = "start", bold: bool = False,
+        colour: str = INK, upwards: bool = False,
+    ) -> None:  # fmt: skip
+        """Write a text whose base line begins, ends or has its middle at a place."""
+        self._parts.append(_text(x, y, text, size=size, anchor=anchor, bold=bold, colour=colour, upwards=upwards))
 
-    def picture(self, *, title: str, caption: str, kind: Literal["png", "jpeg"] = "png") -> Picture:
-        """Render and encode: PNG for lines, JPEG for what is as irregular as a photograph."""
-        canvas = FigureCanvasAgg(self.figure)
-        canvas.draw()
-        image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
-        data = io.BytesIO()
-        if kind == "png":
-            image.save(data, format="PNG", optimize=True)
-        else:
-            image.save(data, format="JPEG", quality=88, subsampling=0, optimize=True)
-        uri = f"data:image/{kind};base64,{base64.b64encode(data.getvalue()).decode('ascii')}"
-        return Picture(
-            uri=uri, width=round(100 * self.width), height=round(100 * self.height), title=title, caption=caption
+    def line(self, points: ArrayLike, *, colour: str, width: float, dash: str = "") -> None:
+        """Draw a line."""
+        self._parts.append(_stroke(_path(np.asarray(points, dtype=np.float64)), colour, width, dash=dash))
+
+    def box(self, left: float, top: float, width: float, height: float, *, fill: str, stroke: str = "none") -> None:
+        """Draw a rectangle."""
+        self._parts.append(
+            f'<rect x="{_n(left)}" y="{_n(top)}" width="{_n(width)}" height="{_n(height)}" fill="{fill}" '
+            f'stroke="{stroke}"/>'
         )
 
+    def scale_bar(
+        self, left: float, top: float, *, width: float, um: float, most: float = 0.3, colour: str = INK,
+        label: str = "{}",
+    ) -> None:  # fmt: skip
+        """Draw a round length below axes that show ``um`` on so many pixels."""
+        bar = round_below(most * um)
+        across = bar / um * width
+        self.line([(left, top + 10), (left + across, top + 10)], colour=colour, width=3)
+        self.text(left + across + 7, top + 14, label.format(plain(bar)), size=SMALL)
 
-@contextmanager
-def house_style() -> Generator[None]:
-    """Draw in one style, whatever the user's settings; they are restored afterwards."""
-    with style.context(["default", _STYLE]):
-        yield
+    def colour_bar(
+        self, left: float, top: float, width: float, height: float, scale: Scale, *,
+        label: Callable[[float], str] | None = None, marks: Array | None = None,
+    ) -> None:  # fmt: skip
+        """Draw the colours of a scale with their values, upwards, or to the right where it is wider than high."""
+        across = width > height
+        shades = np.linspace(scale.low, scale.high, 128)[None] if across else np.linspace(scale.high, scale.low, 128)[:, None]
+        self._parts.append(_image((left, top, width, height), shades, scale))
+        ticks, step = levels_between(scale.low, scale.high, steps=max(2, int((width if across else height) / 42)))
+        values = ticks if marks is None else marks
+        write = label or _decimals(step)
+        for value, share in zip(values, (values - scale.low) / (scale.high - scale.low), strict=True):
+            if across:
+                x = left + share * width
+                self.line([(x, top + height), (x, top + height + 3)], colour=SOFT, width=0.8)
+                self.text(x, top + height + 15, write(float(value)), size=SMALL, anchor="middle")
+            else:
+                y = top + (1 - share) * height
+                self.line([(left + width, y), (left + width + 3, y)], colour=SOFT, width=0.8)
+                self.text(left + width + 6, y + 4, write(float(value)), size=SMALL)
+
+    def panel(
+        self, left: float, top: float, shown: Field, box: tuple[float, float], *, scale: Scale, label: str
+    ) -> Axes:  # fmt: skip
+        """Put a map with its scale bar, and with its colour bar where there is a label, somewhere on the canvas."""
+        axes = self.axes(left + 1, top + _TOP, *box, shown.extent)
+        axes.image(shown, scale)
+        self.scale_bar(left + 1, top + _TOP + box[1] + 3, width=box[0], um=shown.width)
+        if label:
+            high = max(box[1], _LOWEST_BAR)
+            self.colour_bar(left + box[0] + 12, top + _TOP, 12, high, scale)
+            self.text(left + box[0] + BESIDE - 4, top + _TOP + high / 2, label, anchor="middle", upwards=True)
+        return axes
+
+    def picture(self, *, title: str, caption: str) -> Picture:
+        """Return the finished figure."""
+        parts = "".join(str(part) for part in self._parts)
+        size = f'width="{_n(self.width)}" height="{_n(self.height)}" viewBox="0 0 {_n(self.width)} {_n(self.height)}"'
+        svg = f'<svg {size} role="img" aria-label="{escape(title)}">{parts}</svg>'
+        return Picture(svg=svg, width=self.width, height=self.height, title=title, caption=caption)
 
 
-def field(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Field:
-    """Bring a map to the resolution of axes that are ``width`` inches wide, by area-weighted means.
+@dataclass(slots=True)
+class Axes:
+    """A part of a canvas with coordinates of its own: um, or the units of a plot."""
+
+    canvas: Canvas
+    left: float
+    top: float
+    width: float
+    height: float
+    extent: tuple[float, ...]
+    parts: list[str] = field(default_factory=list[str])
+
+    def __str__(self) -> str:
+        box = f'x="{_n(self.left)}" y="{_n(self.top)}" width="{_n(self.width)}" height="{_n(self.height)}"'
+        return f"<svg {box}>{''.join(self.parts)}</svg>"
+
+    def place(self, points: ArrayLike) -> Array:
+        """Return points (n, 2) in pixels of the axes."""
+        x0, x1, y0, y1 = self.extent
+        data = np.asarray(points, dtype=np.float64)
+        return np.stack([(data[:, 0] - x0) / (x1 - x0) * self.width, (data[:, 1] - y1) / (y0 - y1) * self.height], axis=1)
+
+    def image(self, shown: Field, scale: Scale, *, missing: str = MISSING) -> None:
+        """Fill the axes with a map within a thin frame; what is missing is neutral grey."""
+        left, right, bottom, top = shown.extent
+        (x0, y0), (x1, y1) = self.place([(left, top), (right, bottom)])
+        self.parts.append(_image((x0, y0, x1 - x0, y1 - y0), shown.values, scale, missing))
+        self.frame()
+
+    def frame(self, colour: str = FAINT) -> None:
+        """Draw a thin frame without ticks: the scale bar says how large things are."""
+        self.parts.append(f'<rect width="100%" height="100%" fill="none" stroke="{colour}"/>')
+
+    def line(
+        self, points: ArrayLike, *, colour: str, width: float = 1.2, dash: str = "", opacity: float = 1.0
+    ) -> None:  # fmt: skip
+        """Draw a line through points (n, 2); NaN interrupts it."""
+        self.parts.append(_stroke(_path(self.place(points)), colour, width, dash=dash, opacity=opacity))
+
+    def area(self, points: ArrayLike, *, colour: str, opacity: float = 1.0) -> None:
+        """Fill the area within points (n, 2)."""
+        shade = f' opacity="{opacity:g}"' if opacity < 1 else ""
+        self.parts.append(f'<path d="{_path(self.place(points))}z" fill="{colour}"{shade}/>')
+
+    def dots(self, points: ArrayLike, *, colour: str, size: float, opacity: float = 1.0, halo: str = "") -> None:
+        """Draw round dots."""
+        at = self.place(points)
+        data = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in at[np.isfinite(at).all(axis=1)])
+        for ink, width in ((halo, size + 2.8), (colour, size)):
+            if ink and data:
+                self.parts.append(_stroke(data, ink, width, opacity=opacity, cap="round"))
+
+    def text(
+        self, at: tuple[float, float], text: str, *, shift: tuple[float, float] = (0, 0), size: float = BIG,
+        anchor: str = "start", colour: str = INK, halo: str = "", bold: bool = False,
+    ) -> None:  # fmt: skip
+        """Write at a place of the data, moved by some pixels."""
+        x, y = self.place([at])[0] + shift
+        self.parts.append(_text(x, y, text, size=size, anchor=anchor, bold=bold, colour=colour, halo=halo))
+
+    def circle(self, at: tuple[float, float], diameter: float, *, colour: str) -> None:
+        """Draw a circle around a place, as large as so many units across."""
+        x, y = self.place([at])[0]
+        radius = diameter / 2 / abs(self.extent[1] - self.extent[0]) * self.width
+        self.parts.append(
+            f'<circle cx="{_n(x)}" cy="{_n(y)}" r="{_n(radius)}" fill="none" stroke="{colour}" stroke-width="1.9"/>'
+        )
+
+    def arrows(self, points: ArrayLike, vectors: ArrayLike, *, colour: str, width: float, halo: str = "white") -> None:
+        """Draw arrows that start at points and are as long as vectors (both (n, 2), in the units of the data)."""
+        at = self.place(points)
+        end = self.place(np.asarray(points) + np.asarray(vectors))
+        shafts, heads = "", ""
+        for (x, y), (u, v) in zip(at, end, strict=True):
+            far = math.hypot(u - x, v - y)
+            if not far > 0.3:
+                continue
+            head = min(4.5 * width, 0.6 * far)
+            c, s = (u - x) / far * head, (v - y) / far * head
+            shafts += f"M{_n(x)} {_n(y)}L{_n(u - 0.8 * c)} {_n(v - 0.8 * s)}"
+            heads += f"M{_n(u)} {_n(v)}L{_n(u - c - 0.45 * s)} {_n(v - s + 0.45 * c)}L{_n(u - c + 0.45 * s)} {_n(v - s - 0.45 * c)}z"
+        if not shafts:
+            return
+        for ink, extra in ((halo, 2.4), (colour, 0.0)) if halo else ((colour, 0.0),):
+            self.parts.append(_stroke(shafts, ink, width + extra))
+            self.parts.append(f'<path d="{heads}" fill="{ink}" stroke="{ink}" stroke-width="{_n(extra)}"/>')
+
+    def contours(self, shown: Field, levels: Array, *, labels: bool = False) -> None:
+        """Draw contour lines of a field in white, with their values on request."""
+        from contourpy import LineType, contour_generator
+
+        rows, cols = shown.values.shape
+        known = shown.values[np.isfinite(shown.values)]
+        if min(rows, cols) < 2 or known.size == 0:
+            return
+        left, right, bottom, top = shown.extent
+        x = left + (np.arange(cols) + 0.5) * (right - left) / cols
+        y = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
+        found = contour_generator(x, y, np.ma.masked_invalid(shown.values), line_type=LineType.Separate)
+        taken: list[Array] = []
+        for level in levels[(levels > known.min()) & (levels < known.max())]:
+            lines = [self.place(line) for line in found.lines(float(level))]
+            data = "".join(_path(line) for line in lines)
+            self.parts.append(_stroke(data, "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7))
+            if labels and lines:
+                at = self._roomiest(max(lines, key=len), taken)
+                taken.append(at)
+                self.parts.append(
+                    _text(at[0], at[1] + 4, f"{level:g}", size=SMALL, anchor="middle", colour="white", halo=INK)
+                )
+
+    def _roomiest(self, line: Array, taken: list[Array]) -> Array:
+        """Return the point of a line that is farthest from the border and from other labels."""
+        room = np.min([line[:, 0], self.width - line[:, 0], line[:, 1], self.height - line[:, 1]], axis=0)
+        for other in taken:
+            room = np.minimum(room, np.hypot(*(line - other).T))
+        return line[int(np.argmax(room))]
+
+    def outline(self, inside: Array, y: Array, x: Array, *, colour: str, width: float) -> None:
+        """Draw the border of a region along the edges of its pixels."""
+        padded = np.pad(inside.astype(np.int8), 1)
+        data = ""
+        for flip in (False, True):
+            edges = np.diff(padded.T if flip else padded, axis=0) != 0
+            ends = np.diff(np.pad(edges, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+            row, start = np.nonzero(ends == 1)
+            stop = np.nonzero(ends == -1)[1]
+            lines = np.stack([start - 1, row, stop - 1, row], axis=1) if not flip else np.stack([row, start - 1, row, stop - 1], axis=1)
+            um = np.stack([_edge(x, lines[:, 0]), _edge(y, lines[:, 1]), _edge(x, lines[:, 2]), _edge(y, lines[:, 3])], axis=1)
+            from_, to = self.place(um[:, :2]), self.place(um[:, 2:])
+            step = "v" if flip else "h"
+            data += "".join(f"M{_n(a)} {_n(b)}{step}{_n(c)}" for (a, b), c in zip(from_, (to - from_)[:, int(flip)], strict=True))
+        if data:
+            self.parts.append(_stroke(data, colour, width, cap="square"))
+
+    def ticks(self, x_label: str, y_label: str, *, log: bool = False) -> None:
+        """Draw the left and the lower axis with round numbers and labels; ``log``: y holds powers of ten."""
+        x0, x1, y0, y1 = self.extent
+        bottom, canvas = self.top + self.height, self.canvas
+        canvas.line([(self.left, self.top), (self.left, bottom), (self.left + self.width, bottom)], colour=SOFT, width=0.8)
+        levels, step = levels_between(x0, x1, steps=max(3, int(self.width / 70)))
+        write = _decimals(step)
+        for value in levels:
+            x = self.left + float(self.place([(value, y0)])[0, 0])
+            canvas.line([(x, bottom), (x, bottom + 4)], colour=SOFT, width=0.8)
+            canvas.text(x, bottom + 17, write(float(value)), size=SMALL, anchor="middle")
+        if log:
+            levels = np.arange(math.ceil(y0), math.floor(y1) + 1.0)
+            levels = levels[:: max(1, math.ceil(len(levels) / 6))]
+        else:
+            levels, step = levels_between(y0, y1, steps=max(3, int(self.height / 50)))
+        write = (lambda v: f"{10.0**v:g}") if log else _decimals(step)
+        widest = 0
+        for value in levels:
+            y = self.top + float(self.place([(x0, value)])[0, 1])
+            label = write(float(value))
+            widest = max(widest, len(label))
+            canvas.line([(self.left - 4, y), (self.left, y)], colour=SOFT, width=0.8)
+            canvas.text(self.left - 7, y + 4, label, size=SMALL, anchor="end")
+        canvas.text(self.left + self.width / 2, bottom + 36, x_label, anchor="middle")
+        canvas.text(self.left - 18 - 6.4 * widest, self.top + self.height / 2, y_label, anchor="middle", upwards=True)
+
+
+def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Field:
+    """Bring a map to the resolution of axes that are ``width`` pixels wide, by area-weighted means.
 
     Parameters
     ----------
@@ -154,11 +318,11 @@ def field(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Field
     rows, cols : arrays
         Coordinates of the pixel centres in um.
     width : float
-        Inches.
+        CSS pixels.
     """
     data = np.asarray(values, dtype=np.float64)
     steps = (pitch(rows), pitch(cols))
-    finest = max(data.shape[1] * steps[1] / (width * DPI), 1e-12)
+    finest = max(data.shape[1] * steps[1] / (width * _DENSITY), 1e-12)
     factor = (max(1.0, finest / steps[0]), max(1.0, finest / steps[1]))
     if max(factor) > 1:
         data = area_mean(data, factor)
@@ -172,78 +336,10 @@ def pitch(coordinates: Array) -> float:
     return float(coordinates[-1] - coordinates[0]) / (len(coordinates) - 1) if len(coordinates) > 1 else 1.0
 
 
-def show(axes: Axes, shown: Field, *, norm: Normalize, cmap: str) -> None:
-    """Draw a field in true proportions; what is missing is neutral grey."""
-    axes.set_facecolor(MISSING)
-    axes.imshow(
-        np.ma.masked_invalid(shown.values), extent=shown.extent, norm=norm, cmap=cmap, interpolation="nearest",
-        aspect="auto", origin="upper",
-    )  # fmt: skip
-    frame(axes)
-
-
-def frame(axes: Axes) -> None:
-    """Leave a thin frame without ticks: the scale bar says how large things are."""
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for spine in axes.spines.values():
-        spine.set_color(FAINT)
-
-
-def fit_box(shown: Field, width: float, height: float) -> tuple[float, float]:
-    """Return the largest width and height in inches that keep a field's proportions."""
-    ratio = shown.height / shown.width
-    return (width, width * ratio) if width * ratio <= height else (height / ratio, height)
-
-
-def scale_bar(
-    canvas: Canvas, left: float, top: float, *, inches: float, um: float, most: float = 0.3,
-    colour: str = INK, label: str = "{}",
-) -> None:  # fmt: skip
-    """Draw a round length below axes that show ``um`` on so many inches."""
-    bar = round_below(most * um)
-    across = bar / um * inches
-    line = canvas.axes(left, top, inches, 0.24, facecolor="none")
-    line.set_axis_off()
-    line.set_xlim(0, inches)
-    line.set_ylim(0, 1)
-    line.plot([0, across], [0.62, 0.62], color=colour, lw=2.2, solid_capstyle="butt")
-    line.text(across + 0.07, 0.58, label.format(plain(bar)), va="center", ha="left", fontsize=8)
-
-
 def round_below(value: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten that is not above ``value``."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(k for k in (1, 2, 5) if k * power <= value * (1 + 1e-9)))
-
-
-def half_page(
-    shown: Field, *, norm: Normalize, cmap: str, label: str, width: float = HALF
-) -> tuple[Canvas, Axes]:  # fmt: skip
-    """Half a page, or as wide as told: a map, its colour bar to the right unless there is no label, its scale bar."""
-    box = fit_box(shown, width - BESIDE, HIGHEST if width <= HALF else 6.4)
-    canvas = Canvas(width, panel_height(box, label) + TOP + 0.31)
-    return canvas, panel(canvas, 0.0, 0.0, shown, box, norm=norm, cmap=cmap, label=label)
-
-
-def panel_height(box: tuple[float, float], label: str) -> float:
-    """Return the height in inches of a panel without its scale bar: a colour bar needs room for its numbers."""
-    return max(box[1], LOWEST_BAR if label else 0.0)
-
-
-def panel(
-    canvas: Canvas, left: float, top: float, shown: Field, box: tuple[float, float], *, norm: Normalize, cmap: str,
-    label: str,
-) -> Axes:  # fmt: skip
-    """Put a map with its colour bar and its scale bar somewhere on a canvas."""
-    high = panel_height(box, label)
-    axes = canvas.axes(left + 0.02, top + TOP, *box)
-    show(axes, shown, norm=norm, cmap=cmap)
-    scale_bar(canvas, left + 0.02, top + TOP + box[1] + 0.03, inches=box[0], um=shown.width)
-    if label:
-        colour_bar(canvas.axes(left + box[0] + 0.12, top + TOP, 0.12, high), norm=norm, cmap=cmap)
-        canvas.text(left + box[0] + BESIDE, top + TOP + high / 2, label, rotation=90, va="center", ha="right")
-    return axes
 
 
 def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float]:
@@ -251,59 +347,76 @@ def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float
     if not high - low > 1e-6 * max(abs(low), abs(high)):
         return np.empty(0), 0.0
     step = round_below((high - low) / steps)
-    return np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, step
+    return np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step, step
 
 
-def contours(axes: Axes, shown: Field, levels: Array, *, labels: bool = False) -> None:
-    """Draw contour lines of a field, with their values on request."""
-    rows, cols = shown.values.shape
-    left, right, bottom, top = shown.extent
-    x = left + (np.arange(cols) + 0.5) * (right - left) / cols
-    y = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
-    known = shown.values[np.isfinite(shown.values)]
-    if min(rows, cols) < 2 or known.size == 0:
-        return
-    levels = levels[(levels > known.min()) & (levels < known.max())]
-    if levels.size == 0:
-        return
-    lines = axes.contour(
-        x, y, np.ma.masked_invalid(shown.values), levels=levels, colors="white", linewidths=1.0 if labels else 0.5,
-        alpha=0.9 if labels else 0.7,
-    )  # fmt: skip
-    if labels:
-        for text in axes.clabel(lines, fmt="%g", fontsize=8, inline=True):
-            text.set_path_effects(halo(1.4, "#22292f"))
+def half_page(shown: Field, *, scale: Scale, label: str, width: float = HALF) -> tuple[Canvas, Axes]:
+    """Half a page, or as wide as given: a map, its colour bar to the right unless there is no label, its scale bar."""
+    box = shown.fit(width - BESIDE, _HIGHEST if width <= HALF else 640.0)
+    canvas = Canvas(width, panel_height(box, label) + _TOP + 31)
+    return canvas, canvas.panel(0.0, 0.0, shown, box, scale=scale, label=label)
 
 
-def limits(values: ArrayLike, *, percent: float = 1.0, symmetric: bool = False) -> Normalize:
-    """Return colour limits from percentiles, so that single pixels do not flatten the rest."""
-    data = np.asarray(values, dtype=np.float64)
-    data = data[np.isfinite(data)]
-    data = data[:: max(1, data.size // _ENOUGH)]
-    if data.size == 0:
-        return Normalize(0.0, 1.0)
-    if symmetric:
-        high = float(np.percentile(np.abs(data), 100 - percent))
-        return Normalize(-(high or 1.0), high or 1.0)
-    low, high = (float(v) for v in np.percentile(data, [percent, 100 - percent]))
-    if high - low <= 1e-9 * max(abs(low), abs(high), 1e-300):
-        return Normalize(low - 0.5, low + 0.5)
-    return Normalize(low, high)
+def panel_height(box: tuple[float, float], label: str) -> float:
+    """Return the height of a panel without its scale bar: a colour bar needs room for its numbers."""
+    return max(box[1], _LOWEST_BAR if label else 0.0)
 
 
-def colour_bar(axes: Axes, *, norm: Normalize, cmap: str, label: str = "", across: bool = False) -> None:
-    """Fill axes with a colour bar that tells which colours also stand for what lies beyond."""
-    bar = axes.figure.colorbar(
-        ScalarMappable(norm=norm, cmap=cmap), cax=axes, orientation="horizontal" if across else "vertical"
+def _decimals(step: float) -> Callable[[float], str]:
+    """Return a function that writes multiples of a step."""
+    places = max(0, -math.floor(math.log10(step) + 1e-9)) if step > 0 else 0
+    return lambda value: fixed(value, places)
+
+
+def _edge(centres: Array, k: Array) -> Array:
+    """Return where pixel ``k`` begins."""
+    return float(centres[0]) + (k - 0.5) * pitch(centres)
+
+
+def _n(value: float) -> str:
+    """Write a coordinate to a tenth of a pixel."""
+    return f"{round(float(value), 1) + 0.0:g}"
+
+
+def _path(points: Array) -> str:
+    """Return a line through points in pixels as path data; NaN interrupts it."""
+    tenths = np.rint(10 * points)
+    known = np.isfinite(tenths).all(axis=1)
+    out: list[str] = []
+    for run in np.split(np.arange(len(known)), np.flatnonzero(np.diff(known)) + 1):
+        if len(run) > 1 and known[run[0]]:
+            steps = np.diff(tenths[run], axis=0)
+            steps = steps[np.any(steps != 0, axis=1)]
+            x, y = tenths[run[0]] / 10
+            out.append(f"M{x:g} {y:g}l" + " ".join([f"{v:g}" for v in (steps / 10).ravel()]))
+    return "".join(out)
+
+
+def _stroke(
+    data: str, colour: str, width: float, *, dash: str = "", opacity: float = 1.0, cap: str = "butt"
+) -> str:  # fmt: skip
+    more = (f' stroke-dasharray="{dash}"' if dash else "") + (f' opacity="{opacity:g}"' if opacity < 1 else "")
+    return f'<path d="{data}" fill="none" stroke="{colour}" stroke-width="{_n(width)}" stroke-linecap="{cap}"{more}/>'
+
+
+def _text(
+    x: float, y: float, text: str, *, size: float, anchor: str = "start", bold: bool = False, colour: str = INK,
+    upwards: bool = False, halo: str = "",
+) -> str:  # fmt: skip
+    more = (' font-weight="600"' if bold else "") + (f' text-anchor="{anchor}"' if anchor != "start" else "")
+    if upwards:
+        more += f' transform="rotate(-90 {_n(x)} {_n(y)})"'
+    if halo:
+        more += f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"'
+    return f'<text x="{_n(x)}" y="{_n(y)}" font-size="{size:g}" fill="{colour}"{more}>{escape(text)}</text>'
+
+
+def _image(box: tuple[float, float, float, float], values: Array, scale: Scale, missing: str = MISSING) -> str:
+    left, top, width, height = (_n(v) for v in box)
+    coarse = ' style="image-rendering:pixelated"' if values.shape[1] < box[2] else ""
+    return (
+        f'<image x="{left}" y="{top}" width="{width}" height="{height}" preserveAspectRatio="none"{coarse} '
+        f'href="{image_uri(values, scale, missing=missing)}"/>'
     )
-    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
-    bar.set_label(label)
-    bar.ax.tick_params(length=2.5)
-    if across:
-        bar.locator = MaxNLocator(5)
-        bar.update_ticks()
 
 
-def halo(width: float = 2.2, colour: str = "white") -> list[patheffects.AbstractPathEffect]:
-    """Return an outline that keeps text and lines readable on any ground."""
-    return [patheffects.withStroke(linewidth=width, foreground=colour)]

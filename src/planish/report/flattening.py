@@ -1,18 +1,110 @@
-"""How good the flattening is: the solver's progress, and whether the surface can be a sheet of paper at all."""
+"""How the sheet was warped and what flattened it: height, displacement, strain, convergence, developability."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
-from matplotlib.colors import Normalize
-from matplotlib.ticker import NullLocator, StrMethodFormatter
 
-from planish.report.draw import ACCENT, BESIDE, HALF, INK, SOFT, Canvas, Picture, half_page, limits
-from planish.report.draw import pitch as spacing
-from planish.report.text import count, length
-from planish.report.warp import GEOMETRY, on_top
+from planish.report.colours import GEOMETRY, SIGNED, Array, limits
+from planish.report.draw import (
+    ACCENT, BESIDE, FAINT, FULL, HALF, INK, SOFT, Canvas, Field, Picture, half_page, levels_between, pitch, reduced,
+    round_below,
+)  # fmt: skip
+from planish.report.text import count, length, plain
+
+_ARROWS = 22  # across the longer side
+_POINTS = 600  # of a line of the convergence
+
+
+def draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> list[Picture]:
+    """Draw the centre surface's height, and by how much flattening moved every column against its projection.
+
+    Parameters
+    ----------
+    surfaces, flat : Dataset, dims (y, x), in um
+    """
+    up = 1.0 if surfaces.attrs["top_side"] == "high" else -1.0
+    height = up * surfaces["centre"].values
+    height = height - np.nanmedian(height)
+    heights, size = _from_top(height, surfaces, flat)
+    canvas, axes = half_page(heights, scale=limits(height, GEOMETRY, percent=0.1), label="height above the median / µm")
+    low, high = np.nanpercentile(height, [0.1, 99.9])
+    levels, step = levels_between(float(low), float(high), steps=6)
+    axes.contours(heights, levels)
+    every = f"Contour lines every {plain(step)}. " if levels.size else ""
+    warp = canvas.picture(
+        title="Warp: height of the centre surface",
+        caption=(
+            f"Seen from the top side. {every}n = {count(int(np.isfinite(height).sum()))} columns of {size}; mask: "
+            "columns with a sheet or a bridged hole, largest connected piece."
+        ),
+    )
+    return [warp, _displacement(flat)]
+
+
+def _displacement(flat: xr.Dataset) -> Picture:
+    y, x = flat["y"].values, flat["x"].values
+    du, dv = (flat[a].values - flat[b].values for a, b in (("u", "projected_u"), ("v", "projected_v")))
+    moved = np.hypot(du, dv)
+    shown, size = _from_top(moved, flat, flat)
+    canvas, axes = half_page(shown, scale=limits(moved, GEOMETRY, percent=0.1, low=0.0), label="displacement / µm")
+    stride = max(1, round(max(du.shape) / _ARROWS))
+    rows, cols = np.meshgrid(*(np.arange(stride // 2, n, stride) for n in du.shape), indexing="ij")
+    across = (x[0] + x[-1]) - x[cols] if flat.attrs.get("mirrored_view", 0) else x[cols]
+    longest = float(np.nanmax(moved)) if np.isfinite(moved).any() else 0.0
+    magnified = round_below(1.6 * stride * max(pitch(x), pitch(y)) / longest) if longest > 0 else 1.0
+    at = np.stack([across, y[rows]], axis=-1).reshape(-1, 2)
+    axes.arrows(
+        at, magnified * np.stack([du, dv], axis=-1)[rows, cols].reshape(-1, 2), colour="white", width=1.6, halo=INK
+    )
+    return canvas.picture(
+        title="Displacement by flattening",
+        caption=(
+            "From the place in the projection to the place in the flat sheet, seen from the top side. Arrows are "
+            f"magnified {magnified:g} times; the longest displacement is {length(longest)}. "
+            f"n = {count(int(np.isfinite(moved).sum()))} columns of {size}; mask: as for the warp, without folded cells."
+        ),
+    )
+
+
+def draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
+    """Draw what flattening did to each cell of the mesh: change of area, shear, and the largest stretch.
+
+    Parameters
+    ----------
+    strain : Dataset, dims (row, col)
+        ``area_ratio``, ``shear`` (rad), ``stretch_max``, ``stretch_min``; coordinates ``y``, ``x`` in um.
+    flat : Dataset
+        States whether the view is mirrored.
+    """
+    largest = np.maximum(np.abs(strain["stretch_max"].values - 1), np.abs(strain["stretch_min"].values - 1))
+    area = 100 * (strain["area_ratio"].values - 1)
+    shear = 100 * strain["shear"].values * (-1 if flat.attrs.get("mirrored_view", 0) else 1)
+    panels = (
+        ("Change of area", area, limits(area, SIGNED, symmetric=True)),
+        ("Shear", shear, limits(shear, SIGNED, symmetric=True)),
+        ("Largest strain, either sign", 100 * largest, limits(100 * largest, GEOMETRY, low=0.0)),
+    )
+    gap = 25.0
+    width = (FULL - 2 * gap) / 3
+    fields = [_from_top(values, strain, flat, width)[0] for _, values, _ in panels]
+    box = fields[0].fit(width, 450.0)
+    canvas = Canvas(FULL, box[1] + 90)
+    for k, ((name, _, scale), shown) in enumerate(zip(panels, fields, strict=True)):
+        left = k * (width + gap)
+        canvas.text(left + 1, 18, f"{name} / %", bold=True)
+        canvas.axes(left + 1, 26, *box, shown.extent).image(shown, scale)
+        canvas.colour_bar(left + 16, box[1] + 36, max(box[0] - 32, 190), 10, scale)
+    canvas.scale_bar(1, box[1] + 66, width=box[0], um=fields[0].width)
+    return canvas.picture(
+        title="Strain of the flattening",
+        caption=(
+            "Strain that remains in the plane: zero for a sheet that can be developed. Shear is the change of the "
+            f"angle between rows and columns (1 % = 0.01 rad). n = {count(int(np.isfinite(area).sum()))} cells of "
+            f"{length(pitch(strain['x'].values))}; unit %; mask: cells with all four corners on the sheet. Colours end "
+            "at the 99th percentile."
+        ),
+    )
 
 
 def draw_progress(strain: xr.Dataset) -> Picture:
@@ -24,35 +116,36 @@ def draw_progress(strain: xr.Dataset) -> Picture:
         ``step_nodes``, ``step_move`` (um) over ``step``.
     """
     nodes, move = strain["step_nodes"].values, strain["step_move"].values
-    canvas = Canvas(HALF, 2.9)
-    axes = canvas.axes(0.78, 0.15, HALF - 0.95, 2.15)
-    steps = np.arange(1, nodes.size + 1)
+    steps = np.arange(1.0, nodes.size + 1)
     finest = float(nodes.max()) if nodes.size else 0.0
     moved = move > 0
+    logs = np.log10(np.where(moved, move, 1.0))
+    low, high = (float(logs[moved].min()), float(logs[moved].max())) if moved.any() else (0.0, 1.0)
+    room = 0.05 * max(high - low, 1.0)
+    canvas = Canvas(HALF, 290)
+    axes = canvas.axes(78, 15, HALF - 95, 215, (0.5, max(nodes.size, 1) + 0.5, low - room, high + room))
     for size in np.unique(nodes):
-        here = (nodes == size) & moved
+        here = np.flatnonzero((nodes == size) & moved)
+        at = np.stack([steps[here], logs[here]], axis=1)[:: max(1, here.size // _POINTS)]
         colour = ACCENT if size == finest else SOFT
-        axes.semilogy(steps[here], move[here], "-", color=colour, lw=1.2)
+        axes.line(at, colour=colour, width=1.6)
         if nodes.size <= 200:
-            axes.semilogy(steps[here], move[here], "o", color=colour, ms=3.5)
-    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel("step")
-    axes.set_ylabel("mean move of a node / µm", color=INK)
-    axes.grid(axis="y", lw=0.4, color="#dfe3e6")
-    axes.spines[["top", "right"]].set_visible(False)
+            axes.dots(at, colour=colour, size=5)
+    for level in np.arange(np.ceil(low - room), np.floor(high + room) + 1):
+        axes.line([(axes.extent[0], level), (axes.extent[1], level)], colour=FAINT, width=0.5)
+    axes.ticks("step", "mean move of a node / µm", log=True)
     meshes = np.unique(nodes).size
-    coarse = f", grey on {meshes - 1} coarser meshes that it is solved on first" if meshes > 1 else ""
+    coarse = f", grey on {meshes - 1} coarser meshes that are solved first" if meshes > 1 else ""
     return canvas.picture(
         title="Convergence",
         caption=(
-            f"How far the nodes moved in each step (root mean square): coloured on the mesh of {count(int(finest))} "
+            f"Move of the nodes in each step (root mean square): coloured on the mesh of {count(int(finest))} "
             f"nodes{coarse}. n = {count(nodes.size)} steps; unit µm; no mask."
         ),
     )
 
 
-def draw_curvature(strain: xr.Dataset, flat: xr.Dataset, check: dict[str, Any]) -> Picture | None:
+def draw_curvature(strain: xr.Dataset, flat: xr.Dataset, *, patch_um: float, limit: float) -> Picture | None:
     """Draw the strain that a patch of paper around each place would need to be flat; None where nothing is known.
 
     Parameters
@@ -60,23 +153,28 @@ def draw_curvature(strain: xr.Dataset, flat: xr.Dataset, check: dict[str, Any]) 
     strain : Dataset, dims (row, col)
         ``needed_strain``; coordinates ``y``, ``x`` in um.
     flat : Dataset
-        Says whether the view is mirrored.
-    check : dict
-        ``patch_um``, ``limit`` and ``verdict`` of the check.
+        States whether the view is mirrored.
+    patch_um, limit : float
+        Radius of a patch, and the strain that paper carries.
     """
     values = 100 * strain["needed_strain"].values
     if not np.isfinite(values).any():
         return None
-    shown, bar = on_top(values, strain["y"].values, strain["x"].values, flat, HALF - BESIDE)
-    norm = Normalize(0.0, limits(values, percent=0.1).vmax)
-    canvas, _ = half_page(shown, norm=norm, cmap=GEOMETRY, label="strain needed / %")
+    shown, size = _from_top(values, strain, flat)
+    canvas, _ = half_page(shown, scale=limits(values, GEOMETRY, percent=0.1, low=0.0), label="strain needed / %")
     return canvas.picture(
-        kind="jpeg",
         title="Can it be paper?",
         caption=(
-            f"Strain with which a patch of {length(2 * check['patch_um'])} around each place would lie flat, from the "
-            f"Gaussian curvature; paper carries {100 * check['limit']:g} %. "
-            f"n = {count(int(np.isfinite(values).sum()))} cells of {length(spacing(strain['x'].values))}, {bar}; unit "
-            "%; mask: cells with at least half of the patch on the sheet."
+            f"Strain with which a patch of {length(2 * patch_um)} around each place would lie flat, from the Gaussian "
+            f"curvature; paper carries {100 * limit:g} %. n = {count(int(np.isfinite(values).sum()))} cells of {size}; "
+            "unit %; mask: cells with at least half of the patch on the sheet."
         ),
     )
+
+
+def _from_top(values: Array, grid: xr.Dataset, flat: xr.Dataset, width: float = HALF - BESIDE) -> tuple[Field, str]:
+    """Turn a map on the volume's grid to what is seen from the top side; with the size of its pixels."""
+    y, x = grid["y"].values, grid["x"].values
+    if flat.attrs.get("mirrored_view", 0):
+        values = values[:, ::-1]
+    return reduced(values, y, x, width=width), f"{plain(round(pitch(y), 4))} × {plain(round(pitch(x), 4))}"

@@ -1,51 +1,158 @@
-"""Marks on what they belong to: what the transformation leaves of them, and how far a place may be off."""
+"""Marks on what they belong to: residuals, expected error, and where the maps themselves lie against each other."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
+
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
+from numpy.typing import NDArray
 
+from planish.core.results import LagFacts
+from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
 from planish.report.draw import (
-    BESIDE,
-    FULL,
-    INK,
-    Array,
-    Canvas,
-    Field,
-    Picture,
-    contours,
-    field,
-    half_page,
-    halo,
-    levels_between,
-    limits,
-    pitch,
-    round_below,
-    scale_bar,
-)
-from planish.report.ground import Ground, draw_ground, keep_view, outline
-from planish.report.text import capital, count, length, plain
-from planish.report.warp import GEOMETRY
+    BESIDE, FULL, HALF, INK, Axes, Canvas, Field, Picture, half_page, levels_between, pitch, reduced, round_below,
+)  # fmt: skip
+from planish.report.text import capital, count, in_words, length, plain, title_of
 
-ARROW = "#ff5238"
-_EDGE = "#39c5ff"
-_MARK = "#ffb000"
-_AXIS = 0.78  # inches of the corner that shows an axis
+ARROW, EDGE = "#ff5238", "#39c5ff"
+_MARK, _SILENT = "#ffb000", "#7d8790"
+_AXIS = 78.0  # pixels of the corner that shows an axis
 _STEPS = 5  # lines between the smallest and the largest expected error
+_BLANK = 64  # pixels across a ground that shows nothing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ground:
+    """A picture to draw on.
+
+    Attributes
+    ----------
+    values : ndarray, shape (rows, cols)
+        Shown in grey; NaN is missing.
+    y, x : ndarray, in um
+        Coordinates of the pixel centres.
+    scale : Scale
+        The grey window.
+    edge : ndarray of bool, shape (rows, cols), or None
+        Where the other map lies; its border is drawn.
+    edge_of : str
+        What lies there, in words.
+    name : str
+        What it is, in words: "the image".
+    caption : str
+        What is shown, n, mask.
+    """
+
+    values: Array
+    y: Array
+    x: Array
+    scale: Scale
+    edge: NDArray[np.bool_] | None
+    edge_of: str
+    name: str
+    caption: str
+
+
+def image_ground(
+    image: xr.DataArray, *, valid: NDArray[np.bool_] | None, edge: NDArray[np.bool_] | None, edge_of: str
+) -> Ground:  # fmt: skip
+    """Return an image as ground.
+
+    Parameters
+    ----------
+    image : DataArray, dims (y, x)
+    valid : ndarray of bool, shape (rows, cols), or None
+        Pixels that set the grey window: holes and what lies beside the sheet may be black or white.
+    edge : ndarray of bool, shape (rows, cols), or None
+        Where the other layer lies.
+    edge_of : str
+        Name of the other layer.
+    """
+    values, x = image.values.astype(np.float64), image["x"].values
+    return Ground(
+        values=values,
+        y=image["y"].values,
+        x=x,
+        scale=limits(values[valid] if valid is not None and valid.any() else values, GREYS, percent=0.2),
+        edge=edge,
+        edge_of=edge_of,
+        name="the image",
+        caption=f"Grey values of {count(int(np.isfinite(values).sum()))} pixels of {plain(round(pitch(x), 4))}, no mask.",
+    )
+
+
+def map_ground(data: xr.DataArray, *, of: str, edge: NDArray[np.bool_], edge_of: str) -> Ground:
+    """Return a map as ground, in grey.
+
+    Parameters
+    ----------
+    data : DataArray, dims (y, x)
+    of : str
+        The layer that the map belongs to.
+    edge : ndarray of bool, shape (rows, cols)
+        Where the other layer lies.
+    edge_of : str
+        Name of the other layer.
+    """
+    ground = image_ground(data, valid=None, edge=edge, edge_of=edge_of)
+    known = count(int(np.isfinite(ground.values).sum()))
+    return replace(
+        ground,
+        name=f"the layer {of}",
+        caption=f"In grey, {in_words(title_of(data))} of {of}: {known} pixels of "
+        f"{plain(round(pitch(ground.x), 4))}; mask: where it is known.",
+    )
+
+
+def blank_ground(points: Array, *, of: str) -> Ground:
+    """Return an empty ground around points, for places in coordinates of which no map is at hand.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 2)
+        ``(x, y)`` in um.
+    of : str
+        The layer that the coordinates belong to.
+    """
+    known = points[np.isfinite(points).all(axis=1)]
+    low, high = (known.min(axis=0), known.max(axis=0)) if known.size else (np.zeros(2), np.ones(2))
+    room = 0.2 * max(float((high - low).max()), 1.0)
+    x, y = (np.linspace(low[k] - room, high[k] + room, _BLANK) for k in (0, 1))
+    return Ground(
+        values=np.full((_BLANK, _BLANK), np.nan),
+        y=y,
+        x=x,
+        scale=Scale(0.0, 1.0, GREYS),
+        edge=None,
+        edge_of="",
+        name=f"the layer {of}",
+        caption=f"Places are in the coordinates of {of}, which is not resampled to this grid; no map is shown, no mask.",
+    )
+
+
+def draw_ground(ground: Ground, *, width: float) -> tuple[Canvas, Axes, Field]:
+    """Draw a ground with its scale bar; below it is room for another one beside it."""
+    shown = reduced(ground.values, ground.y, ground.x, width=width)
+    box = shown.fit(width - 2, 760.0 if width == FULL else 480.0)
+    canvas = Canvas(width, box[1] + 34)
+    axes = canvas.axes((width - box[0]) / 2, 2, *box, shown.extent)
+    axes.image(shown, ground.scale)
+    canvas.scale_bar(axes.left, box[1] + 4, width=box[0], um=shown.width, most=0.2)
+    return canvas, axes, shown
+
+
+def _second_bar(canvas: Canvas, axes: Axes, um: float, *, label: str, most: float) -> None:
+    """Draw the scale bar of the arrows beside that of the ground."""
+    left, top = axes.left + 0.45 * axes.width, axes.height + 4
+    canvas.scale_bar(left, top, width=axes.width, um=um, most=most, colour=ARROW, label=label)
 
 
 def draw_registration(
-    ground: Ground,
-    marks: xr.Dataset,
-    *,
-    hole_um: float,
-    title: str = "Marks and their residuals",
-    source: str = "the volume",
-    axis: tuple[float, str] | None = None,
-    width: float = FULL,
-) -> Picture:
+    ground: Ground, marks: xr.Dataset, *, hole_um: float, title: str = "Marks and their residuals",
+    source: str = "the volume", axis: tuple[float, str] | None = None, width: float = FULL,
+) -> Picture:  # fmt: skip
     """Draw a ground with its marks, numbered, and the residual of each as an arrow.
 
     Parameters
@@ -62,56 +169,42 @@ def draw_registration(
     axis : (float, str) or None
         Angle of the machine direction in degrees from x, clockwise on screen, and where it is known from.
     width : float
-        Inches.
+        CSS pixels.
     """
-    canvas, axes, shown, box = draw_ground(ground, width=width)
+    canvas, axes, shown = draw_ground(ground, width=width)
     if ground.edge is not None:
-        outline(axes, ground.edge, ground.y, ground.x, colour=_EDGE, width=1.2)
-    fixed = points(marks, "fixed")
-    rx, ry = points(marks, "residual").T
-    lengths = np.hypot(rx, ry)
+        axes.outline(ground.edge, ground.y, ground.x, colour=EDGE, width=1.6)
+    fixed, residual = points(marks, "fixed"), points(marks, "residual")
+    lengths = np.hypot(*residual.T)
     longest = float(lengths[np.isfinite(lengths)].max(initial=0.0))
     magnified = round_below(0.09 * shown.width / longest) if longest > 1e-9 else 1.0
-    draw_marks(axes, fixed, hole_um=hole_um, size=10 if width == FULL else 8)
+    draw_marks(axes, fixed, hole_um=hole_um, size=14 if width == FULL else 11)
     # A residual is the mark in the image minus the mark that was carried over: the arrow shows where that one falls.
-    axes.quiver(
-        *fixed.T, -magnified * rx, -magnified * ry, angles="xy", scale_units="xy", scale=1.0, color=ARROW,
-        width=0.0032 if width == FULL else 0.005, headwidth=4, headlength=4.5, headaxislength=4,
-        path_effects=halo(2.0), zorder=5,
-    )  # fmt: skip
-    keep_view(axes, shown)
+    axes.arrows(fixed, -magnified * residual, colour=ARROW, width=3.0 if width == FULL else 2.2)
     if longest > 1e-9:
-        scale_bar(
-            canvas, box[0] + 0.45 * box[1], box[2] + 0.06, inches=box[1], um=shown.width / magnified,
-            most=0.12, colour=ARROW, label="{} of residual",
-        )  # fmt: skip
+        _second_bar(canvas, axes, shown.width / magnified, label="{} of residual", most=0.12)
     words = ""
     if axis is not None:
-        _draw_axis(canvas, box, axis[0], fixed, shown)
-        words = f"MD: axis of the machine direction, {axis[0] % 180:.0f}° from x clockwise ({axis[1]}). "
+        _draw_axis(canvas, axes, axis[0], fixed)
+        words = f"MD: machine direction, {axis[0] % 180:.0f}° from x clockwise ({axis[1]}). "
     edge = f"Blue: edge of {ground.edge_of}. " if ground.edge is not None else ""
     return canvas.picture(
-        kind="jpeg",
         title=title,
         caption=(
-            f"{capital(ground.name)} with n = {len(fixed)} marks (orange, drawn with a diameter of "
-            f"{plain(hole_um)}). Red arrows point from each mark to where the transformation puts its partner in "
-            f"{source}, drawn {plain_factor(magnified)} times as long as they are; the longest is {length(longest)}. "
-            f"{edge}{words}{ground.told}"
+            f"{capital(ground.name)} with n = {len(fixed)} marks (orange circles of {plain(hole_um)}). Red arrows "
+            f"point from each mark to its transformed partner in {source}, magnified {plain_factor(magnified)} times; "
+            f"the longest is {length(longest)}. {edge}{words}{ground.caption}"
         ),
     )
 
 
 def draw_marks(axes: Axes, fixed: Array, *, hole_um: float, size: float) -> None:
     """Draw marks as circles with their numbers."""
-    turn = np.linspace(0, 2 * np.pi, 73)
     for k, (x, y) in enumerate(fixed):
-        axes.plot(x + hole_um / 2 * np.cos(turn), y + hole_um / 2 * np.sin(turn), color=_MARK, lw=1.4)
-        axes.plot([x], [y], marker="+", ms=0.6 * size, mew=1.0, color=_MARK)
-        axes.annotate(
-            str(k + 1), (x - 0.42 * hole_um, y - 0.42 * hole_um), xytext=(-2, 2), textcoords="offset points",
-            ha="right", va="bottom", fontsize=size, fontweight="bold", color=_MARK, path_effects=halo(2.4, "#22292f"),
-        )  # fmt: skip
+        axes.circle((x, y), hole_um, colour=_MARK)
+        axes.text((x, y), "+", shift=(0, 0.32 * size), size=size, anchor="middle", colour=_MARK)
+        corner = x - 0.42 * hole_um, y - 0.42 * hole_um
+        axes.text(corner, str(k + 1), shift=(-2, -2), size=size, anchor="end", colour=_MARK, halo=INK, bold=True)
 
 
 def plain_factor(value: float) -> str:
@@ -123,7 +216,7 @@ def draw_expected_error(
     error: xr.DataArray, marks: xr.Dataset | None, *, hole_um: float, width: float, of: str = "the image",
     shown: str = "the scanned sheet",
 ) -> Picture | None:  # fmt: skip
-    """Draw how far each place may be off, with contour lines and the marks; None where nothing is known.
+    """Draw the expected error of each place, with contour lines and the marks; None where nothing is known.
 
     Parameters
     ----------
@@ -134,7 +227,7 @@ def draw_expected_error(
     hole_um : float
         Diameter at which marks are drawn.
     width : float
-        Inches.
+        CSS pixels.
     of : str
         Whose pixels they are, in words.
     shown : str
@@ -144,30 +237,88 @@ def draw_expected_error(
     known = error.values[np.isfinite(error.values)].astype(np.float64)
     if known.size == 0:
         return None
-    drawn = field(error.values, y, x, width=width - BESIDE)
-    norm = limits(known, percent=0.1)
-    even = not known.max() - known.min() > 0.02 * abs(float(known.mean()))
-    if even:  # colours would tell differences that nobody can use
-        norm = Normalize(0.0, 2 * float(known.mean()) or 1.0)
-    canvas, axes = half_page(drawn, norm=norm, cmap=GEOMETRY, label="expected error / µm", width=width)
-    levels, step = (np.empty(0), 0.0) if even else levels_between(float(known.min()), float(known.max()), steps=_STEPS)
-    contours(axes, drawn, levels, labels=True)
+    least, mean, most = float(known.min()), float(known.mean()), float(known.max())
+    even = not most - least > 0.02 * abs(mean)  # colours would show differences that nobody can use
+    scale = Scale(0.0, 2 * mean or 1.0, GEOMETRY) if even else limits(known, GEOMETRY, percent=0.1)
+    drawn = reduced(error.values, y, x, width=width - BESIDE)
+    canvas, axes = half_page(drawn, scale=scale, label="expected error / µm", width=width)
+    levels, step = (np.empty(0), 0.0) if even else levels_between(least, most, steps=_STEPS)
+    axes.contours(drawn, levels, labels=True)
     if marks is not None:
-        draw_marks(axes, points(marks, "fixed"), hole_um=hole_um, size=10 if width == FULL else 8)
-    keep_view(axes, drawn)
+        draw_marks(axes, points(marks, "fixed"), hole_um=hole_um, size=14 if width == FULL else 11)
     lines = f"Contour lines every {length(step, 1)}. " if levels.size else ""
     numbered = "Orange: the marks, numbered as in the figure of their residuals. " if marks is not None else ""
     return canvas.picture(
-        kind="jpeg",
-        title="Expected error of a place",
+        title="Expected error",
         caption=(
-            f"How far what is shown at a place of {of} may lie from what belongs there (rms, by the scatter of the "
-            f"marks): {length(float(known.min()), 2)} to {length(float(known.max()), 2)}, median "
-            f"{length(float(np.median(known)), 2)}. {lines}{numbered}It grows away from the marks, and an error that "
-            f"all marks share is not in it. n = {count(known.size)} pixels of {plain(round(pitch(x), 4))}; unit µm; "
-            f"mask: where {shown} is shown."
+            f"Expected error of the position in {of} (rms, from the scatter of the marks): {length(least, 2)} to "
+            f"{length(most, 2)}, median {length(float(np.median(known)), 2)}. {lines}{numbered}It grows away from the "
+            f"marks; an error that all marks share is not included. n = {count(known.size)} pixels of "
+            f"{plain(round(pitch(x), 4))}; unit µm; mask: where {shown} is shown."
         ),
     )
+
+
+def draw_lags(lag: LagFacts | None, ground: Ground, *, first: str, second: str, width: float) -> Picture | None:
+    """Draw the lags of the tiles that have a distinct one; None where there are no such tiles.
+
+    Parameters
+    ----------
+    lag : LagFacts or None
+        Lag of map b against map a.
+    ground : Ground
+        Map b, or what else is on its grid.
+    first, second : str
+        What maps a and b show, in words.
+    width : float
+        CSS pixels.
+    """
+    if lag is None:
+        return None
+    at, lags, silent = lag_places(lag, ground)
+    if not len(at):
+        return None
+    longest = float(np.hypot(*lags.T).max())
+    canvas, axes, shown = draw_ground(ground, width=width)
+    magnified = round_below(0.11 * shown.width / longest) if longest > 1e-9 else 1.0
+    axes.dots(silent, size=4, colour=_SILENT, halo="white")
+    axes.dots(at, size=4, colour=ARROW, halo="white")
+    axes.arrows(at, magnified * lags, colour=ARROW, width=2.2)
+    if longest > 1e-9:
+        _second_bar(canvas, axes, shown.width / magnified, label="{} of lag", most=0.16)
+    doubt = " The check as a whole is inconclusive: read the arrows with caution." if lag.silence else ""
+    side = f" of {plain(lag.tile_um)}" if lag.tile_um else ""
+    return canvas.picture(
+        title="Image-based check, tile by tile",
+        caption=(
+            f"Arrows point from where the registration puts a piece of {first} to where {second} shows it, magnified "
+            f"{plain_factor(magnified)} times; the longest is {length(longest, 2)}. Parallel arrows are a shift; "
+            "arrows that turn or diverge are a rotation or a stretch; disordered arrows are chance. "
+            f"n = {count(len(at))} of {count(len(at) + len(silent))} overlapping tiles{side} with a distinct lag, grey "
+            f"dots the others.{doubt} {ground.caption}"
+        ),
+    )
+
+
+def lag_places(lag: LagFacts, ground: Ground) -> tuple[Array, Array, Array]:
+    """Return where tiles with a distinct lag lie on a ground, their lags, and where the others lie.
+
+    Returns
+    -------
+    ndarray, shape (n, 2); ndarray, shape (n, 2); ndarray, shape (m, 2)
+        ``(x, y)`` in um.
+
+    Notes
+    -----
+    Tiles count from the middle of the first pixel that was compared, which may be the mean of several.
+    """
+    y0, x0 = (
+        float(c[0]) + (p - pitch(c)) / 2 for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True)
+    )
+    found = [(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles if t.distinct and t.lag_um is not None]
+    others = [(t.x + x0, t.y + y0) for t in lag.tiles if not t.distinct or t.lag_um is None]
+    distinct = np.array(found, dtype=np.float64).reshape(-1, 4)
+    return distinct[:, :2], distinct[:, 2:], np.array(others, dtype=np.float64).reshape(-1, 2)
 
 
 def points(marks: xr.Dataset, name: str) -> Array:
@@ -175,23 +326,18 @@ def points(marks: xr.Dataset, name: str) -> Array:
     return np.stack([marks[f"{name}_{axis}"].values.astype(np.float64) for axis in ("x", "y")], axis=1)
 
 
-def _draw_axis(canvas: Canvas, box: tuple[float, float, float], degrees: float, fixed: Array, shown: Field) -> None:
+def _draw_axis(canvas: Canvas, axes: Axes, degrees: float, fixed: Array) -> None:
     """Draw an axis with a head at both ends in the corner that is farthest from all marks."""
-    x0, x1, y1, y0 = shown.extent
-    corners = np.array([(x0, y0), (x1, y0), (x0, y1), (x1, y1)])
-    known = fixed[np.isfinite(fixed).all(axis=1)]
+    corners = np.array([(0, 0), (axes.width, 0), (0, axes.height), (axes.width, axes.height)])
+    known = axes.place(fixed[np.isfinite(fixed).all(axis=1)])
     apart = np.hypot(*(corners[:, None] - known[None]).transpose(2, 0, 1)).min(axis=1) if known.size else np.zeros(4)
-    k = int(np.argmax(apart))
-    left = box[0] + (0.08 if k % 2 == 0 else box[1] - _AXIS - 0.08)
-    top = 0.02 + (0.08 if k < 2 else box[2] - _AXIS - 0.08)
-    corner = canvas.axes(left, top, _AXIS, _AXIS, facecolor=(1, 1, 1, 0.86))
-    corner.set(xlim=(-1, 1), ylim=(1, -1), xticks=[], yticks=[])
-    for spine in corner.spines.values():
-        spine.set_visible(False)
-    turn = np.deg2rad(degrees)
-    along, beside = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
-    corner.annotate(
-        "", xy=tuple(0.92 * along - 0.22 * beside), xytext=tuple(-0.92 * along - 0.22 * beside),
-        arrowprops={"arrowstyle": "<|-|>", "color": INK, "lw": 1.5, "shrinkA": 0, "shrinkB": 0},
-    )  # fmt: skip
-    corner.text(0.36 * beside[0], 0.36 * beside[1], "MD", ha="center", va="center", fontsize=9, fontweight="bold")
+    x, y = corners[int(np.argmax(apart))]
+    left = axes.left + (8 if x == 0 else axes.width - _AXIS - 8)
+    top = axes.top + (8 if y == 0 else axes.height - _AXIS - 8)
+    canvas.box(left, top, _AXIS, _AXIS, fill="rgba(255,255,255,0.86)")
+    corner = canvas.axes(left, top, _AXIS, _AXIS, (-1, 1, 1, -1))
+    along = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
+    side = np.array([-along[1], along[0]])
+    for way in (1.0, -1.0):
+        corner.arrows([-0.22 * side], [0.92 * way * along], colour=INK, width=2.0, halo="")
+    corner.text((0.36 * side[0], 0.36 * side[1]), "MD", shift=(0, 4), anchor="middle", bold=True)

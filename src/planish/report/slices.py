@@ -6,39 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
-from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from planish.report.draw import (
-    FULL,
-    SOFT,
-    Array,
-    Canvas,
-    Field,
-    Picture,
-    field,
-    frame,
-    halo,
-    limits,
-    pitch,
-    scale_bar,
-    show,
-)
+from planish.report.colours import GREYS, Array, Scale, limits
+from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Field, Picture, pitch, reduced
 from planish.report.text import count, length, number, plain
 
-# Colours that are told apart without red and green, and stand out from grey.
+# Colours that do not need red and green to be distinguished, and stand out from grey.
 LINES = (
-    ("top", "top face", "#ffb000", "-"),
-    ("interface_top", "coating–base, top side", "#39c5ff", "-"),
-    ("centre", "centre surface", "#ffffff", (0, (5, 3))),
-    ("interface_bottom", "coating–base, bottom side", "#4f8bff", "-"),
-    ("bottom", "bottom face", "#ff5fa2", "-"),
+    ("top", "top face", "#ffb000", ""),
+    ("interface_top", "coating–base, top side", "#39c5ff", ""),
+    ("centre", "centre surface", "#ffffff", "7 4"),
+    ("interface_bottom", "coating–base, bottom side", "#4f8bff", ""),
+    ("bottom", "bottom face", "#ff5fa2", ""),
 )
+_MARKED = "#ff3b30"
 _WINDOW_UM = 400.0
 _FLATTEST = 9.0  # width over height of the longest stretch that is still drawn whole
+_POINTS = 1400  # of a line
+
+Window = tuple[float, float, float, float]  # left, right, lowest and highest um
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +39,8 @@ class Slice:
     used: NDArray[np.bool_]  # columns that were measured
     at: float
 
-    def window(self, left: float, right: float, margin: float) -> tuple[float, float, float, float]:
-        """Left, right, lowest and highest um of the part between two places that holds the sheet."""
+    def window(self, left: float, right: float, margin: float) -> Window:
+        """Return the part between two places that holds the sheet."""
         inside = (self.x >= left) & (self.x <= right)
         found = np.concatenate([v[inside] for v in self.lines.values()])
         found = found[np.isfinite(found)]
@@ -62,20 +49,20 @@ class Slice:
             low, high = max(low, float(found.min()) - margin), min(high, float(found.max()) + margin)
         return left, right, low, high
 
-    def cut(self, window: tuple[float, float, float, float], width: float) -> Field:
-        """Grey values of a window, for axes so many inches wide."""
+    def cut(self, window: Window, width: float) -> Field:
+        """Return the grey values of a window, for axes so many pixels wide."""
         left, right, low, high = window
         cols = (self.x >= left - 1e-6) & (self.x <= right + 1e-6)
         rows = (self.heights >= low - 1e-6) & (self.heights <= high + 1e-6)
         # The first row of a picture is its upper one: heights run down, so that they are turned here.
         grey, heights = self.grey[np.ix_(rows, cols)][::-1], self.heights[rows]
-        shown = field(grey, heights, self.x[cols], width=width)
+        shown = reduced(grey, heights, self.x[cols], width=width)
         top = float(heights[-1]) + pitch(heights) / 2
         return Field(shown.values, (shown.extent[0], shown.extent[1], top - shown.height, top))
 
 
 def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
-    """Draw every slice in true proportions, and a stretch of each in which the layers are seen.
+    """Draw every slice in true proportions, and a magnified stretch of each that shows the layers.
 
     Parameters
     ----------
@@ -85,38 +72,29 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
     """
     cuts = [take_slice(slices, surfaces, k) for k in range(slices.sizes["slice"])]
     thickness = float(np.nanmedian(surfaces["top"].values - surfaces["bottom"].values))
-    norm = limits(np.concatenate([c.grey.ravel()[:: max(1, c.grey.size // 200_000)] for c in cuts]), percent=0.3)
+    greys = np.concatenate([c.grey.ravel()[:: max(1, c.grey.size // 200_000)] for c in cuts])
+    scale = limits(greys, GREYS, percent=0.3)
     margin = 0.8 * abs(thickness)
     spans = [_span(cut, margin) for cut in cuts]
     centres = [_clear_place(cut, span) for cut, span in zip(cuts, spans, strict=True)]
     windows = _windows(cuts, centres, 0.35 * margin)
     rows, through = str(surfaces.attrs["row_axis"]), str(surfaces.attrs["through"])
-    scale = min(FULL / max(s[1] - s[0] for s in spans), 4.5 / max(s[3] - s[2] for s in spans))
-    heights = [(s[3] - s[2]) * scale for s in spans]
-    canvas = Canvas(FULL, sum(heights) + 0.32 * len(cuts) + 0.3)
+    zoom = min((FULL - 2) / max(s[1] - s[0] for s in spans), 450 / max(s[3] - s[2] for s in spans))
+    heights = [(s[3] - s[2]) * zoom for s in spans]
+    canvas = Canvas(FULL, sum(heights) + 32 * len(cuts) + 30)
     top = 0.0
-    for k, (cut, span, high) in enumerate(zip(cuts, spans, heights, strict=True)):
-        canvas.text(0, top + 0.18, f"Slice {_letter(k)}", fontweight="bold", va="baseline")
-        canvas.text(0.62, top + 0.18, f"{rows} = {plain(cut.at)}", color=SOFT, va="baseline")
-        axes = canvas.axes(0, top + 0.26, (span[1] - span[0]) * scale, high)
-        show(axes, cut.cut(span, (span[1] - span[0]) * scale), norm=norm, cmap="gray")
-        _lines(axes, cut, span, 0.8)
-        left, right, low, up = windows[k]
-        axes.add_patch(Rectangle((left, low), right - left, up - low, fill=False, ec="#ff3b30", lw=1.0))
-        axes.text(
-            left, up, f" {_letter(k)}", color="#ff3b30", fontsize=8, fontweight="bold", va="bottom",
-            path_effects=halo(1.6, "black"), clip_on=True,
-        )  # fmt: skip
-        top += high + 0.32
-    scale_bar(canvas, 0, top - 0.02, inches=FULL, um=FULL / scale)
+    for k, (cut, span, high, window) in enumerate(zip(cuts, spans, heights, windows, strict=True)):
+        canvas.text(1, top + 18, f"Slice {_letter(k)}", bold=True)
+        canvas.text(62, top + 18, f"{rows} = {plain(cut.at)}", colour=SOFT)
+        axes = _draw(canvas, cut, span, (1, top + 26), zoom, scale, 1.1)
+        left, right, low, up = window
+        axes.line([(left, low), (left, up), (right, up), (right, low), (left, low)], colour=_MARKED, width=1.4)
+        axes.text((left, up), _letter(k), shift=(3, -4), size=SMALL, colour=_MARKED, halo="black", bold=True)
+        top += high + 32
+    canvas.scale_bar(1, top - 2, width=FULL, um=FULL / zoom)
     whole = all(s[1] - s[0] >= float(c.x[-1] - c.x[0]) - 1e-6 for s, c in zip(spans, cuts, strict=True))
-    part = (
-        ""
-        if whole
-        else f" Only a stretch of {length(spans[0][1] - spans[0][0])} is drawn, so that the sheet can be seen."
-    )
+    part = "" if whole else f" Only a stretch of {length(spans[0][1] - spans[0][0])} is drawn, so that the sheet shows."
     overview = canvas.picture(
-        kind="jpeg",
         title="Slices with the surfaces found",
         caption=(
             f"{len(cuts)} slices across {rows}; {through} runs through the sheet, the top side is up. Heights and "
@@ -125,56 +103,68 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
             "was found."
         ),
     )
-    return [overview, _details(cuts, windows, norm)]
+    return [overview, _details(cuts, windows, scale)]
 
 
-def _windows(cuts: list[Slice], centres: list[float], margin: float) -> list[tuple[float, float, float, float]]:
+def _draw(
+    canvas: Canvas, cut: Slice, window: Window, at: tuple[float, float], zoom: float, scale: Scale, width: float
+) -> Axes:
+    """Draw a window of a slice with its surfaces."""
+    size = (window[1] - window[0]) * zoom, (window[3] - window[2]) * zoom
+    axes = canvas.axes(*at, *size, window)
+    axes.image(cut.cut(window, size[0]), scale)
+    every = slice(None, None, max(1, cut.x.size // _POINTS))
+    for name, _, colour, dash in LINES:
+        line = np.stack([cut.x, cut.lines[name]], axis=1)
+        if name == "centre":
+            axes.line(line[every], colour=colour, width=0.8 * width, dash=dash)
+            continue
+        axes.line(line[every], colour=colour, width=0.7 * width, opacity=0.4)
+        line[~cut.used] = np.nan
+        axes.line(line[every], colour=colour, width=width)
+    return axes
+
+
+def _details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
+    """Draw the marked windows side by side, with the key to the lines."""
+    gap = 22.0
+    width = (FULL - gap * (len(cuts) - 1)) / len(cuts) if len(cuts) > 1 else 0.6 * FULL
+    across = max(w[1] - w[0] for w in windows)
+    zoom = min((width - 2) / across, 450 / max(w[3] - w[2] for w in windows))
+    high = max((w[3] - w[2]) * zoom for w in windows)
+    canvas = Canvas(FULL, high + 92)
+    for k, (cut, window) in enumerate(zip(cuts, windows, strict=True)):
+        left = k * (width + gap) + 1
+        canvas.text(left, 18, f"Detail of slice {_letter(k)}", bold=True)
+        _draw(canvas, cut, window, (left, 26), zoom, scale, 2.0)
+    canvas.scale_bar(1, 28 + high, width=width, um=width / zoom)
+    drawn = [line for line in LINES if any(np.isfinite(cut.lines[line[0]]).any() for cut in cuts)]
+    canvas.box(0, high + 60, FULL, 28, fill="#2a2d30")
+    for k, (_, name, colour, dash) in enumerate(drawn):
+        left = 14 + k * 205.0
+        canvas.line([(left, high + 74), (left + 28, high + 74)], colour=colour, width=2.6, dash=dash)
+        canvas.text(left + 36, high + 78, name, colour="white")
+    sampling = f"{plain(pitch(cuts[0].x))} × {plain(pitch(cuts[0].heights))}"
+    return canvas.picture(
+        title="The layers, close up",
+        caption=(
+            f"The red windows, each {length(across)} wide; voxels of {sampling} as they are, lines in µm at sub-voxel "
+            f"heights. n = {number(across / pitch(cuts[0].x), 3)} columns in each window; mask as above."
+        ),
+    )
+
+
+def _windows(cuts: list[Slice], centres: list[float], margin: float) -> list[Window]:
     """Return the windows around the given places: as high as the highest, so that they can stand side by side."""
     half = _WINDOW_UM / 2
     found = [cut.window(c - half, c + half, margin) for cut, c in zip(cuts, centres, strict=True)]
     tall = max(high - low for _, _, low, high in found)
-    out: list[tuple[float, float, float, float]] = []
+    out: list[Window] = []
     for cut, (left, right, low, high) in zip(cuts, found, strict=True):
         floor, ceiling = float(cut.heights[0]), float(cut.heights[-1])
         bottom = min(max((low + high - tall) / 2, floor), max(ceiling - tall, floor))
         out.append((max(left, float(cut.x[0])), min(right, float(cut.x[-1])), bottom, min(bottom + tall, ceiling)))
     return out
-
-
-def _details(cuts: list[Slice], windows: list[tuple[float, float, float, float]], norm: Normalize) -> Picture:
-    """Draw the marked windows side by side, with the key to the lines."""
-    gap = 0.22
-    width = (FULL - gap * (len(cuts) - 1)) / len(cuts) if len(cuts) > 1 else 0.6 * FULL
-    across = max(w[1] - w[0] for w in windows)
-    scale = min(width / across, 4.5 / max(w[3] - w[2] for w in windows))
-    high = max((w[3] - w[2]) * scale for w in windows)
-    canvas = Canvas(FULL, high + 0.9)
-    for k, (cut, window) in enumerate(zip(cuts, windows, strict=True)):
-        left = k * (width + gap)
-        canvas.text(left, 0.18, f"Detail of slice {_letter(k)}", fontweight="bold", va="baseline")
-        box = ((window[1] - window[0]) * scale, (window[3] - window[2]) * scale)
-        axes = canvas.axes(left, 0.26, *box)
-        show(axes, cut.cut(window, box[0]), norm=norm, cmap="gray")
-        _lines(axes, cut, window, 1.5)
-    scale_bar(canvas, 0, 0.28 + high, inches=width, um=width / scale)
-    drawn = [line for line in LINES if any(np.isfinite(cut.lines[line[0]]).any() for cut in cuts)]
-    handles = [Line2D([], [], color=colour, ls=dash, lw=2.2) for _, _, colour, dash in drawn]
-    key = canvas.axes(0, high + 0.6, FULL, 0.28, facecolor="#2a2d30")
-    frame(key)
-    key.legend(
-        handles, [name for _, name, _, _ in drawn], loc="center left", ncols=len(drawn), frameon=False,
-        bbox_to_anchor=(0.01, 0.5), borderaxespad=0, borderpad=0, labelcolor="white",
-        handlelength=2.8, columnspacing=2.2,
-    )  # fmt: skip
-    sampling = f"{plain(pitch(cuts[0].x))} × {plain(pitch(cuts[0].heights))}"
-    return canvas.picture(
-        kind="jpeg",
-        title="The layers, close up",
-        caption=(
-            f"The red windows, each {length(across)} wide; voxels of {sampling} shown as they are, lines in µm at "
-            f"sub-voxel heights. n = {number(across / pitch(cuts[0].x), 3)} columns a window; mask as above."
-        ),
-    )
 
 
 def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
@@ -198,7 +188,7 @@ def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
     )
 
 
-def _span(cut: Slice, margin: float) -> tuple[float, float, float, float]:
+def _span(cut: Slice, margin: float) -> Window:
     """Return the whole slice, or its middle where the whole would be a hair line."""
     left, right = float(cut.x[0]), float(cut.x[-1])
     whole = cut.window(left, right, margin)
@@ -215,7 +205,7 @@ def _span(cut: Slice, margin: float) -> tuple[float, float, float, float]:
     return cut.window(middle - longest / 2, middle + longest / 2, margin)
 
 
-def _clear_place(cut: Slice, span: tuple[float, float, float, float]) -> float:
+def _clear_place(cut: Slice, span: Window) -> float:
     """Return the middle of the window, near the middle of the slice, in which most of the lines are there."""
     step = pitch(cut.x)
     size = max(1, min(round(_WINDOW_UM / step), cut.x.size))
@@ -226,19 +216,6 @@ def _clear_place(cut: Slice, span: tuple[float, float, float, float]) -> float:
         return (span[0] + span[1]) / 2
     distance = np.abs(middles - (span[0] + span[1]) / 2) / max(span[1] - span[0], step)
     return float(middles[int(np.argmax(np.where(inside, np.round(share, 1) - distance, -np.inf)))])
-
-
-def _lines(axes: Axes, cut: Slice, window: tuple[float, float, float, float], width: float) -> None:
-    """Draw the surfaces over the grey values."""
-    for name, _, colour, dash in LINES:
-        if name == "centre":
-            axes.plot(cut.x, cut.lines[name], color=colour, ls=dash, lw=0.8 * width)
-            continue
-        axes.plot(cut.x, cut.lines[name], color=colour, ls=dash, lw=0.7 * width, alpha=0.4)
-        axes.plot(cut.x, np.where(cut.used, cut.lines[name], np.nan), color=colour, ls=dash, lw=width)
-    axes.set_xlim(window[0], window[1])
-    axes.set_ylim(window[2], window[3])
-    frame(axes)
 
 
 def _letter(k: int) -> str:

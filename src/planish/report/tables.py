@@ -1,361 +1,399 @@
-"""What the page says in words and tables: every number is written here, none in the template."""
+"""The tables of the page: every number is written here, none in the template."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 import xarray as xr
 
-from planish.report.text import NONE, capital, count, fixed, length, number, percent, plain, size, typeset, unit
+from planish.core.results import (
+    CorrelationRow, LayerFacts, PropertyFacts, RegistrationFacts, Results, RoughnessFacts, SectionFacts, SheetFacts,
+    SurfaceFacts,
+)  # fmt: skip
+from planish.report.relation import largest
+from planish.report.summary import Titles, by_pair, headline_pair
+from planish.report.text import (
+    NONE, beside, capital, count, fixed, in_words, length, number, percent, plain, size, typeset, unit,
+)  # fmt: skip
 
 METHOD = (
     "U. Hirn, J. Kritzinger, M. Donoser, W. Bauer: Introducing a concept to link 3D paper structure to 2D paper "
     "properties. In: Advances in Pulp and Paper Research, Oxford 2009, Transactions of the XIVth Fundamental Research "
     "Symposium."
 )
+BLAND_ALTMAN = (
+    "Differences: J. M. Bland, D. G. Altman: Statistical methods for assessing agreement between two methods of clinical "
+    "measurement. The Lancet 327 (1986), 307–310."
+)
 
-Row = dict[str, Any]
-
-
-def is_link(results: Row) -> bool:
-    """Whether an image was linked."""
-    return bool(results.get("inputs", {}).get("image"))
-
-
-def long_names(groups: dict[str, xr.Dataset]) -> dict[str, str]:
-    """Return the title of each property."""
-    data = groups["maps"]
-    return {str(k): str(v.attrs.get("long_name", k)) for k, v in data.data_vars.items()}
+Facts = list[tuple[str, str]]
 
 
-def inputs(results: Row) -> list[Row]:
-    """Return what was read, one row a file."""
-    out: list[Row] = []
-    for kind, key, axes in (("volume", "voxel_um", "z, y, x"), ("image", "pixel_um", "y, x")):
-        data = results["inputs"].get(kind)
-        if not data:
-            continue
-        steps = [float(v) for v in data[key]]
-        extent = [n * s for n, s in zip(data["shape"], steps, strict=True)]
-        out.append({
-            "kind": kind.capitalize(),
-            "name": data["name"],
-            "shape": " × ".join(count(n) for n in data["shape"]),
-            "axes": axes,
-            "dtype": data["dtype"],
-            "step": " × ".join(f"{v:.6g}" for v in steps),
-            "source": data[f"{key}_source"],
-            "extent": " × ".join(number(v / 1000) for v in extent),
-            "bytes": size(int(data["bytes"])),
-            "sha256": data["sha256"],
-            "short": f"{data['sha256'][:12]}…",
-        })  # fmt: skip
-    return out
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """One line of a table: its name, its cells, and whether it stands out."""
+
+    name: str
+    cells: list[str]
+    best: bool = False
+    second: str = ""
 
 
-def joined(results: Row) -> str:
-    """Return a sentence on how serial sections were joined, empty where there are none."""
-    told = results.get("sections")
-    if not told:
-        return ""
-    taken = " and ".join(length(told[f"shift_{axis}_rms_um"], 2) for axis in ("row", "col"))
-    left = " and ".join(length(told[f"jitter_left_{axis}_um"], 1) for axis in ("row", "col"))
-    lost = told["not_aligned"]
-    held = told.get("fixed", [])
-    slow = (
-        f"Errors that vary more slowly than over {length(told['cutoff_um'])} cannot be told from the sheet's own "
-        "bend and stay."
-        if not held
-        else f"Slow drift was taken off ({', '.join(held)}) with the help of what lies still in the photographs."
-    )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """n, r, r² and slope of one point size, and the length of the bar beside r²."""
+
+    n: str
+    r: str
+    r2: str
+    slope: str
+    bar: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairLine:
+    """One line of a table of correlations."""
+
+    name: str
+    groups: list[Group]
+    second: str = ""
+    before: list[str]
+    after: list[str]
+    best: bool = False
+
+
+def inputs(results: Results) -> list[Line]:
+    """Return what was read, and how it lies on the reference: one line a fact, one cell a layer."""
+    layers = results.layers
+    sources = [layer.source for layer in layers]
+    lines = [
+        ("File", [s.name for s in sources]),
+        ("Shape (z, y, x or y, x)", [f"{' × '.join(map(count, s.shape))}, {s.dtype}" for s in sources]),
+        ("Voxel or pixel", [f"{' × '.join(f'{v:.6g}' for v in s.size_um)} µm, {s.size_source}" for s in sources]),
+        ("Extent", [
+            " × ".join(number(n * v / 1000) for n, v in zip(s.shape, s.size_um, strict=True)) + " mm" for s in sources
+        ]),
+        ("File size", [size(s.bytes) for s in sources]),
+        ("SHA-256", [f"{s.sha256[:12]}…" for s in sources]),
+    ]  # fmt: skip
+    if results.is_link:
+        marks = [layer.registration for layer in layers]
+        errors = [r.expected_error if r else None for r in marks]
+        lines += [
+            ("Path to the reference", [" → ".join(r.path) if r else "reference" for r in marks]),
+            ("Marks matched", [count(r.matched) if r else NONE for r in marks]),
+            ("Expected error, median; largest", [
+                f"{number(e.median_um, 2)}; {number(e.largest_um, 2)} µm" if e else NONE for e in errors
+            ]),
+        ]  # fmt: skip
+        shares = [layer.share_of_reference for layer in layers]
+        if any(share is not None for share in shares):
+            lines.append(("Share of the reference covered", [percent(share, 2) for share in shares]))
+    return [Line(name=name, cells=cells) for name, cells in lines]
+
+
+def view(surfaces: SurfaceFacts) -> str:
+    """Describe how a sheet lies in its volume and in its maps."""
     return (
-        f"{count(told['count'])} sections were aligned to their neighbours, with {taken} rms taken off along rows and "
-        f"columns. By the scatter between parts of the sheet {left} are left; along the columns it may be twice as "
-        f"much. {count(told['missing'])} missing sections were bridged"
-        + (f", {count(lost)} of them because they fit to no neighbour" if lost else "")
-        + f". {slow}"
+        f"The axis {surfaces.through} runs through the sheet; its top side lies at the {surfaces.top_side} end of that "
+        f"axis. Maps are drawn as seen from the top side, with {surfaces.row_axis} down the rows and "
+        f"{surfaces.col_axis} along the columns. The centre of pixel or voxel i is at i × size."
     )
 
 
-def columns(results: Row) -> list[Row]:
-    """Return how the volume's columns were judged, as shares of all."""
-    words = (
-        ("share_measured", "measured", "measured"),
-        ("share_rim", "left out: rim of a hole or an edge", "rim"),
-        ("share_no_sheet", "no sheet, or a hole", "none"),
-        ("share_face_not_found", "a face was not found", "lost"),
-        ("share_normal_leaves_sheet", "the normal leaves the sheet", "normal"),
-        ("share_touching", "the sheet touches another, or itself", "lost"),
-        ("share_leaves_volume", "the sheet leaves the volume", "none"),
-        ("share_particle", "a particle sticks to the sheet", "lost"),
+def joined(facts: SectionFacts) -> str:
+    """Describe how serial sections were joined."""
+    taken = " and ".join(length(v, 2) for v in (facts.shift_row_rms_um, facts.shift_col_rms_um))
+    left = " and ".join(length(v, 1) for v in (facts.jitter_left_row_um, facts.jitter_left_col_um))
+    slow = (
+        f"Slow drift was removed ({', '.join(facts.fixed)}) with the help of what is still in the photographs."
+        if facts.fixed
+        else f"Errors that vary more slowly than over {length(facts.cutoff_um)} cannot be distinguished from the "
+        "sheet's own bend and remain."
     )
-    found = [(results["surfaces"].get(key), text, kind) for key, text, kind in words]
+    lost = f", {count(facts.not_aligned)} of them because they match no neighbour" if facts.not_aligned else ""
+    return (
+        f"{count(facts.count)} sections were aligned to their neighbours; shifts of {taken} rms along rows and columns "
+        f"were removed. According to the scatter between parts of the sheet, {left} remain; along the columns it may "
+        f"be twice as much. {count(facts.missing)} missing sections were bridged{lost}. {slow}"
+    )
+
+
+_STATUS = {
+    "measured": ("measured", "measured"),
+    "rim": ("left out: rim of a hole or an edge", "rim"),
+    "no_sheet": ("no sheet, or a hole", "none"),
+    "face_not_found": ("a face was not found", "lost"),
+    "normal_leaves_sheet": ("the normal leaves the sheet", "normal"),
+    "touching": ("the sheet touches another, or itself", "lost"),
+    "leaves_volume": ("the sheet leaves the volume", "none"),
+    "particle": ("a particle sticks to the sheet", "lost"),
+}
+
+
+def columns(surfaces: SurfaceFacts) -> list[dict[str, str]]:
+    """Return the status of the volume's columns, as shares of all."""
+    order = [*_STATUS, *(name for name in surfaces.shares if name not in _STATUS)]
+    found = [(surfaces.shares.get(name), *_STATUS.get(name, (name.replace("_", " "), "lost"))) for name in order]
     return [
         {"share": f"{100 * v:.3f}", "text": text, "percent": percent(v), "kind": kind} for v, text, kind in found if v
     ]
 
 
-def flattening(results: Row, surfaces: xr.Dataset) -> list[tuple[str, str]]:
+def flattening(sheet: SheetFacts, surfaces: xr.Dataset) -> Facts:
     """Return what flattening did, in numbers."""
-    f = results["flatten"]
-    height = surfaces["centre"].values
-    d = f["distortion"]
-    method = "dynamic relaxation" if f["method"] == "relaxation" else "multigrid"
-    straight = f["straight_share"]
+    f, d, height = sheet.flatten, sheet.flatten.distortion, surfaces["centre"].values
+    geodesics = d.geodesics
     return [
-        ("Outcome", str(f["sentence"])),
-        ("Can it be paper?", str(f["curvature"]["verdict"])),
+        ("Outcome", f.sentence),
+        ("Can it be paper?", f.curvature.verdict),
         ("Warp of the centre surface, lowest to highest", length(float(np.nanmax(height) - np.nanmin(height)))),
-        ("Largest displacement against the projection", length(f["largest_move_um"])),
-        ("Displacement, median and 95 %, after turning and shifting",
-         f"{length(d['displacement_median_um'])} and {length(d['displacement_p95_um'])}"),
-        ("Growth against the projection", f"{number(d['growth_percent'], 3)} %"),
-        ("Difference of the growth between two directions", f"{number(d['growth_anisotropy_percent'], 3)} %"),
-        ("Edge strain, 95th percentile", percent(f["edge_strain_p95"], 2)),
-        ("Edge strain, largest", percent(f["edge_strain_max"], 2)),
-        ("Change of area, median and 95 % of its size",
-         f"{percent(d['area']['median'], 2)} and {percent(d['area']['p95_abs'], 2)}"),
-        ("Lengths along random lines, 50 % and 95 % wrong by less than",
-         f"{percent(d['geodesics']['p50'], 2)} and {percent(d['geodesics']['p95'], 2)}"),
-        ("Folded cells", count(f["folded_cells"])),
-        ("Mesh", f"{count(d['cells'])} cells of {length(f['mesh_um'])}"),
-        ("Springs with a straight rest length, the surface being rough there",
-         percent(straight, 2) if straight else "none"),
-        ("Spring energy left, for each spring", f"{number(f['energy_um2'] / max(f['springs'], 1), 3)} µm²"),
-        ("Method and steps on the mesh", f"{method}, {count(f['steps'])}"),
+        ("Largest displacement against the projection", length(f.largest_move_um)),
+        ("Displacement, median and 95 %, after rotation and shift",
+         f"{length(d.displacement_median_um)} and {length(d.displacement_p95_um)}"),
+        ("Growth against the projection", f"{number(d.growth_percent, 3)} %"),
+        ("Difference of the growth between two directions", f"{number(d.growth_anisotropy_percent, 3)} %"),
+        ("Edge strain, 95th percentile", percent(f.edge_strain_p95, 2)),
+        ("Edge strain, largest", percent(f.edge_strain_max, 2)),
+        ("Change of area, median and 95 % of its size", f"{percent(d.area.median, 2)} and {percent(d.area.p95_abs, 2)}"),
+        ("Error of lengths along random lines, 50 % and 95 %",
+         f"{percent(geodesics.p50, 2)} and {percent(geodesics.p95, 2)}" if geodesics else NONE),
+        ("Folded cells", count(f.folded_cells)),
+        ("Mesh", f"{count(d.cells)} cells of {length(f.mesh_um)}"),
+        ("Springs with a straight rest length, because the surface is rough",
+         percent(f.straight_share, 2) if f.straight_share else "none"),
+        ("Spring energy left, per spring", f"{number(f.energy_um2 / max(f.springs, 1), 3)} µm²"),
+        ("Method and steps on the mesh",
+         f"{'dynamic relaxation' if f.method == 'relaxation' else 'multigrid'}, {count(f.steps)}"),
     ]  # fmt: skip
 
 
-def properties(results: Row, names: dict[str, str]) -> list[Row]:
-    """Return the distribution of each property over the columns; a dash where there is none."""
-    keys = ("mean_um", "sd_um", "p5_um", "median_um", "p95_um")
-    out: list[Row] = []
-    for name, data in results["properties"].items():
-        cells = [number(data[key]) if data else NONE for key in keys]
-        out.append({"name": names.get(name, name), "n": count(data["n"]) if data else NONE, "cells": cells})
-    return out
+def properties(layer: LayerFacts, titles: Titles) -> list[Line]:
+    """Return the distribution of each property over the columns."""
+    if layer.sheet is None:
+        return []
+    errors = any(p.standard_error is not None or p.support_um is not None for p in layer.sheet.properties.values())
+    return [
+        _distribution(titles.get((layer.name, name), name), facts, errors=errors)
+        for name, facts in layer.sheet.properties.items()
+    ]
 
 
-def further(results: Row, names: dict[str, str]) -> list[Row]:
-    """Return the distribution of each further property, with its unit and standard error."""
-    keys = ("mean", "sd", "p5", "median", "p95", "standard_error")
-    out: list[Row] = []
-    for name, data in results.get("further", {}).items():
-        cells = [number(data[key]) if data else NONE for key in keys]
-        units = unit(str(data["units"])) if data else ""
-        support = number(data["support_um"]) if data else NONE
-        title = names.get(name, name)
-        out.append({"name": f"{title} / {units}" if units else title, "n": count(data["n"]) if data else NONE,
-                    "cells": [*cells, support]})  # fmt: skip
-    return out
+def _distribution(title: str, p: PropertyFacts, *, errors: bool) -> Line:
+    cells = [count(p.n), *(number(v) for v in (p.mean, p.sd, p.p5, p.median, p.p95))]
+    more = [number(p.standard_error), number(p.support_um)] if errors else []
+    units = unit(p.units)
+    return Line(name=f"{title} / {units}" if units else title, cells=[*cells, *more])
 
 
 _ROUGHNESS = {"sa": " µm", "sq": " µm", "ssk": "", "sku": "", "sz": " µm", "sdq": ""}
-_SIDES = {"top": "top side", "bottom": "bottom side"}
 
 
-def numbers(results: Row) -> list[tuple[str, str]]:
+def numbers(sheet: SheetFacts) -> Facts:
     """Return what describes the sheet in numbers, as pairs of name and value."""
-    told = results.get("numbers", {})
-    out: list[tuple[str, str]] = []
-    for side, words in _SIDES.items():
-        thin = told.get(f"thin_{side}")
+    out: Facts = []
+    for side in ("top", "bottom"):
+        thin, rough = sheet.numbers.thin.get(side), sheet.numbers.roughness.get(side)
         if thin:
             shares = ", ".join(
                 f"{percent(share)} below {number(x)} µm" if x else f"{percent(share)} bare"
-                for x, share in zip(thin["thinner_than_um"], thin["share"], strict=True)
+                for x, share in zip(thin.thinner_than_um, thin.share, strict=True)
             )
-            out.append((f"Thin coating, {words}", f"{shares}, at columns of {length(thin['support_um'])}"))
-            if thin["warning"]:
-                out.append(("", typeset(str(thin["warning"]))))
-        rough = told.get(f"roughness_{side}", {})
-        if "reason" in rough:
-            out.append((f"Roughness, {words}", typeset(str(rough["reason"]))))
-        elif rough:
-            values = ", ".join(f"{key.capitalize()} {number(rough[key])}{units}" for key, units in _ROUGHNESS.items())
-            filters = f"S-filter {length(rough['s_filter_um'])}, L-filter {length(rough['l_filter_um'])}"
-            out.append((f"Roughness, {words}", f"{values} ({filters})"))
-    for pair, words in (("coating", "Coatings"), ("topography", "Topographies")):
-        sides = told.get("two_sides", {})
-        if sides.get(f"{pair}_correlation") is not None:
-            out.append((
-                f"{words} of the two sides",
-                f"top less bottom {number(sides[f'{pair}_difference_um'])} µm, ratio of the standard deviations "
-                f"{number(sides[f'{pair}_sd_ratio'])}, correlation {number(sides[f'{pair}_correlation'])}",
-            ))  # fmt: skip
-    for name in ("porosity", "filler"):
-        if name in told.get("profiles", {}):
-            values = " ".join(number(v, 2) for v in told["profiles"][name])
-            out.append((f"Profile of {name}, bottom to top", values))
+            out.append((f"Thin coating, {side} side", f"{shares}, at columns of {length(thin.support_um)}"))
+            if thin.warning:
+                out.append(("", typeset(thin.warning)))
+        if rough:
+            out.append((f"Roughness, {side} side", _roughness(rough)))
+    sides = sheet.numbers.two_sides
+    for title, difference, ratio, r in (
+        ("Coatings", sides.coating_difference_um, sides.coating_sd_ratio, sides.coating_correlation),
+        ("Topographies", sides.topography_difference_um, sides.topography_sd_ratio, sides.topography_correlation),
+    ):
+        if r is not None:
+            words = f"top minus bottom {number(difference)} µm, ratio of the standard deviations {number(ratio)}"
+            out.append((f"{title} of the two sides", f"{words}, correlation {number(r)}"))
+    for name, values in (sheet.numbers.profiles.values if sheet.numbers.profiles else {}).items():
+        out.append((f"Profile of {name}, bottom to top", " ".join(number(v, 2) for v in values)))
     return out
 
 
-def mark_rows(marks: xr.Dataset) -> list[Row]:
-    """Return one row a mark, numbered as in the figure."""
-    keys = ("moving_x", "moving_y", "fixed_x", "fixed_y")
+def _roughness(facts: RoughnessFacts) -> str:
+    if facts.reason is not None:
+        return typeset(facts.reason)
+    values = ", ".join(f"{key.capitalize()} {number(getattr(facts, key))}{units}" for key, units in _ROUGHNESS.items())
+    return f"{values} (S-filter {length(facts.s_filter_um)}, L-filter {length(facts.l_filter_um)})"
+
+
+def mark_rows(marks: xr.Dataset) -> list[Line]:
+    """Return one line a mark, numbered as in the figure."""
+    places = ("moving_x", "moving_y", "fixed_x", "fixed_y")
+    labels = marks["label"].values if "label" in marks else [""] * marks.sizes["mark"]
     return [
-        {
-            "number": k + 1,
-            "label": str(marks["label"].values[k]) if "label" in marks else "",
-            "places": [fixed(float(marks[key].values[k]), 1) for key in keys],
-            "errors": [number(float(marks[key].values[k]), 2) for key in ("residual", "leave_one_out")],
-        }
+        Line(
+            name=str(labels[k]),
+            cells=[
+                *(fixed(float(marks[key].values[k]), 1) for key in places),
+                *(number(float(marks[key].values[k]), 2) if key in marks else NONE for key in ("residual", "leave_one_out")),
+            ],
+        )
         for k in range(marks.sizes["mark"])
+    ]  # fmt: skip
+
+
+def registration(r: RegistrationFacts, *, moving: str, fixed_name: str) -> Facts:
+    """Return a registration in numbers."""
+    found = f"{r.matched} matched, of {r.found_moving} holes in {moving} and {r.found_fixed} in {fixed_name}"
+    loo, error = r.leave_one_out_rms_um, r.expected_error
+    rows = [
+        ("Marks", found if r.source == "found" else f"{r.matched} pairs from a file ({r.source})"),
+        ("Model", typeset(r.model_sentence)),
+        ("Scale", f"{r.scale:.5f}"),
+        ("Rotation, x towards y", f"{fixed(r.rotation_deg, 3)}°"),
+        ("Shift (x, y)", f"({fixed(r.shift_um[0], 1)}, {fixed(r.shift_um[1], 1)}) µm"),
+        ("Mirrored", "yes" if r.mirrored else "no"),
+        ("Residual, rms", f"{number(r.rms_um, 2)} µm"),
+        ("Leave-one-out error, rms", f"{number(loo, 2)} µm" if loo is not None else NONE),
+        ("Expected error of a pixel, rms",
+         f"{number(error.median_um, 2)} µm (median), {number(error.largest_um, 2)} µm at most" if error else NONE),
+        *(("Warning", typeset(text)) for text in r.warnings),
+    ]  # fmt: skip
+    lag = r.lag
+    if lag is None or lag.lag_um is None or lag.se_um is None:
+        return rows
+    x, y = (f"{number(v, 2)} ± {number(s, 2)}" for v, s in zip(lag.lag_um, lag.se_um, strict=True))
+    rows.append(("Lag of the maps (x, y) ± standard error", f"({x}, {y}) µm"))
+    if lag.split_um is not None and any(lag.lags_of_bands_um):
+        parts = [f"({number(b[0], 2)}, {number(b[1], 2)}) µm" if b else NONE for b in lag.lags_of_bands_um]
+        rows.append((f"Lag of the texture finer and coarser than {length(lag.split_um)}", " and ".join(parts)))
+    return rows
+
+
+def comparison(results: Results) -> list[PairLine]:
+    """Return the registrations that the paper compares, with both point sizes in one line each."""
+    rows = results.comparison
+    return [
+        PairLine(
+            name=capital(name),
+            groups=[group_of(row) for row in found],
+            before=[number(found[0].marks_rms_um, 3)],
+            after=[],
+            best=name.startswith("flattened"),
+        )
+        for name in dict.fromkeys(row.registration for row in rows)
+        if (found := [row for row in rows if row.registration == name])
     ]
 
 
-def transform(m: Row, *, names: tuple[str, str] = ("volume", "image")) -> list[tuple[str, str]]:
-    """Return a transformation in numbers, from what the results say of its marks."""
-    loo = m["leave_one_out_rms_um"]
-    found = [
-        ("Scale", f"{m['scale']:.5f}"),
-        ("Rotation, x towards y", f"{fixed(m['rotation_deg'], 3)}°"),
-        ("Shift (x, y)", f"({fixed(m['shift_um'][0], 1)}, {fixed(m['shift_um'][1], 1)}) µm"),
-        ("Mirrored", "yes" if m["mirrored"] else "no"),
-        ("Residual, rms", f"{number(m['rms_um'], 2)} µm"),
-        ("Leave-one-out, rms", f"{number(loo, 2)} µm" if loo is not None else NONE),
-    ]
-    if "model_sentence" in m:  # runs of planish before it chose a model have none
-        found.insert(0, ("Model", typeset(m["model_sentence"])))
-        error = m["expected_error_um"]
-        words = NONE
-        if error is not None and error["median"] is not None:
-            words = f"{number(error['median'], 2)} µm (median), {number(error['largest'], 2)} µm at most"
-        found.append(("Expected error of a pixel, rms", words))
-        found += [("Warning", typeset(text)) for text in m["warnings"]]
-    if m.get("source") == "file":
-        return [("Marks", f"{m['matched']} pairs from a table"), *found]
-    found_in = [m.get(f"found_{name}", NONE) for name in names]
-    articles = ["the " if name in ("volume", "image") else "" for name in names]
-    seen = (
-        f"{m['matched']} matched, of {found_in[0]} holes in {articles[0]}{names[0]} and {found_in[1]} in "
-        f"{articles[1]}{names[1]}"
-    )
-    return [("Marks", seen), *found]
-
-
-def compare(results: Row) -> list[Row]:
-    """Return the ways of bringing the sheet to the image, with both point sizes in one row each."""
-    out: list[Row] = []
-    rows = results["table"]
-    for name in dict.fromkeys(row["registration"] for row in rows):
-        found = [row for row in rows if row["registration"] == name]
-        out.append({
-            "name": name[:1].upper() + name[1:],
-            "rms": number(found[0]["marks_rms_um"], 3),
-            "pairs": [cells(row) for row in found],
-            "best": row_is_flattened(name),
-        })  # fmt: skip
-    return out
-
-
-def row_is_flattened(name: str) -> bool:
-    """Whether a row of the table is the one with flattening."""
-    return name.startswith("flattened")
-
-
-def compare_sentence(results: Row) -> str:
-    """Say what flattening gained, in numbers only."""
+def comparison_sentence(results: Results) -> str:
+    """State what flattening gained, in numbers only."""
     at_pixel: dict[str, float] = {}
-    for row in results["table"]:
-        if row.get("r2") is not None:
-            at_pixel.setdefault(row["registration"], row["r2"])
-    flat = next((v for k, v in at_pixel.items() if row_is_flattened(k)), None)
-    others = {k: v for k, v in at_pixel.items() if not row_is_flattened(k)}
+    for row in results.comparison:
+        if row.r2 is not None:
+            at_pixel.setdefault(row.registration, row.r2)
+    flat = next((v for k, v in at_pixel.items() if k.startswith("flattened")), None)
+    others = {k: v for k, v in at_pixel.items() if not k.startswith("flattened")}
     if flat is None or not others:
         return ""
     name, best = max(others.items(), key=lambda item: item[1])
-    change = f"{fixed(best, 3)} to {fixed(flat, 3)}"
-    way = "raises" if flat > best else "does not raise"
-    return f"At the pixel, flattening {way} r²: from {change} against the better projection ({name})."
+    verb = "raises" if flat > best else "does not raise"
+    change = f"from {fixed(best, 3)} to {fixed(flat, 3)}"
+    return f"At the pixel, flattening {verb} r²: {change} against the better projection ({name})."
 
 
-def correlations(results: Row, names: dict[str, str]) -> list[Row]:
-    """Return every property's correlation with the image, both point sizes in one row each."""
-    rows = results["correlation"]
-    out: list[Row] = []
-    for name in dict.fromkeys(row["property"] for row in rows):
-        pairs = [cells(row) for row in rows if row["property"] == name]
-        out.append({"name": names.get(name, name), "pairs": pairs, "best": name == results["headline"]})
+def correlations(results: Results, titles: Titles) -> list[PairLine]:
+    """Return the correlation of every pair of maps, all point sizes in one line each."""
+    headlines = [headline_pair(results, layer) for layer in results.moving]
+    two, sizes = len(results.layers) == 2, _sizes(results.correlations)
+    differences = any(row.same_quantity for row in results.correlations)
+    out: list[PairLine] = []
+    for group in by_pair(results):
+        row, at = largest(group), {round(r.point_um, 4): r for r in group}
+        a, b = (titles.get(key, key[1]) for key in ((row.a, row.a_map), (row.b, row.b_map)))
+        short = two and not row.same_quantity and results.layer(row.b).kind == "image"
+        out.append(PairLine(
+            name=a if short else f"{row.a}: {in_words(a)}",
+            second="" if short else f"{row.b}: {in_words(b)}",
+            groups=[group_of(at.get(s)) for s in sizes],
+            before=[],
+            after=[_difference(row)] if differences else [],
+            best=two and group in headlines and len(results.correlations) > len(group),
+        ))  # fmt: skip
     return out
 
 
-def cells(row: Row) -> Row:
-    """Return one correlation as a table shows it."""
-    return {
-        "n": count(row["n"]),
-        "r": fixed(row["r"], 3),
-        "r2": fixed(row["r2"], 3),
-        "slope": number(row["slope"]),
-        "bar": f"{100 * (row['r2'] or 0.0):.1f}",
-    }
+def _difference(row: CorrelationRow) -> str:
+    """Write the difference of two maps of the same quantity, and its limits."""
+    if not row.same_quantity:
+        return NONE
+    sd, units = row.difference_sd, unit(row.units or "")
+    low, high = row.limits or (None, None)
+    spread = f"{beside(row.difference_mean, sd)} ± {beside(sd, sd)} {units}"
+    return f"{spread}\n{beside(low, sd)} to {beside(high, sd)} {units}"
 
 
-def point_sizes(rows: list[Row]) -> list[str]:
-    """Return the point sizes of the two halves of a table of correlations."""
-    return list(dict.fromkeys(plain(round(float(row["point_um"]), 4)) for row in rows))
-
-
-def gates(results: Row, *, capitals: bool = True) -> list[Row]:
-    """Return the quality gates: name, light and sentence with typeset units."""
-    return [
-        {
-            "name": capital(str(g["name"])) if capitals else str(g["name"]),
-            "passed": bool(g["passed"]),
-            "sentence": typeset(str(g["sentence"])),
-        }
-        for g in results["quality"]
-    ]
-
-
-def greys(results: Row) -> list[tuple[str, str]]:
-    """Return the grey levels that were found in the volume."""
-    s = results["surfaces"]
-    words = (
-        ("grey_air", "Air"),
-        ("grey_base", "Base paper"),
-        ("grey_coating_top", "Coating, top side"),
-        ("grey_coating_bottom", "Coating, bottom side"),
-        ("grey_noise", "Noise, standard deviation"),
-        ("blur_um", "Blur of the faces, sigma"),
+def group_of(row: Any) -> Group:
+    """Return one correlation as a table shows it; dashes where there is none."""
+    if row is None:
+        return Group(n=NONE, r=NONE, r2=NONE, slope=NONE, bar="0")
+    return Group(
+        n=count(row.n), r=fixed(row.r, 3), r2=fixed(row.r2, 3), slope=number(row.slope), bar=f"{100 * (row.r2 or 0.0):.1f}"
     )
-    out = [(text, _grey(s.get(key), key)) for key, text in words if key in s]
-    if s.get("fringe") is not None:
-        out.append(("Phase-contrast fringe, share of an edge", number(s["fringe"], 2) if s["fringe"] else "none"))
-    if s.get("polarity") is not None:
-        out.append(("Sheet against air", "brighter" if s["polarity"] > 0 else "darker"))
+
+
+def point_sizes(rows: Iterable[Any]) -> list[str]:
+    """Return the point sizes of a table of correlations."""
+    return [plain(size_um) for size_um in _sizes(rows)]
+
+
+def _sizes(rows: Iterable[Any]) -> list[float]:
+    return sorted({round(float(row.point_um), 4) for row in rows})
+
+
+def greys(surfaces: SurfaceFacts) -> Facts:
+    """Return the grey levels that were found in a volume."""
+    s = surfaces
+    levels = (
+        ("Air", s.grey_air), ("Base paper", s.grey_base), ("Coating, top side", s.grey_coating_top),
+        ("Coating, bottom side", s.grey_coating_bottom), ("Noise, standard deviation", s.grey_noise),
+    )  # fmt: skip
+    out = [(text, number(value, 4)) for text, value in levels]
+    out.append(("Blur of the faces, sigma", length(s.blur_um)))
+    if s.fringe is not None:
+        out.append(("Phase-contrast fringe, share of an edge", number(s.fringe, 2) if s.fringe else "none"))
+    if s.polarity is not None:
+        out.append(("Sheet against air", "brighter" if s.polarity > 0 else "darker"))
     return out
 
 
-def _grey(value: float | None, key: str) -> str:
-    return length(value) if key.endswith("_um") else number(value, 4)
-
-
-def parameters(results: Row) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Return every parameter, by section."""
-    out: list[tuple[str, list[tuple[str, str]]]] = []
-    loose: list[tuple[str, str]] = []
-    for section, values in results["parameters"].items():
-        if isinstance(values, dict):
-            out.append((str(section), _flat(values)))
-        elif isinstance(values, list) and values and all(isinstance(v, dict) for v in values):
-            out += [(f"{section}, {v.get('name', k + 1)}", _flat(v)) for k, v in enumerate(values)]
+def parameters(values: Mapping[str, Any]) -> list[tuple[str, Facts]]:
+    """Return every parameter, by section; sections of a list are named by their ``name``."""
+    out: list[tuple[str, Facts]] = []
+    loose: Facts = []
+    for section, value in values.items():
+        if isinstance(value, Mapping):
+            out.append((section, _flat(cast("Mapping[str, Any]", value))))
+        elif _is_table(value):
+            out += [(f"{section}, {v.get('name', k + 1)}", _flat(v)) for k, v in enumerate(value)]
         else:
-            loose.append((str(section), _parameter(values, str(section))))
-    if loose:
-        out.append(("others", loose))
-    return [(name, rows) for name, rows in out if rows]
+            loose.append((section, _parameter(value, section)))
+    return [(name, rows) for name, rows in [*out, ("others", loose)] if rows]
 
 
-def _flat(values: Row, before: str = "") -> list[tuple[str, str]]:
+def _is_table(value: Any) -> bool:
+    return isinstance(value, (list, tuple)) and bool(value) and all(isinstance(v, Mapping) for v in cast("list[Any]", value))
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> Facts:
     """Write a section of parameters; what lies in a section of its own has that one's name before it."""
-    rows: list[tuple[str, str]] = []
+    rows: Facts = []
     for key, value in values.items():
-        if isinstance(value, dict):
-            rows += _flat(value, f"{before}{key}.")
+        if isinstance(value, Mapping):
+            rows += _flat(cast("Mapping[str, Any]", value), f"{before}{key}.")
         else:
-            rows.append((f"{before}{key}", _parameter(value, str(key))))
+            rows.append((f"{before}{key}", _parameter(value, key)))
     return rows
 
 
@@ -363,7 +401,7 @@ def _parameter(value: Any, key: str) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, (list, tuple)):
-        text = ", ".join(_parameter(v, "") for v in value)
+        text = ", ".join(_parameter(v, "") for v in cast("list[Any]", value))
     elif isinstance(value, (int, float)):
         text = f"{value:.6g}".replace("-", "−")
     else:

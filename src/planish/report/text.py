@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 NONE = "–"
 _UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "g/cm3": "g/cm³", "1/mm2": "1/mm²", "deg": "°", "1": ""}
+REGISTERED = "registration: marks only"
+"""Stands beside every correlation: how its maps were registered."""
 _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
 _MICROMETRES, _DEGREES = re.compile(r" um\b"), re.compile(r" deg\b")
 
@@ -122,9 +128,20 @@ def typeset(text: str) -> str:
     return _DEGREES.sub("°", _MICROMETRES.sub(f"{_SPACE}µm", text))
 
 
-def in_figure(text: str) -> str:
-    """Keep what the figures' typeface can show; anything else becomes a question mark."""
-    return "".join(c if (c.isprintable() and ord(c) < 0x250) or c in "–−²µ\u202f" else "?" for c in text)
+def title_of(data: xr.DataArray) -> str:
+    """Return the title of a map."""
+    return str(data.attrs.get("long_name", data.name))
+
+
+def unit_of(data: xr.DataArray) -> str:
+    """Return the typeset unit of a map."""
+    return unit(str(data.attrs.get("units", "um")))
+
+
+def label_of(data: xr.DataArray) -> str:
+    """Return the title of a map with its unit."""
+    units = unit_of(data)
+    return f"{title_of(data)} / {units}" if units else title_of(data)
 
 
 def _signed(text: str) -> str:

@@ -1,0 +1,104 @@
+"""Colours of maps: five perceptually ordered scales, limits from percentiles, and maps as small PNG or JPEG images."""
+
+from __future__ import annotations
+
+import base64
+import io
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+PROPERTY, GEOMETRY, SIGNED, CYCLIC, GREYS, ERROR = "viridis", "cividis", "RdBu_r", "twilight", "grey", "magma"
+MISSING = "#d4d6d8"
+_ANCHORS = {
+    PROPERTY: "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26818e 21908c 1f9f88 28ae80 3ebc74 5dc963 82d34c abdc32"
+    " d5e21a fde725",
+    GEOMETRY: "00224e 002e6a 1a386f 32436d 434e6c 52596d 61656f 6f7073 7c7b78 8b8778 9b9376 aba072 bbad6c ccba64 ddc958"
+    " efd748 fee838",
+    SIGNED: "053061 175290 2a71b2 3f8dc0 6bacd0 9ac9e0 c1ddec dfecf3 f7f7f6 fbe6d9 fbceb6 f5ac8b e58268 d25749 bb2a34"
+    " 960f26 67001f",
+    CYCLIC: "e2d9e2 d6d7dd c2ced4 aac2cc 94b4c7 81a6c3 7296c1 6886be 6275ba 5f63b5 5e50ac 5d3da0 592a8f 511b77 45135c"
+    " 381145 2f1436",
+    ERROR: "000004 0a0822 1d1146 36106a 50127c 691c81 822681 9c2e7f b63779 cf4170 e65163 f5695c fb8761 fea571 fec387"
+    " fde0a2 fcfdbf",
+    GREYS: "000000 ffffff",
+}
+_SHADES = 255  # and one more for missing values
+_ENOUGH = 2_000_000  # values for a percentile
+_LARGE = 250_000  # pixels from which an image is stored as JPEG
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Colour limits and the name of the colours between them; values beyond a limit have its colour."""
+
+    low: float
+    high: float
+    colours: str = PROPERTY
+
+    def shades(self, values: ArrayLike) -> NDArray[np.uint8]:
+        """Return the index of each value's colour; the last one is for missing values."""
+        share = (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low)
+        known = np.isfinite(share)
+        share = np.clip(np.where(known, share, 0.0), 0.0, 1.0)
+        return np.where(known, np.rint(share * (_SHADES - 1)), _SHADES).astype(np.uint8)
+
+
+def limits(
+    values: ArrayLike, colours: str = PROPERTY, *, percent: float = 1.0, symmetric: bool = False, low: float | None = None
+) -> Scale:  # fmt: skip
+    """Return a colour scale with limits from percentiles, so that single pixels do not flatten the rest.
+
+    Parameters
+    ----------
+    values : array
+    colours : str
+        Name of the colours.
+    percent : float
+        Share of the values beyond either limit.
+    symmetric : bool
+        Whether zero lies in the middle.
+    low : float or None
+        The lower limit, where it is fixed.
+    """
+    data = np.asarray(values, dtype=np.float64).ravel()
+    data = data[np.isfinite(data)]
+    data = data[:: max(1, data.size // _ENOUGH)]
+    if data.size == 0:
+        return Scale(0.0, 1.0, colours)
+    if symmetric:
+        high = float(np.percentile(np.abs(data), 100 - percent)) or 1.0
+        return Scale(-high, high, colours)
+    bottom, top = (float(v) for v in np.percentile(data, [percent, 100 - percent]))
+    if top - bottom <= 1e-9 * max(abs(bottom), abs(top), 1e-300):
+        bottom, top = bottom - 0.5, top + 0.5
+    return Scale(bottom if low is None else low, max(top, low + 1e-12) if low is not None else top, colours)
+
+
+def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str:
+    """Return a map as an image in a ``data:`` address: PNG, or JPEG where it has many pixels."""
+    from PIL import Image
+
+    palette = np.vstack([_palette(scale.colours), np.array(list(bytes.fromhex(missing[1:])), dtype=np.uint8)])
+    shades = scale.shades(values)
+    kind, data = ("PNG" if shades.size <= _LARGE else "JPEG"), io.BytesIO()
+    if kind == "PNG":
+        image = Image.fromarray(shades)
+        image.putpalette(palette.tobytes())
+        image.save(data, format=kind)
+    else:
+        Image.fromarray(palette[shades]).save(data, format=kind, quality=88, subsampling=0)
+    return f"data:image/{kind.lower()};base64,{base64.b64encode(data.getvalue()).decode('ascii')}"
+
+
+@cache
+def _palette(colours: str) -> NDArray[np.uint8]:
+    """Return the colours of all shades: (255, 3)."""
+    anchors = np.array([list(bytes.fromhex(code)) for code in _ANCHORS[colours].split()], dtype=np.float64)
+    at, places = np.linspace(0, 1, _SHADES), np.linspace(0, 1, len(anchors))
+    table = np.stack([np.interp(at, places, anchors[:, k]) for k in range(3)], axis=1)
+    return np.rint(table).astype(np.uint8)
