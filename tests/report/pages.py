@@ -14,6 +14,7 @@ class Page(HTMLParser):
     def __init__(self, html: str) -> None:
         super().__init__()
         self.sections: list[str] = []
+        self.drawings = 0
         self.images: list[dict[str, str]] = []
         self.addresses: list[str] = []
         self.metas: list[dict[str, str]] = []
@@ -32,12 +33,18 @@ class Page(HTMLParser):
         self.addresses += [given[k] for k in ("src", "href", "action", "srcset", "data") if k in given]
         if tag == "section":
             self.sections.append(given["id"])
-        if tag == "img":
+        self.drawings += tag == "svg" and given.get("role") == "img"
+        if tag == "image":
             self.images.append(given)
         if tag == "meta":
             self.metas.append(given)
         if tag not in VOID:
             self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.handle_endtag(tag)
 
     def handle_endtag(self, tag: str) -> None:
         assert self._open.pop() == tag, f"</{tag}> closes nothing"

@@ -1,4 +1,4 @@
-"""A small run as the pipeline gives it, for the tests of its page."""
+"""Small runs as the pipeline gives them, for the tests of their page."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+
+from planish.core.results import Results
+from planish.report.page import render_report
 
 PROPERTIES = {
     "coating_top": "Coating thickness, top side",
@@ -66,32 +69,47 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
         {"slice": y[at], "height": z, "x": x}, frame,
     )  # fmt: skip
     groups = {"surfaces": surfaces, "flat": flat, "strain": strain, "maps": maps, "slices": slices}
-    statistics = {"n": 12_000, "mean_um": 20.0, "sd_um": 2.0, "p5_um": 17.0, "median_um": 20.0, "p95_um": 23.0}
+    shares = {"measured": 0.9, "no_sheet": 0.1, "rim": 0.0}
+    statistics = {"units": "um", "n": 12_000, "mean": 20.0, "sd": 2.0, "p5": 17.0, "median": 20.0, "p95": 23.0}
+    percentiles = {"median": 1e-5, "p5": -2e-4, "p95": 2e-4, "p95_abs": 2e-4, "max_abs": 3e-4}
+    facts: dict[str, Any] = {
+        "surfaces": frame | {
+            "thickness_um": 90.0, "blur_um": 4.0, "fringe": None, "fringe_um": None, "cutoff_um": 400.0,
+            "rim_um": 100.0, "saturated_share": 0.0, "missing_share": 0.0, "polarity": 1.0, "grey_air": 30.0,
+            "grey_base": 150.0, "grey_coating_top": 200.0 if coated else None, "grey_coating_bottom": None,
+            "grey_noise": 4.0, "columns": 12_600, "particles_removed": 0, "half_closed_holes": 0, "shares": shares,
+        },
+        "properties": {k: statistics for k in PROPERTIES if np.isfinite(properties[k]).any()},
+        "numbers": {"thin": {}, "roughness": {}, "two_sides": {}},
+        "flatten": {
+            "outcome": "RESTED", "sentence": "The mesh came to rest.", "steps": 4, "energy_um2": 1e-7, "mesh_um": 24.0,
+            "folded_cells": 0, "edge_strain_p95": 4e-4, "edge_strain_max": 1e-3, "largest_move_um": 16.8,
+            "method": "multigrid", "springs": 3100, "straight_share": 0.001,
+            "curvature": {"patch_um": 1000.0, "limit": 0.005, "share": 0.0, "largest": 0.001,
+                          "verdict": "The surface can be a sheet of paper."},
+            "distortion": {
+                **dict.fromkeys(("area", "axial_u", "axial_v", "shear"), percentiles), "cells": 748,
+                "inverted_cells": 0, "boundary_space_um": 1.0, "boundary_flat_um": 1.0, "growth_percent": 1.0,
+                "growth_anisotropy_percent": 2.0, "growth_direction_deg": 0.0, "displacement_median_um": 4.0,
+                "displacement_p95_um": 12.0, "displacement_max_um": 16.8,
+                "geodesics": {"p50": 1e-5, "p95": 1e-4, "largest": 1e-3, "used": 100, "dropped": 0},
+            },
+        },
+    }  # fmt: skip
+    sheet: dict[str, Any] = {
+        "name": "volume", "kind": "sheet", "headline": "coating_top" if coated else "thickness", "sheet": facts,
+        "source": {"name": "sheet.tif", "shape": [100, 90, 140], "dtype": "uint8", "bytes": 1_260_000,
+                   "sha256": "ab" * 32, "size_um": [6.0, 6.0, 6.0], "size_source": "ImageJ metadata"},
+    }  # fmt: skip
     results: dict[str, Any] = {
-        "planish": "0.1.0",
-        "versions": {"numpy": "2.4.6"},
-        "inputs": {"volume": {"name": "sheet.tif", "shape": [100, 90, 140], "dtype": "uint8", "bytes": 1_260_000,
-                              "sha256": "ab" * 32, "voxel_um": [6.0, 6.0, 6.0], "voxel_um_source": "ImageJ metadata"}},
-        "surfaces": frame | {"thickness_um": 90.0, "blur_um": 4.0, "cutoff_um": 400.0, "rim_um": 100.0, "polarity": 1.0,
-                             "grey_air": 30.0, "grey_base": 150.0, "grey_coating_top": 200.0 if coated else None,
-                             "grey_coating_bottom": None, "grey_noise": 4.0, "columns": 12_600, "share_measured": 0.9,
-                             "share_no_sheet": 0.1, "share_rim": 0.0},
-        "properties": {k: statistics if np.isfinite(properties[k]).any() else None for k in PROPERTIES},
-        "flatten": {"outcome": "RESTED", "sentence": "The mesh came to rest.", "steps": 4, "energy_um2": 1e-7,
-                    "mesh_um": 24.0, "folded_cells": 0, "edge_strain_p95": 4e-4, "edge_strain_max": 1e-3,
-                    "largest_move_um": 16.8, "method": "multigrid", "springs": 3100, "straight_share": 0.001,
-                    "curvature": {"patch_um": 1000.0, "limit": 0.005, "share": 0.0, "largest": 0.001,
-                                  "verdict": "The surface can be a sheet of paper."},
-                    "distortion": {"displacement_median_um": 4.0, "displacement_p95_um": 12.0, "growth_percent": 1.0,
-                                   "growth_anisotropy_percent": 2.0, "area": {"median": 1e-5, "p95_abs": 2e-4},
-                                   "geodesics": {"p50": 1e-5, "p95": 1e-4}, "cells": 748}},
-        "quality": [{"name": "coverage", "value": 0.9, "limit": 0.5, "passed": True,
-                     "sentence": "90 % of the columns are measured."}],
+        "planish": "0.2.0", "versions": {"numpy": "2.4.6"}, "layers": [sheet],
+        "gates": [{"name": "coverage", "value": 0.9, "limit": 0.5, "passed": True,
+                   "sentence": "90 % of the columns are measured."}],
         "parameters": {"volume": {"voxel_um": [6.0, 6.0, 6.0], "through": "z", "top": top, "override_size": False},
                        "registration": {"hole_um": [100.0, 300.0]}, "correlate": {"point_um": 100.0, "thin_um": 5.0}},
     }  # fmt: skip
     if not linked:
-        return {"groups": groups, "marks": None, "results": results}
+        return {"groups": groups, "marks": {}, "results": results}
     headline = "coating_top" if coated else "thickness"
     image = 1000 + relation * (coating - 20) + rng.normal(0, 40, coating.shape)
     groups["linked"] = xr.Dataset(
@@ -113,31 +131,58 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
     )  # fmt: skip
     row = {"n": 11_000, "r": 0.9, "r2": 0.81, "slope": 40.0, "intercept": 200.0}
     large = {"n": 40, "r": 0.8, "r2": 0.64, "slope": 41.0, "intercept": 180.0}
-    results["inputs"]["image"] = {
-        "name": "image.png", "shape": [90, 140], "dtype": "uint16", "bytes": 25_000, "sha256": "cd" * 32,
-        "pixel_um": [6.0, 6.0], "pixel_um_source": "given",
+    image_layer = {
+        "name": "image", "kind": "image", "headline": "image",
+        "source": {"name": "image.png", "shape": [90, 140], "dtype": "uint16", "bytes": 25_000, "sha256": "cd" * 32,
+                   "size_um": [6.0, 6.0], "size_source": "given"},
+    }  # fmt: skip
+    sheet["registration"] = registration_of("volume", "image") | {
+        "match_sentence": "3 of 3 marks match to 0.3 um.", "warnings": ["few marks"],
+        "lag": lag_of(lag_um=[0.6, -0.3], sentence="lag 0.7 ± 0.3 um, expected error 0.9 um: agrees"),
+        "orientation": ORIENTATION | {"md_deg_moving": 20.0, "md_deg_fixed_from_moving": 20.0,
+                                      "sentence": "The machine direction lies at 20 deg in the image."},
     }  # fmt: skip
     results |= {
-        "marks": {"source": "found", "found_volume": 3, "found_image": 4, "sentence": "3 of 3 marks agree to 0.3 um.",
-                  "matched": 3, "model_sentence": "similarity chosen from 3 marks: 0.5 um.", "warnings": ["few marks"],
-                  "expected_error_um": {"median": 0.71, "largest": 1.2}, "rms_um": 0.33, "leave_one_out_rms_um": 0.51,
-                  "scale": 1.0059,
-                  "rotation_deg": 0.0, "shift_um": [1.0, -2.0], "mirrored": False},
-        "headline": headline,
-        "table": [{"registration": name, "property": headline, "marks_rms_um": 9.0, **row, "r2": r2, "point_um": at_um}
-                  for name, r2 in zip(ROWS, (0.11, 0.22, 0.81), strict=True) for at_um in (6.0, 100.0)],
-        "correlation": [{"property": k, **pair, "point_um": at_um} for k in PROPERTIES if results["properties"][k]
-                        for pair, at_um in ((row, 6.0), (large, 100.0))],
-        "linked": {"pixels": 12_600, "share_on_sheet": 1.0, "share_valid": 0.8, "share_valid_of_sheet": 0.8},
-        "registration_kind": "registration: marks only",
-        "lag": {"property": headline, "lag_um": [0.6, -0.3], "se_um": [0.3, 0.2], "length_um": 0.67,
-                "length_se_um": 0.3, "agrees": True, "silence": None, "expected_um": 0.9, "pixel_um": [6.0, 6.0],
-                "sentence": "lag 0.7 ± 0.3 um, expected error 0.9 um: agrees", "tile_um": 300.0, "split_um": 200.0,
-                "lags_of_bands_um": [[0.5, -0.3], None],
-                "tiles": [{"x": 200.0, "y": 150.0, "lag_um": [0.6, -0.3], "distinct": True},
-                          {"x": 500.0, "y": 150.0, "lag_um": None, "distinct": False}]},
-        "orientation": {"image_side": "top", "side_source": "given", "mirrored_volume": False, "md_deg_map": 20.0,
-                        "md_deg_image": None, "md_deg_image_from_map": 20.0,
-                        "sentence": "The machine direction lies at 20 deg in the image."},
+        "layers": [sheet, image_layer],
+        "comparison": [row | {"registration": name, "property": headline, "marks_rms_um": 9.0, "r2": r2, "point_um": at}
+                       for name, r2 in zip(ROWS, (0.11, 0.22, 0.81), strict=True) for at in (6.0, 100.0)],
+        "correlations": [{"a": "volume", "a_map": k, "b": "image", "b_map": "image", **pair, "point_um": at}
+                         for k in facts["properties"] for pair, at in ((row, 6.0), (large, 100.0))],
+        "linked": {"pixels": 12_600, "share_on_sheet": 1.0, "share_valid": 0.8, "share_valid_of_sheet": 0.81,
+                   "share_valid_away_from_holes": 0.99},
     }  # fmt: skip
-    return {"groups": groups, "marks": marks, "results": results}
+    return {"groups": groups, "marks": {"volume": marks}, "results": results}
+
+
+ORIENTATION = {"image_side": "top", "side_given": True, "mirrored_volume": False, "md_deg_moving": None,
+               "md_deg_fixed": None, "md_deg_fixed_from_moving": None, "sentence": ""}  # fmt: skip
+
+
+def registration_of(moving: str, to: str, *, path: tuple[str, ...] | None = None) -> Run:
+    """Return what the results hold of a registration."""
+    return {
+        "to": to, "path": path or (moving, to), "source": "found", "found_moving": 5, "found_fixed": 6, "matched": 3,
+        "second_best": 0, "match_sentence": f"3 marks of {moving} agree to 0.9 um.", "model": "similarity",
+        "model_sentence": "similarity chosen from 3 marks: 0.5 um.", "warnings": [], "rms_um": 0.33,
+        "leave_one_out_rms_um": 0.51, "expected_error": {"median_um": 1.4, "largest_um": 2.6}, "scale": 1.0059,
+        "rotation_deg": 0.0, "shift_um": [1.0, -2.0], "mirrored": False, "orientation": ORIENTATION,
+    }  # fmt: skip
+
+
+def lag_of(**values: Any) -> Run:
+    """Return what the results hold of a lag."""
+    return {
+        "property": "coating_top", "lag_um": [0.5, -0.2], "se_um": [0.3, 0.2], "length_um": 0.67, "length_se_um": 0.3,
+        "r": 0.5, "r_at_zero": 0.4, "null_95": 0.1, "null_99": 0.2, "n": 5000, "reach_um": 100.0, "agrees": True,
+        "silence": None, "expected_um": 0.9, "sentence": "lag 0.5 ± 0.3 um: agrees", "pixel_um": [6.0, 6.0],
+        "tile_um": 300.0, "split_um": 200.0, "lags_of_bands_um": [[0.5, -0.3], None],
+        "tiles": [{"x": 200.0, "y": 150.0, "lag_um": [0.6, -0.3], "distinct": True},
+                  {"x": 500.0, "y": 150.0, "lag_um": None, "distinct": False}],
+    } | values  # fmt: skip
+
+
+def page_of(run: Run) -> str:
+    """Return the page of a run whose results are a dict."""
+    return render_report(
+        groups=run["groups"], marks=run["marks"], results=Results.model_validate(run["results"])
+    )  # fmt: skip

@@ -11,12 +11,13 @@ import pytest
 import xarray as xr
 
 from planish.analyze import correlate, correlate_at
-from planish.report.draw import house_style
-from planish.report.layer_tables import at_largest, by_pair
-from planish.report.layers import render_layers, write_layers_report
-from planish.report.relation import block_means, draw_pair, pair_of
+from planish.core.results import CorrelationRow, Results
+from planish.report import write_report
+from planish.report.relation import block_means, draw_pair, largest, pair_of
+from planish.report.summary import by_pair
 from planish.report.text import beside
 from report.pages import Page
+from report.runs import lag_of, page_of, registration_of
 
 UM = {"units": "um"}
 MICRO = "\u202fµm"
@@ -56,7 +57,7 @@ def marks_of(seed: int) -> xr.Dataset:
     return table.assign(residual=("mark", np.hypot(*residual.T)), label=("mark", np.array(list("abcd"), dtype=object)))
 
 
-def link_of(maps: dict[str, xr.Dataset], a: str, a_map: str, b: str, b_map: str) -> list[Given]:
+def rows_of(maps: dict[str, xr.Dataset], a: str, a_map: str, b: str, b_map: str) -> list[Given]:
     """Return the rows of a pair as the program makes them."""
     valid = maps[a]["valid"].values & maps[b]["valid"].values
     p, q = (np.where(valid, maps[n][m].values.astype(float), np.nan) for n, m in ((a, a_map), (b, b_map)))
@@ -91,46 +92,34 @@ def layers(*, chain: bool = False, blank: bool = False) -> Given:
         "after": sheet(after, x, y, joined=False),
     }
     marks = {"before": marks_of(1), "photo": marks_of(2)}
-    ways = {"before": ["before", "photo", "after"] if chain else ["before", "after"], "photo": ["photo", "after"]}
-    told = [
-        {
-            "name": name, "kind": "image" if name == "photo" else "sheet", "path": ways.get(name, [name]),
-            "source": {"name": f"{name}.tif", "shape": [100, 140], "sha256": "ab" * 32, "pixel_um": [6.0, 6.0]},
-            "to": ways[name][1] if name in ways else None,
-            "headline": "image" if name == "photo" else "coating_top",
-            "share_of_reference": 0.86, "marks": None, "expected_error_um": None, "orientation": None,
-        }
-        for name in maps
-    ]  # fmt: skip
-    for layer in told[:2]:
-        error = {"median": 1.4, "largest": 2.6}
-        layer["marks"] = {
-            "source": "found", f"found_{layer['name']}": 5, f"found_{layer['to']}": 6, "matched": 4,
-            "sentence": f"4 marks of {layer['name']} agree to 0.9 um.", "model_sentence": "similarity: 0.9 um.",
-            "warnings": [], "expected_error_um": error, "rms_um": 0.9, "leave_one_out_rms_um": 1.5, "scale": 1.001,
-            "rotation_deg": 3.0, "shift_um": [3.0, 4.0], "mirrored": False,
+    paths = {"before": ("before", "photo", "after") if chain else ("before", "after"), "photo": ("photo", "after")}
+    listed: list[Given] = []
+    for name in maps:
+        layer: Given = {
+            "name": name, "kind": "image" if name == "photo" else "sheet",
+            "source": {"name": f"{name}.tif", "shape": [100, 140], "dtype": "uint8", "bytes": 14_000,
+                       "sha256": "ab" * 32, "size_um": [6.0, 6.0], "size_source": "given"},
+            "headline": "image" if name == "photo" else "coating_top", "share_of_reference": 0.86,
         }  # fmt: skip
-        layer["expected_error_um"] = error
-        layer["orientation"] = {"md_deg_image": None, "md_deg_image_from_map": 30.0,
-                                "sentence": f"The machine direction lies at 30 deg in {layer['to']}."}  # fmt: skip
+        if name in paths:
+            to = paths[name][1]
+            layer["registration"] = registration_of(name, to, path=paths[name])
+            layer["registration"]["orientation"] = layer["registration"]["orientation"] | {
+                "md_deg_fixed_from_moving": 30.0, "sentence": f"The machine direction lies at 30 deg in {to}."
+            }  # fmt: skip
+        listed.append(layer)
+    listed[0]["registration"]["lag"] = lag_of()
     compared = (
         ("before", "coating_top", "after", "coating_top"),
         ("before", "thickness", "after", "thickness"),
         ("photo", "image", "after", "coating_top"),
     )
-    pairs = [row for which in compared for row in link_of(maps, *which)]
-    lag = {
-        "property": "coating_top", "lag_um": [0.5, -0.2], "se_um": [0.3, 0.3], "length_um": 0.54, "length_se_um": 0.3,
-        "agrees": True, "silence": None, "expected_um": 1.5, "sentence": "lag 0.5 ± 0.3 um: agrees",
-        "pixel_um": [6.0, 6.0], "tile_um": 300.0, "split_um": None, "lags_of_bands_um": [None, None],
-        "tiles": [{"x": 300.0, "y": 300.0, "lag_um": [0.5, -0.2], "distinct": True},
-                  {"x": 500.0, "y": 300.0, "lag_um": None, "distinct": False}],
-    }  # fmt: skip
-    results = {
-        "planish": "0.1.0", "versions": {"numpy": "2.4.6"}, "reference": "after", "chain": chain, "layers": told,
-        "pairs": pairs, "lags": [{"a": "before", "b": "after", **lag}, {"a": "photo", "b": "after"}],
-        "quality": [{"name": "before: marks", "passed": True, "sentence": "4 marks agree to 1.5 um."}],
-        "parameters": {"chain": chain, "layers": [{"name": "before", "map": {"volume": {"voxel_um": [3.0, 3.0, 3.0]}}}],
+    results: Given = {
+        "planish": "0.2.0", "versions": {"numpy": "2.4.6"}, "chain": chain, "layers": listed,
+        "correlations": [row for which in compared for row in rows_of(maps, *which)],
+        "gates": [{"name": "before: marks", "value": 1.5, "limit": 20.0, "passed": True,
+                   "sentence": "4 marks agree to 1.5 um."}],
+        "parameters": {"chain": chain, "layers": [{"name": "before", "volume": {"voxel_um": [3.0, 3.0, 3.0]}}],
                        "registration": {"hole_um": [100.0, 300.0]}},
     }  # fmt: skip
     groups = {f"layers/{name}": data for name, data in maps.items()}
@@ -139,85 +128,98 @@ def layers(*, chain: bool = False, blank: bool = False) -> Given:
 
 @pytest.fixture(scope="module")
 def page() -> str:
-    return render_layers(**layers())
+    return page_of(layers())
 
 
 @pytest.fixture(scope="module")
 def chain_page() -> str:
-    given = layers(chain=True)
-    given["results"]["registration_kind"] = "refined (cross-fitted)"
-    return render_layers(**given)
+    return page_of(layers(chain=True))
 
 
-def test_page_tells_of_every_layer_and_pair(page: str) -> None:
+def captions_of(page: str) -> list[str]:
+    return re.findall(r"<figcaption>(.*?)</figcaption>", page, flags=re.DOTALL)
+
+
+def test_page_shows_every_layer_and_pair(page: str) -> None:
     read = Page(page)
     text = read.text()
-    assert read.sections == ["layers", "places", "pairs", "record"]
+    assert read.sections == ["inputs", "registration", "linked", "relation", "record"]
     assert read.text("title") == "3 layers on the pixels of after"
     for expected in ("before.tif", "photo.tif", "after.tif", "86\u202f%", "1.4; 2.6", "before → after",
-                     f"4 marks of before agree to 0.9{MICRO}.", "at 30° in after", "The quality gate is passed.",
-                     "4 matched, of 5 holes in before and 6 in after", f"Points of 60{MICRO}"):  # fmt: skip
+                     f"3 marks of before agree to 0.9{MICRO}.", "at 30° in after", "The quality gate is passed.",
+                     "3 matched, of 5 holes in before and 6 in after", f"Points of 60{MICRO}",
+                     f"The expected error is 1.4{MICRO} (rms, median over the worst layer), at most 2.6"):  # fmt: skip
         assert expected in text
-    # Beside the maps: residuals and expected error of either layer, the lags of one; and a figure a pair.
-    assert len(read.images) == 2 * 3 + 1 + 3
-    captions = re.findall(r"<figcaption>(.*?)</figcaption>", page, flags=re.DOTALL)
+    # Residuals and expected error of either layer, the lags of one, two maps side by side, and a figure for each pair.
+    captions = captions_of(page)
+    assert read.drawings == len(captions) == 2 * 2 + 1 + 2 + 3
     assert [int(v) for v in re.findall(r"<b>Figure (\d+)\.", page)] == [*range(1, len(captions) + 1)]
     for caption in captions:
         assert re.search(r"\bn\b", caption)
         assert "mask" in caption.lower()
 
 
-def test_every_correlation_says_how_the_maps_were_registered(page: str, chain_page: str) -> None:
-    text = Page(page).text()
-    # The verdict's number, a caption a pair, and the table.
-    assert len(re.findall("registration: marks only", text, flags=re.IGNORECASE)) == 1 + 3 + 1
-    other = Page(chain_page).text()
-    assert "marks only" not in other
-    assert "registration: refined (cross-fitted)" in other
+def test_every_correlation_says_how_the_maps_were_registered(page: str) -> None:
+    # The weakest correlation in the summary, a caption for each pair, and the table.
+    assert len(re.findall("registration: marks only", Page(page).text(), flags=re.IGNORECASE)) == 1 + 3 + 1
 
 
-def test_the_difference_is_told_where_both_are_the_same_quantity(page: str) -> None:
-    rows = [at_largest(rows) for rows in by_pair(layers()["results"]["pairs"])]
-    assert [row["point_um"] for row in rows] == [60.0] * 3
-    assert rows[0]["difference_mean"] == pytest.approx(OFFSET, abs=0.05)
-    text = Page(page).text()
-    found = beside(rows[0]["difference_mean"], rows[0]["difference_sd"])
-    assert f"coating thickness (top side) of after less that of before is {found} µm on average" in text
-    captions = re.findall(r"<figcaption>(.*?)</figcaption>", page, flags=re.DOTALL)[-3:]
-    assert ["the difference (upward map less the map across)" in c for c in captions] == [True, True, False]
+def test_the_difference_is_given_where_both_are_the_same_quantity(page: str) -> None:
+    rows = [largest(group) for group in by_pair(Results.model_validate(layers()["results"]))]
+    assert [row.point_um for row in rows] == [60.0] * 3
+    assert rows[0].difference_mean == pytest.approx(OFFSET, abs=0.05)
+    found = beside(rows[0].difference_mean, rows[0].difference_sd)
+    assert f"coating thickness (top side) of after minus that of before is {found} µm on average" in Page(page).text()
+    drawn = ["the difference (upward map minus the map across)" in c for c in captions_of(page)[-3:]]
+    assert drawn == [True, True, False]
 
 
 def test_difference_and_its_drawing_have_one_sign() -> None:
     given = layers()
     a, b = (given["groups"][f"layers/{name}"]["coating_top"] for name in ("before", "after"))
-    pair = pair_of(a, b, np.ones(a.shape, dtype=bool))
+    pair = pair_of(a, b, np.ones(a.shape, dtype=bool), names=("a", "b"))
     first, second = block_means(pair, point_um=60.0)
-    row = at_largest(by_pair(given["results"]["pairs"])[0])
-    assert float((second - first).mean()) == pytest.approx(row["difference_mean"], abs=0.1)
+    row = largest(by_pair(Results.model_validate(given["results"]))[0])
+    assert float((second - first).mean()) == pytest.approx(row.difference_mean, abs=0.1)
+
+
+def test_two_instruments_of_one_sheet_are_compared_by_their_difference() -> None:
+    given = layers()
+    results = given["results"]
+    results["layers"] = [results["layers"][0], results["layers"][2]]
+    results["correlations"] = [row for row in results["correlations"] if row["a"] == "before"]
+    read = Page(page_of(given))
+    text = read.text()
+    assert read.text("title") == "before.tif linked to after.tif"
+    assert "minus that of before is" in text
+    assert (
+        "Coating thickness (top side) of after is larger where coating thickness (top side) of before is larger" in text
+    )
+    assert "on the pixels of after" in read.text("figcaption")
 
 
 def test_marks_of_a_chain_are_drawn_in_the_layer_that_they_join(page: str, chain_page: str) -> None:
     text = Page(chain_page).text()
     assert "before → photo → after" in text
-    assert "Places are those of photo" in text
-    assert "Places are those of" not in Page(page).text()
+    assert "Places are in the coordinates of photo" in text
+    assert "Places are in the coordinates of" not in Page(page).text()
 
 
 def test_lags_that_were_not_found_are_left_out(page: str) -> None:
-    read = Page(page)
-    assert "before against after agrees" in read.text("li")
-    assert "photo against" not in read.text("li")
+    text = Page(page).text("li")
+    assert "image-based check of before agrees" in text
+    assert "check of photo" not in text
 
 
 def test_layers_without_a_common_point_still_have_a_page() -> None:
     given = layers(blank=True)
-    text = Page(render_layers(**given)).text()
+    text = Page(page_of(given)).text()
     assert not re.search(r"\b(nan|None|inf)\b", text)
-    given["results"] |= {"pairs": [], "lags": []}
-    for layer in given["results"]["layers"]:
-        layer |= {"marks": None, "expected_error_um": None}
+    given["results"]["correlations"] = []
+    for layer in given["results"]["layers"][:2]:
+        layer["registration"] |= {"expected_error": None, "lag": None, "leave_one_out_rms_um": None}
     given["marks"] = {}
-    text = Page(render_layers(**given)).text()
+    text = Page(page_of(given)).text()
     assert "No two layers have points in common" in text
     assert not re.search(r"\b(nan|None|inf)\b", text)
 
@@ -228,28 +230,31 @@ def test_names_stay_text() -> None:
     swap = {"before": hostile}
     given["groups"] = {k.replace("before", hostile): v for k, v in given["groups"].items()}
     given["marks"] = {swap.get(k, k): v for k, v in given["marks"].items()}
-    for row in (*given["results"]["pairs"], *given["results"]["lags"]):
+    for row in given["results"]["correlations"]:
         row["a"] = swap.get(row["a"], row["a"])
-    given["results"]["layers"][0] |= {"name": hostile, "path": [hostile, "after"]}
-    given["results"]["layers"][0]["source"]["name"] = hostile
+    first = given["results"]["layers"][0]
+    first["name"] = first["source"]["name"] = hostile
+    first["registration"]["path"] = [hostile, "after"]
     given["groups"]["layers/after"]["coating_top"].attrs |= {"long_name": hostile, "units": hostile}
-    read = Page(render_layers(**given))
-    assert not read.tags & {"script"}
+    read = Page(page_of(given))
+    assert not read.tags & {"script", "img"}
     assert read.handlers == []
-    assert hostile in read.text("h1")
-    assert hostile in read.text("figcaption")
+    for tag in ("h1", "figcaption", "svg"):
+        assert hostile in read.text(tag)
     assert {a.split(":")[0] for a in read.addresses if not a.startswith("#")} == {"data"}
 
 
 def test_same_input_gives_the_same_bytes(tmp_path: Path, page: str) -> None:
-    write_layers_report(tmp_path / "report.html", **layers())
+    given = layers()
+    given["results"] = Results.model_validate(given["results"])
+    write_report(tmp_path / "report.html", **given)
     assert (tmp_path / "report.html").read_bytes() == page.encode("utf-8")
 
 
 def test_a_pair_without_correlation_is_drawn() -> None:
     a = layers(blank=True)["groups"]["layers/before"]["coating_top"]
-    row = {"point_um": 60.0, "n": 0, "r": None, "r2": None, "slope": None, "intercept": None, "same_quantity": True,
-           "difference_mean": None, "difference_sd": None, "limits": None, "units": "um"}  # fmt: skip
-    with house_style():
-        drawn = draw_pair(pair_of(a, a, np.ones(a.shape, dtype=bool)), row, registered="registration: marks only")
-    assert "n = 0 points" in drawn.caption
+    row = CorrelationRow(a="a", a_map="m", b="b", b_map="m", point_um=60.0, n=0, r=None, r2=None, slope=None,
+                         intercept=None, same_quantity=True, units="um")  # fmt: skip
+    drawn = draw_pair(pair_of(a, a, np.ones(a.shape, dtype=bool), names=("a", "b")), [row])
+    assert "no correlation" in drawn.svg
+    assert "nan" not in drawn.svg

@@ -49,7 +49,8 @@ class Scale:
 
 
 def limits(
-    values: ArrayLike, colours: str = PROPERTY, *, percent: float = 1.0, symmetric: bool = False, low: float | None = None
+    values: ArrayLike, colours: str = PROPERTY, *, percent: float = 1.0, symmetric: bool = False,
+    low: float | None = None,
 ) -> Scale:  # fmt: skip
     """Return a colour scale with limits from percentiles, so that single pixels do not flatten the rest.
 

@@ -6,16 +6,19 @@ Text and lines stay sharp on screen and paper; the same numbers give the same by
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from html import escape
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from planish.core.area import area_mean
 from planish.report.colours import MISSING, Array, Scale, image_uri
 from planish.report.text import fixed, plain
+
+Extent = tuple[float, float, float, float]
+"""Left, right, bottom and top in um, or in the units of a plot."""
 
 FULL, HALF = 1040.0, 510.0  # CSS pixels: the page's column, and half of it
 BESIDE = 86.0  # to the right of a map on half a page: its colour bar
@@ -45,7 +48,7 @@ class Field:
     """A map at most as fine as the figure that shows it, with its place in um (left, right, bottom, top)."""
 
     values: Array
-    extent: tuple[float, float, float, float]
+    extent: Extent
 
     @property
     def width(self) -> float:
@@ -70,9 +73,9 @@ class Canvas:
         self.width, self.height = width, height
         self._parts: list[str | Axes] = []
 
-    def axes(self, left: float, top: float, width: float, height: float, extent: Iterable[float]) -> Axes:
+    def axes(self, left: float, top: float, width: float, height: float, extent: Extent) -> Axes:
         """Add axes over (left, right, bottom, top) in the units of the data; what is drawn in them ends at them."""
-        axes = Axes(self, left, top, width, height, tuple(extent))
+        axes = Axes(self, left, top, width, height, extent)
         self._parts.append(axes)
         return axes
 
@@ -110,9 +113,15 @@ class Canvas:
     ) -> None:  # fmt: skip
         """Draw the colours of a scale with their values, upwards, or to the right where it is wider than high."""
         across = width > height
-        shades = np.linspace(scale.low, scale.high, 128)[None] if across else np.linspace(scale.high, scale.low, 128)[:, None]
+        shades = (
+            np.linspace(scale.low, scale.high, 128)[None]
+            if across
+            else np.linspace(scale.high, scale.low, 128)[:, None]
+        )
         self._parts.append(_image((left, top, width, height), shades, scale))
-        ticks, step = levels_between(scale.low, scale.high, steps=max(2, int((width if across else height) / 42)))
+        ticks, step = round_ticks(
+            scale.low, scale.high, most=int((width if across else height) / (58 if across else 42))
+        )
         values = ticks if marks is None else marks
         write = label or _decimals(step)
         for value, share in zip(values, (values - scale.low) / (scale.high - scale.low), strict=True):
@@ -140,7 +149,7 @@ class Canvas:
 
     def picture(self, *, title: str, caption: str) -> Picture:
         """Return the finished figure."""
-        parts = "".join(str(part) for part in self._parts)
+        parts = "".join(part if isinstance(part, str) else part.svg() for part in self._parts)
         size = f'width="{_n(self.width)}" height="{_n(self.height)}" viewBox="0 0 {_n(self.width)} {_n(self.height)}"'
         svg = f'<svg {size} role="img" aria-label="{escape(title)}">{parts}</svg>'
         return Picture(svg=svg, width=self.width, height=self.height, title=title, caption=caption)
@@ -155,10 +164,11 @@ class Axes:
     top: float
     width: float
     height: float
-    extent: tuple[float, ...]
+    extent: Extent
     parts: list[str] = field(default_factory=list[str])
 
-    def __str__(self) -> str:
+    def svg(self) -> str:
+        """Return all that was drawn."""
         box = f'x="{_n(self.left)}" y="{_n(self.top)}" width="{_n(self.width)}" height="{_n(self.height)}"'
         return f"<svg {box}>{''.join(self.parts)}</svg>"
 
@@ -166,7 +176,9 @@ class Axes:
         """Return points (n, 2) in pixels of the axes."""
         x0, x1, y0, y1 = self.extent
         data = np.asarray(points, dtype=np.float64)
-        return np.stack([(data[:, 0] - x0) / (x1 - x0) * self.width, (data[:, 1] - y1) / (y0 - y1) * self.height], axis=1)
+        return np.stack(
+            [(data[:, 0] - x0) / (x1 - x0) * self.width, (data[:, 1] - y1) / (y0 - y1) * self.height], axis=1
+        )
 
     def image(self, shown: Field, scale: Scale, *, missing: str = MISSING) -> None:
         """Fill the axes with a map within a thin frame; what is missing is neutral grey."""
@@ -226,15 +238,16 @@ class Axes:
             head = min(4.5 * width, 0.6 * far)
             c, s = (u - x) / far * head, (v - y) / far * head
             shafts += f"M{_n(x)} {_n(y)}L{_n(u - 0.8 * c)} {_n(v - 0.8 * s)}"
-            heads += f"M{_n(u)} {_n(v)}L{_n(u - c - 0.45 * s)} {_n(v - s + 0.45 * c)}L{_n(u - c + 0.45 * s)} {_n(v - s - 0.45 * c)}z"
+            wings = [f"L{_n(u - c - k * s)} {_n(v - s + k * c)}" for k in (0.45, -0.45)]
+            heads += f"M{_n(u)} {_n(v)}{''.join(wings)}z"
         if not shafts:
             return
         for ink, extra in ((halo, 2.4), (colour, 0.0)) if halo else ((colour, 0.0),):
             self.parts.append(_stroke(shafts, ink, width + extra))
             self.parts.append(f'<path d="{heads}" fill="{ink}" stroke="{ink}" stroke-width="{_n(extra)}"/>')
 
-    def contours(self, shown: Field, levels: Array, *, labels: bool = False) -> None:
-        """Draw contour lines of a field in white, with their values on request."""
+    def contours(self, shown: Field, levels: Array, *, labels: bool = False, avoid: Array | None = None) -> None:
+        """Draw contour lines of a field in white, with their values on request, away from some places."""
         from contourpy import LineType, contour_generator
 
         rows, cols = shown.values.shape
@@ -245,9 +258,9 @@ class Axes:
         x = left + (np.arange(cols) + 0.5) * (right - left) / cols
         y = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
         found = contour_generator(x, y, np.ma.masked_invalid(shown.values), line_type=LineType.Separate)
-        taken: list[Array] = []
+        taken = [] if avoid is None else list(self.place(avoid))
         for level in levels[(levels > known.min()) & (levels < known.max())]:
-            lines = [self.place(line) for line in found.lines(float(level))]
+            lines = [self.place(line) for line in found.lines(float(level)) if isinstance(line, np.ndarray)]
             data = "".join(_path(line) for line in lines)
             self.parts.append(_stroke(data, "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7))
             if labels and lines:
@@ -264,20 +277,20 @@ class Axes:
             room = np.minimum(room, np.hypot(*(line - other).T))
         return line[int(np.argmax(room))]
 
-    def outline(self, inside: Array, y: Array, x: Array, *, colour: str, width: float) -> None:
+    def outline(self, inside: NDArray[np.bool_], y: Array, x: Array, *, colour: str, width: float) -> None:
         """Draw the border of a region along the edges of its pixels."""
         padded = np.pad(inside.astype(np.int8), 1)
+        corners = [float(c[0]) + (np.arange(c.size + 1) - 0.5) * pitch(c) for c in (x, y)]
+        x0, x1, y0, y1 = self.extent
+        across, down = (corners[0] - x0) / (x1 - x0) * self.width, (corners[1] - y1) / (y0 - y1) * self.height
         data = ""
-        for flip in (False, True):
-            edges = np.diff(padded.T if flip else padded, axis=0) != 0
-            ends = np.diff(np.pad(edges, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-            row, start = np.nonzero(ends == 1)
+        for step, edges in (("h", np.diff(padded, axis=0)), ("v", np.diff(padded, axis=1).T)):
+            ends = np.diff((edges != 0).astype(np.int8), axis=1)
+            line, start = np.nonzero(ends == 1)
             stop = np.nonzero(ends == -1)[1]
-            lines = np.stack([start - 1, row, stop - 1, row], axis=1) if not flip else np.stack([row, start - 1, row, stop - 1], axis=1)
-            um = np.stack([_edge(x, lines[:, 0]), _edge(y, lines[:, 1]), _edge(x, lines[:, 2]), _edge(y, lines[:, 3])], axis=1)
-            from_, to = self.place(um[:, :2]), self.place(um[:, 2:])
-            step = "v" if flip else "h"
-            data += "".join(f"M{_n(a)} {_n(b)}{step}{_n(c)}" for (a, b), c in zip(from_, (to - from_)[:, int(flip)], strict=True))
+            along, place = (across, down) if step == "h" else (down, across)
+            for a, b, p in zip(along[start], along[stop], place[line], strict=True):
+                data += f"M{_n(a)} {_n(p)}h{_n(b - a)}" if step == "h" else f"M{_n(p)} {_n(a)}v{_n(b - a)}"
         if data:
             self.parts.append(_stroke(data, colour, width, cap="square"))
 
@@ -285,8 +298,10 @@ class Axes:
         """Draw the left and the lower axis with round numbers and labels; ``log``: y holds powers of ten."""
         x0, x1, y0, y1 = self.extent
         bottom, canvas = self.top + self.height, self.canvas
-        canvas.line([(self.left, self.top), (self.left, bottom), (self.left + self.width, bottom)], colour=SOFT, width=0.8)
-        levels, step = levels_between(x0, x1, steps=max(3, int(self.width / 70)))
+        canvas.line(
+            [(self.left, self.top), (self.left, bottom), (self.left + self.width, bottom)], colour=SOFT, width=0.8
+        )
+        levels, step = round_ticks(x0, x1, most=int(self.width / 62))
         write = _decimals(step)
         for value in levels:
             x = self.left + float(self.place([(value, y0)])[0, 0])
@@ -296,8 +311,8 @@ class Axes:
             levels = np.arange(math.ceil(y0), math.floor(y1) + 1.0)
             levels = levels[:: max(1, math.ceil(len(levels) / 6))]
         else:
-            levels, step = levels_between(y0, y1, steps=max(3, int(self.height / 50)))
-        write = (lambda v: f"{10.0**v:g}") if log else _decimals(step)
+            levels, step = round_ticks(y0, y1, most=int(self.height / 44))
+        write = _power if log else _decimals(step)
         widest = 0
         for value in levels:
             y = self.top + float(self.place([(x0, value)])[0, 1])
@@ -350,10 +365,18 @@ def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float
     return np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step, step
 
 
+def round_ticks(low: float, high: float, *, most: int) -> tuple[Array, float]:
+    """Return at most so many round values between two others, and their step."""
+    smallest = (high - low) / max(most, 2)
+    power = 10.0 ** math.floor(math.log10(smallest))
+    step = power * next(k for k in (1, 2, 5, 10) if k * power >= smallest * (1 - 1e-9))
+    return np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step, step
+
+
 def half_page(shown: Field, *, scale: Scale, label: str, width: float = HALF) -> tuple[Canvas, Axes]:
     """Half a page, or as wide as given: a map, its colour bar to the right unless there is no label, its scale bar."""
     box = shown.fit(width - BESIDE, _HIGHEST if width <= HALF else 640.0)
-    canvas = Canvas(width, panel_height(box, label) + _TOP + 31)
+    canvas = Canvas(width, panel_height(box, label) + _TOP + 26)
     return canvas, canvas.panel(0.0, 0.0, shown, box, scale=scale, label=label)
 
 
@@ -368,9 +391,8 @@ def _decimals(step: float) -> Callable[[float], str]:
     return lambda value: fixed(value, places)
 
 
-def _edge(centres: Array, k: Array) -> Array:
-    """Return where pixel ``k`` begins."""
-    return float(centres[0]) + (k - 0.5) * pitch(centres)
+def _power(value: float) -> str:
+    return f"{10.0**value:g}"
 
 
 def _n(value: float) -> str:
@@ -381,9 +403,9 @@ def _n(value: float) -> str:
 def _path(points: Array) -> str:
     """Return a line through points in pixels as path data; NaN interrupts it."""
     tenths = np.rint(10 * points)
-    known = np.isfinite(tenths).all(axis=1)
+    known = np.isfinite(tenths[:, 0]) & np.isfinite(tenths[:, 1])
     out: list[str] = []
-    for run in np.split(np.arange(len(known)), np.flatnonzero(np.diff(known)) + 1):
+    for run in np.split(np.arange(known.size), np.flatnonzero(known[1:] != known[:-1]) + 1):
         if len(run) > 1 and known[run[0]]:
             steps = np.diff(tenths[run], axis=0)
             steps = steps[np.any(steps != 0, axis=1)]
@@ -418,5 +440,3 @@ def _image(box: tuple[float, float, float, float], values: Array, scale: Scale, 
         f'<image x="{left}" y="{top}" width="{width}" height="{height}" preserveAspectRatio="none"{coarse} '
         f'href="{image_uri(values, scale, missing=missing)}"/>'
     )
-
-

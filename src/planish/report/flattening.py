@@ -7,7 +7,20 @@ import xarray as xr
 
 from planish.report.colours import GEOMETRY, SIGNED, Array, limits
 from planish.report.draw import (
-    ACCENT, BESIDE, FAINT, FULL, HALF, INK, SOFT, Canvas, Field, Picture, half_page, levels_between, pitch, reduced,
+    ACCENT,
+    BESIDE,
+    FAINT,
+    FULL,
+    HALF,
+    INK,
+    SOFT,
+    Canvas,
+    Field,
+    Picture,
+    half_page,
+    levels_between,
+    pitch,
+    reduced,
     round_below,
 )  # fmt: skip
 from planish.report.text import count, length, plain
@@ -55,14 +68,15 @@ def _displacement(flat: xr.Dataset) -> Picture:
     magnified = round_below(1.6 * stride * max(pitch(x), pitch(y)) / longest) if longest > 0 else 1.0
     at = np.stack([across, y[rows]], axis=-1).reshape(-1, 2)
     axes.arrows(
-        at, magnified * np.stack([du, dv], axis=-1)[rows, cols].reshape(-1, 2), colour="white", width=1.6, halo=INK
+        at, magnified * np.stack([du, dv], axis=-1)[rows, cols].reshape(-1, 2), colour="white", width=1.3, halo=INK
     )
     return canvas.picture(
         title="Displacement by flattening",
         caption=(
             "From the place in the projection to the place in the flat sheet, seen from the top side. Arrows are "
             f"magnified {magnified:g} times; the longest displacement is {length(longest)}. "
-            f"n = {count(int(np.isfinite(moved).sum()))} columns of {size}; mask: as for the warp, without folded cells."
+            f"n = {count(int(np.isfinite(moved).sum()))} columns of {size}; mask: as for the warp, without "
+            "folded cells."
         ),
     )
 

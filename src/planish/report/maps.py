@@ -8,7 +8,16 @@ from numpy.typing import NDArray
 
 from planish.report.colours import CYCLIC, GREYS, PROPERTY, Array, Scale, limits
 from planish.report.draw import (
-    ACCENT, BESIDE, FULL, HALF, SOFT, Canvas, Picture, panel_height, pitch, reduced,
+    ACCENT,
+    BESIDE,
+    FULL,
+    HALF,
+    SOFT,
+    Canvas,
+    Picture,
+    panel_height,
+    pitch,
+    reduced,
 )  # fmt: skip
 from planish.report.text import count, in_words, label_of, number, plain, title_of, unit_of
 
@@ -54,9 +63,9 @@ def _draw(data: xr.DataArray, width: float, rim_um: float) -> Picture:
         title=title_of(data),
         caption=(
             f"{number(mean)} ± {number(sd)} {unit_of(data)} (mean ± standard deviation). "
-            f"n = {count(known.size)} map pixels of {plain(round(pitch(data['v'].values), 4))}; mask: columns with both "
-            f"faces found, without holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the "
-            "99th percentile."
+            f"n = {count(known.size)} map pixels of {plain(round(pitch(data['v'].values), 4))}; mask: columns "
+            f"with both faces found, without holes and a rim of {plain(rim_um)} around them (grey). Colours span "
+            "the 1st to the 99th percentile."
         ),
     )
 

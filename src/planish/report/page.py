@@ -18,14 +18,28 @@ from planish.report.flattening import draw_curvature, draw_progress, draw_strain
 from planish.report.maps import draw_beside, draw_maps
 from planish.report.outlines import draw_outlines
 from planish.report.registration import (
-    blank_ground, draw_expected_error, draw_lags, draw_registration, image_ground, map_ground, points,
+    blank_ground,
+    draw_expected_error,
+    draw_lags,
+    draw_registration,
+    image_ground,
+    map_ground,
+    points,
 )  # fmt: skip
 from planish.report.relation import draw_pair, pair_of
 from planish.report.slices import draw_slices
 from planish.report.summary import (
-    Check, Titles, by_pair, headline_pair, lag_check, machine_direction, match_sentences, refinement_sentences, summarise,
+    Check,
+    Titles,
+    by_pair,
+    headline_pair,
+    lag_check,
+    machine_direction,
+    match_sentences,
+    refinement_sentences,
+    summarise,
 )  # fmt: skip
-from planish.report.text import REGISTERED, capital, in_words, title_of, typeset
+from planish.report.text import REGISTERED, capital, in_words, the, title_of, typeset
 
 _HOLE_UM = (100.0, 300.0)
 _THIN_UM = 5.0
@@ -65,7 +79,9 @@ class _Block:
     outlined: bool
 
 
-def write_report(path: Path, *, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results) -> None:
+def write_report(
+    path: Path, *, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results
+) -> None:
     """Write the report of a run as one HTML file that needs nothing else.
 
     Parameters
@@ -203,7 +219,7 @@ def _block(
         check=lag_check(r.lag, first=first, second=second,
                         name="image-based check" if two else f"image-based check of {layer.name}"),
         pictures=_registration(layer, r, data, onto, marks, results),
-        facts=tables.registration(r, moving=layer.name, fixed_name=r.to),
+        facts=tables.registration(r, moving=layer.name, fixed_layer=r.to),
         marks=tables.mark_rows(marks) if marks is not None else [],
         linked=shown,
         outlined=outlined,
@@ -227,8 +243,8 @@ def _registration(
     if marks is not None and marks.sizes["mark"]:
         out.append(draw_registration(
             ground if direct else blank_ground(points(marks, "fixed"), of=r.to), marks, hole_um=hole_um,
-            title=f"Marks of {layer.name} in {r.to}, and their residuals", source=layer.name,
-            axis=machine_direction(r, moving=layer.name, fixed=r.to), width=FULL if two else HALF,
+            title=f"Marks in {the(r.to)} and their residuals", source=layer.name,
+            axis=machine_direction(r, moving=the(layer.name), fixed=the(r.to)), width=FULL if two else HALF,
         ))  # fmt: skip
     first, second = _named(data[layer.headline], layer), _named(onto[base.headline], base)
     lags = draw_lags(r.lag, ground, first=first, second=second, width=HALF)
@@ -274,7 +290,10 @@ def _known(data: xr.Dataset) -> NDArray[np.bool_]:
 
 
 def _named(data: xr.DataArray, layer: LayerFacts) -> str:
-    return layer.name if layer.kind == "image" else f"{in_words(title_of(data))} of {layer.name}"
+    if layer.kind == "image":
+        return the(layer.name)
+    title = in_words(title_of(data))
+    return title if the(layer.name) != layer.name else f"{title} of {layer.name}"
 
 
 def _choice(results: Results, section: str, name: str, default: Any) -> Any:

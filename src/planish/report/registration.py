@@ -12,9 +12,20 @@ from numpy.typing import NDArray
 from planish.core.results import LagFacts
 from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
 from planish.report.draw import (
-    BESIDE, FULL, HALF, INK, Axes, Canvas, Field, Picture, half_page, levels_between, pitch, reduced, round_below,
+    BESIDE,
+    FULL,
+    INK,
+    Axes,
+    Canvas,
+    Field,
+    Picture,
+    half_page,
+    levels_between,
+    pitch,
+    reduced,
+    round_below,
 )  # fmt: skip
-from planish.report.text import capital, count, in_words, length, plain, title_of
+from planish.report.text import capital, count, in_words, length, plain, the, title_of
 
 ARROW, EDGE = "#ff5238", "#39c5ff"
 _MARK, _SILENT = "#ffb000", "#7d8790"
@@ -79,7 +90,8 @@ def image_ground(
         edge=edge,
         edge_of=edge_of,
         name="the image",
-        caption=f"Grey values of {count(int(np.isfinite(values).sum()))} pixels of {plain(round(pitch(x), 4))}, no mask.",
+        caption=f"Grey values of {count(int(np.isfinite(values).sum()))} pixels of "
+        f"{plain(round(pitch(x), 4))}, no mask.",
     )
 
 
@@ -128,7 +140,8 @@ def blank_ground(points: Array, *, of: str) -> Ground:
         edge=None,
         edge_of="",
         name=f"the layer {of}",
-        caption=f"Places are in the coordinates of {of}, which is not resampled to this grid; no map is shown, no mask.",
+        caption=f"Places are in the coordinates of {of}, which is not resampled to this grid; no map is "
+        "shown, no mask.",
     )
 
 
@@ -151,7 +164,7 @@ def _second_bar(canvas: Canvas, axes: Axes, um: float, *, label: str, most: floa
 
 def draw_registration(
     ground: Ground, marks: xr.Dataset, *, hole_um: float, title: str = "Marks and their residuals",
-    source: str = "the volume", axis: tuple[float, str] | None = None, width: float = FULL,
+    source: str = "volume", axis: tuple[float, str] | None = None, width: float = FULL,
 ) -> Picture:  # fmt: skip
     """Draw a ground with its marks, numbered, and the residual of each as an arrow.
 
@@ -187,12 +200,13 @@ def draw_registration(
     if axis is not None:
         _draw_axis(canvas, axes, axis[0], fixed)
         words = f"MD: machine direction, {axis[0] % 180:.0f}° from x clockwise ({axis[1]}). "
-    edge = f"Blue: edge of {ground.edge_of}. " if ground.edge is not None else ""
+    edge = f"Blue: edge of {the(ground.edge_of)}. " if ground.edge is not None else ""
     return canvas.picture(
         title=title,
         caption=(
             f"{capital(ground.name)} with n = {len(fixed)} marks (orange circles of {plain(hole_um)}). Red arrows "
-            f"point from each mark to its transformed partner in {source}, magnified {plain_factor(magnified)} times; "
+            f"point from each mark to its transformed partner in {the(source)}, magnified "
+            f"{plain_factor(magnified)} times; "
             f"the longest is {length(longest)}. {edge}{words}{ground.caption}"
         ),
     )
@@ -213,8 +227,8 @@ def plain_factor(value: float) -> str:
 
 
 def draw_expected_error(
-    error: xr.DataArray, marks: xr.Dataset | None, *, hole_um: float, width: float, of: str = "the image",
-    shown: str = "the scanned sheet",
+    error: xr.DataArray, marks: xr.Dataset | None, *, hole_um: float, width: float,
+    of: str = "image", shown: str = "volume",
 ) -> Picture | None:  # fmt: skip
     """Draw the expected error of each place, with contour lines and the marks; None where nothing is known.
 
@@ -243,18 +257,19 @@ def draw_expected_error(
     drawn = reduced(error.values, y, x, width=width - BESIDE)
     canvas, axes = half_page(drawn, scale=scale, label="expected error / µm", width=width)
     levels, step = (np.empty(0), 0.0) if even else levels_between(least, most, steps=_STEPS)
-    axes.contours(drawn, levels, labels=True)
+    places = points(marks, "fixed") if marks is not None else np.empty((0, 2))
+    axes.contours(drawn, levels, labels=True, avoid=places)
     if marks is not None:
-        draw_marks(axes, points(marks, "fixed"), hole_um=hole_um, size=14 if width == FULL else 11)
+        draw_marks(axes, places, hole_um=hole_um, size=14 if width == FULL else 11)
     lines = f"Contour lines every {length(step, 1)}. " if levels.size else ""
     numbered = "Orange: the marks, numbered as in the figure of their residuals. " if marks is not None else ""
     return canvas.picture(
         title="Expected error",
         caption=(
-            f"Expected error of the position in {of} (rms, from the scatter of the marks): {length(least, 2)} to "
+            f"Expected error of the position in {the(of)} (rms, from the scatter of the marks): {length(least, 2)} to "
             f"{length(most, 2)}, median {length(float(np.median(known)), 2)}. {lines}{numbered}It grows away from the "
             f"marks; an error that all marks share is not included. n = {count(known.size)} pixels of "
-            f"{plain(round(pitch(x), 4))}; unit µm; mask: where {shown} is shown."
+            f"{plain(round(pitch(x), 4))}; unit µm; mask: where {the(shown)} is shown."
         ),
     )
 
@@ -312,9 +327,7 @@ def lag_places(lag: LagFacts, ground: Ground) -> tuple[Array, Array, Array]:
     -----
     Tiles count from the middle of the first pixel that was compared, which may be the mean of several.
     """
-    y0, x0 = (
-        float(c[0]) + (p - pitch(c)) / 2 for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True)
-    )
+    y0, x0 = (float(c[0]) + (p - pitch(c)) / 2 for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True))
     found = [(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles if t.distinct and t.lag_um is not None]
     others = [(t.x + x0, t.y + y0) for t in lag.tiles if not t.distinct or t.lag_um is None]
     distinct = np.array(found, dtype=np.float64).reshape(-1, 4)

@@ -224,5 +224,5 @@ def _limits(data: Array, percent: float = 0.05) -> tuple[float, float]:
 def _numbers(row: CorrelationRow, units: tuple[str, str]) -> str:
     if row.r is None or row.r2 is None:
         return "no correlation: too few points, or a constant map"
-    per = f" {units[1] or '1'}/{units[0]}" if units[0] and units[0] != units[1] else ""
+    per = f"{' ' + units[1] if units[1] else ''} per {units[0]}" if units[0] and units[0] != units[1] else ""
     return f"r² = {row.r2:.3f}\u2003r = {number(row.r)}\u2003n = {count(row.n)}\u2003slope {number(row.slope)}{per}"

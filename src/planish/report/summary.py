@@ -11,7 +11,19 @@ from typing import Literal
 from planish.core.results import CorrelationRow, Gate, LagFacts, LayerFacts, RegistrationFacts, Results
 from planish.report.relation import largest
 from planish.report.text import (
-    NONE, REGISTERED, beside, capital, count, fixed, in_words, length, number, percent, plain, typeset, unit,
+    NONE,
+    REGISTERED,
+    beside,
+    capital,
+    count,
+    fixed,
+    in_words,
+    length,
+    number,
+    percent,
+    plain,
+    typeset,
+    unit,
 )  # fmt: skip
 
 _FAINT = 0.02  # r2 below which no direction is named in words
@@ -262,7 +274,7 @@ def lag_check(lag: LagFacts | None, *, first: str, second: str, name: str = "ima
     if lag is None:
         return None
     sentence = capital(typeset(lag.sentence)).removesuffix(".") + "."
-    start = f"The fine textures of {first} and of {second} were aligned without using the marks. "
+    start = f"The fine textures of {first} and {second} were aligned without using the marks. "
     if lag.agrees is None:
         why = (
             "The marks give no expected error to compare the result with."
@@ -306,7 +318,7 @@ def match_sentences(registration: RegistrationFacts) -> list[str]:
 
 
 def refinement_sentences(results: Results) -> list[str]:
-    """Return what is said of a refinement by the maps themselves: what it moved, and a correlation that is not its own."""
+    """Return what is said of a refinement by the maps themselves: what it moved, and an independent correlation."""
     r = results.refinement
     if r is None:
         return []

@@ -10,13 +10,33 @@ import numpy as np
 import xarray as xr
 
 from planish.core.results import (
-    CorrelationRow, LayerFacts, PropertyFacts, RegistrationFacts, Results, RoughnessFacts, SectionFacts, SheetFacts,
+    CorrelationRow,
+    LayerFacts,
+    PropertyFacts,
+    RegistrationFacts,
+    Results,
+    RoughnessFacts,
+    SectionFacts,
+    SheetFacts,
     SurfaceFacts,
 )  # fmt: skip
 from planish.report.relation import largest
 from planish.report.summary import Titles, by_pair, headline_pair
 from planish.report.text import (
-    NONE, beside, capital, count, fixed, in_words, length, number, percent, plain, size, typeset, unit,
+    NONE,
+    beside,
+    capital,
+    count,
+    fixed,
+    in_words,
+    length,
+    number,
+    percent,
+    plain,
+    size,
+    the,
+    typeset,
+    unit,
 )  # fmt: skip
 
 METHOD = (
@@ -25,8 +45,8 @@ METHOD = (
     "Symposium."
 )
 BLAND_ALTMAN = (
-    "Differences: J. M. Bland, D. G. Altman: Statistical methods for assessing agreement between two methods of clinical "
-    "measurement. The Lancet 327 (1986), 307–310."
+    "Differences: J. M. Bland, D. G. Altman: Statistical methods for assessing agreement between two methods of "
+    "clinical measurement. The Lancet 327 (1986), 307–310."
 )
 
 Facts = list[tuple[str, str]]
@@ -158,7 +178,8 @@ def flattening(sheet: SheetFacts, surfaces: xr.Dataset) -> Facts:
         ("Difference of the growth between two directions", f"{number(d.growth_anisotropy_percent, 3)} %"),
         ("Edge strain, 95th percentile", percent(f.edge_strain_p95, 2)),
         ("Edge strain, largest", percent(f.edge_strain_max, 2)),
-        ("Change of area, median and 95 % of its size", f"{percent(d.area.median, 2)} and {percent(d.area.p95_abs, 2)}"),
+        ("Change of area, median and 95 % of its size",
+         f"{percent(d.area.median, 2)} and {percent(d.area.p95_abs, 2)}"),
         ("Error of lengths along random lines, 50 % and 95 %",
          f"{percent(geodesics.p50, 2)} and {percent(geodesics.p95, 2)}" if geodesics else NONE),
         ("Folded cells", count(f.folded_cells)),
@@ -183,7 +204,8 @@ def properties(layer: LayerFacts, titles: Titles) -> list[Line]:
 
 
 def _distribution(title: str, p: PropertyFacts, *, errors: bool) -> Line:
-    cells = [count(p.n), *(number(v) for v in (p.mean, p.sd, p.p5, p.median, p.p95))]
+    mean = 0.0 if abs(p.mean) < 1e-6 * p.sd else p.mean  # a rounding error of a map that is zero on average
+    cells = [count(p.n), *(number(v) for v in (mean, p.sd, p.p5, p.median, p.p95))]
     more = [number(p.standard_error), number(p.support_um)] if errors else []
     units = unit(p.units)
     return Line(name=f"{title} / {units}" if units else title, cells=[*cells, *more])
@@ -236,16 +258,19 @@ def mark_rows(marks: xr.Dataset) -> list[Line]:
             name=str(labels[k]),
             cells=[
                 *(fixed(float(marks[key].values[k]), 1) for key in places),
-                *(number(float(marks[key].values[k]), 2) if key in marks else NONE for key in ("residual", "leave_one_out")),
+                *(
+                    number(float(marks[key].values[k]), 2) if key in marks else NONE
+                    for key in ("residual", "leave_one_out")
+                ),
             ],
         )
         for k in range(marks.sizes["mark"])
     ]  # fmt: skip
 
 
-def registration(r: RegistrationFacts, *, moving: str, fixed_name: str) -> Facts:
+def registration(r: RegistrationFacts, *, moving: str, fixed_layer: str) -> Facts:
     """Return a registration in numbers."""
-    found = f"{r.matched} matched, of {r.found_moving} holes in {moving} and {r.found_fixed} in {fixed_name}"
+    found = f"{r.matched} matched, of {r.found_moving} holes in {the(moving)} and {r.found_fixed} in {the(fixed_layer)}"
     loo, error = r.leave_one_out_rms_um, r.expected_error
     rows = [
         ("Marks", found if r.source == "found" else f"{r.matched} pairs from a file ({r.source})"),
@@ -339,7 +364,11 @@ def group_of(row: Any) -> Group:
     if row is None:
         return Group(n=NONE, r=NONE, r2=NONE, slope=NONE, bar="0")
     return Group(
-        n=count(row.n), r=fixed(row.r, 3), r2=fixed(row.r2, 3), slope=number(row.slope), bar=f"{100 * (row.r2 or 0.0):.1f}"
+        n=count(row.n),
+        r=fixed(row.r, 3),
+        r2=fixed(row.r2, 3),
+        slope=number(row.slope),
+        bar=f"{100 * (row.r2 or 0.0):.1f}",
     )
 
 
@@ -383,7 +412,11 @@ def parameters(values: Mapping[str, Any]) -> list[tuple[str, Facts]]:
 
 
 def _is_table(value: Any) -> bool:
-    return isinstance(value, (list, tuple)) and bool(value) and all(isinstance(v, Mapping) for v in cast("list[Any]", value))
+    return (
+        isinstance(value, (list, tuple))
+        and bool(value)
+        and all(isinstance(v, Mapping) for v in cast("list[Any]", value))
+    )
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> Facts:

@@ -32,7 +32,7 @@ def number(value: float | None, digits: int = 3) -> str:
     if value == 0:
         return "0"
     size = math.floor(math.log10(abs(value)))
-    if size < -5:
+    if size < -4:
         mantissa = f"{value / 10.0**size:.{max(digits - 1, 0)}f}"
         return _signed(f"{mantissa}·10") + _superscript(size)
     # Rounding may add a digit: 0.9996 to three digits is 1.00.
@@ -126,6 +126,11 @@ def typeset(text: str) -> str:
     'lag 2.1\u202fµm at 30°, maximum 3\u202fµm.'
     """
     return _DEGREES.sub("°", _MICROMETRES.sub(f"{_SPACE}µm", text))
+
+
+def the(layer: str) -> str:
+    """Put a layer into a sentence: those without a name of their own are called by what they are."""
+    return f"the {layer}" if layer in ("volume", "image", "sheet") else layer
 
 
 def title_of(data: xr.DataArray) -> str:

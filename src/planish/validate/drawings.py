@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.colors import Normalize
 
+from planish.report.colours import ERROR, GREYS, SIGNED, Array, Scale, limits
 from planish.report.draw import (
     ACCENT,
     BESIDE,
@@ -12,13 +12,11 @@ from planish.report.draw import (
     HALF,
     INK,
     SOFT,
-    Array,
     Canvas,
     Picture,
-    field,
     half_page,
-    limits,
-)
+    reduced,
+)  # fmt: skip
 from planish.report.text import length, number, plain
 from planish.validate.certify import Certificate, Example
 
@@ -33,10 +31,9 @@ def draw_example(example: Example) -> list[Picture]:
     rows, cols = (np.arange(n) * p for n, p in zip(example.image.shape, example.pixel_um, strict=True))
     seen = example.image[np.isfinite(example.found_um)]
 
-    def draw(values: Array, norm: Normalize, cmap: str, label: str, title: str, caption: str) -> Picture:
-        shown = field(values, rows, cols, width=HALF - BESIDE)
-        canvas, _ = half_page(shown, norm=norm, cmap=cmap, label=label)
-        return canvas.picture(kind="jpeg", title=title, caption=caption)
+    def draw(values: Array, scale: Scale, label: str, title: str, caption: str) -> Picture:
+        canvas, _ = half_page(reduced(values, rows, cols, width=HALF - BESIDE), scale=scale, label=label)
+        return canvas.picture(title=title, caption=caption)
 
     pixel = plain(round(example.pixel_um[1], 4))
     worst = _percentile(example.away_um, 99.9)
@@ -44,20 +41,20 @@ def draw_example(example: Example) -> list[Picture]:
     bias = float(spread.mean()) if spread.size else None
     return [
         draw(
-            example.image, limits(seen if seen.size else example.image, percent=0.2), "gray", "",
+            example.image, limits(seen if seen.size else example.image, GREYS, percent=0.2), "",
             "(a) The image of one specimen", f"Seed {example.seed}; pixels of {pixel}.",
         ),
         draw(
-            example.found_um, limits(example.found_um), "viridis", "µm", f"(b) Measured {name}",
+            example.found_um, limits(example.found_um), "µm", f"(b) Measured {name}",
             "On the image's pixels; grey is not valid: holes with their rims, and what lies beside the volume.",
         ),
         draw(
-            example.away_um, Normalize(0.0, max(worst, 1e-6)), "magma", "µm", "(c) Error of place",
+            example.away_um, Scale(0.0, max(worst, 1e-6), ERROR), "µm", "(c) Error of place",
             "Distance in the sheet between the material that a pixel shows and the one whose thickness it was given; "
             f"99.9 % of the pixels are below {length(worst)}.",
         ),
         draw(
-            example.error_um, limits(example.error_um, symmetric=True), "RdBu_r", "µm", f"(d) Error of the {name}",
+            example.error_um, limits(example.error_um, SIGNED, symmetric=True), "µm", f"(d) Error of the {name}",
             f"Measured minus true; {length(bias)} in the mean.",
         ),
     ]  # fmt: skip
@@ -74,17 +71,12 @@ def draw_expected(certificate: Certificate) -> Picture | None:
         return None
     expected, true = np.array(pairs).T
     high = 1.15 * float(max(expected.max(), true.max()))
-    canvas = Canvas(HALF, 3.9)
-    axes = canvas.axes(0.62, 0.1, 3.2, 3.2)
-    axes.fill_between([0, high], [0, 0.8 * high], [0, 1.25 * high], color=FAINT, alpha=0.45, lw=0)
-    axes.plot([0, high], [0, high], color=SOFT, lw=0.9)
-    axes.plot(expected, true, "o", color=INK, ms=5, mew=0)
-    axes.set_xlim(0, high)
-    axes.set_ylim(0, high)
-    axes.set_xlabel("error that the run expects from its marks / µm")
-    axes.set_ylabel("true error / µm")
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    canvas = Canvas(HALF, 390)
+    axes = canvas.axes(62, 10, 320, 320, (0, high, 0, high))
+    axes.area([(0, 0), (high, 0.8 * high), (high, 1.25 * high)], colour=FAINT, opacity=0.45)
+    axes.line([(0, 0), (high, high)], colour=SOFT, width=1.2)
+    axes.dots(np.array(pairs), colour=INK, size=7)
+    axes.ticks("error that the run expects from its marks / µm", "true error / µm")
     ratio = float(np.sqrt(np.mean(true**2) / np.mean(expected**2)))
     return canvas.picture(
         title="True against expected error of registration",

@@ -10,7 +10,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from planish import __version__
-from planish.report.draw import Picture, house_style
+from planish.report.draw import Picture
 from planish.report.text import number
 from planish.synthetic.nuisances import NUISANCES
 from planish.synthetic.params import SIZES_UM
@@ -78,9 +78,8 @@ def write_page(path: Path, certificate: Certificate, table: Sensitivity | None =
 def render_page(certificate: Certificate, table: Sensitivity | None = None) -> str:
     """Return the page of :func:`write_page` as text."""
     scenario = certificate.scenario
-    with house_style():
-        pictures = draw_example(certificate.example) if certificate.example is not None else []
-        expected = draw_expected(certificate)
+    pictures = draw_example(certificate.example) if certificate.example is not None else []
+    expected = draw_expected(certificate)
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     text = files("planish.validate").joinpath("templates/certificate.html.j2").read_text(encoding="utf-8")
     page = environment.from_string(text).render(
@@ -138,8 +137,7 @@ def facts(scenario: Scenario, certificate: Certificate) -> list[tuple[str, str]]
 
 def _style() -> str:
     """The look of the report of a run, so that there is one place where it is made."""
-    text = files("planish.report").joinpath("templates/report.html.j2").read_text(encoding="utf-8")
-    return text.partition("<style>")[2].partition("</style>")[0]
+    return files("planish.report").joinpath("templates/style.css").read_text(encoding="utf-8")
 
 
 def _tiles(certificate: Certificate) -> list[Tile]:

@@ -1,0 +1,61 @@
+"""What the results hold of a lag."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planish.analyze import Lag, LagField
+from planish.results import lag_results
+
+NAN = math.nan
+NOWHERE = (NAN, NAN)
+
+
+def a_lag(*, silence: Any = None, tiles: bool = True) -> Lag:
+    """Return a lag of (3, -4) um, known to 0.6 and 0.8 um, or one that says nothing."""
+    field = LagField(
+        at_um=np.array([[100.0, 200.0], [300.0, 200.0]]), lag_um=np.array([[1.0, 2.0], [NAN, NAN]]),
+        covariance_um2=np.full((2, 2, 2), 0.25), r=np.array([0.6, 0.1]), distinct=np.array([True, False]),
+        tile_um=400.0,
+    )  # fmt: skip
+    quiet = silence is not None
+    return Lag(
+        lag_um=NOWHERE if quiet else (3.0, -4.0),
+        covariance_um2=np.full((2, 2), NAN) if quiet else np.diag([0.36, 0.64]),
+        r=-0.5, r_at_zero=-0.4, null_95=0.1, null_99=0.15, rival_r=0.1, silence=silence,
+        split_um=NAN if quiet else 90.0,
+        lags_of_bands_um=(NOWHERE, NOWHERE) if quiet else ((3.0, -4.0), NOWHERE), reach_um=150.0, pixel_um=(8.0, 8.0),
+        n=5000, field=field if tiles else None,
+    )  # fmt: skip
+
+
+def test_results_of_a_lag_are_ready_for_json() -> None:
+    found = lag_results(a_lag(), expected_um=4.0, headline="coating_top")
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert (found["lag_um"], found["se_um"], found["length_um"]) == ([3.0, -4.0], [0.6, 0.8], 5.0)
+    # Along (3, -4) / 5: sqrt(0.6² 0.36 + 0.8² 0.64).
+    assert found["length_se_um"] == pytest.approx(math.sqrt(0.36 * 0.36 + 0.64 * 0.64))
+    # 5 um is less than 1.73 sqrt(16 + 0.36 + 0.64).
+    assert found["agrees"] is True
+    assert found["sentence"] == a_lag().sentence(4.0)
+    assert found["lags_of_bands_um"] == [[3.0, -4.0], None]
+    assert found["tiles"] == [
+        {"x": 100.0, "y": 200.0, "lag_um": [1.0, 2.0], "distinct": True},
+        {"x": 300.0, "y": 200.0, "lag_um": None, "distinct": False},
+    ]
+    assert lag_results(a_lag(), expected_um=1.0, headline="thickness")["agrees"] is False
+
+
+def test_results_of_a_lag_that_says_nothing_are_none() -> None:
+    found = lag_results(a_lag(silence="texture", tiles=False), expected_um=4.0, headline="coating_top")
+    json.dumps(found, allow_nan=False)
+    assert [found[k] for k in ("lag_um", "se_um", "length_um", "agrees", "split_um", "tile_um")] == [None] * 6
+    assert found["tiles"] == []
+    assert found["silence"] == "texture"
+    for missing in (None, NAN):
+        assert lag_results(a_lag(), expected_um=missing, headline="coating_top")["expected_um"] is None

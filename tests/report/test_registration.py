@@ -1,0 +1,151 @@
+"""What the page says of a registration: its check with its light, its lags and its expected error."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from planish.analyze import Registration
+from planish.core.results import LagFacts, RegistrationFacts
+from planish.report.draw import FULL, HALF, levels_between
+from planish.report.registration import blank_ground, draw_expected_error, draw_lags, lag_places
+from planish.report.summary import lag_check, machine_direction
+from planish.report.text import REGISTERED, capital, typeset
+from report.pages import Page
+from report.runs import a_run, lag_of, page_of, registration_of
+
+MICRO = "\u202fµm"
+SILENT: dict[str, Any] = {"silence": "texture", "agrees": None, "lag_um": None, "se_um": None, "length_um": None,
+                          "sentence": "No shared fine texture"}  # fmt: skip
+
+
+def a_lag(**values: Any) -> LagFacts:
+    """Return a lag of (3, -4) um, known to 0.6 and 0.8 um."""
+    given = {"lag_um": (3.0, -4.0), "se_um": (0.6, 0.8), "length_um": 5.0, "pixel_um": (8.0, 8.0), "tile_um": 400.0,
+             "tiles": [{"x": 100.0, "y": 200.0, "lag_um": (1.0, 2.0), "distinct": True},
+                       {"x": 300.0, "y": 200.0, "lag_um": None, "distinct": False}]}  # fmt: skip
+    return LagFacts.model_validate(lag_of(**given) | values)
+
+
+@pytest.mark.parametrize(
+    ("values", "state", "meaning"),
+    [
+        ({"agrees": True, "expected_um": 4.0}, "agrees", "within the error expected from the marks"),
+        ({"agrees": True, "expected_um": 0.9}, "agrees", f"up to about 2.0{MICRO} would not be noticed"),
+        ({"agrees": False, "expected_um": 1.0}, "amber", f"known to about 5.0{MICRO} and no better"),
+        ({"agrees": None, "expected_um": None}, "grey", "no expected error"),
+        (SILENT, "grey", "neither for nor against the registration"),
+    ],
+)
+def test_a_check_is_green_amber_or_grey_but_never_red(values: dict[str, Any], state: str, meaning: str) -> None:
+    check = lag_check(a_lag(**values), first="coating thickness", second="the image")
+    assert check is not None
+    assert check.state == state
+    assert meaning in check.meaning
+    assert check.sentence.endswith(".")
+    assert " um" not in check.sentence
+    assert lag_check(None, first="a", second="b") is None
+
+
+def test_words_of_the_registration_are_those_of_the_analysis() -> None:
+    assert Registration.MARKS.sentence == REGISTERED
+
+
+def test_the_axis_given_for_the_image_comes_first() -> None:
+    def found(**angles: float) -> tuple[float, str] | None:
+        facts = registration_of("volume", "image")
+        facts["orientation"] = facts["orientation"] | angles
+        return machine_direction(RegistrationFacts.model_validate(facts), moving="the volume", fixed="the image")
+
+    assert found(md_deg_fixed=10.0, md_deg_fixed_from_moving=12.0) == (10.0, "given for the image")
+    assert found(md_deg_fixed_from_moving=12.0) == (12.0, "carried over from the volume")
+    assert found() is None
+
+
+def test_tiles_lie_where_their_pixels_do() -> None:
+    # Pixels of 8 um are means of 2 x 2 pixels of 4 um: the middle of the first is 2 um from that of the small one.
+    ground = blank_ground(np.array([[0.0, 0.0], [1000.0, 600.0]]), of="image")
+    ground = replace(ground, y=4.0 * np.arange(200.0), x=10 + 4.0 * np.arange(300.0))
+    at, lag, silent = lag_places(a_lag(), ground)
+    np.testing.assert_allclose(at, [[112.0, 202.0]])
+    np.testing.assert_allclose(lag, [[1.0, 2.0]])
+    np.testing.assert_allclose(silent, [[312.0, 202.0]])
+
+
+def test_no_figure_of_lags_unless_one_is_distinct() -> None:
+    ground = blank_ground(np.array([[0.0, 0.0], [400.0, 400.0]]), of="image")
+    silent = a_lag().model_copy(update={"tiles": a_lag().tiles[1:]})
+    for none in (None, silent, a_lag(tiles=[], tile_um=None)):
+        assert draw_lags(none, ground, first="a", second="b", width=HALF) is None
+
+
+def test_expected_error_states_its_range_and_needs_values() -> None:
+    y, x = 5.0 * np.arange(40), 5.0 * np.arange(60)
+    error = xr.DataArray(np.tile(np.linspace(1.0, 3.0, 60), (40, 1)), {"y": y, "x": x}, ("y", "x"))
+    drawn = draw_expected_error(error, None, hole_um=200.0, width=FULL)
+    assert drawn is not None
+    assert f"1.0{MICRO} to 3.0{MICRO}, median 2.0{MICRO}" in drawn.caption
+    assert f"Contour lines every 0.2{MICRO}" in drawn.caption
+    # The line of 2 um stands upright in the middle.
+    assert re.search(r">2</text>", drawn.svg)
+    even = draw_expected_error(error * 0 + 1.5, None, hole_um=200.0, width=HALF)
+    assert even is not None
+    assert "Contour" not in even.caption
+    assert draw_expected_error(error * np.nan, None, hole_um=200.0, width=HALF) is None
+
+
+def test_levels_are_round_and_inside() -> None:
+    levels, step = levels_between(0.93, 2.17, steps=5)
+    np.testing.assert_allclose(levels, [1.0, 1.2, 1.4, 1.6, 1.8, 2.0])
+    assert step == pytest.approx(0.2)
+    assert levels_between(1.0, 1.0, steps=5)[0].size == 0
+
+
+def test_page_states_what_is_known_of_the_registration() -> None:
+    run = a_run()
+    facts = run["results"]["layers"][0]["registration"]
+    tilt = {"through": 3, "closed": 0, "unclear": 0, "other_side_only": 0, "offset_count": 3, "offset_um": [1.0, 1.0],
+            "offset_spread_um": [1.0, 1.0], "offset_error_um": [1.0, 1.0], "side": "top",
+            "sentence": "Holes lean by 1.2 deg."}  # fmt: skip
+    facts |= {"design": "The design d.json is met within 8 um.", "tilt": tilt}
+    facts["lag"] |= {"agrees": False, "sentence": "lag 9 ± 0.3 um: more than the marks allow"}
+    html = page_of(run)
+    text = Page(html).text()
+    for expected in (
+        "Expected error of the position",
+        "Image-based check, tile by tile.",
+        f"Lag 9 ± 0.3{MICRO}: more than the marks allow.",
+        "The machine direction lies at 20° in the image.",
+        "20° from x clockwise (carried over from the volume)",
+        f"The design d.json is met within 8{MICRO}.",
+        "Holes lean by 1.2°.",
+    ):
+        assert expected in text
+    # Shown amber, and no gate: the gates are passed as before.
+    assert re.search(r'<li class="amber">', html)
+    assert re.search(r'<p class="check amber">', html)
+    assert "The quality gate is passed." in text
+    # Beside each r²: the sentence and two numbers of the summary, the figure of the relation, two tables.
+    assert len(re.findall("registration: marks only", text, flags=re.IGNORECASE)) == 3 + 1 + 2
+
+
+def test_what_others_write_stays_text() -> None:
+    hostile = "<script>alert('x')</script>"
+    run = a_run()
+    facts = run["results"]["layers"][0]["registration"]
+    facts |= {"match_sentence": hostile, "design": hostile, "model_sentence": hostile, "warnings": [hostile]}
+    facts["lag"]["sentence"] = facts["orientation"]["sentence"] = hostile
+    page = Page(page_of(run))
+    assert "script" not in page.tags
+    assert page.text().count(hostile) >= 6
+
+
+def test_units_of_sentences_are_typeset_and_names_left_alone() -> None:
+    assert typeset("lag 2 um, 3 deg; a column") == f"lag 2{MICRO}, 3°; a column"
+    assert typeset("an umbrella of degrees") == "an umbrella of degrees"
+    assert capital("maps of A") == "Maps of A"
