@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planish.analyze.lag_field import LagField, lag_field
 from planish.analyze.ncc import MaskedNcc
 from planish.analyze.peak import MARGIN, Peak, covariance_of, find_peak, rival_r, within
-from planish.analyze.surrogates import Unrelated, in_band, without_plane
+from planish.analyze.surrogates import Unrelated, in_band, unrelated_peaks, without_plane
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.threads import map_threads
@@ -280,15 +280,8 @@ def _search(
     r = correlate(b)
     allowed = within(reach)
     peak = find_peak(r, allowed, 0)
-    unrelated = Unrelated(b, known_b)
-
-    def height(k: int) -> float:
-        # Every map has random numbers of its own: the number of threads does not matter.
-        other = unrelated.draw(np.random.default_rng((_SEED, k)))
-        return float(np.nanmax(np.abs(correlate(other)[allowed]), initial=0.0))
-
-    highest = map_threads(height, range(surrogates))
-    null = (float(np.quantile(highest, 0.95, method="higher")), _gumbel_99(np.array(highest)))
+    highest = unrelated_peaks(a, b, (known_a, known_b), correlate.pairs, reach, surrogates, _SEED)
+    null = (float(np.quantile(highest, 0.95, method="higher")), _gumbel_99(highest))
     rival = math.nan if peak is None else rival_r(r, peak, allowed)
     silence: Silence | None = None
     if peak is None or not abs(peak.r) > null[1]:

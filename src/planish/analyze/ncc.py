@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 # At a lag where less than this share of the pairs is left, or of the variance, r says nothing of the maps.
-_LEAST_PAIRS = 0.2
+LEAST_PAIRS = 0.2
 _LEAST_VARIANCE = 1e-9
 
 
@@ -47,7 +47,7 @@ class MaskedNcc:
         self._a = np.conj(self._transform(standard))
         mask_b = self._transform(b_valid.astype(np.float64))
         self.pairs: Array = np.rint(self._lags(self._mask_a * mask_b))
-        enough = self.pairs >= max(_LEAST_PAIRS * float(self.pairs.max()), 3.0)
+        enough = self.pairs >= max(LEAST_PAIRS * float(self.pairs.max()), 3.0)
         self._n = np.where(enough, self.pairs, np.nan)
         self._sum_a = self._lags(self._a * mask_b)
         self._var_a = self._lags(np.conj(self._transform(standard**2)) * mask_b) - self._sum_a**2 / self._n
