@@ -1,69 +1,10 @@
 # pyright: standard
-"""Area means, Gaussian means and maxima of images: numpy and numba only, arrays in, arrays out.
-
-Images are float32 ``(y, x)`` with NaN where there is no data.
-"""
+"""The Gaussian mean of an image: numpy and numba only, arrays in, arrays out."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
-
-
-@njit(cache=True, nogil=True)
-def area_mean(image, fy, fx):
-    """Return means over blocks of ``fy x fx`` pixels, float32; NaN where less than half a block has data."""
-    rows, columns = image.shape[0] // fy, image.shape[1] // fx
-    out = np.empty((rows, columns), np.float32)
-    for i in range(rows):
-        for j in range(columns):
-            total, count = 0.0, 0
-            for k in range(i * fy, (i + 1) * fy):
-                for m in range(j * fx, (j + 1) * fx):
-                    value = image[k, m]
-                    if value == value:
-                        total += value
-                        count += 1
-            out[i, j] = total / count if 2 * count >= fy * fx else np.nan
-    return out
-
-
-@njit(cache=True, nogil=True)
-def block_sums(image, fy, fx):
-    """Return the share of every block that has data, and the sum of its values over its size; float32.
-
-    The last blocks may reach beyond the image; what lies there has no data.
-    """
-    rows, columns = image.shape
-    share = np.zeros((-(-rows // fy), -(-columns // fx)), np.float32)
-    values = np.zeros(share.shape)
-    for i in range(rows):
-        for j in range(columns):
-            value = image[i, j]
-            if value == value:
-                share[i // fy, j // fx] += 1
-                values[i // fy, j // fx] += value
-    return share / np.float32(fy * fx), (values / (fy * fx)).astype(np.float32)
-
-
-@njit(cache=True, nogil=True)
-def stretched(means, rows, columns, fy, fx):
-    """Return values of blocks at every pixel, linear between the middles of the blocks; float32."""
-    out = np.empty((rows, columns), np.float32)
-    low, high, part = (np.empty(columns, np.int64), np.empty(columns, np.int64), np.empty(columns, np.float32))
-    for j in range(columns):
-        place = min(max((j + 0.5) / fx - 0.5, 0.0), means.shape[1] - 1.0)
-        low[j] = min(int(place), max(0, means.shape[1] - 2))
-        high[j] = min(low[j] + 1, means.shape[1] - 1)
-        part[j] = place - low[j]
-    for i in range(rows):
-        place = min(max((i + 0.5) / fy - 0.5, 0.0), means.shape[0] - 1.0)
-        k = min(int(place), max(0, means.shape[0] - 2))
-        below = np.float32(place - k)
-        line = means[k] * (1 - below) + means[min(k + 1, means.shape[0] - 1)] * below
-        for j in range(columns):
-            out[i, j] = line[low[j]] + (line[high[j]] - line[low[j]]) * part[j]
-    return out
 
 
 @njit(cache=True, nogil=True)
@@ -99,32 +40,4 @@ def gaussian(image, sy, sx):
             left, right, w = wide[rx - k :], wide[rx + k :], along[rx + k]
             for j in range(columns):
                 mean[j] += w * (left[j] + right[j])
-    return out
-
-
-@njit(cache=True, nogil=True)
-def tops(values, sign, least, ry, rx):
-    """Return rows ``(row, column, value)`` of what is largest, times sign, within ``+-ry, +-rx`` pixels."""
-    rows, columns = values.shape
-    found = []
-    for i in range(rows):
-        for j in range(columns):
-            value = sign * values[i, j]
-            if not value > least:
-                continue
-            if j + 1 < columns and sign * values[i, j + 1] > value:
-                continue
-            top = True
-            for k in range(max(i - ry, 0), min(i + ry + 1, rows)):
-                for m in range(max(j - rx, 0), min(j + rx + 1, columns)):
-                    if sign * values[k, m] > value:
-                        top = False
-                        break
-                if not top:
-                    break
-            if top:
-                found.append((i, j, value))
-    out = np.empty((len(found), 3))
-    for n in range(len(found)):
-        out[n, 0], out[n, 1], out[n, 2] = found[n][0], found[n][1], found[n][2]
     return out

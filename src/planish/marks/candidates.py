@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.marks import _area_kernels as k
+from planish.marks._area_kernels import gaussian
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 Image = NDArray[np.float32]
 
 # Pixels across the smallest hole where candidates are looked for, and where rims are measured.
@@ -54,7 +55,7 @@ def reduce_to(
         The image, its pixel size ``(y, x)`` in um, and the ``(x, y)`` of its first pixel's centre in um.
     """
     factors = [max(1, min(int(target_um / size + 1e-6), n // 4)) for size, n in zip(pixel_um, image.shape, strict=True)]
-    small = image if factors == [1, 1] else k.area_mean(image, factors[0], factors[1])
+    small = image if factors == [1, 1] else _block_means(image, factors, least=0.5)[0]
     size = (pixel_um[0] * factors[0], pixel_um[1] * factors[1])
     return (small, size, np.array([(factors[1] - 1) / 2 * pixel_um[1], (factors[0] - 1) / 2 * pixel_um[0]]))
 
@@ -83,7 +84,7 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
     responses: list[Response] = []
     before, size, origin = (np.ascontiguousarray(filled, dtype=np.float32), pixel_um, np.zeros(2))
     for rung, step in enumerate(steps):
-        after = k.gaussian(before, float(step) / size[0], float(step) / size[1])
+        after = gaussian(before, float(step) / size[0], float(step) / size[1])
         if rung:
             responses.append(Response(float(radii[rung - 1]), after - before, size, origin))
         # The wider the blobs, the coarser a raster shows them just as well.
@@ -162,14 +163,39 @@ def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float) ->
     """
     factors = [max(1, int(width_um / 4 / size)) for size in pixel_um]
     sigmas = tuple(width_um / size / factor for size, factor in zip(pixel_um, factors, strict=True))
-    share, values = (
-        ndimage.gaussian_filter(part, sigmas, truncate=3.0) for part in k.block_sums(image, factors[0], factors[1])
-    )
+    means, share = _block_means(image, factors)
+    share, values = (ndimage.gaussian_filter(part, sigmas, truncate=3.0) for part in (share, means * share))
     near = share > 1e-3
     some = _some(image)
     typical = np.float32(np.median(some)) if some.size else np.float32(0)
     mean = np.where(near, values / np.where(near, share, np.float32(1)), typical)
-    return k.stretched(mean, image.shape[0], image.shape[1], factors[0], factors[1])
+    return _stretched(_stretched(mean, image.shape[0], factors[0]).T, image.shape[1], factors[1]).T
+
+
+def _block_means(image: Image, factors: list[int], least: float | None = None) -> tuple[Image, Image]:
+    """Means over blocks of pixels, and the share of each block that has data.
+
+    With ``least`` only whole blocks count, and means over less than that share are NaN; otherwise the last blocks may
+    reach beyond the image, where there is no data, and means over nothing are 0.
+    """
+    if least is None:
+        beyond = [(0, -n % f) for n, f in zip(image.shape, factors, strict=True)]
+        image = np.pad(image, beyond, constant_values=np.nan)
+    rows, cols = (n // f for n, f in zip(image.shape, factors, strict=True))
+    blocks = image[: rows * factors[0], : cols * factors[1]].reshape(rows, factors[0], cols, factors[1])
+    there = np.isfinite(blocks)
+    share = there.mean(axis=(1, 3), dtype=np.float32)
+    sums = np.where(there, blocks, 0).mean(axis=(1, 3), dtype=np.float64)
+    means = (sums / np.maximum(share, 1e-12)).astype(np.float32)
+    return means if least is None else np.where(share >= least, means, np.float32(np.nan)), share
+
+
+def _stretched(means: Image, count: int, factor: int) -> Image:
+    """Values of blocks at every row, linear between the middles of the blocks."""
+    place = np.clip((np.arange(count) + 0.5) / factor - 0.5, 0.0, len(means) - 1.0)
+    low = np.minimum(place.astype(np.intp), max(0, len(means) - 2))
+    part = (place - low).astype(np.float32)[:, None]
+    return means[low] + (means[np.minimum(low + 1, len(means) - 1)] - means[low]) * part
 
 
 def peaks(responses: list[Response], sign: float, least: list[float], spreads: list[float]) -> tuple[Floats, int]:
@@ -193,15 +219,35 @@ def peaks(responses: list[Response], sign: float, least: list[float], spreads: l
     """
     found: list[Floats] = []
     for (radius, values, pixel, origin), weakest, spread in zip(responses, least, spreads, strict=True):
-        reach = [max(1, round(0.5 * radius / size)) for size in pixel]
-        tops = k.tops(values, np.float32(sign), np.float32(max(weakest, 0.0)), reach[0], reach[1])
-        place = tops[:, [1, 0]] * np.array([pixel[1], pixel[0]]) + origin
-        found.append(np.column_stack([place, tops[:, 2] / max(spread, 1e-30), tops[:, 2]]))
+        signed = np.float32(sign) * values
+        row, column = _tops(signed, max(weakest, 0.0), [max(1, round(0.5 * radius / size)) for size in pixel])
+        place = np.stack([column * pixel[1], row * pixel[0]], axis=1) + origin
+        height = signed[row, column].astype(np.float64)
+        found.append(np.column_stack([place, height / max(spread, 1e-30), height]))
     every = np.concatenate(found)
     order = np.argsort(-every[:, 3], kind="stable")
     places = _thinned(every[order, :3], 0.5 * responses[0].radius)
     kept = _strongest_by_tile(places, responses[0].radius)
     return places[kept], int(np.count_nonzero(~kept))
+
+
+def _tops(values: Image, least: float, reach: list[int]) -> tuple[Ints, Ints]:
+    """Rows and columns of what is above a value and largest within ``reach`` (y, x) pixels."""
+    above = values > least
+    # Most pixels have a larger neighbour; the rest is compared with all in reach.
+    for axis in (0, 1):
+        rising = np.diff(values, axis=axis)
+        first, last = (
+            tuple(part if k == axis else slice(None) for k in (0, 1)) for part in (slice(-1), slice(1, None))
+        )
+        above[first] &= rising <= 0
+        above[last] &= rising >= 0
+    row, column = np.nonzero(above)
+    padded = np.pad(values, [(r, r) for r in reach], constant_values=-np.inf)
+    for down, along in np.ndindex(2 * reach[0] + 1, 2 * reach[1] + 1):
+        top = padded[row + down, column + along] <= values[row, column]
+        row, column = row[top], column[top]
+    return row, column
 
 
 def _strongest_by_tile(places: Floats, radius: float) -> NDArray[np.bool_]:
