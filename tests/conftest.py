@@ -49,16 +49,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark tests on measured data; leave the studies out unless all tests, or tests by name, are asked for."""
+    """Mark tests on measured data, leave the studies out unless they are asked for, put the longest files first."""
     for item in items:
         if "shared_data" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.realdata)
-    if config.option.all or "study" in config.option.markexpr or any("::" in argument for argument in config.args):
-        return
     studies = [item for item in items if item.get_closest_marker("study")]
-    if studies:
+    wanted = config.option.all or "study" in config.option.markexpr or any("::" in name for name in config.args)
+    if studies and not wanted:
         config.hook.pytest_deselected(items=studies)
         items[:] = [item for item in items if not item.get_closest_marker("study")]
+    # Short files at the end let the workers finish together.
+    links = {"specimen", "specimen_files", "measured"}
+    long = {item.path for item in items if links & set(getattr(item, "fixturenames", ()))}
+    long |= {item.path for item in studies}
+    items.sort(key=lambda item: item.path not in long)
 
 
 # --- CPU time of each test -----------------------------------------------------------------------------------

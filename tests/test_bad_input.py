@@ -93,10 +93,10 @@ def test_slices_of_unequal_size(planish, tmp_path):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_too_few_holes_in_the_image(planish, specimen_files, holes_um, tmp_path, count):
+def test_too_few_holes_in_the_image(planish, linked_run, holes_um, tmp_path, count):
     image = write_image(tmp_path / "few.tif", sheet_image((300, 330), holes_um[:count]))
     words = ["in the image", "at least 3", "--marks", "No hole" if count == 0 else f"Only {count} hole"]
-    stop(planish("link", specimen_files[0], image, "-o", tmp_path / "run"), 3, *words, out=tmp_path / "run")
+    stop(planish("link", linked_run, image, "-o", tmp_path / "run"), 3, *words, out=tmp_path / "run")
 
 
 def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, tmp_path):
@@ -133,10 +133,10 @@ def test_symmetric_pattern(planish, tmp_path):
     stop(planish("link", path, image, "-o", tmp_path / "run"), 3, "symmetric", "--marks", out=tmp_path / "run")
 
 
-def test_other_pattern_in_the_image(planish, specimen_files, tmp_path):
+def test_other_pattern_in_the_image(planish, linked_run, tmp_path):
     other = [(200.0, 200.0), (1300.0, 260.0), (1250.0, 1190.0), (260.0, 1250.0), (690.0, 420.0)]
     image = write_image(tmp_path / "other.tif", sheet_image((300, 320), other))
-    stop(planish("link", specimen_files[0], image, "-o", tmp_path / "run"), 3, "5", out=tmp_path / "run")
+    stop(planish("link", linked_run, image, "-o", tmp_path / "run"), 3, "5", out=tmp_path / "run")
 
 
 def test_nan_voxels_everywhere_and_in_part(planish, specimen, tmp_path):
@@ -235,13 +235,13 @@ def test_wrong_usage(planish, specimen_files, tmp_path):
     stop(planish("map", tmp_path / "nothing.tif", "-o", tmp_path / "run"), 3, "nothing.tif", out=tmp_path / "run")
 
 
-def test_marks_that_do_not_fit(planish, specimen_files, tmp_path):
+def test_marks_that_do_not_fit(planish, linked_run, specimen_files, tmp_path):
     marks = tmp_path / "marks.csv"
     marks.write_text(
         "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\na,100,100,100,100\nb,900,100,500,100\nc,100,700,100,400\n"
     )
     stop(
-        planish("link", *specimen_files, "--marks", marks, "-o", tmp_path / "run"),
+        planish("link", linked_run, specimen_files[1], "--marks", marks, "-o", tmp_path / "run"),
         3,
         "scale",
         "calibration",

@@ -60,6 +60,7 @@ def test_memory_and_threads_change_no_byte(store, whole, tmp_path):
     assert bytes_of(tmp_path / "run") == whole
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
 def test_a_killed_run_goes_on_and_gives_the_same(store, whole, tmp_path, share):
     out = tmp_path / "run"

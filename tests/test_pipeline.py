@@ -127,7 +127,7 @@ def test_run_toml_is_complete(linked_run):
 
 def test_given_marks_replace_the_search(planish, linked_run, specimen_files, tmp_path, results):
     code, out, err = planish(
-        "link", *specimen_files, "--marks", linked_run / "marks.csv", "-o", tmp_path / "run", "--json"
+        "link", linked_run, specimen_files[1], "--marks", linked_run / "marks.csv", "-o", tmp_path / "run", "--json"
     )
     assert code == 0, err
     found = json.loads(out)
@@ -140,7 +140,7 @@ def test_given_marks_replace_the_search(planish, linked_run, specimen_files, tmp
     assert found["marks"]["scale"] == pytest.approx(results["marks"]["scale"], rel=3e-4)
 
 
-def test_marks_given_in_the_volume(planish, specimen, specimen_files, tmp_path):
+def test_marks_given_in_the_volume(planish, specimen, linked_run, specimen_files, tmp_path):
     in_volume = specimen.warp.points(*specimen.sheet.holes.T)
     in_image = specimen.pose(specimen.sheet.holes)
     rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um"]
@@ -148,20 +148,20 @@ def test_marks_given_in_the_volume(planish, specimen, specimen_files, tmp_path):
         f"h{k},{p[0]},{p[1]},{p[2]},{q[0]},{q[1]}" for k, (p, q) in enumerate(zip(in_volume, in_image, strict=True))
     ]
     (tmp_path / "m.csv").write_text("\n".join(rows))
-    code, out, err = planish("link", *specimen_files, "--marks", tmp_path / "m.csv", "-o", tmp_path / "run", "--json")
+    files = (linked_run, specimen_files[1])
+    code, out, err = planish("link", *files, "--marks", tmp_path / "m.csv", "-o", tmp_path / "run", "--json")
     assert code == 0, err
     assert json.loads(out)["marks"]["rms_um"] < 1.0
 
 
-def test_a_mirrored_image_is_refused_and_found_when_declared(planish, specimen, specimen_files, tmp_path):
+def test_a_mirrored_image_is_refused_and_found_when_declared(planish, specimen, linked_run, tmp_path):
     grey = np.rint(specimen.image.values * 60000).clip(0, 65535).astype(np.uint16)[:, ::-1]
     tifffile.imwrite(tmp_path / "m.tif", grey, resolution=(2000, 2000), resolutionunit="CENTIMETER")
-    code, _, err = planish("link", specimen_files[0], tmp_path / "m.tif", "-o", tmp_path / "run")
+    files = (linked_run, tmp_path / "m.tif")
+    code, _, err = planish("link", *files, "-o", tmp_path / "run")
     assert code == 3
     assert "--mirror" in err
-    code, out, err = planish(
-        "link", specimen_files[0], tmp_path / "m.tif", "-o", tmp_path / "run", "--mirror", "--json"
-    )
+    code, out, err = planish("link", *files, "-o", tmp_path / "run", "--mirror", "--json")
     assert code == 0, err
     assert json.loads(out)["marks"]["mirrored"] is True
 
