@@ -17,8 +17,8 @@ from planish.gates import sheet_gates
 from planish.marks import cut_holes, find_holes, read_marks, write_marks
 from planish.pipeline import link_layers, read_run, run_study
 from planish.pipeline.pairs import likeness
-from planish.properties import turned_angles, with_angles
 from planish.register import fit_transform
+from planish.resample.maps import _with_angles
 from planish.study import (
     ImageSection,
     LayerSection,
@@ -380,5 +380,5 @@ def test_fibre_directions_turn_with_the_sheet():
     for way in (Similarity(rotation_rad=0.4), Similarity(rotation_rad=-1.1, mirrored=True, scale=1.02)):
         ends = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ way.matrix().T
         expected = np.rad2deg(np.arctan2(ends[..., 1], ends[..., 0]))
-        found = with_angles(turned_angles(maps, way))["fibre_angle"].values
+        found = _with_angles(maps, way)["fibre_angle"].values
         np.testing.assert_allclose((found - expected + 90) % 180 - 90, 0.0, atol=1e-9)
