@@ -44,9 +44,7 @@ def read_recorded(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, tomllib.TOMLDecodeError) as error:
-        raise FileError(
-            f"{path} cannot be read: {error}. Make it with 'python tests/record.py {path}'."
-        ) from error
+        raise FileError(f"{path} cannot be read: {error}. Make it with 'python tests/record.py {path}'.") from error
 
 
 def worse(certificate: Certificate, recorded: dict[str, Any]) -> list[str]:

@@ -1,5 +1,6 @@
 """The specimen's truth has to be exact: everything else is judged by it."""
 
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from planish.core.errors import FileError
 from planish.core.threads import limit_threads
 from planish.synthetic import (
     HoleParams,
@@ -16,13 +18,15 @@ from planish.synthetic import (
     SectionsParams,
     SpecimenParams,
     Warp,
+    draw_params,
     make_specimen,
     slope_for,
     with_only,
 )
 
+module = importlib.import_module("planish.synthetic.specimen")
 SMALL = SpecimenParams(size_um=(700.0, 600.0), holes=HoleParams(pattern="irregular", count=1))
-EVERYTHING = ScannerParams(voxel_um=5.0, noise_px=2.0, fringe=0.12, cupping=0.04, rings=2, streak=0.03)
+EVERYTHING = ScannerParams(voxel_um=8.0, noise_px=2.0, fringe=0.12, cupping=0.04, rings=2, streak=0.03)
 
 
 @given(
@@ -140,10 +144,10 @@ def test_faces_are_read_back_from_a_clean_render(clean, level, face):
 
 
 def test_same_seed_same_bytes_on_any_number_of_threads_and_any_tile():
-    params = replace(SMALL, scanner=EVERYTHING)
+    params = replace(SMALL, scanner=EVERYTHING, sections=SectionsParams(pixel_um=4.0, section_um=40.0))
     specimen = make_specimen(params)
     one = specimen.scanner.volume(threads=1, tile_rows=24)
-    for threads, rows in ((3, 24), (2, 7), (1, 1000)):
+    for threads, rows in ((3, 24), (2, 17)):
         assert specimen.scanner.volume(threads=threads, tile_rows=rows).tobytes() == one.tobytes()
     again = make_specimen(params)
     with limit_threads(3):
@@ -228,3 +232,30 @@ def test_holes_that_do_not_fit_are_refused():
 def test_uncoated_paper_has_no_coating():
     specimen = make_specimen(replace(SMALL, paper=PaperParams(coating_top_um=0.0, coating_bottom_um=0.0)))
     assert float(np.abs(specimen.truth["coating_top"]).max()) == 0.0
+
+
+def test_drawn_parameters_lie_in_their_ranges():
+    """Whole numbers with both ends, choices among the given ones; what has no range and the seed itself stay."""
+    drawn = [draw_params(SpecimenParams(seed=seed)) for seed in range(60)]
+    assert {params.scanner.rings for params in drawn} == {0, 1, 2, 3}
+    assert {params.camera.backing for params in drawn} == {"pile", "black"}
+    assert all(2.4 <= params.scanner.voxel_um <= 3.2 and params.scanner.ring == 0.03 for params in drawn)
+    assert [params.seed for params in drawn] == list(range(60))
+    assert draw_params(SpecimenParams(seed=7)) == drawn[7]
+
+
+def test_the_default_specimen_in_one_call(tmp_path, monkeypatch):
+    """Volume and image carry coordinates in um, as the readers give them; files only where a folder is named."""
+    monkeypatch.setattr(module, "DEMO", SMALL)
+    specimen = make_specimen(folder=tmp_path / "made")
+    voxel, pixel = SMALL.scanner.voxel_um, SMALL.camera.pixel_um
+    assert specimen.volume.dims == ("z", "y", "x")
+    assert float(specimen.volume["x"][1]) == voxel
+    assert float(specimen.image["y"][2]) == 2 * pixel
+    assert specimen.files.volume.is_file()
+    assert specimen.files.image.is_file()
+    assert (tmp_path / "made" / "truth" / "holes.csv").is_file()
+    assert "1 holes" in repr(specimen)
+    assert make_specimen(SMALL).files is None
+    with pytest.raises(FileError, match="exists already"):
+        make_specimen(SMALL, tmp_path / "made")

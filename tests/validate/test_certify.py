@@ -6,33 +6,35 @@ import json
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import record
-from planish.core.errors import CannotRegister
+from planish.core.errors import CannotRegister, InputError
 from planish.validate import certify
 from planish.validate.certify import Certificate, Entry, run_scenario
 from planish.validate.drawings import dots
 from planish.validate.figures import STAGES
 from planish.validate.page import render_page
 from planish.validate.scenario import Limit, read_scenario
-from planish.validate.table import as_json, lines, markdown, terminal_rows
-from planish.validate.words import summary, verdict
+from planish.validate.table import as_json, lines, markdown, summary, terminal_rows, verdict
 
 RECORDED = Path(__file__).with_name("recorded.toml")
 
 
-def test_no_figure_is_worse_than_recorded(certificate):
+@pytest.mark.study
+def test_no_figure_is_worse_than_recorded(whole_certificate):
     """Where a change makes a figure better for good, record it: python tests/record.py FILE."""
-    assert record.worse(certificate, record.read_recorded(RECORDED)) == []
+    assert record.worse(whole_certificate, record.read_recorded(RECORDED)) == []
 
 
-def test_the_small_scenario_meets_its_limits(certificate):
-    assert certificate.passed, summary(certificate)
-    assert len(certificate.entries) == 3
-    assert certificate.example is not None
+@pytest.mark.study
+def test_the_small_scenario_meets_its_limits(whole_certificate):
+    assert whole_certificate.passed, summary(whole_certificate)
+    assert len(whole_certificate.entries) == 3
+    assert whole_certificate.example is not None
 
 
 def made_up(values, *, limits=None, **entry):
@@ -62,6 +64,41 @@ def test_the_worst_seed_has_to_meet_the_limit():
     assert "2 of 3 limits are missed" in summary(found)
 
 
+@pytest.fixture
+def no_specimen(monkeypatch):
+    """Scenarios without the work: no specimen is made, no file is written."""
+    files = SimpleNamespace(volume=Path("v.tif"), image=Path("i.tif"), through="z")
+    monkeypatch.setattr(certify, "make_specimen", lambda _params: None)
+    monkeypatch.setattr(certify, "write_instruments", lambda *_, **__: files)
+
+
+@pytest.mark.usefixtures("no_specimen")
+def test_every_seed_gives_an_entry_and_the_first_an_example(monkeypatch, small):
+    """What the studies do with real runs, with the run and its ledger replaced."""
+    gate = SimpleNamespace(name="marks", sentence="7 marks agree to 33.1 um only.", passed=False)
+    monkeypatch.setattr(certify, "Run", SimpleNamespace)
+    monkeypatch.setattr(certify, "run_study", lambda *_, **__: SimpleNamespace(gates=(gate,)))
+    monkeypatch.setattr(certify, "make_ledger", lambda _both, point_um: {"tre_p95": point_um})
+    monkeypatch.setattr(certify, "make_example", lambda _both, seed: f"maps of {seed}")
+    reports = []
+    found = run_scenario(small, [4, 2], progress=lambda *words: reports.append(words))
+    assert [entry.seed for entry in found.entries] == [4, 2]
+    assert found.entries[0].values == {"tre_p95": small.point_um}
+    assert found.entries[0].gates == ("marks: 7 marks agree to 33.1 um only.",)
+    assert found.example == "maps of 4"
+    assert ("small", "seed 2, 2 of 2") in reports
+
+
+def test_a_specimen_that_cannot_be_made_is_named(monkeypatch, small):
+    def fail(_params):
+        raise ValueError("5 holes do not fit")
+
+    monkeypatch.setattr(certify, "make_specimen", fail)
+    with pytest.raises(InputError, match="small cannot be made: 5 holes"):
+        run_scenario(small, 1)
+
+
+@pytest.mark.usefixtures("no_specimen")
 def test_a_refusal_is_an_outcome(monkeypatch, small):
     def refuse(_study, _out, **_):
         raise CannotRegister("Only 2 holes were found in the volume.")

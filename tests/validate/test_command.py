@@ -84,9 +84,8 @@ def test_a_wrong_scenario_ends_with_3(call):
     assert error.value.exit_code == 3
 
 
-def test_specimens_like_a_run(call, measured):
-    *_, folder = measured
-    code, out, err = call("--like", folder, "--json")
+def test_specimens_like_a_run(call, linked_run):
+    code, out, err = call("--like", linked_run, "--json")
     assert code in (0, 4)
     found = json.loads(out)
     assert any(note.startswith("Taken: ") for note in found["notes"])

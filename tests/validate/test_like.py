@@ -12,9 +12,8 @@ from planish.validate.like import like_run
 from planish.validate.scenario import read_scenario
 
 
-def test_a_run_of_a_known_specimen(measured):
-    specimen, _, _, folder = measured
-    true, found = specimen.params, like_run(folder).params
+def test_a_run_of_a_known_specimen(specimen, linked_run):
+    true, found = specimen.params, like_run(linked_run).params
     assert found.scanner.voxel_um == pytest.approx(true.scanner.voxel_um)
     assert found.camera.pixel_um == pytest.approx(true.camera.pixel_um, rel=1e-4)
     assert found.paper.coating_top_um == pytest.approx(true.paper.coating_top_um, rel=0.1)
@@ -31,18 +30,16 @@ def test_a_run_of_a_known_specimen(measured):
     assert 0.5 * true.warp.wavelength_um < found.warp.wavelength_um < 2.0 * true.warp.wavelength_um
 
 
-def test_it_says_what_was_taken_and_what_assumed(measured):
-    *_, folder = measured
-    found = like_run(folder)
+def test_it_says_what_was_taken_and_what_assumed(linked_run):
+    found = like_run(linked_run)
     assert any("Voxels of 4 um" in sentence for sentence in found.taken)
     assert any("fringe" in sentence.lower() for sentence in found.assumed)
     assert all(sentence.endswith(".") for sentence in (*found.taken, *found.assumed))
     assert "path" not in json.dumps(found.study)
 
 
-def test_the_scenario_takes_the_place_of_paper_and_instruments(measured):
-    *_, folder = measured
-    found = like_run(folder)
+def test_the_scenario_takes_the_place_of_paper_and_instruments(linked_run):
+    found = like_run(linked_run)
     scenario = found.scenario(read_scenario("ct"))
     assert scenario.params(2).paper == found.params.paper
     assert scenario.params(2).warp == found.params.warp
@@ -52,10 +49,9 @@ def test_the_scenario_takes_the_place_of_paper_and_instruments(measured):
 
 
 @pytest.mark.parametrize("missing", ["results.json", "run.toml", "maps.zarr"])
-def test_a_folder_that_is_no_run(measured, tmp_path, missing):
-    *_, folder = measured
+def test_a_folder_that_is_no_run(linked_run, tmp_path, missing):
     part = tmp_path / "run"
-    shutil.copytree(folder, part)
+    shutil.copytree(linked_run, part)
     if (part / missing).is_dir():
         shutil.rmtree(part / missing)
     else:
@@ -65,10 +61,9 @@ def test_a_folder_that_is_no_run(measured, tmp_path, missing):
 
 
 @pytest.mark.parametrize("text", ["{", "[1, 2]", "{}", '{"inputs": {"volume": {"voxel_um": [1, 2, 3]}}}'])
-def test_damaged_results(measured, tmp_path, text):
-    *_, folder = measured
+def test_damaged_results(linked_run, tmp_path, text):
     part = tmp_path / "run"
-    shutil.copytree(folder, part)
+    shutil.copytree(linked_run, part)
     (part / "results.json").write_text(text)
     with pytest.raises(PlanishError, match=r"results\.json") as error:
         like_run(part)

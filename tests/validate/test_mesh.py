@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from planish.validate import mesh
 from planish.validate.certify import run_scenario
+from planish.validate.figures import FIGURES
 from planish.validate.mesh import cylinder, deformed, grid, node_error, rest_lengths, size_errors
 from planish.validate.scenario import read_scenario
 
 
+@pytest.mark.study
 def test_as_1_with_two_deformations():
     found = run_scenario(read_scenario("as-1"), 2)
     # times depend on the machine and are no matter of a test
@@ -39,3 +42,15 @@ def test_start_and_rest_lengths():
     lengths = rest_lengths(points)[0, 0, :-1]
     assert lengths[0] > lengths[63] >= 1.0
     assert flat[..., 0].mean() == pytest.approx(0.0)
+
+
+def test_figures_of_one_deformation(monkeypatch):
+    """The quick half of the study above: a smaller mesh, one seed."""
+    monkeypatch.setattr(mesh, "ROWS", 10)
+    monkeypatch.setattr(mesh, "COLS", 12)
+    monkeypatch.setattr(mesh, "deformed", lambda seed: deformed(seed, 10, 12))
+    found = mesh.mesh_values(0, once=False)
+    assert abs(found["mesh_width"]) < 0.1
+    assert abs(found["mesh_height_fine"]) < 0.01
+    assert found["mesh_inverted"] == 0
+    assert found.keys() < FIGURES.keys()

@@ -11,8 +11,7 @@ from planish.validate.certify import Entry
 from planish.validate.page import render_page
 from planish.validate.scenario import read_scenario
 from planish.validate.sensitivity import added_error, make_row, sensitivity
-from planish.validate.table import as_json, markdown, sensitivity_rows
-from planish.validate.words import row_sentence, sum_sentence
+from planish.validate.table import as_json, markdown, row_sentence, sensitivity_rows, sum_sentence
 
 BASE = {"surfaces_rmse": 0.4, "column_coating_top_rmse": 0.5, "fle_pair": 0.3, "tre_rms": 0.6}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -21,46 +21,36 @@ _DEFAULT = "small"
 
 @click.command()
 @click.option(
-    "--scenario",
-    "scenarios",
-    multiple=True,
-    metavar="NAME|FILE",
-    help=f"What is made and measured, of --list or a TOML file; may be given again. {_DEFAULT} where not given.",
-)
+    "--scenario", "scenarios", multiple=True, metavar="NAME|FILE",
+    help=f"What is made and measured, of --list or a TOML file; repeatable. {_DEFAULT} where not given.",
+)  # fmt: skip
 @click.option("--seeds", type=click.IntRange(min=1), help="Number of specimens; the scenario's own where not given.")
 @click.option(
-    "--like",
-    type=click.Path(path_type=Path),
-    metavar="RUN",
+    "--like", type=click.Path(path_type=Path), metavar="RUN",
     help="Make specimens like those of a run: its paper, warp, voxels, blur and noise.",
-)
+)  # fmt: skip
 @click.option("--sensitivity", "alone", is_flag=True, help="Also run with each nuisance alone: which stage suffers.")
 @click.option(
-    "--out",
-    "-o",
-    type=click.Path(path_type=Path),
+    "--out", "-o", type=click.Path(path_type=Path),
     help="Folder to make for certificate.html, .md and .json, one in it for each of several scenarios.",
-)
+)  # fmt: skip
 @click.option("--list", "listed", is_flag=True, help="Name the scenarios and end.")
 @json_option
 def validate(
-    scenarios: tuple[str, ...],
-    seeds: int | None,
-    like: Path | None,
-    alone: bool,
-    out: Path | None,
-    listed: bool,
+    scenarios: tuple[str, ...], seeds: int | None, like: Path | None, alone: bool, out: Path | None, listed: bool,
     as_json: bool,
-) -> int:
-    """Calibrate planish: make specimens with known answers, run on their files, tell the error of every stage.
+) -> int:  # fmt: skip
+    """Calibrate planish: make specimens with known answers, run on their files, report the error of every stage.
 
     Prints an error ledger in um against the truth. Ends with 4 when a limit of the scenario is missed.
     """
+    from dataclasses import replace
+
     from planish.io.run_folder import new_folder, refuse_existing
+    from planish.validate import table as tables
     from planish.validate.certify import run_scenario
     from planish.validate.scenario import read_scenario
     from planish.validate.sensitivity import sensitivity
-    from planish.validate.table import as_json as data_of
 
     if listed:
         return _list(as_json=as_json)
@@ -73,19 +63,18 @@ def validate(
     if like is not None:
         chosen, notes = _like(like, chosen)
 
-    def tell(stage: str, detail: str) -> None:
+    def report(stage: str, detail: str) -> None:
         click.echo(f"{stage}: {detail}", err=True)
 
     results: list[tuple[Certificate, Sensitivity | None]] = []
     for scenario in chosen:
-        certificate = run_scenario(scenario, seeds, progress=tell)
-        certificate = _noted(certificate, notes)
-        grown = sensitivity(scenario, 1, progress=tell) if alone and scenario.kind == "line" else None
+        certificate = replace(run_scenario(scenario, seeds, progress=report), notes=notes)
+        grown = sensitivity(scenario, 1, progress=report) if alone and scenario.kind == "line" else None
         results.append((certificate, grown))
         if not as_json:
             _show(certificate, grown)
     if as_json:
-        found = [data_of(certificate, grown) for certificate, grown in results]
+        found = [tables.as_json(certificate, grown) for certificate, grown in results]
         click.echo(json.dumps(found[0] if len(found) == 1 else found, indent=2, allow_nan=False))
     if out is not None:
         with new_folder(out) as folder:
@@ -98,11 +87,12 @@ def validate(
 def _list(*, as_json: bool) -> int:
     from planish.validate.scenario import read_scenario, scenario_names
 
-    found = [read_scenario(name) for name in scenario_names()]
+    rows = [(s.name, s.title, s.seeds) for s in map(read_scenario, scenario_names())]
+    head = ("name", "title", "seeds")
     if as_json:
-        click.echo(json.dumps([{"name": s.name, "title": s.title, "seeds": s.seeds} for s in found], indent=2))
-        return 0
-    table("Scenarios", ("name", "title", "seeds"), [(s.name, s.title, str(s.seeds)) for s in found])
+        click.echo(json.dumps([dict(zip(head, row, strict=True)) for row in rows], indent=2))
+    else:
+        table("Scenarios", head, [tuple(map(str, row)) for row in rows])
     return 0
 
 
@@ -111,7 +101,7 @@ def _like(run: Path, scenarios: list[Scenario]) -> tuple[list[Scenario], tuple[s
     from planish.validate.like import like_run
 
     if any(scenario.kind != "line" for scenario in scenarios):
-        raise click.UsageError("--like goes with scenarios that run the whole line, not with a mesh or a pair.")
+        raise click.UsageError("--like is for scenarios that run the whole line, not for a mesh or a pair.")
     found = like_run(run)
     notes = (*(f"Taken: {s}" for s in found.taken), *(f"Assumed: {s}" for s in found.assumed))
     for note in notes:
@@ -119,33 +109,20 @@ def _like(run: Path, scenarios: list[Scenario]) -> tuple[list[Scenario], tuple[s
     return [found.scenario(scenario) for scenario in scenarios], notes
 
 
-def _noted(certificate: Certificate, notes: tuple[str, ...]) -> Certificate:
-    from dataclasses import replace
-
-    return replace(certificate, notes=notes)
-
-
 def _show(certificate: Certificate, grown: Sensitivity | None) -> None:
-    from planish.validate.table import COLUMNS, plain, sensitivity_rows, terminal_rows
-    from planish.validate.words import check_sentence, row_sentence, sum_sentence, summary, verdict
+    from planish.validate import table as tables
 
-    table(certificate.scenario.title, COLUMNS, terminal_rows(certificate))
+    table(certificate.scenario.title, tables.COLUMNS, tables.terminal_rows(certificate))
     if grown is not None:
-        head, rows = sensitivity_rows(grown)
+        head, rows = tables.sensitivity_rows(grown)
         table("What each nuisance alone adds, in squares", head, rows)
-        for sentence in (
-            *(row_sentence(row) for row in grown.rows),
-            *(sum_sentence(stage, grown) for stage in grown.keys),
-        ):
-            click.echo(plain(sentence))
-    click.echo(plain(f"{verdict(certificate)} {summary(certificate)}"))
-    for entry in certificate.entries:
-        for sentence in (entry.refusal, *entry.gates):
-            if sentence is not None:
-                click.echo(f"planish: seed {entry.seed}: {sentence}", err=True)
-    for check in certificate.checks():
-        if not check.met:
-            click.echo(f"planish: {plain(check_sentence(check))}", err=True)
+        for sentence in tables.sensitivity_sentences(grown):
+            click.echo(tables.plain(sentence))
+    click.echo(tables.plain(f"{tables.verdict(certificate)} {tables.summary(certificate)}"))
+    faults = [f"seed {e.seed}: {fault}" for e in certificate.entries for fault in (e.refusal, *e.gates) if fault]
+    faults += [tables.plain(tables.check_sentence(check)) for check in certificate.checks() if not check.met]
+    for fault in faults:
+        click.echo(f"planish: {fault}", err=True)
 
 
 def _write(folder: Path, certificate: Certificate, grown: Sensitivity | None) -> None:
@@ -154,7 +131,6 @@ def _write(folder: Path, certificate: Certificate, grown: Sensitivity | None) ->
     from planish.validate.table import as_json, markdown
 
     folder.mkdir(exist_ok=True)
-    data: dict[str, Any] = as_json(certificate, grown)
-    write_json(folder / "certificate.json", data)
+    write_json(folder / "certificate.json", as_json(certificate, grown))
     (folder / "certificate.md").write_text(markdown(certificate, grown), encoding="utf-8", newline="\n")
     write_page(folder / "certificate.html", certificate, grown)

@@ -1,16 +1,16 @@
-"""The certificate as one HTML file that needs nothing else, in the dress of the report of a run."""
+"""The certificate as one HTML file that needs nothing else, styled as the report of a run."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from planish import __version__
-from planish.report.draw import Picture
 from planish.report.text import number
 from planish.synthetic.nuisances import NUISANCES
 from planish.synthetic.params import SIZES_UM
@@ -20,8 +20,7 @@ from planish.validate.drawings import dots, draw_example, draw_expected
 from planish.validate.figures import FIGURES, STAGES
 from planish.validate.scenario import ALL, NONE, Scenario
 from planish.validate.sensitivity import Row, Sensitivity
-from planish.validate.table import Line, lines
-from planish.validate.words import row_sentence, sum_sentence, summary, unit_of, verdict, with_unit
+from planish.validate.table import Line, lines, row_sentence, sum_sentence, summary, unit_of, verdict, with_unit
 
 _INSTRUMENTS = {
     "stack": "volume as one TIFF stack",
@@ -39,35 +38,6 @@ _TILES = (
     ("mesh_seconds", "time to rest"),
 )
 _GROWN = 3.0  # times the baseline: the darkest cell of the heat table
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tile:
-    """One number large, with what it is."""
-
-    value: str
-    unit: str
-    label: str
-    note: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cell:
-    """One cell of the heat table: its number, how dark it is (0 to 1), and whether this stage suffers."""
-
-    text: str
-    heat: float
-    suffers: bool
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeatRow:
-    """One nuisance in the heat table."""
-
-    title: str
-    cells: tuple[Cell, ...]
-    suffers: str
-    sentence: str
 
 
 def write_page(path: Path, certificate: Certificate, table: Sensitivity | None = None) -> None:
@@ -140,18 +110,14 @@ def _style() -> str:
     return files("planish.report").joinpath("templates/style.css").read_text(encoding="utf-8")
 
 
-def _tiles(certificate: Certificate) -> list[Tile]:
+def _tiles(certificate: Certificate) -> list[dict[str, str]]:
+    """Some numbers large, with what they are."""
     found = certificate.summaries()
     return [
-        Tile(
-            value=number(found[name].mean, 2),
-            unit=unit_of(name),
-            label=label,
-            note=f"mean of {found[name].n}; worst {with_unit(name, found[name].worst)}",
-        )
-        for name, label in _TILES
-        if name in found
-    ][:4]
+        {"value": number(found[name].mean, 2), "unit": unit_of(name), "label": label,
+         "note": f"mean of {found[name].n}; worst {with_unit(name, found[name].worst)}"}
+        for name, label in _TILES if name in found
+    ][:4]  # fmt: skip
 
 
 def _by_stage(certificate: Certificate) -> list[tuple[str, list[Line]]]:
@@ -171,22 +137,16 @@ def _bias_of(name: str) -> bool:
     return f"{name.rpartition('_')[0]}_bias" in FIGURES
 
 
-def _heat(table: Sensitivity) -> list[HeatRow]:
+def _heat(table: Sensitivity) -> list[dict[str, Any]]:
+    """Rows of the heat table: of each cell its number, how dark it is (0 to 1), and whether this stage suffers."""
+
+    def cell(row: Row, stage: str) -> dict[str, Any]:
+        heat = min(1.0, (row.growth[stage] or 0.0) / _GROWN)
+        return {"text": number(row.added[stage], 2), "heat": round(heat, 3), "suffers": row.suffers == stage}
+
     return [
-        HeatRow(
-            title=NUISANCES[row.nuisance].title,
-            cells=tuple(_cell(row, stage) for stage in table.keys),
-            suffers="no result" if row.refusal else STAGES[row.suffers] if row.suffers else "–",
-            sentence=row_sentence(row),
-        )
+        {"title": NUISANCES[row.nuisance].title, "cells": [cell(row, stage) for stage in table.keys],
+         "suffers": "no result" if row.refusal else STAGES[row.suffers] if row.suffers else "–",
+         "sentence": row_sentence(row)}
         for row in table.rows
-    ]
-
-
-def _cell(row: Row, stage: str) -> Cell:
-    growth = row.growth[stage]
-    heat = 0.0 if growth is None else min(1.0, growth / _GROWN)
-    return Cell(text=number(row.added[stage], 2), heat=round(heat, 3), suffers=row.suffers == stage)
-
-
-__all__ = ["Picture", "facts", "render_page", "write_page"]
+    ]  # fmt: skip

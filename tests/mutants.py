@@ -1,0 +1,182 @@
+# ruff: noqa: E501  # texts of the code stand on one line each
+"""Mutants of the code: small faults that the tests have to find.
+
+``python -m tests.mutants`` copies the package to a temporary folder, puts in one fault at a time, runs the tests that
+must fail, and prints whether the mutant was killed. ``--only 12`` runs one, ``--only 1-20`` some, ``--list`` names all.
+A mutant whose old text is not found exactly once is an error of this list: mend it here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+_ENOUGH_S = 900
+
+
+class Mutant(NamedTuple):
+    """One fault: ``old`` in ``src/planish/file`` becomes ``new``, and ``tests`` (arguments of pytest) must fail."""
+
+    file: str
+    old: str
+    new: str
+    tests: str
+
+
+MUTANTS = [
+    # core: grids, areas, frames, transformations
+    Mutant("core/grid.py", "down, right = row - i, col - j", "down, right = col - j, row - i", "core/test_grid.py"),
+    Mutant("core/grid.py", "(row <= rows - 1)", "(row <= rows - 2)", "core/test_grid.py"),
+    Mutant("core/grid.py", "return float(self.x_um[0]), float(self.y_um[0])", "return float(self.y_um[0]), float(self.x_um[0])", "core/test_grid.py resample/test_maps.py marks/test_sheet_holes.py"),
+    Mutant("core/area.py", "weight >= least * factor[0]", "weight > 2 * least * factor[0]", "core/test_area.py"),
+    Mutant("core/frame.py", '(self.through == "y") != (self.top == "low")', '(self.through == "y") == (self.top == "low")', "core/test_frame.py"),
+    Mutant("core/frame.py", '1.0 if self.top == "high" else -1.0', "1.0", "core/test_frame.py measure/test_along_normals.py surface/test_any_sheet.py"),
+    Mutant("core/transform.py", "np.array([[cos * flip, -sin], [sin * flip, cos]])", "np.array([[cos * flip, sin], [sin * flip, -cos]])", "core/test_transform.py register/test_fit.py"),
+    Mutant("core/transform.py", "shift = -linear @ np.asarray(self.shift_um)", "shift = linear @ np.asarray(self.shift_um)", "core/test_transform.py register/test_fit.py"),
+    Mutant("core/transform.py", "np.where(below > 0, below, np.nan)", "below", "core/test_transform.py register/test_models.py register/test_refusals.py"),
+    Mutant("core/transform.py", "np.rad2deg(0.5 * np.arctan2(sine, cosine))", "np.rad2deg(np.arctan2(sine, cosine))", "core/test_transform.py resample/test_maps.py measure/test_orientation.py"),
+    # io: sizes and files
+    Mutant("io/sizes.py", "um = length / per_unit", "um = length * per_unit", "io/test_sizes.py"),
+    Mutant("io/sizes.py", "TOLERANCE * min(first, second)", "100 * TOLERANCE * min(first, second)", "io/test_sizes.py"),
+    Mutant("io/sizes.py", "abs(25400.0 / um - dpi) <= 1.0", "abs(25400.0 / um - dpi) <= 0.0001", "io/test_sizes.py"),
+    Mutant("io/nrecon.py", "count != (last - first) / step + 1", "count != (last - first) / step", "io/test_nrecon.py"),
+    Mutant("io/cut_counter.py", "if len(kinds) > 1:", "if len(kinds) > 2:", "io/test_sections.py"),
+    # surface
+    Mutant("surface/assemble.py", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_bottom), (top, inner_top)", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_top), (top, inner_bottom)", "surface/test_any_sheet.py surface/test_find.py"),
+    Mutant("surface/assemble.py", "np.where(sheet & ~rim & seen, 0.5 * (top + bottom), np.nan)", "np.where(sheet & seen, 0.5 * (top + bottom), np.nan)", "surface/test_find.py surface/test_centre.py surface/test_presence.py"),
+    Mutant("surface/assemble.py", 'np.where(rim, 2, np.where(seen, 0, 3))', 'np.where(rim, 0, np.where(seen, 0, 3))', "surface/test_find.py surface/test_presence.py"),
+    Mutant("surface/centre.py", "coarse += _regress(", "coarse -= _regress(", "surface/test_centre.py"),
+    Mutant("surface/envelope.py", "** 2 / (2 * radius_um)", "** 2 / radius_um", "surface/test_centre.py surface/test_find.py"),
+    Mutant("surface/_fit_kernels.py", "x2 = (d - p[0] - p[1]) / w", "x2 = (d - p[0] + p[1]) / w", "surface/test_fit.py"),
+    Mutant("surface/_fit_kernels.py", "return _TABLE[i] * (1.0 - f) + _TABLE[i + 1] * f", "return _TABLE[i] * f + _TABLE[i + 1] * (1.0 - f)", "surface/test_fit.py"),
+    # measure
+    Mutant("measure/along_normals.py", "length = np.sqrt(1 + along_rows**2 + along_cols**2)", "length = np.sqrt(1 + along_rows**2)", "measure/test_along_normals.py"),
+    Mutant("measure/along_normals.py", '"coating_bottom": distance["interface_bottom"] - distance["bottom"]', '"coating_bottom": distance["bottom"] - distance["interface_bottom"]', "measure/test_along_normals.py"),
+    Mutant("measure/along_normals.py", '"topography_bottom": -distance["bottom"]', '"topography_bottom": distance["bottom"]', "measure/test_along_normals.py"),
+    Mutant("measure/along_normals.py", "            whole &= np.isfinite(values[name])", "            whole |= np.isfinite(values[name])", "measure/test_along_normals.py"),
+    Mutant("measure/grammage.py", "contrast = rays.greys.base - rays.greys.air", "contrast = rays.greys.base", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
+    Mutant("measure/topography.py", "_ALPHA = 0.4697", "_ALPHA = 0.6642", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
+    Mutant("measure/topography.py", "height = np.where(sheet.valid, sign * f.faces[side], np.nan)", "height = np.where(sheet.valid, f.faces[side], np.nan)", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
+    Mutant("measure/orientation.py", "a, b, d = 1 - loss * p * p, -loss * p * q, 1 - loss * q * q", "a, b, d = 1 - loss * q * q, -loss * p * q, 1 - loss * p * p", "measure/test_orientation.py"),
+    Mutant("measure/_ray_kernels.py", "value = near * (1 - fr) + far * fr", "value = near * fr + far * (1 - fr)", "measure/test_rays.py"),
+    # flatten
+    Mutant("flatten/_kernels.py", "strain = 1.0 - rest * inverse", "strain = rest * inverse - 1.0", "flatten/test_kernels.py flatten/test_relax.py"),
+    Mutant("flatten/_mesh_kernels.py", "o0[j] = nx * (rx + lx)", "o0[j] = nx * (rx - lx)", "flatten/test_kernels.py flatten/test_relax.py"),
+    Mutant("flatten/distortion.py", "area = au * dv - av * du", "area = au * dv + av * du", "flatten/test_distortion.py"),
+    Mutant("flatten/distortion.py", "np.sqrt(np.maximum(g22 - g12 * g12 / g11, 0.0))", "np.sqrt(np.maximum(g22, 0.0))", "flatten/test_distortion.py"),
+    Mutant("flatten/curvature.py", "(ll * nn - mm * mm)", "(ll * nn + mm * mm)", "flatten/test_curvature.py"),
+    Mutant("flatten/curvature.py", "lacking = 2 * np.pi - angles", "lacking = np.pi - angles", "flatten/test_curvature.py"),
+    Mutant("flatten/_relaxation_kernels.py", "stretch = length - rest[j]", "stretch = rest[j] - length", "flatten/test_relaxation.py"),
+    # marks
+    Mutant("marks/judge.py", "(x <= right - radius)", "(x <= right + radius)", "marks/test_find.py"),
+    Mutant("marks/judge.py", "total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]", "total = rows[:, k.INSIDE] - rows[:, k.OUTSIDE]", "marks/test_find.py"),
+    Mutant("marks/sheet_holes.py", 'to_face = (-outward if side == "top" else outward) * offsets.median', "to_face = outward * offsets.median", "marks/test_sheet_holes.py"),
+    Mutant("marks/sheet_holes.py", "CLOSED if inside.size and np.median(inside) > MATERIAL else UNCLEAR", "CLOSED", "marks/test_sheet_holes.py"),
+    Mutant("marks/mask.py", "(y - radius, y + radius)", "(y - 0.5 * radius, y + 0.5 * radius)", "marks"),
+    Mutant("marks/_measure_kernels.py", "cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]", "cx, cy, radius = cx - fit[1], cy + fit[2], fit[0]", "marks/test_find.py"),
+    # register
+    Mutant("register/similarity.py", "scale=abs(alpha), rotation_rad=float(np.angle(alpha))", "scale=abs(alpha), rotation_rad=-float(np.angle(alpha))", "register/test_fit.py"),
+    Mutant("register/similarity.py", "np.sum(share * zc.conj() * wc)", "np.sum(zc.conj() * wc) / len(z)", "register/test_fit.py register/test_models.py"),
+    Mutant("register/pairs.py", "(-points[:, 0] if mirrored else points[:, 0]) + 1j * points[:, 1]", "points[:, 0] + 1j * points[:, 1]", "register/test_fit.py"),
+    Mutant("register/result.py", "np.sqrt(2.0 * self.errors.mark_variance", "np.sqrt(self.errors.mark_variance", "register/test_fit.py register/test_expected_error.py register/test_models.py"),
+    Mutant("register/chain.py", "square = square * stretch + fit.expected_error_um(at) ** 2", "square = square + fit.expected_error_um(at) ** 2", "register/test_chain.py"),
+    Mutant("register/chain.py", "% 2 == 1", ">= 1", "register/test_chain.py"),
+    Mutant("register/thin_plate.py", "0.5 * squares * np.log(squares)", "squares * np.log(squares)", "register/test_thin_plate.py"),
+    Mutant("register/model.py", "self._freedom = 2.0 * float(np.sum(share)) - model.parameters", "self._freedom = 2.0 * float(np.sum(share))", "register/test_fit.py register/test_models.py register/test_expected_error.py"),
+    # resample
+    Mutant("resample/maps.py", "hand = -1.0 if similarity.mirrored else 1.0", "hand = 1.0", "resample/test_maps.py"),
+    Mutant("resample/maps.py", "c * cos2 - s * hand * sin2", "c * cos2 + s * hand * sin2", "resample/test_maps.py"),
+    Mutant("resample/_kernels.py", "return (i + wb + wc, j + wb) if number & 1", "return (i + wb, j + wb + wc) if number & 1", "resample/test_quads.py"),
+    # analyze
+    Mutant("analyze/correlation.py", "both = np.isfinite(x) & np.isfinite(y)\n    factor", "both = np.isfinite(x)\n    factor", "analyze/test_correlate.py"),
+    Mutant("analyze/correlation.py", "slope = sab / saa", "slope = sab / sbb", "analyze/test_correlate.py"),
+    Mutant("analyze/peak.py", "np.abs(r) if sign == 0 else sign * r", "np.abs(r)", "analyze/test_lag.py"),
+    # sections, correct
+    Mutant("sections/volume.py", "share = np.clip((planes - at[before]) / step, 0.0, 1.0)", "share = np.clip((at[after] - planes) / step, 0.0, 1.0)", "sections/test_volume.py"),
+    Mutant("sections/trend.py", "_HALF = 1.0 / np.sqrt(0.5) - 1.0", "_HALF = 1.0", "sections/test_align.py sections/test_reference.py"),
+    Mutant("sections/_kernels.py", "x = c + pose[1] - pose[3] * (r - middle_r)", "x = c + pose[1] + pose[3] * (r - middle_r)", "sections/test_volume.py sections/test_align.py"),
+    Mutant("correct/cupping.py", "100.0 * (1.0 - 1.0 / max(", "100.0 * (1.0 - max(", "correct/test_correct.py"),
+    # synthetic, validate
+    Mutant("synthetic/draws.py", "rng.integers(limits[0], limits[1] + 1)", "rng.integers(limits[0], limits[1])", "synthetic/test_specimen.py -k drawn"),
+    Mutant("synthetic/_kernels.py", "s = (dx * nx + dy * ny + dz * nz) / sqrt(nx * nx + ny * ny + nz * nz)", "s = dx * nx + dy * ny + dz * nz", "synthetic/test_specimen.py -k inverse"),
+    Mutant("validate/volume_errors.py", "100.0 * (1.0 / similar.transform.scale - 1.0)", "100.0 * (similar.transform.scale - 1.0)", "validate/test_ledger.py -k too_large"),
+    Mutant("validate/truth.py", "return np.hypot(self.found[..., 0] - u, self.found[..., 1] - v)", "return np.abs(self.found[..., 0] - u)", "validate/test_ledger.py -k shift_of"),
+]  # fmt: skip
+
+
+def main(arguments: list[str]) -> int:
+    """Run the mutants and return how many survived."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
+    parser.add_argument("--only", help="number of a mutant, or first-last")
+    parser.add_argument("--list", action="store_true", help="name all mutants and whether their text is there")
+    asked = parser.parse_args(arguments)
+    first, last = 1, len(MUTANTS)
+    if asked.only:
+        first, _, end = asked.only.partition("-")
+        first, last = int(first), int(end or first)
+    chosen = list(enumerate(MUTANTS, 1))[first - 1 : last]
+    stale = [f"{k}: {m.file}: found {n} times: {m.old}" for k, m in chosen if (n := _count(m)) != 1]
+    print(*stale, sep="\n")
+    if asked.list or stale:
+        print(*(f"{k}: {m.file}: {m.old!r} -> {m.new!r}" for k, m in chosen if asked.list), sep="\n")
+        return len(stale)
+    survived = 0
+    with tempfile.TemporaryDirectory(prefix="planish-mutants-") as name:
+        for k, mutant in chosen:
+            start = time.perf_counter()
+            state = run(mutant, Path(name) / str(k))
+            survived += state != "killed"
+            print(f"{k}: {state}, {time.perf_counter() - start:.0f} s: {mutant.file}: {mutant.new!r}", flush=True)
+    print(f"{len(chosen) - survived} of {len(chosen)} killed")
+    return survived
+
+
+def run(mutant: Mutant, folder: Path) -> str:
+    """Put one mutant into a copy of the package and run its tests: killed, SURVIVED, or what else happened."""
+    # With the compiled kernels: those of files that do not change are found again.
+    shutil.copytree(ROOT / "src", folder)
+    file = folder / "planish" / mutant.file
+    file.write_text(file.read_text(encoding="utf-8").replace(mutant.old, mutant.new), encoding="utf-8")
+    _forget(folder / "planish", mutant.file)
+    tests, _, keyword = mutant.tests.partition(" -k ")
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", "--no-header"]
+    command += [f"tests/{test}" for test in tests.split()] + (["-k", keyword] if keyword else [])
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(folder)}, capture_output=True, text=True, check=False,
+        timeout=_ENOUGH_S,
+    )  # fmt: skip
+    shutil.rmtree(folder)
+    return {0: "SURVIVED", 1: "killed"}.get(done.returncode, f"ended with {done.returncode}:\n{done.stdout[-2000:]}")
+
+
+def _forget(package: Path, file: str) -> None:
+    """Drop the compiled kernels that hold the changed ones: numba looks only at the file of each kernel itself."""
+    changed = {Path(file).stem}
+    if "njit" not in (package / file).read_text(encoding="utf-8"):
+        return
+    for _ in range(3):
+        names = "|".join(changed)
+        for path in package.rglob("*kernels*.py"):
+            if re.search(rf"import .*\b({names})\b|from .*\b({names}) import", path.read_text(encoding="utf-8")):
+                changed.add(path.stem)
+    for name in changed:
+        for cached in package.rglob(f"__pycache__/{name}.*.nb[ic]"):
+            cached.unlink()
+
+
+def _count(mutant: Mutant) -> int:
+    path = ROOT / "src" / "planish" / mutant.file
+    return path.read_text(encoding="utf-8").count(mutant.old) if path.is_file() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
