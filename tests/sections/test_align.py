@@ -7,8 +7,10 @@ import pytest
 
 from planish.core.errors import VolumeError
 from planish.sections import align_sections, normalise_sections
-from planish.sections._kernels import between, block_means, layers, pair_sums, smooth, straighten
+from planish.sections._kernels import between, pair_sums, smooth, straighten
+from planish.sections.band import block_means
 from planish.sections.network import solve_places
+from planish.sections.normalise import layers
 from planish.sections.trend import slow_part
 from sections.bands import PITCH_UM, PIXEL_UM, Series, make_series, rms, split
 
@@ -164,8 +166,7 @@ def test_places_survive_a_fifth_of_wrong_pairs() -> None:
 def test_block_means_twin() -> None:
     section = np.random.default_rng(4).normal(size=(17, 23)).astype(np.float32)
     section[3, 4] = np.nan
-    out = np.empty((5, 4), np.float32)
-    block_means(section, 3, 5, out)
+    out = block_means(section, 3, 5)
     np.testing.assert_allclose(out, section[:15, :20].reshape(5, 3, 4, 5).mean(axis=(1, 3)), rtol=1e-5, atol=1e-6)
 
 
@@ -261,12 +262,11 @@ def test_layers_twin() -> None:
     section = np.random.default_rng(9).normal(size=(30, 12)).astype(np.float32)
     section[15, 3] = np.nan
     height = np.linspace(12, 17, 12).astype(np.float32)
-    core, off = np.empty(400, np.float32), np.empty(400, np.float32)
-    inner, outer = layers(section, height, 4.0, 8.0, np.array([1, 3]), core, off)
+    core, off = layers(section, height, 4.0, 8.0, (1, 3))
     away = np.abs(np.arange(30)[:, None] - height)
     inside = section[away <= 4]
-    np.testing.assert_array_equal(core[:inner], inside[np.isfinite(inside)])
-    np.testing.assert_array_equal(off[:outer], section[away >= 8][::3])
+    np.testing.assert_array_equal(core, inside[np.isfinite(inside)])
+    np.testing.assert_array_equal(off, section[away >= 8][::3])
 
 
 def test_a_knifes_nick_does_not_hold_the_columns(series: Series, alignment) -> None:

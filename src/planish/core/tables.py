@@ -73,7 +73,8 @@ def read_bytes(path: str | Path, *, what: str = "table") -> bytes:
         raise FileError(f"{place} cannot be read: {why}. Check the path.") from error
     if len(data) > LARGEST_FILE:
         raise FileError(
-            f"{place.name} is larger than {LARGEST_FILE // 1_000_000} MB and no {what}. Check that it is the right file."
+            f"{place.name} is larger than {LARGEST_FILE // 1_000_000} MB and no {what}. Check that it is the right "
+            "file."
         )
     return data
 

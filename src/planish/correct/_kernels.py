@@ -1,66 +1,8 @@
 # pyright: standard
-"""Compiled inner loops: sums over parts of circles, and the correction of a block."""
+"""Compiled inner loop: the correction of a block."""
 
 import numpy as np
 from numba import njit
-
-
-@njit(cache=True, nogil=True)
-def add_to_rings(grey, kind, depth, bins, sectors, count, total, level):
-    """Add the voxels of a slice to their circles, less the mean of their material at their depth in this slice.
-
-    Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth, and
-    so leaves nothing; a ring does.
-
-    Parameters
-    ----------
-    grey : (p, q) int64
-        Grey above air in thousandths or so of the contrast: whole numbers, whose sums do not depend on their order.
-    kind : (p, q) uint8
-        0 where a voxel does not count, otherwise 1 + the material.
-    depth : (p, q) int64
-        Below the face, in voxels.
-    bins, sectors : (p, q) int64
-    count, total : (sector, material, bin) int64
-        Added to.
-    level : (material, 2) int64
-        Number of voxels and sum of their grey; added to.
-    """
-    rows, cols = grey.shape
-    deepest = 0
-    for i in range(rows):
-        for j in range(cols):
-            deepest = max(deepest, depth[i, j])
-    n = np.zeros((level.shape[0], deepest + 1), np.int64)
-    mean = np.zeros((level.shape[0], deepest + 1), np.int64)
-    for i in range(rows):
-        for j in range(cols):
-            k = kind[i, j]
-            if k:
-                n[k - 1, depth[i, j]] += 1
-                mean[k - 1, depth[i, j]] += grey[i, j]
-    for k in range(level.shape[0]):
-        for d in range(deepest + 1):
-            level[k, 0] += n[k, d]
-            level[k, 1] += mean[k, d]
-            if n[k, d]:
-                mean[k, d] = int(np.rint(mean[k, d] / n[k, d]))
-    for i in range(rows):
-        for j in range(cols):
-            k = kind[i, j]
-            if k and n[k - 1, depth[i, j]] >= 32:
-                count[sectors[i, j], k - 1, bins[i, j]] += 1
-                total[sectors[i, j], k - 1, bins[i, j]] += grey[i, j] - mean[k - 1, depth[i, j]]
-
-
-@njit(cache=True, nogil=True)
-def add_to_histogram(grey, kind, depth, bins, quarters, count):
-    """Add the voxels inside the sheet to the histogram (quarter, radius, depth, grey) int64."""
-    rows, cols = grey.shape
-    for i in range(rows):
-        for j in range(cols):
-            if kind[i, j] > 1:
-                count[quarters[i, j], bins[i, j], depth[i, j], grey[i, j]] += 1
 
 
 @njit(cache=True, nogil=True)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.threads import thread_pool
-from planish.correct import _kernels
 from planish.correct.levels import Levels, missing, smoothed
 from planish.correct.turning import SECTORS, Turning
 
@@ -45,6 +44,7 @@ _INSIDE_PX = 3  # from a face: so far reaches its blur
 _NEAR_AIR = 0.15  # contrasts by which the smoothed air may be off
 _MOST = 2**29  # voxels that are looked at
 _DEEPEST = 24  # voxels; deeper, a material does not change with the depth
+_LEAST_LAYER = 32  # voxels of a material at one depth, for its mean grey
 _GROUP = 16  # slices that are worked on together
 
 
@@ -130,12 +130,39 @@ def take_sums(
         for group in _groups(slices):
             for number, grey, kind, depth in pool.map(sort, group):
                 k = min(int(number * middles.size / length), middles.size - 1)
-                _kernels.add_to_rings(grey, kind, depth, bins, sectors, count[k], total[k], level)
+                _add_to_rings(grey, kind, depth, bins, sectors, count[k], total[k], level)
                 fine = np.clip(((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64), 0, GREYS.size - 2)
                 deep = np.searchsorted(DEPTHS, depth, side="right") - 1
-                _kernels.add_to_histogram(fine, kind, deep, coarse, quarters, histogram[k])
+                inside = kind > 1 + AIR
+                at = np.ravel_multi_index((quarters, coarse, deep, fine), histogram[k].shape)[inside]
+                histogram[k] += np.bincount(at, minlength=histogram[k].size).reshape(histogram[k].shape)
                 done += 1
     return Sums(count=count, total=total, histogram=histogram, blocks=middles, level=level, slices=done)
+
+
+def _add_to_rings(
+    grey: Counts, kind: NDArray[np.uint8], depth: Counts, bins: Counts, sectors: Counts,
+    count: Counts, total: Counts, level: Counts,
+) -> None:  # fmt: skip
+    """Add the voxels of a slice to their circles, less the mean of their material at their depth in this slice.
+
+    Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth, and
+    so leaves nothing; a ring does. Sums of whole numbers are exact in double precision.
+    """
+    held = kind > 0
+    value, material = grey[held], kind[held].astype(np.int64) - 1
+    deepest = _DEEPEST + 1
+    layer = material * deepest + depth[held]
+    n = np.bincount(layer, minlength=len(MATERIALS) * deepest)
+    sums = np.bincount(layer, value, len(MATERIALS) * deepest)
+    level[:, 0] += n.reshape(-1, deepest).sum(axis=1)
+    level[:, 1] += sums.reshape(-1, deepest).sum(axis=1).astype(np.int64)
+    enough = n[layer] >= _LEAST_LAYER
+    mean = np.rint(sums / np.maximum(n, 1)).astype(np.int64)
+    at = np.ravel_multi_index((sectors[held], material, bins[held]), count.shape)[enough]
+    count += np.bincount(at, minlength=count.size).reshape(count.shape)
+    more = np.bincount(at, (value - mean[layer])[enough], count.size)
+    total += more.astype(np.int64).reshape(count.shape)
 
 
 def _groups(slices: Iterator[tuple[int, Slice]]) -> Iterator[list[tuple[int, Slice]]]:

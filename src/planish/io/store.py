@@ -25,7 +25,6 @@ from zarr.codecs import ZstdCodec
 
 from planish.core.errors import FileError, InputError, ResourceError
 from planish.core.threads import count_threads, limit_threads, thread_pool
-from planish.io import _kernels
 from planish.io.run_folder import as_planish, claim_folder, is_link, refuse_existing
 
 CHUNK = (64, 96, 96)
@@ -233,8 +232,10 @@ def _write(level: _Level, where: Where, values: NDArray[Any], done: Journal, num
 
 def halve(values: NDArray[Any]) -> NDArray[Any]:
     """Means of 2 x 2 x 2 voxels; what is left over at an end is the mean of fewer. Integers are rounded."""
+    from planish.io import _kernels
+
     out = np.empty(tuple(-(-n // 2) for n in values.shape), dtype=values.dtype)
-    (_kernels.halve_whole if values.dtype.kind in "ui" else _kernels.halve)(values, out)
+    _kernels.halve(values, out, values.dtype.kind in "ui")
     return out
 
 

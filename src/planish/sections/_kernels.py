@@ -1,5 +1,5 @@
 # pyright: standard
-"""Compiled inner loops of the section stage: block means, the straightened band, pairs of bands, and resampling.
+"""Compiled inner loops of the section stage: the straightened band, pairs of bands, and resampling.
 
 Places in a section are in pixels (row, col), pixel i has its centre at i. The pose of a section is ``(row, col,
 row per col, col per row)``: what belongs at (r, c) is found at
@@ -7,7 +7,7 @@ row per col, col per row)``: what belongs at (r, c) is found at
     (r + pose[0] + pose[2] (c - middle), c + pose[1] - pose[3] (r - middle)).
 """
 
-from math import floor, isnan
+from math import floor
 
 import numpy as np
 from numba import njit
@@ -15,22 +15,6 @@ from numba import njit
 _SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy"}
 # Sums may be taken in any order, so that they run several at a time; NaN stays NaN.
 _SUMS = {**_SETTINGS, "fastmath": {"contract", "nsz", "reassoc"}}
-
-
-@njit(**_SETTINGS)
-def block_means(section, rows, cols, out):
-    """Set out[i, j] to the mean of block (i, j) of rows x cols pixels; NaN where the block holds a NaN."""
-    line = np.empty(out.shape[1] * cols, np.float32)
-    for i in range(out.shape[0]):
-        line[:] = 0.0
-        for r in range(i * rows, (i + 1) * rows):
-            for c in range(line.size):
-                line[c] += np.float32(section[r, c])
-        for j in range(out.shape[1]):
-            total = 0.0
-            for c in range(j * cols, (j + 1) * cols):
-                total += line[c]
-            out[i, j] = total / (rows * cols)
 
 
 @njit(**_SETTINGS)
@@ -247,27 +231,3 @@ def between(first, second, share, poses, grades, low, high, whole, out):
         else:
             for c in range(wide):
                 target[c] = line[c]
-
-
-@njit(**_SETTINGS)
-def layers(section, height, near, far, step, core, background):
-    """Collect grey levels of the sheet's core and of the background; return how many of each.
-
-    height[c] is the row of the sheet: pixels within ``near`` of it are the core, of which every step[0]-th is taken;
-    those beyond ``far`` are the background, of which every step[1]-th is.
-    """
-    inner = outer = seen_inner = seen_outer = 0
-    for r in range(section.shape[0]):
-        for c in range(section.shape[1]):
-            away = abs(r - height[c])
-            if away <= near:
-                if seen_inner % step[0] == 0 and inner < core.size and not isnan(np.float32(section[r, c])):
-                    core[inner] = section[r, c]
-                    inner += 1
-                seen_inner += 1
-            elif away >= far:
-                if seen_outer % step[1] == 0 and outer < background.size and not isnan(np.float32(section[r, c])):
-                    background[outer] = section[r, c]
-                    outer += 1
-                seen_outer += 1
-    return inner, outer

@@ -16,7 +16,6 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filt
 
 from planish.core.errors import VolumeError
 from planish.core.threads import map_threads
-from planish.sections._kernels import block_means
 from planish.sections.trend import slow_part
 
 Array = NDArray[np.float64]
@@ -145,8 +144,7 @@ def find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float], *, th
     n, rows, cols = stack.shape
     tall = max(1, min(round(_BLOCK_UM[0] / pixel_um[0]), rows // 16))
     wide = max(1, min(round(_BLOCK_UM[1] / pixel_um[1]), cols // 8))
-    blocks = np.empty((n, rows // tall, cols // wide), np.float32)
-    for_each(lambda i: block_means(stack[i], tall, wide, blocks[i]), n, threads=threads)
+    blocks = np.stack(for_each(lambda i: block_means(stack[i], tall, wide), n, threads=threads))
     border = max(1, int(_BORDER * blocks.shape[1]))
     ends = np.concatenate([blocks[:, :border], blocks[:, -border:]], axis=1).reshape(n, -1)
     background = _middle(ends)
@@ -183,6 +181,14 @@ def find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float], *, th
         background=np.where(np.isfinite(background), background, np.nanmedian(background)),
         contrast=np.where(fair, contrast, typical),
     )
+
+
+def block_means(section: NDArray[Any], rows: int, cols: int) -> NDArray[np.float32]:
+    """Means of blocks of rows x cols pixels; NaN where a block holds a NaN, and what is left over is left out."""
+    down, across = section.shape[0] // rows, section.shape[1] // cols
+    held = section[: down * rows, : across * cols].reshape(down, rows, across * cols)
+    total = held.sum(axis=1, dtype=np.float32).reshape(down, across, cols).sum(axis=2, dtype=np.float64)
+    return (total / (rows * cols)).astype(np.float32)
 
 
 def _middle(values: NDArray[np.float32]) -> Array:

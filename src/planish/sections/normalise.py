@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.sections._kernels import layers
 from planish.sections.band import Band, Stack, check_stack, find_band, for_each
 
 Array = NDArray[np.float64]
@@ -85,13 +84,11 @@ def normalise_sections(
     n, rows, cols = stack.shape
     near, far = _CORE * band.half_um / pixel_um[0], (band.half_um + _OFF_UM) / pixel_um[0]
     inside, outside = 2 * near * cols, max(1.0, rows - 2 * far) * cols
-    step = np.array([max(1, round(inside / _MOST)), max(1, round(outside / _MOST))])
+    step = max(1, round(inside / _MOST)), max(1, round(outside / _MOST))
 
     def levels(i: int) -> tuple[float, float]:
-        core, off = np.empty(2 * _MOST, np.float32), np.empty(2 * _MOST, np.float32)
         height = band.heights(i, cols) + np.float32(band.jump[i])
-        counts = layers(stack[i], height, near, far, step, core, off)
-        inner, outer = core[: counts[0]], off[: counts[1]]
+        inner, outer = layers(stack[i], height, near, far, step)
         return (
             _crowd(outer) if outer.size >= _LEAST else np.nan,
             _crowd(inner) if inner.size >= _LEAST else np.nan,
@@ -105,6 +102,20 @@ def normalise_sections(
     level = float(np.median(background[measured])) if measured.any() else 0.0
     offset = np.where(measured, level - gain * np.where(measured, background, 0.0), 0.0)
     return Gains(gain=gain, offset=offset, background=background, material=material, measured=measured)
+
+
+def layers(
+    section: NDArray[Any], height: NDArray[np.float32], near: float, far: float, step: tuple[int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Grey levels of the sheet's core and of the background.
+
+    height[c] is the row of the sheet: pixels within ``near`` of it are the core, of which every step[0]-th is taken;
+    those beyond ``far`` are the background, of which every step[1]-th is.
+    """
+    row, middle = np.arange(section.shape[0])[:, None], height.astype(np.float64)
+    core = section[(row >= middle - near) & (row <= middle + near)][:: step[0]].astype(np.float32)
+    off = section[(row <= middle - far) | (row >= middle + far)][:: step[1]].astype(np.float32)
+    return core[~np.isnan(core)][: 2 * _MOST], off[~np.isnan(off)][: 2 * _MOST]
 
 
 def _crowd(values: NDArray[np.float32]) -> float:
