@@ -267,6 +267,6 @@ def test_drawings_place_what_they_show() -> None:
     svg = canvas.picture(title="a & b", caption="").svg
     assert 'd="M0 0l100 50M20 20l0 10"' in svg
     # The upper right pixel of four: 50 to 100 across and 0 to 25 down.
-    assert 'd="M50 0h50M50 25h50M50 0v25M100 0v25"' in svg
+    assert 'd="M50 0L100 0M50 25L100 25M50 0L50 25M100 0L100 25"' in svg
     assert '<svg x="10" y="20" width="100" height="50">' in svg
     assert 'aria-label="a &amp; b"' in svg

@@ -6,8 +6,7 @@ Text and lines stay sharp on screen and paper; the same numbers give the same by
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
 
 import numpy as np
@@ -66,36 +65,144 @@ class Field:
         return (width, width * ratio) if width * ratio <= height else (height / ratio, height)
 
 
-class Canvas:
-    """A figure whose parts are placed in CSS pixels from its upper left corner."""
+class Axes:
+    """A rectangle of a figure with coordinates of its own: um, or the units of a plot; drawings end at its border."""
 
-    def __init__(self, width: float, height: float) -> None:
-        self.width, self.height = width, height
+    def __init__(self, left: float, top: float, width: float, height: float, extent: Extent) -> None:
+        self.left, self.top, self.width, self.height, self.extent = left, top, width, height, extent
         self._parts: list[str | Axes] = []
 
-    def axes(self, left: float, top: float, width: float, height: float, extent: Extent) -> Axes:
-        """Add axes over (left, right, bottom, top) in the units of the data; what is drawn in them ends at them."""
-        axes = Axes(self, left, top, width, height, extent)
-        self._parts.append(axes)
-        return axes
+    def svg(self, more: str = "") -> str:
+        """Return all that was drawn."""
+        size = f'width="{_n(self.width)}" height="{_n(self.height)}"'
+        place = more or f'x="{_n(self.left)}" y="{_n(self.top)}"'
+        parts = "".join(part if isinstance(part, str) else part.svg() for part in self._parts)
+        return f"<svg {place} {size}>{parts}</svg>"
+
+    def place(self, points: ArrayLike) -> Array:
+        """Return points (n, 2) in pixels of the axes."""
+        x0, x1, y0, y1 = self.extent
+        data = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        return (data - (x0, y1)) / (x1 - x0, y0 - y1) * (self.width, self.height)
+
+    def image(self, shown: Field, scale: Scale, *, missing: str = MISSING) -> None:
+        """Draw a map within a thin frame; what is missing is neutral grey. The scale bar says how large things are."""
+        left, right, bottom, top = shown.extent
+        (x0, y0), (x1, y1) = self.place([(left, top), (right, bottom)])
+        self._parts.append(_image((x0, y0, x1 - x0, y1 - y0), shown.values, scale, missing))
+        self._parts.append(f'<rect width="100%" height="100%" fill="none" stroke="{FAINT}"/>')
+
+    def line(
+        self, points: ArrayLike, *, colour: str, width: float = 1.2, dash: str = "", opacity: float = 1.0
+    ) -> None:  # fmt: skip
+        """Draw a line through points (n, 2); NaN interrupts it."""
+        self._parts.append(_stroke(_path(self.place(points)), colour, width, dash=dash, opacity=opacity))
+
+    def area(self, points: ArrayLike, *, colour: str, opacity: float = 1.0) -> None:
+        """Fill the area within points (n, 2)."""
+        self._parts.append(f'<path d="{_path(self.place(points))}z" fill="{colour}" opacity="{opacity:g}"/>')
+
+    def dots(self, points: ArrayLike, *, colour: str, size: float, opacity: float = 1.0, halo: str = "") -> None:
+        """Draw round dots."""
+        at = self.place(points)
+        data = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in at[np.isfinite(at).all(axis=1)])
+        for ink, width in ((halo, size + 2.8), (colour, size)):
+            if ink and data:
+                self._parts.append(_stroke(data, ink, width, opacity=opacity, cap="round"))
 
     def text(
         self, x: float, y: float, text: str, *, size: float = BIG, anchor: str = "start", bold: bool = False,
-        colour: str = INK, upwards: bool = False,
+        colour: str = INK, upwards: bool = False, halo: str = "", shift: tuple[float, float] = (0, 0),
     ) -> None:  # fmt: skip
-        """Write a text whose base line begins, ends or has its middle at a place."""
-        self._parts.append(_text(x, y, text, size=size, anchor=anchor, bold=bold, colour=colour, upwards=upwards))
-
-    def line(self, points: ArrayLike, *, colour: str, width: float, dash: str = "") -> None:
-        """Draw a line."""
-        self._parts.append(_stroke(_path(np.asarray(points, dtype=np.float64)), colour, width, dash=dash))
-
-    def box(self, left: float, top: float, width: float, height: float, *, fill: str, stroke: str = "none") -> None:
-        """Draw a rectangle."""
+        """Write a text whose base line begins, ends or has its middle at a place, moved by some pixels."""
+        left, top = (_n(v) for v in self.place((x, y))[0] + shift)
+        more = (' font-weight="600"' if bold else "") + (f' text-anchor="{anchor}"' if anchor != "start" else "")
+        more += f' transform="rotate(-90 {left} {top})"' if upwards else ""
+        more += f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"' if halo else ""
         self._parts.append(
-            f'<rect x="{_n(left)}" y="{_n(top)}" width="{_n(width)}" height="{_n(height)}" fill="{fill}" '
-            f'stroke="{stroke}"/>'
+            f'<text x="{left}" y="{top}" font-size="{size:g}" fill="{colour}"{more}>{escape(text)}</text>'
         )
+
+    def circle(self, x: float, y: float, diameter: float, *, colour: str) -> None:
+        """Draw a circle around a place, as large as so many units across."""
+        turn = np.linspace(0, 2 * np.pi, 49)
+        ring = np.stack([x + diameter / 2 * np.cos(turn), y + diameter / 2 * np.sin(turn)], axis=1)
+        self.line(ring, colour=colour, width=1.9)
+
+    def arrows(self, points: ArrayLike, vectors: ArrayLike, *, colour: str, width: float, halo: str = "white") -> None:
+        """Draw arrows that start at points and are as long as vectors (both (n, 2), in the units of the data)."""
+        shafts, heads = "", ""
+        ends = self.place(np.asarray(points) + np.asarray(vectors))
+        for (x, y), (u, v) in zip(self.place(points), ends, strict=True):
+            far = math.hypot(u - x, v - y)
+            if not far > 0.3:
+                continue
+            head = min(4.5 * width, 0.6 * far)
+            c, s = (u - x) / far * head, (v - y) / far * head
+            shafts += f"M{_n(x)} {_n(y)}L{_n(u - 0.8 * c)} {_n(v - 0.8 * s)}"
+            wings = [f"L{_n(u - c - k * s)} {_n(v - s + k * c)}" for k in (0.45, -0.45)]
+            heads += f"M{_n(u)} {_n(v)}{''.join(wings)}z"
+        for ink, extra in ((halo, 2.4), (colour, 0.0)):
+            if ink and shafts:
+                self._parts.append(_stroke(shafts, ink, width + extra))
+                self._parts.append(f'<path d="{heads}" fill="{ink}" stroke="{ink}" stroke-width="{_n(extra)}"/>')
+
+    def contours(self, shown: Field, levels: Array, *, labels: bool = False, avoid: Array | None = None) -> None:
+        """Draw contour lines of a field in white, with their values on request, away from some places."""
+        from contourpy import LineType, contour_generator
+
+        (rows, cols), (left, right, bottom, top) = shown.values.shape, shown.extent
+        known = shown.values[np.isfinite(shown.values)]
+        if min(rows, cols) < 2 or known.size == 0:
+            return
+        across = left + (np.arange(cols) + 0.5) * (right - left) / cols
+        down = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
+        found = contour_generator(across, down, np.ma.masked_invalid(shown.values), line_type=LineType.Separate)
+        taken = np.empty((0, 2)) if avoid is None else self.place(avoid)
+        for level in levels[(levels > known.min()) & (levels < known.max())]:
+            lines = [line for line in found.lines(float(level)) if isinstance(line, np.ndarray)]
+            data = "".join(_path(self.place(line)) for line in lines)
+            self._parts.append(_stroke(data, "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7))
+            if labels and lines:  # where the line is farthest from the border and from other labels
+                line = max(lines, key=len)
+                at = self.place(line)
+                room = np.min([at, np.array([self.width, self.height]) - at], axis=(0, 2))
+                room = np.min([room, *(np.hypot(*(at - other).T) for other in taken)], axis=0)
+                k = int(np.argmax(room))
+                taken = np.vstack([taken, at[k]])
+                x, y = (float(v) for v in line[k])
+                self.text(x, y, f"{level:g}", shift=(0, 4), size=SMALL, anchor="middle", colour="white", halo=INK)
+
+    def outline(self, inside: NDArray[np.bool_], y: Array, x: Array, *, colour: str, width: float) -> None:
+        """Draw the border of a region along the edges of its pixels."""
+        padded, runs = np.pad(inside.astype(np.int8), 1), []
+        for edges, order in ((np.diff(padded, axis=0), (0, 1)), (np.diff(padded, axis=1).T, (1, 0))):
+            ends = np.diff((edges != 0).astype(np.int8), axis=1)
+            (line, start), stop = np.nonzero(ends == 1), np.nonzero(ends == -1)[1]
+            runs.append(np.stack([start, line, stop, line], axis=1).reshape(-1, 2)[:, order])
+        corners = (np.concatenate(runs) - 0.5) * (pitch(x), pitch(y)) + (x[0], y[0])
+        at = self.place(corners).reshape(-1, 4)
+        data = "".join(f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in at)
+        if data:
+            self._parts.append(_stroke(data, colour, width, cap="square"))
+
+
+class Canvas(Axes):
+    """A figure; its parts are placed in CSS pixels from its upper left corner."""
+
+    def __init__(self, width: float, height: float) -> None:
+        super().__init__(0.0, 0.0, width, height, (0.0, width, height, 0.0))
+
+    def axes(self, left: float, top: float, width: float, height: float, extent: Extent) -> Axes:
+        """Add axes over (left, right, bottom, top) in the units of the data."""
+        axes = Axes(left, top, width, height, extent)
+        self._parts.append(axes)
+        return axes
+
+    def box(self, left: float, top: float, width: float, height: float, *, fill: str) -> None:
+        """Fill a rectangle."""
+        box = f'x="{_n(left)}" y="{_n(top)}" width="{_n(width)}" height="{_n(height)}"'
+        self._parts.append(f'<rect {box} fill="{fill}"/>')
 
     def scale_bar(
         self, left: float, top: float, *, width: float, um: float, most: float = 0.3, colour: str = INK,
@@ -108,31 +215,37 @@ class Canvas:
         self.text(left + across + 7, top + 14, label.format(plain(bar)), size=SMALL)
 
     def colour_bar(
-        self, left: float, top: float, width: float, height: float, scale: Scale, *,
-        label: Callable[[float], str] | None = None, marks: Array | None = None,
-    ) -> None:  # fmt: skip
+        self, left: float, top: float, width: float, height: float, scale: Scale, *, log: bool = False
+    ) -> None:
         """Draw the colours of a scale with their values, upwards, or to the right where it is wider than high."""
-        across = width > height
-        shades = (
-            np.linspace(scale.low, scale.high, 128)[None]
-            if across
-            else np.linspace(scale.high, scale.low, 128)[:, None]
-        )
+        across, low, high = width > height, scale.low, scale.high
+        shades = np.linspace(low, high, 128)[None] if across else np.linspace(high, low, 128)[:, None]
         self._parts.append(_image((left, top, width, height), shades, scale))
-        ticks, step = round_ticks(
-            scale.low, scale.high, most=int((width if across else height) / (58 if across else 42))
-        )
-        values = ticks if marks is None else marks
-        write = label or _decimals(step)
-        for value, share in zip(values, (values - scale.low) / (scale.high - scale.low), strict=True):
+        for value, text in _ticks(low, high, most=width / 58 if across else height / 42, log=log):
+            share = (value - low) / (high - low)
             if across:
-                x = left + share * width
-                self.line([(x, top + height), (x, top + height + 3)], colour=SOFT, width=0.8)
-                self.text(x, top + height + 15, write(float(value)), size=SMALL, anchor="middle")
+                self._tick(left + share * width, top + height, 0, 1, text)
             else:
-                y = top + (1 - share) * height
-                self.line([(left + width, y), (left + width + 3, y)], colour=SOFT, width=0.8)
-                self.text(left + width + 6, y + 4, write(float(value)), size=SMALL)
+                self._tick(left + width, top + (1 - share) * height, 1, 0, text)
+
+    def ticks(self, axes: Axes, x_label: str, y_label: str, *, log: bool = False) -> None:
+        """Draw the left and the lower axis with round numbers and labels; ``log``: y holds powers of ten."""
+        left, bottom, (x0, x1, y0, y1) = axes.left, axes.top + axes.height, axes.extent
+        self.line([(left, axes.top), (left, bottom), (left + axes.width, bottom)], colour=SOFT, width=0.8)
+        for value, text in _ticks(x0, x1, most=axes.width / 62):
+            self._tick(left + axes.place((value, y0))[0, 0], bottom, 0, 1, text)
+        found = _ticks(y0, y1, most=axes.height / 44, log=log)
+        for value, text in found:
+            self._tick(left, axes.top + axes.place((x0, value))[0, 1], -1, 0, text)
+        self.text(left + axes.width / 2, bottom + 36, x_label, anchor="middle")
+        beside = left - 18 - 6.4 * max((len(text) for _, text in found), default=0)
+        self.text(beside, axes.top + axes.height / 2, y_label, anchor="middle", upwards=True)
+
+    def _tick(self, x: float, y: float, right: int, down: int, text: str) -> None:
+        """Draw a tick to the right, to the left (-1) or downwards, and its number."""
+        self.line([(x, y), (x + 3 * right, y + 3 * down)], colour=SOFT, width=0.8)
+        anchor = "middle" if down else "start" if right > 0 else "end"
+        self.text(x + 6 * right, y + 4 + 12 * down, text, size=SMALL, anchor=anchor)
 
     def panel(
         self, left: float, top: float, shown: Field, box: tuple[float, float], *, scale: Scale, label: str
@@ -149,192 +262,12 @@ class Canvas:
 
     def picture(self, *, title: str, caption: str) -> Picture:
         """Return the finished figure."""
-        parts = "".join(part if isinstance(part, str) else part.svg() for part in self._parts)
-        size = f'width="{_n(self.width)}" height="{_n(self.height)}" viewBox="0 0 {_n(self.width)} {_n(self.height)}"'
-        svg = f'<svg {size} role="img" aria-label="{escape(title)}">{parts}</svg>'
-        return Picture(svg=svg, width=self.width, height=self.height, title=title, caption=caption)
-
-
-@dataclass(slots=True)
-class Axes:
-    """A part of a canvas with coordinates of its own: um, or the units of a plot."""
-
-    canvas: Canvas
-    left: float
-    top: float
-    width: float
-    height: float
-    extent: Extent
-    parts: list[str] = field(default_factory=list[str])
-
-    def svg(self) -> str:
-        """Return all that was drawn."""
-        box = f'x="{_n(self.left)}" y="{_n(self.top)}" width="{_n(self.width)}" height="{_n(self.height)}"'
-        return f"<svg {box}>{''.join(self.parts)}</svg>"
-
-    def place(self, points: ArrayLike) -> Array:
-        """Return points (n, 2) in pixels of the axes."""
-        x0, x1, y0, y1 = self.extent
-        data = np.asarray(points, dtype=np.float64)
-        return np.stack(
-            [(data[:, 0] - x0) / (x1 - x0) * self.width, (data[:, 1] - y1) / (y0 - y1) * self.height], axis=1
-        )
-
-    def image(self, shown: Field, scale: Scale, *, missing: str = MISSING) -> None:
-        """Fill the axes with a map within a thin frame; what is missing is neutral grey."""
-        left, right, bottom, top = shown.extent
-        (x0, y0), (x1, y1) = self.place([(left, top), (right, bottom)])
-        self.parts.append(_image((x0, y0, x1 - x0, y1 - y0), shown.values, scale, missing))
-        self.frame()
-
-    def frame(self, colour: str = FAINT) -> None:
-        """Draw a thin frame without ticks: the scale bar says how large things are."""
-        self.parts.append(f'<rect width="100%" height="100%" fill="none" stroke="{colour}"/>')
-
-    def line(
-        self, points: ArrayLike, *, colour: str, width: float = 1.2, dash: str = "", opacity: float = 1.0
-    ) -> None:  # fmt: skip
-        """Draw a line through points (n, 2); NaN interrupts it."""
-        self.parts.append(_stroke(_path(self.place(points)), colour, width, dash=dash, opacity=opacity))
-
-    def area(self, points: ArrayLike, *, colour: str, opacity: float = 1.0) -> None:
-        """Fill the area within points (n, 2)."""
-        shade = f' opacity="{opacity:g}"' if opacity < 1 else ""
-        self.parts.append(f'<path d="{_path(self.place(points))}z" fill="{colour}"{shade}/>')
-
-    def dots(self, points: ArrayLike, *, colour: str, size: float, opacity: float = 1.0, halo: str = "") -> None:
-        """Draw round dots."""
-        at = self.place(points)
-        data = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in at[np.isfinite(at).all(axis=1)])
-        for ink, width in ((halo, size + 2.8), (colour, size)):
-            if ink and data:
-                self.parts.append(_stroke(data, ink, width, opacity=opacity, cap="round"))
-
-    def text(
-        self, at: tuple[float, float], text: str, *, shift: tuple[float, float] = (0, 0), size: float = BIG,
-        anchor: str = "start", colour: str = INK, halo: str = "", bold: bool = False,
-    ) -> None:  # fmt: skip
-        """Write at a place of the data, moved by some pixels."""
-        x, y = self.place([at])[0] + shift
-        self.parts.append(_text(x, y, text, size=size, anchor=anchor, bold=bold, colour=colour, halo=halo))
-
-    def circle(self, at: tuple[float, float], diameter: float, *, colour: str) -> None:
-        """Draw a circle around a place, as large as so many units across."""
-        x, y = self.place([at])[0]
-        radius = diameter / 2 / abs(self.extent[1] - self.extent[0]) * self.width
-        self.parts.append(
-            f'<circle cx="{_n(x)}" cy="{_n(y)}" r="{_n(radius)}" fill="none" stroke="{colour}" stroke-width="1.9"/>'
-        )
-
-    def arrows(self, points: ArrayLike, vectors: ArrayLike, *, colour: str, width: float, halo: str = "white") -> None:
-        """Draw arrows that start at points and are as long as vectors (both (n, 2), in the units of the data)."""
-        at = self.place(points)
-        end = self.place(np.asarray(points) + np.asarray(vectors))
-        shafts, heads = "", ""
-        for (x, y), (u, v) in zip(at, end, strict=True):
-            far = math.hypot(u - x, v - y)
-            if not far > 0.3:
-                continue
-            head = min(4.5 * width, 0.6 * far)
-            c, s = (u - x) / far * head, (v - y) / far * head
-            shafts += f"M{_n(x)} {_n(y)}L{_n(u - 0.8 * c)} {_n(v - 0.8 * s)}"
-            wings = [f"L{_n(u - c - k * s)} {_n(v - s + k * c)}" for k in (0.45, -0.45)]
-            heads += f"M{_n(u)} {_n(v)}{''.join(wings)}z"
-        if not shafts:
-            return
-        for ink, extra in ((halo, 2.4), (colour, 0.0)) if halo else ((colour, 0.0),):
-            self.parts.append(_stroke(shafts, ink, width + extra))
-            self.parts.append(f'<path d="{heads}" fill="{ink}" stroke="{ink}" stroke-width="{_n(extra)}"/>')
-
-    def contours(self, shown: Field, levels: Array, *, labels: bool = False, avoid: Array | None = None) -> None:
-        """Draw contour lines of a field in white, with their values on request, away from some places."""
-        from contourpy import LineType, contour_generator
-
-        rows, cols = shown.values.shape
-        known = shown.values[np.isfinite(shown.values)]
-        if min(rows, cols) < 2 or known.size == 0:
-            return
-        left, right, bottom, top = shown.extent
-        x = left + (np.arange(cols) + 0.5) * (right - left) / cols
-        y = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
-        found = contour_generator(x, y, np.ma.masked_invalid(shown.values), line_type=LineType.Separate)
-        taken = [] if avoid is None else list(self.place(avoid))
-        for level in levels[(levels > known.min()) & (levels < known.max())]:
-            lines = [self.place(line) for line in found.lines(float(level)) if isinstance(line, np.ndarray)]
-            data = "".join(_path(line) for line in lines)
-            self.parts.append(_stroke(data, "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7))
-            if labels and lines:
-                at = self._roomiest(max(lines, key=len), taken)
-                taken.append(at)
-                self.parts.append(
-                    _text(at[0], at[1] + 4, f"{level:g}", size=SMALL, anchor="middle", colour="white", halo=INK)
-                )
-
-    def _roomiest(self, line: Array, taken: list[Array]) -> Array:
-        """Return the point of a line that is farthest from the border and from other labels."""
-        room = np.min([line[:, 0], self.width - line[:, 0], line[:, 1], self.height - line[:, 1]], axis=0)
-        for other in taken:
-            room = np.minimum(room, np.hypot(*(line - other).T))
-        return line[int(np.argmax(room))]
-
-    def outline(self, inside: NDArray[np.bool_], y: Array, x: Array, *, colour: str, width: float) -> None:
-        """Draw the border of a region along the edges of its pixels."""
-        padded = np.pad(inside.astype(np.int8), 1)
-        corners = [float(c[0]) + (np.arange(c.size + 1) - 0.5) * pitch(c) for c in (x, y)]
-        x0, x1, y0, y1 = self.extent
-        across, down = (corners[0] - x0) / (x1 - x0) * self.width, (corners[1] - y1) / (y0 - y1) * self.height
-        data = ""
-        for step, edges in (("h", np.diff(padded, axis=0)), ("v", np.diff(padded, axis=1).T)):
-            ends = np.diff((edges != 0).astype(np.int8), axis=1)
-            line, start = np.nonzero(ends == 1)
-            stop = np.nonzero(ends == -1)[1]
-            along, place = (across, down) if step == "h" else (down, across)
-            for a, b, p in zip(along[start], along[stop], place[line], strict=True):
-                data += f"M{_n(a)} {_n(p)}h{_n(b - a)}" if step == "h" else f"M{_n(p)} {_n(a)}v{_n(b - a)}"
-        if data:
-            self.parts.append(_stroke(data, colour, width, cap="square"))
-
-    def ticks(self, x_label: str, y_label: str, *, log: bool = False) -> None:
-        """Draw the left and the lower axis with round numbers and labels; ``log``: y holds powers of ten."""
-        x0, x1, y0, y1 = self.extent
-        bottom, canvas = self.top + self.height, self.canvas
-        canvas.line(
-            [(self.left, self.top), (self.left, bottom), (self.left + self.width, bottom)], colour=SOFT, width=0.8
-        )
-        levels, step = round_ticks(x0, x1, most=int(self.width / 62))
-        write = _decimals(step)
-        for value in levels:
-            x = self.left + float(self.place([(value, y0)])[0, 0])
-            canvas.line([(x, bottom), (x, bottom + 4)], colour=SOFT, width=0.8)
-            canvas.text(x, bottom + 17, write(float(value)), size=SMALL, anchor="middle")
-        if log:
-            levels = np.arange(math.ceil(y0), math.floor(y1) + 1.0)
-            levels = levels[:: max(1, math.ceil(len(levels) / 6))]
-        else:
-            levels, step = round_ticks(y0, y1, most=int(self.height / 44))
-        write = _power if log else _decimals(step)
-        widest = 0
-        for value in levels:
-            y = self.top + float(self.place([(x0, value)])[0, 1])
-            label = write(float(value))
-            widest = max(widest, len(label))
-            canvas.line([(self.left - 4, y), (self.left, y)], colour=SOFT, width=0.8)
-            canvas.text(self.left - 7, y + 4, label, size=SMALL, anchor="end")
-        canvas.text(self.left + self.width / 2, bottom + 36, x_label, anchor="middle")
-        canvas.text(self.left - 18 - 6.4 * widest, self.top + self.height / 2, y_label, anchor="middle", upwards=True)
+        view = f'viewBox="0 0 {_n(self.width)} {_n(self.height)}" role="img" aria-label="{escape(title)}"'
+        return Picture(svg=self.svg(view), width=self.width, height=self.height, title=title, caption=caption)
 
 
 def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Field:
-    """Bring a map to the resolution of axes that are ``width`` pixels wide, by area-weighted means.
-
-    Parameters
-    ----------
-    values : (rows, cols)
-    rows, cols : arrays
-        Coordinates of the pixel centres in um.
-    width : float
-        CSS pixels.
-    """
+    """Bring a map with its coordinates in um to the resolution of axes that are so many pixels wide, by area means."""
     data = np.asarray(values, dtype=np.float64)
     steps = (pitch(rows), pitch(cols))
     finest = max(data.shape[1] * steps[1] / (width * _DENSITY), 1e-12)
@@ -385,14 +318,14 @@ def panel_height(box: tuple[float, float], label: str) -> float:
     return max(box[1], _LOWEST_BAR if label else 0.0)
 
 
-def _decimals(step: float) -> Callable[[float], str]:
-    """Return a function that writes multiples of a step."""
-    places = max(0, -math.floor(math.log10(step) + 1e-9)) if step > 0 else 0
-    return lambda value: fixed(value, places)
-
-
-def _power(value: float) -> str:
-    return f"{10.0**value:g}"
+def _ticks(low: float, high: float, *, most: float, log: bool = False) -> list[tuple[float, str]]:
+    """Return the places of ticks and what is written there; ``log``: the places are powers of ten."""
+    if log:
+        powers = np.arange(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1.0)
+        return [(float(k), f"{10.0**k:g}") for k in powers[:: max(1, math.ceil(len(powers) / 6))]]
+    found, step = round_ticks(low, high, most=int(most))
+    places = max(0, -math.floor(math.log10(step) + 1e-9))
+    return [(float(value), fixed(float(value), places)) for value in found]
 
 
 def _n(value: float) -> str:
@@ -419,18 +352,6 @@ def _stroke(
 ) -> str:  # fmt: skip
     more = (f' stroke-dasharray="{dash}"' if dash else "") + (f' opacity="{opacity:g}"' if opacity < 1 else "")
     return f'<path d="{data}" fill="none" stroke="{colour}" stroke-width="{_n(width)}" stroke-linecap="{cap}"{more}/>'
-
-
-def _text(
-    x: float, y: float, text: str, *, size: float, anchor: str = "start", bold: bool = False, colour: str = INK,
-    upwards: bool = False, halo: str = "",
-) -> str:  # fmt: skip
-    more = (' font-weight="600"' if bold else "") + (f' text-anchor="{anchor}"' if anchor != "start" else "")
-    if upwards:
-        more += f' transform="rotate(-90 {_n(x)} {_n(y)})"'
-    if halo:
-        more += f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"'
-    return f'<text x="{_n(x)}" y="{_n(y)}" font-size="{size:g}" fill="{colour}"{more}>{escape(text)}</text>'
 
 
 def _image(box: tuple[float, float, float, float], values: Array, scale: Scale, missing: str = MISSING) -> str:

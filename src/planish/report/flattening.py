@@ -147,7 +147,7 @@ def draw_progress(strain: xr.Dataset) -> Picture:
             axes.dots(at, colour=colour, size=5)
     for level in np.arange(np.ceil(low - room), np.floor(high + room) + 1):
         axes.line([(axes.extent[0], level), (axes.extent[1], level)], colour=FAINT, width=0.5)
-    axes.ticks("step", "mean move of a node / µm", log=True)
+    canvas.ticks(axes, "step", "mean move of a node / µm", log=True)
     meshes = np.unique(nodes).size
     coarse = f", grey on {meshes - 1} coarser meshes that are solved first" if meshes > 1 else ""
     return canvas.picture(

@@ -15,6 +15,7 @@ from planish.core.results import LayerFacts, RegistrationFacts, Results, SheetFa
 from planish.report import tables
 from planish.report.draw import FULL, HALF, Picture
 from planish.report.flattening import draw_curvature, draw_progress, draw_strain, draw_warp
+from planish.report.groups import Groups
 from planish.report.maps import draw_beside, draw_maps
 from planish.report.outlines import draw_outlines
 from planish.report.registration import (
@@ -107,9 +108,9 @@ def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Da
     """Return the page of :func:`write_report` as text."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    linked = {layer.name: data for layer in results.layers if (data := _linked(groups, layer, results)) is not None}
-    titles = _titles(groups, linked, results)
-    sheets = [s for layer in results.layers if (s := _sheet(groups, layer, results, titles)) is not None]
+    data = Groups(results, groups)
+    linked, titles = data.linked, data.titles
+    sheets = [s for layer in results.layers if (s := _sheet(data, layer)) is not None]
     blocks = [b for layer in results.moving if (b := _block(layer, linked, marks.get(layer.name), results)) is not None]
     environment = Environment(
         loader=PackageLoader("planish.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
@@ -136,37 +137,10 @@ def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Da
     return f"{text}\n"
 
 
-def _linked(groups: Mapping[str, xr.Dataset], layer: LayerFacts, results: Results) -> xr.Dataset | None:
-    """Return the maps of a layer on the reference's pixels."""
-    if not results.is_link:
-        return None
-    data = groups.get(f"layers/{layer.name}")
-    if data is None and (data := groups.get("linked")) is not None:
-        own = ["image"] if layer.kind == "image" else [n for n in data.data_vars if n != "image"]
-        data = data[[*own, "valid"]] if layer.kind == "image" else data[own]
-    return data
-
-
-def _titles(groups: Mapping[str, xr.Dataset], linked: Mapping[str, xr.Dataset], results: Results) -> Titles:
-    """Return the titles of all maps, by layer and name."""
-    out: dict[tuple[str, str], str] = {}
-    for layer in results.layers:
-        for data in (_part(groups, layer, results, "maps"), linked.get(layer.name)):
-            out |= {} if data is None else {(layer.name, str(k)): title_of(v) for k, v in data.data_vars.items()}
-    return out
-
-
-def _part(groups: Mapping[str, xr.Dataset], layer: LayerFacts, results: Results, part: str) -> xr.Dataset | None:
-    """Return a group of one sheet; the only sheet of a run may stand without its name."""
-    only = sum(other.sheet is not None for other in results.layers) == 1 and layer.sheet is not None
-    found = groups.get(f"layers/{layer.name}/{part}")
-    return groups.get(part) if found is None and only else found
-
-
-def _sheet(groups: Mapping[str, xr.Dataset], layer: LayerFacts, results: Results, titles: Titles) -> _Sheet | None:
+def _sheet(groups: Groups, layer: LayerFacts) -> _Sheet | None:
     """Draw and write all that is shown of a sheet; None for an image, and for a sheet whose groups are elsewhere."""
     facts = layer.sheet
-    parts = {name: data for name in _SHEET_PARTS if (data := _part(groups, layer, results, name)) is not None}
+    parts = {name: data for name in _SHEET_PARTS if (data := groups.part(layer, name)) is not None}
     if facts is None or len(parts) < len(_SHEET_PARTS):
         return None
     surfaces, flat, strain = parts["surfaces"], parts["flat"], parts["strain"]
@@ -185,7 +159,7 @@ def _sheet(groups: Mapping[str, xr.Dataset], layer: LayerFacts, results: Results
         ],
         flattening=tables.flattening(facts, surfaces),
         maps=draw_maps(parts["maps"], list(facts.properties), headline=layer.headline, rim_um=rim_um),
-        properties=tables.properties(layer, titles),
+        properties=tables.properties(layer, groups.titles),
         numbers=tables.numbers(facts),
         greys=tables.greys(facts.surfaces),
     )  # fmt: skip

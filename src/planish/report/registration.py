@@ -215,10 +215,10 @@ def draw_registration(
 def draw_marks(axes: Axes, fixed: Array, *, hole_um: float, size: float) -> None:
     """Draw marks as circles with their numbers."""
     for k, (x, y) in enumerate(fixed):
-        axes.circle((x, y), hole_um, colour=_MARK)
-        axes.text((x, y), "+", shift=(0, 0.32 * size), size=size, anchor="middle", colour=_MARK)
-        corner = x - 0.42 * hole_um, y - 0.42 * hole_um
-        axes.text(corner, str(k + 1), shift=(-2, -2), size=size, anchor="end", colour=_MARK, halo=INK, bold=True)
+        axes.circle(x, y, hole_um, colour=_MARK)
+        axes.text(x, y, "+", shift=(0, 0.32 * size), size=size, anchor="middle", colour=_MARK)
+        left, top = x - 0.42 * hole_um, y - 0.42 * hole_um
+        axes.text(left, top, str(k + 1), shift=(-2, -2), size=size, anchor="end", colour=_MARK, halo=INK, bold=True)
 
 
 def plain_factor(value: float) -> str:
@@ -353,4 +353,4 @@ def _draw_axis(canvas: Canvas, axes: Axes, degrees: float, fixed: Array) -> None
     side = np.array([-along[1], along[0]])
     for way in (1.0, -1.0):
         corner.arrows([-0.22 * side], [0.92 * way * along], colour=INK, width=2.0, halo="")
-    corner.text((0.36 * side[0], 0.36 * side[1]), "MD", shift=(0, 4), anchor="middle", bold=True)
+    corner.text(0.36 * side[0], 0.36 * side[1], "MD", shift=(0, 4), anchor="middle", bold=True)

@@ -115,13 +115,13 @@ def draw_pair(pair: Pair, rows: Sequence[CorrelationRow]) -> Picture:
     if same:
         span = min(left.extent[0], left.extent[2]), max(left.extent[1], left.extent[3])
         left.line([(v, v) for v in span], colour=SOFT, width=1.3, dash="6 4")
-    _finish(left, fine, pair)
+    _finish(canvas, left, fine, pair)
     _heading(canvas, _LEFT, f"Points of {plain(round(fine.point_um, 4))}", _numbers(fine, pair.units))
     if same:
         _differences(canvas, *points, coarse, pair)
     else:
         right = _points(canvas, *points)
-        _finish(right, coarse, pair)
+        _finish(canvas, right, coarse, pair)
         _heading(canvas, _RIGHT, f"Points of {plain(round(coarse.point_um, 4))}", _numbers(coarse, pair.units))
     second = (
         "right, the difference (upward map minus the map across) of points of "
@@ -162,7 +162,7 @@ def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, pair: 
         axes.line([(x, value) for x in across], colour="white", width=4)
         axes.line([(x, value) for x in across], colour=ACCENT, width=2, dash="7 4" if k else "")
     end = f" / {units}" if units else ""
-    axes.ticks(f"mean of the two{end}", f"difference{end}")
+    canvas.ticks(axes, f"mean of the two{end}", f"difference{end}")
     sd, (lower, upper) = row.difference_sd, row.limits or (None, None)
     end = f" {units}" if units else ""
     text = (
@@ -191,21 +191,18 @@ def _density(canvas: Canvas, left: float, a: Array, b: Array, *, what: str, wide
     logs = np.where(counts > 0, np.log10(np.maximum(counts, 1.0)), np.nan)
     axes = canvas.axes(left, _TOP, wide, _HIGH, (*box[0], *box[1]))
     axes.image(Field(logs, axes.extent), scale, missing="#ffffff")
-    powers = np.arange(np.floor(scale.high + 1e-9) + 1)
-    canvas.colour_bar(
-        left + wide + 8, _TOP, 10, _HIGH, scale, marks=powers, label=lambda v: count(round(10.0**v))
-    )  # fmt: skip
+    canvas.colour_bar(left + wide + 8, _TOP, 10, _HIGH, scale, log=True)
     canvas.text(left + wide + 8, _TOP - 8, what, size=SMALL, colour=SOFT)
     return axes
 
 
-def _finish(axes: Axes, row: CorrelationRow, pair: Pair) -> None:
+def _finish(canvas: Canvas, axes: Axes, row: CorrelationRow, pair: Pair) -> None:
     """Draw the straight line of a correlation over what the axes span, and the axes."""
     if row.slope is not None and row.intercept is not None:
         line = [(x, row.intercept + row.slope * x) for x in axes.extent[:2]]
         axes.line(line, colour="white", width=4)
         axes.line(line, colour=ACCENT, width=2.2)
-    axes.ticks(*pair.labels)
+    canvas.ticks(axes, *pair.labels)
 
 
 def _heading(canvas: Canvas, left: float, title: str, numbers: str) -> None:

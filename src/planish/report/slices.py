@@ -89,7 +89,7 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
         axes = _draw(canvas, cut, span, (1, top + 26), zoom, scale, 1.1)
         left, right, low, up = window
         axes.line([(left, low), (left, up), (right, up), (right, low), (left, low)], colour=_MARKED, width=1.4)
-        axes.text((left, up), _letter(k), shift=(3, -4), size=SMALL, colour=_MARKED, halo="black", bold=True)
+        axes.text(left, up, _letter(k), shift=(3, -4), size=SMALL, colour=_MARKED, halo="black", bold=True)
         top += high + 32
     canvas.scale_bar(1, top - 2, width=FULL, um=FULL / zoom)
     whole = all(s[1] - s[0] >= float(c.x[-1] - c.x[0]) - 1e-6 for s, c in zip(spans, cuts, strict=True))

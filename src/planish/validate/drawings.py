@@ -76,7 +76,7 @@ def draw_expected(certificate: Certificate) -> Picture | None:
     axes.area([(0, 0), (high, 0.8 * high), (high, 1.25 * high)], colour=FAINT, opacity=0.45)
     axes.line([(0, 0), (high, high)], colour=SOFT, width=1.2)
     axes.dots(np.array(pairs), colour=INK, size=7)
-    axes.ticks("error that the run expects from its marks / µm", "true error / µm")
+    canvas.ticks(axes, "error that the run expects from its marks / µm", "true error / µm")
     ratio = float(np.sqrt(np.mean(true**2) / np.mean(expected**2)))
     return canvas.picture(
         title="True against expected error of registration",

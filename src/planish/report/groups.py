@@ -1,0 +1,54 @@
+"""The groups of a run by layer: what was measured of a sheet, and the maps on the pixels of the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import xarray as xr
+
+from planish.core.results import LayerFacts, Results
+from planish.report.text import title_of
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Results of a run with its maps.
+
+    Attributes
+    ----------
+    results : Results
+    data : mapping of name to Dataset
+        ``layers/NAME`` or ``linked``, and ``layers/NAME/PART`` or, where there is one sheet, ``PART``.
+    """
+
+    results: Results
+    data: Mapping[str, xr.Dataset]
+
+    def part(self, layer: LayerFacts, name: str) -> xr.Dataset | None:
+        """Return what was measured of a sheet: ``surfaces``, ``flat``, ``strain``, ``maps``, ``slices``."""
+        only = layer.sheet is not None and sum(other.sheet is not None for other in self.results.layers) == 1
+        found = self.data.get(f"layers/{layer.name}/{name}")
+        return self.data.get(name) if found is None and only else found
+
+    @cached_property
+    def linked(self) -> dict[str, xr.Dataset]:
+        """Maps of each layer on the pixels of the reference, by the layer's name; empty without a link."""
+        out: dict[str, xr.Dataset] = {}
+        for layer in self.results.layers if self.results.is_link else ():
+            data = self.data.get(f"layers/{layer.name}")
+            if data is None and (both := self.data.get("linked")) is not None:
+                data = both[["image", "valid"]] if layer.kind == "image" else both.drop_vars("image")
+            if data is not None:
+                out[layer.name] = data
+        return out
+
+    @cached_property
+    def titles(self) -> dict[tuple[str, str], str]:
+        """Titles of all maps, by layer and name."""
+        out: dict[tuple[str, str], str] = {}
+        for layer in self.results.layers:
+            for data in (self.part(layer, "maps"), self.linked.get(layer.name)):
+                out |= {} if data is None else {(layer.name, str(k)): title_of(v) for k, v in data.data_vars.items()}
+        return out

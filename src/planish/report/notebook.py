@@ -1,0 +1,90 @@
+"""What a notebook shows of a run and of its results: key numbers, quality gates, and a small map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from html import escape
+
+import numpy as np
+import xarray as xr
+
+from planish.core.results import Results
+from planish.report.colours import image_uri
+from planish.report.draw import pitch
+from planish.report.groups import Groups
+from planish.report.maps import colours_of
+from planish.report.summary import summarise
+from planish.report.text import label_of, number, typeset
+
+_WIDE, _HIGH = 300.0, 260.0  # CSS pixels of a small map
+_FAINT = "opacity:0.7;font-size:90%"
+
+
+def results_html(results: Results, titles: Mapping[tuple[str, str], str] | None = None) -> str:
+    """Return the key numbers and quality gates of a run as HTML.
+
+    Parameters
+    ----------
+    results : Results
+    titles : mapping of (layer, map) to str, optional
+        Titles of the maps; their names are used without.
+    """
+    found = summarise(results, titles or {})
+    rows = "".join(
+        f'<tr><th style="text-align:left">{escape(t.label)}</th><td style="text-align:left"><b>{escape(t.value)}</b> '
+        f'{escape(t.unit)}</td><td style="text-align:left;{_FAINT}">{escape(t.note)}</td></tr>'
+        for t in found.tiles
+    )
+    failed = "".join(f"<li>{escape(g.name)}: {escape(typeset(g.sentence))}</li>" for g in results.gates if not g.passed)
+    return (
+        f'<div style="max-width:72ch"><p>{escape(found.sentence)}</p><table>{rows}</table>'
+        f"<p>{escape(found.gates)}</p>{f'<ul>{failed}</ul>' if failed else ''}</div>"
+    )
+
+
+def run_html(results: Results, groups: Mapping[str, xr.Dataset]) -> str:
+    """Return a run as HTML: its key numbers, and small maps of what stands for each layer.
+
+    Parameters
+    ----------
+    results : Results
+    groups : mapping of name to Dataset
+        Groups of the run, as :func:`planish.report.write_report` takes them.
+    """
+    data = Groups(results, groups)
+    shown: list[str] = []
+    for layer in results.layers:
+        maps = data.linked.get(layer.name) if results.is_link else data.part(layer, "maps")
+        if maps is not None and layer.headline in maps:
+            shown.append(map_html(maps[layer.headline], title=layer.name if results.is_link else ""))
+    names = " · ".join(layer.source.name for layer in results.layers)
+    maps_row = f'<div style="display:flex;flex-wrap:wrap;gap:12px">{"".join(shown)}</div>' if shown else ""
+    return f"<div><b>planish</b> {escape(names)}{results_html(results, data.titles)}{maps_row}</div>"
+
+
+def map_html(data: xr.DataArray, *, title: str = "") -> str:
+    """Return a small map with its title and colour limits as HTML.
+
+    Parameters
+    ----------
+    data : DataArray, dims (rows, cols)
+        With coordinates in um.
+    title : str
+        Written before the title of the map.
+    """
+    rows, cols = (data[dim].values for dim in data.dims)
+    values = data.values.astype(np.float64)
+    every = max(1, int(values.shape[1] / (1.5 * _WIDE)), int(values.shape[0] / (1.5 * _HIGH)))
+    scale = colours_of(data, values[np.isfinite(values)])
+    wide, high = values.shape[1] * pitch(cols), values.shape[0] * pitch(rows)
+    zoom = min(_WIDE / wide, _HIGH / high)
+    words = f"{title}: {label_of(data)}" if title else label_of(data)
+    image = f'src="{image_uri(values[::every, ::every], scale)}" alt="{escape(words)}"'
+    size = f'width="{round(zoom * wide)}" height="{round(zoom * high)}"'
+    caption = (
+        f"{words}, colours from {number(scale.low)} to {number(scale.high)}; {wide / 1000:.3g} × {high / 1000:.3g} mm"
+    )
+    return (
+        f'<figure style="margin:0"><img {image} {size}><figcaption style="{_FAINT}">{escape(caption)}</figcaption>'
+        "</figure>"
+    )

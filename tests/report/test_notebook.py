@@ -1,0 +1,49 @@
+"""What a notebook shows of runs: key numbers, failed gates, small maps; names stay text."""
+
+from __future__ import annotations
+
+from planish.core.results import Results
+from planish.report import map_html, results_html, run_html
+from report.pages import Page
+from report.runs import a_run
+
+
+def test_a_link_shows_its_numbers_and_both_maps() -> None:
+    run = a_run()
+    html = run_html(Results.model_validate(run["results"]), run["groups"])
+    page = Page(html)
+    for expected in ("sheet.tif · image.png", "0.810", "0.640", "0.51", "The quality gate is passed.",
+                     "volume: Coating thickness, top side / µm", "image: Luminance"):  # fmt: skip
+        assert expected in page.text("div")
+    assert len(page.addresses) == 2
+    assert all(address.startswith("data:image/png;base64,") for address in page.addresses)
+    assert len(html) < 200_000
+
+
+def test_a_map_shows_the_sheet() -> None:
+    run = a_run(linked=False)
+    page = Page(run_html(Results.model_validate(run["results"]), run["groups"]))
+    assert "mean sheet thickness" in page.text("th")
+    assert page.text("figcaption").startswith("Coating thickness, top side / µm, colours from")
+    assert page.text("figcaption").endswith("0.857 × 0.54 mm")
+
+
+def test_failed_gates_are_named_and_names_stay_text() -> None:
+    run = a_run()
+    hostile = "<script>alert(1)</script>"
+    run["results"]["gates"][0] |= {"passed": False, "sentence": hostile}
+    run["groups"]["linked"]["coating_top"].attrs["long_name"] = hostile
+    run["results"]["layers"][0]["source"]["name"] = hostile
+    results = Results.model_validate(run["results"])
+    page = Page(run_html(results, run["groups"]) + results_html(results))
+    assert "script" not in page.tags
+    assert page.text("li").count(hostile) == 2
+    assert hostile in page.text("figcaption")
+
+
+def test_a_small_map_keeps_its_proportions() -> None:
+    data = a_run()["groups"]["linked"]["thickness"]
+    page = Page(map_html(data, title="sheet"))
+    # 140 x 90 pixels are drawn 300 pixels wide.
+    assert 'width="300" height="193"' in map_html(data)
+    assert page.text("figcaption").startswith("sheet: Sheet thickness / µm")
