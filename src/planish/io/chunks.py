@@ -17,25 +17,6 @@ def check_chunks(
 
     Writers leave out chunks that hold nothing but the fill value, so a few that are missing may be the air around a
     sample. A whole layer of the array without any is a copy that was cut off, or a wrong shape.
-
-    Parameters
-    ----------
-    present : iterable of tuple of int
-        Positions of the chunks stored.
-    shape, chunk : tuple of int
-        In voxels.
-    name : str
-        For the messages.
-
-    Returns
-    -------
-    tuple of str
-        A note where some are missing.
-
-    Raises
-    ------
-    FileError
-        If none is stored, or none in a layer along one of the axes.
     """
     grid = tuple(-(-n // c) for n, c in zip(shape, chunk, strict=True))
     seen: list[set[int]] = [set() for _ in grid]

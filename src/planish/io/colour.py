@@ -16,13 +16,7 @@ CHANNELS = ("luminance", *COLOURS)
 
 
 def check_channel(channel: str | None) -> str | None:
-    """Return the name of a channel in small letters.
-
-    Raises
-    ------
-    InputError
-        If there is no such channel.
-    """
+    """Return the name of a channel in small letters."""
     if channel is None:
         return None
     word = channel.strip().casefold()
@@ -55,11 +49,6 @@ def colour_attrs(channel: str | None) -> dict[str, str]:
 
 
 def refuse_channel(channel: str | None, path: Path) -> None:
-    """Refuse a choice of colours where there are none.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse a choice of colours where there are none."""
     if channel is not None and channel != "luminance":
         raise InputError(f"{path.name} is grey, so it has no {channel}. Leave --volume-channel out.")

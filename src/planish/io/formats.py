@@ -1,8 +1,11 @@
 """Which module reads which file: the one table, and the part of a path that chooses inside a file.
 
 A format is one line here and one module with the function
-``load(place, *, channel, memory_bytes) -> LoadedVolume``; where a volume is made of several files, its function
-``files(place)`` lists them.
+``load(place, *, channel, memory_bytes) -> LoadedVolume``. ``channel`` is None or one of
+:data:`planish.io.colour.CHANNELS`, for formats in colour; ``memory_bytes`` is the largest decoded size, three quarters
+of the memory available where it is None. It raises FileError for a file that is damaged or of another format,
+VolumeError for what is not one grey volume, SizeError, InputError for a channel that is not there, and ResourceError
+for what does not fit into the memory. Where a volume is made of several files, ``files(place)`` lists them.
 """
 
 from __future__ import annotations
@@ -115,13 +118,7 @@ def exists(path: Path) -> bool:
 
 
 def format_of(place: Place) -> Format:
-    """Find the format by the name, or for folders by what lies in them; everything else is an image file.
-
-    Raises
-    ------
-    FileError
-        If a part is chosen in a format that has none.
-    """
+    """Find the format by the name, or for folders by what lies in them; everything else is an image file."""
     path = place.path
     name = path.name.lower()
     found = next((f for f in FORMATS if name.endswith(f.suffixes) and path.is_dir() == bool(f.members)), None)
@@ -149,13 +146,7 @@ def files_of(place: Place) -> list[Path]:
 
 
 def extra(module: str, path: Path) -> ModuleType:
-    """Import a library that only some installations have.
-
-    Raises
-    ------
-    FileError
-        If it is not installed.
-    """
+    """Import a library that only some installations have."""
     try:
         with quiet():
             return importlib.import_module(module)

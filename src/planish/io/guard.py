@@ -75,20 +75,7 @@ def quiet() -> Generator[None]:
 
 @contextmanager
 def reading(path: Path) -> Generator[None]:
-    """Turn whatever a decoder raises into one FileError, and keep its log lines and warnings quiet.
-
-    Parameters
-    ----------
-    path : Path
-        The file that is read; the message carries its name, not its folder.
-
-    Raises
-    ------
-    FileError
-        If the decoder fails.
-    ResourceError
-        If it runs out of memory.
-    """
+    """Turn whatever a decoder raises into one FileError, and keep its log lines and warnings quiet."""
     _quiet.enter()
     try:
         yield
@@ -110,21 +97,7 @@ def reading(path: Path) -> Generator[None]:
 
 
 def size_of_file(path: Path) -> int:
-    """Bytes of a file that is there and not empty.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    FileError
-        If the file does not exist, is no file, or is empty.
-    """
+    """Bytes of a file that is there and not empty."""
     if not path.exists():
         raise FileError(f"{path.name} does not exist. Check the name and the folder.")
     if not path.is_file():
@@ -137,18 +110,7 @@ def size_of_file(path: Path) -> int:
 
 
 def check_blown_up(path: Path, *, decoded_bytes: int, stored_bytes: int) -> None:
-    """Refuse compressed data that claim far more than so few bytes can hold.
-
-    Parameters
-    ----------
-    path : Path
-    decoded_bytes, stored_bytes : int
-
-    Raises
-    ------
-    FileError
-        If the ratio is above :data:`BLOWN_UP_RATIO`, and the decoded size worth the worry.
-    """
+    """Refuse compressed data that claim far more than so few bytes can hold."""
     if decoded_bytes > BLOWN_UP_FROM_BYTES and decoded_bytes > BLOWN_UP_RATIO * stored_bytes:
         raise FileError(
             f"{path.name} claims {decoded_bytes} bytes of image in {stored_bytes} stored bytes, "
@@ -157,20 +119,7 @@ def check_blown_up(path: Path, *, decoded_bytes: int, stored_bytes: int) -> None
 
 
 def check_memory(path: Path, *, needed_bytes: int, limit_bytes: int | None) -> None:
-    """Refuse what does not fit into the memory before it is asked for.
-
-    Parameters
-    ----------
-    path : Path
-    needed_bytes : int
-    limit_bytes : int, optional
-        Default: :func:`default_memory_limit`.
-
-    Raises
-    ------
-    ResourceError
-        If more is needed than the limit.
-    """
+    """Refuse what does not fit into the memory before it is asked for."""
     limit = default_memory_limit() if limit_bytes is None else limit_bytes
     if needed_bytes > limit:
         raise ResourceError(

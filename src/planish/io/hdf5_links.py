@@ -68,28 +68,7 @@ def is_hard(group: Any, name: str) -> bool:
 
 
 def find_dataset(path: Path, name: str) -> tuple[Path, str]:
-    """Follow a path through groups and links.
-
-    Parameters
-    ----------
-    path : Path
-    name : str
-        ``/entry/data``; slashes at the ends do not matter.
-
-    Returns
-    -------
-    path : Path
-        The file that holds the data set.
-    name : str
-        Its name there, without links.
-
-    Raises
-    ------
-    FileError
-        If a link leads out of the folder, in a circle, or nowhere.
-    VolumeError
-        If there is no such data set.
-    """
+    """Follow a path through groups and links."""
     folder, here, where = path.parent, path, ""
     rest = [part for part in name.split("/") if part not in ("", ".")]
     for _ in range(MOST_LINKS):
@@ -117,12 +96,7 @@ def find_dataset(path: Path, name: str) -> tuple[Path, str]:
 
 
 def check_storage(dataset: h5py.Dataset, path: Path, *, depth: int = 0) -> None:
-    """Refuse a data set whose values lie outside the folder, or in files that are not there.
-
-    Raises
-    ------
-    FileError
-    """
+    """Refuse a data set whose values lie outside the folder, or in files that are not there."""
     if dataset.external:
         raise FileError(
             f"{path.name}: {dataset.name} keeps its values in another file ({dataset.external[0][0]!r}), which planish "

@@ -28,26 +28,7 @@ SIZE_NAMES = ("voxel_size", "element_size", "pixel_size", "spacing", "resolution
 
 
 def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
-    """Read the data set that was chosen, that NeXus names, or the only one with three axes.
-
-    Parameters
-    ----------
-    place : Place
-    channel : str or None
-        Passed over: there is no colour.
-    memory_bytes : int or None
-
-    Returns
-    -------
-    LoadedVolume
-
-    Raises
-    ------
-    FileError
-        If the file is damaged or takes values from outside its folder.
-    VolumeError
-        If there is no volume, or several.
-    """
+    """Read the data set that was chosen, that NeXus names, or the only one with three axes."""
     del channel
     path = place.path
     file_path, name = find_dataset(path, place.part) if place.part.strip("/") else choose(path)
@@ -84,13 +65,7 @@ def files(place: Place) -> list[Path]:
 
 
 def choose(path: Path) -> tuple[Path, str]:
-    """Data set that NeXus names as the default one, or the only volume there is.
-
-    Raises
-    ------
-    VolumeError
-        If there is none, or several.
-    """
+    """Data set that NeXus names as the default one, or the only volume there is."""
     with opened(path) as file, reading(path):
         default = default_dataset(file, path)
     if default is not None:

@@ -101,28 +101,7 @@ def across(stated: Sequence[Stated]) -> list[Stated]:
 
 
 def pick_channel(picture: Picture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
-    """Take one channel as float32, and name it.
-
-    Parameters
-    ----------
-    picture : Picture
-    channel : str
-        As in :func:`read_image`.
-    file_name : str
-        For the messages.
-
-    Returns
-    -------
-    values : ndarray of float32, dims (y, x)
-    long_name : str
-
-    Raises
-    ------
-    FileError
-        If the image has no pixel with a number.
-    InputError
-        If there is no such channel.
-    """
+    """Take one channel as float32, and name it."""
     values = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
     samples = values.shape[-1]
     word = channel.strip().casefold()

@@ -211,29 +211,7 @@ def as_supported(array: FileArray | NDArray[Any], path: Path) -> FileArray | NDA
 
 
 def settle(array: FileArray | NDArray[Any], path: Path, *, memory_bytes: int | None) -> FileArray | NDArray[Any]:
-    """Read an array at once where it is small, and leave it in its file otherwise.
-
-    Parameters
-    ----------
-    array : FileArray or ndarray
-        A mapped or decoded array comes back as it is.
-    path : Path
-        For the messages.
-    memory_bytes : int, optional
-        Largest decoded size. What decodes in whole slices is read at once up to this size, everything else up to
-        :data:`EAGER_BYTES`.
-
-    Returns
-    -------
-    FileArray or ndarray
-
-    Raises
-    ------
-    FileError
-        If it is read, and the data do not decode.
-    ResourceError
-        If the smallest piece that can be decoded is larger than the limit.
-    """
+    """Read an array at once where it is small, and leave it in its file otherwise."""
     if not isinstance(array, FileArray):
         return array
     if is_small(array, memory_bytes=memory_bytes):

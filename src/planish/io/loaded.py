@@ -54,31 +54,7 @@ def loaded(
     attrs: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
 ) -> LoadedVolume:
-    """Check shape and type, read what is small, and put everything together.
-
-    Parameters
-    ----------
-    array : FileArray or ndarray, dims (z, y, x)
-    path : Path
-    stated : sequence of Stated
-    file_bytes : int
-    memory_bytes : int, optional
-    attrs, notes
-        As in :class:`LoadedVolume`.
-
-    Returns
-    -------
-    LoadedVolume
-
-    Raises
-    ------
-    FileError
-        If it has no extent, or does not decode.
-    VolumeError
-        If it is a single picture or has no grey values.
-    ResourceError
-        If not even a piece of it fits into the memory.
-    """
+    """Check shape and type, read what is small, and put everything together."""
     if 0 in array.shape:
         raise FileError(f"{path.name} holds a volume of {size_words(array.shape)} voxels. Export it again.")
     if min(array.shape) == 1:
@@ -96,12 +72,7 @@ def loaded(
 
 
 def check_type(dtype: np.dtype[Any], path: Path) -> None:
-    """Refuse values that are no grey values.
-
-    Raises
-    ------
-    VolumeError
-    """
+    """Refuse values that are no grey values."""
     if dtype.kind == "b":
         raise VolumeError(f"{path.name} has black and white only (1 bit). Give the grey values it was made from.")
     if dtype.kind not in "uif" or dtype.itemsize > 8:
@@ -114,28 +85,7 @@ def supported_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
 
 
 def inside(folder: Path, name: str, path: Path, *, base: Path | None = None) -> Path:
-    """Path of a file that another file names, which has to lie in the same folder or below.
-
-    Parameters
-    ----------
-    folder : Path
-        Where it has to lie.
-    name : str
-        As written in the file.
-    path : Path
-        The file that names it, for the messages.
-    base : Path, optional
-        What the name is relative to, if not the folder.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    FileError
-        If it lies elsewhere, or is not there.
-    """
+    """Path of a file that another file names, which has to lie in the same folder or below."""
     target = (base or folder) / name
     try:
         within = "\0" not in name and target.resolve().is_relative_to(folder.resolve())

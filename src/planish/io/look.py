@@ -78,23 +78,7 @@ class Seen:
 
 
 def look(values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]) -> dict[str, Any]:
-    """Shape, type and distribution of the values; what looks wrong is added to `warnings`.
-
-    Parameters
-    ----------
-    values : ndarray or FileArray
-        Of a volume or an image.
-    full_scale : int or None
-        Largest value the file can store.
-    warnings : list of str
-    dims : tuple of str
-
-    Returns
-    -------
-    dict
-        ``dims``, ``shape``, ``dtype``, ``min``, ``max``, ``percentiles``, ``nan_share``, ``saturated_share``,
-        ``sampled`` (what was looked at, None where everything was), ``bottom_share``.
-    """
+    """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
     numbers = planes_to_see(values)
     total = values.shape[0]
     share = len(numbers) / total

@@ -33,24 +33,7 @@ TYPES = {
 
 
 def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
-    """Map, unpack or lazily read the values of a MetaImage.
-
-    Parameters
-    ----------
-    place : Place
-    channel : str or None
-        Passed over: colour is refused.
-    memory_bytes : int or None
-
-    Returns
-    -------
-    LoadedVolume
-
-    Raises
-    ------
-    FileError, VolumeError, ResourceError
-        As :func:`planish.io.read_volume`.
-    """
+    """Map, unpack or lazily read the values of a MetaImage."""
     del channel
     path = place.path
     header, end = read_header(path)

@@ -19,13 +19,7 @@ EVEN = 0.01
 
 
 def default_dataset(file: h5py.File, path: Path) -> str | None:
-    """Follow ``default`` and ``signal`` from the root; None where the file is no NeXus file.
-
-    Raises
-    ------
-    VolumeError
-        If it leads to raw projections.
-    """
+    """Follow ``default`` and ``signal`` from the root; None where the file is no NeXus file."""
     entry = chosen(file, "NXentry")
     if entry is None:
         return None
@@ -87,14 +81,7 @@ def axis_names(dataset: Any) -> list[str]:
 
 
 def stated_by_nexus(dataset: Any, order: Sequence[int]) -> list[Stated]:
-    """Voxel size from the values along the axes, which have to be evenly spaced.
-
-    Parameters
-    ----------
-    dataset : h5py.Dataset
-    order : sequence of int
-        Axes that are z, y, x.
-    """
+    """Voxel size from the values along the axes, which have to be evenly spaced."""
     names = axis_names(dataset)
     sizes: list[float | None] = []
     notes: list[str] = []

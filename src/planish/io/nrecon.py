@@ -75,13 +75,7 @@ class Scan:
 
 
 def rec_log(folder: Path) -> Path | None:
-    """Path of the log in a folder of slices, None where there is none.
-
-    Raises
-    ------
-    VolumeError
-        If there are several: then the folder holds more than one scan.
-    """
+    """Path of the log in a folder of slices, None where there is none."""
     logs = sorted(p for p in folder.iterdir() if p.name.casefold().endswith(_SUFFIX))
     if len(logs) > 1:
         raise VolumeError(
@@ -114,25 +108,7 @@ def read_log(path: Path) -> dict[str, dict[str, str]]:
 
 
 def read_scan(folder: Path) -> Scan | None:
-    """Read the log of a folder; None where none tells of a reconstruction.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    Scan or None
-
-    Raises
-    ------
-    FileError
-        If the log cannot be read.
-    SizeError
-        If it has no usable size.
-    VolumeError
-        If there are several logs, or the numbers of the sections contradict each other.
-    """
+    """Read the log of a folder; None where none tells of a reconstruction."""
     log = rec_log(folder)
     sections = {} if log is None else read_log(log)
     keys = sections.get("reconstruction")
@@ -176,11 +152,6 @@ def slices_of(scan: Scan, folder: Path) -> list[Path] | None:
     """Slices that a log tells of, in their order; None where it does not name them.
 
     Other pictures, such as NRecon's own preview, are left aside.
-
-    Raises
-    ------
-    VolumeError
-        If one is missing, or there are more than the log tells of.
     """
     if scan.prefix is None:
         return None
@@ -221,12 +192,7 @@ def slices_of(scan: Scan, folder: Path) -> list[Path] | None:
 
 
 def check_count(scan: Scan, folder: Path, slices: int) -> None:
-    """Refuse a folder with another number of slices.
-
-    Raises
-    ------
-    VolumeError
-    """
+    """Refuse a folder with another number of slices."""
     if scan.count is not None and scan.count != slices:
         raise VolumeError(
             f"{scan.log.name} tells of {scan.count} sections, {folder.name} holds {slices}. "
@@ -235,12 +201,7 @@ def check_count(scan: Scan, folder: Path, slices: int) -> None:
 
 
 def check_extent(scan: Scan, file: Path, height: int, width: int) -> None:
-    """Refuse slices of another size than that of the reconstruction.
-
-    Raises
-    ------
-    VolumeError
-    """
+    """Refuse slices of another size than that of the reconstruction."""
     if (scan.height or height, scan.width or width) != (height, width):
         raise VolumeError(
             f"{file.name} is {height} x {width} pixels, {scan.log.name} tells of {scan.height} x {scan.width}. If the "

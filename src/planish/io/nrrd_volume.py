@@ -41,24 +41,7 @@ MEDICAL = "no unit written; mm, as programs for anatomical spaces have it"
 
 
 def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
-    """Map the values of a NRRD file, or unpack them.
-
-    Parameters
-    ----------
-    place : Place
-    channel : str or None
-        Passed over: colour is refused.
-    memory_bytes : int or None
-
-    Returns
-    -------
-    LoadedVolume
-
-    Raises
-    ------
-    FileError, VolumeError, ResourceError
-        As :func:`planish.io.read_volume`.
-    """
+    """Map the values of a NRRD file, or unpack them."""
     del channel
     path = place.path
     header, end = read_header(path)
@@ -172,14 +155,7 @@ def values_of(
 
 
 def stated_by_header(header: Mapping[str, Any], order: tuple[int, ...]) -> list[Stated]:
-    """Voxel size along z, y, x: the lengths of the space directions, and the spacings.
-
-    Parameters
-    ----------
-    header : mapping
-    order : tuple of int
-        Number of the header's axis for z, y, x.
-    """
+    """Voxel size along z, y, x: the lengths of the space directions, and the spacings."""
     stated: list[Stated] = []
     directions = header.get("space directions")
     if directions is not None:

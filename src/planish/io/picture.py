@@ -64,23 +64,14 @@ class Picture:
     stated: tuple[Stated, ...]
     orientation: int
 
+    @property
+    def in_colour(self) -> bool:
+        """Whether it has red, green and blue."""
+        return self.values.ndim == 3 and self.colour == "rgb"
+
 
 def kind_of(path: Path) -> Literal["tiff", "png", "jpeg", "bmp"]:
-    """Tell the format from the first bytes, whatever the name says.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    {"tiff", "png", "jpeg", "bmp"}
-
-    Raises
-    ------
-    FileError
-        If it is none of these.
-    """
+    """Tell the format from the first bytes, whatever the name says."""
     size_of_file(path)
     with reading(path), path.open("rb") as file:
         head = file.read(8)
@@ -96,25 +87,7 @@ def kind_of(path: Path) -> Literal["tiff", "png", "jpeg", "bmp"]:
 
 
 def load_picture(path: Path, *, memory_bytes: int | None = None) -> Picture:
-    """Decode a picture.
-
-    Parameters
-    ----------
-    path : Path
-    memory_bytes : int, optional
-        Largest decoded size; default: three quarters of the memory available.
-
-    Returns
-    -------
-    Picture
-
-    Raises
-    ------
-    FileError
-        If it is damaged, of another format, or holds more than one picture.
-    ResourceError
-        If it does not fit into the memory.
-    """
+    """Decode a picture."""
     if kind_of(path) == "tiff":
         return load_tiff(path, memory_bytes=memory_bytes)
     return load_raster(path, memory_bytes=memory_bytes)
@@ -244,13 +217,7 @@ def load_raster(path: Path, *, memory_bytes: int | None) -> Picture:
 
 
 def check_png_chunks(data: bytes, path: Path) -> None:
-    """Check the checksum of every part of a PNG file, up to its end mark; decoders pass over some of them.
-
-    Raises
-    ------
-    FileError
-        If a checksum is wrong or the end mark is missing.
-    """
+    """Check the checksum of every part of a PNG file, up to its end mark; decoders pass over some of them."""
     at, name = 8, b""
     while name != b"IEND":
         if at + 12 > len(data):

@@ -33,26 +33,7 @@ EXAMPLE = 'shape = [z, y, x], dtype = "uint16", byte_order = "little", voxel_um 
 
 
 def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
-    """Map raw values as their header says; either of the two files is given.
-
-    Parameters
-    ----------
-    place : Place
-    channel : str or None
-        Passed over: there is no colour.
-    memory_bytes : int or None
-
-    Returns
-    -------
-    LoadedVolume
-
-    Raises
-    ------
-    FileError
-        If the header is missing, wrong, or does not fit the size of the file exactly.
-    VolumeError
-        If it is no volume of grey values.
-    """
+    """Map raw values as their header says; either of the two files is given."""
     del channel
     header, data, keys = found_files(place)
     shape, stored, offset, voxel = checked(keys, header)

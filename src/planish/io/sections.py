@@ -9,16 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.errors import SizeError, VolumeError
-from planish.io.colour import check_channel, colour_attrs, grey_of, refuse_channel, to_grey
+from planish.core.errors import SizeError
+from planish.io.colour import check_channel, colour_attrs
 from planish.io.cut_counter import COUNTER, read_counter
-from planish.io.guard import check_memory, default_memory_limit, size_of_file
-from planish.io.lazy import FileArray, PagedArray
-from planish.io.loaded import check_type, supported_type
-from planish.io.picture import Picture, load_picture
+from planish.io.guard import size_of_file
+from planish.io.lazy import FileArray
 from planish.io.sizes import VOXEL, Stated, agree, agreed_size, as_given
-from planish.io.slice_volume import SliceFiles, SliceHeads, check_same
-from planish.io.tiff import size_words
+from planish.io.slice_volume import load_pictures
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +100,7 @@ def read_section_stack(
     counter = read_counter(folder)
     files = [folder / name for name in counter.names]
     channel = check_channel(channel)
-    values, first = load_sections(files, channel=channel, memory_bytes=memory_bytes)
+    values, first = load_pictures(files, channel=channel, memory_bytes=memory_bytes, photographs=True)
     stated, full_scale = first.stated, None if values.dtype.kind == "f" else first.full_scale
     size, source = section_size(
         stated, voxel_um, pitch_um=counter.pitch_um, folder_name=folder.name, override=override_size
@@ -120,76 +117,9 @@ def read_section_stack(
             "file_name": folder.name,
             "file_bytes": sum(size_of_file(file) for file in [*files, folder / COUNTER]),
             "section_kind": counter.kind,
-            **(colour_attrs(channel) if first.colour == "rgb" and first.values.ndim == 3 else {}),
+            **(colour_attrs(channel) if first.in_colour else {}),
         },
     )
-
-
-def load_sections(
-    files: list[Path], *, channel: str | None, memory_bytes: int | None
-) -> tuple[NDArray[Any] | FileArray, Picture]:
-    """Read pictures into one array, or leave them in their files where that is too large; and the first picture."""
-    first = load_picture(files[0], memory_bytes=memory_bytes)
-    if first.values.ndim == 2 or first.colour == "grey":
-        refuse_channel(channel, files[0].parent)
-    grey = as_grey(first, files[0], channel=channel)
-    limit = default_memory_limit() if memory_bytes is None else memory_bytes
-    if len(files) * grey.nbytes > limit:
-        # A thread decodes a photograph while some others are compared.
-        check_memory(files[0].parent, needed_bytes=4 * first.values.nbytes, limit_bytes=limit)
-        colour = to_grey(channel) if first.values.ndim == 3 and first.colour == "rgb" else None
-        heads = SliceHeads(files[0], colour)
-        offsets = [heads.check(file, first, memory_bytes=limit) for file in files]
-        pages = SliceFiles(files, offsets, heads.first, colour, grey.shape)
-        shape = (len(files), int(grey.shape[0]), int(grey.shape[1]))
-        return PagedArray(pages, shape, supported_type(grey.dtype), files[0].parent), first
-    values = np.empty((len(files), *grey.shape), supported_type(grey.dtype))
-    for i, file in enumerate(files):
-        picture = first if i == 0 else load_picture(file, memory_bytes=memory_bytes)
-        if picture.colour != first.colour:
-            raise VolumeError(
-                f"{file.name} is {picture.colour}, {files[0].name} is {first.colour}. All sections need the same: "
-                "export them again."
-            )
-        if i and picture.values.ndim == first.values.ndim == 2:
-            check_same(picture, first, file=file, first_file=files[0])
-        elif i:
-            check_same(without_samples(picture), without_samples(first), file=file, first_file=files[0])
-        values[i] = as_grey(picture, file, channel=channel)
-    return values, first
-
-
-def without_samples(picture: Picture) -> Picture:
-    """Return the first sample of a picture alone, to be compared in size and type."""
-    values = picture.values if picture.values.ndim == 2 else picture.values[..., 0]
-    return Picture(
-        values=values,
-        colour=picture.colour,
-        full_scale=picture.full_scale,
-        stated=picture.stated,
-        orientation=picture.orientation,
-    )
-
-
-def as_grey(picture: Picture, file: Path, *, channel: str | None) -> NDArray[Any]:
-    """Grey values of a picture in its own type; colour becomes luminance where no channel is chosen.
-
-    Raises
-    ------
-    VolumeError
-        If it is neither grey nor red, green and blue, or holds no grey values.
-    """
-    check_type(picture.values.dtype, file)
-    if picture.values.ndim == 2:
-        return picture.values
-    if picture.colour == "grey":
-        return picture.values[..., 0]
-    if picture.colour != "rgb":
-        raise VolumeError(
-            f"{file.name} is neither grey nor red, green and blue: {size_words(picture.values.shape[:2])} pixels with "
-            f"{picture.values.shape[2]} samples. Export all sections in grey."
-        )
-    return grey_of(picture.values, channel=channel or "luminance")
 
 
 def section_size(
@@ -200,29 +130,7 @@ def section_size(
     folder_name: str,
     override: bool,
 ) -> tuple[tuple[float, ...], str]:
-    """Join the counter's pitch with the pixel size of metadata and user.
-
-    Parameters
-    ----------
-    stated : tuple of Stated
-        Of one picture; what it says about z is passed over.
-    given : float or (z, y, x), optional
-    pitch_um : float
-    folder_name : str
-        For the messages.
-    override : bool
-
-    Returns
-    -------
-    size : tuple of float
-        (z, y, x) in um.
-    source : str
-
-    Raises
-    ------
-    SizeError
-        If the given z is not the counter's, or as :func:`planish.io.sizes.agreed_size`.
-    """
+    """Join the counter's pitch with the pixel size of metadata and user."""
     flat = [Stated(source=s.source, um=(None, *s.um[1:]), note=s.note) for s in stated]
     counter = Stated(source="the cut counter", um=(pitch_um, None, None))
     if given is not None:

@@ -79,15 +79,6 @@ PIXEL = Asked(name="pixel", axes=("y", "x"), option="--pixel-um", range_um=PIXEL
 def unit_um(unit: str) -> float | None:
     r"""Length of a unit in um, or None if the word is no unit of length.
 
-    Parameters
-    ----------
-    unit : str
-        As it stands in a file; ``\\u00B5m``, as ImageJ escapes the micro sign, is understood.
-
-    Returns
-    -------
-    float or None
-
     Examples
     --------
     >>> unit_um("mm"), unit_um("µm"), unit_um("pixel")
@@ -102,16 +93,6 @@ def from_density(per_unit: float | None, unit: str) -> float | None:
 
     Exactly 1 pixel per unit, and 72 or 96 pixels per inch in whatever unit, are what programs write when they
     do not know.
-
-    Parameters
-    ----------
-    per_unit : float or None
-        Pixels per unit.
-    unit : str
-
-    Returns
-    -------
-    float or None
     """
     length = unit_um(unit)
     if per_unit is None or length is None or not math.isfinite(per_unit) or per_unit <= 0 or per_unit == 1:
@@ -193,13 +174,7 @@ def agreed_size(
 
 
 def as_given(given: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
-    """Spread a given size over the axes.
-
-    Raises
-    ------
-    SizeError
-        If the number of values is wrong, or one is not a positive number.
-    """
+    """Spread a given size over the axes."""
     values = (given,) * len(asked.axes) if isinstance(given, (int, float)) else tuple(given)
     if len(values) == 1:
         values = values * len(asked.axes)
@@ -215,13 +190,7 @@ def as_given(given: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
 
 
 def merged(spoken: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[float | None, ...]:
-    """Join what several kinds of metadata say; the first that speaks about an axis gives its number.
-
-    Raises
-    ------
-    SizeError
-        If two disagree.
-    """
+    """Join what several kinds of metadata say; the first that speaks about an axis gives its number."""
     found: list[float | None] = [None] * len(asked.axes)
     for one in spoken:
         for i, value in enumerate(one.um):
@@ -252,13 +221,7 @@ def missing_words(
 
 
 def check_range(size: Sequence[float], *, file_name: str, asked: Asked, from_metadata: bool) -> None:
-    """Refuse sizes that no image of a sheet has.
-
-    Raises
-    ------
-    SizeError
-        If one lies outside the range; the message says which unit it looks like.
-    """
+    """Refuse sizes that no image of a sheet has."""
     low, high = asked.range_um
     also = f", and add {OVERRIDE}" if from_metadata else ""
     for axis, value in zip(asked.axes, size, strict=True):

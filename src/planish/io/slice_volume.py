@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin
 
 from planish.core.errors import FileError, SizeError, VolumeError
-from planish.io.colour import colour_attrs, refuse_channel, to_grey
+from planish.io.colour import colour_attrs, grey_of, refuse_channel
 from planish.io.formats import Place
 from planish.io.guard import check_memory, default_memory_limit, reading, size_of_file
 from planish.io.lazy import EAGER_BYTES, PagedArray
@@ -23,117 +22,93 @@ from planish.io.slices import list_slices
 from planish.io.tiff import BLACK_IS_ZERO, check_data, only_series, open_tiff, size_words
 from planish.io.tiff_chain import damaged
 
-ToGrey = Callable[[NDArray[Any]], NDArray[Any]]
-
 
 def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
-    """Read a folder of slices: at once where it fits, otherwise slice by slice when they are asked for.
-
-    Parameters
-    ----------
-    place : Place
-    channel : str or None
-        What is taken of slices in colour.
-    memory_bytes : int or None
-
-    Returns
-    -------
-    LoadedVolume
-
-    Raises
-    ------
-    FileError, VolumeError, SizeError, InputError, ResourceError
-        As :func:`planish.io.read_volume`.
-    """
+    """Read a folder of slices: at once where it fits, otherwise slice by slice when they are asked for."""
     folder = place.path
     scan = read_scan(folder)
     files = slice_files(folder, scan)
-    first = load_picture(files[0], memory_bytes=memory_bytes)
-    rgb = first.values.ndim == 3 and first.colour == "rgb"
-    colour = to_grey(channel) if rgb else None
-    if not rgb:
-        refuse_channel(channel, folder)
-    grey = grey_slice(first, files[0], colour)
+    values, first = load_pictures(files, channel=channel, memory_bytes=memory_bytes)
     if scan is not None:
         check_count(scan, folder, len(files))
-        check_extent(scan, files[0], *grey.shape)
-    dtype = supported_type(grey.dtype)
-    shape = (len(files), *grey.shape)
-    limit = default_memory_limit() if memory_bytes is None else memory_bytes
-    heads = SliceHeads(files[0], colour)
-    needed = len(files) * grey.size * dtype.itemsize
-    if needed <= (limit if heads.first.offset is None else min(limit, EAGER_BYTES)):
-        values: NDArray[Any] | PagedArray = np.empty(shape, dtype)
-        for i, file in enumerate(files):
-            picture = first if i == 0 else load_picture(file, memory_bytes=memory_bytes)
-            values[i] = checked_slice(picture, first, colour, file=file, first_file=files[0])
-    else:
-        check_memory(folder, needed_bytes=2 * grey.nbytes, limit_bytes=limit)
-        offsets = [heads.check(file, first, memory_bytes=limit) for file in files]
-        values = PagedArray(SliceFiles(files, offsets, heads.first, colour, grey.shape), shape, dtype, folder)
+        check_extent(scan, files[0], *values.shape[1:])
     return LoadedVolume(
         values=values,
         stated=first.stated if scan is None else (scan.stated, *first.stated),
-        full_scale=None if dtype.kind == "f" else first.full_scale,
+        full_scale=None if values.dtype.kind == "f" else first.full_scale,
         file_bytes=sum(size_of_file(file) for file in files),
-        attrs={**({} if scan is None else scan_attrs(scan)), **(colour_attrs(channel) if rgb else {})},
+        attrs={**({} if scan is None else scan_attrs(scan)), **(colour_attrs(channel) if first.in_colour else {})},
     )
 
 
 def slice_files(folder: Path, scan: Scan | None) -> list[Path]:
-    """Slices of a folder in their order, as the log names them or as their numbers tell.
-
-    Raises
-    ------
-    FileError, VolumeError
-        If there are none, one is missing, or they are not one series.
-    """
+    """Slices of a folder in their order, as the log names them or as their numbers tell."""
     files = (None if scan is None else slices_of(scan, folder)) or list_slices(folder)
     if len(files) < 2:
         raise VolumeError(f"{folder.name} holds one slice only, {files[0].name}. Needed are all slices of the volume.")
     return files
 
 
-def grey_slice(picture: Picture, file: Path, colour: ToGrey | None) -> NDArray[Any]:
-    """Grey values of a slice.
+def load_pictures(
+    files: list[Path], *, channel: str | None, memory_bytes: int | None, photographs: bool = False
+) -> tuple[NDArray[Any] | PagedArray, Picture]:
+    """Grey values of pictures that are alike, dims (picture, y, x), and the first picture.
 
-    Raises
-    ------
-    VolumeError
-        If it is in colour and `colour` is None, or in other samples than red, green and blue.
+    What does not fit into the memory, or can be read where it lies, stays in the files. Photographs of sections are
+    compared with each other several times, so they are only left there where they do not fit.
     """
+    folder = files[0].parent
+    first = load_picture(files[0], memory_bytes=memory_bytes)
+    if not first.in_colour:
+        refuse_channel(channel, folder)
+    grey = grey_values(first, files[0], channel)
+    dtype = supported_type(grey.dtype)
+    shape = (len(files), *grey.shape)
+    limit = default_memory_limit() if memory_bytes is None else memory_bytes
+    head = Head(files[0])
+    in_place = head.offset is not None and not photographs
+    if len(files) * grey.size * dtype.itemsize <= (min(limit, EAGER_BYTES) if in_place else limit):
+        values = np.empty(shape, dtype)
+        for i, file in enumerate(files):
+            picture = first if i == 0 else load_picture(file, memory_bytes=memory_bytes)
+            check_same(picture, first, file=file, first_file=files[0])
+            values[i] = grey_values(picture, file, channel)
+        return values, first
+    # Threads decode photographs while others are compared.
+    check_memory(folder, needed_bytes=4 * first.values.nbytes if photographs else 2 * grey.nbytes, limit_bytes=limit)
+    offsets: list[int | None] = []
+    for file in files:
+        other = Head(file)
+        if other.kind != head.kind:
+            check_same(load_picture(file, memory_bytes=limit), first, file=file, first_file=files[0])
+        offsets.append(other.offset if other.stored == head.stored else None)
+    pages = SliceFiles(files, offsets, head.stored, channel if first.in_colour else None, first, grey.shape)
+    return PagedArray(pages, shape, dtype, folder), first
+
+
+def grey_values(picture: Picture, file: Path, channel: str | None) -> NDArray[Any]:
+    """Grey values of a picture in its own type; colour becomes luminance where no channel is chosen."""
     check_type(picture.values.dtype, file)
-    if picture.values.ndim == 2 and colour is None:
-        return picture.values
     if picture.values.ndim == 2:
-        raise VolumeError(f"{file.name} is grey, the slice before it is in colour. Export all slices in grey.")
-    if picture.colour == "rgb" and colour is not None:
-        return colour(picture.values)
+        return picture.values
+    if picture.colour == "grey":
+        return picture.values[..., 0]
+    if picture.colour == "rgb":
+        return grey_of(picture.values, channel=channel or "luminance")
     raise VolumeError(
-        f"{file.name} is not grey: {size_words(picture.values.shape[:2])} pixels with "
-        f"{picture.values.shape[2]} colour samples. Export all slices in grey."
+        f"{file.name} is neither grey nor red, green and blue: {size_words(picture.values.shape[:2])} pixels with "
+        f"{picture.values.shape[2]} samples. Export all pictures in grey."
     )
 
 
-def checked_slice(
-    picture: Picture, first: Picture, colour: ToGrey | None, *, file: Path, first_file: Path
-) -> NDArray[Any]:
-    """Grey values of a slice that is as the first."""
-    grey = grey_slice(picture, file, colour)
-    check_same(picture, first, file=file, first_file=first_file)
-    return grey
-
-
 def check_same(picture: Picture, first: Picture, *, file: Path, first_file: Path) -> None:
-    """Refuse a slice that differs from the first in size, type or pixel size.
-
-    Raises
-    ------
-    VolumeError
-        If size or type differ.
-    SizeError
-        If the metadata state another pixel size.
-    """
+    """Refuse a picture that differs from the first in colour, size, type or pixel size."""
+    check_type(picture.values.dtype, file)
+    if picture.colour != first.colour:
+        raise VolumeError(
+            f"{file.name} is {picture.colour}, {first_file.name} is {first.colour}. All of them need the same: export "
+            "them again."
+        )
     if picture.values.shape[:2] != first.values.shape[:2]:
         raise VolumeError(
             f"{file.name} is {size_words(picture.values.shape[:2])} pixels, {first_file.name} is "
@@ -190,30 +165,15 @@ class Head:
                 self.stored = series.dtype.newbyteorder(tif.byteorder)
 
 
-class SliceHeads:
-    """Compares the slices of a folder with the first one, without decoding those that are of the same kind."""
-
-    def __init__(self, first_file: Path, colour: ToGrey | None) -> None:
-        self.first_file, self.colour, self.first = first_file, colour, Head(first_file)
-
-    def check(self, file: Path, first: Picture, *, memory_bytes: int) -> int | None:
-        """Return where the values of a slice lie; None where they have to be decoded."""
-        head = Head(file)
-        if head.kind != self.first.kind:
-            picture = load_picture(file, memory_bytes=memory_bytes)
-            checked_slice(picture, first, self.colour, file=file, first_file=self.first_file)
-        return head.offset if head.stored == self.first.stored else None
-
-
 class SliceFiles:
     """Slices as the pages of a volume: rows are read where they lie in the files as they are, others decoded whole."""
 
     def __init__(
-        self, files: list[Path], offsets: list[int | None], head: Head, colour: ToGrey | None, extent: tuple[int, ...]
-    ) -> None:
-        self.files, self.offsets, self.colour = files, offsets, colour
-        self.stored, self.extent = head.stored, extent
-        self.in_place = colour is None and all(offset is not None for offset in offsets)
+        self, files: list[Path], offsets: list[int | None], stored: np.dtype[Any], channel: str | None, first: Picture,
+        extent: tuple[int, ...],
+    ) -> None:  # fmt: skip
+        self.files, self.offsets, self.stored, self.channel, self.extent = files, offsets, stored, channel, extent
+        self.in_place = first.values.ndim == 2 and all(offset is not None for offset in offsets)
         self.unit_rows = 1 if self.in_place else extent[0]
 
     def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
@@ -227,7 +187,7 @@ class SliceFiles:
             if len(data) < (stop - start) * row_bytes:
                 raise damaged(file, f"it ends before row {stop}")
             return np.frombuffer(data, self.stored).reshape(stop - start, self.extent[1])
-        grey = grey_slice(load_picture(file), file, self.colour)
+        grey = grey_values(load_picture(file), file, self.channel)
         if grey.shape != self.extent:
             raise VolumeError(
                 f"{file.name} is {size_words(grey.shape)} pixels, {size_words(self.extent)} when the folder was "

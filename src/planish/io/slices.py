@@ -19,24 +19,7 @@ MOST_NAMES = 8
 
 
 def list_slices(folder: Path) -> list[Path]:
-    """List the slices of a folder in the order of their numbers.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    list of Path
-        At least two.
-
-    Raises
-    ------
-    FileError
-        If the folder does not exist or holds no image file.
-    VolumeError
-        If the names are not one numbered series without a gap.
-    """
+    """List the slices of a folder in the order of their numbers."""
     if not folder.is_dir():
         raise FileError(f"{folder.name} is not a folder. Check the name.")
     files = sorted(p for p in folder.iterdir() if is_slice_name(p.name) and p.is_file())
@@ -58,13 +41,7 @@ def is_slice_name(name: str) -> bool:
 
 
 def check_one_series(files: list[Path], folder: Path) -> None:
-    """Refuse image files whose names differ in more than numbers: a preview, a second scan.
-
-    Raises
-    ------
-    VolumeError
-        Naming the first odd one.
-    """
+    """Refuse image files whose names differ in more than numbers: a preview, a second scan."""
     patterns = Counter(pattern(p) for p in files)
     if len(patterns) == 1:
         return
@@ -83,13 +60,7 @@ def pattern(file: Path) -> str:
 
 
 def slice_numbers(files: list[Path], folder: Path) -> list[int]:
-    """Find the number that counts the slices: the only one in the names that changes.
-
-    Raises
-    ------
-    VolumeError
-        If there is none, or several change.
-    """
+    """Find the number that counts the slices: the only one in the names that changes."""
     columns = list(zip(*(re.findall(r"\d+", p.stem) for p in files), strict=True))
     changing = [[int(text) for text in column] for column in columns if len({int(text) for text in column}) > 1]
     if len(changing) != 1:
@@ -101,13 +72,7 @@ def slice_numbers(files: list[Path], folder: Path) -> list[int]:
 
 
 def check_no_gap(numbers: list[int], folder: Path) -> None:
-    """Refuse a series with missing or repeated numbers.
-
-    Raises
-    ------
-    VolumeError
-        Naming them.
-    """
+    """Refuse a series with missing or repeated numbers."""
     ordered = sorted(numbers)
     repeated = sorted(n for n, times in Counter(ordered).items() if times > 1)
     if repeated:

@@ -24,12 +24,7 @@ MOST_VOXELS = 2**50
 
 
 def check_shape(shape: tuple[int, ...], path: Path) -> None:
-    """Refuse extents that no volume has.
-
-    Raises
-    ------
-    FileError
-    """
+    """Refuse extents that no volume has."""
     if any(n < 1 for n in shape) or math.prod(shape) > MOST_VOXELS:
         raise FileError(
             f"{path.name} declares {size_words(shape)} voxels, which no volume has. It is damaged: copy or export it "
@@ -40,27 +35,7 @@ def check_shape(shape: tuple[int, ...], path: Path) -> None:
 def raw_values(
     path: Path, data: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int
 ) -> NDArray[Any] | FileArray:
-    """Map values that lie in a file as they are and fill it from an offset to its end.
-
-    Parameters
-    ----------
-    path : Path
-        The header, for the messages.
-    data : Path
-    shape : tuple of int
-    stored : dtype
-    offset : int
-        First byte.
-
-    Returns
-    -------
-    memmap or FileArray
-
-    Raises
-    ------
-    FileError
-        If the file is shorter or longer than the header says.
-    """
+    """Map values that lie in a file as they are and fill it from an offset to its end."""
     check_shape(shape, path)
     needed = math.prod(shape) * stored.itemsize
     there = size_of_file(data) - offset
@@ -83,28 +58,7 @@ def unpacked_values(
     packing: str,
     memory_bytes: int | None,
 ) -> NDArray[Any]:
-    """Unpack values that fill a file from an offset to its end.
-
-    Parameters
-    ----------
-    path, data, shape, stored, offset
-        As for :func:`raw_values`.
-    packing : {"deflate", "bzip2"}
-        Deflate with the header of zlib or that of gzip.
-    memory_bytes : int or None
-
-    Returns
-    -------
-    ndarray
-        In the byte order of the machine.
-
-    Raises
-    ------
-    FileError
-        If the data are damaged, or unpack to another size.
-    ResourceError
-        If they do not fit into the memory.
-    """
+    """Unpack values that fill a file from an offset to its end."""
     check_shape(shape, path)
     needed = math.prod(shape) * stored.itemsize
     stored_bytes = max(size_of_file(data) - offset, 0)
@@ -121,13 +75,7 @@ def unpacked_values(
 
 
 def check_unpacked(path: Path, data: Path, needed: int, *, offset: int, packing: str) -> None:
-    """Unpack values without keeping them, to see that they are whole.
-
-    Raises
-    ------
-    FileError
-        If the data are damaged, or unpack to another size than `needed`.
-    """
+    """Unpack values without keeping them, to see that they are whole."""
     for _ in unpacked_parts(path, data, needed, offset=offset, packing=packing):
         pass
 

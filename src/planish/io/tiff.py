@@ -33,21 +33,7 @@ JPEG_COMPRESSIONS = frozenset({6, 7, 34892, 33007})
 
 @contextmanager
 def open_tiff(path: Path) -> Generator[TiffFile]:
-    """Open a TIFF file whose chain of pages is whole.
-
-    Parameters
-    ----------
-    path : Path
-
-    Yields
-    ------
-    TiffFile
-
-    Raises
-    ------
-    FileError
-        If it is no TIFF file, cut off or damaged.
-    """
+    """Open a TIFF file whose chain of pages is whole."""
     pages = check_chain(path)
     with reading(path):
         tif = TiffFile(path, _multifile=False)
@@ -62,24 +48,7 @@ def open_tiff(path: Path) -> Generator[TiffFile]:
 
 
 def only_series(tif: TiffFile, path: Path, *, error: type[InputError], advice: str) -> TiffPageSeries:
-    """Return the one series of equal pages, leaving thumbnails aside.
-
-    Parameters
-    ----------
-    tif : TiffFile
-    path : Path
-    error : type
-        What to raise if there are several.
-    advice : str
-        What to do then.
-
-    Raises
-    ------
-    FileError
-        If the pages cannot be ordered, or a page declared is not there.
-    InputError
-        Of type `error`, if there are several series.
-    """
+    """Return the one series of equal pages, leaving thumbnails aside."""
     with reading(path):
         every = list(tif.series)
         check_declared_images(tif, path)
@@ -114,19 +83,7 @@ def check_declared_images(tif: TiffFile, path: Path) -> None:
 
 
 def check_data(series: TiffPageSeries, path: Path) -> None:
-    """Check that all data of a series are in the file, as far as the page tables tell.
-
-    Parameters
-    ----------
-    series : TiffPageSeries
-    path : Path
-
-    Raises
-    ------
-    FileError
-        If the image has no extent or type, data are missing, lie outside the file, or claim to be much larger
-        than they can.
-    """
+    """Check that all data of a series are in the file, as far as the page tables tell."""
     size = size_of_file(path)
     key = series.keyframe
     check_numbers(key, path)
@@ -194,27 +151,7 @@ def stored_bytes_if_uncompressed(page: TiffPage) -> int | None:
 
 
 def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | None) -> NDArray[Any]:
-    """Return the values of a checked series, mapped from the file where they lie there as they are.
-
-    Parameters
-    ----------
-    series : TiffPageSeries
-    path : Path
-    memory_bytes : int, optional
-        Only for what must be decoded.
-
-    Returns
-    -------
-    ndarray or memmap
-        In the byte order of the machine. Grey values whose white is zero are turned round.
-
-    Raises
-    ------
-    FileError
-        If the data do not decode, or decode to another size.
-    ResourceError
-        If they do not fit into the memory.
-    """
+    """Return the values of a checked series, mapped from the file where they lie there as they are."""
     with reading(path):
         offset = series.dataoffset
         turned = series.keyframe.photometric == WHITE_IS_ZERO

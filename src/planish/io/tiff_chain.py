@@ -52,23 +52,7 @@ def is_tiff(head: bytes) -> bool:
 
 
 def check_chain(path: Path) -> int:
-    """Walk the chain of pages from the first to the last.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    int
-        Number of pages.
-
-    Raises
-    ------
-    FileError
-        If the file is no TIFF file, the chain leads out of the file or back to itself, a table is cut, or a
-        table points to values outside the file.
-    """
+    """Walk the chain of pages from the first to the last."""
     size = size_of_file(path)
     with reading(path), path.open("rb") as file:
         layout, offset = read_header(file, path)
@@ -103,13 +87,7 @@ def read_header(file: BinaryIO, path: Path) -> tuple[Layout, int]:
 
 
 def check_page(file: BinaryIO, path: Path, layout: Layout, *, offset: int, number: int, size: int) -> int:
-    """Check the table of one page.
-
-    Returns
-    -------
-    int
-        Position of the next page; 0 after the last.
-    """
+    """Check the table of one page."""
     count_bytes = struct.calcsize(layout.count)
     if not layout.first <= offset <= size - count_bytes:
         raise damaged(path, f"page {number} should begin at byte {offset}, the file has {size}")

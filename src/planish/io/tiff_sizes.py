@@ -20,26 +20,7 @@ UNKNOWN_NOTE = "missing, or a default such as 72 dpi"
 
 
 def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, ...]:
-    """Collect what the metadata state, along z, y, x.
-
-    Parameters
-    ----------
-    tif : TiffFile
-    page : TiffPage
-        The page whose tags count: the first of the series.
-    path : Path
-        For the messages.
-
-    Returns
-    -------
-    tuple of Stated
-        The most specific first.
-
-    Raises
-    ------
-    FileError
-        If the OME metadata cannot be read.
-    """
+    """Collect what the metadata state, along z, y, x."""
     with reading(path):
         ome = tif.ome_metadata
         imagej: Mapping[str, Any] | None = tif.imagej_metadata

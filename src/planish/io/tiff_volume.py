@@ -51,24 +51,7 @@ MEANINGS = {"C": "channels", "T": "time points", "S": "colour samples"}
 
 
 def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
-    """Read a TIFF stack in one file.
-
-    Parameters
-    ----------
-    place : Place
-    channel : str or None
-        What is taken of a stack in colour.
-    memory_bytes : int or None
-
-    Returns
-    -------
-    LoadedVolume
-
-    Raises
-    ------
-    FileError, VolumeError, InputError, ResourceError
-        As :func:`planish.io.read_volume`.
-    """
+    """Read a TIFF stack in one file."""
     path = place.path
     kind = kind_of(path)
     if kind != "tiff":
@@ -145,13 +128,7 @@ class BlackIsZero:
 
 
 def volume_axes(series: TiffPageSeries, path: Path) -> str:
-    """Return the axes of a stack that are longer than 1: slices, y and x, and the samples of a stack in colour.
-
-    Raises
-    ------
-    VolumeError
-        If it is a single picture, or has further axes.
-    """
+    """Return the axes of a stack that are longer than 1: slices, y and x, and the samples of a stack in colour."""
     axes = long_axes(series)
     grey = axes.replace("S", "")
     if len(grey) == 3 and grey[0] in SLICE_AXES and grey[1:] == "YX" and (axes == grey or is_rgb(series)):

@@ -32,13 +32,7 @@ def packed_by_blosc(array: Any) -> bool:
 
 
 def check_blosc(array: Any, where: Where, folder: Path, path: Path) -> None:
-    """Compare the chunks of a part with the sizes in their first bytes; Blosc itself would read on behind their end.
-
-    Raises
-    ------
-    FileError
-        Naming the chunk.
-    """
+    """Compare the chunks of a part with the sizes in their first bytes; Blosc itself would read on behind their end."""
     needed = math.prod(array.chunks) * array.dtype.itemsize
     spans = [range(s.start // c, (s.stop - 1) // c + 1) for s, c in zip(where, array.chunks, strict=True)]
     for position in product(*spans):

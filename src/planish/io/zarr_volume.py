@@ -30,25 +30,7 @@ SPACE = "zyx"
 
 
 def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
-    """Read the first level of a multiscale image, or the array that was chosen, in parts when they are asked for.
-
-    Parameters
-    ----------
-    place : Place
-        The part is the path of an array or a group in the store: ``sheet.zarr:1`` is the second level.
-    channel : str or None
-        Passed over: several channels are refused.
-    memory_bytes : int or None
-
-    Returns
-    -------
-    LoadedVolume
-
-    Raises
-    ------
-    FileError, VolumeError, ResourceError
-        As :func:`planish.io.read_volume`.
-    """
+    """Read the first level of a multiscale image, or the array that was chosen, in parts when they are asked for."""
     del channel
     path = place.path
     if not path.is_dir():
@@ -94,13 +76,7 @@ def files(place: Place) -> list[Path]:
 
 
 def part_of(path: Path, part: str) -> str:
-    """Path inside the store.
-
-    Raises
-    ------
-    FileError
-        If it leads out of the store.
-    """
+    """Path inside the store."""
     pieces = [piece for piece in part.replace("\\", "/").split("/") if piece not in ("", ".")]
     if ".." in pieces or not (path / "/".join(pieces)).resolve().is_relative_to(path.resolve()):
         raise FileError(
@@ -110,13 +86,7 @@ def part_of(path: Path, part: str) -> str:
 
 
 def open_node(path: Path, name: str) -> Any:
-    """Open a group or an array for reading.
-
-    Raises
-    ------
-    FileError
-        If there is none, or its metadata are damaged.
-    """
+    """Open a group or an array for reading."""
     place = path / name
     there = [file for file in METADATA if (place / file).is_file()]
     if not there:
@@ -131,27 +101,7 @@ def open_node(path: Path, name: str) -> Any:
 
 
 def find_level(path: Path, name: str) -> tuple[Mapping[str, Any] | None, int, str]:
-    """Find the multiscale image that a part belongs to, the level in it, and the path of that level's array.
-
-    Parameters
-    ----------
-    path : Path
-    name : str
-        Of an array or a group.
-
-    Returns
-    -------
-    multiscale : mapping or None
-        None for a plain array.
-    level : int
-    name : str
-        Of the array.
-
-    Raises
-    ------
-    VolumeError
-        If there are several images, or none.
-    """
+    """Find the multiscale image that a part belongs to, the level in it, and the path of that level's array."""
     node = open_node(path, name)
     if isinstance(node, zarr.Array):
         parent, _, last = name.rpartition("/")
@@ -177,15 +127,7 @@ def find_level(path: Path, name: str) -> tuple[Mapping[str, Any] | None, int, st
 
 
 def multiscale_of(group: Any, path: Path) -> Mapping[str, Any] | None:
-    """The one multiscale image of a group; None where the group has none.
-
-    Raises
-    ------
-    VolumeError
-        If there are several.
-    FileError
-        If its metadata are not those of an OME-Zarr image.
-    """
+    """The one multiscale image of a group; None where the group has none."""
     with reading(path):
         attrs: Any = dict(group.attrs)
     ome = attrs.get("ome") if isinstance(attrs.get("ome"), dict) else attrs
@@ -212,13 +154,7 @@ def level_name(dataset: Any, path: Path) -> str:
 
 
 def axis_list(multiscale: Mapping[str, Any] | None, count: int, path: Path) -> list[dict[str, str]]:
-    """Axes of an array: name, type and unit, where the metadata tell.
-
-    Raises
-    ------
-    FileError
-        If they tell of another number of axes.
-    """
+    """Axes of an array: name, type and unit, where the metadata tell."""
     told: Any = None if multiscale is None else multiscale.get("axes")
     if told is None:
         return [{"name": name} for name in "tczyx"[5 - count :]] if count <= 5 else [{"name": "?"}] * count
@@ -234,13 +170,7 @@ def axis_list(multiscale: Mapping[str, Any] | None, count: int, path: Path) -> l
 def check_axes(
     axes: list[dict[str, str]], shape: tuple[int, ...], multiscale: Mapping[str, Any] | None, path: Path
 ) -> tuple[int, ...]:
-    """Return which axes are z, y and x; all others have to be of length 1.
-
-    Raises
-    ------
-    VolumeError
-        If there are several channels or time points, which are named, or an axis of space is missing.
-    """
+    """Return which axes are z, y and x; all others have to be of length 1."""
     names = [axis.get("name", "").casefold() for axis in axes]
     for name, n in zip(names, shape, strict=True):
         if name not in SPACE and n > 1:
