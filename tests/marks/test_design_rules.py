@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planish.core.errors import MarkError
-from planish.marks.design import Burn, check_pattern, design_pattern, own_pattern, refuse_broken
+from planish.marks.design import Burn, DesignParams, check_pattern, design_pattern, own_pattern, refuse_broken
 from planish.marks.design.rules import CROP, crops, simple_rules
 from planish.marks.design.selfmatch import _Finder, around_order, code_misfit_um, self_motions
 
@@ -18,7 +18,7 @@ from planish.marks.design.selfmatch import _Finder, around_order, code_misfit_um
 @pytest.fixture(scope="module")
 def good():
     """A pattern that keeps every rule."""
-    return design_pattern(field_um=(20_000.0, 15_000.0), seed=3)[0]
+    return design_pattern(DesignParams(field_um=(20_000.0, 15_000.0), seed=3))[0]
 
 
 def broken(pattern):

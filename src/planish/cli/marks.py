@@ -3,26 +3,67 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import click
+from pydantic import ValidationError
 
 from planish.cli.marks_convert import convert
 from planish.cli.options import Numbers, existing, json_option, out_option
 from planish.cli.show import table
+from planish.core.options import Params, options_of
+from planish.marks.design.params import DesignParams, ImagingParams, StageParams
 
 if TYPE_CHECKING:
     from planish.marks.design import DryRun, Pattern, Rule
+
+P = TypeVar("P", bound=Params)
 
 _POSITIVE = click.FloatRange(min=0, min_open=True)
 _PICTURES = ("png", "svg", "pdf")
 _SAME_UM = 0.001  # a program states positions to 0.0005 um
 
-_range_option = click.option(
-    "--range-um", type=Numbers(4, metavar="X0,Y0,X1,Y1"), default="0,0,100000,100000", show_default=True,
-    help="Range of the stage; a program that leaves it is refused.",
-)  # fmt: skip
+
+def _options(model: type[Params], *names: str) -> Callable[[Any], Any]:
+    """Options of the fields of a model, of some names where they are given."""
+
+    def decorate(command: Any) -> Any:
+        for name, field, shown in reversed(list(options_of(model))):
+            if names and name not in names:
+                continue
+            parts = [part for part in get_args(field.annotation) if part is not type(None)]
+            kind: Any = field.annotation
+            if "tuple" in str(kind):
+                kind = Numbers(len(parts), repeat=shown.repeat, metavar=shown.metavar or "")
+            elif "Literal" in str(kind):
+                kind = click.Choice(parts)
+            elif parts:
+                kind = parts[0]
+            value: dict[str, Any] = {"required": True}
+            if not field.is_required():
+                value = {"default": field.default, "show_default": field.default is not None}
+                if isinstance(field.default, tuple):
+                    numbers = dict.fromkeys(field.default) if shown.repeat else field.default
+                    value["default"] = ",".join(f"{v:g}" for v in numbers)
+            command = click.option(*shown.flags, name, type=kind, help=field.description, **value)(command)
+        return command
+
+    return decorate
+
+
+def _checked(model: type[P], options: dict[str, Any]) -> P:
+    """Take the model's options out of all, checked."""
+    flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
+    try:
+        return model.model_validate({name: options[name] for name in flags if name in options})
+    except ValidationError as error:
+        faults = [
+            f"{flags[str(e['loc'][0])] + ': ' if e['loc'] else ''}{e['msg'].removeprefix('Value error, ')}"
+            for e in error.errors(include_url=False)
+        ]
+        raise click.UsageError("; ".join(faults)) from error
 
 
 @click.group()
@@ -34,73 +75,39 @@ marks.add_command(convert)
 
 
 @marks.command()
-@click.option("--field-um", required=True, type=Numbers(2, metavar="W,H"), help="Field whose maps are compared.")
-@click.option(
-    "--layout", type=click.Choice(["coded", "line"]), default="coded", show_default=True,
-    help="coded: pitches all different, for any field; line: pitches that grow along each line, for large fields.",
-)  # fmt: skip
-@click.option("--holes", type=click.IntRange(min=1), help="Number of holes; 24 or what the field takes.")
-@click.option("--holes-per-cm2", type=_POSITIVE, help="The same as a number per area of the field.")
-@click.option("--diameter-um", type=_POSITIVE, default=175.0, show_default=True, help="Diameter of a hole.")
-@click.option("--burnt-um", type=click.FloatRange(min=0), default=40.0, show_default=True, help="Its burnt rim.")
-@click.option("--spacing-um", type=_POSITIVE, help="Least distance of two holes; 500 um or 3 diameters.")
-@click.option("--margin-um", type=_POSITIVE, help="From the field to the middle of the holes; 1.5 diameters.")
-@click.option("--origin-um", type=Numbers(2, metavar="X,Y"), default="0,0", show_default=True,
-              help="Where on the stage the lower left corner lies.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Another one, another pattern.")
-@click.option("--pulse-s", type=_POSITIVE, default=0.005, show_default=True, help="Length of the laser's pulse.")
-@click.option("--pause-s", type=click.FloatRange(min=0), default=0.1, show_default=True, help="Rest after a pulse.")
-@click.option("--speed-mm-min", type=_POSITIVE, default=1200.0, show_default=True, help="Speed of the stage, F.")
-@click.option("--pulse-code", type=click.Choice(["m3", "m64"]), default="m3", show_default=True,
-              help="How the laser is switched: M3 and M5, or the digital output M64 P0 and M65 P0.")  # fmt: skip
-@click.option("--power", type=_POSITIVE, help="S word of M3, where the controller needs one.")
-@_range_option
-@click.option("--pixel-um", type=Numbers(2, repeat=True, metavar="SIZE|A,B"), default="5", show_default=True,
-              help="Pixels of the two maps, for the predicted error.")  # fmt: skip
-@click.option("--name", default="pattern", show_default=True, help="Title of the drawing.")
+@_options(DesignParams)
+@click.option("--holes-per-cm2", type=_POSITIVE, help="Number of holes per area of the field.")
+@_options(StageParams)
+@_options(ImagingParams)
 @out_option("Folder to make; it must not exist.")
 @json_option
-def design(field_um: tuple[float, float], out: Path, as_json: bool, **options: Any) -> None:
+def design(out: Path, as_json: bool, holes_per_cm2: float | None, **options: Any) -> None:
     """Plan laser holes around a field: pattern, drawings, tables, DXF and a program for the stage.
 
     DIR gets pattern.json, holes.csv (stage, y up), holes_as_imaged.csv (y down), pattern.dxf, program.gcode,
-    drawing.pdf with drawing.svg and .png, predicted_error.png and way.png. A pattern that could be taken for itself in
+    drawing.pdf with drawing.svg and .png, predicted_error.png and path.png. A pattern that could be taken for itself in
     another position is refused.
     """
     from planish.io.run_folder import new_folder, refuse_existing
-    from planish.marks.design import Burn, Imaging, Limits, Stage, design_pattern
-    from planish.marks.design.write import write_design
+    from planish.marks.design import design_pattern, write_design
 
-    holes = _count(field_um, options)
+    if holes_per_cm2 is not None:
+        if options["holes"] is not None:
+            raise click.UsageError("Give --holes or --holes-per-cm2, not both.")
+        width, height = options["field_um"]
+        options["holes"] = max(1, round(holes_per_cm2 * width * height / 1e8))
+    params, stage = _checked(DesignParams, options), _checked(StageParams, options)
+    imaging = _checked(ImagingParams, options)
     refuse_existing(out)
-    low_x, low_y, high_x, high_y = _range(options["range_um"])
-    pattern, rules = design_pattern(
-        field_um=field_um,
-        layout=options["layout"],
-        holes=holes,
-        burn=Burn(
-            diameter_um=options["diameter_um"], rim_um=options["burnt_um"], pulse_s=options["pulse_s"],
-            pause_s=options["pause_s"],
-        ),
-        spacing_um=options["spacing_um"], margin_um=options["margin_um"], origin_um=options["origin_um"],
-        seed=options["seed"], name=options["name"],
-    )  # fmt: skip
+    pattern, rules = design_pattern(params)
     with new_folder(out) as folder:
-        written = write_design(
-            pattern, rules, folder,
-            stage=Stage(
-                speed_mm_min=options["speed_mm_min"], pulse_code=options["pulse_code"], power=options["power"]
-            ),
-            # What is asked for here is meant; a program from elsewhere is held to the usual length.
-            limits=Limits(low_um=(low_x, low_y), high_um=(high_x, high_y), pulse_s=max(0.05, options["pulse_s"])),
-            imaging=Imaging(pixel_um=options["pixel_um"]),
-        )  # fmt: skip
+        written = write_design(pattern, rules, folder, stage=stage, imaging=imaging)
     if as_json:
         predicted = written.predicted
         data = {
             "out": str(out), "files": list(written.files), "holes": len(pattern.positions_um), **_rules_data(rules),
             "fle_um": predicted.fle_um, "error_centre_um": predicted.centre_um, "error_corner_um": predicted.corner_um,
-            "time_s": written.run.time_s, "way_um": written.run.way_um,
+            "time_s": written.run.time_s, "path_um": written.run.length_um,
         }  # fmt: skip
         click.echo(json.dumps(data, indent=2, allow_nan=False))
         return
@@ -140,10 +147,10 @@ def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: floa
 
 @marks.command()
 @existing("program")
-@_range_option
+@_options(StageParams, "range_um")
 @click.option("--pulse-most-s", type=_POSITIVE, default=0.05, show_default=True, help="Longest pulse allowed.")
 @click.option("--pattern", type=click.Path(path_type=Path), help="Compare the shots with this pattern.json or table.")
-@click.option("--out", "-o", type=click.Path(path_type=Path), help="Picture of the way to make: .png, .svg or .pdf.")
+@click.option("--out", "-o", type=click.Path(path_type=Path), help="Picture of the path to make: .png, .svg or .pdf.")
 @json_option
 def simulate(
     program: Path,
@@ -157,25 +164,26 @@ def simulate(
 
     Ends with 4 when the shots are not those of --pattern.
     """
+    from planish.core.tables import read_text
     from planish.io.run_folder import refuse_existing
-    from planish.marks.design import Limits, dry_run, read_pattern, read_text
-    from planish.marks.design.write import way_picture
+    from planish.marks.design import Limits, dry_run, read_pattern
+    from planish.marks.design.write import path_picture
 
-    low_x, low_y, high_x, high_y = _range(range_um)
+    checked = _checked(StageParams, {"range_um": range_um})
     if out is not None:
         if out.suffix.lower().lstrip(".") not in _PICTURES:
             raise click.UsageError(f"--out: {out.name} is no .png, .svg or .pdf.")
         refuse_existing(out)
-    limits = Limits(low_um=(low_x, low_y), high_um=(high_x, high_y), pulse_s=pulse_most_s)
-    run = dry_run(read_text(program, "stage program"), limits)
+    limits = Limits(range_um=checked.range_um, pulse_s=pulse_most_s)
+    run = dry_run(read_text(program, what="stage program"), limits)
     difference = None if pattern is None else _compared(run, read_pattern(pattern))
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_bytes(way_picture(run, out.suffix.lower().lstrip("."), title=f"Way of the stage: {program.name}"))
+        out.write_bytes(path_picture(run, out.suffix.lower().lstrip("."), title=f"Path of the stage: {program.name}"))
     if as_json:
         data = {
             "shots": len(run.fired_um), "pulse_s": sorted(set(run.pulse_s.tolist())), "time_s": run.time_s,
-            "way_um": run.way_um, "fired_um": run.fired_um.tolist(), "difference": difference,
+            "path_um": run.length_um, "fired_um": run.fired_um.tolist(), "difference": difference,
         }  # fmt: skip
         click.echo(json.dumps(data, indent=2, allow_nan=False))
     else:
@@ -185,27 +193,6 @@ def simulate(
     if difference is not None:
         click.echo(f"planish: {difference}", err=True)
     return 0 if difference is None else 4
-
-
-def _count(field_um: tuple[float, float], options: dict[str, Any]) -> int | None:
-    """Return the number of holes that was asked for, in either way."""
-    if min(field_um) <= 0:
-        raise click.UsageError("--field-um: width and height have to be positive.")
-    if min(options["pixel_um"]) <= 0:
-        raise click.UsageError("--pixel-um: both have to be positive.")
-    if options["power"] is not None and options["pulse_code"] != "m3":
-        raise click.UsageError("--power goes with --pulse-code m3 only.")
-    if options["holes_per_cm2"] is None:
-        return options["holes"]
-    if options["holes"] is not None:
-        raise click.UsageError("Give --holes or --holes-per-cm2, not both.")
-    return max(1, round(options["holes_per_cm2"] * field_um[0] * field_um[1] / 1e8))
-
-
-def _range(range_um: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    if not (range_um[0] < range_um[2] and range_um[1] < range_um[3]):
-        raise click.UsageError("--range-um: X1 and Y1 have to be larger than X0 and Y0.")
-    return range_um
 
 
 def _compared(run: DryRun, pattern: Pattern) -> str | None:
@@ -236,13 +223,6 @@ def _show(pattern: Pattern, rules: tuple[Rule, ...]) -> None:
     table(title, ("rule", "measured", "limit", ""), rows)
 
 
-def _rules_data(rules: tuple[Rule, ...]) -> dict[Literal["rules"], list[dict[str, Any]]]:
-    return {
-        "rules": [
-            {
-                "name": r.name, "value": r.value, "sense": r.sense, "limit": r.limit, "unit": r.unit,
-                "passed": r.passed, "meaning": r.meaning,
-            }
-            for r in rules
-        ]
-    }  # fmt: skip
+def _rules_data(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
+    names = ("name", "value", "sense", "limit", "unit", "passed", "meaning")
+    return {"rules": [{name: getattr(rule, name) for name in names} for rule in rules]}

@@ -195,7 +195,8 @@ def _stretched(means: Image, count: int, factor: int) -> Image:
     place = np.clip((np.arange(count) + 0.5) / factor - 0.5, 0.0, len(means) - 1.0)
     low = np.minimum(place.astype(np.intp), max(0, len(means) - 2))
     part = (place - low).astype(np.float32)[:, None]
-    return means[low] + (means[np.minimum(low + 1, len(means) - 1)] - means[low]) * part
+    above = means[np.minimum(low + 1, len(means) - 1)]
+    return np.asarray(means[low] + (above - means[low]) * part, dtype=np.float32)
 
 
 def peaks(responses: list[Response], sign: float, least: list[float], spreads: list[float]) -> tuple[Floats, int]:

@@ -156,7 +156,7 @@ def _origin(axes: Axes, pattern: Pattern, scale: float) -> None:
     axes.plot(*[[value] for value in corner], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
     inwards = [v / 1000 for v in pattern.field_low_um]
     axes.annotate(
-        "no hole in this corner:\nit tells which way round", (corner[0], corner[1]),
+        "no hole in this corner:\nit shows the orientation", (corner[0], corner[1]),
         (inwards[0] + 13 / scale, inwards[1] + 13 / scale), color=ACCENT, fontsize=7.5, ha="left", va="bottom",
         arrowprops={"arrowstyle": "-", "color": ACCENT, "lw": 0.6, "shrinkB": 5},
     )  # fmt: skip

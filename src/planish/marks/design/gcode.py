@@ -4,7 +4,7 @@
 
     ; text      a comment to the end of the line
     G21 G90     millimetres, absolute positions: required before the first move
-    Fnumber     speed along the way in mm/min
+    Fnumber     speed along the path in mm/min
     G0 Xn Yn    move there, laser off (G1 is read too)
     M3 [Sn]     laser on; with --pulse-code m64: M64 P0, a digital output at once
     G4 Pn       wait n seconds
@@ -14,48 +14,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
-from planish.core.errors import MarkError
+from planish.marks.design.params import StageParams
 from planish.marks.design.pattern import Pattern
 from planish.marks.design.route import short_route
 
 DECIMALS = 6  # of a millimetre: positions are exact to 0.0005 um
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stage:
-    """What the program asks of the stage and the laser.
-
-    Attributes
-    ----------
-    speed_mm_min : float
-        Speed along the way. Controllers that ignore F in G0 move at a speed of their own.
-    pulse_code : {"m3", "m64"}
-        How the laser is switched: as a spindle, or through a digital output.
-    power : float, optional
-        S word of M3, for controllers that give no power without it.
-    """
-
-    speed_mm_min: float = 1200.0
-    pulse_code: Literal["m3", "m64"] = "m3"
-    power: float | None = None
-
-
-def stage_program(pattern: Pattern, stage: Stage | None = None) -> str:
-    """Write the program that burns a pattern, on a short way from the stage's origin and back to it.
-
-    Raises
-    ------
-    MarkError
-        If the speed or the power is impossible.
-    """
-    stage = stage or Stage()
-    if not 0 < stage.speed_mm_min <= 1e6:
-        raise MarkError(f"A speed of {stage.speed_mm_min:g} mm/min is impossible. 600 to 6000 are usual.")
-    if stage.power is not None and (stage.pulse_code != "m3" or not 0 < stage.power <= 1e6):
-        raise MarkError("A power is a positive number and goes with the pulse code m3 only.")
+def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
+    """Write the program that burns a pattern, on a short path from the stage's origin and back to it."""
+    stage = stage or StageParams()
     on, off = ("M3", "M5") if stage.pulse_code == "m3" else ("M64 P0", "M65 P0")
     if stage.power is not None:
         on = f"M3 S{_plain(stage.power, 3)}"
@@ -76,7 +44,7 @@ def stage_program(pattern: Pattern, stage: Stage | None = None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _head(pattern: Pattern, stage: Stage) -> list[str]:
+def _head(pattern: Pattern, stage: StageParams) -> list[str]:
     low, view, burn = pattern.origin_um, pattern.view_um, pattern.burn
     used = " x ".join(f"{side / 1000:g}" for side in view)
     name = "".join(c if c.isascii() and c.isprintable() else "?" for c in pattern.name)

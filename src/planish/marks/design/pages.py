@@ -1,4 +1,4 @@
-"""Two more pages: the error that a pattern allows over its field, and the way of the stage."""
+"""Two more pages: the error that a pattern allows over its field, and the path of the stage."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
 from planish.marks.design.draw import rules_table
+from planish.marks.design.params import ImagingParams
 from planish.marks.design.pattern import Pattern
-from planish.marks.design.predict import P95, Imaging, Predicted
+from planish.marks.design.predict import P95, Predicted
 from planish.marks.design.rules import Rule
 from planish.marks.design.sheet import ACCENT, INK, SOFT, Page, as_ratio, box, fitting_scale, scale_bar
 from planish.marks.design.simulate import DryRun
@@ -21,7 +22,7 @@ _ASIDE = 232.0
 _FINE = 200  # pixels along the longer side of the map
 
 
-def error_page(pattern: Pattern, predicted: Predicted, imaging: Imaging, rules: tuple[Rule, ...]) -> Page:
+def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, rules: tuple[Rule, ...]) -> Page:
     """Draw the predicted error over the field, with its numbers and the rules."""
     page = Page(
         "Predicted error of the registration",
@@ -87,8 +88,8 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: Imaging, rules: 
     return page
 
 
-def way_page(run: DryRun, *, title: str = "Way of the stage") -> Page:
-    """Draw the way that a stage program takes, from its dry run."""
+def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
+    """Draw the path of a stage program, from its dry run."""
     page = Page(title, run.sentence())
     points, path = run.fired_um / 1000, run.path_um / 1000
     low, size = path.min(axis=0), np.maximum(np.ptp(path, axis=0), 1.0)
@@ -129,7 +130,7 @@ def way_page(run: DryRun, *, title: str = "Way of the stage") -> Page:
         ("shots", str(len(points))),
         ("pulse", f"{', '.join(shots[:3])} ms"),
         ("laser off", f"≥ {pause}"),
-        ("way", f"{run.way_um / 1000:.1f} mm"),
+        ("path", f"{run.length_um / 1000:.1f} mm"),
         ("time", f"{run.time_s:.1f} s"),
         ("x", f"{path[:, 0].min():g} to {path[:, 0].max():g} mm"),
         ("y", f"{path[:, 1].min():g} to {path[:, 1].max():g} mm"),

@@ -10,26 +10,26 @@ Coordinates are those of the stage, seen as the laser sees the sheet: x to the r
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from planish.core.errors import FileError, MarkError
+from planish.core.errors import MarkError
+from planish.core.tables import raise_faults
 
 Array = NDArray[np.float64]
 Layout = Literal["coded", "line", "own"]
 
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
 FORMAT = "planish hole pattern"
 VERSION = 1
 SIDES = ("bottom", "right", "top", "left")
-LARGEST_FILE = 10_000_000
 _BORDER_DIAMETERS = 1.5  # from the middle of a hole to the end of the view
-_LAYOUTS = ("coded", "line", "own")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,20 +159,54 @@ class Pattern:
             data: Any = json.loads(text)
         except ValueError as error:
             raise MarkError(f"This is no JSON: {error}. Give the pattern.json of 'planish marks design'.") from error
-        if not isinstance(data, dict) or cast("dict[str, Any]", data).get("format") != FORMAT:
+        if not isinstance(data, dict) or data.get("format") != FORMAT:
             raise MarkError(f"This JSON holds no '{FORMAT}'. Give the pattern.json of 'planish marks design'.")
-        held = cast("dict[str, Any]", data)
-        if held.get("version") != VERSION:
+        if data.get("version") != VERSION:
             raise MarkError(
-                f"The pattern has version {held.get('version')!r}; this planish reads version {VERSION}. Design it "
+                f"The pattern has version {data.get('version')!r}; this planish reads version {VERSION}. Design it "
                 "again, or use the planish that wrote it."
             )
         try:
-            return _from_fields(held)
-        except KeyError as error:
-            raise MarkError(f"The pattern has no {error}. Design it again.") from error
-        except (TypeError, ValueError, AttributeError) as error:
-            raise MarkError(f"The pattern has a malformed value: {error}. Design it again.") from error
+            held = _File.model_validate(data)
+        except ValidationError as error:
+            faults = [f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors(include_url=False)]
+            raise_faults("The pattern", faults, "Design it again.", error=MarkError)
+            raise
+        own = {name: getattr(held, name) for name in _File.model_fields if name in Pattern.__dataclass_fields__}
+        return Pattern(
+            positions_um=tuple((hole.x_um, hole.y_um) for hole in held.holes),
+            lines=tuple(hole.line for hole in held.holes),
+            burn=Burn(**{name: getattr(held, name) for name in asdict(Burn())}),
+            **own,
+        )
+
+
+class _Hole(BaseModel):
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    x_um: float
+    y_um: float
+    line: str
+
+
+class _File(BaseModel):
+    """What pattern.json has to hold; further keys are passed over."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    name: str
+    layout: Layout
+    field_um: tuple[Positive, Positive]
+    margin_um: tuple[float, float]
+    border_um: float
+    origin_um: tuple[float, float]
+    spacing_um: float
+    diameter_um: Positive
+    rim_um: NotNegative
+    pulse_s: Positive
+    pause_s: NotNegative
+    seed: int
+    holes: Annotated[list[_Hole], Field(min_length=3)]
 
 
 def own_pattern(
@@ -224,58 +258,3 @@ def own_pattern(
 def border_of(burn: Burn) -> float:
     """Distance from the centres of the holes to the end of the view, in um."""
     return _BORDER_DIAMETERS * burn.diameter_um
-
-
-def read_text(path: Path, what: str) -> str:
-    """Read a small text file.
-
-    Raises
-    ------
-    FileError
-        If it cannot be read, is too large or no text.
-    """
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise FileError(f"{path} is larger than {LARGEST_FILE // 1_000_000} MB and no {what}.")
-        return path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror or error}. Check the path.") from error
-    except UnicodeDecodeError as error:
-        raise FileError(f"{path} is no text in UTF-8 and no {what}.") from error
-
-
-def _from_fields(data: Mapping[str, Any]) -> Pattern:
-    holes = cast("Sequence[Mapping[str, Any]]", data["holes"])
-    pattern = Pattern(
-        name=str(data["name"]),
-        layout=data["layout"],
-        positions_um=tuple((_finite(hole["x_um"]), _finite(hole["y_um"])) for hole in holes),
-        lines=tuple(str(hole["line"]) for hole in holes),
-        field_um=_pair(data["field_um"]),
-        margin_um=_pair(data["margin_um"]),
-        border_um=_finite(data["border_um"]),
-        origin_um=_pair(data["origin_um"]),
-        spacing_um=_finite(data["spacing_um"]),
-        burn=Burn(**{name: _finite(data[name]) for name in asdict(Burn())}),
-        seed=int(data["seed"]),
-    )
-    burn = pattern.burn
-    if pattern.layout not in _LAYOUTS:
-        raise ValueError(f"layout {pattern.layout!r}; there are {', '.join(_LAYOUTS)}")
-    if min(*pattern.field_um, burn.diameter_um, burn.pulse_s) <= 0 or min(burn.rim_um, burn.pause_s) < 0:
-        raise ValueError("a size or a time is not positive")
-    if len(holes) < 3:
-        raise ValueError(f"{len(holes)} holes")
-    return pattern
-
-
-def _finite(value: Any) -> float:
-    number = float(value)
-    if not math.isfinite(number):
-        raise ValueError(f"{value!r} is not a finite number")
-    return number
-
-
-def _pair(value: Sequence[Any]) -> tuple[float, float]:
-    x, y = value
-    return _finite(x), _finite(y)

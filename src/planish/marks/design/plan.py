@@ -1,8 +1,8 @@
-"""The door: from what a user wants to a pattern that keeps every rule, or the reason why there is none."""
+"""From what a user wants to a pattern that keeps every rule, or the reason why there is none."""
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from planish.marks.design.layouts import (
     placed,
     share_out,
 )
+from planish.marks.design.params import DesignParams
 from planish.marks.design.pattern import SIDES, Burn, Pattern, border_of
 from planish.marks.design.rules import (
     MARKER_DIAMETERS,
@@ -38,37 +39,13 @@ _LEAST_A_SIDE = 4
 _HOPELESS = ("count", "spacing", "area", "around")  # of these no other draw is better
 
 
-def design_pattern(
-    *,
-    field_um: tuple[float, float],
-    layout: Literal["coded", "line"] = "coded",
-    holes: int | None = None,
-    burn: Burn | None = None,
-    spacing_um: float | None = None,
-    margin_um: float | None = None,
-    origin_um: tuple[float, float] = (0.0, 0.0),
-    seed: int = 0,
-    name: str = "pattern",
-) -> tuple[Pattern, tuple[Rule, ...]]:
+def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
     """Plan holes around a field.
 
     Parameters
     ----------
-    field_um : (width, height)
-        Region whose maps are to be compared; no hole reaches into it.
-    layout : {"coded", "line"}
-        Pitches that are all different, or lines whose pitch grows evenly.
-    holes : int, optional
-        Number of holes; as many as the rules take where it is not given.
-    burn : Burn, optional
-    spacing_um : float, optional
-        Least distance of two holes; 500 um or three diameters, whichever is more, where it is not given.
-    margin_um : float, optional
-        From the field's edge to the centres; 1.5 diameters where it is not given. Widened to whole steps of 50 um.
-    origin_um : (x, y)
-        Stage coordinates of the lower left corner of what will be imaged.
-    seed : int
-        Another seed, another pattern; the same seed, the same pattern.
+    params : DesignParams
+        The same parameters give the same pattern.
 
     Returns
     -------
@@ -79,69 +56,41 @@ def design_pattern(
     Raises
     ------
     MarkError
-        If a number is impossible, or no pattern keeps the rules: the message names the rule and what helps.
+        If spacing or margin are too small for the holes, or no pattern keeps the rules: the message names the rule and
+        what helps.
     """
-    burn = burn or Burn()
-    _check(field_um, burn, spacing_um, margin_um, holes)
-    found: tuple[Pattern, tuple[Rule, ...]] | None = None
+    blank = _blank(params)
     reasons: dict[int, str] = {}
-    for count in (holes,) if holes is not None else _COUNTS[layout]:
-        blank = _blank(field_um, layout, burn, spacing_um, margin_um, origin_um, seed, name)
-        found, reason = _search(blank, count, np.random.default_rng([seed, count]))
+    for count in (params.holes,) if params.holes is not None else _COUNTS[params.layout]:
+        found, reason = _search(blank, count, np.random.default_rng([params.seed, count]))
         if found is not None:
             return found
         reasons[count] = reason
-    size = " x ".join(f"{v / 1000:g}" for v in field_um)
-    more = " The layout 'coded' takes less room." if layout == "line" else ""
-    raise MarkError(f"No {layout} pattern around {size} mm keeps the rules. {reasons[min(reasons)]}{more}")
+    size = " x ".join(f"{v / 1000:g}" for v in params.field_um)
+    more = " The layout 'coded' takes less room." if params.layout == "line" else ""
+    raise MarkError(f"No {params.layout} pattern around {size} mm keeps the rules. {reasons[min(reasons)]}{more}")
 
 
-def _check(
-    field_um: tuple[float, float], burn: Burn, spacing_um: float | None, margin_um: float | None, holes: int | None
-) -> None:
-    faults: list[str] = []
-    if not all(500 <= side <= 1e6 for side in field_um):
-        faults.append(f"a field of {field_um[0]:g} x {field_um[1]:g} um; 500 to 1000000 um a side are possible")
-    if not 10 <= burn.diameter_um <= 2000:
-        faults.append(f"a diameter of {burn.diameter_um:g} um; 10 to 2000 um are possible, 150 to 200 um usual")
-    if not 0 <= burn.rim_um <= 2000:
-        faults.append(f"a burnt rim of {burn.rim_um:g} um; 0 to 2000 um are possible")
-    if not 1e-6 <= burn.pulse_s <= 1:
-        faults.append(f"a pulse of {burn.pulse_s:g} s; up to 1 s is possible, 0.005 s usual")
-    if not 0 <= burn.pause_s <= 60:
-        faults.append(f"a pause of {burn.pause_s:g} s; up to 60 s are possible, 0.1 s usual")
-    least = SPACING_DIAMETERS * burn.diameter_um
-    if spacing_um is not None and not least <= spacing_um <= 1e6:
-        faults.append(f"a spacing of {spacing_um:g} um; the burnt zones touch below 3 diameters, {least:g} um")
-    inwards = 0.5 * burn.diameter_um + burn.rim_um
-    if margin_um is not None and not inwards <= margin_um <= 1e6:
-        faults.append(f"a margin of {margin_um:g} um; the burnt rims reach into the field below {inwards:g} um")
-    if holes is not None and not 1 <= holes <= 120:
-        faults.append(f"{holes} holes; 12 to 120 are possible, 20 to 40 usual")
-    if faults:
-        raise MarkError(f"No pattern can be planned with {'; '.join(faults)}.")
-
-
-def _blank(
-    field_um: tuple[float, float],
-    layout: Literal["coded", "line"],
-    burn: Burn,
-    spacing_um: float | None,
-    margin_um: float | None,
-    origin_um: tuple[float, float],
-    seed: int,
-    name: str,
-) -> Pattern:
+def _blank(params: DesignParams) -> Pattern:
     """Return the pattern without its holes: field, frame and view."""
-    least = margin_um if margin_um is not None else max(1.5 * burn.diameter_um, 0.5 * burn.diameter_um + burn.rim_um)
+    burn = Burn(**{name: getattr(params, name) for name in ("diameter_um", "rim_um", "pulse_s", "pause_s")})
+    closest, inwards = SPACING_DIAMETERS * burn.diameter_um, 0.5 * burn.diameter_um + burn.rim_um
+    spacing = params.spacing_um if params.spacing_um is not None else max(LEAST_PITCH_UM, closest)
+    least = params.margin_um if params.margin_um is not None else max(1.5 * burn.diameter_um, inwards)
+    faults: list[str] = []
+    if spacing < closest:
+        faults.append(f"a spacing of {spacing:g} um; the burnt zones touch below 3 diameters, {closest:g} um")
+    if least < inwards:
+        faults.append(f"a margin of {least:g} um; the burnt rims reach into the field below {inwards:g} um")
+    if faults:
+        raise MarkError(f"No pattern can be planned with {'; '.join(faults)}. Give a larger one.")
     # Opposite corners lie whole steps apart, so the margins take up what the field leaves over.
-    frame = [STEP_UM * np.ceil((side + 2 * least) / STEP_UM - 1e-9) for side in field_um]
-    margin = tuple(float(outer - side) / 2 for outer, side in zip(frame, field_um, strict=True))
-    apart = spacing_um if spacing_um is not None else max(LEAST_PITCH_UM, SPACING_DIAMETERS * burn.diameter_um)
+    frame = [STEP_UM * np.ceil((side + 2 * least) / STEP_UM - 1e-9) for side in params.field_um]
+    margin = tuple(float(outer - side) / 2 for outer, side in zip(frame, params.field_um, strict=True))
     return Pattern(
-        name=name, layout=layout, positions_um=(), lines=(), field_um=(float(field_um[0]), float(field_um[1])),
-        margin_um=(margin[0], margin[1]), border_um=border_of(burn), origin_um=origin_um, spacing_um=float(apart),
-        burn=burn, seed=seed,
+        name=params.name, layout=params.layout, positions_um=(), lines=(), field_um=params.field_um,
+        margin_um=(margin[0], margin[1]), border_um=border_of(burn), origin_um=params.origin_um,
+        spacing_um=float(spacing), burn=burn, seed=params.seed,
     )  # fmt: skip
 
 
@@ -215,10 +164,5 @@ def _drawn(blank: Pattern, count: int, rng: np.random.Generator) -> Pattern | No
         used |= coded_distances(ruler, inner)
         sides.append(inner)
     points, owner = placed((sides[0], sides[1], sides[2], sides[3]), width, height)
-    low = np.array(blank.frame_low_um)
-    return Pattern(
-        name=blank.name, layout=blank.layout, positions_um=tuple((float(x), float(y)) for x, y in points + low),
-        lines=tuple(SIDES[side] for side in owner), field_um=blank.field_um, margin_um=blank.margin_um,
-        border_um=blank.border_um, origin_um=blank.origin_um, spacing_um=blank.spacing_um, burn=blank.burn,
-        seed=blank.seed,
-    )  # fmt: skip
+    positions = tuple((float(x), float(y)) for x, y in points + np.array(blank.frame_low_um))
+    return replace(blank, positions_um=positions, lines=tuple(SIDES[side] for side in owner))

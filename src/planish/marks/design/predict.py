@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planish.core.errors import MarkError
+from planish.marks.design.params import ImagingParams
 from planish.marks.design.pattern import Pattern
 
 Array = NDArray[np.float64]
@@ -30,25 +30,6 @@ Array = NDArray[np.float64]
 P95 = float(np.sqrt(-np.log(0.05)))
 """Ratio of the error that 95 % stay below to the rms, where both axes err alike and independently."""
 _PIXEL_SHARE = 0.1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Imaging:
-    """What the errors of the centres come from.
-
-    Attributes
-    ----------
-    pixel_um : (first map, second map)
-        Pixels of the maps in which the holes are found.
-    roughness_um : float
-        Standard deviation of a rim's radius.
-    rim_length_um : float
-        Length along the rim over which it varies independently.
-    """
-
-    pixel_um: tuple[float, float] = (5.0, 5.0)
-    roughness_um: float = 5.0
-    rim_length_um: float = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,23 +69,15 @@ class Predicted:
         )
 
 
-def hole_error_um(diameter_um: float, imaging: Imaging | None = None) -> float:
-    """Predict the error of one hole's position in one map against the other, rms in the plane, in um.
-
-    Raises
-    ------
-    MarkError
-        If a pixel, the roughness or its length is impossible.
-    """
-    imaging = imaging or Imaging()
-    if min(*imaging.pixel_um, imaging.rim_length_um) <= 0 or imaging.roughness_um < 0:
-        raise MarkError("Pixels and the length along the rim have to be positive, the roughness not negative.")
+def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> float:
+    """Predict the error of one hole's position in one map against the other, rms in the plane, in um."""
+    imaging = imaging or ImagingParams()
     arcs = max(np.pi * diameter_um / imaging.rim_length_um, 3.0)  # fewer fix no circle
     rim = 4 * imaging.roughness_um**2 / arcs
     return float(np.sqrt(sum(rim + 2 * (_PIXEL_SHARE * pixel) ** 2 for pixel in imaging.pixel_um)))
 
 
-def predict(pattern: Pattern, imaging: Imaging | None = None) -> Predicted:
+def predict(pattern: Pattern, imaging: ImagingParams | None = None) -> Predicted:
     """Predict the error of a registration by a similarity over the pattern's field."""
     points = pattern.points_um
     centroid = points.mean(axis=0)

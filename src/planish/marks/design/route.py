@@ -10,9 +10,9 @@ Ints = NDArray[np.intp]
 
 
 def short_route(points_um: ArrayLike, start_um: tuple[float, float]) -> Ints:
-    """Order of the points (n, 2) on a short way that begins and ends at ``start_um``.
+    """Order of the points (n, 2) on a short path that begins and ends at ``start_um``.
 
-    The way is built to the nearest point left each time, then stretches of it are turned round as long as that
+    The path is built to the nearest point left each time, then stretches of it are turned round as long as that
     shortens it (2-opt). Same points, same order.
     """
     points = np.asarray(points_um, dtype=np.float64).reshape(-1, 2)
@@ -36,8 +36,8 @@ def short_route(points_um: ArrayLike, start_um: tuple[float, float]) -> Ints:
     return tour[1:] - 1
 
 
-def way_um(points_um: ArrayLike, order: Ints, start_um: tuple[float, float]) -> float:
-    """Length of the way from ``start_um`` through the points in this order and back."""
+def path_um(points_um: ArrayLike, order: Ints, start_um: tuple[float, float]) -> float:
+    """Length of the path from ``start_um`` through the points in this order and back."""
     start = np.array(start_um, dtype=np.float64)[None]
     path = np.concatenate([start, np.asarray(points_um, dtype=np.float64)[order], start])
     return float(np.sum(np.hypot(*np.diff(path, axis=0).T)))

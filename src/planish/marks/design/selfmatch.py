@@ -1,4 +1,4 @@
-"""How well a pattern can be laid on itself in a wrong way: turned, turned over, shifted or scaled.
+"""How well a pattern can be laid on itself wrongly: turned, turned over, shifted or scaled.
 
 Every pair of holes is laid on every other pair of like length; the holes that then meet a hole are counted. A matcher
 that looks for the pattern sees the same wrong arrangements.
@@ -67,7 +67,7 @@ class Motions:
 
 
 def self_motions(points_um: Array) -> Motions:
-    """Lay the holes (n, 2) on themselves in every wrong way that two pairs of holes propose."""
+    """Lay the holes (n, 2) on themselves by every wrong motion that two pairs of holes propose."""
     z = points_um[:, 0] + 1j * points_um[:, 1]
     n = len(z)
     start, end = np.triu_indices(n, 1)

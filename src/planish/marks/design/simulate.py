@@ -31,14 +31,13 @@ class Limits:
 
     Attributes
     ----------
-    low_um, high_um : (x, y)
+    range_um : (x0, y0, x1, y1)
         Range of the stage.
     pulse_s : float
         Longest pulse.
     """
 
-    low_um: tuple[float, float] = (0.0, 0.0)
-    high_um: tuple[float, float] = (100_000.0, 100_000.0)
+    range_um: tuple[float, float, float, float] = (0.0, 0.0, 100_000.0, 100_000.0)
     pulse_s: float = 0.05
 
 
@@ -53,7 +52,7 @@ class DryRun:
     pulse_s : (n,)
         How long the laser is on at each.
     path_um : (m, 2)
-        Corners of the way, from the first position the program names.
+        Corners of the path, from the first position the program names.
     least_pause_s : float
         Shortest time that the laser is off between two shots; NaN for a single shot.
     time_s : float
@@ -67,8 +66,8 @@ class DryRun:
     time_s: float
 
     @property
-    def way_um(self) -> float:
-        """Length of the way."""
+    def length_um(self) -> float:
+        """Length of the path."""
         return float(np.sum(np.hypot(*np.diff(self.path_um, axis=0).T)))
 
     def sentence(self) -> str:
@@ -77,8 +76,8 @@ class DryRun:
         if np.ptp(self.pulse_s) > 1e-9:
             pulses += f" to {1000 * self.pulse_s.max():g}"
         return (
-            f"{len(self.fired_um)} shots of {pulses} ms, way {self.way_um / 1000:.1f} mm, {self.time_s:.1f} s without "
-            "the stage's acceleration"
+            f"{len(self.fired_um)} shots of {pulses} ms, path {self.length_um / 1000:.1f} mm, {self.time_s:.1f} s "
+            "without the stage's acceleration"
         )
 
 
@@ -184,7 +183,9 @@ class _State:
         there = tuple(
             1000 * values[letter] if letter in values else old for letter, old in zip("XY", here, strict=True)
         )
-        for letter, value, low, high in zip("XY", there, self.limits.low_um, self.limits.high_um, strict=True):
+        for letter, value, low, high in zip(
+            "XY", there, self.limits.range_um[:2], self.limits.range_um[2:], strict=True
+        ):
             if value is not None and not low - 1e-3 <= value <= high + 1e-3:
                 raise MarkError(
                     f"{letter} {value / 1000:g} mm is out of the stage's range, {low / 1000:g} to {high / 1000:g} mm; "

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import MarkError
-from planish.marks.design.pattern import Burn, Pattern, own_pattern, read_text
+from planish.core.tables import parse_table, read_text, table_text
+from planish.marks.design.pattern import Burn, Pattern, own_pattern
 
 COLUMNS = ("label", "x_um", "y_um", "diameter_um")
-_MOST_FAULTS = 8
 
 
 def holes_csv(pattern: Pattern, *, seen: bool = False) -> str:
@@ -27,7 +23,11 @@ def holes_csv(pattern: Pattern, *, seen: bool = False) -> str:
         Positions as an image of the laser's side shows them, from its upper left corner with y down, instead of
         those of the stage.
     """
-    return _csv(pattern, pattern.seen_um if seen else pattern.points_um)
+    rows = [
+        [label, *(f"{value:.6f}".rstrip("0").rstrip(".") for value in (x, y, pattern.burn.diameter_um))]
+        for label, (x, y) in zip(pattern.labels, pattern.seen_um if seen else pattern.points_um, strict=True)
+    ]
+    return table_text(COLUMNS, rows)
 
 
 def read_pattern(
@@ -53,14 +53,17 @@ def read_pattern(
         If it is no pattern, or a number is missing or malformed.
     """
     place = Path(path)
-    text = read_text(place, "pattern")
+    text = read_text(place, what="pattern")
     if text.lstrip().startswith("{"):
         if field_um is not None or diameter_um is not None:
             raise MarkError(
                 f"{place.name} states its field and diameter itself; they can be given for a CSV table only."
             )
         return Pattern.from_json(text)
-    points, diameters = _rows(place.name, text)
+    table = parse_table(text, place.name, needed=COLUMNS[1:3], error=MarkError)
+    points = table.numbers(COLUMNS[1:3])
+    diameters = table.numbers(COLUMNS[3:]) if COLUMNS[3] in table.header else np.empty(0)
+    table.check()
     burn = Burn()
     if diameter_um is not None or diameters.size:
         chosen = diameter_um if diameter_um is not None else float(np.median(diameters))
@@ -68,47 +71,3 @@ def read_pattern(
             raise MarkError(f"{place.name}: a diameter of {chosen:g} um; 10 to 2000 um are possible.")
         burn = replace(burn, diameter_um=chosen)
     return own_pattern(points, name=place.stem, field_um=field_um, burn=burn)
-
-
-def _csv(pattern: Pattern, points: NDArray[np.float64]) -> str:
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(COLUMNS)
-    for label, (x, y) in zip(pattern.labels, points, strict=True):
-        table.writerow([label, *(f"{value:.6f}".rstrip("0").rstrip(".") for value in (x, y, pattern.burn.diameter_um))])
-    return text.getvalue()
-
-
-def _rows(name: str, text: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        raise MarkError(f"{name} is empty. A table of holes has the columns x_um, y_um.")
-    try:
-        rows = list(csv.reader(lines, delimiter=max(",;\t", key=lines[0].count), strict=True))
-    except csv.Error as error:
-        raise MarkError(f"{name} is no CSV table: {error}. One hole a row, with commas between.") from error
-    names = [cell.strip().lower() for cell in rows[0]]
-    missing = [column for column in ("x_um", "y_um") if column not in names]
-    if missing:
-        raise MarkError(
-            f"{name} has no column {' and '.join(missing)}; found {', '.join(names)[:120]}. A table of holes has the "
-            "columns x_um, y_um."
-        )
-    wanted = [names.index(column) for column in COLUMNS[1:] if column in names]
-    found: list[list[float]] = []
-    faults: list[str] = []
-    for number, row in enumerate(rows[1:], 2):
-        try:
-            values = [float(row[column]) for column in wanted]
-        except (ValueError, IndexError):
-            values = [math.nan]
-        if all(map(math.isfinite, values)):
-            found.append(values)
-        else:
-            faults.append(str(number))
-    if faults:
-        raise MarkError(
-            f"{name}: no finite numbers in the rows {', '.join(faults[:_MOST_FAULTS])}. Write numbers in um."
-        )
-    data = np.array(found, dtype=np.float64).reshape(-1, len(wanted))
-    return data[:, :2], data[:, 2] if data.shape[1] > 2 else np.zeros(0)

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from planish.marks.design.draw import drawing_page
 from planish.marks.design.dxf import pattern_dxf
-from planish.marks.design.gcode import Stage, stage_program
-from planish.marks.design.pages import error_page, way_page
+from planish.marks.design.gcode import stage_program
+from planish.marks.design.pages import error_page, path_page
+from planish.marks.design.params import ImagingParams, StageParams
 from planish.marks.design.pattern import Pattern
-from planish.marks.design.predict import Imaging, Predicted, predict
+from planish.marks.design.predict import Predicted, predict
 from planish.marks.design.rules import Rule
 from planish.marks.design.sheet import encode, encode_pdf, house_style
 from planish.marks.design.simulate import DryRun, Limits, dry_run
@@ -42,9 +43,8 @@ def write_design(
     rules: tuple[Rule, ...],
     folder: str | Path,
     *,
-    stage: Stage | None = None,
-    limits: Limits | None = None,
-    imaging: Imaging | None = None,
+    stage: StageParams | None = None,
+    imaging: ImagingParams | None = None,
 ) -> Written:
     """Write a pattern into a folder that exists: JSON, two tables, DXF, stage program, drawings.
 
@@ -54,8 +54,8 @@ def write_design(
     rules : tuple of Rule
         As checked, for the drawing.
     folder : str or Path
-    stage, limits, imaging : optional
-        What the program asks of the stage, what the stage can do, and where the predicted error comes from.
+    stage, imaging : optional
+        What the program asks of the stage and its range, and where the predicted error comes from.
 
     Raises
     ------
@@ -64,8 +64,10 @@ def write_design(
     OSError
         If a file cannot be written.
     """
-    imaging = imaging or Imaging()
+    stage, imaging = stage or StageParams(), imaging or ImagingParams()
     program = stage_program(pattern, stage)
+    # The pulse that is asked for here is meant; a program from elsewhere is held to the usual length.
+    limits = Limits(range_um=stage.range_um, pulse_s=max(0.05, pattern.burn.pulse_s))
     run, predicted = dry_run(program, limits), predict(pattern, imaging)
     files: dict[str, bytes] = {
         "pattern.json": pattern.to_json().encode(),
@@ -76,9 +78,9 @@ def write_design(
     }
     with house_style():
         drawing = drawing_page(pattern)
-        pages = [drawing, error_page(pattern, predicted, imaging, rules), way_page(run)]
+        pages = [drawing, error_page(pattern, predicted, imaging, rules), path_page(run)]
         files["drawing.svg"] = encode(drawing, "svg")
-        for name, page in zip(("drawing", "predicted_error", "way"), pages, strict=True):
+        for name, page in zip(("drawing", "predicted_error", "path"), pages, strict=True):
             files[f"{name}.png"] = encode(page, "png")
         files["drawing.pdf"] = encode_pdf(pages, f"Laser holes: {pattern.name}")
     for name, data in files.items():
@@ -86,10 +88,10 @@ def write_design(
     return Written(files=tuple(files), run=run, predicted=predicted)
 
 
-def way_picture(run: DryRun, kind: str, *, title: str = "Way of the stage") -> bytes:
-    """Draw the way of a dry run as ``png``, ``svg`` or ``pdf``."""
+def path_picture(run: DryRun, kind: str, *, title: str = "Path of the stage") -> bytes:
+    """Draw the path of a dry run as ``png``, ``svg`` or ``pdf``."""
     with house_style():
-        page = way_page(run, title=title)
+        page = path_page(run, title=title)
         if kind == "pdf":
             return encode_pdf([page], title)
         return encode(page, "svg" if kind == "svg" else "png")
