@@ -12,7 +12,8 @@ import tracemalloc
 import numpy as np
 import xarray as xr
 
-from planish.measure import Densities, RayOptions, measure_along_rays, registered
+from planish.core.tiles import Engine
+from planish.measure import MeasureParams, measure_along_rays, registered
 from planish.measure.along_rays import each_tile, ray_frame
 
 VOXEL_UM = 3.0
@@ -46,36 +47,39 @@ def sheet(rows: int, cols: int) -> tuple[xr.DataArray, xr.Dataset]:
 def main(rows: int = 600, cols: int = 1000, threads: int = 0) -> int:
     """Print the table; return 1 when a property would take more than six minutes for ten million columns."""
     threads = threads or min(os.cpu_count() or 1, 8)
-    options = RayOptions(
-        densities=Densities(coating_g_cm3=1.6, base_g_cm3=0.75, filler_g_cm3=2.7), ink_grey=(150.0, 256.0)
-    )
+    options = MeasureParams(coating_g_cm3=1.6, base_g_cm3=0.75, filler_g_cm3=2.7, ink_grey=(150.0, 256.0))
     small = sheet(40, 60)
     names = [name for name, one in registered().items() if one.function.__module__.startswith("planish.")]
-    loose = RayOptions(
-        densities=options.densities, ink_grey=options.ink_grey, l_filter_um=50.0, pore_limit_um=10.0,
-        orientation_rho_um=5.0,
+    loose = MeasureParams(
+        coating_g_cm3=1.6, base_g_cm3=0.75, filler_g_cm3=2.7, ink_grey=(150.0, 256.0), l_filter_um=50.0,
+        pore_limit_um=10.0, orientation_rho_um=5.0,
     )  # fmt: skip
-    measure_along_rays(*small, names=names, options=loose)  # compiles
+    measure_along_rays(*small, names=names, params=loose)  # compiles
     volume, surfaces = sheet(rows, cols)
     million = rows * cols / 1e6
     print(f"{rows} x {cols} columns of {DEPTH} voxels, load {os.getloadavg()[0]:.2f}")
     print(f"{'Mcolumn/s on so many threads':28s} {1:8d} {threads:8d}")
     begun = time.perf_counter()
-    frame = ray_frame(volume, surfaces, options=options)
+    frame = ray_frame(volume, surfaces, options)
     print(f"{'where the rays meet the faces':28s} {million / (time.perf_counter() - begun):8.2f}")
-    rates = [_rate(lambda n=n: each_tile(volume, frame, lambda *_: None, threads=n), million) for n in (1, threads)]
+    rates = [
+        _rate(lambda n=n: each_tile(volume, frame, lambda *_: None, engine=Engine(threads=n)), million)
+        for n in (1, threads)
+    ]
     print(f"{'straightened':28s} {rates[0]:8.2f} {rates[1]:8.2f}   {frame.samples * rates[0]:.0f} Mvoxel/s on 1 thread")
     slowest = np.inf
     for name in names:
 
         def measure(count: int, name: str = name) -> None:
-            measure_along_rays(volume, surfaces, names=[name], options=options, threads=count)
+            measure_along_rays(volume, surfaces, names=[name], params=options, engine=Engine(threads=count))
 
         rates = [_rate(lambda n=n, one=measure: one(n), million) for n in (1, threads)]
         slowest = min(slowest, rates[0])
         print(f"{name:28s} {rates[0]:8.2f} {rates[1]:8.2f}", flush=True)
     tracemalloc.start()
-    measure_along_rays(volume, surfaces, names=["porosity", "absorption"], options=options, memory_bytes=1 << 28)
+    measure_along_rays(
+        volume, surfaces, names=["porosity", "absorption"], params=options, engine=Engine(memory_bytes=1 << 29)
+    )
     print(f"porosity and absorption in tiles of 256 MiB: {tracemalloc.get_traced_memory()[1] / 2**20:.0f} MiB at most")
     tracemalloc.stop()
     return int(slowest < _LEAST)

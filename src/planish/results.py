@@ -12,9 +12,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.analyze import Lag
+from planish.core.results import SheetNumbers
+from planish.core.status import Status
 from planish.flatten import Flattened
 from planish.io import fingerprint
-from planish.measure import PROPERTIES, STATUS
+from planish.measure import PROPERTIES, further_maps
 from planish.register import FittedTransform
 from planish.study import LayersStudy, Study
 
@@ -72,7 +74,7 @@ def surface_results(surfaces: xr.Dataset) -> dict[str, Any]:
     """What the surface search learnt and how much of the sheet it measured."""
     attrs = surfaces.attrs
     status = surfaces["status"].values
-    shares = {f"share_{name}": float((status == k).mean()) for k, name in enumerate(STATUS)}
+    shares = {f"share_{s.label}": float((status == s).mean()) for s in Status if s <= Status.PARTICLE}
     keys = (
         "thickness_um", "blur_um", "fringe", "fringe_um", "cutoff_um", "bridged_share", "rim_um", "saturated_share",
         "missing_share", "polarity",
@@ -120,6 +122,43 @@ def property_results(surfaces: xr.Dataset) -> dict[str, Any]:
         p5, p50, p95 = np.percentile(values, [5, 50, 95])
         out[name] = {"n": int(values.size), "mean_um": float(values.mean()), "sd_um": float(values.std()),
                      "p5_um": float(p5), "median_um": float(p50), "p95_um": float(p95)}  # fmt: skip
+    return out
+
+
+def further_results(surfaces: xr.Dataset) -> dict[str, Any]:
+    """Mean, spread and percentiles of the further maps, in their own units; None where nothing was measured."""
+    out: dict[str, Any] = {}
+    for name in further_maps(surfaces):
+        if name.endswith("_se"):
+            continue
+        data = surfaces[name]
+        values = data.values[np.isfinite(data.values)].astype(np.float64)
+        if not values.size:
+            out[name] = None
+            continue
+        p5, p50, p95 = np.percentile(values, [5, 50, 95])
+        errors = surfaces[f"{name}_se"].values if f"{name}_se" in surfaces else np.array([np.nan])
+        known = errors[np.isfinite(errors)]
+        out[name] = {
+            "units": str(data.attrs["units"]), "n": int(values.size), "mean": float(values.mean()),
+            "sd": float(values.std()), "p5": float(p5), "median": float(p50), "p95": float(p95),
+            "standard_error": float(np.median(known)) if known.size else None,
+            "support_um": float(data.attrs["support_um"]),
+        }  # fmt: skip
+    return out
+
+
+def number_results(numbers: SheetNumbers) -> dict[str, Any]:
+    """Numbers that are no maps, keyed as results.json has them."""
+    out: dict[str, Any] = {}
+    for side in ("top", "bottom"):
+        if side in numbers.thin:
+            out[f"thin_{side}"] = numbers.thin[side].model_dump(mode="json")
+        out[f"roughness_{side}"] = numbers.roughness[side].model_dump(mode="json", exclude_none=True)
+    out["two_sides"] = numbers.two_sides.model_dump(mode="json", exclude_unset=True)
+    if numbers.profiles is not None:
+        p = numbers.profiles.model_dump(mode="json")
+        out["profiles"] = {"depth": p["depth"], **p["values"]}
     return out
 
 

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from planish.core.errors import FileError, InputError
 from planish.core.options import Params
+from planish.measure.params import MeasureParams
 from planish.surface.params import SurfaceParams
 
 Index = Annotated[int, Field(ge=0)]
@@ -56,38 +57,6 @@ class ImageSection(Section):
 _PATHS = {"path", "run", "marks", "design"}
 
 
-class PropertiesSection(Section):
-    """What is measured beside the faces, and the numbers that planish cannot know.
-
-    ``maps`` names further maps; the rest is as in :class:`planish.measure.Densities` and
-    :class:`planish.measure.RayOptions`.
-    """
-
-    maps: tuple[str, ...] = ()
-    rays: Literal["normal", "vertical"] = "normal"
-    coating_g_cm3: Length | None = None
-    base_g_cm3: Length | None = None
-    filler_g_cm3: Length | None = None
-    grammage_g_m2: Length | None = None
-    coat_weight_top_g_m2: Length | None = None
-    coat_weight_bottom_g_m2: Length | None = None
-    coat_weight_from: Literal["thickness", "attenuation"] = "thickness"
-    void_grey: float | None = None
-    solid_grey: float | None = None
-    filler_grey: float | None = None
-    ink_grey: tuple[float, float] | None = None
-    ink_reach_um: Length | None = None
-    edge_um: Annotated[float, Field(ge=0)] | None = None
-    gap_um: Annotated[float, Field(ge=0)] = 6.0
-    envelope_radius_um: Length = 250.0
-    s_filter_um: Length = 5.0
-    l_filter_um: Length = 800.0
-    density_support_um: Length = 100.0
-    pore_limit_um: Length = 40.0
-    orientation_sigma_um: Length | None = None
-    orientation_rho_um: Length = 40.0
-
-
 class FlattenSection(Section):
     """Choices of the flattening and of the flat maps."""
 
@@ -123,7 +92,7 @@ class Study(Section):
     volume: VolumeSection
     image: ImageSection | None = None
     surface: SurfaceParams = SurfaceParams()
-    properties: PropertiesSection = PropertiesSection()
+    properties: MeasureParams = MeasureParams()
     flatten: FlattenSection = FlattenSection()
     registration: RegistrationSection = RegistrationSection()
     correlate: CorrelateSection = CorrelateSection()

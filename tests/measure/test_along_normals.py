@@ -6,7 +6,7 @@ from naive import distance_along_normal
 from planish.core.errors import SurfaceError
 from planish.measure import measure_properties
 from planish.measure._kernels import along_normals
-from planish.measure.along_normals import unit_normals
+from planish.measure.faces import unit_normals
 
 _NAMES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
 

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from planish.core.errors import CannotMeasure
-from planish.measure import Densities, RayOptions, measure_along_rays, measure_properties, thin_fraction
+from planish.measure import MeasureParams, measure_along_rays, measure_properties, thin_fraction
 
 MIDDLE = (slice(8, -8), slice(20, -20))
 
@@ -41,12 +41,12 @@ def test_a_gap_counts_in_the_envelope_only(made):
 
     sheet = made(blur=0.0, voxel=1.0, size_um=(30.0, 60.0), extra=split)
     names = ["coating_top_sum", "coating_top_envelope"]
-    found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, options=RayOptions(gap_um=6.0))
+    found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=MeasureParams(gap_um=6.0))
     at = (slice(5, -5), slice(5, -5))
     # boundaries fall between voxels: half a voxel each
     np.testing.assert_allclose(found["coating_top_envelope"].values[at], 16.0, atol=0.55)
     np.testing.assert_allclose((found["coating_top_envelope"] - found["coating_top_sum"]).values[at], 4.0, atol=1.0)
-    shut = measure_along_rays(sheet.volume, sheet.surfaces, names=names, options=RayOptions(gap_um=2.0))
+    shut = measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=MeasureParams(gap_um=2.0))
     np.testing.assert_allclose(shut["coating_top_sum"].values[at], 8.0, atol=0.55)
 
 
@@ -63,46 +63,46 @@ def test_coat_weight_from_density_and_from_the_balance(made):
     """16 um at 1.6 g/cm3 are 25.6 g/m2; scaled to a weighed 20 g/m2 the mean is 20."""
     sheet = made(top=16.0)
     for source in ("thickness", "attenuation"):
-        options = RayOptions(densities=Densities(coating_g_cm3=1.6), coat_weight_from=source)
-        found = measure_along_rays(sheet.volume, sheet.surfaces, names=["coat_weight_top"], options=options)
+        options = MeasureParams(coating_g_cm3=1.6, coat_weight_from=source)
+        found = measure_along_rays(sheet.volume, sheet.surfaces, names=["coat_weight_top"], params=options)
         assert mean(found, "coat_weight_top") == pytest.approx(25.6, abs=0.1)
         assert found.attrs["coating_g_cm3"] == 1.6
         assert "coating_top" not in found
-        weighed = RayOptions(densities=Densities(coat_weight_top_g_m2=20.0), coat_weight_from=source)
-        found = measure_along_rays(sheet.volume, sheet.surfaces, names=["coat_weight_top"], options=weighed)
+        weighed = MeasureParams(coat_weight_top_g_m2=20.0, coat_weight_from=source)
+        found = measure_along_rays(sheet.volume, sheet.surfaces, names=["coat_weight_top"], params=weighed)
         assert float(found["coat_weight_top"].mean()) == pytest.approx(20.0, rel=1e-5)
     with pytest.raises(CannotMeasure, match="coat_weight_bottom_g_m2 or coating_g_cm3"):
         measure_along_rays(sheet.volume, sheet.surfaces, names=["coat_weight_bottom"])
     dark = sheet.surfaces.assign_attrs(polarity=-1.0)
     with pytest.raises(CannotMeasure, match="X-ray absorption"):
-        measure_along_rays(sheet.volume, dark, names=["coat_weight_top"], options=options)
+        measure_along_rays(sheet.volume, dark, names=["coat_weight_top"], params=options)
 
 
 def test_grammage_and_density_of_a_slab(made):
     """Base 50 um at 0.8 g/cm3 and 28 um of coating at 1.6 are 40 + 44.8 g/m2; 84.8 / 78 um is 1.087 g/cm3."""
     sheet = made()
     names = ["grammage", "apparent_density"]
-    by_density = RayOptions(densities=Densities(coating_g_cm3=1.6, base_g_cm3=0.8))
-    found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, options=by_density)
+    by_density = MeasureParams(coating_g_cm3=1.6, base_g_cm3=0.8)
+    found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=by_density)
     assert mean(found, "grammage") == pytest.approx(84.8, rel=2e-3)
     assert mean(found, "apparent_density") == pytest.approx(84.8 / 78.0, rel=2e-3)
-    weighed = RayOptions(densities=Densities(grammage_g_m2=90.0))
-    found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, options=weighed)
+    weighed = MeasureParams(grammage_g_m2=90.0)
+    found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=weighed)
     assert float(found["grammage"].mean()) == pytest.approx(90.0, rel=1e-5)
-    parts = Densities(grammage_g_m2=90.0, coat_weight_top_g_m2=25.0, coat_weight_bottom_g_m2=20.0)
-    found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, options=RayOptions(densities=parts))
+    coats = {"coat_weight_top_g_m2": 25.0, "coat_weight_bottom_g_m2": 20.0}
+    both = MeasureParams(grammage_g_m2=90.0, **coats)
+    found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=both)
     assert float(found["grammage"].mean()) == pytest.approx(90.0, rel=1e-5)
     with pytest.raises(CannotMeasure, match="grammage_g_m2 or base_g_cm3"):
         measure_along_rays(sheet.volume, sheet.surfaces, names=["grammage"])
-    heavy = Densities(grammage_g_m2=40.0, coat_weight_top_g_m2=25.0, coat_weight_bottom_g_m2=20.0)
     with pytest.raises(CannotMeasure, match="nothing is left for the base"):
-        measure_along_rays(sheet.volume, sheet.surfaces, names=names, options=RayOptions(densities=heavy))
+        measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=MeasureParams(grammage_g_m2=40.0, **coats))
 
 
 def test_a_sheet_coated_on_one_side(made):
     sheet = made(bottom=0.0)
-    options = RayOptions(densities=Densities(coating_g_cm3=1.6, base_g_cm3=0.8))
-    found = measure_along_rays(sheet.volume, sheet.surfaces, names=["grammage", "coating_bottom"], options=options)
+    options = MeasureParams(coating_g_cm3=1.6, base_g_cm3=0.8)
+    found = measure_along_rays(sheet.volume, sheet.surfaces, names=["grammage", "coating_bottom"], params=options)
     assert mean(found, "grammage") == pytest.approx(40.0 + 25.6, rel=3e-3)
     assert np.isnan(found["coating_bottom"]).all()
     with pytest.raises(CannotMeasure, match="none was seen"):
@@ -113,7 +113,7 @@ def test_standard_errors_are_the_scatter_over_many_rays(made):
     """White noise: the stated SE is the standard deviation of the answer, and no smaller."""
     sheet = made(noise=10.0, size_um=(160.0, 160.0), air_um=60.0, blur=2.5)
     names = ["absorption", "coating_absorption_top", "porosity", "coating_top_sum"]
-    found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, options=RayOptions(solid_grey=140.0))
+    found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=MeasureParams(solid_grey=140.0))
     ratio = {n: float(np.nanmedian(found[f"{n}_se"]) / np.nanstd(found[n])) for n in names}
     print(ratio)
     assert ratio["absorption"] == pytest.approx(1.0, abs=0.15)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from planish.measure import RayOptions, measure_along_rays
+from planish.measure import MeasureParams, measure_along_rays
 from planish.measure._pore_kernels import chords, distances, inscribed
 
 STEP = (3.0, 2.0, 1.0)
@@ -73,8 +73,8 @@ def holed(made):
 
 
 def test_sizes_of_known_pores(holed):
-    options = RayOptions(edge_um=2.0, pore_limit_um=25.0)
-    found = measure_along_rays(holed.volume, holed.surfaces, names=["pore_chord", "pore_diameter"], options=options)
+    options = MeasureParams(edge_um=2.0, pore_limit_um=25.0)
+    found = measure_along_rays(holed.volume, holed.surfaces, names=["pore_chord", "pore_diameter"], params=options)
     lower, upper = found.isel(y=slice(30, 65)), found.isel(y=slice(75, 110))
     # squares of 12 voxels: the half-way level lies between samples
     assert float(lower["pore_chord"].median()) == pytest.approx(12.0, abs=1.0)
@@ -84,6 +84,6 @@ def test_sizes_of_known_pores(holed):
     assert float(upper["pore_diameter"].max()) == pytest.approx(15.0, abs=1.5)
     assert np.isnan(found["pore_diameter"].values[10, 10])
     # beyond the limit a pore is no larger
-    capped = RayOptions(edge_um=2.0, pore_limit_um=8.0)
-    small = measure_along_rays(holed.volume, holed.surfaces, names=["pore_diameter"], options=capped)
+    capped = MeasureParams(edge_um=2.0, pore_limit_um=8.0)
+    small = measure_along_rays(holed.volume, holed.surfaces, names=["pore_diameter"], params=capped)
     assert float(small["pore_diameter"].max()) <= 8.0 + 1e-3

@@ -8,9 +8,9 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from planish.core.errors import SizeError, SurfaceError
-from planish.measure import RayOptions, measure_along_rays, registered, straighten
-from planish.measure.densities import Densities
-from planish.measure.rays import LOW_CONTRAST, NO_NORMAL, NOT_IN_VOLUME
+from planish.core.status import Status
+from planish.core.tiles import Engine
+from planish.measure import MeasureParams, measure_along_rays, registered, straighten
 
 
 def slow_grey(made, rays, i, j):
@@ -49,11 +49,13 @@ def test_normals_and_faces_of_a_tilted_plane(made):
 
 def test_vertical_rays_give_lengths_too_large_by_the_cosine(made):
     sheet = made(slope=(0.0, 0.5), size_um=(40.0, 240.0))
-    vertical = straighten(sheet.volume, sheet.surfaces, slice(5, 10), rays="vertical")
+    vertical = straighten(sheet.volume, sheet.surfaces, slice(5, 10), params=MeasureParams(rays="vertical"))
     # t / cos a, with tan a = 0.5
     np.testing.assert_allclose(vertical.top - vertical.bottom, 78.0 * np.hypot(1, 0.5), rtol=1e-9)
     normal, upright = (
-        measure_along_rays(sheet.volume, sheet.surfaces, names=["thickness", "absorption"], rays=way)
+        measure_along_rays(
+            sheet.volume, sheet.surfaces, names=["thickness", "absorption"], params=MeasureParams(rays=way)
+        )
         for way in ("normal", "vertical")
     )
     middle = {"y": slice(5, 15), "x": slice(50, 70)}
@@ -62,8 +64,8 @@ def test_vertical_rays_give_lengths_too_large_by_the_cosine(made):
         # the ray's ends lie three blurs outside, so that its integral is longer by the same factor
         np.testing.assert_allclose(longer, np.hypot(1, 0.5), rtol=2e-3)
     assert upright.attrs["rays"] == "vertical"
-    np.testing.assert_allclose(vertical.lean, np.hypot(1, 0.5))
-    assert (straighten(sheet.volume, sheet.surfaces, slice(5, 10)).lean == 1).all()
+    np.testing.assert_allclose(vertical.oblique, np.hypot(1, 0.5))
+    assert (straighten(sheet.volume, sheet.surfaces, slice(5, 10)).oblique == 1).all()
 
 
 @pytest.mark.parametrize(("through", "top"), [("y", "high"), ("x", "low"), ("z", "low")])
@@ -117,8 +119,8 @@ def test_only_what_a_tile_needs_is_read(made):
     xr.testing.assert_identical(one, all_at_once)
 
 
-EVERYTHING = RayOptions(
-    densities=Densities(coating_g_cm3=1.6, base_g_cm3=0.8, filler_g_cm3=2.7), ink_grey=(120.0, 400.0), l_filter_um=60.0,
+EVERYTHING = MeasureParams(
+    coating_g_cm3=1.6, base_g_cm3=0.8, filler_g_cm3=2.7, ink_grey=(120.0, 400.0), l_filter_um=60.0,
     filler_grey=110.0, pore_limit_um=15.0, orientation_rho_um=8.0, orientation_sigma_um=3.0, void_grey=75.0,
     density_support_um=20.0,
 )  # fmt: skip
@@ -131,7 +133,12 @@ def test_tiles_and_threads_change_no_byte_of_any_property(rough):
 
     def measure(rows, threads):
         return measure_along_rays(
-            rough.volume, rough.surfaces, names=names, options=EVERYTHING, rows_per_tile=rows, threads=threads
+            rough.volume,
+            rough.surfaces,
+            names=names,
+            params=EVERYTHING,
+            rows_per_tile=rows,
+            engine=Engine(threads=threads),
         )
 
     whole = measure(52, 1)
@@ -140,7 +147,11 @@ def test_tiles_and_threads_change_no_byte_of_any_property(rough):
     lacking = [name for name in names if not np.isfinite(whole[name].values).any()]
     assert lacking == []
     by_memory = measure_along_rays(
-        rough.volume, rough.surfaces, names=["porosity", "fibre_angle"], options=EVERYTHING, memory_bytes=30_000_000
+        rough.volume,
+        rough.surfaces,
+        names=["porosity", "fibre_angle"],
+        params=EVERYTHING,
+        engine=Engine(memory_bytes=60_000_000),
     )
     xr.testing.assert_identical(by_memory["fibre_angle"], whole["fibre_angle"])
 
@@ -149,16 +160,16 @@ def test_reasons_of_missing_rays(rough):
     found = measure_along_rays(rough.volume, rough.surfaces, names=["absorption"])
     status = found["status"].values
     assert (status[20:25, 10:14] == 1).all()
-    assert status[30, 20] == NO_NORMAL
+    assert status[30, 20] == Status.NORMAL_LEAVES_SHEET
     # normals at the border lean out of the volume
-    assert (status[:, [0, -1]] == NO_NORMAL).all()
+    assert (status[:, [0, -1]] == Status.NORMAL_LEAVES_SHEET).all()
     assert np.isnan(found["absorption"].values[status != 0]).all()
-    assert found["status"].attrs["flag_meanings"].split()[NOT_IN_VOLUME] == "ray_leaves_volume"
+    assert found["status"].attrs["flag_meanings"].split()[Status.RAY_LEAVES_VOLUME] == "ray_leaves_volume"
     padded = rough.surfaces.assign_attrs(padding=0.0)
     volume = rough.volume.copy(deep=True)
     volume[:, 40:, :] = 0
     outside = measure_along_rays(volume, padded, names=["absorption"])["status"].values
-    assert (outside[45:50, 5:35] == NOT_IN_VOLUME).all()
+    assert (outside[45:50, 5:35] == Status.RAY_LEAVES_VOLUME).all()
 
 
 def test_a_ray_without_matter_is_low_in_contrast(made):
@@ -166,8 +177,8 @@ def test_a_ray_without_matter_is_low_in_contrast(made):
     volume = sheet.volume.copy(deep=True)
     volume[:, 20:30, 30:40] = 42.0
     status = measure_along_rays(volume, sheet.surfaces, names=["porosity"])["status"]
-    assert (status.values[21:29, 31:39] == LOW_CONTRAST).all()
-    assert status.attrs["flag_meanings"].split()[LOW_CONTRAST] == "low_contrast"
+    assert (status.values[21:29, 31:39] == Status.LOW_CONTRAST).all()
+    assert status.attrs["flag_meanings"].split()[Status.LOW_CONTRAST] == "low_contrast"
 
 
 def test_what_does_not_fit_is_refused(made):

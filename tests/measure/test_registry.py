@@ -1,14 +1,28 @@
 """A property of one's own, and what is said when something is missing."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from planish.core.errors import CannotMeasure, ResourceError
-from planish.measure import Densities, Measured, Property, RayOptions, measure_along_rays, registered
+from planish.core.tiles import Engine
+from planish.measure import (
+    Measured,
+    MeasureParams,
+    Property,
+    further_maps,
+    measure_along_rays,
+    measure_properties,
+    registered,
+    sheet_numbers,
+)
 from planish.measure.registry import ray_property, sheet_property
 
 
-@ray_property("test_depth", units="um", long_name="Depth of the brightest sample", reasons=["dark"])
+@ray_property("test_depth", units="um", long_name="Depth of the brightest sample", reasons=("dark",))
 def brightest(rays):
     at = np.argmax(np.where(np.isfinite(rays.grey), rays.grey, -np.inf), axis=-1)
     dark = rays.grey.max(axis=-1) < 250
@@ -57,15 +71,39 @@ def test_what_is_wrong_with_a_property_is_said(made):
     with pytest.raises(CannotMeasure, match="is no name"):
         ray_property("my property", units="1", long_name="Mine")(lambda rays: rays.top)
     with pytest.raises(ResourceError, match="were allowed"):
-        measure_along_rays(sheet.volume, sheet.surfaces, names=["fibre_angle"], memory_bytes=1000)
+        measure_along_rays(sheet.volume, sheet.surfaces, names=["fibre_angle"], engine=Engine(memory_bytes=1000))
 
 
 def test_numbers_that_are_none_are_refused():
-    with pytest.raises(CannotMeasure, match="coating_g_cm3 is -1"):
-        Densities(coating_g_cm3=-1.0)
-    with pytest.raises(CannotMeasure, match="pore_limit_um is 0 um"):
-        RayOptions(pore_limit_um=0.0)
-    assert Densities(grammage_g_m2=80.0).known() == {"grammage_g_m2": 80.0}
+    with pytest.raises(ValidationError, match="coating_g_cm3"):
+        MeasureParams(coating_g_cm3=-1.0)
+    with pytest.raises(ValidationError, match="pore_limit_um"):
+        MeasureParams(pore_limit_um=0.0)
+    assert MeasureParams(grammage_g_m2=80.0).known() == {"grammage_g_m2": 80.0}
+
+
+def test_options_are_those_of_the_modules_and_load_neither_numba_nor_scipy():
+    assert list(MeasureParams.model_fields)[:3] == ["maps", "rays", "edge_um"]
+    assert {"gap_um", "ink_grey", "pore_limit_um", "coating_g_cm3", "l_filter_um"} <= set(MeasureParams.model_fields)
+    code = "import sys, planish.measure.params, planish.surface.params; " \
+           "print([m for m in ('numba', 'scipy', 'xarray', 'pandas') if m in sys.modules])"  # fmt: skip
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_maps_whose_numbers_are_given_are_measured(made):
+    sheet = made(size_um=(40.0, 60.0), blur=1.0)
+    found = measure_properties(sheet.surfaces, volume=sheet.volume)
+    assert further_maps(found)[:2] == ["warp", "tilt"]
+    given = MeasureParams(coating_g_cm3=1.6, base_g_cm3=0.8, solid_grey=140.0, maps=("fibre_angle",))
+    found = measure_properties(sheet.surfaces, volume=sheet.volume, params=given)
+    names = ["warp", "tilt", "coat_weight_top", "coat_weight_bottom", "grammage", "apparent_density", "porosity",
+             "fibre_angle", "fibre_cos2", "fibre_sin2"]  # fmt: skip
+    assert sorted(n for n in further_maps(found) if not n.endswith("_se")) == sorted(names)
+    assert {"top", "centre", "thickness", "status"} <= set(found.data_vars)
+    numbers = sheet_numbers(found, volume=sheet.volume, params=given)
+    assert set(numbers.thin) == {"top", "bottom"}
+    assert numbers.profiles is not None
+    assert len(numbers.profiles.values["porosity"]) == len(numbers.profiles.depth)
 
 
 def test_every_built_in_property_states_its_rule():

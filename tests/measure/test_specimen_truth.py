@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from planish.measure import Densities, RayOptions, measure_along_rays
+from planish.measure import MeasureParams, measure_along_rays
 from planish.surface import find_surfaces
 
 
@@ -14,12 +14,14 @@ def measured(specimen):
     coords = {k: np.arange(n) * voxel for k, n in zip("zyx", specimen.volume.shape, strict=True)}
     volume = xr.DataArray(specimen.volume, dims=("z", "y", "x"), coords=coords)
     paper = specimen.params.paper
-    densities = Densities(coating_g_cm3=paper.coating_g_per_cm3, base_g_cm3=paper.base_g_per_cm3)
     # The base's mean relative density is 1: twice its grey above the air stands for the solid.
     air, base, _ = specimen.params.scanner.grey
-    options = RayOptions(densities=densities, solid_grey=2 * base - air, coat_weight_from="attenuation")
+    options = MeasureParams(
+        coating_g_cm3=paper.coating_g_per_cm3, base_g_cm3=paper.base_g_per_cm3, solid_grey=2 * base - air,
+        coat_weight_from="attenuation",
+    )  # fmt: skip
     names = ["coating_top", "coating_bottom", "thickness", "coat_weight_top", "grammage", "porosity"]
-    return measure_along_rays(volume, find_surfaces(volume), names=names, options=options)
+    return measure_along_rays(volume, find_surfaces(volume), names=names, params=options)
 
 
 @pytest.fixture(scope="module")

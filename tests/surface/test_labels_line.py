@@ -6,8 +6,9 @@ import tifffile
 from scipy import ndimage
 
 from planish.core.errors import InputError
+from planish.measure import MeasureParams
 from planish.pipeline import run_study
-from planish.study import ImageSection, PropertiesSection, Study, VolumeSection
+from planish.study import ImageSection, Study, VolumeSection
 from planish.surface import LabelParams, SurfaceParams
 
 
@@ -40,4 +41,4 @@ def test_labels_are_mapped_and_linked_to_the_end(labels, specimen_files, tmp_pat
 
 def test_grey_properties_of_labels_are_refused(labels, tmp_path):
     with pytest.raises(InputError, match="measured in grey values"):
-        run_study(study(labels, properties=PropertiesSection(maps=("porosity",))), tmp_path / "run")
+        run_study(study(labels, properties=MeasureParams(maps=("porosity",))), tmp_path / "run")

@@ -15,7 +15,6 @@ from planish.analyze.peak import MARGIN, Peak, covariance_of, find_peak, rival_r
 from planish.analyze.surrogates import Unrelated, in_band, unrelated_peaks, without_plane
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, SizeError
-from planish.core.threads import map_threads
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -11,27 +11,24 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure, ResourceError
+from planish.core.status import FIRST_OWN, Status, status_flags
 from planish.core.threads import count_threads, map_threads
-from planish.measure.along_normals import STATUS
+from planish.core.tiles import Engine
 from planish.measure.greys import Greys
-from planish.measure.options import RayOptions
-from planish.measure.ray_frame import RayFrame, column_of
-from planish.measure.rays import Array, Direction, Rays
+from planish.measure.params import MeasureParams
+from planish.measure.ray_frame import RayFrame
+from planish.measure.rays import Array, Rays
 from planish.measure.registry import Measured, Property, Sheet, in_order, length_of
 from planish.measure.uncertainty import ray_noise
 
 T = TypeVar("T")
 
-MEANINGS = (*STATUS, "low_contrast", "ray_leaves_volume")
-OWN_REASON = 10  # a property's own reasons count from here
-_MEMORY_BYTES = 1 << 30
 _PER_SAMPLE = 24  # bytes that a sample costs at most while a tile is worked on
 
 
 def measure_along_rays(
     volume: xr.DataArray, surfaces: xr.Dataset, *, names: Sequence[str | Property],
-    options: RayOptions | None = None, rays: Direction = "normal", rows_per_tile: int | None = None,
-    memory_bytes: int | None = None, threads: int | None = None,
+    params: MeasureParams | None = None, rows_per_tile: int | None = None, engine: Engine | None = None,
 ) -> xr.Dataset:  # fmt: skip
     """Measure properties along the normals of the centre surface, or along vertical rays.
 
@@ -43,12 +40,11 @@ def measure_along_rays(
         As :func:`planish.surface.find_surfaces` returns them for this volume.
     names : sequence of str or Property
         What :func:`planish.measure.registered` lists, or what the decorators return.
-    options : RayOptions
-    rays : {"normal", "vertical"}
+    params : MeasureParams
     rows_per_tile : int
-        Rows worked on together; what fits into ``memory_bytes`` (1 GiB) for all threads where not given.
-    threads : int
-        All processors, at most 8, where not given.
+        Rows worked on together; what fits into half of the engine's memory where not given.
+    engine : Engine
+        Threads and memory; no result depends on it.
 
     Returns
     -------
@@ -64,16 +60,16 @@ def measure_along_rays(
         If a property is unknown, or a density or grey level that it needs was not given.
     SurfaceError, SizeError, ResourceError
     """
-    options = options or RayOptions()
+    params, engine = params or MeasureParams(), engine or Engine()
     greys = Greys.of(surfaces)
-    wanted = in_order(names, options, greys)
+    wanted = in_order(names, params, greys)
     if not wanted:
         raise CannotMeasure("No property was named. Name one or more.")
     asked = {name if isinstance(name, str) else name.name for name in names}
     for one in wanted:
         if one.check is not None:
-            one.check(options, greys)
-    frame = ray_frame(volume, surfaces, options=options, rays=rays)
+            one.check(params, greys)
+    frame = ray_frame(volume, surfaces, params)
     shape = frame.status.shape
     of_rays = [one for one in wanted if one.kind == "rays"]
     found: dict[str, Measured] = {one.name: _blank(shape, one) for one in of_rays}
@@ -100,25 +96,23 @@ def measure_along_rays(
 
     if of_rays:
         most = max(_halo(one, frame) for one in of_rays)
-        each_tile(volume, frame, work, halo=most, rows=rows_per_tile, memory_bytes=memory_bytes, threads=threads)
+        each_tile(volume, frame, work, halo=most, rows=rows_per_tile, engine=engine)
     sheet = Sheet(frame=replace(frame, status=status), maps=found, noise_um=frame.noise_um)
     for one in wanted:
         if one.kind == "sheet":
             found[one.name] = _measured(one, sheet)
-    return _dataset([one for one in wanted if one.name in asked], found, status, surfaces, frame, options)
+    return _dataset([one for one in wanted if one.name in asked], found, status, surfaces, frame)
 
 
-def ray_frame(
-    volume: xr.DataArray, surfaces: xr.Dataset, *, options: RayOptions | None = None, rays: Direction = "normal"
-) -> RayFrame:
+def ray_frame(volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
     """Find where the rays lie and how much noise their integrals have."""
-    frame = RayFrame.of(surfaces, **column_of(volume, surfaces), rays=rays, options=options)
+    frame = RayFrame.of(volume, surfaces, params)
     return replace(frame, noise_um=ray_noise(volume, frame))
 
 
 def each_tile(
     volume: xr.DataArray, frame: RayFrame, work: Callable[[Rays, slice, slice], T], *, halo: int = 0,
-    rows: int | None = None, memory_bytes: int | None = None, threads: int | None = None,
+    rows: int | None = None, engine: Engine,
 ) -> list[T]:  # fmt: skip
     """Straighten the sheet tile by tile and call ``work`` on threads.
 
@@ -140,15 +134,15 @@ def each_tile(
         If a single row with its halo does not fit into the memory.
     """
     count = frame.status.shape[0]
-    threads = count_threads(threads)
+    threads = count_threads(engine.threads)
     per_row = frame.status.shape[1] * frame.samples * _PER_SAMPLE
     if rows is None:
-        budget = (memory_bytes or _MEMORY_BYTES) / threads
-        rows = int(budget / per_row) - 2 * halo
-        if rows < 1 and memory_bytes is not None:
+        rows = int(engine.memory_bytes / 2 / threads / per_row) - 2 * halo
+        if rows < 1:
             raise ResourceError(
                 f"One row of rays with its neighbourhood takes {(2 * halo + 1) * per_row * threads / 2**20:.0f} MiB on "
-                f"{threads} threads, and {memory_bytes / 2**20:.0f} MiB were allowed. Allow more, or fewer threads."
+                f"{threads} threads, and {engine.memory_bytes / 2**21:.0f} MiB were allowed. Allow more, or fewer "
+                "threads."
             )
         # Tiles of even size, several for each thread; a halo costs less the larger they are.
         rows = max(min(rows, max(-(-count // (4 * threads)), 2 * halo)), 1)
@@ -163,7 +157,7 @@ def each_tile(
 
 
 def _halo(one: Property, frame: RayFrame) -> int:
-    length = length_of(one.halo_um, frame.options)
+    length = length_of(one.halo_um, frame.params)
     return int(np.ceil(length / frame.pitch_um[0])) + 1 if length > 0 else 0
 
 
@@ -190,14 +184,14 @@ def _blank(shape: tuple[int, ...], one: Property) -> Measured:
 
 def _dataset(
     properties: list[Property], found: dict[str, Measured], status: NDArray[np.uint8], surfaces: xr.Dataset,
-    frame: RayFrame, options: RayOptions,
+    frame: RayFrame,
 ) -> xr.Dataset:  # fmt: skip
     valid = status == 0
     data: dict[str, tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]] = {}
     ray = max(*frame.pitch_um, float(np.sqrt(8 * np.log(2.0))) * frame.greys.blur_um)
     for one in properties:
         answer = found[one.name]
-        support = ray if one.support_um is None else max(length_of(one.support_um, options), ray)
+        support = ray if one.support_um is None else max(length_of(one.support_um, frame.params), ray)
         about: dict[str, object] = {"units": one.units, "long_name": one.long_name, "support_um": round(support, 3)}
         values = np.where(valid, answer.values, np.nan)
         data[one.name] = (("y", "x"), values.astype(np.float32), about)
@@ -209,14 +203,12 @@ def _dataset(
         if one.reasons:
             own = status.copy()
             if answer.reason is not None:
-                own[valid & (answer.reason > 0)] = answer.reason[valid & (answer.reason > 0)] + OWN_REASON - 1
-            data[f"{one.name}_status"] = (("y", "x"), own, _flags(f"Status of {one.long_name}", one.reasons))
-    data["status"] = (("y", "x"), status, _flags("Status", ()))
-    known = options.densities.known()
-    attrs = dict(surfaces.attrs) | {"rays": frame.rays, "ray_step_um": frame.step_um} | known
+                own[valid & (answer.reason > 0)] = answer.reason[valid & (answer.reason > 0)] + FIRST_OWN - 1
+            data[f"{one.name}_status"] = (
+                ("y", "x"),
+                own,
+                status_flags(f"Status of {one.long_name}", last=Status.RAY_LEAVES_VOLUME, own=one.reasons),
+            )
+    data["status"] = (("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME))
+    attrs = dict(surfaces.attrs) | {"rays": frame.params.rays, "ray_step_um": frame.step_um} | frame.params.known()
     return xr.Dataset(data, coords=surfaces.coords, attrs=attrs)
-
-
-def _flags(title: str, own: tuple[str, ...]) -> dict[str, object]:
-    values = [*range(len(MEANINGS)), *(OWN_REASON + k for k in range(len(own)))]
-    return {"long_name": title, "flag_values": values, "flag_meanings": " ".join((*MEANINGS, *own))}

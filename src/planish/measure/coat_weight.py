@@ -2,39 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure
-from planish.measure.greys import Greys
-from planish.measure.options import RayOptions
-from planish.measure.rays import Rays
-from planish.measure.registry import Measured, Sheet, ray_property, sheet_property
-from planish.measure.uncertainty import layer_errors
+from planish.core.options import Params, option
+from planish.measure.registry import Measured, Sheet, Side, ray_property, sheet_property
 
-Side = Literal["top", "bottom"]
+if TYPE_CHECKING:
+    from planish.measure.greys import Greys
+    from planish.measure.params import MeasureParams
+    from planish.measure.rays import Rays
+
 _BEYOND = 3.0  # blurs outside the face and inside the interface: 99.9 % of the light of a step
 
 
-def _density(side: Side) -> Callable[[RayOptions, Greys], None]:
-    def check(options: RayOptions, greys: Greys) -> None:
-        greys.need_coating(side, f"Coat weight, {side} side,")
-        options.densities.need(f"Coat weight, {side} side,", f"coat_weight_{side}_g_m2", "coating_g_cm3")
-        if options.coat_weight_from == "attenuation":
-            greys.need_absorption(f"Coat weight, {side} side,")
+class Options(Params):
+    """Options of the coat weight."""
 
-    return check
+    coat_weight_from: Literal["thickness", "attenuation"] = option(
+        "thickness", cli=None,
+        help="Thickness times density, or the grey that the coating adds to the base's: the second ignores the blur.",
+    )  # fmt: skip
 
 
-def _absorbing(side: Side) -> Callable[[RayOptions, Greys], None]:
-    def check(_options: RayOptions, greys: Greys) -> None:
-        greys.need_coating(side, f"Coating by absorption, {side} side,")
-        greys.need_absorption(f"Coating by absorption, {side} side,")
-
-    return check
+def _absorbs(_params: MeasureParams, greys: Greys, side: Side) -> None:
+    greys.need_coating(side, f"Coating by absorption, {side} side,")
+    greys.need_absorption(f"Coating by absorption, {side} side,")
 
 
 def excess(rays: Rays, side: Side) -> Measured:
@@ -46,8 +41,10 @@ def excess(rays: Rays, side: Side) -> Measured:
 
     SE: sqrt(noise * L + ((base - air) SE_face)^2) / (coating - base), L the length of the integral.
     """
+    from planish.measure.uncertainty import layer_errors
+
     greys = rays.greys
-    out = _BEYOND * greys.blur_um * rays.lean
+    out = _BEYOND * greys.blur_um * rays.oblique
     coat, base = greys.coating(side) - greys.air, greys.base - greys.air
     if side == "top":
         lower, upper = rays.interface_top - out, rays.top + out
@@ -56,68 +53,49 @@ def excess(rays: Rays, side: Side) -> Measured:
         lower, upper = rays.bottom - out, rays.interface_bottom + out
         under = upper - rays.bottom
     integral = rays.integral(lower, upper) - base * under
-    face = rays.lean * layer_errors((under - out) / rays.lean, greys, rays.noise_um, side)[0]
+    face = rays.oblique * layer_errors((under - out) / rays.oblique, greys, rays.noise_um, side)[0]
     se = np.hypot(rays.integral_se(upper - lower), base * face) / abs(coat - base)
     return Measured(values=integral / (coat - base), se=se)
 
 
-@ray_property("coating_absorption_top", units="um", long_name="Coating by absorption, top side",
-              check=_absorbing("top"))  # fmt: skip
-def coating_absorption_top(rays: Rays) -> Measured:
+@ray_property("coating_absorption_{side}", units="um", long_name="Coating by absorption, {side} side", check=_absorbs)
+def coating_absorption(rays: Rays, side: Side) -> Measured:
     """P-02, what does not care about blur; see :func:`excess`."""
-    return excess(rays, "top")
+    return excess(rays, side)
 
 
-@ray_property("coating_absorption_bottom", units="um", long_name="Coating by absorption, bottom side",
-              check=_absorbing("bottom"))  # fmt: skip
-def coating_absorption_bottom(rays: Rays) -> Measured:
-    """P-02, bottom side."""
-    return excess(rays, "bottom")
+def _given(params: MeasureParams, greys: Greys, side: Side) -> bool:
+    return greys.coated(side) and bool(params.coating_g_cm3 or params.get(f"coat_weight_{side}_g_m2"))
 
 
-def scaled(layer: Measured, valid: NDArray[np.bool_], density: float | None, weighed: float | None) -> Measured:
-    """Mass in g/m2 of layers in um: density times thickness, or scaled so that the mean is the weighed one.
+def _check(params: MeasureParams, greys: Greys, side: Side) -> None:
+    greys.need_coating(side, f"Coat weight, {side} side,")
+    params.need(f"Coat weight, {side} side,", f"coat_weight_{side}_g_m2", "coating_g_cm3")
+    if params.coat_weight_from == "attenuation":
+        greys.need_absorption(f"Coat weight, {side} side,")
+
+
+def _layer(params: MeasureParams, _greys: Greys, side: Side) -> tuple[str, ...]:
+    return (f"coating_{side}" if params.coat_weight_from == "thickness" else f"coating_absorption_{side}",)
+
+
+@sheet_property(
+    "coat_weight_{side}", units="g/m2", long_name="Coat weight, {side} side", check=_check, after=_layer, when=_given
+)
+def coat_weight(sheet: Sheet, side: Side) -> Measured:
+    """P-02: w = w_mean t / t_mean where the coat weight was weighed, rho t where the density is known (A-23).
 
     SE: the layer's, times the same factor; the error of the density or of the weighing is common to the whole map and
     not part of it.
     """
-    if weighed is not None:
-        mean = float(np.mean(layer.values[valid & np.isfinite(layer.values)], dtype=np.float64))
-        if not mean > 0:
-            raise CannotMeasure(
-                f"The mean coating is {mean:.3g} um thick; a weighed {weighed:g} g/m2 cannot be spread over it. Check "
-                "the side, and the surfaces in the report."
-            )
-        factor = weighed / mean
-    else:
-        assert density is not None, "checked before anything was read"
-        factor = density
-    return Measured(values=layer.values * factor, se=None if layer.se is None else layer.se * abs(factor))
-
-
-def _weight(sheet: Sheet, side: Side) -> Measured:
-    options = sheet.frame.options
-    layer = sheet.maps[f"coating_{side}" if options.coat_weight_from == "thickness" else f"coating_absorption_{side}"]
-    known = options.densities
-    return scaled(layer, sheet.valid, known.coating_g_cm3, known.get(f"coat_weight_{side}_g_m2"))
-
-
-def _layer_of(side: Side) -> Callable[[RayOptions, Greys], tuple[str, ...]]:
-    def names(options: RayOptions, _greys: Greys) -> tuple[str, ...]:
-        return (f"coating_{side}" if options.coat_weight_from == "thickness" else f"coating_absorption_{side}",)
-
-    return names
-
-
-@sheet_property("coat_weight_top", units="g/m2", long_name="Coat weight, top side", check=_density("top"),
-                after=_layer_of("top"))  # fmt: skip
-def coat_weight_top(sheet: Sheet) -> Measured:
-    """P-02: w = w_mean t / t_mean where the coat weight was weighed, rho t where the density is known (A-23)."""
-    return _weight(sheet, "top")
-
-
-@sheet_property("coat_weight_bottom", units="g/m2", long_name="Coat weight, bottom side", check=_density("bottom"),
-                after=_layer_of("bottom"))  # fmt: skip
-def coat_weight_bottom(sheet: Sheet) -> Measured:
-    """P-02, bottom side."""
-    return _weight(sheet, "bottom")
+    layer = sheet.maps[_layer(sheet.params, sheet.frame.greys, side)[0]]
+    weighed = sheet.params.get(f"coat_weight_{side}_g_m2")
+    if weighed is None:
+        return layer.times(sheet.params.need("Coat weight", "coating_g_cm3"))
+    mean = sheet.mean(layer.values)
+    if not mean > 0:
+        raise CannotMeasure(
+            f"The mean coating is {mean:.3g} um thick; a weighed {weighed:g} g/m2 cannot be spread over it. Check "
+            "the side, and the surfaces in the report."
+        )
+    return layer.times(weighed / mean)

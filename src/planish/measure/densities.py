@@ -2,45 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-
 from planish.core.errors import CannotMeasure
+from planish.core.options import Params, option
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Densities:
-    """What is known of the sheet from elsewhere; all of it may be missing.
+class Densities(Params):
+    """What is known of the sheet from elsewhere; all of it may be missing."""
 
-    Attributes
-    ----------
-    coating_g_cm3 : float or None
-        Density of the coating layer with its voids; 1.6 is usual for ground calcium carbonate with latex.
-    base_g_cm3 : float or None
-        Density of the base as it lies in the sheet, with its voids.
-    filler_g_cm3 : float or None
-        Density of the filler's grains without voids; calcium carbonate 2.7.
-    grammage_g_m2 : float or None
-        Weighed mass of the whole sheet.
-    coat_weight_top_g_m2, coat_weight_bottom_g_m2 : float or None
-        Weighed mass of the coating of one side.
-    """
-
-    coating_g_cm3: float | None = None
-    base_g_cm3: float | None = None
-    filler_g_cm3: float | None = None
-    grammage_g_m2: float | None = None
-    coat_weight_top_g_m2: float | None = None
-    coat_weight_bottom_g_m2: float | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that are no densities."""
-        for name, value in asdict(self).items():
-            if value is not None and not (0 < value < 1e4):
-                raise CannotMeasure(f"{name} is {value:g}; it must be a positive number. Correct it in [properties].")
+    coating_g_cm3: float | None = option(
+        None, gt=0, lt=1e4, cli="--coating-density", metavar="G/CM3",
+        help="Density of the coating with its voids, for coat weight; 1.6 is usual for ground calcium carbonate.",
+    )  # fmt: skip
+    base_g_cm3: float | None = option(
+        None, gt=0, lt=1e4, cli="--base-density", metavar="G/CM3",
+        help="Density of the base as it lies in the sheet, for grammage.",
+    )  # fmt: skip
+    filler_g_cm3: float | None = option(
+        None, gt=0, lt=1e4, cli=None, help="Density of the filler's grains without voids; calcium carbonate 2.7."
+    )
+    grammage_g_m2: float | None = option(
+        None, gt=0, lt=1e4, cli="--grammage", metavar="G/M2", help="Weighed mass of the sheet."
+    )
+    coat_weight_top_g_m2: float | None = option(
+        None, gt=0, lt=1e4, cli="--coat-weight-top", metavar="G/M2", help="Weighed mass of the top coating."
+    )
+    coat_weight_bottom_g_m2: float | None = option(
+        None, gt=0, lt=1e4, cli="--coat-weight-bottom", metavar="G/M2", help="Weighed mass of the bottom coating."
+    )
 
     def get(self, name: str) -> float | None:
         """Return one of them by name."""
-        return asdict(self)[name]
+        return getattr(self, name)
 
     def need(self, what: str, *names: str) -> float:
         """Return the first of ``names`` that is known.
@@ -62,4 +54,5 @@ class Densities:
 
     def known(self) -> dict[str, float]:
         """Return those that are known, for the attributes of a dataset."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
+        found = {name: self.get(name) for name in Densities.model_fields}
+        return {name: value for name, value in found.items() if value is not None}

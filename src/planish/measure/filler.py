@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from planish.core.errors import CannotMeasure
-from planish.measure.greys import Greys
-from planish.measure.options import RayOptions
-from planish.measure.rays import Array, Rays
+from planish.core.options import Params, option
 from planish.measure.registry import Measured, Sheet, ray_property, sheet_property
 
+if TYPE_CHECKING:
+    from planish.measure.greys import Greys
+    from planish.measure.params import MeasureParams
+    from planish.measure.rays import Array, Rays
 
-def filler_level(greys: Greys, options: RayOptions) -> float:
+
+class Options(Params):
+    """Options of the filler."""
+
+    filler_grey: float | None = option(
+        None, cli=None, help="Level between fibres and filler; half way between base and coating where not given."
+    )
+
+
+def filler_level(greys: Greys, params: MeasureParams) -> float:
     """Level between fibres and filler.
 
     Raises
@@ -19,8 +32,8 @@ def filler_level(greys: Greys, options: RayOptions) -> float:
     CannotMeasure
         If it was not given and there is no coating to tell it from.
     """
-    if options.filler_grey is not None:
-        return options.filler_grey
+    if params.filler_grey is not None:
+        return params.filler_grey
     coats = [level for level in (greys.coating_top, greys.coating_bottom) if np.isfinite(level)]
     if not coats:
         raise CannotMeasure(
@@ -30,11 +43,12 @@ def filler_level(greys: Greys, options: RayOptions) -> float:
     return 0.5 * (greys.base + float(np.mean(coats)))
 
 
-def _check(options: RayOptions, greys: Greys) -> None:
-    filler_level(greys, options)
+def _check(params: MeasureParams, greys: Greys) -> None:
+    filler_level(greys, params)
 
 
-@ray_property("filler", units="1", long_name="Filler in the base", check=_check)
+@ray_property("filler", units="1", long_name="Filler in the base", check=_check,
+              when=lambda params, _greys: params.filler_grey is not None)  # fmt: skip
 def filler(rays: Rays) -> Measured:
     """P-11: share of bright matter on the ray inside the base.
 
@@ -48,7 +62,7 @@ def filler(rays: Rays) -> Measured:
 def share_of_filler(rays: Rays, lower: Array, upper: Array, *, drop_run_in: bool = False) -> Measured:
     """Share of filler between any two places of each ray."""
     greys = rays.greys
-    level = filler_level(greys, rays.options)
+    level = filler_level(greys, rays.params)
     if drop_run_in:
         lower, upper = _inside(rays, lower, upper, level)
     bright, ends = rays.beyond(lower, upper, level)
@@ -72,9 +86,9 @@ def _inside(rays: Rays, lower: Array, upper: Array, level: float) -> tuple[Array
     return np.where(some, start, lower), np.where(some, stop, lower)
 
 
-def _density(options: RayOptions, greys: Greys) -> None:
-    options.densities.need("Filler", "filler_g_cm3")
-    filler_level(greys, options)
+def _density(params: MeasureParams, greys: Greys) -> None:
+    params.need("Filler", "filler_g_cm3")
+    filler_level(greys, params)
 
 
 @sheet_property(
@@ -82,7 +96,7 @@ def _density(options: RayOptions, greys: Greys) -> None:
 )  # fmt: skip
 def filler_weight(sheet: Sheet) -> Measured:
     """P-11 as a mass: share of filler times base thickness times the filler's density; SE: the share's, likewise."""
-    density = sheet.frame.options.densities.need("Filler", "filler_g_cm3")
+    density = sheet.params.need("Filler", "filler_g_cm3")
     share, base = sheet.maps["filler"], sheet.maps["base_thickness"].values
     assert share.se is not None
     return Measured(values=share.values * base * density, se=share.se * base * density)

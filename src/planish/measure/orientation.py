@@ -7,41 +7,58 @@ that flattening keeps. A fibre lies along the direction in which the grey change
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from planish.core.options import Params, option
 from planish.core.transform import axial_angle
-from planish.measure import _orientation_kernels
-from planish.measure.options import RayOptions
 from planish.measure.porosity import void_level
-from planish.measure.rays import Array, Rays
 from planish.measure.registry import Property, ray_property
+
+if TYPE_CHECKING:
+    from planish.measure.params import MeasureParams
+    from planish.measure.rays import Array, Rays
 
 Grey3 = NDArray[np.float32]
 
 _CUT = 3.0  # standard deviations of a Gaussian
 _FWHM = float(np.sqrt(8 * np.log(2.0)))
 
+_PARTS = ("fibre_cos2", "fibre_sin2")  # an angle has no mean; its two parts do
 
-def _halo(options: RayOptions) -> float:
+
+class Options(Params):
+    """Options of the fibre orientation."""
+
+    orientation_sigma_um: float | None = option(
+        None, gt=0, cli=None, help="Scale of the gradients of the fibre orientation; one voxel where not given."
+    )
+    orientation_rho_um: float = option(
+        40.0, gt=0, cli=None, help="Scale over which fibre directions are gathered: one or two fibre widths."
+    )
+
+
+def _halo(params: MeasureParams) -> float:
     # The gradient's own reach is a few voxels, whose size is not known here.
-    sigma = options.orientation_sigma_um or 10.0
-    return _CUT * (options.orientation_rho_um + sigma) + 20.0
+    sigma = params.orientation_sigma_um or 10.0
+    return _CUT * (params.orientation_rho_um + sigma) + 20.0
 
 
-def _width(options: RayOptions) -> float:
-    return _FWHM * options.orientation_rho_um
+def _width(params: MeasureParams) -> float:
+    return _FWHM * params.orientation_rho_um
 
 
 def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
     """Gradient along rows and columns, per um of projection, of the samples (slice) that some base reaches."""
+    from planish.measure import _orientation_kernels
 
     def work() -> tuple[Grey3, Grey3, slice]:
         some = rays.samples_within(*rays.core)
         grey = rays.grey[..., some]
         grey = np.where(np.isfinite(grey), grey, np.float32(rays.greys.base))
-        taps = [_taps(rays.options.orientation_sigma_um or p, p) for p in rays.pitch_um]
+        taps = [_taps(rays.params.orientation_sigma_um or p, p) for p in rays.pitch_um]
 
         def along(axis: int) -> Grey3:
             calm = _orientation_kernels.filtered(grey, taps[1 - axis][0], 1 - axis)
@@ -68,6 +85,9 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Array, Array, Ar
     With the gradient g in the tangent plane: sums of gx^2 + gy^2, gx^2 - gy^2 and 2 gx gy over the layer, outside
     voids and the base's edges, then averaged over ``orientation_rho_um``.
     """
+    from scipy import ndimage
+
+    from planish.measure import _orientation_kernels
 
     def work() -> tuple[Array, Array, Array]:
         by_row, by_col, some = _gradients(rays)
@@ -75,11 +95,11 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Array, Array, Ar
         lower, upper = rays.core
         across, down, both = _orientation_kernels.tensor_sums(
             by_row, by_col, rays.grey[..., some], rays.s_um[some], np.maximum(lower, bottom + lowest * thick),
-            np.minimum(upper, bottom + highest * thick), void_level(rays.greys, rays.options), rays.greys.polarity,
+            np.minimum(upper, bottom + highest * thick), void_level(rays.greys, rays.params), rays.greys.polarity,
         )  # fmt: skip
         xx, yy, xy = _in_tangent_plane(across, down, both, rays.slope)
         known = (rays.status == 0) & np.isfinite(xx)
-        sigma = [rays.options.orientation_rho_um / p for p in rays.pitch_um]
+        sigma = [rays.params.orientation_rho_um / p for p in rays.pitch_um]
         gathered = [
             ndimage.gaussian_filter(np.where(known, v, 0.0), sigma, mode="constant", truncate=_CUT)
             for v in (xx + yy, xx - yy, 2 * xy)
@@ -128,7 +148,7 @@ def fibre_sin2(rays: Rays) -> Array:
     return _components(rays, 0.0, 1.0)[1]
 
 
-@ray_property("fibre_angle", units="deg", long_name="Fibre angle", halo_um=_halo, support_um=_width)
+@ray_property("fibre_angle", units="deg", long_name="Fibre angle", halo_um=_halo, support_um=_width, together=_PARTS)
 def fibre_angle(rays: Rays) -> Array:
     """P-13: mean axis of the fibres, -90 to 90 degrees from the map's u axis towards its v axis.
 
@@ -159,6 +179,8 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
     made: list[Property] = []
     for k in range(count):
         lowest, highest = k / count, (k + 1) / count
+        common: dict[str, Any] = {"kind": "rays", "halo_um": _halo, "support_um": _width}
+        where = f"layer {k + 1} of {count}"
 
         def angle(rays: Rays, lowest: float = lowest, highest: float = highest) -> Array:
             return axial_angle(*_components(rays, lowest, highest))
@@ -166,14 +188,10 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
         def anisotropy(rays: Rays, lowest: float = lowest, highest: float = highest) -> Array:
             return np.hypot(*_components(rays, lowest, highest))
 
-        for name, units, title, function in (
-            ("fibre_angle", "deg", "Fibre angle", angle),
-            ("fibre_anisotropy", "1", "Fibre anisotropy", anisotropy),
-        ):
-            made.append(
-                Property(
-                    name=f"{name}_layer_{k + 1}", units=units, kind="rays", function=function,
-                    long_name=f"{title}, layer {k + 1} of {count}", halo_um=_halo, support_um=_width,
-                )
-            )  # fmt: skip
+        made += [
+            Property(name=f"fibre_angle_layer_{k + 1}", units="deg", function=angle,
+                     long_name=f"Fibre angle, {where}", **common),
+            Property(name=f"fibre_anisotropy_layer_{k + 1}", units="1", function=anisotropy,
+                     long_name=f"Fibre anisotropy, {where}", **common),
+        ]  # fmt: skip
     return tuple(made)

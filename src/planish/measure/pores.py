@@ -7,14 +7,24 @@ distribution of pores needs 20 mm2 to be stable.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.measure import _pore_kernels
-from planish.measure.options import RayOptions
+from planish.core.options import Params, option
 from planish.measure.porosity import void_level
-from planish.measure.rays import Array, Rays
 from planish.measure.registry import ray_property
+
+if TYPE_CHECKING:
+    from planish.measure.params import MeasureParams
+    from planish.measure.rays import Array, Rays
+
+
+class Options(Params):
+    """Options of the pores' sizes."""
+
+    pore_limit_um: float = option(40.0, gt=0, cli=None, help="Size above which pores are not told apart.")
 
 
 def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
@@ -23,15 +33,19 @@ def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     def work() -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
         # Beyond what any base reaches there is no void; one sample more on either side is the wall there.
         some = rays.samples_within(*rays.core, more=1)
-        beyond = rays.greys.polarity * (rays.grey[..., some] - np.float32(void_level(rays.greys, rays.options)))
+        beyond = rays.greys.polarity * (rays.grey[..., some] - np.float32(void_level(rays.greys, rays.params)))
         void = ((beyond < 0) & rays.between(*rays.core)[..., some]).astype(np.uint8)
         return void, void.sum(axis=-1, dtype=np.int64)
 
     return rays.once("voids", work)
 
 
-def _reach(options: RayOptions) -> float:
-    return options.pore_limit_um
+def _reach(params: MeasureParams) -> float:
+    return params.pore_limit_um
+
+
+def _far(params: MeasureParams) -> float:
+    return 1.5 * params.pore_limit_um
 
 
 @ray_property("pore_chord", units="um", long_name="Pore chord in the plane", halo_um=_reach, support_um=_reach)
@@ -41,8 +55,10 @@ def pore_chord(rays: Rays) -> Array:
     Lengths are those in the centre surface. A run counts ``pore_limit_um`` to each side and no further. Longer runs
     hold more samples and count so much more often. NaN where the ray meets no void.
     """
+    from planish.measure import _pore_kernels
+
     void, count = _voids(rays)
-    most = tuple(max(int(rays.options.pore_limit_um / p), 1) for p in rays.pitch_um)
+    most = tuple(max(int(rays.params.pore_limit_um / p), 1) for p in rays.pitch_um)
     along = _pore_kernels.chords(void, most)
     total = np.zeros(count.shape)
     for k in range(2):
@@ -51,7 +67,7 @@ def pore_chord(rays: Rays) -> Array:
         return np.where(count > 0, total / count, np.nan)
 
 
-@ray_property("pore_diameter", units="um", long_name="Pore diameter", halo_um=lambda o: 1.5 * o.pore_limit_um,
+@ray_property("pore_diameter", units="um", long_name="Pore diameter", halo_um=_far,
               support_um=_reach)  # fmt: skip
 def pore_diameter(rays: Rays) -> Array:
     """Diameter of the largest sphere inside the voids, at most ``pore_limit_um``, mean over the void on the ray.
@@ -60,10 +76,12 @@ def pore_diameter(rays: Rays) -> Array:
     too long; a mean half step is taken off. Distances along slopes are stretched by the sheet's mean slope. NaN where
     the ray meets no void.
     """
+    from planish.measure import _pore_kernels
+
     void, count = _voids(rays)
     step = rays.pitch_um[0] * rays.mean_stretch[0], rays.pitch_um[1] * rays.mean_stretch[1], rays.step_um
     half = 0.5 * float(np.mean(step))
-    distance = _pore_kernels.distances(void, step, 0.5 * rays.options.pore_limit_um + half)
+    distance = _pore_kernels.distances(void, step, 0.5 * rays.params.pore_limit_um + half)
     radius = _pore_kernels.inscribed(distance, step)
     size = np.where(void > 0, 2 * np.maximum(radius - half, 0.5 * half), 0.0).sum(axis=-1, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -2,31 +2,50 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from planish.core.errors import CannotMeasure
-from planish.measure.greys import Greys
-from planish.measure.options import RayOptions
-from planish.measure.rays import Array, Rays
+from planish.core.options import Params, option
 from planish.measure.registry import Measured, ray_property
 
+if TYPE_CHECKING:
+    from planish.measure.greys import Greys
+    from planish.measure.params import MeasureParams
+    from planish.measure.rays import Array, Rays
 
-def void_level(greys: Greys, options: RayOptions) -> float:
+
+class Options(Params):
+    """Options of the porosity."""
+
+    solid_grey: float | None = option(
+        None,
+        help="Grey of fibre wall without voids: porosity is then what the mean grey lacks to it, which sees pores too "
+        "small to be resolved.",
+    )  # fmt: skip
+    void_grey: float | None = option(
+        None, cli=None, help="Level between void and solid; half way between air and base where not given."
+    )
+
+
+def void_level(greys: Greys, params: MeasureParams) -> float:
     """Level between void and solid: given, or half way between air and base (or solid, where that is given)."""
-    if options.void_grey is not None:
-        return options.void_grey
-    return 0.5 * (greys.air + (greys.base if options.solid_grey is None else options.solid_grey))
+    if params.void_grey is not None:
+        return params.void_grey
+    return 0.5 * (greys.air + (greys.base if params.solid_grey is None else params.solid_grey))
 
 
-def _solid(options: RayOptions, greys: Greys) -> None:
-    if options.solid_grey is not None and not (options.solid_grey - greys.base) * greys.polarity > 0:
+def _solid(params: MeasureParams, greys: Greys) -> None:
+    if params.solid_grey is not None and not (params.solid_grey - greys.base) * greys.polarity > 0:
         raise CannotMeasure(
-            f"solid_grey is {options.solid_grey:g}, the base's mean grey {greys.base:.4g} and the air's "
+            f"solid_grey is {params.solid_grey:g}, the base's mean grey {greys.base:.4g} and the air's "
             f"{greys.air:.4g}: a solid without voids lies beyond the base. Correct solid_grey."
         )
 
 
-@ray_property("porosity", units="1", long_name="Porosity of the base", check=_solid)
+@ray_property("porosity", units="1", long_name="Porosity of the base", check=_solid,
+              when=lambda params, _greys: params.solid_grey is not None or params.void_grey is not None)  # fmt: skip
 def porosity(rays: Rays) -> Measured:
     """P-10: share of void on the ray inside the base, its blurred edges (``edge_um``) left out.
 
@@ -40,7 +59,7 @@ def porosity(rays: Rays) -> Measured:
 
 def share_of_void(rays: Rays, lower: Array, upper: Array) -> Measured:
     """Porosity between any two places of each ray; NaN where they are less than a step apart."""
-    greys, solid = rays.greys, rays.options.solid_grey
+    greys, solid = rays.greys, rays.params.solid_grey
     length = upper - lower
     long = length >= rays.step_um
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -49,7 +68,7 @@ def share_of_void(rays: Rays, lower: Array, upper: Array) -> Measured:
             values = 1 - rays.integral(lower, upper) / length / contrast
             se = rays.integral_se(length) / length / abs(contrast)
         else:
-            matter, ends = rays.beyond(lower, upper, void_level(greys, rays.options))
+            matter, ends = rays.beyond(lower, upper, void_level(greys, rays.params))
             values = 1 - matter / length
             se = np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(greys.base - greys.air) / length
     return Measured(values=np.where(long, values, np.nan), se=np.where(long, se, np.nan))

@@ -8,11 +8,12 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import CannotMeasure
+from planish.core.tiles import Engine
 from planish.measure.along_rays import each_tile, ray_frame
 from planish.measure.filler import filler_level, share_of_filler
-from planish.measure.options import RayOptions
+from planish.measure.params import MeasureParams
 from planish.measure.porosity import share_of_void
-from planish.measure.rays import Array, Direction, Rays
+from planish.measure.rays import Array, Rays
 from planish.measure.registry import Measured
 
 _SHARES: dict[str, tuple[Callable[[Rays, Array, Array], Measured], str]] = {
@@ -23,15 +24,14 @@ _SHARES: dict[str, tuple[Callable[[Rays, Array, Array], Measured], str]] = {
 
 def depth_profiles(
     volume: xr.DataArray, surfaces: xr.Dataset, *, names: Sequence[str] = ("porosity",), bins: int = 20,
-    options: RayOptions | None = None, rays: Direction = "normal", rows_per_tile: int | None = None,
-    memory_bytes: int | None = None, threads: int | None = None,
+    params: MeasureParams | None = None, rows_per_tile: int | None = None, engine: Engine | None = None,
 ) -> xr.Dataset:  # fmt: skip
     """Share of a phase in layers of equal relative depth, mean over all valid rays (P-10, P-11).
 
     Parameters
     ----------
-    volume, surfaces, options, rays, rows_per_tile, memory_bytes, threads
-        As in :func:`~planish.measure.measure_along_rays`; no result depends on the last three.
+    volume, surfaces, params, rows_per_tile, engine
+        As in :func:`~planish.measure.measure_along_rays`; no result depends on the last two.
     names : sequence of {"porosity", "filler"}
     bins : int
         Layers. On a ray where a layer is thinner than a step of the ray it is not counted.
@@ -48,16 +48,16 @@ def depth_profiles(
     CannotMeasure
         If a name is unknown, a grey level is missing, or the layers are thinner than a step everywhere.
     """
-    options = options or RayOptions()
+    params = params or MeasureParams()
     unknown = [name for name in names if name not in _SHARES]
     if unknown or bins < 1:
         raise CannotMeasure(
             f"There is no profile of {', '.join(unknown) or 'no layers'}. Choose from {', '.join(_SHARES)}, and at "
             "least one layer."
         )
-    frame = ray_frame(volume, surfaces, options=options, rays=rays)
+    frame = ray_frame(volume, surfaces, params)
     if "filler" in names:
-        filler_level(frame.greys, options)
+        filler_level(frame.greys, params)
     edges = np.linspace(0.0, 1.0, bins + 1)
 
     def work(tile: Rays, own: slice, _at: slice) -> Array:
@@ -74,7 +74,7 @@ def depth_profiles(
                 sums[a, b] = [known.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
         return sums
 
-    parts = each_tile(volume, frame, work, rows=rows_per_tile, memory_bytes=memory_bytes, threads=threads)
+    parts = each_tile(volume, frame, work, rows=rows_per_tile, engine=engine or Engine())
     count, total, squares = np.moveaxis(np.concatenate(parts, axis=-1).sum(axis=-1), -1, 0)
     if not (count > 0).any():
         raise CannotMeasure(
@@ -100,4 +100,4 @@ def depth_profiles(
     blurred = (np.minimum(middle, 1 - middle) < near).astype(np.float64)
     data["blurred"] = ("depth", blurred, {"long_name": "Within two blurs of an interface"})
     about = {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"}
-    return xr.Dataset(data, coords={"depth": ("depth", middle, about)}, attrs={"base_um": thick, "rays": rays})
+    return xr.Dataset(data, coords={"depth": ("depth", middle, about)}, attrs={"base_um": thick, "rays": params.rays})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,11 +11,12 @@ from numpy.typing import NDArray
 from planish.core.errors import CannotMeasure, SizeError, SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.status import Status
 from planish.measure import _ray_kernels
 from planish.measure._kernels import along_normals
 from planish.measure.greys import Greys
-from planish.measure.options import RayOptions
-from planish.measure.rays import FACES, LOW_CONTRAST, NO_NORMAL, NOT_IN_VOLUME, Array, Direction, Grey, Rays
+from planish.measure.params import MeasureParams
+from planish.measure.rays import FACES, Array, Direction, Grey, Rays, oblique_factor
 
 _FARTHEST = 1.5  # sheet thicknesses from the centre surface: a face beyond is not this ray's
 _TILE = 256  # rows whose geometry is worked out together
@@ -40,7 +40,6 @@ class RayFrame:
     """
 
     frame: Frame
-    rays: Direction
     heights: dict[str, Array]
     faces: dict[str, Array]
     status: NDArray[np.uint8]
@@ -50,33 +49,27 @@ class RayFrame:
     low: int
     high: int
     greys: Greys
-    options: RayOptions
+    params: MeasureParams
     mean_stretch: tuple[float, float]
     wide: int = 1
     noise_um: float = float("nan")
 
     @classmethod
     def of(
-        cls, surfaces: xr.Dataset, *, voxel_um: float, wide: int = 1, step_um: float | None = None,
-        margin_um: float | None = None, rays: Direction = "normal", options: RayOptions | None = None,
-    ) -> RayFrame:  # fmt: skip
+        cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams, *, step_um: float | None = None
+    ) -> RayFrame:
         """Find where every ray meets the faces.
 
         Parameters
         ----------
+        volume : DataArray, dims (z, y, x)
+            Only its size and coordinates are looked at.
         surfaces : Dataset, dims (y, x), heights in um
-        voxel_um : float
-            Voxel size along the axis through the sheet.
-        wide : int
-            Voxels along the edge of a column of the surfaces.
+        params : MeasureParams
+            ``rays``: along the normals of the centre surface, or along the axis through the sheet for comparison: a
+            vertical thickness is too large by 1 / cos of the tilt.
         step_um : float
-            At most half of it, which is the default.
-        margin_um : float
-            Beyond the faces; three blurs and six voxels where not given.
-        rays : {"normal", "vertical"}
-            Along the normals of the centre surface, or along the axis through the sheet for comparison: a vertical
-            thickness is too large by 1 / cos of the tilt.
-        options : RayOptions
+            At most half a voxel, which is the default.
 
         Raises
         ------
@@ -85,6 +78,7 @@ class RayFrame:
         lacking = [name for name in (*FACES, "centre", "status") if name not in surfaces]
         if lacking:
             raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
+        voxel_um, wide = _column(volume, surfaces)
         if step_um is not None and not 0 < step_um <= 0.5 * voxel_um * (1 + 1e-9):
             raise SizeError(
                 f"A ray is sampled every {step_um:g} um; the voxels are {voxel_um:g} um high, and more than half of "
@@ -92,12 +86,12 @@ class RayFrame:
             )
         step = step_um or 0.5 * voxel_um
         greys = Greys.of(surfaces)
-        margin = 3 * greys.blur_um + 6 * voxel_um if margin_um is None else margin_um
+        margin = 3 * greys.blur_um + 6 * voxel_um  # beyond the faces
         frame = Frame.of(surfaces)
         heights = {name: frame.sign * surfaces[name].values.astype(np.float64) for name in (*FACES, "centre")}
         pitch_um = pitch(surfaces)
         status = surfaces["status"].values.astype(np.uint8)
-        faces, stretch = _meet(heights, pitch_um, rays)
+        faces, stretch = _meet(heights, pitch_um, params.rays)
         known = np.isfinite(faces["top"]) & np.isfinite(faces["bottom"]) & (status == 0)
         thick = float(np.median((faces["top"] - faces["bottom"])[known])) if known.any() else float("nan")
         whole = known & (np.abs(faces["top"]) < _FARTHEST * thick) & (np.abs(faces["bottom"]) < _FARTHEST * thick)
@@ -108,12 +102,12 @@ class RayFrame:
                 faces[name] = faces[name.removeprefix("interface_")]
         if not whole.any():
             raise CannotMeasure("No ray of the centre surface meets both faces. Look at the surfaces in the report.")
-        status[(status == 0) & ~whole] = NO_NORMAL
+        status[(status == 0) & ~whole] = Status.NORMAL_LEAVES_SHEET
         low = int(np.floor((float(faces["bottom"][whole].min()) - margin) / step))
         high = int(np.ceil((float(faces["top"][whole].max()) + margin) / step))
         return cls(
-            frame=frame, rays=rays, heights=heights, faces=faces, status=status, pitch_um=pitch_um, voxel_um=voxel_um,
-            step_um=step, low=low, high=high, greys=greys, options=options or RayOptions(), mean_stretch=stretch,
+            frame=frame, heights=heights, faces=faces, status=status, pitch_um=pitch_um, voxel_um=voxel_um,
+            step_um=step, low=low, high=high, greys=greys, params=params, mean_stretch=stretch,
             wide=wide,
         )  # fmt: skip
 
@@ -132,7 +126,7 @@ class RayFrame:
         rows = slice(start, stop)
         slope = self.slopes(rows)
         stretch = np.sqrt(1 + slope**2)
-        normals = _directions(slope, self.rays)
+        normals = _directions(slope, self.params.rays)
         status = self.status[rows].copy()
         grey = self._grey(volume, rows, normals, status == 0)
         faces = {name: np.where(status == 0, values[rows], np.nan) for name, values in self.faces.items()}
@@ -140,16 +134,16 @@ class RayFrame:
         tile = Rays(
             grey=grey, s_um=samples, top=faces["top"], bottom=faces["bottom"],
             interface_top=faces["interface_top"], interface_bottom=faces["interface_bottom"], normals=normals,
-            stretch=stretch, slope=slope, lean=lean_of(slope, self.rays), status=status, pitch_um=self.pitch_um,
-            voxel_um=self.voxel_um, greys=self.greys, options=self.options, noise_um=self.noise_um,
-            mirrored=self.frame.mirrored, mean_stretch=self.mean_stretch,
+            stretch=stretch, slope=slope, oblique=oblique_factor(slope, self.params.rays), status=status,
+            pitch_um=self.pitch_um, voxel_um=self.voxel_um, greys=self.greys, params=self.params,
+            noise_um=self.noise_um, mirrored=self.frame.mirrored, mean_stretch=self.mean_stretch,
         )  # fmt: skip
         whole = tile.integral(tile.bottom, tile.top)
-        status[(status == 0) & ~np.isfinite(whole)] = NOT_IN_VOLUME
+        status[(status == 0) & ~np.isfinite(whole)] = Status.RAY_LEAVES_VOLUME
         contrast = self.greys.base - self.greys.air
         with np.errstate(invalid="ignore"):
             faint = whole / np.maximum(tile.top - tile.bottom, 1e-9) / contrast < 0.25
-        status[(status == 0) & faint] = LOW_CONTRAST
+        status[(status == 0) & faint] = Status.LOW_CONTRAST
         return tile
 
     def _grey(self, volume: xr.DataArray, rows: slice, normals: Array, wanted: NDArray[np.bool_]) -> Grey:
@@ -190,7 +184,7 @@ class RayFrame:
 
 def straighten(
     volume: xr.DataArray, surfaces: xr.Dataset, rows: slice, *, step_um: float | None = None,
-    margin_um: float | None = None, rays: Direction = "normal", options: RayOptions | None = None,
+    params: MeasureParams | None = None,
 ) -> Rays:  # fmt: skip
     """Resample the volume along the rays of some rows of the centre surface.
 
@@ -202,7 +196,7 @@ def straighten(
         As :func:`planish.surface.find_surfaces` returns them.
     rows : slice
         Rows of the surfaces.
-    step_um, margin_um, rays, options
+    step_um, params
         As in :meth:`RayFrame.of`.
 
     Returns
@@ -214,21 +208,11 @@ def straighten(
     ------
     SurfaceError, SizeError, CannotMeasure
     """
-    frame = RayFrame.of(
-        surfaces, **column_of(volume, surfaces), step_um=step_um, margin_um=margin_um, rays=rays,
-        options=options,
-    )  # fmt: skip
-    return frame.tile(volume, rows)
+    return RayFrame.of(volume, surfaces, params or MeasureParams(), step_um=step_um).tile(volume, rows)
 
 
-def column_of(volume: xr.DataArray, surfaces: xr.Dataset) -> dict[str, Any]:
-    """Voxel size along the axis through the sheet, ``voxel_um``, and voxels along the edge of a column, ``wide``.
-
-    Raises
-    ------
-    SurfaceError
-        If the surfaces are not those of the volume.
-    """
+def _column(volume: xr.DataArray, surfaces: xr.Dataset) -> tuple[float, int]:
+    """Voxel size along the axis through the sheet, and voxels along the edge of a column of the surfaces."""
     frame = Frame.of(surfaces)
     have = volume.sizes[frame.rows], volume.sizes[frame.cols]
     want = surfaces.sizes["y"], surfaces.sizes["x"]
@@ -239,7 +223,7 @@ def column_of(volume: xr.DataArray, surfaces: xr.Dataset) -> dict[str, Any]:
             "belong together. Find the surfaces in this volume."
         )
     values = volume.coords[frame.through].values
-    return {"voxel_um": abs(float(values[1] - values[0])), "wide": wide}
+    return abs(float(values[1] - values[0])), wide
 
 
 def _slopes(centre: Array, pitch: tuple[float, float], rows: slice) -> tuple[Array, Array]:
@@ -249,13 +233,6 @@ def _slopes(centre: Array, pitch: tuple[float, float], rows: slice) -> tuple[Arr
         lo, hi = max(lo - 1, 0), min(hi + 1, centre.shape[0])
     along = [np.gradient(centre[lo:hi], p, axis=i) for i, p in enumerate(pitch)]
     return along[0][rows.start - lo : rows.stop - lo], along[1][rows.start - lo : rows.stop - lo]
-
-
-def lean_of(slope: Array, rays: Direction) -> Array:
-    """Length of ray for one um along the normal (rows, cols)."""
-    if rays == "normal":
-        return np.ones(slope.shape[:-1])
-    return np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)
 
 
 def _directions(slope: Array, rays: Direction) -> Array:

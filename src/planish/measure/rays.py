@@ -9,9 +9,8 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.measure import _ray_kernels
 from planish.measure.greys import Greys
-from planish.measure.options import RayOptions
+from planish.measure.params import MeasureParams
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
@@ -19,7 +18,6 @@ Direction = Literal["normal", "vertical"]
 T = TypeVar("T")
 
 FACES = ("top", "bottom", "interface_top", "interface_bottom")
-NO_NORMAL, LOW_CONTRAST, NOT_IN_VOLUME = 4, 8, 9  # 5 to 7 are reasons of the surface search
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +40,7 @@ class Rays:
         Length of a step of one um along rows and columns, measured in the centre surface.
     slope : (rows, cols, 2)
         Of the centre surface along rows and columns, up towards the top.
-    lean : (rows, cols)
+    oblique : (rows, cols)
         Length of ray for one um along the normal: 1 on normals, 1 / cos of the tilt on vertical rays.
     status : (rows, cols) uint8
     pitch_um : (float, float)
@@ -50,7 +48,7 @@ class Rays:
     voxel_um : float
         Voxel size along the axis through the sheet.
     greys : Greys
-    options : RayOptions
+    params : MeasureParams
     noise_um : float
         Variance of the grey's integral over one um of ray, from the noise alone.
     mirrored : bool
@@ -66,12 +64,12 @@ class Rays:
     normals: Array
     stretch: Array
     slope: Array
-    lean: Array
+    oblique: Array
     status: NDArray[np.uint8]
     pitch_um: tuple[float, float]
     voxel_um: float
     greys: Greys
-    options: RayOptions
+    params: MeasureParams
     noise_um: float
     mirrored: bool
     mean_stretch: tuple[float, float]
@@ -85,7 +83,7 @@ class Rays:
     @property
     def edge_um(self) -> Array:
         """What is left out of the base at both ends, along the ray (rows, cols)."""
-        return self.lean * (2 * self.greys.blur_um if self.options.edge_um is None else self.options.edge_um)
+        return self.oblique * (2 * self.greys.blur_um if self.params.edge_um is None else self.params.edge_um)
 
     @property
     def core(self) -> tuple[Array, Array]:
@@ -113,6 +111,8 @@ class Rays:
 
     def integral(self, lower: Array, upper: Array) -> Array:
         """Integral of the grey above the air from ``lower`` to ``upper`` (rows, cols); grey times um."""
+        from planish.measure import _ray_kernels
+
         found = _ray_kernels.integrals(self.grey, float(self.s_um[0]), self.step_um, lower, upper)
         return found - self.greys.air * np.maximum(upper - lower, 0.0)
 
@@ -124,6 +124,8 @@ class Rays:
 
     def length(self, lower: Array, upper: Array, *, least: float, most: float) -> tuple[Array, NDArray[np.int32]]:
         """Length in um with ``least <= grey <= most`` between two places, and how many ends it has there."""
+        from planish.measure import _ray_kernels
+
         return _ray_kernels.lengths(self.grey, float(self.s_um[0]), self.step_um, lower, upper, least, most)
 
     def beyond(self, lower: Array, upper: Array, level: float) -> tuple[Array, NDArray[np.int32]]:
@@ -138,7 +140,7 @@ class Rays:
         half way, and noise of standard deviation sigma moves that place by sigma over the slope.
         """
         blur = max(self.greys.blur_um, 0.5 * self.voxel_um)
-        return self.lean * (np.sqrt(2 * np.pi) * blur * self.greys.noise / max(abs(contrast), 1e-12))
+        return self.oblique * (np.sqrt(2 * np.pi) * blur * self.greys.noise / max(abs(contrast), 1e-12))
 
     def integral_se(self, length: Array | float) -> Array:
         """Standard error of an integral over ``length`` um: sqrt(noise_um * length)."""
@@ -152,6 +154,13 @@ class Rays:
 
     def rows(self, part: slice) -> Rays:
         """Return some of the rows."""
-        arrays = ("grey", *FACES, "normals", "stretch", "slope", "lean", "status")
+        arrays = ("grey", *FACES, "normals", "stretch", "slope", "oblique", "status")
         cut: dict[str, Any] = {name: getattr(self, name)[part] for name in arrays}
         return replace(self, **cut, _kept={})
+
+
+def oblique_factor(slope: Array, rays: Direction) -> Array:
+    """Length of ray for one um along the normal (rows, cols)."""
+    if rays == "normal":
+        return np.ones(slope.shape[:-1])
+    return np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)

@@ -8,23 +8,32 @@
         return bright / (rays.top - rays.bottom)
 
 A function returns an array (rows, cols), NaN where it has no answer, or a :class:`Measured` that carries a standard
-error and reasons beside it.
+error and reasons beside it. A name with ``{side}`` in it makes two properties, top and bottom, and every function of
+theirs is also given ``side``. Modules of properties that belong to planish are listed in
+:mod:`planish.measure.params`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from functools import partial, update_wrapper
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure
-from planish.measure.greys import Greys
-from planish.measure.options import RayOptions
-from planish.measure.ray_frame import RayFrame
-from planish.measure.rays import Array, Rays
+
+if TYPE_CHECKING:
+    from planish.measure.greys import Greys
+    from planish.measure.params import MeasureParams
+    from planish.measure.ray_frame import RayFrame
+    from planish.measure.rays import Array, Rays
+
+Side = Literal["top", "bottom"]
+SIDES: tuple[Side, Side] = ("top", "bottom")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,6 +54,10 @@ class Measured:
     se: Array | None = None
     reason: NDArray[np.uint8] | None = None
 
+    def times(self, factor: float) -> Measured:
+        """Return the same in another unit."""
+        return Measured(values=self.values * factor, se=None if self.se is None else self.se * abs(factor))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sheet:
@@ -53,7 +66,7 @@ class Sheet:
     Attributes
     ----------
     frame : RayFrame
-        Faces along the rays, centre surface, status, pitch and options.
+        Faces along the rays, centre surface, status, pitch and parameters.
     maps : mapping of Measured
         The properties that were named with ``after``.
     noise_um : float
@@ -65,16 +78,25 @@ class Sheet:
     noise_um: float
 
     @property
+    def params(self) -> MeasureParams:
+        """Options of the measurement."""
+        return self.frame.params
+
+    @property
     def valid(self) -> NDArray[np.bool_]:
         """Rays that meet both faces."""
         return self.frame.status == 0
 
+    def mean(self, values: Array) -> float:
+        """Mean over the valid rays."""
+        return float(np.mean(values[self.valid & np.isfinite(values)], dtype=np.float64))
 
-RayFunction = Callable[[Rays], "Array | Measured"]
-SheetFunction = Callable[[Sheet], "Array | Measured"]
-Length = float | Callable[[RayOptions], float]
-After = tuple[str, ...] | Callable[[RayOptions, Greys], tuple[str, ...]]
-Check = Callable[[RayOptions, Greys], None]
+
+Length = float | Callable[["MeasureParams"], float]
+After = tuple[str, ...] | Callable[..., tuple[str, ...]]
+Check = Callable[..., None]
+When = Callable[["MeasureParams", "Greys"], bool] | Callable[["MeasureParams", "Greys", Side], bool]
+Answer = Callable[..., "Array | Measured"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,21 +116,27 @@ class Property:
     reasons : tuple of str
         The property's own reasons for a missing value.
     after : tuple of str, or callable
-        Properties that this one is made from, or a function from the options and the grey levels to them.
+        Properties that this one is made from, or a function from the parameters and the grey levels to them.
     check : callable or None
-        Raises CannotMeasure, before anything is read, where something that it needs was not given.
+        From parameters and grey levels; raises CannotMeasure, before anything is read, where a number is missing.
+    when : callable or None
+        From parameters and grey levels; whether the property is measured without being named, as its numbers are given.
+    together : tuple of str
+        Properties that are measured with it where it is named.
     """
 
     name: str
     units: str
     long_name: str
     kind: Literal["rays", "sheet"]
-    function: Callable[..., Array | Measured]
+    function: Answer
     halo_um: Length = 0.0
     support_um: Length | None = None
     reasons: tuple[str, ...] = ()
     after: After = ()
     check: Check | None = None
+    when: Callable[..., bool] | None = None
+    together: tuple[str, ...] = ()
 
     def __call__(self, given: Rays | Sheet) -> Array | Measured:
         """Call the function itself."""
@@ -119,10 +147,10 @@ _REGISTERED: dict[str, Property] = {}
 
 
 def ray_property(
-    name: str, *, units: str, long_name: str, halo_um: Length = 0.0, support_um: Length | None = None,
-    reasons: Sequence[str] = (), check: Check | None = None,
-) -> Callable[[RayFunction], Property]:  # fmt: skip
-    """Register a function of rays as a property; see :class:`Property` for what the words mean.
+    name: str, *, units: str, long_name: str, support_um: Length | None = None, check: Check | None = None,
+    when: When | None = None, **more: Any,
+) -> Callable[[Answer], Property]:  # fmt: skip
+    """Register a function of rays as a property; see :class:`Property` for these words and for more of them.
 
     Raises
     ------
@@ -130,17 +158,17 @@ def ray_property(
         If the name is taken.
     """
 
-    def register(function: RayFunction) -> Property:
+    def register(function: Answer) -> Property:
         return _add(Property(name=name, units=units, long_name=long_name, kind="rays", function=function,
-                             halo_um=halo_um, support_um=support_um, reasons=tuple(reasons), check=check))  # fmt: skip
+                             support_um=support_um, check=check, when=when, **more))  # fmt: skip
 
     return register
 
 
 def sheet_property(
-    name: str, *, units: str, long_name: str, after: After = (), support_um: Length | None = None,
-    reasons: Sequence[str] = (), check: Check | None = None,
-) -> Callable[[SheetFunction], Property]:  # fmt: skip
+    name: str, *, units: str, long_name: str, support_um: Length | None = None, check: Check | None = None,
+    when: When | None = None, after: After = (), **more: Any,
+) -> Callable[[Answer], Property]:  # fmt: skip
     """Register a function of whole maps as a property.
 
     Raises
@@ -149,14 +177,16 @@ def sheet_property(
         If the name is taken.
     """
 
-    def register(function: SheetFunction) -> Property:
+    def register(function: Answer) -> Property:
         return _add(Property(name=name, units=units, long_name=long_name, kind="sheet", function=function,
-                             support_um=support_um, reasons=tuple(reasons), after=after, check=check))  # fmt: skip
+                             support_um=support_um, check=check, when=when, after=after, **more))  # fmt: skip
 
     return register
 
 
 def _add(new: Property) -> Property:
+    if "{side}" in new.name:
+        return [_add(_of_side(new, side)) for side in SIDES][-1]
     if not new.name.isidentifier():
         raise CannotMeasure(f"'{new.name}' is no name of a property: use letters, digits and underscores.")
     old = _REGISTERED.get(new.name)
@@ -169,8 +199,19 @@ def _add(new: Property) -> Property:
     return new
 
 
+def _of_side(both: Property, side: Side) -> Property:
+    def given(function: Any) -> Any:
+        return update_wrapper(partial(function, side=side), function) if callable(function) else function
+
+    return replace(
+        both, name=both.name.format(side=side), long_name=both.long_name.format(side=side),
+        function=given(both.function), after=given(both.after), check=given(both.check), when=given(both.when),
+    )  # fmt: skip
+
+
 def registered() -> dict[str, Property]:
     """Return all properties by name, in the order of their registration."""
+    import_module("planish.measure.params")  # registers planish's own
     return dict(_REGISTERED)
 
 
@@ -189,14 +230,22 @@ def find_property(name: str | Property) -> Property:
     return _REGISTERED[name]
 
 
-def in_order(names: Sequence[str | Property], options: RayOptions, greys: Greys) -> list[Property]:
+def chosen(params: MeasureParams, greys: Greys) -> list[str]:
+    """Names of the maps to measure: those that cost nothing, those whose numbers are given, those asked for."""
+    names = [one.name for one in registered().values() if one.when is not None and one.when(params, greys)]
+    names += params.maps
+    names += [other for name in params.maps for other in find_property(name).together]
+    return list(dict.fromkeys(names))
+
+
+def in_order(names: Sequence[str | Property], params: MeasureParams, greys: Greys) -> list[Property]:
     """Return the properties and all that they are made from, each after what it needs."""
     done: dict[str, Property] = {}
 
     def visit(one: Property, under: tuple[str, ...]) -> None:
         if one.name in under:
             raise CannotMeasure(f"The property '{one.name}' is made from itself: {' > '.join((*under, one.name))}.")
-        for needed in one.after(options, greys) if callable(one.after) else one.after:
+        for needed in one.after(params, greys) if callable(one.after) else one.after:
             visit(find_property(needed), (*under, one.name))
         done.setdefault(one.name, one)
 
@@ -205,6 +254,6 @@ def in_order(names: Sequence[str | Property], options: RayOptions, greys: Greys)
     return list(done.values())
 
 
-def length_of(length: Length, options: RayOptions) -> float:
-    """Value in um of a length that may depend on the options."""
-    return length(options) if callable(length) else length
+def length_of(length: Length, params: MeasureParams) -> float:
+    """Value in um of a length that may depend on the parameters."""
+    return length(params) if callable(length) else length

@@ -2,60 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from planish.core.errors import CannotMeasure
-from planish.measure import _envelope_kernels, _ray_kernels
-from planish.measure.along_normals import PROPERTIES
-from planish.measure.greys import Greys
-from planish.measure.options import RayOptions
-from planish.measure.ray_frame import lean_of
-from planish.measure.rays import Array, Rays
-from planish.measure.registry import Measured, Sheet, ray_property, sheet_property
-from planish.measure.uncertainty import layer_errors
+from planish.core.options import Params, option
+from planish.measure.faces import PROPERTIES
+from planish.measure.registry import Measured, Sheet, Side, ray_property, sheet_property
 
-Side = Literal["top", "bottom"]
+if TYPE_CHECKING:
+    from planish.measure.greys import Greys
+    from planish.measure.params import MeasureParams
+    from planish.measure.rays import Array, Rays
+
+
+class Options(Params):
+    """Options of thicknesses along the ray and between envelopes."""
+
+    gap_um: float = option(6.0, ge=0, cli=None, help="A gap in the coating that is shorter does not end the layer.")
+    envelope_radius_um: float = option(
+        250.0, gt=0, cli=None, help="Radius of the ball that rolls over both faces, for thickness_envelope."
+    )
 
 
 def errors(sheet: Sheet, side: Side) -> tuple[Array, Array, Array]:
     """Standard errors of the face, the coating and the interface of one side, along the sheet's rays."""
+    from planish.measure.rays import oblique_factor
+    from planish.measure.uncertainty import layer_errors
+
     f = sheet.frame
     layer = np.abs(f.faces[side] - f.faces[f"interface_{side}"])
     # A vertical distance is longer than a normal one, and so is its error.
-    lean = lean_of(f.slopes(slice(0, f.status.shape[0])), f.rays)
-    found = layer_errors(layer / lean, f.greys, sheet.noise_um, side)
-    return found[0] * lean, found[1] * lean, found[2] * lean
+    oblique = oblique_factor(f.slopes(slice(0, f.status.shape[0])), f.params.rays)
+    found = layer_errors(layer / oblique, f.greys, sheet.noise_um, side)
+    return found[0] * oblique, found[1] * oblique, found[2] * oblique
 
 
-def _has_coating(side: Side) -> Callable[[RayOptions, Greys], None]:
-    def check(_options: RayOptions, greys: Greys) -> None:
-        greys.need_coating(side, f"Coating thickness, {side} side,")
-
-    return check
+def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:
+    greys.need_coating(side, f"Coating thickness, {side} side,")
 
 
-def _coating(sheet: Sheet, side: Side) -> Measured:
-    """Face to interface; SE from the Fisher matrix of the fitted staircase (:func:`layer_errors`)."""
+@sheet_property("coating_{side}", units="um", long_name=PROPERTIES["coating_top"].replace("top", "{side}"))
+def coating(sheet: Sheet, side: Side) -> Measured:
+    """P-01: face to interface; 0 is possible. SE from the Fisher matrix of the fitted staircase (layer_errors)."""
     f = sheet.frame
     if not f.greys.coated(side):
         return Measured(values=np.full(f.status.shape, np.nan))
     outwards = 1.0 if side == "top" else -1.0
     return Measured(values=outwards * (f.faces[side] - f.faces[f"interface_{side}"]), se=errors(sheet, side)[1])
-
-
-@sheet_property("coating_top", units="um", long_name=PROPERTIES["coating_top"])
-def coating_top(sheet: Sheet) -> Measured:
-    """P-01, top side: s_T - s_TI; 0 is possible."""
-    return _coating(sheet, "top")
-
-
-@sheet_property("coating_bottom", units="um", long_name=PROPERTIES["coating_bottom"])
-def coating_bottom(sheet: Sheet) -> Measured:
-    """P-01, bottom side: s_BI - s_B."""
-    return _coating(sheet, "bottom")
 
 
 @sheet_property("base_thickness", units="um", long_name=PROPERTIES["base_thickness"])
@@ -76,7 +71,7 @@ def thickness(sheet: Sheet) -> Measured:
 
 @sheet_property(
     "thickness_envelope", units="um", long_name="Sheet thickness between rolling balls",
-    support_um=lambda options: 2 * options.envelope_radius_um,
+    support_um=lambda params: 2 * params.envelope_radius_um,
 )  # fmt: skip
 def thickness_envelope(sheet: Sheet) -> Measured:
     """P-05 with envelopes: a ball of ``envelope_radius_um`` rolls over either face and bridges what it cannot enter.
@@ -85,8 +80,8 @@ def thickness_envelope(sheet: Sheet) -> Measured:
     the faces on the rays are the height field. No standard error: an envelope rests on few points.
     """
     f = sheet.frame
-    top = envelope(np.where(sheet.valid, f.faces["top"], np.nan), f.pitch_um, f.options.envelope_radius_um)
-    bottom = envelope(np.where(sheet.valid, -f.faces["bottom"], np.nan), f.pitch_um, f.options.envelope_radius_um)
+    top = envelope(np.where(sheet.valid, f.faces["top"], np.nan), f.pitch_um, f.params.envelope_radius_um)
+    bottom = envelope(np.where(sheet.valid, -f.faces["bottom"], np.nan), f.pitch_um, f.params.envelope_radius_um)
     return Measured(values=top + bottom)
 
 
@@ -105,6 +100,8 @@ def envelope(height: Array, pitch_um: tuple[float, float], radius_um: float) -> 
     (rows, cols)
         um; NaN where ``height`` is.
     """
+    from planish.measure import _envelope_kernels
+
     if not np.isfinite(height).any():
         raise CannotMeasure("An envelope needs a face, and none is known. Look at the surfaces in the report.")
     rises = tuple(p * p / (2 * radius_um) for p in pitch_um)
@@ -114,6 +111,8 @@ def envelope(height: Array, pitch_um: tuple[float, float], radius_um: float) -> 
 
 def _layer(rays: Rays, side: Side) -> tuple[Array, Array, Array]:
     """Return t_sum, t_env and the standard error of both of the coating of one side."""
+    from planish.measure import _ray_kernels
+    from planish.measure.uncertainty import layer_errors
 
     def work() -> tuple[Array, Array, Array]:
         greys = rays.greys
@@ -121,28 +120,18 @@ def _layer(rays: Rays, side: Side) -> tuple[Array, Array, Array]:
         face, other = (rays.top, rays.interface_bottom) if side == "top" else (rays.bottom, rays.interface_top)
         summed, outer, ends = _ray_kernels.layers(
             rays.grey, float(rays.s_um[0]), rays.step_um, face, -1.0 if side == "top" else 1.0,
-            0.5 * (coat + greys.base), greys.polarity, rays.lean * (2.5 * greys.blur_um + rays.voxel_um),
-            rays.options.gap_um, other,
+            0.5 * (coat + greys.base), greys.polarity, rays.oblique * (2.5 * greys.blur_um + rays.voxel_um),
+            rays.params.gap_um, other,
         )  # fmt: skip
-        of_face = rays.lean * layer_errors(outer / rays.lean, greys, rays.noise_um, side)[0]
+        of_face = rays.oblique * layer_errors(outer / rays.oblique, greys, rays.noise_um, side)[0]
         se = np.hypot(of_face, np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coat - greys.base))
         return summed, outer, se
 
     return rays.once(f"layer_{side}", work)
 
 
-def _summed(rays: Rays, side: Side) -> Measured:
-    summed, _, se = _layer(rays, side)
-    return Measured(values=summed, se=se)
-
-
-def _enveloped(rays: Rays, side: Side) -> Measured:
-    _, outer, se = _layer(rays, side)
-    return Measured(values=outer, se=se)
-
-
-@ray_property("coating_top_sum", units="um", long_name="Coating on the ray, top side", check=_has_coating("top"))
-def coating_top_sum(rays: Rays) -> Measured:
+@ray_property("coating_{side}_sum", units="um", long_name="Coating on the ray, {side} side", check=_has_coating)
+def coating_sum(rays: Rays, side: Side) -> Measured:
     """P-01 by labels (A-16): summed length of coating in the outermost connected layer.
 
     Coating is what lies beyond half way between base and coating. The layer begins at the fitted face, whose blurred
@@ -150,25 +139,12 @@ def coating_top_sum(rays: Rays) -> Measured:
     blurs too thin or loses it; ``coating_top`` does not. SE: sqrt(SE_face^2 + n (sqrt(2 pi) w sigma / C)^2), n ends of
     the layer inside, w blur, sigma noise, C contrast between coating and base.
     """
-    return _summed(rays, "top")
+    summed, _, se = _layer(rays, side)
+    return Measured(values=summed, se=se)
 
 
-@ray_property("coating_bottom_sum", units="um", long_name="Coating on the ray, bottom side",
-              check=_has_coating("bottom"))  # fmt: skip
-def coating_bottom_sum(rays: Rays) -> Measured:
-    """P-01 by labels, bottom side; see :func:`coating_top_sum`."""
-    return _summed(rays, "bottom")
-
-
-@ray_property("coating_top_envelope", units="um", long_name="Coating with its gaps, top side",
-              check=_has_coating("top"))  # fmt: skip
-def coating_top_envelope(rays: Rays) -> Measured:
-    """t_env of A-16: from the face to the inner end of the same layer, gaps included; SE as :func:`coating_top_sum`."""
-    return _enveloped(rays, "top")
-
-
-@ray_property("coating_bottom_envelope", units="um", long_name="Coating with its gaps, bottom side",
-              check=_has_coating("bottom"))  # fmt: skip
-def coating_bottom_envelope(rays: Rays) -> Measured:
-    """t_env of A-16, bottom side."""
-    return _enveloped(rays, "bottom")
+@ray_property("coating_{side}_envelope", units="um", long_name="Coating with its gaps, {side} side", check=_has_coating)
+def coating_envelope(rays: Rays, side: Side) -> Measured:
+    """t_env of A-16: from the face to the inner end of the same layer, gaps included; SE as :func:`coating_sum`."""
+    _, outer, se = _layer(rays, side)
+    return Measured(values=outer, se=se)

@@ -3,58 +3,51 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from planish.core.errors import CannotMeasure
-from planish.measure.along_normals import PROPERTIES
-from planish.measure.rays import Array
-from planish.measure.registry import Measured, Sheet, sheet_property
+from planish.core.options import Params, option
+from planish.measure.faces import PROPERTIES
+from planish.measure.registry import Measured, Sheet, Side, sheet_property
 from planish.measure.thickness import errors
 
-Side = Literal["top", "bottom"]
+if TYPE_CHECKING:
+    from planish.measure.rays import Array
+
 _ALPHA = 0.4697  # sqrt(ln 2 / pi): the Gaussian exp(-pi (x / (alpha cutoff))^2) passes its cut-off by half
 _LEAST_WEIGHT = 0.3  # of the filter's weight that must lie on known values
 
 
-@sheet_property("topography_top", units="um", long_name=PROPERTIES["topography_top"])
-def topography_top(sheet: Sheet) -> Measured:
-    """P-06: from the centre surface outwards to the top face; SE: that of the fitted face."""
-    return Measured(values=sheet.frame.faces["top"], se=errors(sheet, "top")[0])
+class Options(Params):
+    """Options of the roughness."""
+
+    s_filter_um: float = option(5.0, gt=0, cli=None, help="S-filter of the roughness: shorter waves are left out.")
+    l_filter_um: float = option(800.0, gt=0, cli=None, help="L-filter of the roughness: longer waves are left out.")
 
 
-@sheet_property("topography_bottom", units="um", long_name=PROPERTIES["topography_bottom"])
-def topography_bottom(sheet: Sheet) -> Measured:
-    """P-06, bottom side, outwards."""
-    return Measured(values=-sheet.frame.faces["bottom"], se=errors(sheet, "bottom")[0])
+@sheet_property("topography_{side}", units="um", long_name=PROPERTIES["topography_top"].replace("top", "{side}"))
+def topography(sheet: Sheet, side: Side) -> Measured:
+    """P-06: from the centre surface outwards to the face; SE: that of the fitted face."""
+    sign = 1.0 if side == "top" else -1.0
+    return Measured(values=sign * sheet.frame.faces[side], se=errors(sheet, side)[0])
 
 
-@sheet_property("roughness_top", units="um", long_name="Roughness, top side",
-                support_um=lambda options: options.s_filter_um)  # fmt: skip
-def roughness_top(sheet: Sheet) -> Measured:
-    """P-06: the topography between S-filter and L-filter; see :func:`scale_limited`."""
-    return _rough(sheet, "top")
+@sheet_property("roughness_{side}", units="um", long_name="Roughness, {side} side",
+                support_um=lambda params: params.s_filter_um)  # fmt: skip
+def roughness(sheet: Sheet, side: Side) -> Measured:
+    """P-06: the topography between S-filter and L-filter; see :func:`scale_limited`.
 
-
-@sheet_property("roughness_bottom", units="um", long_name="Roughness, bottom side",
-                support_um=lambda options: options.s_filter_um)  # fmt: skip
-def roughness_bottom(sheet: Sheet) -> Measured:
-    """P-06, bottom side, outwards."""
-    return _rough(sheet, "bottom")
-
-
-def _rough(sheet: Sheet, side: Side) -> Measured:
-    """SE: the face's, times what the S-filter leaves of white noise, pitch / (2 sqrt(pi) sigma) where it is below 1."""
-    f = sheet.frame
+    SE: the face's, times what the S-filter leaves of white noise, pitch / (2 sqrt(pi) sigma) where it is below 1.
+    """
+    f, p = sheet.frame, sheet.params
     sign = 1.0 if side == "top" else -1.0
     height = np.where(sheet.valid, sign * f.faces[side], np.nan)
-    o = f.options
-    limited = scale_limited(height, f.pitch_um, s_filter_um=o.s_filter_um, l_filter_um=o.l_filter_um)
-    sigma = _sigma(o.s_filter_um)
-    left = np.prod([min(1.0, np.sqrt(p / (2 * np.sqrt(np.pi) * sigma))) for p in f.pitch_um])
+    limited = scale_limited(height, f.pitch_um, s_filter_um=p.s_filter_um, l_filter_um=p.l_filter_um)
+    sigma = _sigma(p.s_filter_um)
+    left = np.prod([min(1.0, np.sqrt(q / (2 * np.sqrt(np.pi) * sigma))) for q in f.pitch_um])
     return Measured(values=limited, se=errors(sheet, side)[0] * float(left))
 
 
@@ -67,6 +60,8 @@ def smoothed(values: Array, pitch_um: tuple[float, float], sigma_um: float) -> A
 
     The filter is normalised by the weight of what is known, and does not look beyond the border.
     """
+    from scipy import ndimage
+
     sigma = [sigma_um / p for p in pitch_um]
     known = np.isfinite(values)
     total = ndimage.gaussian_filter(np.where(known, values, 0.0), sigma, mode="constant", truncate=3.5)
@@ -100,6 +95,8 @@ def scale_limited(
     CannotMeasure
         If the field is no wider than the longer cut-off, or the filters leave nothing between them.
     """
+    from scipy import ndimage
+
     if not s_filter_um < l_filter_um:
         raise CannotMeasure(
             f"The S-filter ({s_filter_um:g} um) must be shorter than the L-filter ({l_filter_um:g} um). Change "
@@ -122,6 +119,8 @@ def scale_limited(
 
 def _filled(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The field with its holes: they are no edge, the masked filter bridges them."""
+    from scipy import ndimage
+
     return np.asarray(ndimage.binary_fill_holes(known))
 
 

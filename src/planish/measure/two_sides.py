@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import xarray as xr
 
 from planish.core.errors import CannotMeasure
-from planish.measure.greys import Greys
-from planish.measure.options import RayOptions
-from planish.measure.rays import Array
-from planish.measure.registry import Measured, Sheet, sheet_property
+from planish.measure.registry import SIDES, Measured, Sheet, sheet_property
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from planish.measure.greys import Greys
+    from planish.measure.params import MeasureParams
+    from planish.measure.rays import Array
 
 
-def _both(_options: RayOptions, greys: Greys) -> None:
-    for side in ("top", "bottom"):
+def _both(_params: MeasureParams, greys: Greys) -> None:
+    for side in SIDES:
         greys.need_coating(side, "The difference of both coatings")
 
 

@@ -6,15 +6,26 @@ cannot be told from one scan.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from planish.measure.rays import Array
 from planish.measure.registry import Sheet, sheet_property
+
+if TYPE_CHECKING:
+    from planish.measure.greys import Greys
+    from planish.measure.params import MeasureParams
+    from planish.measure.rays import Array
 
 _PER_MM = 1000.0
 
 
-@sheet_property("warp", units="um", long_name="Warp", support_um=400.0)
+def _always(_params: MeasureParams, _greys: Greys) -> bool:
+    """It costs no look at the volume and needs no number from the user."""
+    return True
+
+
+@sheet_property("warp", units="um", long_name="Warp", support_um=400.0, when=_always)
 def warp(sheet: Sheet) -> Array:
     """Height of the centre surface above the plane that fits it best, up towards the top."""
     height = sheet.frame.heights["centre"]
@@ -26,7 +37,7 @@ def warp(sheet: Sheet) -> Array:
     return height - (level + by_y * yy + by_x * xx)
 
 
-@sheet_property("tilt", units="deg", long_name="Tilt of the sheet", support_um=400.0)
+@sheet_property("tilt", units="deg", long_name="Tilt of the sheet", support_um=400.0, when=_always)
 def tilt(sheet: Sheet) -> Array:
     """Angle between the normal and the axis through the sheet."""
     slope = sheet.frame.slopes(slice(0, sheet.frame.status.shape[0]))

@@ -17,7 +17,7 @@ from planish.gates import link_gates, map_gates
 from planish.io import read_image
 from planish.marks import HoleParams, find_holes, find_sheet_holes, hole_mask
 from planish.marks.files import LayerFacts, read_pairs
-from planish.measure import PROPERTIES
+from planish.measure import PROPERTIES, further_maps
 from planish.pipeline.grid import agreement, headline_of
 from planish.pipeline.holes import at_flat, in_flat
 from planish.pipeline.marking import Plane, check_enough, join_found, join_given, read_design
@@ -25,7 +25,6 @@ from planish.pipeline.orientation import orientation_results
 from planish.pipeline.refinement import refine_link
 from planish.pipeline.run import Array, Progress, Run, silent
 from planish.pipeline.sheet import map_sheet, uv
-from planish.properties import further_maps
 from planish.register import Chain, FittedTransform, fit_transform
 from planish.register.models import MODELS
 from planish.resample import expected_error, find_places, image_attrs, resample, resample_maps

@@ -12,20 +12,22 @@ import xarray as xr
 
 from planish import __version__
 from planish.compute import Compute, column_step, engine
-from planish.core.errors import InputError, VolumeError
+from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.tiles import Engine
 from planish.flatten import FlattenParams, flatten_sheet
 from planish.gates import map_gates
 from planish.io import find_place
-from planish.measure import measure_properties
+from planish.measure import measure_properties, sheet_numbers
 from planish.pipeline.run import Array, Progress, Run, silent
 from planish.pipeline.volume import read_sheet_volume, some_slices
-from planish.properties import further_results, measure_more, number_results
 from planish.resample import resample_maps
 from planish.results import (
     flatten_results,
+    further_results,
     input_results,
+    number_results,
     parameter_results,
     property_results,
     section_results,
@@ -66,14 +68,10 @@ def map_sheet(
         surfaces = find_surfaces(volume, frame=frame, params=study.surface, step=step, engine=tiles)
     _check_thickness(surfaces)
     tell("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
-    found, properties = surfaces, measure_properties(surfaces)
-    surfaces = surfaces.drop_vars("status").merge(properties, combine_attrs="override")
-    if study.surface.labels is None:
-        further = measure_more(volume, surfaces, study.properties, compute, tell).drop_vars("status")
-        surfaces = surfaces.merge(further, compat="override", combine_attrs="override")
-    elif study.properties.maps:
-        raise InputError("Further maps are measured in grey values; a volume of labels has none. Leave --property out.")
-    numbers = number_results(volume, surfaces, study.properties)
+    found = surfaces
+    tiles = Engine(threads=compute.threads, memory_bytes=compute.memory // 2)
+    surfaces = measure_properties(found, volume=volume, params=study.properties, engine=tiles)
+    numbers = sheet_numbers(surfaces, volume=volume, params=study.properties, engine=tiles)
     tell("flatten", "eight-spring mesh")
     f = study.flatten
     # A column whose normal meets no face still has its place in the sheet.
@@ -104,7 +102,7 @@ def map_sheet(
         "surfaces": surface_results(surfaces),
         "properties": property_results(surfaces),
         "further": further_results(surfaces),
-        "numbers": numbers,
+        "numbers": number_results(numbers),
         "flatten": flatten_results(flattened),
     }
     if sections is not None:

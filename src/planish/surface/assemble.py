@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
+from planish.core.status import Status, status_flags
 from planish.surface.centre import gaussian_regression, slice_smoothed
 from planish.surface.columns import Columns, voxel_pitch
 from planish.surface.envelope import rolling_ball
@@ -18,7 +19,7 @@ from planish.surface.faces import Faces
 from planish.surface.holes import half_closed
 from planish.surface.params import SurfaceParams
 from planish.surface.presence import LAYERS, TITLES
-from planish.surface.regions import LEAVES, PARTICLE, STATUS, TOUCHING, regions
+from planish.surface.regions import regions
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -74,11 +75,14 @@ def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found
             "nothing is left to measure. Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
         )
     centre, cutoff_used = _centre(middle, outline, pitch[:2], params)
-    status = np.where(~np.isfinite(centre) | ~sheet, 1, np.where(rim, 2, np.where(seen, 0, 3)))
-    for where, reason in (
-        (stuck & (status == 3), PARTICLE), (touching & sheet, TOUCHING), (runs_out & (status > 0), LEAVES),
-    ):  # fmt: skip
-        status[where] = reason
+    status = np.select(
+        [~np.isfinite(centre) | ~sheet, rim, seen],
+        [Status.NO_SHEET, Status.RIM, Status.MEASURED],
+        Status.FACE_NOT_FOUND,
+    )
+    status[stuck & (status == Status.FACE_NOT_FOUND)] = Status.PARTICLE
+    status[touching & sheet] = Status.TOUCHING
+    status[runs_out & (status > 0)] = Status.LEAVES_VOLUME
     bridged = cutoff_used > params.cutoff_um
     present = found.presence(centre, thickness, up)
     heights = {
@@ -103,12 +107,7 @@ def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found
         title = "Cut-off of the centre surface, wider than stated across gaps"
         used = cutoff_used.astype(np.float32)
         data["centre_cutoff_um"] = (("y", "x"), used, {"units": "um", "long_name": title})
-    flags: dict[str, object] = {
-        "long_name": "Status",
-        "flag_values": list(STATUS),
-        "flag_meanings": " ".join(STATUS.values()),
-    }
-    data["status"] = (("y", "x"), status.astype(np.uint8), flags)
+    data["status"] = (("y", "x"), status.astype(np.uint8), status_flags())
     closed = half_closed(there, runs_out, pitch[:2])
     rows, cols = columns.lateral_um()
     attrs: dict[str, object] = {

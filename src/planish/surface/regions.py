@@ -9,12 +9,6 @@ from scipy import ndimage
 from planish.surface.coarse import CoarseSheet, flags_to_columns
 from planish.surface.oriented import Guide
 
-TOUCHING, LEAVES, PARTICLE = 5, 6, 7
-# 4 is what the measurement adds: a normal that leaves the sheet.
-STATUS = {
-    0: "measured", 1: "no_sheet", 2: "rim", 3: "face_not_found", TOUCHING: "touching", LEAVES: "leaves_volume",
-    PARTICLE: "particle",
-}  # fmt: skip
 _MERGED = 1.6  # times the usual thickness: two sheets that touch, or one that folds back
 _BESIDE = 2  # columns beside such a place whose faces it disturbs
 _HOLE_UM = 600.0  # a gap wider than this is missing sheet, not a hole

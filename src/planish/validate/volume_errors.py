@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.status import Status
 from planish.register import fit_transform
 from planish.sections.trend import quick_part
 from planish.validate.figures import FACES, THICKNESSES
@@ -17,7 +18,6 @@ Array = NDArray[np.float64]
 _EDGE_UM = 100.0  # length whose error is the strain: well over the scatter of single columns
 _WIDE_UM = 20.0  # of a difference that gives a normal where neighbouring sections scatter against each other
 _LEAST_SECTIONS = 4
-_NORMAL_LEAVES = 4  # status of a column whose faces are there
 
 
 def section_errors(both: Comparison) -> Values:
@@ -72,8 +72,8 @@ def surface_errors(both: Comparison) -> Values:
     u, v, _ = np.moveaxis(both.material, -1, 0)
     outside = np.fmin(*(field_at(sheet, field, u, v) for field in sheet.rim_um)) > 0
     status = both.take(surfaces["status"].values)
-    has = outside & (status != 2)
-    found = (status == 0) | (status == _NORMAL_LEAVES)
+    has = outside & (status != Status.RIM)
+    found = (status == 0) | (status == Status.NORMAL_LEAVES_SHEET)
     values["found_share"] = 100.0 * float(np.mean(found[has])) if has.any() else None
     values["measured_share"] = 100.0 * float(np.mean(both.measured[has])) if has.any() else None
     return values

@@ -1,22 +1,19 @@
-"""Properties of the sheet along the true 3D normals of its centre surface (Hirn et al. 2009, section 2.2)."""
+"""The six properties of the faces along the true 3D normals of the centre surface (Hirn et al. 2009, section 2.2)."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure, SurfaceError
-from planish.core.frame import Frame
-from planish.core.grid import pitch
-from planish.measure._kernels import along_normals
+from planish.core.status import Status, status_flags
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = NDArray[np.float64]
-
-STATUS = (
-    "measured", "no_sheet", "rim", "face_not_found", "normal_leaves_sheet", "touching", "leaves_volume", "particle",
-)  # fmt: skip
-"""Why a column has no value, by the number in ``status``."""
 
 PROPERTIES = {
     "coating_top": "Coating thickness, top side",
@@ -28,22 +25,8 @@ PROPERTIES = {
 }
 
 
-def measure_properties(surfaces: xr.Dataset) -> xr.Dataset:
-    """Measure thicknesses and topographies along the normals of the centre surface.
-
-    Parameters
-    ----------
-    surfaces : Dataset, dims (y, x), heights in um
-        ``top``, ``bottom``, ``interface_top``, ``interface_bottom``, ``centre`` and ``status``, as
-        :func:`planish.surface.find_surfaces` returns them.
-
-    Returns
-    -------
-    Dataset, dims (y, x), in um
-        ``coating_top``, ``coating_bottom``: outer face to interface; NaN on a side without a coating.
-        ``base_thickness``: interface to interface (a face where that side has no coating). ``thickness``: face to
-        face. ``topography_top``, ``topography_bottom``: from the centre surface to the face, positive outwards.
-        ``status``: that of the surfaces, and 4 where a normal leaves the sheet. All are NaN where it is not 0.
+def measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
+    """Measure thicknesses and topographies; see :func:`planish.measure.measure_properties`.
 
     Raises
     ------
@@ -51,12 +34,13 @@ def measure_properties(surfaces: xr.Dataset) -> xr.Dataset:
         If a surface is missing or the top lies below the bottom.
     CannotMeasure
         If no normal meets both faces.
-
-    Notes
-    -----
-    On a face tilted by ``a`` a vertical thickness is too large by 1 / cos a; a normal within the slice only, as the
-    paper's, is too large by 1 / cos of the tilt across the slices.
     """
+    import xarray as xr
+
+    from planish.core.frame import Frame
+    from planish.core.grid import pitch
+    from planish.measure._kernels import along_normals
+
     needed = ("top", "bottom", "interface_top", "interface_bottom", "centre", "status")
     missing = [name for name in needed if name not in surfaces]
     if missing:
@@ -92,7 +76,7 @@ def measure_properties(surfaces: xr.Dataset) -> xr.Dataset:
     for name in ("coating_top", "coating_bottom"):
         if np.isfinite(values[name]).any():
             whole &= np.isfinite(values[name])
-    status[(status == 0) & ~whole] = 4
+    status[(status == 0) & ~whole] = Status.NORMAL_LEAVES_SHEET
     valid = status == 0
     if not valid.any():
         raise CannotMeasure(
@@ -106,9 +90,8 @@ def measure_properties(surfaces: xr.Dataset) -> xr.Dataset:
         )
         for name, v in values.items()
     }
-    flags = {"long_name": "Status", "flag_values": [*range(len(STATUS))], "flag_meanings": " ".join(STATUS)}
     return xr.Dataset(
-        {**data, "status": (("y", "x"), status, flags)}, coords=surfaces.coords, attrs=dict(surfaces.attrs)
+        {**data, "status": (("y", "x"), status, status_flags())}, coords=surfaces.coords, attrs=dict(surfaces.attrs)
     )
 
 

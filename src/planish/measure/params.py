@@ -1,0 +1,61 @@
+"""Options of the measurement, and the table of the modules with properties: an import, and a base where it has options.
+
+Every module declares its own options as a ``Params`` model; :class:`MeasureParams` inherits all of them, so that they
+appear in the study file, on the command line and in the documents. Nothing here imports numba or scipy.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from planish.core.options import Params, option
+from planish.measure import (
+    coat_weight,
+    densities,
+    filler,
+    grammage,
+    ink,
+    orientation,
+    pores,
+    porosity,
+    thickness,
+    topography,
+    two_sides,
+    warp,
+)
+
+
+class Common(Params):
+    """Options of all properties."""
+
+    maps: tuple[str, ...] = option(
+        (), cli="--property", metavar="NAME",
+        help="A further map, such as porosity or fibre_angle; may be given again. 'planish properties' lists them.",
+    )  # fmt: skip
+    rays: Literal["normal", "vertical"] = option("normal", help="Direction along which further maps are measured.")
+    edge_um: float | None = option(
+        None, ge=0, cli=None,
+        help="Left out of the base at both ends, where the blur mixes it with what lies beside; twice the blur's "
+        "standard deviation where not given.",
+    )  # fmt: skip
+
+
+# Fields of the last base come first.
+class MeasureParams(
+    topography.Options,
+    thickness.Options,
+    pores.Options,
+    orientation.Options,
+    grammage.Options,
+    coat_weight.Options,
+    ink.Options,
+    filler.Options,
+    porosity.Options,
+    densities.Densities,
+    Common,
+):
+    """Options of the properties; lengths in um, grey levels in the volume's own values."""
+
+
+WITHOUT_OPTIONS = (two_sides, warp)
+"""Modules with properties that need no option."""
