@@ -70,6 +70,7 @@ class SurfaceFacts(Facts):
     fringe: Number
     fringe_um: Number
     cutoff_um: Number
+    bridged_share: Number = Field(None, description="Share of the columns where gaps needed a wider cut-off.")
     rim_um: Number
     saturated_share: Number = Field(description="Share of the sheet's voxels at the end of the grey scale.")
     missing_share: Number
