@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
@@ -21,18 +23,7 @@ def dice(one: Mask, two: Mask) -> float | None:
 def outline_lag(one: Array, two: Array, level: float, pitch_um: tuple[float, float]) -> float | None:
     """Median distance in um between the contour lines of two maps at ``level``, taken from both sides.
 
-    Parameters
-    ----------
-    one, two : (rows, cols)
-        NaN is missing: no line passes there.
-    level : float
-    pitch_um : (float, float)
-        Distance of rows and columns.
-
-    Returns
-    -------
-    float or None
-        None where one of them has no contour.
+    No line passes where a map is NaN; None where one of them has no contour. ``pitch_um`` is that of rows and columns.
     """
     a, b = (contour_points(m, level) * np.array(pitch_um) for m in (one, two))
     if not len(a) or not len(b):
@@ -42,33 +33,10 @@ def outline_lag(one: Array, two: Array, level: float, pitch_um: tuple[float, flo
 
 
 def contour_points(values: Array, level: float) -> Array:
-    """Points (n, 2) as (row, col), in pixels, close together on the contour line of a map, cell by cell.
+    """Points (n, 2) as (row, col), in pixels, close together on the contour lines of a map."""
+    from contourpy import LineType, contour_generator
 
-    Crossings of the level on the four edges of a cell are found by linear interpolation. A cell with two of them holds
-    a straight stretch; one with four (a saddle) only its crossings.
-    """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        across = (level - values[:, :-1]) / (values[:, 1:] - values[:, :-1])
-        down = (level - values[:-1]) / (values[1:] - values[:-1])
-    cells = values.shape[0] - 1, values.shape[1] - 1
-    row, col = np.mgrid[: cells[0], : cells[1]].astype(np.float64)
-    edges = [
-        (row, col + across[:-1], across[:-1]),
-        (row + 1, col + across[1:], across[1:]),
-        (row + down[:, :-1], col, down[:, :-1]),
-        (row + down[:, 1:], col + 1, down[:, 1:]),
-    ]
-    points = np.stack([np.stack([r, c], axis=-1) for r, c, _ in edges])
-    crossed = np.stack([(t >= 0) & (t < 1) for *_, t in edges])
-    count = crossed.sum(axis=0)
-    found = [points[k][crossed[k] & (count != 2)] for k in range(4)]
-    two = count == 2
-    if two.any():
-        hit = crossed[:, two]
-        first, last = hit.argmax(axis=0), 3 - hit[::-1].argmax(axis=0)
-        ends = points[:, two]
-        at = np.arange(hit.shape[1])
-        start, end = ends[first, at], ends[last, at]
-        share = (np.arange(_PARTS) + 0.5) / _PARTS
-        found.append((start[:, None] + share[None, :, None] * (end - start)[:, None]).reshape(-1, 2))
-    return np.concatenate(found)
+    lines = contour_generator(z=np.ma.masked_invalid(values), line_type=LineType.Separate).lines(level)
+    share = (np.arange(_PARTS) + 0.5)[:, None] / _PARTS
+    points = [start + share * (end - start) for line in lines for start, end in pairwise(np.asarray(line))]
+    return np.concatenate(points)[:, ::-1] if points else np.empty((0, 2))
