@@ -65,6 +65,7 @@ def test_a_known_lag_is_found_to_a_tenth_of_a_pixel(lag):
     assert max(found.se_um) < 0.4
 
 
+@pytest.mark.study
 def test_the_standard_error_is_what_the_lags_scatter_by():
     lag = (1.7, -2.4)
     # A correlation of 0.3 leaves one lag uncertain by some 0.4 pixels: the mean of 30 has no bias of 0.1.
@@ -194,6 +195,7 @@ def test_what_does_not_fit_is_refused():
         cross_fitted(a, b, by_shift(b, pixel_um=(1.0, 1.0), reach_um=5), pixel_um=(1.0, 1.0), guard_um=1.0)
 
 
+@pytest.mark.study
 def test_a_searched_correlation_of_independent_maps_is_inflated_and_a_cross_fitted_one_is_not():
     naive, fitted, false = [], [], 0
     for seed in range(40):

@@ -43,6 +43,7 @@ def test_similarity_of_a_chain_is_that_of_the_product():
     np.testing.assert_allclose(both.jacobian([1000.0, 500.0])[:, 0], numeric, atol=1e-6)
 
 
+@pytest.mark.study
 def test_errors_of_the_links_add_up_as_they_do_in_many_repetitions():
     at = np.array([[500.0, 500.0], [3500.0, 2500.0], [6000.0, 5000.0]])
     true = SECOND(FIRST(at))

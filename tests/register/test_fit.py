@@ -50,6 +50,7 @@ def test_leave_one_out_equals_the_brute_force_twin(model, weighted):
         assert fit.leave_one_out_um[k] == pytest.approx(twin, abs=1e-9)
 
 
+@pytest.mark.study
 def test_residuals_have_the_expected_size():
     """Noise s, n marks, similarity: rms of one axis is s sqrt(1 - 2/n)."""
     rng = np.random.default_rng(2)
@@ -62,6 +63,7 @@ def test_residuals_have_the_expected_size():
     assert np.sqrt(np.mean(squares)) == pytest.approx(noise * np.sqrt(1 - 2 / n), rel=0.04)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("model", ["similarity", "rigid"])
 def test_expected_against_true_error(model):
     rng = np.random.default_rng(3)

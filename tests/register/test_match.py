@@ -10,7 +10,7 @@ from register.patterns import coded, exhaustive, pose, scattered, seen
 def test_whole_patterns_are_matched(count):
     rng = np.random.default_rng(count)
     right = refused = 0
-    for _ in range(60):
+    for _ in range(25):
         points = scattered(count, rng)
         order = rng.permutation(count)
         try:
@@ -20,8 +20,8 @@ def test_whole_patterns_are_matched(count):
             continue
         assert np.array_equal(order[found.pairs[:, 0]], found.pairs[:, 1])
         right += len(found.pairs) == count
-    print(f"{count} holes: {right} of 60 matched, {refused} refused")
-    assert right >= 0.9 * 60
+    print(f"{count} holes: {right} of 25 matched, {refused} refused")
+    assert right >= 0.9 * 25
 
 
 @pytest.mark.study
@@ -140,7 +140,7 @@ SYMMETRIC = {
 @pytest.mark.parametrize("jitter", [0.0, 2.0, 4.0])
 def test_symmetric_patterns_are_always_refused(name, jitter):
     rng = np.random.default_rng(1)
-    for _ in range(30):
+    for _ in range(10):
         points = np.array(SYMMETRIC[name], float) + rng.normal(0, jitter, (len(SYMMETRIC[name]), 2))
         with pytest.raises(CannotRegister, match=r"symmetric|alike|ambiguous"):
             match_marks(points, pose(rng)(points) + rng.normal(0, 1, points.shape))
@@ -160,6 +160,7 @@ WITH_LOSS = {
 }
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("both", [False, True])
 @pytest.mark.parametrize("false", [0.0, 0.3])
 @pytest.mark.parametrize("name", WITH_LOSS)
@@ -205,6 +206,7 @@ def test_a_mirror_image_is_only_tried_when_asked():
     assert match_marks(points, seen, mirror=True).mirrored
 
 
+@pytest.mark.study
 def test_a_wrong_handed_image_is_not_matched_by_chance():
     """Among many patterns some fit their own mirror image at most of their marks; the true hand gives them away."""
     rng = np.random.default_rng(6)

@@ -39,6 +39,7 @@ def test_a_quarter_of_wrong_marks_is_found():
         assert np.linalg.norm(fit(points) - TURN(points), axis=1).max() < 6.0
 
 
+@pytest.mark.study
 def test_right_marks_are_left_alone():
     """One set in a hundred may lose weight by chance; the error grows by less than 2 %."""
     rng = np.random.default_rng(2)

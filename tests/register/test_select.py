@@ -43,6 +43,7 @@ def test_a_shear_passes_the_scale():
     assert fit.model == "affine"
 
 
+@pytest.mark.study
 def test_noise_takes_no_model_with_more_parameters():
     """25 similarities of 8 marks: the F test lets about 1 % through on each of three further models."""
     ends = [fit_transform(*seen(TURN, 8, seed), model="auto", robust=False).model for seed in range(25)]

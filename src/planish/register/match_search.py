@@ -13,8 +13,6 @@ from math import lgamma, log, log10
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.register import _kernels
-
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
@@ -120,6 +118,8 @@ def search(
     Arrangements or None
         Different ones only, in no particular order; none where no three marks agree.
     """
+    from planish.register import _kernels
+
     base, target, first, start = _like_lengths(a, b, scale_tolerance, tolerance_um, most_tried)
     if start[-1] == 0:
         return None
@@ -127,13 +127,14 @@ def search(
     diagonal = float(np.hypot(*(np.array([b.real.max(), b.imag.max()]) - low)))
     hold = REACH * tolerance_um
     wide = hold + 0.5 * STRETCH * diagonal
-    raster = _kernels.mark_raster(b, wide, _MOST_CELLS)
-    cells = _kernels.build_cells(b, wide)
+    raster = _raster(b, wide)
+    cells = _cells(b, wide)
     reaches = np.array([wide, 0.5 * (wide + hold), hold, hold, hold])
     ridge = (_ERROR_SHARE * tolerance_um / (0.5 * STRETCH)) ** 2
     parts: list[Arrangements] = []
     for hand in hands:
         points = -np.conj(a) if hand else a
+        share = _SHARE if least_share is None else 0.0
         share = _SHARE if least_share is None else 0.0
         counts = _kernels.count_near(points, b, base, first, start, target, raster, share)
         enough = max(3, int(share * counts.max()), int((least_share or 0.0) * len(a)))
@@ -149,14 +150,14 @@ def search(
         goal = target[first[row] + half]
         goal = np.where(turned[:, None] == 1, goal[:, ::-1], goal)
         seeds = np.concatenate([base[row], goal], axis=1)
-        partner, squares, alpha, gamma, beta, power, code = _kernels.refine(
-            seeds, points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, cells
+        partner, squares, alpha, gamma, beta, power = _kernels.refine(
+            seeds, points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells
         )
         scale = np.abs(alpha)
         found = np.count_nonzero(partner >= 0, axis=1)
         fine = (np.abs(scale - 1.0) <= scale_tolerance + SCALE_SPARE) & (found >= 3)
         fine &= np.abs(gamma) <= 0.5 * _MOST_STRETCH * scale
-        _, once = np.unique(code[fine], return_index=True)
+        _, once = np.unique(partner[fine], axis=0, return_index=True)
         keep = np.flatnonzero(fine)[once]
         if len(keep) == 0:
             continue
@@ -238,6 +239,37 @@ def _like_lengths(
         base, first, last = base[some], first[some], last[some]
     start = np.concatenate([[0], np.cumsum(2 * (last - first))]).astype(np.intp)
     return base, target, first.astype(np.intp), start
+
+
+def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np.uint8]]:
+    """Which cells of a raster lie within ``reach`` of a mark, roughly: ``x0, y0, size, near``; its border is 0."""
+    x0, x1 = b.real.min() - reach, b.real.max() + reach
+    y0, y1 = b.imag.min() - reach, b.imag.max() + reach
+    size = float(max(reach / 3.0, np.sqrt((x1 - x0) * (y1 - y0) / _MOST_CELLS), max(x1 - x0, y1 - y0) / 20000.0))
+    x0, y0 = float(x0 - 2.0 * size), float(y0 - 2.0 * size)
+    near = np.zeros((int((y1 - y0) / size) + 3, int((x1 - x0) / size) + 3), np.uint8)
+    steps = np.arange(-int(reach / size) - 2, int(reach / size) + 3)
+    column, row = (((p - p0) / size).astype(np.intp)[:, None] + steps for p, p0 in ((b.real, x0), (b.imag, y0)))
+    dx, dy = x0 + (column + 0.5) * size - b.real[:, None], y0 + (row + 0.5) * size - b.imag[:, None]
+    # A cell counts where its middle does, or a little beyond, so that no cell with a good place is lost.
+    mark, r, c = np.nonzero(dy[:, :, None] ** 2 + dx[:, None, :] ** 2 <= (reach + 0.5 * size) ** 2)
+    near[np.clip(row[mark, r], 1, near.shape[0] - 2), np.clip(column[mark, c], 1, near.shape[1] - 2)] = 1
+    return x0, y0, size, near
+
+
+def _cells(b: Complexes, reach: float) -> tuple[tuple[float, float, float, int, int], Ints, NDArray[np.int32]]:
+    """Raster whose cells list the marks within reach: ``x0, y0, size, rows, columns``, then ``start`` and ``index``."""
+    x0, x1, y0, y1 = b.real.min(), b.real.max(), b.imag.min(), b.imag.max()
+    # Never more than about a million cells, however large the field.
+    size = float(max(reach, np.sqrt((x1 - x0 + 4 * reach) * (y1 - y0 + 4 * reach) / 1e6), max(x1 - x0, y1 - y0) / 1e5))
+    x0, y0 = float(x0 - 2 * size), float(y0 - 2 * size)
+    columns, rows = int((x1 - x0) / size) + 3, int((y1 - y0) / size) + 3
+    near = np.arange(-1, 2)
+    column, row = (((p - p0) / size).astype(np.intp)[:, None, None] for p, p0 in ((b.real, x0), (b.imag, y0)))
+    cell = ((row + near[:, None]) * columns + column + near).reshape(-1)
+    start = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=rows * columns))]).astype(np.intp)
+    index = (np.argsort(cell, kind="stable") // near.size**2).astype(np.int32)
+    return (x0, y0, size, rows, columns), start, index
 
 
 def _still(base: Ints, target: Ints, first: Ints, start: Ints) -> Ints:
