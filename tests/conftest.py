@@ -18,8 +18,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 from planish.cli import main
-from planish.pipeline import run_study
-from planish.study import ImageSection, Study, VolumeSection
+from planish.pipeline import link
 from planish.synthetic import (
     CameraParams,
     HoleParams,
@@ -244,10 +243,9 @@ def linked_run(specimen_files, tmp_path_factory):
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "linked"
     folder.mkdir(exist_ok=True)
     volume, image = specimen_files
-    study = Study(volume=VolumeSection(path=str(volume)), image=ImageSection(path=str(image)))
     with FileLock(folder / "lock"):
         if not (folder / "run").exists():  # a run is whole or not there
-            run_study(study, folder / "run")
+            link(volume, image, out=folder / "run")
     return folder / "run"
 
 

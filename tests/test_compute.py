@@ -18,9 +18,10 @@ from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
 from planish.core.tiles import tiles_of
 from planish.io import read_volume
+from planish.io.params import VolumeParams
 from planish.io.store import write_store
 from planish.pipeline import map_sheet, read_whole, run_study
-from planish.study import Study, VolumeSection
+from planish.study import as_study
 from planish.synthetic import HoleParams, SpecimenParams, make_specimen, write_instruments
 from surface.sheets import slab, volume
 
@@ -44,7 +45,7 @@ def store(tmp_path_factory):
 
 
 def study(store):
-    return Study.model_validate({"volume": {"path": str(store)}})
+    return as_study({"volume": {"path": str(store)}})
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +179,7 @@ def test_sections_that_do_not_fit_are_imported_in_parts(tmp_path):
     holes = HoleParams(pattern="irregular", count=4)
     params = SpecimenParams(size_um=(500.0, 300.0), holes=replace(holes, count=0), seed=3)
     files = write_instruments(make_specimen(params), tmp_path / "specimen", volume="sections")
-    section = VolumeSection(path=str(files.volume), through="y")
+    section = VolumeParams(path=str(files.volume), through="y")
     silent = lambda _stage, _detail: None  # noqa: E731
     whole = read_whole(section, Compute(), silent)
     small = Compute(memory_bytes=whole.nbytes)
@@ -187,4 +188,4 @@ def test_sections_that_do_not_fit_are_imported_in_parts(tmp_path):
     write_store(parts, tmp_path / "sheet.zarr", memory_bytes=2**28)
     np.testing.assert_array_equal(read_volume(tmp_path / "sheet.zarr").values, whole.values)
     with pytest.raises(ResourceError, match=r"planish import .* --through y"):
-        map_sheet(Study(volume=section), compute=small)
+        map_sheet(files.volume, volume={"through": "y"}, compute=small)

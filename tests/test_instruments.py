@@ -7,7 +7,7 @@ import pytest
 
 from planish.core.errors import VolumeError
 from planish.pipeline import run_study
-from planish.study import ImageSection, Study, VolumeSection
+from planish.study import as_study
 from planish.synthetic import (
     CameraParams,
     HoleParams,
@@ -35,8 +35,8 @@ PARAMS = SpecimenParams(
 def _link(params, instrument, folder):
     specimen = make_specimen(params)
     files = write_instruments(specimen, folder / "files", volume=instrument)
-    study = Study(
-        volume=VolumeSection(path=str(files.volume), through=files.through), image=ImageSection(path=str(files.image))
+    study = as_study(
+        {"volume": {"path": str(files.volume), "through": files.through}, "image": {"path": str(files.image)}}
     )
     run = run_study(study, folder / "run")
     return specimen, files, run, make_ledger(Comparison(specimen=specimen, files=files, run=run))
@@ -44,19 +44,19 @@ def _link(params, instrument, folder):
 
 def test_a_scan_across_the_axis_of_rotation_keeps_its_hand(tmp_path):
     _, _, run, ledger = _link(PARAMS, "scanner", tmp_path)
-    assert run.results["inputs"]["volume"]["voxel_um_source"].startswith("NRecon")
-    assert not run.results["marks"]["mirrored"]
+    assert run.results.layers[0].source.size_source.startswith("NRecon")
+    assert not run.results.layers[0].registration.mirrored
     assert ledger["recall_image"] == 1
     assert ledger["tre_p95"] < 3.0
 
 
 def test_sections_are_aligned_and_joined(tmp_path):
     specimen, _, run, ledger = _link(PARAMS, "sections", tmp_path)
-    told = run.results["sections"]
+    told = run.results.layers[0].sheet.sections
     assert told["count"] == specimen.poses.index.size
     assert told["missing"] == 251 - specimen.poses.index.size
     assert told["not_aligned"] == 0
-    assert not run.results["marks"]["mirrored"]
+    assert not run.results.layers[0].registration.mirrored
     assert ledger["tre_p95"] < 8.0
     assert abs(ledger["pixel_coating_top_bias"]) < 0.3
     sections = run.groups["sections"]
@@ -71,7 +71,7 @@ def test_sections_are_aligned_and_joined(tmp_path):
 def test_sections_cannot_be_looked_at_from_above(tmp_path):
     small = replace(PARAMS, size_um=(600.0, 500.0), holes=HoleParams(count=0))
     files = write_instruments(make_specimen(small), tmp_path / "files", volume="sections", image=False)
-    study = Study(volume=VolumeSection(path=str(files.volume)))
+    study = as_study({"volume": {"path": str(files.volume)}})
     with pytest.raises(VolumeError, match="--through y"):
         run_study(study, tmp_path / "run")
     assert not (tmp_path / "run").exists()

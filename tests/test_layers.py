@@ -13,22 +13,14 @@ import xarray as xr
 from scipy import ndimage
 
 from planish.core.transform import Similarity
-from planish.gates import sheet_gates
+from planish.io.params import ImageParams, VolumeParams
 from planish.marks import cut_holes, find_holes, read_marks, write_marks
-from planish.pipeline import link_layers, read_run, run_study
-from planish.pipeline.pairs import likeness
-from planish.register import fit_transform
+from planish.pipeline import link, map_sheet, open_run
+from planish.pipeline.compare import likeness
+from planish.pipeline.gates import same_sheet_gates
+from planish.register import RegistrationParams, fit_transform
 from planish.resample.maps import _with_angles
-from planish.study import (
-    ImageSection,
-    LayerSection,
-    LayersStudy,
-    RegistrationSection,
-    Study,
-    VolumeSection,
-    read_study,
-    write_study,
-)
+from planish.study import LayerParams, Study, read_study, write_study
 from planish.synthetic import CameraParams, InstrumentFiles, ScannerParams, Warp, make_specimen, write_instruments
 from planish.validate.pair import pair_values
 
@@ -54,18 +46,14 @@ def other_files(other, tmp_path_factory):
 @pytest.fixture(scope="module")
 def other_run(other_files, tmp_path_factory):
     out = tmp_path_factory.mktemp("mapped") / "other"
-    run_study(Study(volume=VolumeSection(path=str(other_files.volume))), out)
+    map_sheet(other_files.volume, out=out)
     return out
 
 
 @pytest.fixture(scope="module")
 def image_pair(specimen_files, other_files):
     """The image of one camera on the pixels of the other's."""
-    layers = (
-        LayerSection(name="small", image=ImageSection(path=str(specimen_files[1]))),
-        LayerSection(name="large", image=ImageSection(path=str(other_files.image))),
-    )
-    return link_layers(LayersStudy(layers=layers))
+    return link(f"small={specimen_files[1]}", f"large={other_files.image}")
 
 
 def test_a_run_linked_to_an_image_is_the_volume_linked_to_it(planish, linked_run, specimen_files):
@@ -83,30 +71,26 @@ def test_a_run_linked_to_an_image_is_the_volume_linked_to_it(planish, linked_run
 
 def test_two_volumes_show_the_same_material_at_the_same_pixel(specimen, other, other_files, specimen_files, other_run):
     files = write_instruments_of(specimen, specimen_files)
-    layers = (
-        LayerSection(name="first", map=Study(volume=VolumeSection(path=str(specimen_files[0])))),
-        LayerSection(name="second", run=str(other_run)),
-    )
-    found = link_layers(LayersStudy(layers=layers))
+    found = link(f"first={specimen_files[0]}", f"second={other_run}")
     assert found.passed
     # Truth needs the run of either layer; the second one was mapped before.
-    whole = replace(found, runs=found.runs | {"second": read_run(other_run)})
+    whole = replace(found, sheets=found.sheets | {"second": open_run(other_run).sheet()})
     values = pair_values([(specimen, files), (other, other_files)], whole)
     assert values["pair_median"] < 1.5
     assert values["pair_p95"] < 3.0
     assert values["pair_r"] > 0.97
     looked_at = [gate.name for gate in found.gates if " and " in gate.name]
     assert looked_at == ["first and second: one sheet", "first and second: sides"]
-    told = found.results["layers"][0]
-    assert told["path"] == ["first", "second"]
-    assert told["orientation"]["mirrored_volume"] is False
+    registration = found.results.layers[0].registration
+    assert registration.path == ("first", "second")
+    assert registration.orientation.mirrored_volume is False
     grid = found.groups["layers/second"]
     own = xr.open_datatree(other_run / "maps.zarr", engine="zarr")["maps"].to_dataset()
     # The reference itself is not resampled at all.
     np.testing.assert_array_equal(grid["coating_top"].values, own["coating_top"].values)
-    same = next(row for row in found.results["pairs"] if row["a_map"] == "thickness")
-    assert abs(same["difference_mean"]) < 0.5
-    assert same["limits"][0] < same["difference_mean"] < same["limits"][1]
+    same = next(row for row in found.results.correlations if row.a_map == "thickness")
+    assert abs(same.difference_mean) < 0.5
+    assert same.limits[0] < same.difference_mean < same.limits[1]
 
 
 def write_instruments_of(specimen, files):
@@ -120,19 +104,18 @@ def write_instruments_of(specimen, files):
 def test_an_image_lies_on_another_image(specimen, other, image_pair):
     found, truth = image_pair, other.truth
     layer = found.groups["layers/small"]
-    fit = found.results["layers"][0]["marks"]
-    assert fit["matched"] == 5
+    assert found.results.layers[0].registration.matched == 5
     # Where a pixel of the reference lies in the first image, and the material that this one shows there.
     y, x = np.meshgrid(layer["y"].values, layer["x"].values, indexing="ij")
     shown = np.isfinite(layer["image"].values)
-    marks = found.marks["small"]
+    marks = found.registrations["small"].pairs()
     moving, fixed = (np.stack([marks[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed"))
     back = fit_transform(moving, fixed, model="similarity", mirrored=False).inverse(np.stack([x, y], axis=-1))
     material = specimen.pose.inverse(back[shown])
     off = np.hypot(*(material - np.stack([truth["u"].values[shown], truth["v"].values[shown]], axis=-1)).T)
     assert np.nanmedian(off) < 1.5
     # Without the rims of the holes. Either camera has noise and an uneven reflectance of its own.
-    fine = found.results["pairs"][0]["r"]
+    fine = found.results.correlations[0].r
     assert fine > 0.5
     far = found.groups["layers/large"]
     both = layer["valid"].values & far["valid"].values & np.roll(layer["valid"].values, 8, axis=1)
@@ -150,15 +133,16 @@ def test_a_chain_is_composed_and_its_error_adds_up(planish, linked_run, specimen
     assert "ct to near" in text
     results = json.loads((out / "results.json").read_text())
     ct, near, far = results["layers"]
-    assert (ct["to"], ct["path"]) == ("near", ["ct", "near", "far"])
-    assert (near["to"], far["to"], results["reference"]) == ("far", None, "far")
-    assert ct["expected_error_um"]["median"] > near["expected_error_um"]["median"]
+    assert (ct["registration"]["to"], ct["registration"]["path"]) == ("near", ["ct", "near", "far"])
+    assert (near["registration"]["to"], far["registration"], far["name"]) == ("far", None, "far")
+    errors = [layer["registration"]["expected_error"]["median_um"] for layer in (ct, near)]
+    assert errors[0] > errors[1]
     tree = xr.open_datatree(out / "maps.zarr", engine="zarr")
     assert tree["layers/ct"]["coating_top"].shape == tree["layers/far"]["image"].shape
     code, text, err = planish("link", layers[0], layers[2], "-o", tmp_path / "direct", "--json")
     assert code == 0, err
-    direct = next(r["r"] for r in json.loads(text)["correlation"] if r["property"] == "coating_top")
-    chained = next(r["r"] for r in results["pairs"] if (r["a"], r["b"]) == ("ct", "far"))
+    direct = next(r["r"] for r in json.loads(text)["correlations"] if r["a_map"] == "coating_top")
+    chained = next(r["r"] for r in results["correlations"] if (r["a_map"], r["b"]) == ("coating_top", "far"))
     assert chained == pytest.approx(direct, abs=0.02)
     # Written by the program, so that it can be done again.
     code, _, err = planish("run", out / "run.toml", "-o", tmp_path / "again")
@@ -182,12 +166,13 @@ def test_an_image_of_the_bottom_is_mirrored_when_that_is_said_and_refused_when_n
     assert "mirror" in err
     code, out, err = planish("link", linked_run, flipped, *size, "--image-side", "bottom", "-o", tmp_path / "run")
     assert code == 0, err
-    told = json.loads(out)
-    assert told["marks"]["mirrored"] is True
-    assert told["orientation"]["image_side"] == "bottom"
-    assert told["orientation"]["mirrored_volume"] is False
-    assert told["headline"] == "coating_bottom"
-    assert "bottom side of the sheet, as given" in told["orientation"]["sentence"]
+    sheet = json.loads(out)["layers"][0]
+    registration = sheet["registration"]
+    assert registration["mirrored"] is True
+    assert registration["orientation"]["image_side"] == "bottom"
+    assert registration["orientation"]["mirrored_volume"] is False
+    assert sheet["headline"] == "coating_bottom"
+    assert "bottom side of the sheet, as given" in registration["orientation"]["sentence"]
 
 
 @pytest.mark.parametrize(("given", "code"), [("-7.0", 0), ("60", 4)])
@@ -195,7 +180,7 @@ def test_machine_directions_that_contradict_each_other_fail_a_gate(
     planish, linked_run, specimen_files, tmp_path, given, code
 ):
     study = (linked_run / "run.toml").read_text()
-    rotation = json.loads((linked_run / "results.json").read_text())["marks"]["rotation_deg"]
+    rotation = json.loads((linked_run / "results.json").read_text())["layers"][0]["registration"]["rotation_deg"]
     home = tmp_path / "with_md"
     home.mkdir()
     # The map's machine direction lies along its x axis; in the image it is turned by the rotation of the marks.
@@ -204,22 +189,23 @@ def test_machine_directions_that_contradict_each_other_fail_a_gate(
     for item in linked_run.iterdir():
         if item.name != "run.toml":
             (run / item.name).symlink_to(item)
-    (run / "run.toml").write_text(study.replace("[volume]", "[volume]\nmd_deg = 0.0"))
+    (run / "run.toml").write_text(study.replace("[layers.volume]", "[layers.volume]\nmd_deg = 0.0"))
     angle = f"{rotation + float(given) - (-7.0):.3f}" if code == 0 else given
     got, out, err = planish(
         "link", run, specimen_files[1], f"--image-md-deg={angle}", "-o", tmp_path / "run", "--json"
     )  # fmt: skip
     assert got == code, err
-    told = json.loads(out)
-    assert told["orientation"]["md_deg_image_from_map"] == pytest.approx(rotation % 180, abs=1e-6)
+    results = json.loads(out)
+    orientation = results["layers"][0]["registration"]["orientation"]
+    assert orientation["md_deg_fixed_from_moving"] == pytest.approx(rotation % 180, abs=1e-6)
     assert ("machine direction" in err) == (code == 4)
-    assert any(gate["name"] == "machine direction" for gate in told["quality"])
+    assert any(gate["name"] == "machine direction" for gate in results["gates"])
 
 
 def test_images_are_compared_away_from_rims(image_pair):
     """The burnt rims of two images are alike on any paper: they must not count."""
     layer = image_pair.groups["layers/large"]
-    fixed = np.stack([image_pair.marks["small"][f"fixed_{a}"].values for a in "xy"], axis=1)
+    fixed = np.stack([image_pair.registrations["small"].pairs()[f"fixed_{a}"].values for a in "xy"], axis=1)
     y, x = np.meshgrid(layer["y"].values, layer["x"].values, indexing="ij")
     nearest = np.min(np.hypot(x[..., None] - fixed[:, 0], y[..., None] - fixed[:, 1]), axis=-1)
     assert nearest[layer["valid"].values].min() > 160.0
@@ -258,7 +244,7 @@ def test_exchanged_sides_and_another_paper_fail_a_gate():
         (sheet(fields[1], fields[0], fields[2]), ["a and b: sides"]),
         (sheet(*fields[3:]), ["a and b: one sheet"]),
     ):
-        gates = sheet_gates("a", "b", likeness(first, second, 100.0))
+        gates = same_sheet_gates("a", "b", likeness(first, second, 100.0))
         assert [gate.name for gate in gates if not gate.passed] == failed
 
 
@@ -272,10 +258,10 @@ def test_the_design_names_the_holes(planish, specimen, linked_run, specimen_file
         "link", linked_run, specimen_files[1], "--design", table, "-o", tmp_path / "run", "--json"
     )  # fmt: skip
     assert code == 0, err
-    told = json.loads(out)["marks"]
-    assert told["design"]["holes"] == len(specimen.sheet.holes)
+    registration = json.loads(out)["layers"][0]["registration"]
+    assert f"of {len(specimen.sheet.holes)} holes" in registration["design"]
     labels = [line.split(",")[0] for line in (tmp_path / "run" / "marks.csv").read_text().splitlines()[1:]]
-    assert len(set(labels)) == told["matched"] == 5
+    assert len(set(labels)) == registration["matched"] == 5
 
 
 def test_a_refined_link_stands_beside_that_of_the_marks(planish, linked_run, specimen_files, tmp_path):
@@ -304,11 +290,11 @@ def test_a_refined_link_stands_beside_that_of_the_marks(planish, linked_run, spe
 def test_info_tells_what_a_run_is(planish, linked_run, other_run, tmp_path):
     code, out, _ = planish("info", linked_run)
     assert code == 0
-    assert "run of a volume and an image" in out
+    assert "run of 2 layers" in out
     assert "image: image.tif" in out
     assert "8 of 8 passed" in out
     code, out, _ = planish("info", other_run, "--json")
-    assert json.loads(out)["kind"] == "run of a volume"
+    assert json.loads(out)["kind"] == "run of one volume"
     (tmp_path / "run.toml").write_text("")
     assert planish("info", tmp_path)[0] == 3
 
@@ -318,8 +304,9 @@ def test_what_is_refused_says_why(planish, linked_run, specimen_files, other_run
     out = ("-o", tmp_path / "run")
     for arguments, code, words in (
         ((image,), 2, ("reference last",)),
+        ((linked_run, image, "--cutoff-um", "300"), 2, ("--cutoff-um", "keeps the options")),
         ((linked_run, image, "--voxel-um", "3"), 2, ("--voxel-um", "keeps the options")),
-        ((f"a={image}", f"a={volume}", other_run), 2, ("a stands there more than once", "NAME=PATH")),
+        ((f"a={image}", f"a={volume}", other_run), 2, ("more than one is a", "NAME=PATH")),
         ((f"a b={image}", linked_run), 2, ("no name of a layer",)),
         ((linked_run, other_run, image, "--marks", "pairs.csv"), 2, ("--marks", "study file")),
         ((linked_run, tmp_path / "nothing.tif"), 3, ("nothing.tif",)),
@@ -351,14 +338,14 @@ def test_layers_that_do_not_show_one_specimen_are_refused(planish, linked_run, t
 
 
 def test_a_study_of_layers_is_read_as_it_was_written(tmp_path):
-    study = LayersStudy(
+    study = Study(
         layers=(
-            LayerSection(name="ct", map=Study(volume=VolumeSection(path=str(tmp_path / "v.tif"), md_deg=12.0))),
-            LayerSection(name="lm", run=str(tmp_path / "lm"), marks=str(tmp_path / "pairs.csv")),
-            LayerSection(name="photo", image=ImageSection(path=str(tmp_path / "p.png"), side="bottom")),
+            LayerParams(name="ct", volume=VolumeParams(path=str(tmp_path / "v.tif"), md_deg=12.0)),
+            LayerParams(name="lm", run=str(tmp_path / "lm"), marks=str(tmp_path / "pairs.csv")),
+            LayerParams(name="photo", image=ImageParams(path=str(tmp_path / "p.png"), side="bottom")),
         ),
         chain=True,
-        registration=RegistrationSection(design=str(tmp_path / "pattern.json")),
+        registration=RegistrationParams(design=str(tmp_path / "pattern.json")),
     )
     (tmp_path / "run").mkdir()
     write_study(study, tmp_path / "run", home=tmp_path / "run", version="1")

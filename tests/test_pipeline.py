@@ -12,8 +12,10 @@ import tifffile
 import xarray as xr
 
 from planish.marks import read_marks
-from planish.pipeline import ROWS
+from planish.pipeline.compare import WAYS
 from planish.register import fit_transform
+
+ROWS = [*(name for name, _, _ in WAYS[:2]), "flattened, similarity"]
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +31,7 @@ def results(linked_run):
 
 def test_run_folder_holds_what_is_promised(linked_run):
     assert {p.name for p in linked_run.iterdir()} == {
-        "maps.zarr", "marks.csv", "results.json", "report.html", "run.toml",
+        "maps.zarr", "marks.csv", "marks.json", "results.json", "report.html", "run.toml",
     }  # fmt: skip
 
 
@@ -79,22 +81,22 @@ def test_properties_against_the_truth(tree, specimen, name, bias, rmse):
 
 
 def test_all_holes_are_found_and_matched(results, specimen):
-    marks = results["marks"]
+    marks = results["layers"][0]["registration"]
     assert marks["matched"] == len(specimen.sheet.holes)
-    assert marks["found_volume"] == marks["found_image"] == marks["matched"]
+    assert marks["found_moving"] == marks["found_fixed"] == marks["matched"]
     # 2e-3: five holes, leaning and oval, whose centres err by 1 um over 1 mm
     assert marks["scale"] == pytest.approx(specimen.pose.similarity.scale, abs=2e-3)
     assert marks["leave_one_out_rms_um"] < 2.0
 
 
 def test_flattening_beats_both_projections(results):
-    at_pixel = {r["registration"]: r["r2"] for r in results["table"] if r["point_um"] < 50}
+    at_pixel = {r["registration"]: r["r2"] for r in results["comparison"] if r["point_um"] < 50}
     print({k: round(v, 3) for k, v in at_pixel.items()})
-    assert list(at_pixel) == list(ROWS)
+    assert list(at_pixel) == ROWS
     # A gentle warp: 15 um of error against a coating that varies over 100 um.
     assert at_pixel[ROWS[2]] > at_pixel[ROWS[1]] + 0.03
     assert at_pixel[ROWS[2]] > at_pixel[ROWS[0]] + 0.05
-    assert sorted(r["point_um"] for r in results["table"]) == pytest.approx([5.0] * 3 + [100.0] * 3)
+    assert sorted(r["point_um"] for r in results["comparison"]) == pytest.approx([5.0] * 3 + [100.0] * 3)
 
 
 def test_r2_is_that_of_the_true_maps(tree, specimen):
@@ -120,9 +122,12 @@ def test_a_repeated_run_has_the_same_bytes(planish, linked_run):
 
 def test_run_toml_is_complete(linked_run):
     study = tomllib.loads((linked_run / "run.toml").read_text())
-    assert study["volume"]["voxel_um"] == pytest.approx([4.0] * 3)
-    assert {"flatten", "surface", "registration", "correlate", "image"} <= set(study)
-    assert not study["volume"]["path"].startswith("/")
+    sheet, image = study["layers"]
+    assert sheet["volume"]["voxel_um"] == pytest.approx([4.0] * 3)
+    assert {"flatten", "surface", "properties"} <= set(sheet)
+    assert {"holes", "registration", "correlate"} <= set(study)
+    assert image["image"]["pixel_um"] == pytest.approx([5.0] * 2)
+    assert not sheet["volume"]["path"].startswith("/")
 
 
 def test_given_marks_replace_the_search(planish, linked_run, specimen_files, tmp_path, results):
@@ -130,14 +135,14 @@ def test_given_marks_replace_the_search(planish, linked_run, specimen_files, tmp
         "link", linked_run, specimen_files[1], "--marks", linked_run / "marks.csv", "-o", tmp_path / "run", "--json"
     )
     assert code == 0, err
-    found = json.loads(out)
-    assert found["marks"]["source"] == "file"
+    found = json.loads(out)["layers"][0]["registration"]
+    assert found["source"] == "csv"
     # Pairs from a file say nothing of their errors: all weigh the same.
     marks = read_marks(linked_run / "marks.csv")
     moving, fixed = (np.stack([marks[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed"))
     plain = fit_transform(moving, fixed, model="auto", mirrored=False, lowest="similarity")
-    assert found["marks"]["scale"] == pytest.approx(plain.transform.scale, rel=1e-12)
-    assert found["marks"]["scale"] == pytest.approx(results["marks"]["scale"], rel=3e-4)
+    assert found["scale"] == pytest.approx(plain.transform.scale, rel=1e-12)
+    assert found["scale"] == pytest.approx(results["layers"][0]["registration"]["scale"], rel=3e-4)
 
 
 def test_marks_given_in_the_volume(planish, specimen, linked_run, specimen_files, tmp_path):
@@ -151,7 +156,7 @@ def test_marks_given_in_the_volume(planish, specimen, linked_run, specimen_files
     files = (linked_run, specimen_files[1])
     code, out, err = planish("link", *files, "--marks", tmp_path / "m.csv", "-o", tmp_path / "run", "--json")
     assert code == 0, err
-    assert json.loads(out)["marks"]["rms_um"] < 1.0
+    assert json.loads(out)["layers"][0]["registration"]["rms_um"] < 1.0
 
 
 def test_a_mirrored_image_is_refused_and_found_when_declared(planish, specimen, linked_run, tmp_path):
@@ -163,13 +168,13 @@ def test_a_mirrored_image_is_refused_and_found_when_declared(planish, specimen, 
     assert "--mirror" in err
     code, out, err = planish("link", *files, "-o", tmp_path / "run", "--mirror", "--json")
     assert code == 0, err
-    assert json.loads(out)["marks"]["mirrored"] is True
+    assert json.loads(out)["layers"][0]["registration"]["mirrored"] is True
 
 
 def test_map_stops_after_the_flat_maps(planish, specimen_files, tmp_path):
     code, out, err = planish("map", specimen_files[0], "-o", tmp_path / "run", "--json")
     assert code == 0, err
-    assert "table" not in json.loads(out)
+    assert json.loads(out)["comparison"] == []
     with xr.open_datatree(tmp_path / "run" / "maps.zarr", engine="zarr") as opened:
         assert "linked" not in opened.children
-    assert not (tmp_path / "run" / "marks.csv").exists()
+    assert not (tmp_path / "run" / "marks.json").exists()

@@ -1,14 +1,14 @@
 import pytest
 
 from planish.core.errors import FileError, InputError
-from planish.study import ImageSection, Study, VolumeSection, read_study, write_study
+from planish.io.params import ImageParams, VolumeParams
+from planish.study import LayerParams, Study, as_study, read_study, write_study
 
 
 def test_round_trip_keeps_everything_and_paths_are_relative(tmp_path):
-    study = Study(
-        volume=VolumeSection(path=str(tmp_path / "in" / "v.tif"), voxel_um=(1.0, 0.1 + 0.2, 3.0), through="x"),
-        image=ImageSection(path=str(tmp_path / "i.tif"), channel="red"),
-    )
+    volume = VolumeParams(path=str(tmp_path / "in" / "v.tif"), voxel_um=(1.0, 0.1 + 0.2, 3.0), through="x")
+    image = ImageParams(path=str(tmp_path / "i.tif"), channel="red")
+    study = Study(layers=(LayerParams(name="sheet", volume=volume), LayerParams(name="image", image=image)))
     (tmp_path / "run").mkdir()
     write_study(study, tmp_path / "run", home=tmp_path / "run", version="0")
     text = (tmp_path / "run" / "run.toml").read_text()
@@ -21,7 +21,7 @@ def test_all_faults_are_named_at_once(tmp_path):
     path.write_text('[volume]\npath = "v.tif"\naxsi = 3\nvoxel_um = [1.0, -1.0, 1.0]\n[surface]\nrim_um = -4\n')
     with pytest.raises(InputError) as error:
         read_study(path)
-    for word in ("volume.axsi", "volume.voxel_um.1", "surface.rim_um", "3 wrong parameters"):
+    for word in ("volume.axsi", "voxel_um.1", "surface.rim_um", "3 wrong parameters"):
         assert word in str(error.value)
 
 
@@ -31,3 +31,27 @@ def test_what_is_no_study(tmp_path):
     (tmp_path / "bad.toml").write_text("= 3")
     with pytest.raises(FileError, match="not a TOML file"):
         read_study(tmp_path / "bad.toml")
+
+
+def test_the_files_of_planish_0_1_are_read():
+    """As that version wrote them: one volume and an image without a list, layers with their volume in ``map``."""
+    one = as_study(
+        {
+            "volume": {"path": "v.tif", "voxel_um": [3.0, 3.0, 3.0]}, "image": {"path": "i.tif"},
+            "surface": {"cutoff_um": 300.0}, "registration": {"hole_um": [80.0, 200.0], "model": "affine"},
+        }
+    )  # fmt: skip
+    assert [layer.kind for layer in one.layers] == ["volume", "image"]
+    assert one.layers[0].surface.cutoff_um == 300.0
+    assert (one.holes.hole_um, one.registration.model) == ((80.0, 200.0), "affine")
+    several = as_study(
+        {
+            "layers": [
+                {"name": "ct", "map": {"volume": {"path": "v.tif"}, "flatten": {"rest": "chord"}}},
+                {"name": "lm", "run": "lm", "marks": "pairs.csv"},
+            ],
+            "chain": False, "rim_um": 100.0, "registration": {"hole_um": [100.0, 300.0]},
+        }
+    )  # fmt: skip
+    assert [layer.kind for layer in several.layers] == ["volume", "run"]
+    assert several.layers[0].flatten.rest == "chord"

@@ -7,24 +7,23 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import re
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-import xarray as xr
-from numpy.typing import NDArray
+from pydantic import BeforeValidator
 
 from planish import __version__
 from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
-from planish.core.lazy import LazyArray, Where, replaced
+from planish.core.options import Params, option
 from planish.core.tiles import Engine
-from planish.io import read_volume
-from planish.io.guard import default_memory_limit
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 COLUMN_BYTES = 900
 """What a measured column takes at the peak: heights, properties, coordinates, map pixels, and the work on them."""
@@ -35,23 +34,44 @@ _WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps tha
 Tell = Callable[[str, int, int], None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Compute:
-    """What a run may use.
+_UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
+_LEAST_BYTES = 2**20
+
+
+def _bytes_of(text: Any) -> Any:
+    """Turn ``"4GB"`` into a number of bytes."""
+    if not isinstance(text, str):
+        return text
+    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([A-Za-z]*)\s*", text)
+    unit = _UNITS.get(found[2].upper().replace("IB", "B")) if found else None
+    amount = int(float(found[1]) * unit) if found and unit else 0
+    if amount < _LEAST_BYTES:
+        raise ValueError("write an amount of memory such as 4GB or 500MB")
+    return amount
+
+
+class Compute(Params):
+    """What a run may use; no result depends on it.
 
     Attributes
     ----------
     memory_bytes : int or None
         Most memory; half of what is free where not given.
     threads : int or None
-        Local threads; one a core, eight at most, where not given.
+        Local threads; one a processor that this process may use, eight at most, where not given.
     scheduler : str or None
         Address of a dask scheduler, ``tcp://host:port``; local threads where not given.
     """
 
-    memory_bytes: int | None = None
-    threads: int | None = None
-    scheduler: str | None = None
+    memory_bytes: Annotated[int, BeforeValidator(_bytes_of)] | None = option(
+        None, cli="--memory", metavar="SIZE", help="Most memory to use, such as 4GB; half of what is free."
+    )
+    threads: int | None = option(
+        None, ge=1, metavar="N", help="Local threads; one a processor that planish may use, eight at most."
+    )
+    scheduler: str | None = option(
+        None, metavar="tcp://HOST:PORT", help="Work on a dask cluster instead of local threads."
+    )
 
     @property
     def volume_bytes(self) -> int:
@@ -61,40 +81,9 @@ class Compute:
     @property
     def memory(self) -> int:
         """Most memory, in bytes."""
+        from planish.io.guard import default_memory_limit
+
         return self.memory_bytes if self.memory_bytes is not None else int(default_memory_limit() * 2 / 3)
-
-
-class FileVolume(LazyArray):
-    """A volume that travels to other processes as the name of its file; each of them opens it once.
-
-    Parameters
-    ----------
-    path : str
-    how : tuple of (str, value)
-        Arguments of :func:`planish.io.read_volume`.
-    shape : (int, int, int)
-    dtype : dtype
-    """
-
-    def __init__(
-        self, path: str, how: tuple[tuple[str, Any], ...], shape: tuple[int, ...], dtype: np.dtype[Any]
-    ) -> None:
-        self.path, self.how, self.shape, self.dtype = path, how, shape, dtype
-
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a part."""
-        return opened(self.path, self.how).variable[where].values
-
-
-@lru_cache(maxsize=1)
-def opened(path: str, how: tuple[tuple[str, Any], ...]) -> xr.DataArray:
-    """Open a volume, or give the one that is open already."""
-    return read_volume(path, **dict(how))
-
-
-def by_name(volume: xr.DataArray, path: str, how: dict[str, Any]) -> xr.DataArray:
-    """Return the same volume, held by the name of its file."""
-    return replaced(volume, FileVolume(path, tuple(how.items()), volume.shape, volume.dtype))
 
 
 def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, compute: Compute) -> int:
@@ -116,13 +105,13 @@ def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, com
         If the memory does not hold the maps even with wide columns.
     """
     voxel = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
-    pitch = float(np.sqrt(voxel[frame.rows] * voxel[frame.cols]))
+    pitch = (voxel[frame.rows] * voxel[frame.cols]) ** 0.5
     if column_um is not None:
         if column_um < 0.999 * pitch:
             raise InputError(f"--column-um {column_um:g} is less than a voxel of {pitch:g} um. Give a multiple of it.")
         return max(1, round(column_um / pitch))
     columns = volume.sizes[frame.rows] * volume.sizes[frame.cols]
-    step = max(1, int(np.ceil(np.sqrt(columns * COLUMN_BYTES / (_MAPS * compute.memory)))))
+    step = max(1, math.ceil((columns * COLUMN_BYTES / (_MAPS * compute.memory)) ** 0.5))
     if step > 1 and step * pitch > _WIDEST_UM:
         needed = columns * COLUMN_BYTES / (_MAPS * max(int(_WIDEST_UM / pitch), 1) ** 2)
         raise ResourceError(
@@ -177,5 +166,5 @@ def _client(address: str) -> Generator[Any]:
 
 def run_key(study: dict[str, Any], fingerprints: list[str]) -> str:
     """What tells a run whose tiles may be used again: the study, the bytes of its inputs, and the program."""
-    told = json.dumps([__version__, study, fingerprints], sort_keys=True)
-    return hashlib.sha256(told.encode()).hexdigest()
+    text = json.dumps([__version__, study, fingerprints], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Every parameter of a run, checked: what the command line fills in and ``run.toml`` repeats."""
+"""The study: every parameter of a run, checked; what the command line fills in and ``run.toml`` repeats."""
 
 from __future__ import annotations
 
@@ -11,148 +11,96 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import tomli_w
 from pydantic import Field, ValidationError, model_validator
 
+from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError
 from planish.core.options import Params
+from planish.flatten.params import FlattenParams
+from planish.io.params import ImageParams, VolumeParams
+from planish.marks.params import HoleParams
 from planish.measure.params import MeasureParams
+from planish.register.params import RegistrationParams
 from planish.surface.params import SurfaceParams
 
-Index = Annotated[int, Field(ge=0)]
-Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Axis = Annotated[float, Field(ge=-180, le=180, allow_inf_nan=False)]  # degrees; an axis has no head
-
-
-class Section(Params):
-    """A table of the file: unknown keys are errors, nothing changes once read."""
-
-
-S = TypeVar("S", bound=Params)
-
-
-class VolumeSection(Section):
-    """The volume and how the sheet lies in it."""
-
-    path: str
-    voxel_um: tuple[Length, Length, Length] | None = None
-    through: Literal["z", "y", "x"] = "z"
-    top: Literal["high", "low"] = "high"
-    override_size: bool = False
-    channel: Literal["luminance", "red", "green", "blue"] | None = None
-    column_um: Length | None = None
-    fixed_rows: tuple[Index, Index] | None = None
-    fixed_cols: tuple[Index, Index] | None = None
-    md_deg: Axis | None = None
-
-
-class ImageSection(Section):
-    """An image, and which side of the sheet it shows."""
-
-    path: str
-    pixel_um: tuple[Length, Length] | None = None
-    channel: str = "luminance"
-    override_size: bool = False
-    side: Literal["top", "bottom"] | None = None
-    md_deg: Axis | None = None
-
+Kind = Literal["volume", "image", "run"]
+P = TypeVar("P", bound=Params)
 
 _PATHS = {"path", "run", "marks", "design"}
+_OF_A_VOLUME = ("surface", "properties", "flatten")
 
 
-class FlattenSection(Section):
-    """Choices of the flattening and of the flat maps."""
-
-    mesh_um: Length | None = None
-    method: Literal["multigrid", "relaxation"] = "multigrid"
-    rest: Literal["arc", "chord"] = "arc"
-    map_um: Length | None = None
-
-
-class RegistrationSection(Section):
-    """Choices of hole finding and matching."""
-
-    marks: str | None = None
-    design: str | None = None
-    hole_um: tuple[Length, Length] = (100.0, 300.0)
-    scale_tolerance: Annotated[float, Field(gt=0, lt=0.5)] = 0.03
-    tolerance_um: Length = 25.0
-    mirror: bool = False
-    model: Literal["rigid", "similarity", "affine", "projective", "tps", "auto"] = "auto"
-    refine: Literal["affine", "bspline"] | None = None
-
-
-class CorrelateSection(Section):
-    """Choices of the correlation."""
-
-    point_um: Length = 100.0
-    thin_um: Length = 5.0
-
-
-class Study(Section):
-    """One run, whole."""
-
-    volume: VolumeSection
-    image: ImageSection | None = None
-    surface: SurfaceParams = SurfaceParams()
-    properties: MeasureParams = MeasureParams()
-    flatten: FlattenSection = FlattenSection()
-    registration: RegistrationSection = RegistrationSection()
-    correlate: CorrelateSection = CorrelateSection()
-
-
-class LayerSection(Section):
-    """One of several layers: a run that is there, a volume that is mapped first, or an image.
-
-    ``marks`` are pairs of points of this layer (moving) and the one that it is registered to (fixed). ``md_deg`` is for
-    runs and volumes; an image states its own.
-    """
+class LayerParams(Params):
+    """One layer: a volume that is mapped first, a run that is there, or an image."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
-    run: str | None = None
-    map: Study | None = None
-    image: ImageSection | None = None
-    marks: str | None = None
-    md_deg: Axis | None = None
+    volume: VolumeParams | None = None
+    image: ImageParams | None = None
+    run: str | None = Field(None, description="Folder of a run of one volume.")
+    md_deg: float | None = Field(None, ge=-180, le=180, description="Machine direction in the map of a run.")
+    marks: str | None = Field(None, description="Marks of this layer (moving) and the one it is registered to (fixed).")
+    surface: SurfaceParams = SurfaceParams()
+    properties: MeasureParams = MeasureParams()
+    flatten: FlattenParams = FlattenParams()
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if sum(part is not None for part in (self.run, self.map, self.image)) != 1:
-            raise ValueError("give one of run, map and image")
-        if self.map is not None and self.map.image is not None:
-            raise ValueError("a volume that is mapped as a layer has no image; give that as a layer of its own")
+        if sum(part is not None for part in (self.volume, self.run, self.image)) != 1:
+            raise ValueError("give one of volume, run and image")
         return self
 
+    @property
+    def kind(self) -> Kind:
+        """What the layer is read from."""
+        return "image" if self.image is not None else "run" if self.run is not None else "volume"
 
-class LayersStudy(Section):
-    """Several layers that are linked onto the last one, the reference.
+    @property
+    def path(self) -> str:
+        """File or folder that it is read from."""
+        source = self.image or self.volume
+        return source.path if source is not None else str(self.run)
+
+
+class Study(Params):
+    """One run: a sheet that is mapped, or layers that are linked onto the last one, the reference.
 
     With ``chain`` each layer is registered to the next one and carried on from there, otherwise all are registered to
     the reference.
     """
 
-    layers: Annotated[tuple[LayerSection, ...], Field(min_length=2)]
+    layers: Annotated[tuple[LayerParams, ...], Field(min_length=1)]
     chain: bool = False
-    rim_um: Annotated[float, Field(ge=0)] = 100.0
-    registration: RegistrationSection = RegistrationSection()
-    correlate: CorrelateSection = CorrelateSection()
+    holes: HoleParams = HoleParams()
+    registration: RegistrationParams = RegistrationParams()
+    correlate: CorrelateParams = CorrelateParams()
 
     @model_validator(mode="after")
-    def _names(self) -> Self:
+    def _fits_together(self) -> Self:
         names = [layer.name for layer in self.layers]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(
-                f"every layer needs a name of its own (NAME=PATH); {', '.join(twice)} stands there more than once"
-            )
-        if self.registration.marks is not None:
-            raise ValueError("pairs of marks belong to a layer here, not to all")
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"every layer needs a name of its own (NAME=PATH); more than one is {', '.join(twice)}")
+        if len(names) == 1 and self.layers[0].kind != "volume":
+            raise ValueError("a single layer has to be a volume; a run or an image is linked to something")
         if self.layers[-1].marks is not None:
-            raise ValueError("the last layer is the reference: it is registered to nothing, so it has no marks")
+            raise ValueError("the last layer is the reference: it is registered to nothing and has no marks")
+        if self.registration.refine is not None and not self.is_sheet_on_image:
+            raise ValueError("refine is for one volume or run and one image; link these two alone")
         return self
 
+    @property
+    def reference(self) -> LayerParams:
+        """The layer that all others are brought to."""
+        return self.layers[-1]
 
-def read_study(path: Path) -> Study | LayersStudy:
-    """Read a study file, of one volume or of several layers.
+    @property
+    def is_sheet_on_image(self) -> bool:
+        """Whether one sheet is linked to one image, the usual case."""
+        return [layer.kind == "image" for layer in self.layers] == [False, True]
 
-    Paths in it are relative to its folder and come back absolute.
+
+def read_study(path: Path) -> Study:
+    """Read a study file; paths in it are relative to its folder and come back absolute.
+
+    A study of one volume, with or without an image, may leave out the list of layers: tables ``[volume]``, ``[image]``,
+    ``[surface]`` ... on the top level then stand for them. So do the files of planish 0.1.0.
 
     Raises
     ------
@@ -165,22 +113,56 @@ def read_study(path: Path) -> Study | LayersStudy:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FileError(f"{path} cannot be read: {error.strerror}. Give the run.toml of a run.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise FileError(f"{path} is not a TOML file: {error}.") from error
     data.pop("planish", None)
     try:
-        study = (LayersStudy if "layers" in data else Study).model_validate(data)
+        study = as_study(data)
     except ValidationError as error:
-        faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
-        raise InputError(f"{path} has {error.error_count()} wrong parameters: {faults}.") from error
-
-    def absolute(p: str) -> str:
-        return str((path.parent / p).resolve())
-
-    return with_paths(study, absolute)
+        raise InputError(f"{path} has {error.error_count()} wrong parameters: {faults_of(error)}.") from error
+    return with_paths(study, lambda p: str((path.parent / p).resolve()))
 
 
-def write_study(study: Study | LayersStudy, folder: Path, *, home: Path, version: str) -> None:
+def as_study(data: dict[str, Any]) -> Study:
+    """Check the content of a study file, in any form that :func:`read_study` takes; ValidationError where wrong."""
+    return Study.model_validate(_with_layers(data))
+
+
+def faults_of(error: ValidationError) -> str:
+    """Name every fault that a validation found, with its place."""
+    return "; ".join(
+        f"{'.'.join(map(str, e['loc']))}: {e['msg'].removeprefix('Value error, ')}" for e in error.errors()
+    )
+
+
+def _with_layers(data: dict[str, Any]) -> dict[str, Any]:
+    """Turn the short form of one volume, and layers as planish 0.1.0 wrote them, into layers."""
+    data = dict(data)
+    registration = data.get("registration")
+    if isinstance(registration, dict) and "hole_um" in registration:  # as planish 0.1.0 wrote it
+        data["registration"] = {k: v for k, v in registration.items() if k != "hole_um"}  # type: ignore[reportUnknownVariableType]
+        data["holes"] = {"hole_um": registration["hole_um"]}
+    if "layers" in data:
+        if isinstance(data["layers"], list):
+            data["layers"] = [_flat_layer(layer) for layer in data["layers"]]
+        data.pop("rim_um", None)
+        return data
+    sheet = {k: data.pop(k) for k in ("volume", *_OF_A_VOLUME) if k in data}
+    layers: list[dict[str, Any]] = [{"name": "sheet", **sheet}]
+    if "image" in data:
+        layers.append({"name": "image", "image": data.pop("image")})
+    return {"layers": layers, **data}
+
+
+def _flat_layer(layer: Any) -> Any:
+    """A layer of planish 0.1.0 had its volume one level deeper, in ``map``."""
+    if not isinstance(layer, dict) or not isinstance(layer.get("map"), dict):  # type: ignore[reportUnknownMemberType]
+        return layer
+    rest: dict[str, Any] = {str(k): v for k, v in layer.items() if k != "map"}  # type: ignore[reportUnknownVariableType]
+    return rest | {k: v for k, v in layer["map"].items() if k in ("volume", *_OF_A_VOLUME)}
+
+
+def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None:
     """Write ``run.toml`` into ``folder``, with paths relative to ``home``, the place where the folder will stand.
 
     Where no relative path exists (another drive) the absolute one is written.
@@ -192,20 +174,29 @@ def write_study(study: Study | LayersStudy, folder: Path, *, home: Path, version
         except ValueError:
             return Path(p).as_posix()
 
-    data: dict[str, Any] = {"planish": version}
-    data |= with_paths(study, relative).model_dump(mode="json", exclude_none=True)
+    data = {"planish": version} | to_dict(with_paths(study, relative))
     (folder / "run.toml").write_text(tomli_w.dumps(data), encoding="utf-8", newline="\n")
 
 
-def with_paths(section: S, change: Callable[[str], str]) -> S:
+def to_dict(study: Study) -> dict[str, Any]:
+    """Plain values of a study: nothing that is not given, and nothing about mapping where nothing is mapped."""
+    data = study.model_dump(mode="json", exclude_none=True)
+    for layer, values in zip(study.layers, data["layers"], strict=True):
+        if layer.kind != "volume":
+            for name in _OF_A_VOLUME:
+                values.pop(name)
+    return data
+
+
+def with_paths(params: P, change: Callable[[str], str]) -> P:
     """Change all paths of a study: those of the files that it reads."""
     update: dict[str, Any] = {}
-    for name in type(section).model_fields:
-        value = getattr(section, name)
+    for name in type(params).model_fields:
+        value = getattr(params, name)
         if name in _PATHS and isinstance(value, str):
             update[name] = change(value)
         elif isinstance(value, Params):
             update[name] = with_paths(value, change)
         elif isinstance(value, tuple) and value and isinstance(value[0], Params):
             update[name] = tuple(with_paths(part, change) for part in value)
-    return section.model_copy(update=update)
+    return params.model_copy(update=update)

@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 from planish.analyze import Lag, LagField
-from planish.results import lag_results
+from planish.pipeline.facts import lag_facts
+
+
+def _lag(lag: Lag, *, expected_um: float | None, headline: str) -> dict[str, Any]:
+    return json.loads(lag_facts(lag, expected_um=expected_um, name=headline).model_dump_json())
+
 
 NAN = math.nan
 NOWHERE = (NAN, NAN)
@@ -35,7 +40,7 @@ def a_lag(*, silence: Any = None, tiles: bool = True) -> Lag:
 
 
 def test_results_of_a_lag_are_ready_for_json() -> None:
-    found = lag_results(a_lag(), expected_um=4.0, headline="coating_top")
+    found = _lag(a_lag(), expected_um=4.0, headline="coating_top")
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert (found["lag_um"], found["se_um"], found["length_um"]) == ([3.0, -4.0], [0.6, 0.8], 5.0)
     # Along (3, -4) / 5: sqrt(0.6² 0.36 + 0.8² 0.64).
@@ -48,14 +53,14 @@ def test_results_of_a_lag_are_ready_for_json() -> None:
         {"x": 100.0, "y": 200.0, "lag_um": [1.0, 2.0], "distinct": True},
         {"x": 300.0, "y": 200.0, "lag_um": None, "distinct": False},
     ]
-    assert lag_results(a_lag(), expected_um=1.0, headline="thickness")["agrees"] is False
+    assert _lag(a_lag(), expected_um=1.0, headline="thickness")["agrees"] is False
 
 
 def test_results_of_a_lag_that_says_nothing_are_none() -> None:
-    found = lag_results(a_lag(silence="texture", tiles=False), expected_um=4.0, headline="coating_top")
+    found = _lag(a_lag(silence="texture", tiles=False), expected_um=4.0, headline="coating_top")
     json.dumps(found, allow_nan=False)
     assert [found[k] for k in ("lag_um", "se_um", "length_um", "agrees", "split_um", "tile_um")] == [None] * 6
     assert found["tiles"] == []
     assert found["silence"] == "texture"
     for missing in (None, NAN):
-        assert lag_results(a_lag(), expected_um=missing, headline="coating_top")["expected_um"] is None
+        assert _lag(a_lag(), expected_um=missing, headline="coating_top")["expected_um"] is None

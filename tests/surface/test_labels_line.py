@@ -6,9 +6,8 @@ import tifffile
 from scipy import ndimage
 
 from planish.core.errors import InputError
-from planish.measure import MeasureParams
 from planish.pipeline import run_study
-from planish.study import ImageSection, Study, VolumeSection
+from planish.study import as_study
 from planish.surface import LabelParams, SurfaceParams
 
 
@@ -25,12 +24,12 @@ def labels(specimen, tmp_path_factory):
 
 
 def study(labels, **sections):
-    volume = VolumeSection(path=str(labels), voxel_um=(4.0, 4.0, 4.0))
-    return Study(volume=volume, surface=SurfaceParams(labels=LabelParams()), **sections)
+    volume = {"path": str(labels), "voxel_um": (4.0, 4.0, 4.0)}
+    return as_study({"volume": volume, "surface": SurfaceParams(labels=LabelParams()), **sections})
 
 
 def test_labels_are_mapped_and_linked_to_the_end(labels, specimen_files, tmp_path):
-    run = run_study(study(labels, image=ImageSection(path=str(specimen_files[1]))), tmp_path / "run")
+    run = run_study(study(labels, image={"path": str(specimen_files[1])}), tmp_path / "run")
     assert "linked" in run.groups
     gates = {gate.name for gate in run.gates}
     assert {"coverage", "fold-over"} <= gates
@@ -41,4 +40,4 @@ def test_labels_are_mapped_and_linked_to_the_end(labels, specimen_files, tmp_pat
 
 def test_grey_properties_of_labels_are_refused(labels, tmp_path):
     with pytest.raises(InputError, match="measured in grey values"):
-        run_study(study(labels, properties=MeasureParams(maps=("porosity",))), tmp_path / "run")
+        run_study(study(labels, properties={"maps": ("porosity",)}), tmp_path / "run")

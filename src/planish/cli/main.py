@@ -1,8 +1,7 @@
 """The command group, and the one place where an error becomes a message and an exit code.
 
 0 done; 1 a fault of planish; 2 wrong usage; 3 input that cannot be used; 4 finished, but a quality gate failed;
-5 memory or
-disk used up; 130 interrupted.
+5 memory or disk used up; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -11,39 +10,50 @@ import json
 import sys
 import tempfile
 import traceback
+from importlib import import_module
 from pathlib import Path
+from typing import cast
 
 import click
 
 from planish import __version__
-from planish.cli.line import demo, import_, info, map_, properties, run
-from planish.cli.link import link
-from planish.cli.marks import marks
-from planish.cli.specimen import specimen
-from planish.cli.stages import correlate, flatten, holes, measure, register, report, resample, surface
-from planish.cli.validate import validate
 from planish.core.errors import PlanishError, ResourceError
 
+_MODULES = {
+    "link": "link", "map": "map", "demo": "demo", "run": "run", "info": "files", "import": "files",
+    "properties": "files", "surface": "stages", "measure": "stages", "flatten": "stages", "resample": "stages",
+    "holes": "stages", "register": "stages", "correlate": "stages", "report": "stages", "marks": "marks",
+    "specimen": "specimen", "validate": "validate",
+}  # fmt: skip
+"""Verb -> module of this package that holds it, as ``verb``, ``verb_`` where the name is taken."""
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported when they are used."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Names of the verbs."""
+        return list(_MODULES)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Import one verb."""
+        if cmd_name not in _MODULES:
+            return None
+        module = import_module(f"planish.cli.{_MODULES[cmd_name]}")
+        return cast("click.Command", getattr(module, f"{cmd_name}_", None) or getattr(module, cmd_name))
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="planish")
 def planish() -> None:
     """Link the 3D structure of a paper sheet to a 2D image of it.
 
-    'planish link VOLUME IMAGE --out RUN' does the whole line; the other commands do one stage each.
-    'planish demo' shows it on a synthetic specimen.
+    'planish link VOLUME IMAGE --out RUN' does the whole line; 'planish demo' shows it on a synthetic specimen. Each
+    stage is a command too: surface, measure, flatten, resample, holes, register, correlate, report.
 
     Exit codes: 0 done, 1 a fault of planish, 2 wrong usage, 3 input that cannot be used, 4 finished but a quality gate
     failed, 5 memory or disk used up, 130 interrupted.
     """
-
-
-_COMMANDS = (
-    link, map_, demo, info, properties, import_, run, specimen, validate,
-    surface, measure, flatten, resample, holes, register, correlate, report, marks,
-)  # fmt: skip
-for _command in _COMMANDS:
-    planish.add_command(_command)
 
 
 def main(args: list[str] | None = None) -> None:

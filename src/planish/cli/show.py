@@ -15,9 +15,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from planish.gates import Gate
-    from planish.pipeline import Layers, Run
+    from planish.core.results import LayerFacts, Results, SheetFacts
     from planish.pipeline import Progress as Tell
+    from planish.pipeline import Run
 
 
 @contextmanager
@@ -62,117 +62,102 @@ def finish(run: Run, out: Path, *, as_json: bool) -> int:
     """Print the outcome of a run; the exit code is 4 when a quality gate failed."""
     results = run.results
     if as_json:
-        click.echo(json.dumps(results, indent=2, allow_nan=False))
+        click.echo(results.to_json(), nl=False)
     else:
-        _properties(results)
-        if "table" in results:
-            _correlation(results)
+        for layer in results.layers:
+            if layer.sheet is not None:
+                _properties(layer.name, layer.sheet)
+        for layer in results.moving:
+            _registration(layer)
+        if results.comparison:
+            _comparison(results)
+        elif results.correlations:
+            _correlations(results)
         click.echo(f"report: {out / 'report.html'}")
-    return _judged(run.gates)
-
-
-def finish_layers(layers: Layers, out: Path, *, as_json: bool) -> int:
-    """Print the outcome of linking layers; the exit code is 4 when a quality gate failed."""
-    results = layers.results
-    if as_json:
-        click.echo(json.dumps(results, indent=2, allow_nan=False))
-    else:
-        rows = [
-            (
-                f"{told['name']} to {told['to']}",
-                str(told["marks"]["matched"]),
-                number(told["marks"]["leave_one_out_rms_um"], 2),
-                number((told["expected_error_um"] or {}).get("median"), 2),
-            )
-            for told in results["layers"]
-            if told["marks"] is not None
-        ]
-        table("Registration", ("", "marks", "leave-one-out um", "expected error um"), rows)
-        pairs = [
-            (
-                f"{row['a']} {row['a_map']} / {row['b']} {row['b_map']}",
-                f"{row['point_um']:g}", str(row["n"]), number(row["r"]), number(row["r2"]), number(row["slope"], 4),
-            )
-            for row in results["pairs"]
-            if row["n"]
-        ]  # fmt: skip
-        table("Layers against each other", ("", "point um", "n", "r", "r2", "slope"), pairs)
-        click.echo(f"report: {out / 'report.html'}")
-    return _judged(layers.gates)
-
-
-def _judged(gates: tuple[Gate, ...]) -> int:
-    """Name the gates that failed; the exit code."""
-    failed = [gate for gate in gates if not gate.passed]
+    failed = [gate for gate in results.gates if not gate.passed]
     for gate in failed:
         click.echo(f"planish: quality gate '{gate.name}' failed: {gate.sentence}", err=True)
     return 4 if failed else 0
 
 
-def _properties(results: dict[str, Any]) -> None:
+def _properties(name: str, sheet: SheetFacts) -> None:
     rows = [
-        (
-            name,
-            number(p["mean_um"], 2),
-            number(p["sd_um"], 2),
-            number(p["p5_um"], 2),
-            number(p["p95_um"], 2),
-            str(p["n"]),
-        )
-        for name, p in results["properties"].items()
-        if p is not None
+        (key, p.units, number(p.mean, 2), number(p.sd, 2), number(p.p5, 2), number(p.p95, 2), str(p.n))
+        for key, p in sheet.properties.items()
     ]
-    table("Properties along the normals, um", ("", "mean", "sd", "p5", "p95", "columns"), rows)
-    f = results["flatten"]
+    table(f"Properties of the {name} along its normals", ("", "unit", "mean", "sd", "p5", "p95", "columns"), rows)
+    f = sheet.flatten
     click.echo(
-        f"flattened: {f['sentence']} Edge strain {100 * f['edge_strain_p95']:.3f} % (p95); points moved by "
-        f"up to {f['largest_move_um']:.0f} um."
+        f"flattened: {f.sentence} Edge strain {100 * (f.edge_strain_p95 or 0):.3f} % (p95); points moved by up to "
+        f"{number(f.largest_move_um, 0)} um."
     )
 
 
-def _correlation(results: dict[str, Any]) -> None:
-    m = results["marks"]
+def _registration(layer: LayerFacts) -> None:
+    r = layer.registration
+    if r is None:
+        return
+    error = "" if r.expected_error is None else f", expected error {r.expected_error.median_um:.2f} um (median)"
     click.echo(
-        f"marks: {m['matched']} matched, residual {m['rms_um']:.2f} um rms, leave-one-out "
-        f"{number(m['leave_one_out_rms_um'], 2)} um, "
-        f"scale {m['scale']:.4f}, rotation {m['rotation_deg']:.2f} deg{', mirrored' if m['mirrored'] else ''}"
+        f"{layer.name} to {r.to}: {r.matched} marks matched, residual {r.rms_um:.2f} um rms, leave-one-out "
+        f"{number(r.leave_one_out_rms_um, 2)} um{error}; {r.model}, scale {r.scale:.4f}, rotation {r.rotation_deg:.2f} "
+        f"deg{', mirrored' if r.mirrored else ''}"
     )
+
+
+def _comparison(results: Results) -> None:
     rows = [
         (
-            r["registration"],
-            f"{r['point_um']:g}",
-            str(r["n"]),
-            number(r["r"]),
-            number(r["r2"]),
-            number(r["slope"], 4),
-            number(r["marks_rms_um"], 1),
+            r.registration, f"{r.point_um:g}", str(r.n), number(r.r), number(r.r2), number(r.slope, 4),
+            number(r.marks_rms_um, 1),
         )
-        for r in results["table"]
-        if r["n"]
-    ]
-    if any(not r["n"] for r in results["table"]):
+        for r in results.comparison
+        if r.n
+    ]  # fmt: skip
+    if any(not r.n for r in results.comparison):
         click.echo("Points that are larger than what both show have no correlation and are left out.")
-    title = f"Image against {results['headline']}"
+    title = f"{results.reference.name} against {results.comparison[0].property}"
     table(title, ("registration", "point um", "n", "r", "r2", "slope", "marks um"), rows)
 
 
+def _correlations(results: Results) -> None:
+    rows = [
+        (
+            f"{r.a} {r.a_map} / {r.b} {r.b_map}", f"{r.point_um:g}", str(r.n), number(r.r), number(r.r2),
+            number(r.slope, 4),
+        )
+        for r in results.correlations
+        if r.n
+    ]  # fmt: skip
+    table("Layers against each other", ("", "point um", "n", "r", "r2", "slope"), rows)
+
+
 def run_facts(path: Path) -> dict[str, Any] | None:
-    """Tell what a run folder holds; None where it is none, or damaged."""
+    """What a run folder holds; None where it is none, or damaged."""
     if not (path / "run.toml").is_file():
         return None
     try:
         results: dict[str, Any] = json.loads((path / "results.json").read_text(encoding="utf-8"))
-        if "layers" in results:
-            kind = "run of several layers"
+        old = str(results["planish"]).startswith("0.1.")
+        gates = results["quality" if old else "gates"]
+        if not old or "layers" in results:
             inputs = {str(layer["name"]): str(layer["source"]["name"]) for layer in results["layers"]}
         else:
-            kind = "run of a volume and an image" if "linked" in results else "run of a volume"
             inputs = {str(k): str(v["name"]) for k, v in results["inputs"].items()}
-        failed = [str(gate["name"]) for gate in results["quality"] if not gate["passed"]]
-        return {"kind": kind, "file_name": path.absolute().name, "inputs": inputs, "gates": len(results["quality"]),
-                "gates_failed": failed, "planish": str(results["planish"])}  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {
+            "kind": "run of " + ("one volume" if len(inputs) == 1 else f"{len(inputs)} layers"),
+            "file_name": path.absolute().name, "inputs": inputs, "gates": len(gates),
+            "gates_failed": [str(gate["name"]) for gate in gates if not gate["passed"]],
+            "planish": str(results["planish"]), "warning": _OLD if old else None,
+        }  # fmt: skip
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
+
+
+_OLD = (
+    "made by planish 0.1.0: the errors stated in it are about 1.5 times too small. 'planish run' repeats it with this "
+    "version."
+)
 
 
 def run_lines(facts: dict[str, Any]) -> list[str]:
@@ -180,6 +165,7 @@ def run_lines(facts: dict[str, Any]) -> list[str]:
     failed = facts["gates_failed"]
     return [
         f"{facts['file_name']}: {facts['kind']}, planish {facts['planish']}",
+        *([facts["warning"]] if facts["warning"] else []),
         *(f"{name}: {file}" for name, file in facts["inputs"].items()),
         f"quality gates: {facts['gates'] - len(failed)} of {facts['gates']} passed"
         + (f"; not passed: {', '.join(failed)}" if failed else ""),
@@ -226,3 +212,12 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
 def duration(seconds: float) -> str:
     """Write a time, roughly."""
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+
+
+def free_path(path: Path) -> Path:
+    """Give the first of path, path-2, path-3 ... that does not exist."""
+    candidate, k = path, 1
+    while candidate.exists():
+        k += 1
+        candidate = path.with_name(f"{path.name}-{k}")
+    return candidate

@@ -1,36 +1,35 @@
-"""Commands that do one stage: read files, call one function, write files and a line."""
+"""Commands that do one stage: read files, call one function, write files and a line.
+
+One after the other they give what ``planish link`` gives, byte by byte.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
-from planish.cli.options import (
-    SURFACE,
-    design_option,
-    existing,
-    hole_option,
+from planish.cli.options import Option, existing, given, json_option, options, out_option, verb
+from planish.cli.sections import (
+    compute_options,
+    correlate_options,
+    hole_options,
     image_options,
-    json_option,
-    match_options,
-    meaning_of,
-    out_option,
+    property_options,
+    registration_options,
     surface_options,
     volume_options,
 )
+from planish.core.results import Side
+from planish.flatten.params import FlattenParams
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Method = Literal["multigrid", "relaxation"]
-Rest = Literal["arc", "chord"]
-
 _STORE = "Zarr store to make; it must not exist."
+_ONE_FILE = {"type": click.Path(path_type=Path), "cls": Option}
 
 
 def _write(out: Path, groups: dict[str, xr.Dataset], summary: str) -> None:
@@ -41,133 +40,91 @@ def _write(out: Path, groups: dict[str, xr.Dataset], summary: str) -> None:
     click.echo(f"{out}: {summary}")
 
 
-def _read(path: Path, group: str) -> xr.Dataset:
+def _read(path: Path, group: str, needed: str) -> xr.Dataset:
     """Read one group of a store, or of the maps.zarr in a run folder."""
     from planish.core.errors import FileError
     from planish.io.run_folder import read_tree
 
     groups = read_tree(path / "maps.zarr" if (path / "maps.zarr").is_dir() else path)
     if group not in groups:
-        raise FileError(
-            f"{path} has no group '{group}'; it holds {', '.join(sorted(groups))}. Give what the stage before wrote."
-        )
+        raise FileError(f"{path} has no {group}; it holds {', '.join(sorted(groups))}. Give what {needed} wrote.")
     return groups[group]
 
 
-def corrected_for_import(
-    data: xr.DataArray, out: Path, options: dict[str, Any], *, memory_bytes: int, tell: Callable[[str, str], None]
-) -> tuple[xr.DataArray, Callable[[], None]]:
-    """Correct a volume on its way into a store as the options say, and say what was done.
+def _volume(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, Any]:
+    """A volume of any kind, and how it lies."""
+    from planish.cli.sections import compute_from
+    from planish.io.params import VolumeParams
+    from planish.pipeline.progress import silent
+    from planish.pipeline.volume import read_sheet_volume
 
-    Returns
-    -------
-    volume : DataArray
-        The same one where nothing is asked for.
-    write_record : callable
-        To be called when the store is whole: writes the record and the figure beside it.
-    """
-    from planish.core.errors import FileError
-    from planish.correct.params import CorrectParams
-    from planish.io.run_folder import refuse_existing
-
-    params = CorrectParams(
-        rings=options["correct_rings"], cupping=options["correct_cupping"],
-        axis=options["rotation_axis"] or "z", centre_um=options["rotation_centre_um"],
-    )  # fmt: skip
-    if not params.asked:
-        if options["rotation_axis"] or options["rotation_centre_um"]:
-            raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
-        return data, lambda: None
-    from planish.correct import correct_volume, write_picture
-
-    record, picture = (out.with_name(f"{out.stem}.corrections.{kind}") for kind in ("json", "png"))
-    for path in (record, picture):
-        refuse_existing(path)
-    found = correct_volume(
-        data,
-        params=params,
-        memory_bytes=memory_bytes,
-        tell=lambda what, how_far: tell("correct", f"{what}, {how_far}"),
-    )
-    for sentence in found.record.sentences:
-        click.echo(sentence)
-    if found.record.clipped:
-        click.echo(f"{100 * found.record.clipped:.2g} % of the voxels left the range of {data.dtype} and were clipped.")
-
-    def write_record() -> None:
-        try:
-            record.write_text(json.dumps(found.record.to_json(), indent=2) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise FileError(f"{record} cannot be written: {error.strerror}. The store itself is whole.") from error
-        if found.before is not None:
-            write_picture(found, data, picture)
-
-    return found.volume, write_record
+    params = VolumeParams(path=str(path.absolute()), **given(values, "volume"))
+    return read_sheet_volume(params, compute_from(values), silent)[0], params
 
 
-@click.command()
+@verb("planish surface volume.tif -o surfaces.zarr", "planish surface scan/ -o s.zarr --through y --voxel-um 1.37",
+      name="surface")  # fmt: skip
 @existing("volume")
 @out_option(_STORE)
 @volume_options
 @surface_options
-def surface(volume: Path, out: Path, **options: Any) -> None:
+@compute_options
+def surface(volume: Path, out: Path, **values: Any) -> None:
     """Find the faces, interfaces and centre surface of the sheet in VOLUME."""
+    from planish.cli.sections import compute_from
+    from planish.compute import column_step, engine
     from planish.core.frame import Frame
-    from planish.io import read_volume
     from planish.io.run_folder import refuse_existing
     from planish.surface import SurfaceParams, find_surfaces
 
     refuse_existing(out)
-    data = read_volume(volume, voxel_um=options["voxel_um"], override_size=options["override_size"])
-    params = SurfaceParams.model_validate({k: options[k] for k in SURFACE} | {"labels": meaning_of(options)})
-    found = find_surfaces(data, frame=Frame(through=options["through"], top=options["top"]), params=params)
+    data, params = _volume(volume, values)
+    frame, compute = Frame(through=params.through, top=params.top), compute_from(values)
+    step = column_step(data, frame, params.column_um, compute)
+    with engine(compute) as tiles:
+        how = SurfaceParams(**given(values, "surface"))
+        found = find_surfaces(data, frame=frame, params=how, step=step, engine=tiles)
     share = float((found["status"].values == 0).mean())
-    _write(
-        out,
-        {"surfaces": found},
-        f"sheet of {found.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns measured",
-    )
+    summary = f"sheet of {found.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns measured"
+    _write(out, {"surfaces": found}, summary)
 
 
-@click.command()
+@verb("planish measure surfaces.zarr -o measured.zarr",
+      "planish measure surfaces.zarr -o measured.zarr --volume volume.tif --property porosity --solid-grey 180",
+      name="measure")  # fmt: skip
 @existing("surfaces")
 @out_option(_STORE)
-def measure(surfaces: Path, out: Path) -> None:
-    """Measure thicknesses and topographies along the normals of SURFACES."""
-    from planish.measure import measure_properties
+@click.option("--volume", "path", help="Volume of the surfaces, for properties that need its grey values.", **_ONE_FILE)
+@volume_options
+@property_options
+@compute_options
+def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None:
+    """Measure all properties along the normals of SURFACES."""
+    from planish.io.run_folder import refuse_existing
+    from planish.measure import MeasureParams, measure_properties
 
-    found = measure_properties(_read(surfaces, "surfaces"))
-    thickness = float(np.nanmean(found["thickness"].values))
-    _write(out, {"properties": found}, f"mean thickness {thickness:.2f} um along the normals")
+    refuse_existing(out)
+    volume = None if path is None else _volume(path, values)[0]
+    found = measure_properties(
+        _read(surfaces, "surfaces", "'planish surface'"), volume=volume,
+        params=MeasureParams(**given(values, "properties")),
+    )  # fmt: skip
+    mean = float(found["thickness"].mean())
+    _write(out, {"surfaces": found}, f"mean thickness {mean:.2f} um along the normals")
 
 
-@click.command()
+@verb("planish flatten surfaces.zarr -o flat.zarr", "planish flatten surfaces.zarr -o flat.zarr --method relaxation",
+      name="flatten")  # fmt: skip
 @existing("surfaces")
 @out_option(_STORE)
-@click.option(
-    "--mesh-um",
-    type=click.FloatRange(min=0, min_open=True),
-    help="Pitch of the spring mesh; four columns or more where not given.",
-)
-@click.option(
-    "--method",
-    type=click.Choice(["multigrid", "relaxation"]),
-    default="multigrid",
-    show_default=True,
-    help="multigrid: straight to the least spring energy; relaxation: the damped motion of Hirn et al. (2009).",
-)
-@click.option(
-    "--rest",
-    type=click.Choice(["arc", "chord"]),
-    default="arc",
-    show_default=True,
-    help="Rest lengths of the springs: along the curved surface, or straight through space as in Hirn et al. (2009).",
-)
-def flatten(surfaces: Path, out: Path, mesh_um: float | None, method: Method, rest: Rest) -> int:
+@options(FlattenParams, "flatten", "Flattening", without=("map_um",))
+def flatten(surfaces: Path, out: Path, **values: Any) -> int:
     """Develop the centre surface of SURFACES into the plane."""
     from planish.flatten import FlattenParams, flatten_sheet
 
-    found = flatten_sheet(_read(surfaces, "surfaces"), params=FlattenParams(mesh_um=mesh_um, method=method, rest=rest))
+    found = flatten_sheet(
+        _read(surfaces, "surfaces", "'planish surface'"), params=FlattenParams(**given(values, "flatten"))
+    )
     summary = (
         f"{found.outcome.value} Edge strain {100 * found.edge_strain_p95:.3f} % (p95), "
         f"{found.folded_cells} folded cells"
@@ -176,152 +133,131 @@ def flatten(surfaces: Path, out: Path, mesh_um: float | None, method: Method, re
     return 4 if found.folded_cells else 0
 
 
-@click.command()
-@existing("properties")
+@verb("planish resample measured.zarr flat.zarr -o maps.zarr",
+      "planish resample measured.zarr flat.zarr -o linked.zarr --onto image.tif --registration marks.json",
+      name="resample")  # fmt: skip
+@existing("measured")
 @existing("flat")
 @out_option(_STORE)
-@click.option(
-    "--map-um",
-    type=click.FloatRange(min=0, min_open=True),
-    help="Pixel of the map; the volume's columns where not given.",
-)
-def resample(properties: Path, flat: Path, out: Path, map_um: float | None) -> None:
-    """Bring PROPERTIES onto a regular grid of the FLAT sheet."""
-    from planish.core.checks import check_same_grid
-    from planish.core.grid import pitch
-    from planish.resample import covering_grid, find_places, resample_dataset
-
-    data, coordinates = _read(properties, "properties"), _read(flat, "flat")
-    check_same_grid(data, coordinates)
-    rows, cols = pitch(data)
-    step = map_um or float(np.sqrt(rows * cols))
-    uv = np.stack([coordinates["u"].values, coordinates["v"].values], axis=-1)
-    grid = covering_grid(uv, step)
-    places = find_places(uv, grid, least_um=min(rows, cols))
-    maps = resample_dataset(data, places, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
-    _write(out, {"maps": maps}, f"{grid.shape[1]} x {grid.shape[0]} pixels of {step:g} um")
-
-
-@click.command()
-@existing("image")
-@out_option("CSV table to make; it must not exist.")
+@options(FlattenParams, "flatten", "Flattening", only=("map_um",))
+@click.option("--onto", help="Image whose pixels the maps are brought onto; needs --registration.", **_ONE_FILE)
+@click.option("--registration", help="marks.json of 'planish register' or of a run.", **_ONE_FILE)
 @image_options
-@hole_option
-def holes(
-    image: Path, out: Path, pixel_um: tuple[float, float] | None, channel: str, hole_um: tuple[float, float]
-) -> None:
-    """Find the laser holes in IMAGE: a picture, or a run whose flattened sheet is searched."""
-    from planish.core.grid import pitch
+def resample(
+    measured: Path, flat: Path, out: Path, onto: Path | None, registration: Path | None, **values: Any
+) -> None:  # fmt: skip
+    """Bring the MEASURED properties onto a regular grid of the FLAT sheet, or onto the pixels of an image."""
     from planish.io import read_image
     from planish.io.run_folder import refuse_existing
-    from planish.marks import find_holes, write_holes
+    from planish.pipeline import Registration, resample_maps
 
+    if (onto is None) != (registration is None):
+        raise click.UsageError("--onto and --registration belong together: give both, or neither for flat maps.")
     refuse_existing(out)
-    if image.is_dir():
-        maps = _read(image, "maps")
-        u, v = maps["u"].values, maps["v"].values
-        found = find_holes(maps["presence"].values, pixel_um=pitch(maps)[1], diameter_um=hole_um, polarity="dark")
-        found = found.assign(x=found["x"] + u[0], y=found["y"] + v[0])
-    else:
-        picture = read_image(image, pixel_um=pixel_um, channel=channel)
-        rows, cols = picture.attrs["pixel_um"]
-        found = find_holes(picture.values, pixel_um=(rows, cols), diameter_um=hole_um)
-    write_holes(found, out)
+    data = _read(measured, "surfaces", "'planish measure'")
+    coordinates = _read(flat, "flat", "'planish flatten'")
+    map_um = given(values, "flatten").get("map_um")
+    if onto is None or registration is None:
+        maps = resample_maps(data, coordinates, map_um=map_um)
+        _write(out, {"maps": maps}, f"{maps.sizes['u']} x {maps.sizes['v']} pixels")
+        return
+    size = {k: v for k, v in given(values, "image").items() if k in ("pixel_um", "channel", "override_size")}
+    linked = resample_maps(
+        data, coordinates, onto=read_image(onto, **size), registration=Registration.read(registration)
+    )
+    share = float(linked["valid"].values.mean())
+    _write(out, {"linked": linked}, f"{linked.sizes['x']} x {linked.sizes['y']} pixels, {100 * share:.0f} % valid")
+
+
+@verb("planish holes image.tif -o image-holes.json", "planish holes maps.zarr -o sheet-holes.json --image-side bottom",
+      name="holes")  # fmt: skip
+@existing("image")
+@out_option("JSON file to make; a table for reading, .csv, is made beside it.")
+@image_options
+@hole_options
+def holes(image: Path, out: Path, **values: Any) -> None:
+    """Find the laser holes in IMAGE: a picture, or the flat maps of a sheet."""
+    from planish.io import read_image
+    from planish.io.run_folder import refuse_existing
+    from planish.marks import HoleParams, write_holes
+    from planish.pipeline import find_holes
+
+    table = out.with_suffix(".csv")
+    for path in (out, table):
+        refuse_existing(path)
+    asked = given(values, "image")
+    side: Side = asked.get("side", "top")
+    size = {k: v for k, v in asked.items() if k in ("pixel_um", "channel", "override_size")}
+    shown = _read(image, "maps", "'planish resample'") if image.is_dir() else read_image(image, **size)
+    found = find_holes(shown, params=HoleParams(**given(values, "holes")), side=side)
+    for path in (out, table):
+        write_holes(found, path)
     click.echo(f"{out}: {found.sizes['mark']} holes")
 
 
-@click.command()
+@verb("planish register sheet-holes.json image-holes.json -o marks.json",
+      "planish register sheet-holes.json image-holes.json -o marks.json --model affine", name="register")  # fmt: skip
 @existing("moving")
 @existing("fixed")
-@out_option("CSV table of pairs to make; it must not exist.")
-@match_options
-@design_option
-def register(
-    moving: Path, fixed: Path, out: Path, mirror: bool, tolerance_um: float, model: str, design: Path | None
-) -> None:
-    """Match the holes in MOVING and FIXED, two tables of 'planish holes', and fit what takes one to the other."""
+@out_option("JSON file to make; a table of the pairs, .csv, is made beside it.")
+@registration_options
+def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
+    """Match the holes in MOVING and FIXED, two files of 'planish holes', and fit the transformation."""
     from planish.io.run_folder import refuse_existing
     from planish.marks import read_holes, write_marks
-    from planish.marks.design import read_pattern
-    from planish.register import fit_transform, match_by_design, match_marks
-    from planish.results import marks_table
+    from planish.pipeline import register_marks
+    from planish.register import RegistrationParams
 
-    refuse_existing(out)
-    a, b = (np.stack([h["x"].values, h["y"].values], axis=1) for h in (read_holes(moving), read_holes(fixed)))
-    if design is None:
-        matched = match_marks(a, b, tolerance_um=tolerance_um, mirror=mirror)
-        labels = [f"hole {k + 1}" for k in range(len(matched.pairs))]
-    else:
-        pattern = read_pattern(design)
-        matched = match_by_design(
-            a, b, pattern.seen_um, labels=pattern.labels, tolerance_um=tolerance_um, mirror=mirror
-        )  # fmt: skip
-        labels = list(matched.labels)
-    a, b = a[matched.pairs[:, 0]], b[matched.pairs[:, 1]]
-    fit = fit_transform(a, b, model=model, mirrored=matched.mirrored, lowest="similarity")
-    write_marks(marks_table(labels, fit), out)
-    click.echo(matched.sentence)
-    click.echo(fit.sentence)
-    click.echo(f"{out}: {len(a)} pairs, residual {fit.rms_um:.2f} um rms, scale {fit.transform.scale:.4f}")
+    table = out.with_suffix(".csv")
+    for path in (out, table):
+        refuse_existing(path)
+    found = register_marks(
+        read_holes(moving), read_holes(fixed), params=RegistrationParams(**given(values, "registration"))
+    )
+    found.save(out)
+    write_marks(found.pairs(), table)
+    fit = found.fit
+    for sentence in (found.sentence, found.design, fit.sentence):
+        if sentence:
+            click.echo(sentence)
+    click.echo(f"{out}: {len(fit.moving)} pairs, residual {fit.rms_um:.2f} um rms, scale {fit.transform.scale:.4f}")
 
 
-@click.command()
+@verb("planish correlate linked.zarr", "planish correlate run --property base_thickness --json", name="correlate")
 @existing("linked")
-@click.option(
-    "--property", "name", default="coating_top", show_default=True, help="Map that the image is compared with."
-)
-@click.option(
-    "--point-um",
-    type=click.FloatRange(min=0, min_open=True),
-    default=100.0,
-    show_default=True,
-    help="Edge of the larger points.",
-)
+@click.option("--property", "names", multiple=True, metavar="NAME", help="Maps to compare; all where not given.")
+@correlate_options
 @json_option
-def correlate(linked: Path, name: str, point_um: float, as_json: bool) -> None:
-    """Correlate the image with one property, point by point, in the LINKED maps of a run."""
-    from planish.analyze import correlate as at_pixel
-    from planish.analyze import correlate_at
+def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any) -> None:
+    """Correlate the image with the properties, point by point, in LINKED maps."""
+    from planish.analyze import CorrelateParams
     from planish.cli.show import number, table
     from planish.core.errors import InputError
-    from planish.core.grid import pitch
+    from planish.pipeline import correlate_maps
 
-    data = _read(linked, "linked")
-    if name not in data:
-        raise InputError(f"{linked} has no map '{name}'; it holds {', '.join(map(str, data.data_vars))}.")
-    pixel = pitch(data)
-    values = np.where(data["valid"].values, data[name].values.astype(np.float64), np.nan)
-    image = data["image"].values.astype(np.float64)
-    pairs = (
-        at_pixel(values, image, point_um=float(np.sqrt(pixel[0] * pixel[1]))),
-        correlate_at(values, image, pixel_um=pixel, point_um=point_um)[0],
-    )
+    data = _read(linked, "linked", "'planish resample --onto' or 'planish link'")
+    if missing := [name for name in names if name not in data]:
+        raise InputError(f"{linked} has no map {missing[0]!r}; it holds {', '.join(map(str, data.data_vars))}.")
+    found = correlate_maps(data, params=CorrelateParams(**given(values, "correlate")))
+    rows = [row for row in found if not names or row.a_map in names]
     if as_json:
-        click.echo(json.dumps([p.to_dict() for p in pairs], indent=2))
+        click.echo(json.dumps([row.model_dump() for row in rows], indent=2))
         return
-    rows = [(name, f"{p.point_um:g}", str(p.n), number(p.r), number(p.r2), number(p.slope, 4)) for p in pairs]
-    table("Image against property", ("", "point um", "n", "r", "r2", "slope"), rows)
+    lines = [(r.a_map, f"{r.point_um:g}", str(r.n), number(r.r), number(r.r2), number(r.slope, 4)) for r in rows]
+    table("Image against properties", ("", "point um", "n", "r", "r2", "slope"), lines)
 
 
-@click.command()
+@verb("planish report run --out page.html", name="report")
 @existing("run")
 @out_option("HTML file to make; it must not exist.")
 def report(run: Path, out: Path) -> None:
     """Make the report of a RUN folder again."""
-    from planish.core.errors import FileError
-    from planish.io.run_folder import read_tree, refuse_existing
-    from planish.report import write_layers_report, write_report
+    from planish.io.run_folder import refuse_existing
+    from planish.pipeline import open_run
+    from planish.report import write_report
 
     refuse_existing(out)
-    groups = read_tree(run / "maps.zarr")
-    try:
-        results = json.loads((run / "results.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise FileError(f"{run / 'results.json'} cannot be read: {error}. Give a whole run folder.") from error
-    if "layers" in results:
-        pairs = {name.removeprefix("marks/"): groups.pop(name) for name in list(groups) if name.startswith("marks/")}
-        write_layers_report(out, groups=groups, marks=pairs, results=results)
-    else:
-        marks = groups.pop("marks", None)
-        write_report(out, groups=groups, marks=marks, results=results)
+    found = open_run(run)
+    marks = {name: registration.pairs() for name, registration in found.registrations.items()}
+    write_report(out, results=found.results, groups=found.groups, marks=marks)
     click.echo(str(out))

@@ -18,3 +18,9 @@ def check_same_grid(first: xr.Dataset, second: xr.Dataset) -> None:
                 f"from the same "
                 "surfaces."
             )
+
+
+def is_property(data: xr.DataArray) -> bool:
+    """Whether a map is a measured property; standard errors, places and masks are none."""
+    attrs = data.attrs
+    return attrs.get("role") == "property" or ("support_um" in attrs and not str(data.name).endswith("_se"))

@@ -11,9 +11,10 @@ reverses one of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import xarray as xr
+if TYPE_CHECKING:
+    import xarray as xr
 
 Axis = Literal["z", "y", "x"]
 Side = Literal["high", "low"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,18 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 from planish.analyze import CrossFitted, SearchedNull, cross_fitted, in_band, searched_null
 from planish.core.errors import CannotMeasure
 from planish.core.grid import Grid
+from planish.core.results import RefinementFacts, RefinementR
 from planish.core.transform import Similarity
-from planish.pipeline.run import Array
 from planish.register import Chain, FittedTransform, Refined, refine
 from planish.register.refinement import Refinement
+
+Array = NDArray[np.float64]
 
 _COARSEST_UM = 1000.0  # slower variations are taken off both maps: they make tiles and guards as large as they are
 _SURROGATES = 19
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RefinedWay:
-    """The marks' way to the reference, and then where the maps say that it ends."""
+class RefinedTransform:
+    """The transformation of the marks, followed by its refinement by the maps."""
 
     marks: Chain
     refined: Refined
@@ -40,7 +41,7 @@ class RefinedWay:
 
 def refine_link(
     linked: xr.Dataset, headline: str, grid: Grid, fit: FittedTransform, model: Refinement
-) -> tuple[RefinedWay, dict[str, Any]]:
+) -> tuple[RefinedTransform, RefinementFacts]:
     """Refine a link by its headline property and the image, and correlate without the bias of that.
 
     Parameters
@@ -56,8 +57,8 @@ def refine_link(
 
     Returns
     -------
-    way : RefinedWay
-    results : dict
+    transform : RefinedTransform
+    facts : RefinementFacts
         What the refinement changed, and r over tiles that it has not seen; where the map is too small for such tiles,
         r after the search beside what the search reaches on unrelated maps.
 
@@ -73,23 +74,26 @@ def refine_link(
     def tune(other: Array, look: NDArray[np.bool_]) -> Array:
         return refine(other, b, look, pixel_um=pixel, fit=fit, model=model, bounded=False).image_at(b, pixel)
 
-    told: CrossFitted | SearchedNull
     try:
-        told = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel)
+        of_r = _r_facts(cross_fitted(a, b, tune, valid=valid, pixel_um=pixel))
     except CannotMeasure:
-        told = searched_null(a, tune, valid=valid, surrogates=_SURROGATES)
-    of_r = {"r": float(told.r), "registration": str(told.registration.value), "sentence": told.sentence}
-    if isinstance(told, CrossFitted):
-        of_r |= {"n": int(told.n), "tile_um": float(told.tile_um), "guard_um": float(told.guard_um)}
+        of_r = _r_facts(searched_null(a, tune, valid=valid, surrogates=_SURROGATES))
+    facts = RefinementFacts(
+        model=found.model, metric=found.metric, property=headline, moved_rms_um=float(found.moved_um[0]),
+        moved_most_um=float(found.moved_um[1]), share_of_expected_error=float(found.share),
+        area=tuple(float(v) for v in found.area), strain=float(found.strain), warnings=tuple(found.warnings),
+        sentence=found.sentence, longest_wave_um=_COARSEST_UM, correlation=of_r,
+    )  # fmt: skip
+    return RefinedTransform(marks=Chain(fits=(fit,)), refined=found), facts
+
+
+def _r_facts(found: CrossFitted | SearchedNull) -> RefinementR:
+    common = {"r": float(found.r), "registration": str(found.registration.value), "sentence": found.sentence}
+    if isinstance(found, CrossFitted):
+        more = {"n": int(found.n), "tile_um": float(found.tile_um), "guard_um": float(found.guard_um)}
     else:
-        of_r |= {"null_95": float(told.null_95), "p": float(told.p), "surrogates": int(told.surrogates)}
-    results = {
-        "model": found.model, "metric": found.metric, "property": headline, "moved_rms_um": float(found.moved_um[0]),
-        "moved_most_um": float(found.moved_um[1]), "share_of_expected_error": float(found.share),
-        "area": [float(v) for v in found.area], "strain": float(found.strain), "warnings": list(found.warnings),
-        "sentence": found.sentence, "longest_wave_um": _COARSEST_UM, "correlation": of_r,
-    }  # fmt: skip
-    return RefinedWay(marks=Chain(fits=(fit,)), refined=found), results
+        more = {"null_95": float(found.null_95), "p": float(found.p), "surrogates": int(found.surrogates)}
+    return RefinementR.model_validate(common | more)
 
 
 def _detail(values: Array, valid: NDArray[np.bool_], pixel_um: tuple[float, float]) -> Array:

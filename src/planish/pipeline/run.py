@@ -1,128 +1,157 @@
-"""What a run holds, and how it comes back from its folder."""
+"""A run: what it holds, how it shows itself, and how it comes back from its folder."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import FileError
-from planish.gates import Gate
+from planish.core.results import Gate, Results
 from planish.io.run_folder import read_tree
-from planish.study import LayersStudy, Study, read_study
+from planish.pipeline.registration import Registration
+from planish.pipeline.sheet import Sheet
+from planish.study import Study, read_study
 
-Array = NDArray[np.float64]
-Progress = Callable[[str, str], None]
-
-_OF_A_MAP = ("surfaces", "flat", "strain", "maps", "slices")
-
-
-def silent(_stage: str, _detail: str) -> None:
-    """Say nothing: what a program that calls a run wants unless it asks."""
+_OF_A_SHEET = ("surfaces", "flat", "strain", "maps", "slices")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
     """All that a run gives.
 
     Attributes
     ----------
     study : Study
-        The parameters, resolved.
+        The parameters, with the sizes and pitches that were used.
+    results : Results
+        Every number, as ``results.json`` has it.
     groups : dict of Dataset
-        ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and after a link
-        ``linked`` (y, x of the image).
-    marks : Dataset (mark) or None
-    results : dict
-        Numbers only, ready for JSON.
-    gates : tuple of Gate
+        Of one sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
+        ``sections`` of serial sections. Of a sheet linked to an image also ``linked`` (y, x of the image), and
+        ``refined``. Of other links ``layers/NAME`` on the pixels of the reference.
+    registrations : dict of Registration
+        By the name of the moving layer.
+    sheets : dict of Sheet
+        Sheets that were mapped on the way to a link of other layers than one sheet and one image.
+    folder : Path or None
+        Where it was read from.
     """
 
     study: Study
+    results: Results
     groups: dict[str, xr.Dataset]
-    marks: xr.Dataset | None
-    results: dict[str, Any]
-    gates: tuple[Gate, ...]
+    registrations: dict[str, Registration] = field(default_factory=dict[str, Registration])
+    sheets: dict[str, Sheet] = field(default_factory=dict[str, Sheet])
+    folder: Path | None = None
+
+    @property
+    def maps(self) -> xr.Dataset:
+        """Flat maps (v, u) of the sheet."""
+        return self._group("maps")
+
+    @property
+    def linked(self) -> xr.Dataset:
+        """All maps of the sheet and the image, on the pixels of the image."""
+        return self._group("linked")
+
+    @cached_property
+    def layers(self) -> dict[str, xr.Dataset]:
+        """Layers of a link on the pixels of the reference, by name."""
+        inside = "layers/"
+        return {k.removeprefix(inside): v for k, v in self.groups.items() if k.startswith(inside)}
+
+    @property
+    def marks(self) -> xr.Dataset:
+        """All marks of the only registration, matched or not."""
+        if len(self.registrations) != 1:
+            names = ", ".join(self.registrations) or "none"
+            raise FileError(f"The run has {len(self.registrations)} registrations ({names}). Take one of them.")
+        return next(iter(self.registrations.values())).marks
+
+    @property
+    def gates(self) -> tuple[Gate, ...]:
+        """Its quality gates."""
+        return self.results.gates
 
     @property
     def passed(self) -> bool:
         """Whether every quality gate was passed."""
-        return all(gate.passed for gate in self.gates)
+        return self.results.passed
 
+    def sheet(self) -> Sheet:
+        """The sheet that was mapped; what it was linked to stays behind.
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Layers:
-    """All that linking several layers gives.
+        Raises
+        ------
+        FileError
+            If the run holds no sheet of its own.
+        """
+        facts = next((layer for layer in self.results.layers if layer.sheet is not None), None)
+        missing = [name for name in _OF_A_SHEET if name not in self.groups]
+        if facts is None or facts.sheet is None or missing:
+            raise FileError(
+                f"{self.folder or 'The run'} holds no map of one sheet. Give a run of one volume, from 'planish map' "
+                "or 'planish link VOLUME IMAGE'."
+            )
+        params = next(layer for layer in self.study.layers if layer.name == facts.name)
+        kept = {k: v for k, v in self.groups.items() if k in (*_OF_A_SHEET, "sections")}
+        return Sheet(params=params, groups=kept, source=facts.source, facts=facts.sheet)
 
-    Attributes
-    ----------
-    study : LayersStudy
-        The parameters, resolved.
-    groups : dict of Dataset (y, x)
-        ``layers/NAME`` of every layer, all on the pixels of the reference.
-    marks : dict of Dataset (mark)
-        Pairs of marks of every layer but the reference.
-    runs : dict of Run
-        Layers that were mapped on the way.
-    results : dict
-        Numbers only, ready for JSON.
-    gates : tuple of Gate
-    """
+    def _repr_html_(self) -> str:
+        from planish.report import run_html
 
-    study: LayersStudy
-    groups: dict[str, xr.Dataset]
-    marks: dict[str, xr.Dataset]
-    runs: dict[str, Run]
-    results: dict[str, Any]
-    gates: tuple[Gate, ...]
+        return run_html(self.results, self.groups)
 
-    @property
-    def passed(self) -> bool:
-        """Whether every quality gate was passed."""
-        return all(gate.passed for gate in self.gates)
+    def _group(self, name: str) -> xr.Dataset:
+        if name not in self.groups:
+            raise FileError(
+                f"The run has no {name}; it holds {', '.join(self.groups)}."
+                + (" Link it to an image first: planish link RUN IMAGE --out OTHER." if name == "linked" else "")
+            )
+        return self.groups[name]
 
 
 def is_run(path: Path) -> bool:
-    """Whether a folder holds a run of one volume."""
+    """Whether a folder holds a run."""
     return (path / "run.toml").is_file() and (path / "maps.zarr").is_dir()
 
 
-def read_run(path: Path) -> Run:
-    """Read the maps of a run folder, as :func:`planish.pipeline.map_sheet` gave them; what was linked stays behind.
+def open_run(path: str | Path) -> Run:
+    """Open a run folder.
+
+    Parameters
+    ----------
+    path : path
+        Folder that ``planish map``, ``link`` or ``demo`` made.
+
+    Returns
+    -------
+    Run
+        With all groups in memory.
 
     Raises
     ------
     FileError
-        If it is no run of a volume, or a file of it is missing or damaged.
+        If it is no run, was made by planish 0.1.0, or a file of it is missing or damaged.
     InputError
-        If its study is of another version and has parameters that are not known.
+        If its study has parameters that are not known.
     """
-    if not is_run(path):
-        raise FileError(f"{path} is no run. Give the folder that 'planish map' or 'planish link' made.")
-    study = read_study(path / "run.toml")
-    if not isinstance(study, Study):
-        raise FileError(f"{path} holds several linked layers. Give the run of one volume, from 'planish map'.")
-    groups = read_tree(path / "maps.zarr")
-    missing = [name for name in _OF_A_MAP if name not in groups]
-    if missing:
-        raise FileError(f"{path / 'maps.zarr'} has no group {missing[0]}. It is damaged; repeat the run.")
-    try:
-        results: dict[str, Any] = json.loads((path / "results.json").read_text(encoding="utf-8"))
-        inputs = {"volume": results["inputs"]["volume"]}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FileError(f"{path / 'results.json'} cannot be read: {error}. Repeat the run.") from error
-    kept = ("surfaces", "properties", "further", "numbers", "flatten", "sections")
+    folder = Path(path)
+    if not is_run(folder):
+        raise FileError(f"{folder} is no run. Give the folder that 'planish map' or 'planish link' made.")
+    results = Results.read(folder / "results.json")
+    registrations = {
+        layer.name: Registration.read(folder / marks_file(results, layer.name)) for layer in results.moving
+    }
     return Run(
-        study=study.model_copy(update={"image": None}),
-        groups={k: v for k, v in groups.items() if k in (*_OF_A_MAP, "sections")},
-        marks=None,
-        results={"planish": results["planish"], "versions": results.get("versions", {}), "inputs": inputs}
-        | {k: results[k] for k in kept if k in results},
-        gates=(),
-    )
+        study=read_study(folder / "run.toml"), results=results, groups=read_tree(folder / "maps.zarr"),
+        registrations=registrations, folder=folder,
+    )  # fmt: skip
+
+
+def marks_file(results: Results, layer: str) -> str:
+    """Name of the file with the marks of a layer's registration."""
+    return "marks.json" if len(results.moving) == 1 else f"marks-{layer}.json"

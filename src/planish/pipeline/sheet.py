@@ -2,116 +2,123 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from importlib.metadata import version
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 import xarray as xr
 
-from planish import __version__
 from planish.compute import Compute, column_step, engine
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.options import Params
+from planish.core.results import InputFile, SheetFacts
 from planish.core.tiles import Engine
-from planish.flatten import FlattenParams, flatten_sheet
-from planish.gates import map_gates
+from planish.flatten import flatten_sheet
 from planish.io import find_place
 from planish.measure import measure_properties, sheet_numbers
-from planish.pipeline.run import Array, Progress, Run, silent
+from planish.pipeline.facts import flatten_facts, input_file, property_facts, section_facts, surface_facts
+from planish.pipeline.progress import Progress
 from planish.pipeline.volume import read_sheet_volume, some_slices
 from planish.resample import resample_maps
-from planish.results import (
-    flatten_results,
-    further_results,
-    input_results,
-    number_results,
-    parameter_results,
-    property_results,
-    section_results,
-    surface_results,
-)
-from planish.study import Study
+from planish.study import LayerParams
 from planish.surface import find_surfaces
+
+P = TypeVar("P", bound=Params)
 
 _THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room on both sides
 _LEAST_SHARE = 0.15  # of the columns: with less there is no map
 
 
-def map_sheet(
-    study: Study, *, progress: Progress | None = None, compute: Compute | None = None, kept: Path | None = None
-) -> Run:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sheet:
+    """A sheet that was measured and flattened.
+
+    Attributes
+    ----------
+    params : LayerParams
+        With the sizes and pitches that were used.
+    groups : dict of Dataset
+        ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and ``sections`` of serial
+        sections.
+    source : InputFile
+    facts : SheetFacts
+    """
+
+    params: LayerParams
+    groups: dict[str, xr.Dataset]
+    source: InputFile
+    facts: SheetFacts
+
+    @property
+    def headline(self) -> str:
+        """The map that stands for it: the coating of the top, or the thickness where there is none."""
+        return "coating_top" if "coating_top" in self.facts.properties else "thickness"
+
+
+def map_layer(
+    layer: LayerParams, *, compute: Compute, progress: Progress, kept: Path | None = None
+) -> Sheet:  # fmt: skip
     """Go from a volume to flattened maps of its properties.
 
     Parameters
     ----------
-    study : Study
-    progress : callable, optional
-        Called with the name of a stage and a few words.
-    compute : Compute, optional
-        What the run may use.
+    layer : LayerParams
+        With a volume.
+    compute, progress
     kept : Path, optional
         Folder for the results of single tiles, where a run that was killed finds them again.
     """
-    tell = progress or silent
-    tell("read", find_place(study.volume.path).path.name)
-    compute = compute or Compute()
-    volume, sections = read_sheet_volume(study.volume, compute, tell)
-    voxel = tuple(float(v) for v in volume.attrs["voxel_um"])
-    frame = Frame(through=study.volume.through, top=study.volume.top)
-    step = column_step(volume, frame, study.volume.column_um, compute)
+    v = layer.volume
+    assert v is not None
+    progress("read", find_place(v.path).path.name)
+    volume, sections = read_sheet_volume(v, compute, progress)
+    frame = Frame(through=v.through, top=v.top)
+    step = column_step(volume, frame, v.column_um, compute)
     wide = f", columns of {step} x {step}" if step > 1 else ""
-    tell("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
+    progress("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
     with engine(compute, kept=None if kept is None else kept / str(step)) as tiles:
-        surfaces = find_surfaces(volume, frame=frame, params=study.surface, step=step, engine=tiles)
+        surfaces = find_surfaces(volume, frame=frame, params=layer.surface, step=step, engine=tiles)
     _check_thickness(surfaces)
-    tell("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
-    found = surfaces
+    progress("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
     tiles = Engine(threads=compute.threads, memory_bytes=compute.memory // 2)
-    surfaces = measure_properties(found, volume=volume, params=study.properties, engine=tiles)
-    numbers = sheet_numbers(surfaces, volume=volume, params=study.properties, engine=tiles)
-    tell("flatten", "eight-spring mesh")
-    f = study.flatten
-    # A column whose normal meets no face still has its place in the sheet.
-    flattened = flatten_sheet(found, params=FlattenParams(mesh_um=f.mesh_um, method=f.method, rest=f.rest))
-    steps = pitch(surfaces)
-    # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
-    column_um = study.volume.column_um or (float(np.sqrt(steps[0] * steps[1])) if step > 1 else None)
-    map_um = study.flatten.map_um or float(np.sqrt(steps[0] * steps[1]))
-    tell("resample", f"{map_um:.3g} um pixels")
-    study = study.model_copy(
-        update={
-            "volume": study.volume.model_copy(update={"voxel_um": voxel, "column_um": column_um}),
-            "flatten": study.flatten.model_copy(update={"mesh_um": flattened.mesh_um, "map_um": map_um}),
-        }
-    )
-    maps = resample_maps(surfaces, flattened.flat, map_um=map_um)
+    measured = measure_properties(surfaces, volume=volume, params=layer.properties, engine=tiles)
+    progress("flatten", "eight-spring mesh")
+    # Before the properties: a column whose normal meets no face still has its place in the sheet.
+    flattened = flatten_sheet(surfaces, params=layer.flatten)
+    columns = pitch(surfaces)
+    map_um = layer.flatten.map_um or float(np.sqrt(columns[0] * columns[1]))
+    progress("resample", f"{map_um:.3g} um pixels")
     groups = {
-        "surfaces": surfaces,
+        "surfaces": measured,
         "flat": flattened.flat,
         "strain": flattened.strain,
-        "maps": maps,
+        "maps": resample_maps(measured, flattened.flat, map_um=map_um),
         "slices": some_slices(volume, frame, step),
-    }
-    results: dict[str, Any] = {
-        "planish": __version__,
-        "versions": {name: version(name) for name in ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")},
-        "inputs": {"volume": input_results(volume, Path(study.volume.path), voxel_um=list(voxel))},
-        "surfaces": surface_results(surfaces),
-        "properties": property_results(surfaces),
-        "further": further_results(surfaces),
-        "numbers": number_results(numbers),
-        "flatten": flatten_results(flattened),
     }
     if sections is not None:
         groups["sections"] = sections
-        results["sections"] = section_results(sections)
-    gates = map_gates(results)
-    results["quality"] = [asdict(gate) for gate in gates]
-    results["parameters"] = parameter_results(study)
-    return Run(study=study, groups=groups, marks=None, results=results, gates=gates)
+    # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
+    wider = {"column_um": float(np.sqrt(columns[0] * columns[1]))} if step > 1 and v.column_um is None else {}
+    used = {
+        "volume": changed(v, voxel_um=tuple(float(s) for s in volume.attrs["voxel_um"]), **wider),
+        "flatten": changed(layer.flatten, mesh_um=flattened.mesh_um, map_um=map_um),
+    }
+    facts = SheetFacts(
+        surfaces=surface_facts(measured),
+        properties=property_facts(measured),
+        numbers=sheet_numbers(measured, volume=volume, params=layer.properties, engine=tiles),
+        flatten=flatten_facts(flattened),
+        sections=None if sections is None else section_facts(sections),
+    )
+    return Sheet(params=changed(layer, **used), groups=groups, source=input_file(volume, v.path), facts=facts)
+
+
+def changed(params: P, **values: object) -> P:
+    """The same parameters with some values changed."""
+    return params.model_copy(update=values)
 
 
 def _check_thickness(surfaces: xr.Dataset) -> None:
@@ -120,19 +127,14 @@ def _check_thickness(surfaces: xr.Dataset) -> None:
     if not low <= thickness <= high:
         voxel = ", ".join(f"{v:g}" for v in surfaces.attrs["voxel_um"])
         raise VolumeError(
-            f"The sheet would be {thickness:.3g} um thick; paper and board have {low:g} to {high:g} um. "
-            f"The voxel size of "
-            f"{voxel} um (z, y, x) is probably in another unit. Give the right one with --voxel-um and --override-size."
+            f"The sheet would be {thickness:.3g} um thick; paper and board have {low:g} to {high:g} um. The voxel size "
+            f"of {voxel} um (z, y, x) is probably in another unit. Give the right one with --voxel-um and "
+            "--override-size."
         )
     measured = float((surfaces["status"].values == 0).mean())
     if measured < _LEAST_SHARE:
         raise VolumeError(
             f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns only; "
-            f"{100 * _LEAST_SHARE:.0f} % are "
-            "needed for a map. Check --through and --sheet-grey, and that the sheet does not leave the volume."
+            f"{100 * _LEAST_SHARE:.0f} % are needed for a map. Check --through and --sheet-grey, and that the sheet "
+            "does not leave the volume."
         )
-
-
-def uv(flat: xr.Dataset, names: tuple[str, str] = ("u", "v")) -> Array:
-    """Flat coordinates of the columns, (rows, cols, 2)."""
-    return np.stack([flat[n].values for n in names], axis=-1)

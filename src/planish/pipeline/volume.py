@@ -8,55 +8,56 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from planish.compute import Compute, by_name
+from planish.compute import Compute
 from planish.core.errors import InputError, ResourceError, VolumeError
 from planish.core.frame import Frame
 from planish.io import find_place, read_volume
+from planish.io.params import VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
-from planish.pipeline.run import Progress
-from planish.results import section_results
+from planish.pipeline.facts import section_facts
+from planish.pipeline.progress import Progress
+from planish.pipeline.remote import by_name
 from planish.sections import align_sections, find_band, fixed_places, normalise_sections, regular_volume
-from planish.study import VolumeSection
 
 _SLICES = 3
 
 
 def read_sheet_volume(
-    section: VolumeSection, compute: Compute, tell: Progress
+    params: VolumeParams, compute: Compute, progress: Progress
 ) -> tuple[xr.DataArray, xr.Dataset | None]:
     """Read a volume; serial sections are aligned and joined, and come with what was done to each of them."""
-    path = find_place(section.path).path
+    path = find_place(params.path).path
     size: dict[str, Any] = {
-        "voxel_um": section.voxel_um,
-        "channel": section.channel,
-        "override_size": section.override_size,
+        "voxel_um": params.voxel_um,
+        "channel": params.channel,
+        "override_size": params.override_size,
     }
     if is_section_folder(path):
         if compute.scheduler is not None:
             raise InputError(f"{path.name} holds sections, which --scheduler cannot work on. Import them first.")
-        volume, sections = join_sections(section, compute, tell)
-        _in_parts(volume, path, compute, f" --through {section.through}")
+        volume, sections = join_sections(params, compute, progress)
+        _in_parts(volume, path, compute, f" --through {params.through}")
         return volume, sections
-    if section.fixed_rows is not None or section.fixed_cols is not None:
+    if params.fixed_rows is not None or params.fixed_cols is not None:
         raise InputError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
     how: dict[str, Any] = size | {"memory_bytes": compute.volume_bytes}
-    volume = read_volume(section.path, **how)
+    volume = read_volume(params.path, **how)
     _in_parts(volume, path, compute)
-    return (volume if compute.scheduler is None else by_name(volume, section.path, how)), None
+    return (volume if compute.scheduler is None else by_name(volume, params.path, how)), None
 
 
-def read_whole(section: VolumeSection, compute: Compute, tell: Progress) -> xr.DataArray:
+def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr.DataArray:
     """Read a volume, or join serial sections to one, of any size: what does not fit into memory is worked out in parts.
 
     What was done to sections is in the attributes, in short.
     """
-    if not is_section_folder(section.path):
+    if not is_section_folder(params.path):
         return read_volume(
-            section.path, voxel_um=section.voxel_um, channel=section.channel, override_size=section.override_size,
+            params.path, voxel_um=params.voxel_um, channel=params.channel, override_size=params.override_size,
             memory_bytes=compute.volume_bytes,
         )  # fmt: skip
-    volume, sections = join_sections(section, compute, tell)
-    return volume.assign_attrs(sections=section_results(sections))
+    volume, sections = join_sections(params, compute, progress)
+    return volume.assign_attrs(sections=section_facts(sections).model_dump())
 
 
 def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, options: str = "") -> None:
@@ -69,31 +70,31 @@ def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, options: str =
         )
 
 
-def join_sections(section: VolumeSection, compute: Compute, tell: Progress) -> tuple[xr.DataArray, xr.Dataset]:
-    """Align serial sections and join them to a volume; return it with what was done to each section.
+def join_sections(params: VolumeParams, compute: Compute, progress: Progress) -> tuple[xr.DataArray, xr.Dataset]:
+    """Align serial sections and join them to a volume; return it with what was done to each params.
 
     Raises
     ------
     VolumeError
         If the axis through the sheet is not given, or the sections do not fit together.
     """
-    path = Path(section.path)
-    if section.through == "z":
+    path = Path(params.path)
+    if params.through == "z":
         raise VolumeError(
-            f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to section. "
+            f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to params. "
             "Give --through y where it runs along the rows of the photographs, x where along their columns."
         )
     stack = read_section_stack(
-        path, voxel_um=section.voxel_um, channel=section.channel, override_size=section.override_size,
+        path, voxel_um=params.voxel_um, channel=params.channel, override_size=params.override_size,
         # The photographs and the volume made from them are in memory at the same time.
         memory_bytes=compute.volume_bytes // 2,
     )  # fmt: skip
-    tell("align", f"{len(stack.values)} sections")
+    progress("align", f"{len(stack.values)} sections")
     where = (stack.values, stack.positions_um, stack.pixel_um)
     band = find_band(stack.values, np.abs(stack.positions_um - stack.positions_um[0]), stack.pixel_um)
     fixed = None
-    if section.fixed_rows is not None or section.fixed_cols is not None:
-        fixed = fixed_places(stack.values, stack.pixel_um, rows=section.fixed_rows, cols=section.fixed_cols)
+    if params.fixed_rows is not None or params.fixed_cols is not None:
+        fixed = fixed_places(stack.values, stack.pixel_um, rows=params.fixed_rows, cols=params.fixed_cols)
     found = align_sections(*where, band=band, fixed=fixed)
     gains = normalise_sections(*where, band=band)
     volume = regular_volume(*where, alignment=found, gains=gains, attrs=stack.attrs)

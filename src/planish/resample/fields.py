@@ -143,7 +143,7 @@ def resample_dataset(
         raise SurfaceError(f"No variable {', '.join(absent)} to take along; there are {', '.join(map(str, data))}.")
     variables: dict[str, Any] = {}
     for name, variable in data.data_vars.items():
-        attrs = {k: variable.attrs[k] for k in ("units", "long_name") if k in variable.attrs}
+        attrs = {k: variable.attrs[k] for k in ("units", "long_name", "role", "support_um") if k in variable.attrs}
         if np.issubdtype(variable.dtype, np.floating):
             variables[str(name)] = (dims, resample(variable.values, places), attrs)
         elif name in named:

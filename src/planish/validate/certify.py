@@ -18,8 +18,9 @@ from pydantic import ValidationError
 from planish.core.area import area_mean
 from planish.core.errors import InputError, PlanishError, ResourceError
 from planish.core.grid import pitch
-from planish.pipeline import Layers, Progress, Run, run_study
-from planish.study import LayersStudy, Study
+from planish.pipeline import Progress, Run, run_study
+from planish.pipeline.progress import silent
+from planish.study import Study, as_study
 from planish.synthetic import InstrumentFiles, make_specimen, write_instruments
 from planish.synthetic.params import SpecimenParams
 from planish.validate.figures import FIGURES
@@ -246,16 +247,14 @@ def _run_pair(scenario: Scenario, seed: int, progress: Progress | None) -> Entry
         with _makes(scenario):
             made = make_pair(scenario, seed, folder)
         entry, run = _run(pair_study(scenario, made), seed, folder, progress)
-        return entry if run is None else replace(entry, values=in_order(pair_values(made, run)))  # type: ignore[arg-type]
+        return entry if run is None else replace(entry, values=in_order(pair_values(made, run)))
 
 
-def _run(
-    study: Study | LayersStudy, seed: int, folder: Path, progress: Progress | None
-) -> tuple[Entry, Run | Layers | None]:
+def _run(study: Study, seed: int, folder: Path, progress: Progress | None) -> tuple[Entry, Run | None]:
     """Run a study in the folder; an entry without values yet, and the run, None where the program refused."""
     start = time.perf_counter()
     try:
-        run = run_study(study, folder / "run", progress=progress)
+        run = run_study(study, folder / "run", progress=progress or silent)
     except ResourceError:
         raise  # a matter of this machine, not of the specimen
     except PlanishError as error:
@@ -304,7 +303,7 @@ def scenario_study(scenario: Scenario, made: InstrumentFiles) -> Study:
     for table, changes in scenario.study.items():
         data[table] = data.get(table, {}) | changes
     try:
-        return Study.model_validate(data)
+        return as_study(data)
     except ValidationError as error:
         faults = "; ".join(f"study.{place}: {fault}" for place, fault in faults_of(error))
         raise InputError(f"The scenario {scenario.name} asks for a study that is not possible: {faults}.") from error

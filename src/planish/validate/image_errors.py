@@ -28,14 +28,10 @@ _RING = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi 
 def _refit(both: Comparison) -> FittedTransform:
     """The transformation of a run, fitted again to its own marks."""
     run = both.run
-    assert run.marks is not None
-    moving, fixed = (np.stack([run.marks[f"{side}_{a}"].values for a in "xy"], axis=1) for side in ("moving", "fixed"))
+    (registration,) = run.registrations.values()
+    fit = registration.fit
     return fit_transform(
-        moving,
-        fixed,
-        model=run.study.registration.model,
-        mirrored=bool(run.results["marks"]["mirrored"]),
-        lowest="similarity",
+        fit.moving, fit.fixed, model=run.study.registration.model, mirrored=fit.mirrored, lowest="similarity"
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +10,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.errors import FileError, InputError
+from planish.core.errors import InputError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.io.run_folder import read_tree
 from planish.marks import find_holes
-from planish.study import Study, read_study
+from planish.pipeline import Run, open_run
+from planish.pipeline.sheet import Sheet
+from planish.study import Study
 from planish.synthetic.params import SIZES_UM, SpecimenParams
 from planish.validate.scenario import Scenario
 
@@ -83,59 +83,34 @@ def like_run(folder: Path) -> Like:
     InputError
         If the run does not hold what is needed.
     """
-    results, study = _results(folder), _study(folder)
-    groups = read_tree(folder / "maps.zarr")
-    if "surfaces" not in groups or "flat" not in groups:
-        raise InputError(f"{folder} holds no surfaces. Give the folder of a whole run, made by planish link or map.")
+    run = open_run(folder)
+    sheet = run.sheet()
     taken: list[str] = []
     assumed: list[str] = []
-    params = SpecimenParams()
-    try:
-        params = _with_scan(params, results, taken, assumed)
-        params = _with_paper(params, results, taken, assumed)
-        params = _with_warp(params, groups, taken, assumed)
-        params = _with_camera(params, results, groups, taken, assumed)
-        params = _with_holes(params, study, groups, taken, assumed)
-    except (KeyError, TypeError, IndexError) as error:
-        raise InputError(
-            f"{folder / 'results.json'} does not hold {error}. It may come from another version: repeat the run with "
-            f"'planish run {folder / 'run.toml'}'."
-        ) from error
+    params = _with_scan(SpecimenParams(), sheet, taken, assumed)
+    params = _with_paper(params, sheet, taken, assumed)
+    params = _with_warp(params, run.groups, taken, assumed)
+    params = _with_camera(params, run, taken, assumed)
+    params = _with_holes(params, run.study, run.groups, taken, assumed)
+    parts = {
+        "surface": sheet.params.surface, "flatten": sheet.params.flatten, "holes": run.study.holes,
+        "registration": run.study.registration, "correlate": run.study.correlate,
+    }  # fmt: skip
     tables = {
-        name: getattr(study, name).model_dump(mode="json", exclude_none=True, exclude={"marks", "sheet_grey"})
-        for name in ("surface", "flatten", "registration", "correlate")
+        name: part.model_dump(mode="json", exclude_none=True, exclude={"marks", "sheet_grey"})
+        for name, part in parts.items()
     }
     assumed.append("Fringes, cupping, rings and streaks of a scanner cannot be read from a run: they are off.")
     return Like(params=params, study=tables, taken=tuple(taken), assumed=tuple(assumed))
 
 
-def _results(folder: Path) -> dict[str, Any]:
-    path = folder / "results.json"
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror}. Give the folder of a run with --like.") from error
-    except ValueError as error:
-        raise FileError(f"{path} is not a JSON file: {error}. It may be damaged; repeat the run.") from error
-    if not isinstance(data, dict):
-        raise FileError(f"{path} does not hold the results of a run. Give the folder of a run with --like.")
-    return data  # type: ignore[reportUnknownVariableType]
-
-
-def _study(folder: Path) -> Study:
-    study = read_study(folder / "run.toml")
-    if not isinstance(study, Study):
-        raise FileError(f"{folder} holds several linked layers. Give the run of one volume with --like.")
-    return study
-
-
-def _with_scan(params: SpecimenParams, results: dict[str, Any], taken: list[str], assumed: list[str]) -> SpecimenParams:
+def _with_scan(params: SpecimenParams, sheet: Sheet, taken: list[str], assumed: list[str]) -> SpecimenParams:
     """Voxel, size, blur and noise of the volume."""
-    volume, surfaces = results["inputs"]["volume"], results["surfaces"]
-    voxel = [float(v) for v in volume["voxel_um"]]
+    volume, surfaces = sheet.source, sheet.facts.surfaces
+    voxel = [float(v) for v in volume.size_um]
     size = float(np.exp(np.mean(np.log(voxel))))
-    sides = dict(zip("zyx", (n * v for n, v in zip(volume["shape"], voxel, strict=True)), strict=True))
-    wide, high = sides[surfaces["col_axis"]], sides[surfaces["row_axis"]]
+    sides = dict(zip("zyx", (n * v for n, v in zip(volume.shape, voxel, strict=True)), strict=True))
+    wide, high = sides[surfaces.col_axis], sides[surfaces.row_axis]
     most = SIZES_UM["T1"]
     extent = (float(np.clip(wide, _LEAST_UM[0], most[0])), float(np.clip(high, _LEAST_UM[1], most[1])))
     taken.append(f"Voxels of {size:.3g} um.")
@@ -147,12 +122,12 @@ def _with_scan(params: SpecimenParams, results: dict[str, Any], taken: list[str]
             f"{extent[0] / 1000:.2g} x {extent[1] / 1000:.2g} mm are made."
         )
     scanner = replace(params.scanner, voxel_um=size)
-    blur = surfaces["blur_um"]
+    blur = surfaces.blur_um
     if blur:
         scanner = replace(scanner, fwhm_um=_FWHM * float(blur))
         taken.append(f"Blur of {float(blur):.2g} um (standard deviation), as the surface search learnt it.")
-    air, base, noise = (surfaces[f"grey_{k}"] for k in ("air", "base", "noise"))
-    coating = next((g for g in (surfaces["grey_coating_top"], surfaces["grey_coating_bottom"]) if g is not None), None)
+    air, base, noise = (surfaces.grey_air, surfaces.grey_base, surfaces.grey_noise)
+    coating = next((g for g in (surfaces.grey_coating_top, surfaces.grey_coating_bottom) if g is not None), None)
     bright = coating if coating is not None else base
     contrast = abs(float(bright) - float(air))
     if contrast > 0 and noise is not None:
@@ -166,21 +141,19 @@ def _with_scan(params: SpecimenParams, results: dict[str, Any], taken: list[str]
     return replace(params, size_um=extent, scanner=scanner)
 
 
-def _with_paper(
-    params: SpecimenParams, results: dict[str, Any], taken: list[str], assumed: list[str]
-) -> SpecimenParams:
+def _with_paper(params: SpecimenParams, sheet: Sheet, taken: list[str], assumed: list[str]) -> SpecimenParams:
     """Thicknesses of the layers."""
-    found = results["properties"]
+    found = sheet.facts.properties
     paper = params.paper
     for side in ("top", "bottom"):
-        layer = found[f"coating_{side}"]
-        mean = float(layer["mean_um"]) if layer else 0.0
+        layer = found.get(f"coating_{side}")
+        mean = layer.mean if layer else 0.0
         paper = replace(paper, **{f"coating_{side}_um": mean})
         taken.append(f"Coating on the {side} side: {f'{mean:.3g} um' if layer else 'none'}.")
-    top = found["coating_top"]
-    paper = replace(paper, coating_sd_um=float(top["sd_um"]) if top else 0.0)
-    base = found["base_thickness"] or found["thickness"]
-    paper = replace(paper, base_um=float(base["mean_um"]))
+    top = found.get("coating_top")
+    paper = replace(paper, coating_sd_um=top.sd if top else 0.0)
+    base = found.get("base_thickness") or found["thickness"]
+    paper = replace(paper, base_um=base.mean)
     taken.append(f"Base paper of {paper.base_um:.3g} um.")
     assumed.append("The spread of the coating holds the error of its measurement: specimens are a little too uneven.")
     assumed.append("Roughness, formation and densities are those of a wood-free coated paper.")
@@ -240,30 +213,28 @@ def _wavelength(centre: Array, every: list[int], pitch: tuple[float, float], slo
 
 def _with_camera(
     params: SpecimenParams,
-    results: dict[str, Any],
-    groups: dict[str, xr.Dataset],
+    run: Run,
     taken: list[str],
     assumed: list[str],
 ) -> SpecimenParams:
     """Pixel size and pose of the image."""
-    image = results["inputs"].get("image")
-    if image is None:
+    image, marks = run.results.reference, run.results.layers[0].registration
+    if image.kind != "image" or marks is None:
         assumed.append(f"The run has no image: one with pixels of {params.camera.pixel_um:g} um is made.")
         return params
-    pixel = float(np.sqrt(np.prod([float(v) for v in image["pixel_um"]])))
-    marks = results["marks"]
-    taken.append(f"Image pixels of {pixel:.3g} um, turned by {float(marks['rotation_deg']):.1f} degrees.")
+    pixel = float(np.sqrt(np.prod([float(v) for v in image.source.size_um])))
+    taken.append(f"Image pixels of {pixel:.3g} um, turned by {marks.rotation_deg:.1f} degrees.")
     camera = replace(
         params.camera,
         pixel_um=pixel,
-        turn_deg=float(marks["rotation_deg"]),
+        turn_deg=marks.rotation_deg,
         turn_range_deg=0.0,
-        scale_range=abs(float(marks["scale"]) - 1.0),
+        scale_range=abs(marks.scale - 1.0),
     )
     r2 = next(
-        (r["r2"] for r in results["correlation"] if r["property"] == results["headline"] and r["point_um"] > 50), None
+        (r.r2 for r in run.results.correlations if r.a_map == run.results.layers[0].headline and r.point_um > 50), None
     )
-    if r2 is not None and 0.01 < r2 < 0.99 and "linked" in groups:
+    if r2 is not None and 0.01 < r2 < 0.99 and "linked" in run.groups:
         camera = replace(camera, oracle_r2=float(r2))
         taken.append(f"The image follows the coating with r2 = {float(r2):.2g} at larger points.")
         assumed.append("That r2 is taken as the true one; measuring errors make it a little too low.")
@@ -281,7 +252,7 @@ def _with_holes(
     if "linked" in groups:
         linked = groups["linked"]
         pixel = pitch(linked)
-        found = find_holes(np.asarray(linked["image"].values), pixel_um=pixel, diameter_um=study.registration.hole_um)
+        found = find_holes(np.asarray(linked["image"].values), pixel_um=pixel, diameter_um=study.holes.hole_um)
     if found is not None and found.sizes["mark"] > 1:
         sizes = np.asarray(found["diameter"].values, dtype=np.float64)
         count = max(count, len(sizes))

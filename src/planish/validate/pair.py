@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.pipeline import Layers
-from planish.study import LayersStudy
+from planish.pipeline import Run
+from planish.pipeline.save import run_of_sheet
+from planish.study import Study
 from planish.synthetic import InstrumentFiles, Specimen, make_specimen, write_instruments
 from planish.validate.scenario import Scenario
 from planish.validate.truth import Comparison, Values, percentile, rms, true_thickness
@@ -34,19 +35,17 @@ def make_pair(scenario: Scenario, seed: int, folder: Path) -> Made:
     ]
 
 
-def pair_study(scenario: Scenario, made: Made) -> LayersStudy:
+def pair_study(scenario: Scenario, made: Made) -> Study:
     """The study that links the first volume to the second."""
     layers: list[dict[str, Any]] = []
     for name, (_, files) in zip(NAMES, made, strict=True):
         tables = {table: scenario.study.get(table, {}) for table in ("surface", "properties", "flatten")}
-        layers.append(
-            {"name": name, "map": {"volume": {"path": str(files.volume), "through": files.through}, **tables}}
-        )
+        layers.append({"name": name, "volume": {"path": str(files.volume), "through": files.through}, **tables})
     registration, correlate = scenario.study.get("registration", {}), {"point_um": scenario.point_um}
-    return LayersStudy.model_validate({"layers": layers, "registration": registration, "correlate": correlate})
+    return Study.model_validate({"layers": layers, "registration": registration, "correlate": correlate})
 
 
-def pair_values(made: Made, run: Layers) -> Values:
+def pair_values(made: Made, run: Run) -> Values:
     """Figures of one pair; places and thicknesses against the truth of the sheet."""
     maps = [run.groups[f"layers/{name}"] for name in NAMES]
     valid = maps[0]["valid"].values & maps[1]["valid"].values
@@ -54,7 +53,7 @@ def pair_values(made: Made, run: Layers) -> Values:
     shown: list[Array] = []
     for name, (specimen, files), data in zip(NAMES, made, maps, strict=True):
         places = np.stack([data[f"volume_{axis}"].values[valid] for axis in ("x", "y", "z")], axis=-1)
-        both = Comparison(specimen=specimen, files=files, run=run.runs[name])
+        both = Comparison(specimen=specimen, files=files, run=run_of_sheet(run.sheets[name], run.study))
         shown.append(both.material_at(places.astype(np.float64)))
         true = true_thickness(specimen.sheet, "coating_top", shown[-1][..., 0], shown[-1][..., 1])
         values[f"pair_coating_{name}_bias"] = float(np.nanmean(data["coating_top"].values[valid] - true))
@@ -62,8 +61,12 @@ def pair_values(made: Made, run: Layers) -> Values:
     off = off[np.isfinite(off)]
     values["pair_median"], values["pair_p95"], values["pair_rms"] = percentile(off, 50), percentile(off, 95), rms(off)
     values["pair_predicted_rms"] = rms(maps[0]["expected_error"].values[valid].astype(np.float64))
-    rows = [row for row in run.results["pairs"] if row["a_map"] == "coating_top"]
+    rows = [row for row in run.results.correlations if row.a_map == "coating_top"]
     if rows:
-        values["pair_r"], values["pair_r_point"] = rows[0]["r"], rows[1]["r"]
-        values["pair_difference_sd"] = rows[0]["difference_sd"]
+        values["pair_r"], values["pair_r_point"] = _number(rows[0].r), _number(rows[1].r)
+        values["pair_difference_sd"] = _number(rows[0].difference_sd)
     return values
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value

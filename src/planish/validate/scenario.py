@@ -6,12 +6,12 @@ import tomllib
 from dataclasses import asdict, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator, model_validator
 
 from planish.core.errors import FileError, InputError
-from planish.study import Study
+from planish.study import LayerParams, Study
 from planish.synthetic.draws import draw_params
 from planish.synthetic.nuisances import NUISANCES, nuisances_of, with_only, without
 from planish.synthetic.params import SIZES_UM, SpecimenParams
@@ -23,7 +23,9 @@ Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 ALL: Literal["all"] = "all"
 NONE: Literal["none"] = "none"
 
-_STUDY_TABLES = frozenset(Study.model_fields)
+_STUDY_TABLES = frozenset(
+    {*Study.model_fields, *LayerParams.model_fields} - {"layers", "chain", "name", "run", "marks"}
+)
 
 
 class Table(BaseModel):
@@ -150,8 +152,10 @@ class Scenario(Table):
             raise ValueError("; ".join(f"specimen.{place}: {fault}" for place, fault in faults_of(error))) from error
         for table, changes in self.study.items():
             _one_of(table, _STUDY_TABLES, "table of run.toml")
-            fields = getattr(Study.model_fields[table].annotation, "model_fields", None)
-            for key in changes if fields is not None else ():
+            home = LayerParams if table in LayerParams.model_fields else Study
+            kinds = (home.model_fields[table].annotation, *get_args(home.model_fields[table].annotation))
+            fields = next((kind.model_fields for kind in kinds if hasattr(kind, "model_fields")), {})
+            for key in changes:
                 _one_of(key, fields, f"key of [{table}]")
         return self
 

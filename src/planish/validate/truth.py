@@ -96,7 +96,7 @@ class Comparison:
     @property
     def headline(self) -> str:
         """Property that the run puts first: the coating, or the sheet's thickness where there is none."""
-        return str(self.run.results["headline"])
+        return self.run.results.layers[0].headline
 
     @property
     def linked(self) -> xr.Dataset:

@@ -1,0 +1,134 @@
+"""Commands about files: info, import, properties."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from planish.cli.options import existing, given, json_option, options, out_option, verb
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def import_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of import, from the models of volumes and corrections."""
+    from planish.compute import Compute
+    from planish.correct.params import CorrectParams
+    from planish.io.params import VolumeParams
+
+    wanted = ("voxel_um", "override_size", "through", "channel", "fixed_rows", "fixed_cols")
+    function = options(Compute, "compute", "Resources", only=("memory_bytes",))(function)
+    function = options(CorrectParams, "correct", "Corrections")(function)
+    return options(VolumeParams, "volume", "Volume", only=wanted)(function)
+
+
+@verb("planish info volume.tif", "planish info run --json", name="info")
+@existing("path")
+@json_option
+def info(path: Path, as_json: bool) -> int:
+    """Say what PATH holds: shape, type, voxel or pixel size and its source, grey values, what looks wrong."""
+    from planish.cli.show import fact_lines, run_facts, run_lines
+
+    run = run_facts(path)
+    if run is None:
+        from planish.io import describe
+
+        facts = describe(path)
+        lines = fact_lines(facts)
+    else:
+        facts, lines = run, run_lines(run)
+    if as_json:
+        click.echo(json.dumps(facts, indent=2, allow_nan=False))
+        return 0
+    for line in lines:
+        click.echo(line)
+    return 0
+
+
+@verb(
+    "planish import scan/ --out sheet.zarr",
+    "planish import sections/ --out sheet.zarr --through y",
+    name="import",
+)
+@existing("volume")
+@out_option("Store to make, such as sheet.zarr; it must not exist.")
+@import_options
+@click.option("--ome", type=click.Choice(["0.5", "0.4"]), default="0.5", show_default=True, help="Version of OME-Zarr.")
+def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) -> None:
+    """Bring VOLUME into a working store: chunked, in several resolutions, with checksums.
+
+    For volumes that do not fit into memory. Serial sections are aligned and joined on the way; give --through for them.
+    The store is OME-Zarr and opens in other programs too. An import that was killed goes on where it stood when the
+    same command is given again.
+    """
+    from planish.cli.show import stages
+    from planish.compute import Compute
+    from planish.io.params import VolumeParams
+    from planish.io.run_folder import refuse_existing
+    from planish.io.store import write_store
+    from planish.pipeline import read_whole
+
+    refuse_existing(out)
+    compute = Compute(**given(values, "compute"))
+    params = VolumeParams(path=str(volume.absolute()), **given(values, "volume"))
+    with stages(2) as progress:
+        data = read_whole(params, compute, progress)
+        data, write_record = _corrected(
+            data, out, given(values, "correct"), memory_bytes=compute.volume_bytes, progress=progress
+        )
+        write_store(
+            data, out, memory_bytes=compute.volume_bytes, ome=ome,
+            tell=lambda what, done, count: progress(what, f"block {done} of {count}"),
+        )  # fmt: skip
+    write_record()
+    click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
+
+
+def _corrected(
+    data: xr.DataArray, out: Path, wanted: dict[str, Any], *, memory_bytes: int, progress: Callable[[str, str], None]
+) -> tuple[xr.DataArray, Callable[[], None]]:
+    """Correct a volume on its way into a store; what is returned second writes the record when the store is whole."""
+    if not (wanted.get("rings") or wanted.get("cupping")):
+        if wanted:
+            raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
+        return data, lambda: None
+    from planish.core.errors import FileError
+    from planish.correct import correct_volume, write_picture
+    from planish.io.run_folder import refuse_existing
+
+    record, picture = (out.with_name(f"{out.stem}.corrections.{kind}") for kind in ("json", "png"))
+    for path in (record, picture):
+        refuse_existing(path)
+    found = correct_volume(
+        data, axis=wanted.get("axis", "z"), centre_um=wanted.get("centre_um"),
+        memory_bytes=memory_bytes, tell=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
+        rings=wanted.get("rings", False), cupping=wanted.get("cupping", False),
+    )  # fmt: skip
+    for sentence in found.record.sentences:
+        click.echo(sentence)
+    if found.record.clipped:
+        click.echo(f"{100 * found.record.clipped:.2g} % of the voxels left the range of {data.dtype} and were clipped.")
+
+    def write_record() -> None:
+        try:
+            record.write_text(json.dumps(found.record.to_json(), indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise FileError(f"{record} cannot be written: {error.strerror}. The store itself is whole.") from error
+        if found.before is not None:
+            write_picture(found, data, picture)
+
+    return found.volume, write_record
+
+
+@verb("planish properties", "planish map volume.tif --out run --property porosity --solid-grey 180", name="properties")
+def properties() -> None:
+    """List the maps that --property takes: name, unit and what they show."""
+    from planish.cli.show import table
+    from planish.measure import registered
+
+    table("Properties", ("name", "unit", ""), [(p.name, p.units, p.long_name) for p in registered().values()])

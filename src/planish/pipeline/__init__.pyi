@@ -1,0 +1,15 @@
+from .build import link as link
+from .build import map_sheet as map_sheet
+from .layers import find_holes as find_holes
+from .progress import Progress as Progress
+from .registration import Registration as Registration
+from .registration import register_marks as register_marks
+from .run import Run as Run
+from .run import is_run as is_run
+from .run import open_run as open_run
+from .save import run_study as run_study
+from .save import save_run as save_run
+from .steps import correlate_maps as correlate_maps
+from .steps import resample_maps as resample_maps
+from .volume import join_sections as join_sections
+from .volume import read_whole as read_whole

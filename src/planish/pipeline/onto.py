@@ -1,0 +1,175 @@
+"""Sheets and images on the pixels of a reference, each brought there in one step; what is near a hole is masked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import CannotRegister
+from planish.core.grid import Grid
+from planish.core.results import Side
+from planish.marks import cut_holes, hole_mask
+from planish.marks.files import holes_of
+from planish.pipeline.registration import Registration
+from planish.register import Chain
+from planish.resample import expected_error, image_attrs, resample_image, resample_maps
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+VALID = {"long_name": "Measured, and away from holes and their rims"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FlatSheet:
+    """A measured sheet and its flat coordinates (y, x); ``maps`` (v, u) where it is itself the reference."""
+
+    measured: xr.Dataset
+    flat: xr.Dataset
+    maps: xr.Dataset | None = None
+
+
+Shown = FlatSheet | xr.DataArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Placed:
+    """What is brought to the reference: a sheet or an image, and how; the reference itself has no chain."""
+
+    shown: Shown
+    chain: Chain | None = None
+
+
+def on_reference(
+    parts: Mapping[str, Placed], circles: Iterable[Array], grid: Grid, *, memory_bytes: int = 2**31
+) -> tuple[dict[str, xr.Dataset], Mask]:  # fmt: skip
+    """Bring sheets and images onto a grid and mark what is valid there.
+
+    Parameters
+    ----------
+    parts : mapping of name to Placed
+    circles : iterable of ndarray, shape (n, 3): x, y, radius in um
+        Holes on the reference, with their burnt rims; see :func:`hole_circles`.
+    grid : Grid
+        Pixels of the reference.
+    memory_bytes : int, optional
+        What warping an image may take.
+
+    Returns
+    -------
+    maps : dict of Dataset (y, x)
+        All maps of each sheet, or ``image``; ``valid``, and ``expected_error`` of what was moved.
+    away : ndarray of bool (y, x)
+        Away from all holes.
+    """
+    away = np.ones(grid.shape, dtype=bool)
+    for found in circles:
+        away &= ~hole_mask(grid, found[:, :2], found[:, 2])
+    maps = {name: _brought(name, part, grid, memory_bytes) for name, part in parts.items()}
+    for name, data in maps.items():
+        known = np.isfinite(data[_measured_where(data)].values) & away
+        maps[name] = data.assign(valid=(("y", "x"), known, VALID))
+    return maps, away
+
+
+def _measured_where(data: xr.Dataset) -> str:
+    return "thickness" if "thickness" in data else "image"
+
+
+def _brought(name: str, part: Placed, grid: Grid, memory_bytes: int) -> xr.Dataset:
+    shown, chain = part.shown, part.chain
+    if isinstance(shown, xr.DataArray):
+        if chain is None:
+            return xr.Dataset({"image": (("y", "x"), shown.values, image_attrs(shown))}, coords=grid.coords)
+        data = resample_image(shown, grid, chain, memory_bytes=memory_bytes)
+    elif chain is None:
+        assert shown.maps is not None
+        maps = shown.maps.rename({"v": "y", "u": "x"})
+        return maps.drop_vars([n for n in maps.data_vars if str(n).startswith(("projected_", "presence", "valid"))])
+    else:
+        data = resample_maps(shown.measured, shown.flat, onto=grid, transform=chain)
+    present = data["image" if "image" in data else "u"].values
+    if not np.isfinite(present).any():
+        raise CannotRegister(
+            f"The layer {name} does not meet the reference: by its marks it lies beside it. Check the marks."
+        )
+    return data.assign(expected_error=expected_error(chain, grid, present))
+
+
+def hole_circles(
+    marks: xr.Dataset, side: str, rim_um: float, *, chain: Chain | None = None, image: xr.DataArray | None = None
+) -> Array:
+    """Circles (n, 3: x, y, radius in um) around all holes of one layer, on the reference.
+
+    Parameters
+    ----------
+    marks : Dataset (mark)
+        All marks of a registration.
+    side : {"moving", "fixed"}
+    rim_um : float
+        Burnt rim around a hole.
+    chain : Chain, optional
+        From the layer to the reference, where it is another one.
+    image : DataArray, optional
+        The layer's image; holes that its border cuts are then included.
+    """
+    holes = holes_of(marks, side)
+    found = _circles(holes)
+    if image is not None:
+        found = np.concatenate([found, _circles(cut_holes(image, holes))])
+    if chain is not None:
+        found = np.column_stack([chain(found[:, :2]), found[:, 2] * chain.similarity.scale])
+        found = found[np.isfinite(found).all(axis=1)]
+    return found + np.array([0.0, 0.0, rim_um])
+
+
+def _circles(holes: xr.Dataset) -> Array:
+    return np.stack([holes["x"].values, holes["y"].values, 0.5 * holes["diameter"].values], axis=1)
+
+
+def merged(sheet: xr.Dataset, image: xr.Dataset) -> xr.Dataset:
+    """The maps of a sheet and an image on the image's pixels as one dataset, ``linked``."""
+    return sheet.assign(image=image["image"], valid=sheet["valid"] & image["valid"]).assign_attrs()
+
+
+def linked_maps(
+    measured: xr.Dataset, flat: xr.Dataset, *, onto: xr.DataArray, registration: Registration
+) -> xr.Dataset:  # fmt: skip
+    """Bring all maps of a sheet onto the pixels of an image.
+
+    Parameters
+    ----------
+    measured, flat : Dataset (y, x)
+        Of :func:`planish.measure_properties` and :func:`planish.flatten_sheet`.
+    onto : DataArray (y, x)
+        An image of :func:`planish.read_image`.
+    registration : Registration
+        From the flat sheet to the image.
+
+    Returns
+    -------
+    Dataset (y, x), on the pixels of the image
+        All properties, where in the volume each pixel lies, ``image``, ``expected_error`` in um, and ``valid``:
+        measured, and away from holes and their rims.
+    """
+    chain = Chain(fits=(registration.fit,))
+    rim_um = float(measured.attrs["rim_um"])
+    circles = (
+        hole_circles(registration.marks, "moving", rim_um, chain=chain),
+        hole_circles(registration.marks, "fixed", rim_um, image=onto),
+    )
+    parts = {"sheet": Placed(shown=FlatSheet(measured=measured, flat=flat), chain=chain), "image": Placed(shown=onto)}
+    maps, _ = on_reference(parts, circles, Grid.of(onto))
+    return merged(maps["sheet"], maps["image"])
+
+
+def headline_of(maps: xr.Dataset, side: Side = "top") -> str:
+    """The map that stands for a layer: an image itself, the coating of the side that is seen, or the thickness."""
+    if "thickness" not in maps:
+        return "image"
+    coating = f"coating_{side}"
+    return coating if np.isfinite(maps[coating].values).any() else "thickness"
