@@ -66,7 +66,7 @@ class Study(Params):
     the reference.
     """
 
-    layers: Annotated[tuple[LayerParams, ...], Field(min_length=1)]
+    layers: tuple[LayerParams, ...]
     chain: bool = False
     holes: HoleParams = HoleParams()
     registration: RegistrationParams = RegistrationParams()
@@ -75,6 +75,8 @@ class Study(Params):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         names = [layer.name for layer in self.layers]
+        if not names:
+            raise ValueError("a study needs a layer: a volume to map, or several layers to link")
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"every layer needs a name of its own (NAME=PATH); more than one is {', '.join(twice)}")
         if len(names) == 1 and self.layers[0].kind != "volume":
