@@ -70,11 +70,11 @@ def test_the_standard_error_is_what_the_lags_scatter_by():
     lag = (1.7, -2.4)
     # A correlation of 0.3 leaves one lag uncertain by some 0.4 pixels: the mean of 30 has no bias of 0.1.
     lags = [masked_lag(*pair(0.3, lag, seed), (1.0, 1.0), reach_um=9.0, surrogates=19) for seed in range(30)]
-    told = [found for found in lags if found.distinct]
-    assert len(told) >= 28
-    errors = np.array([found.lag_um for found in told]) - lag
-    expected = np.array([found.se_um for found in told])
-    assert np.abs(errors.mean(axis=0)).max() < 0.1 + 2 * expected.mean() / np.sqrt(len(told))
+    distinct = [found for found in lags if found.distinct]
+    assert len(distinct) >= 28
+    errors = np.array([found.lag_um for found in distinct]) - lag
+    expected = np.array([found.se_um for found in distinct])
+    assert np.abs(errors.mean(axis=0)).max() < 0.1 + 2 * expected.mean() / np.sqrt(len(distinct))
     ratio = np.sqrt(np.mean((errors / expected) ** 2))
     print(f"scatter over standard error {ratio:.2f}, standard error {expected.mean():.2f} pixels")
     assert 0.7 < ratio < 1.25
@@ -98,11 +98,11 @@ def test_what_is_said():
     assert found.sentence(3.0).startswith("lag ")
     assert found.sentence(3.0).endswith("um, expected error 3.0 um: agrees")
     assert found.agrees(3.0) is True
-    assert "more than the marks allow; either" in found.sentence(0.3)
+    assert "larger than the marks allow; either" in found.sentence(0.3)
     near = masked_lag(*pair(0.35, (0.0, 0.0), 5), (1.0, 1.0), reach_um=9.0, surrogates=19)
-    assert near.sentence(0.05).endswith("agrees, but the maps tell less than the marks")
+    assert near.sentence(0.05).endswith("agrees, but is less certain than the marks")
     nothing = masked_lag(a, pair(0.8, (0, 0), 41)[1], valid, (1.0, 1.0), reach_um=9.0, surrogates=19)
-    assert nothing.sentence(3.0) == "The maps show no common texture: the lag says nothing."
+    assert nothing.sentence(3.0) == "Image-based check: inconclusive (no common texture)."
     assert nothing.agrees(3.0) is None
     few = masked_lag(a, np.where(np.arange(b.shape[1]) < 1, b, np.nan), None, (1.0, 1.0), reach_um=9.0)
     assert few.silence == "few"

@@ -1,4 +1,4 @@
-"""Maps on one grid -> point-wise correlation, and what the maps say about their registration."""
+"""Maps on one grid -> point-wise correlation, and the image-based check of their registration."""
 
 import lazy_loader as lazy
 

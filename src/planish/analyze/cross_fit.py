@@ -45,7 +45,7 @@ class Registration(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossFitted:
-    """Correlation of tiles that the registration has not seen.
+    """Correlation of tiles that the registration was not tuned on.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class CrossFitted:
     share : float
         That number over all pixels known in both.
     tile_um, guard_um : float
-        Side of the tiles; distance kept from what the registration saw.
+        Side of the tiles; distance kept from the pixels that the registration was tuned on.
     length_um : float
         Correlation length of the coarser map.
     """
@@ -127,7 +127,7 @@ def cross_fitted(
     tile_um: float | None = None,
     guard_um: float | None = None,
 ) -> CrossFitted:
-    """Tune the registration on every other tile, correlate on the rest, and the other way round.
+    """Tune the registration on every other tile, correlate on the rest, and vice versa.
 
     Parameters
     ----------
@@ -166,8 +166,11 @@ def cross_fitted(
     for side in sides:
         colour = _checkerboard(a.shape, pixel_um, side)
         looks = [known & (colour == k) for k in (0, 1)]
-        told = [looks[1 - k] & _away(looks[k], pixel_um, guard) for k in (0, 1)]
-        if min(_tiles(m, pixel_um, side) for m in told) >= _LEAST_TILES and min(map(np.sum, told)) >= _LEAST_PIXELS:
+        reported = [looks[1 - k] & _away(looks[k], pixel_um, guard) for k in (0, 1)]
+        if (
+            min(_tiles(m, pixel_um, side) for m in reported) >= _LEAST_TILES
+            and min(map(np.sum, reported)) >= _LEAST_PIXELS
+        ):
             break
     else:
         raise CannotMeasure(
@@ -178,7 +181,7 @@ def cross_fitted(
     sums = np.zeros(3)
     halves: list[float] = []
     n = 0
-    for look, report in zip(looks, told, strict=True):
+    for look, report in zip(looks, reported, strict=True):
         placed = tune(np.where(look, a, np.nan), look)
         use = report & np.isfinite(placed)
         x, y = a[use] - a[use].mean(), placed[use] - placed[use].mean()
@@ -299,13 +302,13 @@ def _indices(
     return out[0], out[1]
 
 
-def _away(seen: Mask, pixel_um: tuple[float, float], guard_um: float) -> Mask:
-    """Pixels further than the guard from all that were seen."""
-    distance = ndimage.distance_transform_edt(~seen, sampling=pixel_um)
+def _away(used: Mask, pixel_um: tuple[float, float], guard_um: float) -> Mask:
+    """Pixels further than the guard from all that were used."""
+    distance = ndimage.distance_transform_edt(~used, sampling=pixel_um)
     return np.asarray(distance, dtype=np.float64) > guard_um
 
 
-def _tiles(told: Mask, pixel_um: tuple[float, float], side_um: float) -> int:
-    rows, cols = _indices(told.shape, pixel_um, side_um)
-    y, x = np.nonzero(told)
+def _tiles(reported: Mask, pixel_um: tuple[float, float], side_um: float) -> int:
+    rows, cols = _indices(reported.shape, pixel_um, side_um)
+    y, x = np.nonzero(reported)
     return len(set(zip(rows[y].tolist(), cols[x].tolist(), strict=True)))

@@ -1,18 +1,18 @@
-"""How far one map lies off another on the same grid, by their common texture alone: a check of the registration."""
+"""How far one map lies off another on the same grid, by their common texture alone: the image-based check."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.analyze.lag_field import LagField, lag_field
+from planish.analyze.lag_field import LagField, MapPair, lag_field
 from planish.analyze.ncc import MaskedNcc
 from planish.analyze.peak import MARGIN, Peak, covariance_of, find_peak, rival_r, within
-from planish.analyze.surrogates import Unrelated, in_band, unrelated_peaks, without_plane
+from planish.analyze.surrogates import Unrelated, unrelated_peaks, without_plane
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, SizeError
 
@@ -31,19 +31,20 @@ _RIVAL = 0.5  # of the peak's height
 _DIFFERENT = -2 * math.log(0.02)  # squared distance of two lags in standard errors that chance exceeds once in 50
 
 _SILENCE: dict[Silence, str] = {
-    "few": "Too few pixels are known in both maps: the lag says nothing.",
-    "texture": "The maps show no common texture: the lag says nothing.",
-    "border": "The correlation still rises at the largest lag searched: the lag says nothing. Search further.",
-    "rival": "The correlation has a second peak nearly as high, as where one map follows the slope of the other "
-    "(shading by oblique light) or where a pattern repeats itself: the lag says nothing.",
-    "oblique": "The lag grows with the wavelength: not a shift, but a slope moves the peak, as under light from one "
-    "side. The lag says nothing of the registration.",
+    "few": "Image-based check: inconclusive (too few pixels are known in both maps).",
+    "texture": "Image-based check: inconclusive (no common texture).",
+    "border": "Image-based check: inconclusive (the correlation still rises at the largest lag searched). Search "
+    "further.",
+    "rival": "Image-based check: inconclusive (a second peak is nearly as high, as where one map follows the slope of "
+    "the other under oblique light, or where a pattern repeats itself).",
+    "oblique": "Image-based check: inconclusive (the lag grows with the wavelength: light from one side, not a shift, "
+    "moves the peak).",
 }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lag:
-    """Where the second map's texture lies, seen from the first's.
+    """Where the second map's texture lies, relative to the first's.
 
     Attributes
     ----------
@@ -63,7 +64,7 @@ class Lag:
     rival_r : float
         Correlation of the other extreme that most puts the peak in doubt.
     silence : {"few", "texture", "border", "rival", "oblique"} or None
-        Why the lag says nothing; None if the peak is distinct.
+        Why the lag is inconclusive; None if the peak is distinct.
     split_um : float
         Wavelength that parts the fine texture from the coarse; NaN where the peak is not distinct in the first place.
     lags_of_bands_um : tuple of (float, float)
@@ -79,20 +80,20 @@ class Lag:
         Lags of tiles, if asked for.
     """
 
-    lag_um: tuple[float, float]
-    covariance_um2: Array
-    r: float
-    r_at_zero: float
-    null_95: float
-    null_99: float
-    rival_r: float
-    silence: Silence | None
-    split_um: float
-    lags_of_bands_um: tuple[tuple[float, float], tuple[float, float]]
     reach_um: float
     pixel_um: tuple[float, float]
     n: int
-    field: LagField | None
+    silence: Silence | None
+    lag_um: tuple[float, float] = _NOWHERE
+    covariance_um2: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
+    r: float = math.nan
+    r_at_zero: float = math.nan
+    null_95: float = math.nan
+    null_99: float = math.nan
+    rival_r: float = math.nan
+    split_um: float = math.nan
+    lags_of_bands_um: tuple[tuple[float, float], tuple[float, float]] = (_NOWHERE, _NOWHERE)
+    field: LagField | None = None
 
     @property
     def distinct(self) -> bool:
@@ -117,7 +118,7 @@ class Lag:
         return float(np.sqrt(along @ self.covariance_um2 @ along))
 
     def agrees(self, expected_error_um: float) -> bool | None:
-        """Whether the lag is one that the expected error of the registration allows; None if it says nothing.
+        """Whether the lag is one that the expected error of the registration allows; None if it is inconclusive.
 
         Parameters
         ----------
@@ -134,7 +135,7 @@ class Lag:
         return self.length_um <= TRE95 * math.hypot(expected_error_um, *self.se_um)
 
     def sentence(self, expected_error_um: float | None = None) -> str:
-        """Say the lag, and whether it agrees with the expected error (rms, in um) if that is given."""
+        """The lag, and whether it agrees with the expected error (rms, in um) if that is given."""
         if self.silence is not None:
             return _SILENCE[self.silence]
         text = f"lag {self.length_um:.1f} ± {self.length_se_um:.1f} um"
@@ -144,10 +145,10 @@ class Lag:
         if not self.agrees(expected_error_um):
             return (
                 text
-                + "more than the marks allow; either the registration is off, or light from one side moves the peak"
+                + "larger than the marks allow; either the registration is off, or light from one side moves the peak"
             )
         vague = math.hypot(*self.se_um) > expected_error_um
-        return text + ("agrees, but the maps tell less than the marks" if vague else "agrees")
+        return text + ("agrees, but is less certain than the marks" if vague else "agrees")
 
 
 def masked_lag(
@@ -161,7 +162,7 @@ def masked_lag(
     tiles_um: float | None = None,
     surrogates: int = 99,
 ) -> Lag:
-    """Find the lag between two maps on one grid, and whether it says anything.
+    """Find the lag between two maps on one grid, and whether it is conclusive.
 
     Parameters
     ----------
@@ -197,58 +198,46 @@ def masked_lag(
     cubic spline through r. The null band repeats the whole search on maps with the power spectrum of b and random
     phases. Same bytes on every run: the phases come from a fixed seed.
     """
-    a, b, known_a, known_b, pixel_um = _prepared(a, b, valid, pixel_um)
-    reach = _reach(a.shape, pixel_um, reach_um)
+    maps = _prepared(a, b, valid, pixel_um)
+    pixel_um = maps.pixel_um
+    reach = _reach(maps.a.shape, pixel_um, reach_um)
     if surrogates < 19:
         raise SizeError(f"{surrogates} surrogates give no 95 % band; 19 are needed, 99 are better.")
-    n = int((known_a & known_b).sum())
+    n = int((maps.known_a & maps.known_b).sum())
     if n < _LEAST_PIXELS:
-        return _few(reach_um, pixel_um, n)
+        return Lag(reach_um=reach_um, pixel_um=pixel_um, n=n, silence="few")
     if band_um is not None:
         _check_band(band_um, pixel_um)
-        a, b = (in_band(m, known, pixel_um, band_um) for m, known in ((a, known_a), (b, known_b)))
-    found = _search(a, b, known_a, known_b, pixel_um, reach, surrogates)
+        maps = maps.in_band(band_um)
+    found = _search(maps, reach, surrogates)
     silence, split, halves = found.silence, math.nan, (_NOWHERE, _NOWHERE)
     if found.silence is None and found.peak is not None:
         # For a Gaussian texture of length l the curvature of r is r / l^2, and most of its waves are 2 pi l long.
         square = abs(found.peak.r) / math.sqrt(float(np.linalg.det(found.peak.curvature))) * pixel_um[0] * pixel_um[1]
         split = max(2 * math.pi * math.sqrt(square), 4 * max(pixel_um))
-        parts: list[_Found] = []
-        for band in ((None, split), (split, None)):
-            x, y = (in_band(m, known, pixel_um, band) for m, known in ((a, known_a), (b, known_b)))
-            parts.append(_search(x, y, known_a, known_b, pixel_um, reach, surrogates))
-        halves = (parts[0].lag_um, parts[1].lag_um)
-        if all(part.silence is None for part in parts):
+        fine, coarse = (_search(maps.in_band(band), reach, surrogates) for band in ((None, split), (split, None)))
+        halves = (fine.lag_um, coarse.lag_um)
+        if fine.silence is None and coarse.silence is None:
             # Filters at borders and interpolation move the lags of bands a little, even without noise.
             own = (_FLOOR_PIXELS * max(pixel_um)) ** 2 + (_FLOOR_WAVES * split) ** 2
-            spread = parts[0].covariance_um2 + parts[1].covariance_um2 + own * np.eye(2)
+            spread = fine.covariance_um2 + coarse.covariance_um2 + own * np.eye(2)
             apart = np.array(halves[1]) - halves[0]
             square = float(apart @ np.linalg.solve(spread, apart))
             if square > _DIFFERENT and math.hypot(*halves[1]) > math.hypot(*halves[0]):
                 silence = "oblique"
-    field = None
+    tiles = None
     if tiles_um is not None:
         sign = 0 if found.peak is None or found.silence is not None else int(np.sign(found.peak.r))
-        rng = np.random.default_rng(_SEED)
-        unrelated = Unrelated(b, known_b)
-        kept = [unrelated.draw(rng) for _ in range(19)]
-        field = lag_field(a, b, known_a, known_b, pixel_um, reach=reach, tile_um=tiles_um, sign=sign, unrelated=kept)
-    return Lag(
-        lag_um=found.lag_um if silence is None else _NOWHERE,
-        covariance_um2=found.covariance_um2 if silence is None else np.full((2, 2), np.nan),
+        rng, unrelated = np.random.default_rng(_SEED), Unrelated(maps.b, maps.known_b)
+        tiles = lag_field(
+            maps, reach=reach, tile_um=tiles_um, sign=sign, unrelated=[unrelated.draw(rng) for _ in range(19)]
+        )  # fmt: skip
+    lag = Lag(
+        reach_um=reach_um, pixel_um=pixel_um, n=n, silence=silence, r_at_zero=found.r_at_zero, null_95=found.null[0],
+        null_99=found.null[1], rival_r=found.rival_r, split_um=split, lags_of_bands_um=halves, field=tiles,
         r=math.nan if found.peak is None else found.peak.r,
-        r_at_zero=found.r_at_zero,
-        null_95=found.null[0],
-        null_99=found.null[1],
-        rival_r=found.rival_r,
-        silence=silence,
-        split_um=split,
-        lags_of_bands_um=halves,
-        reach_um=reach_um,
-        pixel_um=pixel_um,
-        n=n,
-        field=field,
-    )
+    )  # fmt: skip
+    return lag if silence is not None else replace(lag, lag_um=found.lag_um, covariance_um2=found.covariance_um2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -264,16 +253,9 @@ class _Found:
     covariance_um2: Array
 
 
-def _search(
-    a: Array,
-    b: Array,
-    known_a: Mask,
-    known_b: Mask,
-    pixel_um: tuple[float, float],
-    reach: tuple[int, int],
-    surrogates: int,
-) -> _Found:
-    a, b = without_plane(a, known_a), without_plane(b, known_b)
+def _search(maps: MapPair, reach: tuple[int, int], surrogates: int) -> _Found:
+    known_a, known_b, pixel_um = maps.known_a, maps.known_b, maps.pixel_um
+    a, b = without_plane(maps.a, known_a), without_plane(maps.b, known_b)
     wide = (reach[0] + MARGIN, reach[1] + MARGIN)
     correlate = MaskedNcc(a, a_valid=known_a, b_valid=known_b, reach=wide)
     r = correlate(b)
@@ -305,25 +287,6 @@ def _search(
     )
 
 
-def _few(reach_um: float, pixel_um: tuple[float, float], n: int) -> Lag:
-    return Lag(
-        lag_um=_NOWHERE,
-        covariance_um2=np.full((2, 2), np.nan),
-        r=math.nan,
-        r_at_zero=math.nan,
-        null_95=math.nan,
-        null_99=math.nan,
-        rival_r=math.nan,
-        silence="few",
-        split_um=math.nan,
-        lags_of_bands_um=(_NOWHERE, _NOWHERE),
-        reach_um=reach_um,
-        pixel_um=pixel_um,
-        n=n,
-        field=None,
-    )
-
-
 def _gumbel_99(highest: Array) -> float:
     """Value below which 99 % of largest values stay, from the mean and standard deviation of some (of Fisher's z)."""
     z = np.arctanh(np.minimum(highest, 0.999999))
@@ -331,9 +294,7 @@ def _gumbel_99(highest: Array) -> float:
     return math.tanh(float(z.mean()) - scale * (np.euler_gamma + math.log(-math.log(0.99))))
 
 
-def _prepared(
-    a: Array, b: Array, valid: Mask | None, pixel_um: tuple[float, float]
-) -> tuple[Array, Array, Mask, Mask, tuple[float, float]]:
+def _prepared(a: Array, b: Array, valid: Mask | None, pixel_um: tuple[float, float]) -> MapPair:
     """Both maps in float64 with their masks, averaged if they are large, and the pixel they then have."""
     if a.ndim != 2 or a.shape != b.shape or (valid is not None and valid.shape != a.shape):
         raise CannotMeasure(
@@ -349,7 +310,7 @@ def _prepared(
         pixel_um = (factor * pixel_um[0], factor * pixel_um[1])
     known = [np.isfinite(m) for m in maps]
     a, b = (np.where(k, m, 0.0) for k, m in zip(known, maps, strict=True))
-    return a, b, known[0], known[1], pixel_um
+    return MapPair(a=a, b=b, known_a=known[0], known_b=known[1], pixel_um=pixel_um)
 
 
 def _reach(shape: tuple[int, ...], pixel_um: tuple[float, float], reach_um: float) -> tuple[int, int]:

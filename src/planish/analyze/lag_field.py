@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.analyze.ncc import MaskedNcc
 from planish.analyze.peak import MARGIN, covariance_of, find_peak, within
+from planish.analyze.surrogates import in_band
 from planish.core.errors import SizeError
 
 Array = NDArray[np.float64]
@@ -16,6 +17,22 @@ Mask = NDArray[np.bool_]
 
 _LEAST_SHARE = 0.5  # of a tile that has to be known
 _LEVEL = 0.99  # of the null: a field has many tiles
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MapPair:
+    """Two maps (rows, cols) on one grid, where either is known, and the pixel (y, x) in um; 0 where they are not."""
+
+    a: Array
+    b: Array
+    known_a: Mask
+    known_b: Mask
+    pixel_um: tuple[float, float]
+
+    def in_band(self, band_um: tuple[float | None, float | None]) -> MapPair:
+        """Keep a band of wavelengths of both."""
+        a, b = (in_band(m, k, self.pixel_um, band_um) for m, k in ((self.a, self.known_a), (self.b, self.known_b)))
+        return replace(self, a=a, b=b)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,25 +91,14 @@ class LagField:
 
 
 def lag_field(
-    a: Array,
-    b: Array,
-    a_valid: Mask,
-    b_valid: Mask,
-    pixel_um: tuple[float, float],
-    *,
-    reach: tuple[int, int],
-    tile_um: float,
-    sign: int,
-    unrelated: list[Array],
-) -> LagField:
+    maps: MapPair, *, reach: tuple[int, int], tile_um: float, sign: int, unrelated: list[Array]
+) -> LagField:  # fmt: skip
     """Find the lag of every tile of a within b; tiles overlap by half.
 
     Parameters
     ----------
-    a, b, a_valid, b_valid : ndarray, shape (rows, cols)
-        Maps without trend, and where they are known.
-    pixel_um : (float, float)
-        Along y and x.
+    maps : MapPair
+        Without trend.
     reach : (int, int)
         Largest lag along rows and columns, in pixels.
     tile_um : float
@@ -106,6 +112,7 @@ def lag_field(
     SizeError
         If a tile is no larger than twice the reach, or larger than the map.
     """
+    a, b, a_valid, b_valid, pixel_um = maps.a, maps.b, maps.known_a, maps.known_b, maps.pixel_um
     side = [round(tile_um / p) for p in pixel_um]
     if any(s <= 2 * (k + MARGIN) for s, k in zip(side, reach, strict=True)) or side[0] > a.shape[0] or (
         side[1] > a.shape[1]
@@ -119,11 +126,7 @@ def lag_field(
     allowed = within(reach)
     step = np.array([pixel_um[1], pixel_um[0]])
     starts = [np.arange(0, n - s + 1, max(s // 2, 1)) for n, s in zip(a.shape, side, strict=True)]
-    at: list[Array] = []
-    lags: list[Array] = []
-    spreads: list[Array] = []
-    rs: list[float] = []
-    shares: list[float] = []
+    found: list[tuple[Array, Array, Array, float, float]] = []
     null: list[float] = []
     for top in starts[0].tolist():
         for left in starts[1].tolist():
@@ -142,31 +145,21 @@ def lag_field(
             for other in unrelated:
                 r = correlate(other[rows, cols])[allowed]
                 top_r = float(np.nanmax(np.abs(r) if sign == 0 else sign * r, initial=0.0))
-                null.append(np.arctanh(min(top_r, 0.999999)) * np.sqrt(share))
+                null.append(float(np.arctanh(min(top_r, 0.999999)) * np.sqrt(share)))
             spread, lag = np.full((2, 2), np.nan), np.full(2, np.nan)
             if peak is not None and peak.inner:
                 lag = peak.at[::-1] * step
                 spread = covariance_of(peak, piece_a, piece_b, mask_a, mask_b)[::-1, ::-1] * np.outer(step, step)
-            at.append((np.array([left, top]) + (np.array([side[1], side[0]]) - 1) / 2) * step)
-            lags.append(lag)
-            spreads.append(spread)
-            rs.append(peak.r if peak is not None else np.nan)
-            shares.append(share)
-    if not at:
-        none = np.zeros((0, 2))
-        empty = np.zeros(0)
-        return LagField(
-            at_um=none, lag_um=none, covariance_um2=np.zeros((0, 2, 2)), r=empty, distinct=empty > 0, tile_um=tile_um
-        )
-    r_all, lag_all = np.array(rs), np.stack(lags)
-    limit = float(np.quantile(null, _LEVEL, method="higher"))
-    height = np.arctanh(np.minimum(np.abs(r_all), 0.999999)) * np.sqrt(shares)
-    distinct = np.isfinite(lag_all[:, 0]) & (height > limit)
-    return LagField(
-        at_um=np.stack(at),
-        lag_um=np.where(distinct[:, None], lag_all, np.nan),
-        covariance_um2=np.where(distinct[:, None, None], np.stack(spreads), np.nan),
-        r=r_all,
-        distinct=distinct,
-        tile_um=tile_um,
+            middle = (np.array([left, top]) + (np.array([side[1], side[0]]) - 1) / 2) * step
+            found.append((middle, lag, spread, np.nan if peak is None else peak.r, share))
+    at, lags, spreads, r, shares = (
+        np.array([row[k] for row in found]).reshape(len(found), *size)
+        for k, size in enumerate(((2,), (2,), (2, 2), (), ()))
     )
+    limit = float(np.quantile(null, _LEVEL, method="higher")) if null else np.inf
+    height = np.arctanh(np.minimum(np.abs(r), 0.999999)) * np.sqrt(shares)
+    distinct = np.isfinite(lags[:, 0]) & (height > limit)
+    return LagField(
+        at_um=at, lag_um=np.where(distinct[:, None], lags, np.nan), r=r, distinct=distinct, tile_um=tile_um,
+        covariance_um2=np.where(distinct[:, None, None], spreads, np.nan),
+    )  # fmt: skip

@@ -9,7 +9,7 @@ from scipy import fft
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# At a lag where less than this share of the pairs is left, or of the variance, r says nothing of the maps.
+# At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
 LEAST_PAIRS = 0.2
 _LEAST_VARIANCE = 1e-9
 

@@ -61,8 +61,8 @@ def find_peak(r: Array, allowed: Mask, sign: int) -> Peak | None:
         return None
     middle = r.shape[0] // 2, r.shape[1] // 2
     pixel = (row - middle[0], col - middle[1])
-    way = 1.0 if r[row, col] >= 0 else -1.0
-    around = way * r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
+    sign_r = 1.0 if r[row, col] >= 0 else -1.0
+    around = sign_r * r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
     flat = Peak(
         pixel=pixel,
         at=np.array(pixel, dtype=np.float64),
@@ -93,7 +93,7 @@ def find_peak(r: Array, allowed: Mask, sign: int) -> Peak | None:
     if curvature[0, 0] >= 0 or np.linalg.det(curvature) <= 0:
         return flat
     return Peak(
-        pixel=pixel, at=flat.at + at, r=way * float(spline.ev(at[0], at[1])), curvature=curvature, inner=True
+        pixel=pixel, at=flat.at + at, r=sign_r * float(spline.ev(at[0], at[1])), curvature=curvature, inner=True
     )  # fmt: skip
 
 
@@ -109,15 +109,15 @@ def rival_r(r: Array, peak: Peak, allowed: Mask) -> float:
     full height (a map that follows the slope of the other has a peak on either side of the true lag, one positive, one
     negative), one of the same sign only above 0.8 of the peak (a pattern that repeats itself).
     """
-    way = 1.0 if peak.r >= 0 else -1.0
-    height = np.where(allowed & np.isfinite(r), way * r, 0.0)
+    sign_r = 1.0 if peak.r >= 0 else -1.0
+    height = np.where(allowed & np.isfinite(r), sign_r * r, 0.0)
     parts, _ = ndimage.label(height > 0.5 * abs(peak.r))
     own = parts[r.shape[0] // 2 + peak.pixel[0], r.shape[1] // 2 + peak.pixel[1]]
     others = np.where(parts == own, 0.0, height)
     same, other = float(others.max()), float(-others.min())
     if same > 0.8 * abs(peak.r) and same > other:
-        return way * same
-    return -way * other
+        return sign_r * same
+    return -sign_r * other
 
 
 def covariance_of(peak: Peak, a: Array, b: Array, a_valid: Mask, b_valid: Mask) -> Array:

@@ -96,9 +96,9 @@ def unrelated_peaks(
     own = np.stack([part.astype(np.complex64), spectrum[inner].astype(np.complex64) * part])
     # Sums over the known pixels: of squares, and of the products with mean and slopes.
     at = [(np.arange(m) * n) // m for m, n in zip(grid, shape, strict=True)]
-    seen = both[np.ix_(*at)]
-    flat = np.stack([np.ones(seen.shape), *np.meshgrid(*[np.linspace(-1.0, 1.0, m) for m in grid], indexing="ij")])
-    basis = np.linalg.qr(flat[:, seen].T)[0].astype(np.float32)
+    shown = both[np.ix_(*at)]
+    flat = np.stack([np.ones(shown.shape), *np.meshgrid(*[np.linspace(-1.0, 1.0, m) for m in grid], indexing="ij")])
+    basis = np.linalg.qr(flat[:, shown].T)[0].astype(np.float32)
     lags = [np.arange(-(k * m // n), k * m // n + 1) for k, m, n in zip(reach, grid, shape, strict=True)]
     whole = [np.rint(lag * n / m).astype(np.intp) for lag, m, n in zip(lags, grid, shape, strict=True)]
     left = pairs[np.ix_(*(w + n // 2 for w, n in zip(whole, pairs.shape, strict=True)))]
@@ -121,9 +121,9 @@ def unrelated_peaks(
         half[:, :, rows] = own[:, None] * phase
         # Of the products only the lags within reach are wanted.
         half = np.asarray(fft.ifft(half, axis=2, norm="forward", overwrite_x=True))
-        field = np.asarray(fft.irfft(half[0], grid[1], axis=2, norm="forward"))[:, seen]
+        field = np.asarray(fft.irfft(half[0], grid[1], axis=2, norm="forward"))[:, shown]
         product = np.asarray(fft.irfft(half[1][:, lags[0]], grid[1], axis=2, norm="forward"))[:, :, lags[1]]
-        variance = (np.sum(field**2, axis=1) - np.sum((field @ basis) ** 2, axis=1)) / seen.sum() + outside
+        variance = (np.sum(field**2, axis=1) - np.sum((field @ basis) ** 2, axis=1)) / shown.sum() + outside
         highest = np.max(np.abs(product) * scale, axis=(1, 2)) / np.sqrt(np.maximum(variance, 1e-300))
         peaks.append(np.minimum(highest.astype(np.float64), 1.0))
     return np.concatenate(peaks)

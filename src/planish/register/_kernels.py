@@ -3,7 +3,7 @@
 
 Marks are complex numbers ``x + 1j y`` in um; ``a`` is the smaller set, ``b`` the larger. A hypothesis says that marks
 ``i, j`` of ``a`` are marks ``k, q`` of ``b``, which fixes ``w = alpha z + beta``. Refined, it may also stretch the
-sheet a little more one way than the other: ``w = alpha z + gamma conj(z) + beta``.
+sheet a little more in one direction than in the other: ``w = alpha z + gamma conj(z) + beta``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ def count_near(a, b, base, first, start, target, raster, share):
     """Return ``(h,)`` uint16: how many marks of ``a`` land near a mark of ``b`` under each hypothesis.
 
     ``base (p, 2)`` are pairs of ``a``; its row ``p`` is laid on rows ``first[p]`` on of ``target (t, 2)``, pairs of
-    ``b``, either way round, giving the hypotheses ``start[p]`` up to ``start[p + 1]``. Counts that cannot reach
+    ``b``, either end first, giving the hypotheses ``start[p]`` up to ``start[p + 1]``. Counts that cannot reach
     ``share`` of the best so far are left unfinished.
     """
     x0, y0, size, near = raster
@@ -55,7 +55,7 @@ def count_near(a, b, base, first, start, target, raster, share):
 
 @njit(cache=True, nogil=True)
 def refine(seeds, a, b, reaches, soft, ridge, raster, start, index):
-    """Refit each hypothesis to the marks that agree with it, once for each reach, and say which agree in the end.
+    """Refit each hypothesis to the marks that agree with it, once for each reach, and find which agree in the end.
 
     ``seeds (h, 4)`` are ``i, j, k, q``; ``reaches (r,)`` in um, the last of which holds; ``soft`` in um2 is the squared
     distance at which a mark counts half; ``ridge`` in um2 is what holds the stretch small. Three marks are fitted

@@ -37,14 +37,14 @@ def fit_transform(
     Parameters
     ----------
     moving, fixed : array-like, shape (n, 2), in um
-        Paired marks ``(x, y)``. From one pair more than fixes the model on, the residuals say something of the error.
+        Paired marks ``(x, y)``. With one pair more than the model needs, the residuals show the error.
     model : str
         One of :data:`planish.register.models.MODELS`: ``rigid``, ``similarity``, ``affine``, ``projective`` or ``tps``
         (thin-plate spline with the smoothing under which marks left out are missed least); or ``auto``, which takes
         the next model as long as marks left out are missed by over 10 % less, and by more than chance.
     mirrored : bool or None
-        Whether the moving x axis runs the other way, as when the two maps show opposite sides of the sheet. ``None``
-        takes the hand that fits better.
+        Whether the moving x axis runs in the opposite direction, as when the two maps show opposite sides of the
+        sheet. ``None`` takes the hand that fits better.
     weights : array-like, shape (n,) or (n, 2, 2), optional
         Proportional to one over the variance of each pair, 0 leaves a pair out of the fit but reports its residual; or
         the covariance of each pair in the fixed frame, that of the moving mark (turned into that frame) and of the

@@ -34,7 +34,7 @@ class HolePlane:
         ``x``, ``y`` and, where known, ``diameter`` and the covariance ``cov_xx``, ``cov_xy``, ``cov_yy`` of their
         centres, in um of the plane; None where they were not searched for.
     faces : {"top", "bottom"}
-        Side of the sheet that is seen.
+        Side of the sheet that it shows.
     """
 
     name: str
@@ -178,7 +178,7 @@ def _matched(
         facts: dict[str, Any] = {"labels": tuple(f"hole {k + 1}" for k in range(len(found.pairs))), "source": "found"}
     else:
         found = match_by_design(a, b, pattern.places_um, labels=pattern.labels, **how)
-        back = ", seen from behind, or drawn with its y axis upwards" if found.fixed.mirrored else ""
+        back = ", viewed from behind or drawn with its y axis upwards" if found.fixed.mirrored else ""
         design = f"Holes identified by the pattern {pattern.name} of {len(pattern.labels)} holes{back}."
         facts = {"labels": found.labels, "source": "design", "design": design}
     if len(found.pairs) < 3:
@@ -186,7 +186,7 @@ def _matched(
             f"Only {len(found.pairs)} designed holes are found in both the {names[0]} and the {names[1]}; 3 are "
             "needed. Image a larger common field."
         )
-    return found.pairs, found.mirrored, facts | {"sentence": found.sentence, "second_best": found.rival_inliers}
+    return found.pairs, found.mirrored, facts | {"sentence": found.sentence, "second_best": found.second_best}
 
 
 def check_enough(plane: HolePlane, hole_um: tuple[float, float]) -> None:

@@ -39,9 +39,9 @@ class Choice:
     small, large : ndarray of complex, in um
     pairs : ndarray of int, shape (k, 2)
         Row of the first side, row of the second; sorted by the first.
-    log_chance, rival_log_chance : float
-        log10 of how many such arrangements chance would offer; the rival is the best different one.
-    rival_inliers : int
+    log_chance, second_log_chance : float
+        log10 of how many such arrangements chance would offer; the second is the best different match.
+    second_best : int
         Marks that agree in it; 0 where there is none.
     """
 
@@ -52,8 +52,8 @@ class Choice:
     large: Complexes
     pairs: Ints
     log_chance: float
-    rival_log_chance: float
-    rival_inliers: int
+    second_log_chance: float
+    second_best: int
 
     @property
     def mirrored(self) -> bool:
@@ -77,11 +77,11 @@ class Choice:
         return 3 if n == 3 else max(4, int(np.ceil(LEAST_SHARE * self.in_common_field)))
 
     def scale_fault(self, scale: float, tolerance: float) -> str:
-        """Say that a scale is too far off, or nothing."""
+        """Sentence where a scale is too far off; empty otherwise."""
         if abs(scale - 1.0) <= tolerance:
             return ""
         return (
-            f"{len(self.pairs)} agree, but at a scale of {scale:.4f}, which is {100 * abs(scale - 1.0):.1f} % off the "
+            f"{len(self.pairs)} match, but at a scale of {scale:.4f}, which is {100 * abs(scale - 1.0):.1f} % off the "
             f"calibration; {100 * tolerance:.3g} % are allowed. Check the pixel and voxel sizes."
         )
 
@@ -130,8 +130,8 @@ def choose(
         large=b,
         pairs=np.ascontiguousarray(pairs[np.argsort(pairs[:, 0])]),
         log_chance=float(found.log_chance[best]),
-        rival_log_chance=rival_chance,
-        rival_inliers=rival_count,
+        second_log_chance=rival_chance,
+        second_best=rival_count,
     )
 
 
@@ -153,7 +153,7 @@ def fit_similarity(source: Floats, target: Floats, *, mirrored: bool) -> tuple[S
 
 
 def checked_points(marks: ArrayLike, name: str) -> Floats:
-    """Return marks as ``(n, 2)`` float64, or say what is wrong with them."""
+    """Return marks as ``(n, 2)`` float64, or name their faults."""
     points = np.array(marks, dtype=np.float64)
     if points.size == 0:
         return np.empty((0, 2))
@@ -176,7 +176,7 @@ def _rival(found: Arrangements, best: int, b: Complexes, tolerance: float) -> tu
     rest = found.take(turned_over | (moved > 2.0 * tolerance))
     if len(rest.inliers) == 0:
         return np.inf, 0
-    # Pairs that both arrangements share say nothing for either, unless one of the two is turned over.
+    # Pairs that both arrangements share support neither, unless one of the two is turned over.
     over = (rest.mirrored != found.mirrored[best])[:, None]
     shared = (rest.partner == found.partner[best]) & used & ~over
     chance = chance_without(rest, b, shared, tolerance)

@@ -29,7 +29,7 @@ from planish.register.match_search import marks_needed
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-# From so many marks seen on both sides on, they alone give the transformation; with fewer, the design helps.
+# From so many marks on both sides on, they alone give the transformation; with fewer, the design helps.
 _ENOUGH_SHARED = 4
 
 
@@ -47,21 +47,21 @@ class MatchedToDesign:
         Least-squares fit through the pairs, design to marks.
     mirrored : bool
         Whether the design had to be turned over.
-    rival_inliers : int
+    second_best : int
         Marks that agree in the best different arrangement.
     log_chance : float
         log10 of how many such agreements chance would offer.
     missing : tuple of str
-        Names of the designed holes that were not seen.
+        Names of the designed holes that were not found.
     sentence : str
-        What was found, for people.
+        Counts and residual.
     """
 
     pairs: Ints
     labels: tuple[str, ...]
     transform: Similarity
     mirrored: bool
-    rival_inliers: int
+    second_best: int
     log_chance: float
     missing: tuple[str, ...]
     sentence: str
@@ -71,7 +71,7 @@ class MatchedToDesign:
 class MatchedByDesign(Matched):
     """Marks of two sides that are the same designed hole.
 
-    ``pairs`` are the holes seen on both sides; ``transform`` goes through them where there are at least four, and
+    ``pairs`` are the holes found on both sides; ``transform`` goes through them where there are at least four, and
     through the design otherwise.
 
     Attributes
@@ -79,7 +79,7 @@ class MatchedByDesign(Matched):
     labels : tuple of str
         Name of the hole of each row of ``pairs``.
     moving, fixed : MatchedToDesign
-        What each side alone says.
+        Match of each side to the design.
     """
 
     labels: tuple[str, ...]
@@ -186,15 +186,15 @@ def match_by_design(
     if min(sums.values()) < min(allowed[best], 2 * ACCEPTED_LOG_CHANCE) - 1.0:
         raise CannotRegister(
             f"The {names[0]} and the {names[1]} both match the design, but one of them only if it is turned over: one "
-            "is probably seen from the wrong side. Check --top and --through; if the slices are numbered against the "
+            "is probably viewed from the wrong side. Check --top and --through; if the slices are numbered against the "
             "usual sense, pass --mirror."
         )
     allowed_off = (scale_tolerance, tolerance_um)
     one, two = (_settle(found[k, best[k]], sides[k][0], holes, called, allowed_off, sides[k][1]) for k in range(2))
     if others:
         raise CannotRegister(
-            f"{one.sentence} {two.sentence} Turned over, the design fits nearly as well, so the holes cannot be told "
-            "apart. Give the pairs with --marks, or leave the design out."
+            f"{one.sentence} {two.sentence} Turned over, the design fits nearly as well, so the holes cannot be "
+            "identified. Give the pairs with --marks, or leave the design out."
         )
     where = {int(hole): int(row) for row, hole in two.pairs}
     pairs = np.array([(row, where[int(hole)], hole) for row, hole in one.pairs if int(hole) in where], dtype=np.intp)
@@ -218,7 +218,7 @@ def match_by_design(
         transform=transform,
         mirrored=mirrored,
         inliers=len(pairs),
-        rival_inliers=max(one.rival_inliers, two.rival_inliers),
+        second_best=max(one.second_best, two.second_best),
         sentence=sentence,
         moving=one,
         fixed=two,
@@ -237,23 +237,23 @@ def _settle(
     allowed_off: tuple[float, float],
     name: str,
 ) -> MatchedToDesign:
-    """Believe the best arrangement of a design on one side, or say why not; tolerances of the scale and in um."""
-    seen = f"{len(points)} marks of the {name} and {len(holes)} designed holes"
+    """Accept the best arrangement of a design on one side, or refuse it; tolerances of the scale and in um."""
+    sides = f"{len(points)} marks of the {name} and {len(holes)} designed holes"
     if found is None:
-        raise CannotRegister(_no_match(seen, 2, 4))
+        raise CannotRegister(_no_match(sides, 2, 4))
     count = len(found.pairs)
     if count < found.needed or found.log_chance > ACCEPTED_LOG_CHANCE:
         least = marks_needed(len(found.small), found.large, found.found.tests, allowed_off[1], ACCEPTED_LOG_CHANCE)
-        raise CannotRegister(_no_match(seen, count, max(found.needed, least)))
-    if found.rival_log_chance < found.log_chance + MARGIN:
+        raise CannotRegister(_no_match(sides, count, max(found.needed, least)))
+    if found.second_log_chance < found.log_chance + MARGIN:
         raise CannotRegister(
-            f"{seen}: {count} agree in the best arrangement, {found.rival_inliers} in a different one, which is too "
-            "close to tell: the design is symmetric or regular, or the marks that would tell are missing. Find more of "
-            "the marks (range of hole diameters), or give the pairs with --marks."
+            f"{sides}: {count} match in the best arrangement, {found.second_best} in the second-best, which is too "
+            "close to decide: the design is symmetric or regular, or the marks that would decide are missing. Find "
+            "more of the marks (range of hole diameters), or give the pairs with --marks."
         )
     transform, rms = fit_similarity(holes[found.pairs[:, 0]], points[found.pairs[:, 1]], mirrored=found.mirrored)
     if fault := found.scale_fault(transform.scale, allowed_off[0]):
-        raise CannotRegister(f"{seen}: {fault}")
+        raise CannotRegister(f"{sides}: {fault}")
     taken = set(found.pairs[:, 0].tolist())
     missing = tuple(label for k, label in enumerate(labels) if k not in taken)
     return MatchedToDesign(
@@ -261,11 +261,10 @@ def _settle(
         labels=tuple(labels[k] for k in found.pairs[:, 0]),
         transform=transform,
         mirrored=found.mirrored,
-        rival_inliers=found.rival_inliers,
+        second_best=found.second_best,
         log_chance=found.log_chance,
         missing=missing,
-        sentence=f"{seen}: {count} agree (residual {rms:.1f} um rms); the next best arrangement agrees at "
-        f"{found.rival_inliers}.",
+        sentence=f"{sides}: {count} match (residual {rms:.1f} um rms); the second-best match has {found.second_best}.",
     )
 
 
@@ -286,9 +285,9 @@ def _checked(
     return points, holes, called
 
 
-def _no_match(seen: str, count: int, need: int) -> str:
+def _no_match(sides: str, count: int, need: int) -> str:
     return (
-        f"{seen}: the design does not explain the marks: {count} agree at best, and about {need} have to, closer than "
+        f"{sides}: the design does not match the marks: {count} agree at best, and about {need} have to, closer than "
         "chance would bring them. Check that it is the design of this sheet, its unit (um), the pixel and voxel sizes; "
         "find more of the marks, or give the pairs with --marks."
     )

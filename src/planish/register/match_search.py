@@ -1,4 +1,4 @@
-"""Every way in which one set of marks can be laid on another, and how likely chance would be to offer each.
+"""All arrangements of one set of marks on another, and how likely chance would offer each.
 
 Pairs of marks on one side are laid on all pairs of like length on the other; the marks that then agree are counted,
 and the best are refitted with a little stretch allowed.
@@ -18,9 +18,9 @@ Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
-# Arrangements whose marks lie this many tolerances off are followed, so that a rival that is slightly off is seen.
+# Arrangements whose marks lie this many tolerances off are followed, so that a slightly displaced rival is noticed.
 REACH = 1.6
-# A sheet may be stretched this much more one way than the other before the search loses it: humidity, a lens.
+# Largest difference of stretch between two directions that the search follows: humidity, a lens.
 STRETCH = 0.005
 # Largest stretch that an arrangement may have; a wrong one often needs more.
 _MOST_STRETCH = 0.012
@@ -293,7 +293,7 @@ def _log_chance(squares: Floats, b: Complexes, tests: int, tolerance: float, fre
         inflated = ordered * k / np.maximum(k - freedom[:, None], 0.5)
         radius = np.sqrt(inflated + (0.08 * tolerance) ** 2)
         share = share_within(radius, b, tolerance)
-        # The stretch was free too: as many different ones as can be told apart count as tests.
+        # The stretch was free too: as many as can be distinguished count as tests.
         spread = np.sqrt(power / np.maximum(np.sum(np.isfinite(ordered), axis=1), 1))
         stretches = np.where(freedom > 2.0, 0.5 * STRETCH * spread, 0.0)[:, None] / radius
         choices = np.array([_log10_choose(n - 2, int(c) - 2) if c >= 2 else 0.0 for c in k])

@@ -1,6 +1,6 @@
 """Whether the pattern behind two sets of marks may be symmetric or regular, with marks lost and marks that are none.
 
-All marks seen on either side are laid together and laid on themselves in every other way. A symmetric pattern of
+All marks found on either side are combined and laid on themselves in every other orientation. A symmetric pattern of
 which each side lost some marks looks, on each side, like a pattern without symmetry; together they give it away.
 """
 
@@ -16,16 +16,16 @@ from planish.register.match_search import REACH, Arrangements, Complexes, extent
 
 Floats = NDArray[np.float64]
 
-# log10 of how much better than chance a symmetry has to explain what is seen before it counts: symmetric patterns are
+# log10 of how much better than chance a symmetry has to explain the marks before it counts: symmetric patterns are
 # rare among those that people burn, but a wrong match is worse than none.
 _LOG_DOUBT = -2.0
 # Where as many partners are missing as in fewer than this share of symmetric patterns, there is no symmetry.
 _RARE = 1e-3
-# The same for marks seen on both sides, of whose partners only those lost on both are missing. Their share is never
+# The same for marks found on both sides, of whose partners only those lost on both are missing. Their share is never
 # taken to be smaller than that of holes that were not burnt through.
 _RARE_OF_SURE = 3e-3
 _NOT_BURNT = 0.05
-# Of the marks that one side alone shows, some are no holes at all and tell nothing of what the other side lost.
+# Of the marks that one side alone shows, some are no holes at all, and no evidence of what the other side lost.
 _LOST_OF_ALONE = 0.75
 # Marks on one line meet by chance so often that what is plausible alone decides.
 _LOG_DOUBT_ON_A_LINE = -8.0
@@ -39,7 +39,7 @@ class Symmetry:
     Attributes
     ----------
     marks, repeated : int
-        Marks seen in all, and those that meet a mark under the other arrangement.
+        Marks in all, and those that meet a mark under the other arrangement.
     turn_deg : float
         Its angle.
     mirrored : bool
@@ -54,7 +54,7 @@ class Symmetry:
     shift_um: float
 
     def describe(self) -> str:
-        """Say how the pattern repeats itself."""
+        """How the pattern repeats itself."""
         if self.mirrored:
             return "turned over"
         if abs(self.turn_deg) < 5.0:
@@ -70,9 +70,9 @@ def self_likeness(
     Parameters
     ----------
     points : ndarray of complex, shape (u,), in um
-        All marks seen on either side, in one frame, each once; those seen on both come first.
+        All marks found on either side, in one frame, each once; those found on both come first.
     alone : (int, int)
-        How many of them were seen on one side only: lost on the other, or no marks.
+        How many of them were found on one side only: lost on the other, or no marks.
     """
     count, singles = len(points), sum(alone)
     sure = count - singles
@@ -94,7 +94,7 @@ def self_likeness(
     gone = min(0.9, 0.1 + _LOST_OF_ALONE * (singles + 1.0) / (count + 2.0))
     lost = float(np.prod([_LOST_OF_ALONE * (c + 1.0) / (sure + c + 2.0) for c in alone]))
     plausible = np.array([_at_least(count - k, count, gone) > _RARE for k in range(count + 1)])
-    # A wrong arrangement that agrees well makes losses look rare; the symmetry itself says what it needs to be lost.
+    # A wrong arrangement that agrees well makes losses look rare; the symmetry itself gives what has to be lost.
     of_sure = np.array(
         [
             _at_least(gap, sure, _NOT_BURNT + max(lost, (gap / max(sure + gap, 1)) ** 2)) > _RARE_OF_SURE
@@ -145,7 +145,7 @@ def _log_evidence(found: Arrangements, points: Complexes, singles: int, toleranc
 
 
 def _lost_alike(gap: int, count: int, alone: tuple[int, int]) -> float:
-    """log10 of the probability that both sides lost the same ``gap`` marks and no others but those seen alone.
+    """log10 of the probability that both sides lost the same ``gap`` marks and no others but those found alone.
 
     Either by chance, among the marks that each side lost, or because these holes were never burnt through.
     """

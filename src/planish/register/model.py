@@ -1,4 +1,4 @@
-"""What a registration model is: how it is fitted to marks, which marks it doubts, and what it says about its errors.
+"""What a registration model is: how it is fitted to marks, which marks it doubts, and what errors it expects.
 
 Models of a fixed number of parameters share everything but the fit itself and the derivatives by the parameters.
 """
@@ -28,7 +28,7 @@ _ROUNDS = 40
 
 
 class Errors(Protocol):
-    """What a fit says about its errors."""
+    """Errors of a fit."""
 
     @property
     def mark_variance(self) -> float:
@@ -85,7 +85,7 @@ class Model(ABC):
 
     @abstractmethod
     def errors(self, pairs: Pairs, transform: Any, robust: Floats, /) -> Errors:
-        """Errors of a fit; ``robust`` (n,) is the part of the weights that says nothing of a mark's variance."""
+        """Errors of a fit; ``robust`` (n,) is the part of the weights that does not reflect a mark's variance."""
 
     @abstractmethod
     def robust_weights(self, pairs: Pairs, mirrored: bool, /) -> Floats:
@@ -175,7 +175,7 @@ class ParametricModel(Model):
         error = whitening @ (pairs.fixed - transform(pairs.moving))[..., None]
         bound = np.linalg.eigvalsh(spread)[:, 0] < 1e-9
         spread[bound] = np.eye(2)
-        # A mark that the fit goes through whatever its error says nothing about it.
+        # A mark that the fit goes through whatever its error is no evidence.
         return np.where(bound, 0.0, (error.swapaxes(1, 2) @ inverse_of(spread) @ error)[:, 0, 0])
 
 

@@ -1,4 +1,4 @@
-"""Paired marks and how much each is worth: what a fit starts from, and the checks at the door."""
+"""Paired marks and how much each is worth: what a fit starts from, checked."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
-# Marks closer together than this share of their distance from the origin cannot be told apart in float64.
+# Marks closer together than this share of their distance from the origin cannot be distinguished in float64.
 COINCIDENT = 1e-9
 # The other hand has to fit five times as well, and this one has to miss by 5 % of the marks' spread, to be refused.
 _OTHER_HAND = 0.2
@@ -89,7 +89,7 @@ def as_complex(points: Floats, mirrored: bool) -> Complexes:
 
 
 def checked(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> Pairs:
-    """Bring marks and weights into one form, or say everything that is wrong with them.
+    """Bring marks and weights into one form, or name all their faults.
 
     Raises
     ------
@@ -112,8 +112,8 @@ def checked(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> P
     used = np.flatnonzero(pairs.weights > 0)
     if used.size < 2:
         raise MarkError(
-            f"{used.size} pair{'s' * (used.size != 1)} of marks given, a transformation needs 2, and 3 to say anything "
-            f"of its error. Add {2 - used.size} or more, far apart."
+            f"{used.size} pair{'s' * (used.size != 1)} of marks given, a transformation needs 2, and 3 to estimate "
+            f"its error. Add {2 - used.size} or more, far apart."
         )
     for name, points in (("moving", source[used]), ("fixed", target[used])):
         if np.ptp(points, axis=0).max() <= COINCIDENT * max(1.0, float(np.abs(points).max())):
@@ -225,7 +225,7 @@ def refuse_other_hand(pairs: Pairs, mirrored: bool) -> None:
     swapped = np.abs(turn - [[0, 1], [1, 0]]).max() < 0.2
     exchange = "x and y are exchanged on one side: exchange the two columns of that table"
     declare = (
-        "one map is seen from the other side: declare it as mirrored (mirrored=True, or --mirror)"
+        "one map shows the other side: declare it as mirrored (mirrored=True, or --mirror)"
         if not mirrored
         else "the maps are not mirrored after all: leave out mirrored=True, or --mirror"
     )

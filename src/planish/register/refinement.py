@@ -34,7 +34,7 @@ _PLACES = 65  # along either axis, where displacement and derivatives are looked
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refined:
-    """Where the maps say that points lie which the marks have placed.
+    """Displacement of points that the marks have placed, found by the maps.
 
     Call it with points ``(..., 2)``, ``(x, y)`` in um of the fixed map as the marks' fit gives them, to get points of
     the fixed map: ``refined(fit(points))`` takes points of the moving map there.
@@ -83,7 +83,7 @@ class Refined:
         return self.transform.jacobian(points)
 
     def image_at(self, image: Floats, pixel_um: Pair) -> Floats:
-        """Return the image as seen from the linked map: what each pixel of the marks' fit shows once refined.
+        """Return the image on the pixels of the linked map: what each pixel of the marks' fit shows once refined.
 
         Parameters
         ----------
@@ -202,32 +202,31 @@ def _judged(
     length = np.linalg.norm(transform(points) - points, axis=1)
     expected = fit.expected_error_um(fit.inverse(points))
     ratio = np.where(expected > 0, length / np.where(expected > 0, expected, 1.0), np.where(length > 0, np.inf, 0.0))
-    told: list[str] = []
+    faults: list[str] = []
     worst = int(np.argmin(areas))
     if not areas[worst] > 0:
         x, y = points[worst]
-        told.append(
+        faults.append(
             f"The refinement folds the map near ({x:.5g}, {y:.5g}) um. Take a coarser mesh or the affine model, or "
             "keep the marks only."
         )
     if not np.isfinite(ratio).all():
-        told.append(
-            "The marks say nothing of their own error, so nothing bounds a refinement. Add marks, or keep the marks "
-            "only."
+        faults.append(
+            "The error of the marks is unknown, so nothing bounds a refinement. Add marks, or keep the marks only."
         )
     elif ratio.max() > most:
         worst = int(np.argmax(ratio))
         x, y = points[worst]
-        told.append(
+        faults.append(
             f"The refinement moves the map by {length[worst]:.1f} um near ({x:.5g}, {y:.5g}) um, where the marks are "
             f"expected to be right to {expected[worst]:.1f} um; up to {most:g} times that is accepted. Either marks "
             "are wrong or the maps mislead. Check the marks, or keep them only."
         )
-    if told and bounded:
-        raise CannotRegister(told[0])
+    if faults and bounded:
+        raise CannotRegister(faults[0])
     strain = float(np.abs(np.linalg.svd(derivatives, compute_uv=False) - 1.0).max())
     if strain > NOTABLE:
-        told.append(
+        faults.append(
             f"The refinement strains the map by up to {100 * strain:.1f} %. Paper strains by 0.1-0.5 %: look at the "
             "lags of tiles before you believe it."
         )
@@ -241,7 +240,7 @@ def _judged(
         share=float(ratio.max()),
         area=(float(areas.min()), float(areas.max())),
         strain=strain,
-        warnings=tuple(told),
+        warnings=tuple(faults),
         sentence=f"Refined on the maps ({words}, {metric}): points moved by {rms:.1f} um rms, {largest:.1f} um at "
         f"most, strain up to {100 * strain:.2f} %.",
     )

@@ -1,4 +1,4 @@
-"""A fitted transformation, and what it says about its own error."""
+"""A fitted transformation, and its expected error."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class FittedTransform:
         Returns
         -------
         ndarray, shape (...), in um
-            Root mean square error. All NaN where the marks fit exactly by their number and say nothing of their error.
+            Root mean square error. All NaN where the marks fit exactly by their number, so that their error is unknown.
 
         Notes
         -----

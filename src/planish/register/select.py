@@ -66,7 +66,7 @@ def select_model(pairs: Pairs, mirrored: bool, *, robust: bool, lowest: str = "r
         except (CannotRegister, MarkError) as refused:
             refusals.append(f"{name} not possible: {str(refused).split('. ')[0].rstrip('.')}.")
     if not tried:
-        # The model with the fewest parameters says best what is wrong with the marks.
+        # The model with the fewest parameters names the fault of the marks best.
         MODELS[lowest].fit(kept, mirrored)
     chosen, why = _choose(tried, 1e-9 * pairs.frame()[1])
     errors = ", ".join(f"{t.name} {f'{t.missed_um:.3g} um' if np.isfinite(t.missed_um) else 'unknown'}" for t in tried)

@@ -32,7 +32,7 @@ _RATIOS = np.logspace(-6, 2, 33)
 
 
 class SplineModel(Model):
-    """An affine map and smooth local changes, as smooth as marks left out ask for."""
+    """An affine map and smooth local changes, as smooth as marks left out require."""
 
     name, words = "tps", "spline"
     purpose = "local distortion"
@@ -104,7 +104,7 @@ class SplineErrors:
         return self._system.residual_freedom(self._smoothing)
 
     def expected_square(self, points: Floats) -> Floats:
-        """Noise of the marks and bending that they do not see."""
+        """Noise of the marks and bending that they do not show."""
         return self._system.expected_square(self._smoothing, points)
 
 
@@ -257,7 +257,7 @@ class Smoothing:
         """Mean square of the distance between fitted and true image, at points (k, 2) in um: shape (k,), um**2.
 
         With the whitened weights ``s`` that the spline gives the marks at a point, noise of the marks ``|s|**2``, and
-        bending that they do not see or the smoothing takes away, ``s' K s - 2 s' k + k(0)`` for each of `Bendings`.
+        bending that they do not show or the smoothing takes away, ``s' K s - 2 s' k + k(0)`` for each of `Bendings`.
         """
         out = np.zeros(len(points))
         step = max(1, (1 << 18) // len(self.pairs))
@@ -268,18 +268,18 @@ class Smoothing:
             for axis in (0, 1):
                 unit = np.eye(2)[axis]
                 turned = (self.whitening @ unit).reshape(-1, 1)
-                seen = [turned * np.repeat(_kernel(away, length).T, 2, axis=0) for length in _LENGTHS]
-                shares = self._shares(smoothing_um2, at, unit, seen[0])
+                between_marks = [turned * np.repeat(_kernel(away, length).T, 2, axis=0) for length in _LENGTHS]
+                shares = self._shares(smoothing_um2, at, unit, between_marks[0])
                 total += self.bendings.mark_variance * np.sum(shares**2, axis=0)
                 for between, here, length, variance in zip(
-                    self._kernels, seen, _LENGTHS, self.bendings.variances, strict=True
+                    self._kernels, between_marks, _LENGTHS, self.bendings.variances, strict=True
                 ):
                     own = 1.0 if length > 0 else 0.0
                     total += variance * (np.sum(shares * (between @ shares - 2 * here), axis=0) + own)
             out[start : start + step] = np.maximum(total, 0.0)
         return out
 
-    def _shares(self, smoothing_um2: float, at: Floats, unit: Floats, seen: Floats) -> Floats:
+    def _shares(self, smoothing_um2: float, at: Floats, unit: Floats, here: Floats) -> Floats:
         """Weights of the whitened marks in one coordinate of the image of points (k, 2): shape (2n, k)."""
         from scipy.linalg import solve_triangular
 
@@ -288,7 +288,7 @@ class Smoothing:
         if np.isinf(smoothing_um2):
             return shares
         left = self.values[:, None] + self.scaled(smoothing_um2)
-        return shares + self.vectors @ (self.vectors.T @ (seen - self.kernel @ shares) / left)
+        return shares + self.vectors @ (self.vectors.T @ (here - self.kernel @ shares) / left)
 
 
 def _both(rows: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""The thin-plate spline as a transformation: its images, derivatives and the way back."""
+"""The thin-plate spline as a transformation: its images, derivatives and inverse."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Codes = NDArray[np.uint8]
 # Points at once, times nodes: what keeps the distances in the cache.
 _AT_ONCE = 1 << 20
 _STEPS = 60
-# The way back is searched up to this many extents of the marks beyond them.
+# The inverse is searched up to this many extents of the marks beyond them.
 _AROUND = 1.0
 _GRID = 49
 
@@ -116,7 +116,7 @@ class ThinPlate(NearSimilarity):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ThinPlateInverse:
-    """The way back through a thin-plate spline, by Newton's method from the nearest image of a grid.
+    """Inverse of a thin-plate spline, by Newton's method from the nearest image of a grid.
 
     Attributes
     ----------
@@ -136,11 +136,11 @@ class ThinPlateInverse:
         return self.forward
 
     def jacobian(self, points: ArrayLike) -> Floats:
-        """Derivatives of the way back at points ``(..., 2)`` of the fixed map: ``(..., 2, 2)``."""
+        """Derivatives of the inverse at points ``(..., 2)`` of the fixed map: ``(..., 2, 2)``."""
         return np.asarray(np.linalg.inv(self.forward.jacobian(self(points))), dtype=np.float64)
 
     def search(self, points: ArrayLike) -> tuple[Floats, Codes]:
-        """Return the points and a code for each, shape ``(...)``, that `REASONS` puts in words."""
+        """Return the points and a code for each, shape ``(...)``, explained by `REASONS`."""
         given = np.asarray(points, dtype=np.float64)
         wanted = given.reshape(-1, 2)
         found = np.full(wanted.shape, np.nan)
