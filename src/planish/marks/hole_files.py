@@ -4,54 +4,50 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from planish.core.errors import FileError, MarkError
-from planish.core.tables import finite, raise_faults, read_table, read_text, table_text
+from planish.core.tables import raise_faults, read_table, read_text, table_text
 
 FORMAT, VERSION = "planish-holes", 1
+_REMEDY = "Find the holes again, or correct these parts."
 _TABLE = ("x", "y", "diameter")
-_HEAD = ("format", "version", "units", "plane", "attributes", "variables")
 
 
-class _Kind(NamedTuple):
-    """What the values of a variable are in JSON."""
-
-    words: str
-    fits: Callable[[Any], bool]
+Types = Literal["float64", "int64", "uint8", "bool", "str"]
 
 
-def _is_number(value: Any) -> bool:
-    return value is None or (not isinstance(value, str) and finite(value) is not None)
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
+class _Variable(_Part):
+    type: Types
+    attributes: dict[str, Any]
+    values: list[Any]
 
 
-def _is_bool(value: Any) -> bool:
-    return isinstance(value, bool)
+class _File(_Part):
+    format: Literal["planish-holes"]
+    version: Literal[1]
+    units: Literal["um"]
+    plane: str | None
+    attributes: dict[str, Any]
+    variables: dict[str, _Variable]
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _is_byte(value: Any) -> bool:
-    return _is_whole(value) and 0 <= value <= 255
-
-
-_KINDS = {
-    "float64": _Kind("numbers, or null where missing", _is_number),
-    "int64": _Kind("whole numbers", _is_whole),
-    "uint8": _Kind("whole numbers from 0 to 255", _is_byte),
-    "bool": _Kind("true or false", _is_bool),
-    "str": _Kind("texts", _is_text),
+_VALUES: dict[str, Any] = {
+    "float64": list[Annotated[float | None, Field(allow_inf_nan=False, strict=True)]],
+    "int64": list[Annotated[int, Field(ge=-(2**63), lt=2**63, strict=True)]],
+    "uint8": list[Annotated[int, Field(ge=0, le=255, strict=True)]],
+    "bool": list[Annotated[bool, Field(strict=True)]],
+    "str": list[Annotated[str, Field(strict=True)]],
 }
 
 
@@ -78,7 +74,7 @@ def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
     variables: dict[str, Any] = {}
     for name, variable in holes.variables.items():
         kind = "str" if variable.dtype.kind == "U" else str(variable.dtype)
-        if variable.dims != ("mark",) or kind not in _KINDS:
+        if variable.dims != ("mark",) or kind not in _VALUES:
             faults.append(f"{name} has dims {variable.dims} and type {kind}")
         elif kind == "float64" and np.isinf(variable.values).any():
             faults.append(f"{name} holds infinite values")
@@ -87,7 +83,7 @@ def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
             variables[str(name)] = {"type": kind, "attributes": attributes, "values": _plain(variable.values)}
     attributes = _plain({k: v for k, v in holes.attrs.items() if k != "plane"}, "the holes", faults)
     raise_faults(
-        "The holes cannot be written", faults, f"Types are {', '.join(_KINDS)}, along 'mark'.", error=MarkError
+        "The holes cannot be written", faults, f"Types are {', '.join(_VALUES)}, along 'mark'.", error=MarkError
     )
     head = {"format": FORMAT, "version": VERSION, "units": "um", "plane": holes.attrs.get("plane")}
     return head | {"attributes": attributes, "variables": variables}
@@ -115,28 +111,27 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
             f"{name} has version {version!r} of the format; this planish reads version {VERSION}. Update planish, or "
             "find the holes again."
         )
-    faults = [f"{key} is missing" for key in _HEAD if key not in content]
-    faults += [f"{key} is unknown" for key in content if key not in _HEAD]
-    plane, attributes, variables = (content.get(key) for key in ("plane", "attributes", "variables"))
-    if not (plane is None or isinstance(plane, str)):
-        faults.append(f"plane is {str(plane)[:40]!r}, not a name")
-    if content.get("units", "um") != "um":
-        faults.append(f"units is {str(content['units'])[:40]!r}, not 'um'")
-    if not isinstance(attributes, Mapping):
-        faults.append("attributes is no object")
+    where: tuple[str, ...] = ()
+    try:
+        file = _File.model_validate(dict(content))
+        for key, variable in file.variables.items():
+            where = ("variables", key, "values")
+            TypeAdapter(_VALUES[variable.type]).validate_python(variable.values)
+    except ValidationError as error:
+        faults = [f"{'.'.join(map(str, (*where, *e['loc'])))}: {e['msg']}" for e in error.errors(include_url=False)]
+        raise_faults(name, faults, _REMEDY, error=MarkError)
+        raise
+    counts = sorted({len(variable.values) for variable in file.variables.values()})
+    faults = [f"no {key}" for key in "xy" if key not in file.variables]
+    if len(counts) > 1:
+        faults.append(f"variables have {', '.join(map(str, counts))} values; as many of each are needed")
+    raise_faults(name, faults, _REMEDY, error=MarkError)
     data: dict[str, Any] = {}
-    for key, part in variables.items() if isinstance(variables, Mapping) else ():
-        made = _variable(part)
-        if isinstance(made, str):
-            faults.append(f"{key}: {made}")
-        else:
-            data[str(key)] = made
-    faults += [f"no {key}" for key in "xy" if key not in data and not any(f.startswith(f"{key}: ") for f in faults)]
-    if len(counts := {len(made[1]) for made in data.values()}) > 1:
-        faults.append(f"variables have {', '.join(map(str, sorted(counts)))} values; as many of each are needed")
-    raise_faults(name, faults, "Find the holes again, or correct these parts.", error=MarkError)
-    found = {key: _missing_as_nan(value) for key, value in (attributes or {}).items()}
-    return xr.Dataset(data, attrs=found if plane is None else {**found, "plane": plane})
+    for key, variable in file.variables.items():
+        values = np.array(_missing_as_nan(variable.values), dtype=np.str_ if variable.type == "str" else variable.type)
+        data[key] = ("mark", values, _missing_as_nan(variable.attributes))
+    plane = {} if file.plane is None else {"plane": file.plane}
+    return xr.Dataset(data, attrs=_missing_as_nan(file.attributes) | plane)
 
 
 def write_holes(holes: xr.Dataset, path: str | Path) -> None:
@@ -240,21 +235,3 @@ def _missing_as_nan(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _missing_as_nan(v) for k, v in value.items()}
     return math.nan if value is None else value
-
-
-def _variable(part: Any) -> tuple[str, Any, Any] | str:
-    """Variable of its JSON, or what is wrong with it."""
-    if not isinstance(part, Mapping) or set(part) != {"type", "attributes", "values"}:
-        return "type, attributes and values are needed"
-    kind, attributes, values = part["type"], part["attributes"], part["values"]
-    if not isinstance(kind, str) or kind not in _KINDS:
-        return f"the type is {str(kind)[:40]!r}; there are {', '.join(_KINDS)}"
-    if not isinstance(attributes, Mapping):
-        return "attributes is no object"
-    if not isinstance(values, list):
-        return "values is no list"
-    wrong = next((f"{str(v)[:40]} at {k}" for k, v in enumerate(values) if not _KINDS[kind].fits(v)), None)
-    if wrong is not None:
-        return f"{wrong}; {_KINDS[kind].words} are needed"
-    array = np.array([math.nan if v is None else v for v in values], dtype=np.str_ if kind == "str" else kind)
-    return "mark", array, _missing_as_nan(dict(attributes))

@@ -148,13 +148,7 @@ class Pattern:
 
     @staticmethod
     def from_json(text: str) -> Pattern:
-        """Read what :meth:`to_json` wrote.
-
-        Raises
-        ------
-        MarkError
-            If it is no pattern, of a later version, or a value is missing or malformed.
-        """
+        """Read what :meth:`to_json` wrote."""
         try:
             data: Any = json.loads(text)
         except ValueError as error:

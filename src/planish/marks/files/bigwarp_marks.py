@@ -32,14 +32,7 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> list[PointList]:
-    """Moving and target points.
-
-    Raises
-    ------
-    MarkError
-        If a row has another number of columns, or a cell is no number; the rows are named. In JSON: if a list is
-        missing or malformed, or they differ in length.
-    """
+    """Moving and target points."""
     if content.json is not None:
         return _read_json(content.json, content.name)
     name, rows = content.name, content.rows

@@ -48,15 +48,7 @@ class Content:
 
 
 def read_content(path: str | Path) -> Content:
-    """Read a file, whatever its format.
-
-    Raises
-    ------
-    FileError
-        If it cannot be read, has more than 10 MB, is empty, or damaged JSON.
-    MarkError
-        If it has more than 100 000 rows.
-    """
+    """Read a file, whatever its format."""
     place = Path(path)
     name, data = place.name, read_bytes(place, what="file of marks")
     # Version 4 of MATLAB has no heading that says what it is.
@@ -73,25 +65,13 @@ def read_content(path: str | Path) -> Content:
 
 
 def check_count(name: str, count: int) -> None:
-    """Refuse more marks than a sheet can have.
-
-    Raises
-    ------
-    MarkError
-        If there are more than 100 000.
-    """
+    """Refuse more marks than a sheet can have."""
     if count > MOST_MARKS:
         raise MarkError(f"{name} holds {count} marks; {MOST_MARKS} are the most. Give a file with marks only.")
 
 
 def refuse(name: str, faults: Sequence[str], remedy: str) -> None:
-    """Raise all faults of a file as one message; nothing where there is none.
-
-    Raises
-    ------
-    MarkError
-        If there is a fault.
-    """
+    """Raise all faults of a file as one message; nothing where there is none."""
     raise_faults(name, faults, remedy, error=MarkError)
 
 

@@ -22,13 +22,7 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> xr.Dataset | list[PointList]:
-    """Read pairs as marks, or the holes of one layer.
-
-    Raises
-    ------
-    MarkError
-        If a column is missing or a number malformed; the rows are named.
-    """
+    """Read pairs as marks, or the holes of one layer."""
     names = [name.lower() for name in content.header]
     if not any(name in names for name in (*MOVING, *VOLUME, *FIXED)):
         return [read_points(content, _HOLE_COLUMNS, stated=True, source="imported")]
@@ -53,13 +47,7 @@ def write(out: Outgoing) -> dict[str, bytes]:
 
 
 def read_points(content: Content, columns: tuple[str, str], *, stated: bool, source: str) -> PointList:
-    """Read the points of a table with a header; lengths in um where it states so.
-
-    Raises
-    ------
-    MarkError
-        If a column is missing or a number malformed; the rows are named.
-    """
+    """Read the points of a table with a header; lengths in um where it states so."""
     advice = f"Give a table with the columns {' and '.join(columns)} and one row for each mark."
     table = parse_table(content.text, content.name, needed=columns, error=MarkError, advice=advice)
     check_count(content.name, len(table.rows))

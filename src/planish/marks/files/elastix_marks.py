@@ -29,13 +29,7 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> list[PointList]:
-    """Points of one file, as one list.
-
-    Raises
-    ------
-    MarkError
-        If the number of points is not as stated, or a line is malformed.
-    """
+    """Points of one file, as one list."""
     name, text = content.name, content.text
     check_count(name, text.count("\n") - 2)
     # Word and count may stand in one line or in two.

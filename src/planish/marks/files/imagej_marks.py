@@ -13,11 +13,5 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> list[PointList]:
-    """Read the points of one layer.
-
-    Raises
-    ------
-    MarkError
-        If a number is malformed; the rows are named.
-    """
+    """Read the points of one layer."""
     return [read_points(content, ("x", "y"), stated=False, source="clicked")]

@@ -116,11 +116,6 @@ def read(file: Content) -> xr.Dataset:
     -------
     Dataset, dims (mark)
         As `make_marks` makes it.
-
-    Raises
-    ------
-    MarkError
-        If the version is not known, or anything in the file is missing, unknown or out of range; all is named.
     """
     name, content = file.name, file.json or {}
     version = content.get("version")
@@ -155,13 +150,7 @@ def read(file: Content) -> xr.Dataset:
 
 
 def write(out: Outgoing) -> dict[str, bytes]:
-    """Write a JSON file, from which `read` gives the same numbers back.
-
-    Raises
-    ------
-    MarkError
-        If the marks cannot be told apart or have values that the format does not allow.
-    """
+    """Write a JSON file, from which `read` gives the same numbers back."""
     marks = out.marks
     layers = layer_names(marks)
     places = {layer: places_of(marks, layer) for layer in layers}

@@ -110,13 +110,7 @@ class LayerFacts:
 def scale_of(
     unit: Unit, pixel: Mapping[str, float] | Sequence[float] | None, axes: int, name: str, side: str
 ) -> Floats:
-    """Length of one unit along x, y (and z), shape (axes,), in um.
-
-    Raises
-    ------
-    SizeError
-        If the unit is the pixel and its size is not known.
-    """
+    """Length of one unit along x, y (and z), shape (axes,), in um."""
     if unit != "pixel":
         return np.full(axes, UNITS[unit])
     option = side if side in ("moving", "fixed") else "moving"
@@ -163,11 +157,6 @@ def join_lists(
     -------
     Dataset, dims (mark)
         Layers ``moving`` (``volume`` where its z varies) and ``fixed``; ``marks`` where there is one list only.
-
-    Raises
-    ------
-    MarkError, SizeError
-        If counts, labels, axes or units do not go together.
     """
     for found in lists:
         check_count(name, len(found.labels))

@@ -33,15 +33,7 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> list[PointList]:
-    """Moving and fixed points of a file.
-
-    Raises
-    ------
-    FileError
-        If the file is damaged or no MATLAB file.
-    MarkError
-        If it does not hold both variables, or they are no real n x 2 arrays of as many points.
-    """
+    """Moving and fixed points of a file."""
     name, data = content.name, content.data
     try:
         with warnings.catch_warnings():
@@ -70,13 +62,7 @@ def read(content: Content) -> list[PointList]:
 
 
 def write(out: Outgoing) -> dict[str, bytes]:
-    """Write a file of version 5.
-
-    Raises
-    ------
-    MarkError
-        If the marks lie in a volume.
-    """
+    """Write a file of version 5."""
     from scipy.io import savemat
 
     moving, fixed = out.points.values()

@@ -248,13 +248,7 @@ def used_pairs(
 def pair_of_layers(
     marks: xr.Dataset, *, moving: str | None = None, fixed: str | None = None, name: str = "The file"
 ) -> tuple[str, str]:
-    """Which layers are the moving and the fixed one.
-
-    Raises
-    ------
-    MarkError
-        If there are not two layers, or it is not clear which they are.
-    """
+    """Which layers are the moving and the fixed one."""
     names = layer_names(marks)
     for wanted in (moving, fixed):
         if wanted is not None:

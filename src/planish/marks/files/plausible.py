@@ -26,14 +26,7 @@ _MM_SPAN = 0.01
 
 
 def check_marks(marks: xr.Dataset, name: str) -> None:
-    """Refuse marks that cannot be told apart or lie at no finite place.
-
-    Raises
-    ------
-    MarkError
-        If there are none, labels are repeated, two marks in use have one position, or a position is beyond a
-        kilometre or half missing.
-    """
+    """Refuse marks that cannot be told apart or lie at no finite place."""
     labels, used = labels_of(marks), used_of(marks)
     if not labels:
         raise MarkError(f"{name} holds no mark. Set marks in both layers and save them again.")
@@ -60,11 +53,6 @@ def check_plausible(marks: xr.Dataset, name: str) -> None:
     marks : Dataset, dims (mark)
     name : str
         What they were read from, for messages.
-
-    Raises
-    ------
-    MarkError
-        If they look like pixels or mm, lie in the layer only with x and y exchanged, or lie outside.
     """
     for layer in layer_names(marks):
         about = about_layer(marks, layer)

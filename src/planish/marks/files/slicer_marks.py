@@ -35,13 +35,7 @@ def looks_like(content: Content) -> bool:
 
 
 def read(content: Content) -> list[PointList]:
-    """Point lists of a file; lines, curves, planes and empty lists are passed over.
-
-    Raises
-    ------
-    MarkError
-        If there is no list of points, or one is malformed.
-    """
+    """Point lists of a file; lines, curves, planes and empty lists are passed over."""
     name = content.name
     markups: object = (content.json or {}).get("markups")
     entries: list[Mapping[str, Any]] = (
