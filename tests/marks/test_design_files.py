@@ -224,7 +224,7 @@ def test_check(planish, made, tmp_path):
         (("design", *FIELD, "-o", "HERE"), 3, "exists already"),
         (("check", "none.json"), 3, "cannot be read"),
         (("simulate", "none.gcode"), 3, "cannot be read"),
-        (("simulate", "BROKEN"), 3, "is no word"),
+        (("simulate", "BROKEN"), 3, "not in the dialect"),
         (("simulate", "BROKEN", "-o", "way.gif"), 2, "no .png"),
         (("check", "BINARY"), 3, "UTF-8"),
     ],

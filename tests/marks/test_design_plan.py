@@ -138,7 +138,7 @@ def test_predicted_error_against_registrations_with_noise():
 def test_the_table_as_imaged_is_no_mirror_image_of_an_image():
     """Seen from the laser's side with y down, the same pattern turned: a rotation leads from one to the other."""
     pattern, _ = design_pattern(DesignParams(field_um=(20_000.0, 15_000.0)))
-    stage, seen = pattern.points_um, pattern.seen_um
+    stage, seen = pattern.points_um, pattern.imaged_um
     assert np.all(seen > 0)
     assert np.all(seen < pattern.view_um)
     # y down is the camera's way to write the same sheet: hole 1 stands at the lower left in both
@@ -158,8 +158,8 @@ def test_the_matching_recognises_what_crops_leave():
     for mask in masks[:8]:
         motion = Similarity(scale=rng.uniform(0.985, 1.015), rotation_rad=rng.uniform(-3, 3), shift_um=(500.0, 90.0))
         order = rng.permutation(np.flatnonzero(mask))
-        found = motion(pattern.seen_um[order])
+        found = motion(pattern.imaged_um[order])
         found = found + 3 / np.sqrt(2) * rng.normal(size=found.shape)
-        matched = match_marks(pattern.seen_um, found, tolerance_um=25.0)
+        matched = match_marks(pattern.imaged_um, found, tolerance_um=25.0)
         assert len(matched.pairs) >= 0.8 * len(order)
         assert all(order[j] == i for i, j in matched.pairs)

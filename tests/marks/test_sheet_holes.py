@@ -153,7 +153,7 @@ def test_a_run_that_has_the_top_only():
     assert found.attrs["layers"] == ["top"]
     assert (found.attrs["through"], found.attrs["closed"], found.attrs["unclear"]) == (0, 0, 6)
     assert np.isnan(found.attrs["offset_um"]).all()
-    assert "No hole was seen on both sides" in hole_tilt(found).sentence
+    assert "No hole was found on both sides" in hole_tilt(found).sentence
     # Maps that hold the top's layer only give its holes for either side, and say so.
     below = find_sheet_holes(dataset(top), side="bottom")
     assert below.attrs["side"] == "top"

@@ -43,7 +43,7 @@ def measure(image, px, py, xs, ys, sign, low, high, least, contrast):
     """Measure a round hole at each candidate place.
 
     ``xs, ys`` (n,) in um; ``low, high`` the range of radii in um; a step below ``least``, or below ``contrast`` times
-    the texture around, is not looked at closely. Returns ``(n, COLUMNS)``: centre, radius, half the difference between
+    the texture around, is not measured. Returns ``(n, COLUMNS)``: centre, radius, half the difference between
     the half axes, covariance of the centre for waves of the rim of amplitude 1, share of the rim found, step at the
     rim, levels inside and outside times ``sign``, robust standard deviation of the sheet around, rms of the rim about
     the ellipse, rise of the floor towards the rim, unevenness of the floor, step over a wider distance, variances of
@@ -109,7 +109,7 @@ def _circle(image, px, py, cx, cy, sign, low, high, least, contrast):
             return cx, cy, np.nan, scale
         cx, cy = cx + fit[1], cy + fit[2]
         if turn == 0:
-            # Most places are mottle; a look at the levels tells, long before the rim is known.
+            # Most places are mottle; the levels show it long before the rim is known.
             inside, spread, flatness, outside, texture = levels(image, px, py, cx, cy, sign, radius, pixel)
             total = outside - inside
             if total < max(least, contrast * texture) or spread > 0.35 * total or flatness > 0.4 * total:
@@ -124,7 +124,7 @@ def measure_floors(image, px, py, xs, ys, sign, radius, floor, depth, shares):
     """Measure the outline of a hole's floor about each place of `middles_of_floors`: where the grey leaves its level.
 
     What is printed over a rim may hide its edge, and never the floor. ``radius``, ``floor`` (times ``sign``) and
-    ``depth`` are those of the other holes of the image. Of the levels, ``shares`` of the way from the floor to the
+    ``depth`` are those of the other holes of the image. Of the levels, ``shares`` of the step from the floor to the
     sheet, the one with the roundest outline is taken. Returns ``(n, COLUMNS)`` as `measure` does, without the steps at
     the rim.
     """
@@ -199,7 +199,7 @@ def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
 
 @njit(cache=True, nogil=True)
 def _describe(row, image, px, py, cx, cy, sign, radii, fit, weight, inverse):
-    """Write what a fitted outline says into a row; steps at the rim are left out."""
+    """Write the figures of a fitted outline into a row; steps at the rim are left out."""
     pixel = max(px, py)
     # Share of the rim that is there; and how rough it is.
     error = np.zeros(RAYS)
@@ -219,7 +219,7 @@ def _describe(row, image, px, py, cx, cy, sign, radii, fit, weight, inverse):
     inside, spread, flatness, outside, texture = levels(image, px, py, cx, cy, sign, fit[0], pixel)
     row[:] = np.nan
     row[X], row[Y], row[RADIUS], row[HALF_DIFFERENCE] = (cx, cy, fit[0], np.hypot(fit[3], fit[4]))
-    # Waves 3 and 4 to the round, and 5 to 8. The first is what moves the centre; its size can only be told from them.
+    # Waves 3 and 4, and 5 to 8 of the rim. The first moves the centre; its size can only be estimated from them.
     row[LOW_WAVES], row[HIGH_WAVES] = waves(error, weight)
     # As if the rays were independent; the waves' own variance is put in once all holes are known.
     variance = RAYS / 2

@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Image = NDArray[np.float32]
 
-# Pixels across the smallest hole where candidates are looked for, and where rims are measured.
+# Pixels across the smallest hole where candidates are searched, and where rims are measured.
 ACROSS_COARSE = 8.0
 ACROSS_FINE = 40.0
 # So many candidates are measured whatever the size of the image. Beyond, a square of TILE smallest radii has as many as
@@ -83,13 +83,13 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
     steps = np.sqrt(np.diff(widths**2, prepend=0.0))
     responses: list[Response] = []
     before, size, origin = (np.ascontiguousarray(filled, dtype=np.float32), pixel_um, np.zeros(2))
-    for rung, step in enumerate(steps):
+    for level, step in enumerate(steps):
         after = gaussian(before, float(step) / size[0], float(step) / size[1])
-        if rung:
-            responses.append(Response(float(radii[rung - 1]), after - before, size, origin))
+        if level:
+            responses.append(Response(float(radii[level - 1]), after - before, size, origin))
         # The wider the blobs, the coarser a raster shows them just as well.
-        if rung and rung < count:
-            after, smaller, shift = reduce_to(after, size, 2 * float(radii[rung]) / ACROSS_COARSE)
+        if level and level < count:
+            after, smaller, shift = reduce_to(after, size, 2 * float(radii[level]) / ACROSS_COARSE)
             size, origin = smaller, origin + shift
         before = after
     return responses
@@ -109,7 +109,7 @@ def regular(responses: list[Response]) -> list[float]:
 def quiet_texture(image: Image, pixel_um: tuple[float, float], width_um: float) -> float:
     """Standard deviation of the quietest quarter of an image about its mean over ``width_um``, as if it were Gaussian.
 
-    Holes, dots and dirt hardly enter, so it is rather too small than too large.
+    Holes, dots and dirt have little influence; it is too small rather than too large.
     """
     return _spread(image - _local_mean(image, pixel_um, width_um), 0.25) / 0.3186
 

@@ -27,7 +27,7 @@ from planish.marks.candidates import (
 from planish.marks.judge import (
     LEAST_CONTRAST,
     LEAST_OTHERS,
-    WORTH_A_LOOK,
+    WORTH_MEASURING,
     doubtful,
     family,
     first_apart,
@@ -106,10 +106,10 @@ def find_holes(
 
     Notes
     -----
-    A burnt rim surrounds each hole, so the rim is taken at the innermost strong edge met on the way out from the
+    A burnt rim surrounds each hole, so the rim is taken at the innermost strong edge met going out from the
     centre, at half level between the floor and what lies just outside it. Rims are fitted by ``r0 + a cos + b sin +
     c cos 2 + d sin 2`` with Tukey weights, which is an ellipse to first order. The roughness of a rim has a first
-    wave, too, which moves the centre and is not seen in the residuals; the covariance of the centre follows from their
+    wave, too, which moves the centre and does not show in the residuals; the covariance of a centre follows from the
     next waves, half those of the rim itself and half those of all rims. Two images of one hole share the rim, so it is
     on the safe side. Holes cut by the border of the image or of the data are left out, as
     are holes closed over more than 30 % of their rim.
@@ -150,12 +150,12 @@ def _holes(
     fine, fine_size, fine_origin = reduce_to(grey, size, 2 * low / ACROSS_FINE)
     coarse, coarse_size, coarse_origin = reduce_to(fine, fine_size, 2 * low / ACROSS_COARSE)
     responses = blob_responses(coarse, coarse_size, (low, high))
-    # Char, neighbours and a radius between two rungs weaken a response; a third is allowed for them.
+    # Char, neighbours and a radius between two of the scale space weaken a response; a third is allowed for them.
     quiet = quiet_texture(coarse, coarse_size, 2 * high)
     plain = 0.67 * disc_response([r.radius for r in responses], LEAST_CONTRAST * quiet)
     spreads = regular(responses)
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
-    least = [min(plain, WORTH_A_LOOK * spread) for spread in spreads]
+    least = [min(plain, WORTH_MEASURING * spread) for spread in spreads]
     share = min(least) / plain if plain > 0 else 1.0
     # Before a rim is measured its place may be some pixels off: less contrast is asked for.
     worth = (0.8 * share * LEAST_CONTRAST * quiet, 0.75 * LEAST_CONTRAST if share >= 1.0 else 0.0)
@@ -247,7 +247,7 @@ def _grey(image: ArrayLike) -> Image:
         there = np.isfinite(values)
         middle = float(np.median(values[there])) if np.any(there) else 0.0
         # Large offsets would cost float32 its digits.
-        return np.where(there, values - middle, np.nan).astype(np.float32)
+        return np.ascontiguousarray(np.where(there, values - middle, np.nan), dtype=np.float32)
     return np.ascontiguousarray(values, dtype=np.float32)
 
 

@@ -18,9 +18,9 @@ LEAST_COVERAGE = 0.7
 # Step from the floor to the sheet, in robust standard deviations of the sheet around and of the whole: mottle rarely
 # makes three.
 LEAST_CONTRAST = 3.2
-# Answer to a disc, in robust standard deviations of the same answer all over the sheet. What is worth a look, and what
-# is a hole even where dots, lines or fibres make a large texture: nothing regular reaches the second.
-WORTH_A_LOOK = 4.0
+# Answer to a disc, in robust standard deviations of the same answer all over the sheet. What is worth measuring, and
+# what is a hole even where dots, lines or fibres make a large texture: nothing regular reaches the second.
+WORTH_MEASURING = 4.0
 LEAST_STANDING = 10.0
 # The floor of a hole is flat and its rim a step; a blotch of mottle is neither. Shares of the whole step; the char
 # around a hole may take two thirds of it.
@@ -33,11 +33,11 @@ LEAST_SHARPNESS = 0.45
 SHARP_ENOUGH, FLAT = 0.36, 0.05
 # Rim about its ellipse, rms: share of the radius, beside 0.3 pixels.
 LARGEST_ROUGHNESS = 0.09
-# Fewer pixels across a hole leave nothing to tell a rim from a slope by.
+# Fewer pixels across a hole cannot distinguish a rim from a slope.
 LEAST_PIXELS = 6.0
-# Holes of one laser look alike. How alike floors are they say themselves, within limits (shares of the depth): what
-# differs more is dirt or a pit (not so in transmitted light, where the share of the median step counts). So is what
-# differs in the diameter by the larger factor.
+# Holes of one laser look alike. How alike their floors are is measured on them, within limits (shares of the depth):
+# what differs more is dirt or a pit (not so in transmitted light, where the share of the median step counts). So is
+# what differs in the diameter by the larger factor.
 LEAST_OTHERS = 3
 # Floors have a long tail (real targets: 27 standard deviations), so only what is far off is out by its floor alone.
 FAR = 30.0
@@ -47,18 +47,18 @@ LEAST_SHARE_OF_MEDIAN = 0.5
 LARGEST_FACTOR = 1.6
 LIKE_SIZES = (0.12, 0.15)
 LIKE_OUTLINES = (0.03, 0.1)
-# For a floor whose rim is not seen all around; and how good an outline is no floor is better than, and how much better
+# For a floor whose rim is not found all around; and how good an outline is no floor is better than, and how much better
 # a floor has to be. The quality is the share of the rim less its roughness over its radius.
 RESEMBLING_FACTOR = 1.35
 CLEAR, BETTER = 0.95, 0.015
 # A floor that is deeper by this share of the step is that of the hole, and the other what lies beside it.
 DEEPER = 0.05
-# Share of the step that the burnt sheet has to take before it is looked for.
+# Share of the step that the burnt sheet has to take before it is searched.
 BURNT = 0.15
 # This much more of the step at the rim itself means that nothing is burnt.
 MORE_OF_THE_STEP = 0.15
 
-# Of the variance of a centre, what a rim's own roughness says; the rest is what all rims say.
+# Of the variance of a centre, the part of a rim's own roughness; the rest is that of all rims.
 OWN_WAVES = 0.5
 # Error that the raster adds, in pixels.
 PIXEL_ERROR = 0.02
@@ -272,8 +272,8 @@ def _quality(rows: Floats) -> Floats:
 def set_covariance(rows: Floats, size: tuple[float, float]) -> None:
     """Scale the covariances by the size of the wave that moves a centre, in place.
 
-    One rim has few waves to judge from, so what all rims of an image tell counts as much as a rim's own. Long waves are
-    larger than short ones, as with any rough line; the first is reached by going on in the square of the order.
+    One rim has few waves to judge from, so the roughness of all rims of an image counts as much as a rim's own. Long
+    waves are larger than short ones, as with any rough line; the first is extrapolated in the square of the order.
     """
     if not len(rows):
         return

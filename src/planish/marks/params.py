@@ -12,7 +12,7 @@ Diameter = Annotated[float, Field(gt=0)]
 
 
 class HoleParams(Params):
-    """Which holes are looked for."""
+    """Which holes are searched for."""
 
     hole_um: tuple[Diameter, Diameter] = option(
         (100.0, 300.0), metavar="LEAST,MOST", help="Range of hole diameters in um."

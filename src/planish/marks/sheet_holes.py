@@ -25,19 +25,19 @@ OTHER_SIDE = {THROUGH: "through", CLOSED: "closed", UNCLEAR: "unclear"}
 
 # A tapered hole is narrower, or wider, on the other side than what was asked for.
 OTHER_DIAMETER = 1.4
-# From one layer to another a hole moves by less than this share of its diameter: one that leans more is not round.
+# From one layer to another a hole moves by less than this share of its diameter: one that is more oblique is not round.
 REACH = 0.5
 # The middle of a hole, as a share of its diameter, and how much material in it closes a hole.
 MIDDLE, MATERIAL = 0.25, 0.5
 # Standard deviation of a normal distribution over its median absolute deviation; error of a median over that of a mean.
 MAD_TO_SD, MEDIAN_TO_MEAN = 1.4826, 1.2533
-# Holes seen on both sides: the median offset of fewer is no better than none. It counts from so many standard errors.
+# Holes found on both sides: the median offset of fewer is no better than none. It counts from so many standard errors.
 ENOUGH_THROUGH, STANDS_OUT = 4, 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Offsets:
-    """From the top's rim to the bottom's: (n, 2) of each hole, NaN where one is not seen; median, spread, error."""
+    """From the top's rim to the bottom's: (n, 2) of each hole, NaN where one is missing; median, spread, error."""
 
     each: Floats
     count: int
@@ -66,13 +66,13 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
     Dataset, dims (mark)
         Holes as :func:`planish.marks.find_holes` gives them, ``x, y`` in the coordinates of the maps and at the face.
         For each layer ``x_top, y_top, cov_xx_top, cov_yy_top, cov_xy_top, diameter_top``, and so on with ``_centre``
-        and ``_bottom``, where they were found; NaN where a hole is not seen. ``offset_x, offset_y``: from the top to
-        the bottom, um. ``other_side``: 0 seen on the other side, 1 closed there, 2 neither. Attributes:
+        and ``_bottom``, where they were found; NaN where a hole is missing. ``offset_x, offset_y``: from the top to
+        the bottom, um. ``other_side``: 0 found on the other side, 1 closed there, 2 neither. Attributes:
 
         - ``side``, that was searched, and ``layers``, those that are there;
-        - ``through``, ``closed``, ``unclear``: counts of ``other_side``; ``other_side_only``: what looks like a hole on
+        - ``through``, ``closed``, ``unclear``: counts of ``other_side``; ``other_side_only``: what was found on
           the other side and has no partner on this one;
-        - ``offset_count``, ``offset_um``, ``offset_spread_um``, ``offset_error_um``: holes seen on both sides, the
+        - ``offset_count``, ``offset_um``, ``offset_spread_um``, ``offset_error_um``: holes found on both sides, the
           median (x, y) of their offsets, the robust standard deviation, and the standard error of the median;
         - ``to_face_um``: (x, y) that was added to go from the layer to the face;
         - ``tilt_deg``: angle (x, y) of the median offset with the normal, where ``layers_apart_um`` is known.
@@ -87,7 +87,7 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
     An offset that all holes share is a laser that was not perpendicular, or a flattening that shears the layers: both
     move the marks against an image of one side by as much. Where it stands out from its error, what it makes from the
     layer to the face is added. Offsets of single holes are mostly the roughness of their rims and are left alone. Rims
-    of one hole lie within half its diameter; where it leans more, its layers are no longer round.
+    of one hole lie within half its diameter; where it is more oblique, its layers are no longer round.
 
     Examples
     --------
@@ -162,7 +162,7 @@ def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
         return None
     count, closed = int(holes.attrs["offset_count"]), int(holes.attrs["closed"])
     offset, error = (np.array(holes.attrs[k], dtype=np.float64) for k in ("offset_um", "offset_error_um"))
-    text = "No hole was seen on both sides of the sheet."
+    text = "No hole was found on both sides of the sheet."
     if np.isfinite(offset).all():
         text = (
             f"{count} holes run through the sheet, shifted by {np.hypot(*offset):.1f} um from its upper to its lower "
@@ -209,7 +209,7 @@ def _middle(share: NDArray[np.generic], pixel: tuple[float, float], at: Floats, 
 
 
 def _at_layers(found: dict[str, xr.Dataset], rows: dict[str, Ints]) -> xr.Dataset:
-    """Each layer's values of the holes, NaN where they are not seen."""
+    """Each layer's values of the holes, NaN where they are missing."""
     data: dict[str, tuple[str, Floats, dict[str, str]]] = {}
     about = next(iter(found.values()))
     for layer, place in PLACES.items():

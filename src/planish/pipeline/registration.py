@@ -161,7 +161,7 @@ def register_marks(
     pattern = read_design(r)
     designed = None
     if pattern is not None:
-        designed = DesignedHoles(name=pattern.name, places_um=pattern.seen_um, labels=tuple(pattern.labels))
+        designed = DesignedHoles(name=pattern.name, places_um=pattern.imaged_um, labels=tuple(pattern.labels))
     found = match_and_fit(*planes, params=r, pattern=designed)
     marks = _all_marks(moving, fixed, found.pairs, list(found.labels))
     return Registration(

@@ -1,6 +1,6 @@
 """A pattern of laser holes: where they are meant to be, how each is burnt, and what lies around them.
 
-Coordinates are those of the stage, seen as the laser sees the sheet: x to the right, y up. From the outside inwards::
+Coordinates are those of the stage, as the laser sees the sheet: x to the right, y up. From the outside inwards::
 
     view    what has to be imaged: the frame and a border around it; its lower left corner is the stage's origin
     frame   the rectangle on which the holes lie
@@ -118,7 +118,7 @@ class Pattern:
         return self.frame_um[0] + 2 * self.border_um, self.frame_um[1] + 2 * self.border_um
 
     @property
-    def seen_um(self) -> Array:
+    def imaged_um(self) -> Array:
         """Centres (n, 2) as an image of the laser's side shows them: from its upper left corner, y down."""
         points = self.points_um - self.origin_um
         return np.stack([points[:, 0], self.view_um[1] - points[:, 1]], axis=1)

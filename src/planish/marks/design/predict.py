@@ -1,4 +1,4 @@
-r"""How far maps will be off each other, told before a hole is burnt.
+r"""How far maps will be off each other, predicted before a hole is burnt.
 
 The centre of a hole is found from its outline. A rim whose radius varies by :math:`\sigma` over a length
 :math:`\ell` has :math:`n = \pi d / \ell` independent arcs; a circle through them is off by :math:`2 \sigma / \sqrt{n}`

@@ -138,7 +138,7 @@ def area_rule(pattern: Pattern, count: int) -> Rule:
 
 
 def code_rule(pattern: Pattern) -> Rule:
-    """Apply the rule that any 4 consecutive holes tell where they are."""
+    """Apply the rule that any 4 consecutive holes identify their place."""
     return Rule(
         name="code", value=code_misfit_um(pattern.points_um), limit=TOLERANCE_UM, sense="at least", unit="um",
         meaning="misfit of any 4 consecutive holes with any other 4", remedy=_REMEDY,

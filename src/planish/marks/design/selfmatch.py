@@ -1,7 +1,7 @@
 """How well a pattern can be laid on itself wrongly: turned, turned over, shifted or scaled.
 
 Every pair of holes is laid on every other pair of like length; the holes that then meet a hole are counted. A matcher
-that looks for the pattern sees the same wrong arrangements.
+that searches for the pattern meets the same wrong arrangements.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Bools = NDArray[np.bool_]
 
 TOLERANCE_UM = 25.0  # within which two marks are taken for one
 SCALE = 0.03  # how far a map's scale may be off its calibration
-CODE = 4  # consecutive holes that have to tell where they are
+CODE = 4  # consecutive holes that have to identify their place
 _SLACK = 1.5  # two holes fix the motion, and each may be off
 _TURN_DEG = 10.0  # what still counts as a half or a quarter turn
 _MOST_CELLS = 4_000_000
@@ -31,7 +31,7 @@ class Motions:
     Attributes
     ----------
     hit : (motions, n) bool
-        Which holes meet a hole. Where the motion is hardly a turn, a hole that meets itself does not count.
+        Which holes meet a hole. Where the motion is nearly no rotation, a hole that meets itself does not count.
     turn_deg : (motions,)
         Angle, -180 to 180.
     mirrored : (motions,) bool

@@ -118,8 +118,8 @@ def as_ratio(scale: float) -> str:
 
 def box(axes: Axes, low: Sequence[float], size: Sequence[float], **options: Any) -> None:
     """Draw a rectangle."""
-    look: dict[str, Any] = {"fill": False, "clip_on": False, **options}
-    axes.add_patch(Rectangle((low[0], low[1]), size[0], size[1], **look))
+    options_drawn: dict[str, Any] = {"fill": False, "clip_on": False, **options}
+    axes.add_patch(Rectangle((low[0], low[1]), size[0], size[1], **options_drawn))
 
 
 def dimension(axes: Axes, start: Sequence[float], end: Sequence[float], text: str) -> None:

@@ -265,7 +265,7 @@ def _words(text: str) -> list[tuple[str, float]]:
     while at < len(text):
         found = _WORD.match(text, at)
         if found is None:
-            raise MarkError(f"{text[at : at + 20]!r} is no word of the dialect ({_KNOWN})")
+            raise MarkError(f"{text[at : at + 20]!r} is not in the dialect ({_KNOWN})")
         if found[1] != "N":  # the number of a line
             words.append((found[1], float(found[2])))
         at = found.end()

@@ -14,18 +14,18 @@ from planish.marks.design.pattern import Burn, Pattern, own_pattern
 COLUMNS = ("label", "x_um", "y_um", "diameter_um")
 
 
-def holes_csv(pattern: Pattern, *, seen: bool = False) -> str:
+def holes_csv(pattern: Pattern, *, imaged: bool = False) -> str:
     """Write ``label,x_um,y_um,diameter_um``, a hole a row.
 
     Parameters
     ----------
-    seen : bool
+    imaged : bool
         Positions as an image of the laser's side shows them, from its upper left corner with y down, instead of
         those of the stage.
     """
     rows = [
         [label, *(f"{value:.6f}".rstrip("0").rstrip(".") for value in (x, y, pattern.burn.diameter_um))]
-        for label, (x, y) in zip(pattern.labels, pattern.seen_um if seen else pattern.points_um, strict=True)
+        for label, (x, y) in zip(pattern.labels, pattern.imaged_um if imaged else pattern.points_um, strict=True)
     ]
     return table_text(COLUMNS, rows)
 

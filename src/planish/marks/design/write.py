@@ -72,7 +72,7 @@ def write_design(
     files: dict[str, bytes] = {
         "pattern.json": pattern.to_json().encode(),
         "holes.csv": holes_csv(pattern).encode(),
-        "holes_as_imaged.csv": holes_csv(pattern, seen=True).encode(),
+        "holes_as_imaged.csv": holes_csv(pattern, imaged=True).encode(),
         "pattern.dxf": pattern_dxf(pattern).encode("ascii"),
         PROGRAM: program.encode("ascii"),
     }

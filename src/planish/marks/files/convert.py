@@ -233,7 +233,7 @@ def _recognised(content: Content) -> str:
 
 
 def _with_facts(marks: xr.Dataset, moving: LayerFacts, fixed: LayerFacts, swap: bool) -> xr.Dataset:
-    """Marks with what the user says of their layers beside what the file says."""
+    """Marks with what is known of their layers beside what the file states."""
     if swap:
         raise MarkError("A planish file says itself which layer is the moving one. Leave --swap out.")
     layers = {name: dict(about) for name, about in marks.attrs["layers"].items()}

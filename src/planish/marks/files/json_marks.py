@@ -105,7 +105,7 @@ class _File(_Part):
 
 
 def looks_like(content: Content) -> bool:
-    """Whether it says so."""
+    """Whether its ``format`` says so."""
     return content.json is not None and content.json.get("format") == FORMAT
 
 
@@ -232,7 +232,7 @@ def _is_covariance(cov: list[list[float]]) -> bool:
     if len(cov) != 2 or any(len(row) != 2 for row in cov):
         return False
     (xx, xy), (yx, yy) = cov
-    # Rounding may leave a determinant of a little less than nothing.
+    # Rounding may leave a determinant of a little less than zero.
     return xx >= 0 and yy >= 0 and xy == yx and xy * xy <= xx * yy * (1 + 1e-9)
 
 

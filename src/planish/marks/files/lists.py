@@ -61,7 +61,7 @@ class PointList:
 
 @dataclass(frozen=True, slots=True)
 class LayerFacts:
-    """What the user says of one layer.
+    """What is known of one layer.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ def join_lists(
     Parameters
     ----------
     lists : sequence of PointList
-        One, or moving and fixed; lists that are named the other way round are exchanged.
+        One, or moving and fixed; lists that are named in the other order are exchanged.
     name : str
         For messages.
     moving, fixed : LayerFacts
@@ -220,7 +220,7 @@ def _points(
     first = found.first if (unit or found.unit) == "pixel" else 0.0
     powers = {"um": 1, "um2": 2}
     extras = {k: v * factor[0] ** powers.get(EXTRAS[k][0], 0) for k, v in found.extras.items()}
-    with np.errstate(over="ignore", invalid="ignore"):  # what is too far away is told by check_marks
+    with np.errstate(over="ignore", invalid="ignore"):  # check_marks refuses what is too far away
         return shift + (values - first) * factor, extras
 
 

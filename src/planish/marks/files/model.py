@@ -153,7 +153,7 @@ def labels_of(marks: xr.Dataset) -> list[str]:
 
 
 def used_of(marks: xr.Dataset) -> NDArray[np.bool_]:
-    """Which marks take part in a fit; all where it is not said."""
+    """Which marks take part in a fit; all where it is not stated."""
     if "used" in marks:
         return np.asarray(marks["used"].values).astype(bool)
     return np.ones(marks.sizes.get("mark", 0), dtype=bool)

@@ -1,4 +1,4 @@
-"""Marks that cannot be right: not to be told apart, without a place, or not in their layer.
+"""Marks that cannot be right: not unique, without a position, or not in their layer.
 
 Where the extent of a layer is known, pixels or millimetres that were taken for um, and x and y that are exchanged, are
 recognised by it.
@@ -21,12 +21,12 @@ FARTHEST_UM = 1e9
 SLACK = 0.05
 """Marks may lie outside their layer by this share of it: borders are cut in many ways."""
 LEAST_MARKS = 3
-_LEAST_FACTOR = 1.5  # pixels of nearly 1 um cannot be told from um
+_LEAST_FACTOR = 1.5  # pixels of nearly 1 um cannot be distinguished from um
 _MM_SPAN = 0.01
 
 
 def check_marks(marks: xr.Dataset, name: str) -> None:
-    """Refuse marks that cannot be told apart or lie at no finite place."""
+    """Refuse marks that are not unique or lie at no finite position."""
     labels, used = labels_of(marks), used_of(marks)
     if not labels:
         raise MarkError(f"{name} holds no mark. Set marks in both layers and save them again.")
@@ -36,12 +36,12 @@ def check_marks(marks: xr.Dataset, name: str) -> None:
         missing = np.isnan(points)
         wrong = (np.abs(points) > FARTHEST_UM).any(axis=1) | (missing.any(axis=1) & ~missing.all(axis=1))
         faults += [f"{labels[k]} has no position within a kilometre in {layer}" for k in np.flatnonzero(wrong)]
-        seen: dict[tuple[float, ...], str] = {}
+        first: dict[tuple[float, ...], str] = {}
         for k in np.flatnonzero(used & np.isfinite(points).all(axis=1)):
             place = tuple(float(v) for v in points[k])
-            if place in seen:
-                faults.append(f"{seen[place]} and {labels[k]} have the same position in {layer}")
-            seen.setdefault(place, labels[k])
+            if place in first:
+                faults.append(f"{first[place]} and {labels[k]} have the same position in {layer}")
+            first.setdefault(place, labels[k])
     refuse(name, faults, "Give each mark a label and a place of its own.")
 
 
