@@ -170,8 +170,8 @@ def _stretch(found: Choice) -> str:
 def _refuse_confusable(sides: str, a: Floats, b: Floats, least_um: float) -> None:
     """Three marks are not enough where two sides of the triangle are alike, on either side."""
     for corners in (a, b):
-        sides = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
-        if np.diff(sides).min() < least_um:
+        lengths = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
+        if np.diff(lengths).min() < least_um:
             raise CannotRegister(
                 f"{sides}: three marks match, but two of their three distances are alike within {least_um:g} um, so "
                 "they could be taken for one another. Add a fourth mark, give the pattern that was burnt (--design) or "
