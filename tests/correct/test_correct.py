@@ -281,7 +281,7 @@ def test_import_corrects_on_the_way(planish, tmp_path, tiff):
         "import", tiff, "-o", out, "--voxel-um", VOXEL, "--correct-rings", "--correct-cupping", "--rotation-axis", "y"
     )
     assert code == 0
-    assert "Rings: 2 taken off" in told
+    assert "Rings: 2 corrected" in told
     assert "Cupping: " in told
     record = json.loads((tmp_path / "sheet.corrections.json").read_text())
     assert record["asked"] == ["rings", "cupping"]

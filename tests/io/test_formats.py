@@ -261,7 +261,7 @@ def test_a_log_is_read_by_section_and_kept(tmp_path: Path) -> None:
     [
         ("Sections Count=12", "Sections Count=13", r"contradicts itself: 13 sections, but from 20 to 31 in steps of 1"),
         ("First Section=20", "First Section=19", r"contradicts itself"),
-        ("(pixels)=19", "(pixels)=38", r"is 17 x 19 pixels, Núria_rec\.log tells of 17 x 38"),
+        ("(pixels)=19", "(pixels)=38", r"is 17 x 19 pixels, Núria_rec\.log states 17 x 38"),
         ("Prefix=Núria_rec", "Prefix=Juan_rec", r"holds no slice named Juan_rec and a number"),
         ("Step=1", "Step=0", r"no number for 'Section to Section Step'"),
     ],
@@ -279,11 +279,11 @@ def test_a_log_that_does_not_fit_is_an_error(tmp_path: Path, old: str, new: str,
 def test_missing_sections_of_a_log_are_named(tmp_path: Path) -> None:
     folder = write_nrecon(tmp_path, VALUES, CUBE)
     (folder / "Núria_rec00000024.png").unlink()
-    with pytest.raises(VolumeError, match=r"tells of 12 sections, .* holds 11\. Missing: 24\."):
+    with pytest.raises(VolumeError, match=r"states 12 sections, .* holds 11\. Missing: 24\."):
         read_volume(folder)
     Image.fromarray(VALUES[4]).save(folder / "Núria_rec00000024.png")
     Image.fromarray(VALUES[4]).save(folder / "Núria_rec00000090.png")
-    with pytest.raises(VolumeError, match=r"slices that .* does not tell of: 90"):
+    with pytest.raises(VolumeError, match=r"slices that .* does not name: 90"):
         read_volume(folder)
 
 

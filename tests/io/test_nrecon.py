@@ -52,7 +52,7 @@ def test_a_size_given_by_hand_must_agree(scan):
 
 
 def test_missing_slices_are_noticed(scan):
-    with pytest.raises(VolumeError, match=r"tells of 12 sections.*holds 9"):
+    with pytest.raises(VolumeError, match=r"states 12 sections.*holds 9"):
         read_volume(scan(count=12))
 
 

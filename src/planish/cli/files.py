@@ -83,7 +83,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
         )
         write_store(
             data, out, memory_bytes=compute.volume_bytes, ome=ome,
-            tell=lambda what, done, count: progress(what, f"block {done} of {count}"),
+            progress=lambda what, done, count: progress(what, f"block {done} of {count}"),
         )  # fmt: skip
     write_record()
     click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
@@ -106,7 +106,7 @@ def _corrected(
         refuse_existing(path)
     found = correct_volume(
         data, axis=wanted.get("axis", "z"), centre_um=wanted.get("centre_um"),
-        memory_bytes=memory_bytes, tell=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
+        memory_bytes=memory_bytes, progress=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
         rings=wanted.get("rings", False), cupping=wanted.get("cupping", False),
     )  # fmt: skip
     for sentence in found.record.sentences:

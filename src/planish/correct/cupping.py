@@ -23,7 +23,7 @@ _ROUNDS = 40  # of sorting and fitting
 _LEAST_VOXELS = 3000  # of a material
 _LEAST_RADII = 8
 _CLEAR = 3.0  # standard errors
-_UNSURE = 3.0  # times the error of the other material: then a material has no say
+_UNSURE = 3.0  # times the error of the other material: then a material does not count
 _LOWEST = 0.5  # per cent: what is less does not matter
 _PURE = 0.05  # of the voxels of a depth may be of the other material
 _AGREE = 3.0  # standard errors by which base and coating may differ
@@ -62,10 +62,10 @@ class _Fit:
         return float(np.sqrt(own**2 + max(between, 0.0)))
 
 
-def _jackknife(told: Array) -> Array:
+def _jackknife(values: Array) -> Array:
     """Standard errors (k,) from values (group, k) with each group left out."""
-    n = len(told)
-    return np.sqrt((n - 1) / n * np.sum((told - told.mean(axis=0)) ** 2, axis=0))
+    n = len(values)
+    return np.sqrt((n - 1) / n * np.sum((values - values.mean(axis=0)) ** 2, axis=0))
 
 
 def loss(powers: Array) -> float:
@@ -114,13 +114,13 @@ def find_cupping(
     if not fits:
         return None, (), "Cupping: too few voxels lie inside the sheet, nothing was corrected."
     powers, percent, se, agree = _shared(list(fits.values()))
-    told = ", ".join(f"{t.material} {t.before:.1f} +- {t.se:.1f} %" for t in trends)
+    each = ", ".join(f"{t.material} {t.before:.1f} +- {t.se:.1f} %" for t in trends)
     if not agree:
-        return None, trends, f"Cupping: base and coating contradict each other ({told}), nothing was corrected."
+        return None, trends, f"Cupping: base and coating contradict each other ({each}), nothing was corrected."
     if abs(percent) < max(_CLEAR * se, _LOWEST):
-        return None, trends, f"Cupping: no trend against the radius beyond its error ({told}), nothing was corrected."
+        return None, trends, f"Cupping: no trend against the radius beyond its error ({each}), nothing was corrected."
     found = Cupping(percent=percent, se=se, powers=tuple(float(p) for p in powers), reach_um=reach)
-    return found, trends, f"Cupping: {percent:.1f} +- {se:.1f} % in the middle taken off ({told})."
+    return found, trends, f"Cupping: {percent:.1f} +- {se:.1f} % in the middle corrected ({each})."
 
 
 def middle_factor(sums: Sums, turning: Turning, cupping: Cupping) -> float:
@@ -195,7 +195,7 @@ def _powers(histogram: Counts, low: float, high: float, share: Array, offset: Ar
         ends = low * curve + offset, high * curve + offset
         n = _between(count, *ends)
         grey = _between(total, *ends) / np.maximum(n, 1.0) - offset
-        # A depth has to be there at many radii, or its level cannot be told from the trend.
+        # A depth has to be there at many radii, or its level cannot be separated from the trend.
         used = (n > 0.02 * n.max()) & ~mixed[depth]
         used &= (np.bincount(depth, used, depths) >= _LEAST_RADII)[depth]
         if n.sum() < _LEAST_VOXELS or not used.any():
@@ -250,7 +250,7 @@ def _shared(fits: list[_Fit]) -> tuple[Array, float, float, bool]:
         w = 1.0 / errors**2
         powers = (w[0] * a.powers + w[1] * b.powers) / w.sum()
         return powers, loss(powers), float(1.0 / np.sqrt(w.sum())), True
-    # What both share is taken off, and no more: the rest is the sheet's own.
+    # What both share is corrected, and no more: the rest is the sheet's own.
     if a.percent * b.percent <= 0:
         return a.powers, a.percent, a.se, False
     least = a if abs(a.percent) < abs(b.percent) else b

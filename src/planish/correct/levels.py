@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SMOOTHING_PX = 1.5
-"""Gaussian in a slice after which a single voxel tells its material in spite of the noise."""
+"""Gaussian in a slice after which a single voxel shows its material in spite of the noise."""
 
 _BINS = 160
 _WINDOW = 9
@@ -37,7 +37,7 @@ class Levels:
     padding : float
         Value of voxels that hold nothing; NaN for none.
     air_cut : bool
-        Whether the export has cut off the air's noise, so that its mean tells nothing.
+        Whether the export has cut off the air's noise, so that its mean is biased.
     """
 
     air: float

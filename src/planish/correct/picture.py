@@ -1,4 +1,4 @@
-"""One figure of a correction: grey against the radius, and a slice before, after, and what was taken off."""
+"""One figure of a correction: grey against the radius, and a slice before, after, and the difference."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _profiles(axes: Axes, corrected: Corrected) -> None:
                 )  # fmt: skip
     for ring in record.rings:
         axes.axvline(ring.radius_um, color="#999999", lw=0.6, ls=":", zorder=0)
-    axes.set_xlabel(f"Radius about {turning.axis} in um (dotted: rings taken off)")
+    axes.set_xlabel(f"Radius about {turning.axis} in um (dotted: rings corrected)")
     axes.set_ylabel("Mean grey")
     axes.set_xlim(0, turning.farthest_um * 1.06)
     axes.legend(frameon=False, loc="center right", fontsize=8, ncols=2, bbox_to_anchor=(1.0, 0.66))

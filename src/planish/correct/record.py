@@ -58,7 +58,7 @@ class Trend:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cupping:
-    """The cupping that was taken off.
+    """The cupping that was corrected.
 
     Attributes
     ----------
@@ -91,11 +91,11 @@ class Corrections:
     air, sheet : float or None
         Greys; None where no sheet stands out.
     rings : tuple of Ring
-        Those that were taken off.
+        Those that were corrected.
     ring_limit : float or None
         Median over the radii of the height that would have been found, as a share of the contrast.
     cupping : Cupping or None
-        None where nothing was taken off.
+        None where nothing was corrected.
     trends : tuple of Trend
         Of each material against the radius, before and after.
     clipped : float

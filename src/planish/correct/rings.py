@@ -1,4 +1,4 @@
-"""Rings: what is added at a radius all around the axis, told from what the sheet does there.
+"""Rings: what is added at a radius all around the axis, separated from the structure of the sheet there.
 
 Each material is compared with itself: the mean grey of a part of a circle against the running median of the same part
 over neighbouring radii. A ring shows alike in every part of the turn, along the axis and in every material; a layer or
@@ -138,14 +138,14 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> Rings:
 
 
 def left_over(rings: Rings, after: Rings) -> tuple[Ring, ...]:
-    """Say of each ring what is left of it; its crest is weighed with its own shape."""
-    told: list[Ring] = []
+    """What is left of each ring; its crest is weighed with its own shape."""
+    found: list[Ring] = []
     for ring, shape in zip(rings.found, rings.shapes, strict=True):
         inside = (shape != 0) & np.isfinite(after.profile)
         power = float(np.sum(shape[inside] ** 2))
         share = float(np.sum(shape[inside] * after.profile[inside])) / power if power else float("nan")
-        told.append(replace(ring, share_after=ring.share * share))
-    return tuple(told)
+        found.append(replace(ring, share_after=ring.share * share))
+    return tuple(found)
 
 
 def _residuals(sums: Sums, rings: Array) -> tuple[Array, Array]:
@@ -177,7 +177,7 @@ def _residuals(sums: Sums, rings: Array) -> tuple[Array, Array]:
 
 
 def _combined(residual: Array, weight: Array) -> tuple[Array, Array]:
-    """Robust mean (bin,) over parts (part, bin) and its standard error; NaN where too few parts speak."""
+    """Robust mean (bin,) over parts (part, bin) and its standard error; NaN where too few parts have values."""
     total = weight.sum(axis=0)
     sure = np.divide(total**2, np.sum(weight**2, axis=0), out=np.zeros_like(total), where=total > 0) >= min(
         _PARTS, 0.6 * len(weight)
@@ -210,16 +210,16 @@ def _weighted_median(values: Array, weight: Array) -> Array:
 def _intervals(profile: Array, error: Array, share: float) -> list[tuple[int, int]]:
     """First and last bin of every ring that has ``share`` of the height of the highest."""
     height = np.nan_to_num(profile)
-    told = np.where(np.isfinite(error), np.abs(height) / np.nan_to_num(error, nan=1.0), 0.0)
-    # What fills one bin only is no ring: its neighbours have to speak for it.
-    told = np.minimum(
-        told,
-        ndimage.uniform_filter1d(np.where(told > 0, height, 0.0), 3)
-        / np.where(told > 0, height, 1.0)
-        * told
+    clarity = np.where(np.isfinite(error), np.abs(height) / np.nan_to_num(error, nan=1.0), 0.0)
+    # What fills one bin only is no ring: its neighbours have to show it too.
+    clarity = np.minimum(
+        clarity,
+        ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3)
+        / np.where(clarity > 0, height, 1.0)
+        * clarity
         * np.sqrt(3.0),
     )
-    clear = (told > _CLEAR) & (np.abs(height) > _LOWEST)
+    clear = (clarity > _CLEAR) & (np.abs(height) > _LOWEST)
     highest = float(np.abs(height[clear]).max()) if clear.any() else 0.0
     seeds = np.flatnonzero(clear & (np.abs(height) >= share * highest))
     found: list[tuple[int, int]] = []
@@ -227,10 +227,10 @@ def _intervals(profile: Array, error: Array, share: float) -> list[tuple[int, in
         if found and seed <= found[-1][1]:
             continue
         ends: list[int] = []
-        for way in (-1, 1):
+        for step in (-1, 1):
             at = int(seed)
-            while 0 <= at + way < height.size and told[at + way] > _FOOT and height[at + way] * height[seed] > 0:
-                at += way
+            while 0 <= at + step < height.size and clarity[at + step] > _FOOT and height[at + step] * height[seed] > 0:
+                at += step
             ends.append(at)
         if _NARROWEST <= ends[1] - ends[0] + 1 <= _MOST_BINS:
             found.append((ends[0], ends[1]))

@@ -15,7 +15,7 @@ from planish.correct.params import Axis
 Array = NDArray[np.float64]
 
 SECTORS = 16
-"""Parts of a full turn that are told apart: a ring shows in all of them, a structure of the sheet does not."""
+"""Parts of a full turn that are compared: a ring shows in all of them, a structure of the sheet does not."""
 
 _LEAST_PLANE, _LEAST_LENGTH = 24, 8
 _FAR = 0.5  # of the field's width; an axis further outside is taken for a mistake
@@ -108,7 +108,7 @@ def make_turning(volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float
     if shape[0] < _LEAST_LENGTH:
         raise VolumeError(
             f"The volume has {shape[0]} voxel(s) along {axis}, the axis of rotation; at least {_LEAST_LENGTH} are "
-            "needed to tell a ring from the sheet. Give the whole stack, or another axis with --rotation-axis."
+            "needed to separate a ring from the sheet. Give the whole stack, or another axis with --rotation-axis."
         )
     if min(shape[1:]) < _LEAST_PLANE:
         raise VolumeError(

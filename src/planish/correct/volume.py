@@ -1,4 +1,4 @@
-"""The door: look at a volume, and give it back corrected, without holding it in memory."""
+"""Entry point: inspect a volume and return it corrected, without holding it in memory."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from planish.correct.sums import Slice, Sums, slices_of, take_sums
 from planish.correct.turning import Turning, make_turning
 
 Array = NDArray[np.float64]
-Tell = Callable[[str, str], None]
+Progress = Callable[[str, str], None]
 
 _LOOK = 24  # slices of the first look
 
@@ -121,7 +121,7 @@ class Corrected:
 
 def correct_volume(
     volume: xr.DataArray, *, params: CorrectParams, memory_bytes: int = 2**30, threads: int | None = None,
-    tell: Tell | None = None,
+    progress: Progress | None = None,
 ) -> Corrected:  # fmt: skip
     """Find rings and cupping of a micro-CT volume and correct them.
 
@@ -135,7 +135,7 @@ def correct_volume(
         What the slabs may take.
     threads : int, optional
         No result depends on it.
-    tell : callable, optional
+    progress : callable, optional
         Called with what is done and how far it is.
 
     Returns
@@ -166,7 +166,7 @@ def correct_volume(
         )
     turning = make_turning(volume, params.axis, params.centre_um)
     threads = count_threads(threads)
-    say = tell or _silent
+    report = progress or _silent
     record = Corrections(axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=turning.shape[0])
     look = [values for _, values in slices_of(volume, turning, most=_LOOK, memory_bytes=memory_bytes)]
     rows, cols = np.arange(turning.shape[1]), np.arange(turning.shape[2])
@@ -177,7 +177,7 @@ def correct_volume(
     record = replace(record, air=levels.air, sheet=levels.sheet)
 
     def sums(slices: Iterator[tuple[int, Slice]], what: str) -> Sums:
-        say(what, f"{turning.shape[0]} slices across {params.axis}")
+        report(what, f"{turning.shape[0]} slices across {params.axis}")
         return take_sums(slices, turning, levels, threads=threads)
 
     before = sums(slices_of(volume, turning, memory_bytes=memory_bytes), "rings and cupping")
@@ -214,7 +214,7 @@ def _decide(before: Sums, turning: Turning, levels: Levels, record: Corrections)
     if "rings" in record.asked:
         if rings.found:
             highest = max(abs(r.share) for r in rings.found)
-            sentences.append(f"Rings: {len(rings.found)} taken off, the highest {100 * highest:.1f} % of the contrast.")
+            sentences.append(f"Rings: {len(rings.found)} corrected, the highest {100 * highest:.1f} % of the contrast.")
         else:
             limit = f"one of {100 * rings.limit:.1f} % of the sheet's contrast would have been found"
             sentences.append(f"Rings: no rings above noise ({limit}), nothing was corrected.")
@@ -249,4 +249,4 @@ def _finished(
 
 
 def _silent(_what: str, _how_far: str) -> None:
-    """Say nothing."""
+    """Report nothing."""

@@ -34,7 +34,7 @@ class Format:
     suffixes : tuple of str
         Ends of the names of its files or folders, in small letters.
     members : tuple of str
-        Names that tell a folder of this format whatever its own name.
+        Names of files that mark a folder of this format, whatever its own name.
     parts : bool
         Whether ``path:part`` chooses one volume of several.
     """

@@ -16,7 +16,7 @@ MEMORY_SHARE = 0.75
 """Part of the available memory that one file may fill; the rest is for the work on it."""
 
 MEMORY_UNKNOWN_BYTES = 8 * 2**30
-"""What is assumed where the system does not tell."""
+"""What is assumed where the system does not report it."""
 
 BLOWN_UP_RATIO = 2000
 """Decoded over stored bytes. Deflate ends at 1032, LZW at about 1400, and scans, which are noisy, far below."""
@@ -53,7 +53,7 @@ class _Quiet:
                 log.disabled = True
 
     def leave(self) -> None:
-        """Let them speak again after the last reader has left."""
+        """Restore them after the last reader has left."""
         with self._lock:
             self._inside -= 1
             if self._inside == 0:
@@ -134,7 +134,7 @@ def default_memory_limit() -> int:
 
 
 def available_memory_bytes() -> int:
-    """Physical memory that is free or can be freed, or a cautious number where the system does not tell."""
+    """Physical memory that is free or can be freed, or a cautious number where the system does not report it."""
     table = Path("/proc/meminfo")
     if table.is_file():
         for line in table.read_text(encoding="ascii", errors="replace").splitlines():

@@ -1,4 +1,4 @@
-"""A hash that tells whether two volumes or images, in one file or many, hold the same bytes."""
+"""A hash by which two volumes or images, in one file or many, can be compared byte by byte."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def choose(path: Path) -> tuple[Path, str]:
 
 
 def check_values(dataset: Any, path: Path) -> tuple[str, ...]:
-    """Refuse a data set without values; tell where some are missing."""
+    """Refuse a data set without values; report where some are missing."""
     if dataset.is_virtual:
         return ()
     if dataset.id.get_storage_size() == 0:

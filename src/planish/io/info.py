@@ -16,7 +16,7 @@ from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
 from planish.io.lazy import FileArray
 from planish.io.loaded import LoadedVolume
-from planish.io.look import look
+from planish.io.look import inspect_values
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.io.sizes import PIXEL, VOXEL, Asked, Stated, agreed_size
@@ -46,7 +46,7 @@ def describe(
     override_size: bool = False,
     memory_bytes: int | None = None,
 ) -> dict[str, Any]:
-    """Look through a volume or an image and tell what it holds; of large volumes, a few slices are looked at.
+    """Inspect a volume or an image and report what it holds; of large volumes, a few slices are read.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def describe(
         ``extent_um``, ``min``, ``max``, ``percentiles``, ``nan_share``, ``saturated_share`` (values at the largest the
         type can store), ``bottom_share`` (values of 0), ``sampled`` (which slices were looked at; None for all), and
         ``warnings``, a list of sentences. For volumes also ``format``, ``stored`` (how they are read), ``run_bytes``
-        and ``run_seconds`` (rough estimates for ``planish map``), ``metadata`` (what a log tells, and choices made).
+        and ``run_seconds`` (rough estimates for ``planish map``), ``metadata`` (what a log states, and choices made).
 
     Raises
     ------
@@ -88,11 +88,11 @@ def describe(
         step = slice_step(slice_numbers(list_slices(path), path))
         if step > 1:
             warnings.append(f"The slices are numbered in steps of {step}: the z size must be that of {step} slices.")
-    seen = look(loaded.values, loaded.full_scale, warnings, dims=VOXEL.axes)
+    found_values = inspect_values(loaded.values, loaded.full_scale, warnings, dims=VOXEL.axes)
     size = size_facts(
         loaded.stated, voxel_um, loaded.values.shape, warnings, name=path.name, asked=VOXEL, override=override_size
     )
-    warnings += size_doubts(size["size_um"]) + window_doubts(loaded, seen)
+    warnings += size_doubts(size["size_um"]) + window_doubts(loaded, found_values)
     if isinstance(loaded.values, FileArray) and loaded.values.whole_slices:
         warnings.append(
             "It does not fit into the memory, and its slices can only be decoded whole. Bring it into a store with "
@@ -104,7 +104,7 @@ def describe(
         "bytes": loaded.file_bytes,
         "format": found.name,
         "stored": how_stored(loaded.values),
-        **seen,
+        **found_values,
         **size,
         **estimates(loaded.values),
         "metadata": dict(loaded.attrs),
@@ -113,7 +113,7 @@ def describe(
 
 
 def how_stored(values: NDArray[Any] | FileArray) -> str:
-    """Say how a volume is held."""
+    """How a volume is held."""
     if isinstance(values, FileArray):
         return "read in parts when they are needed"
     return "mapped from its file" if isinstance(values, np.memmap) else "decoded in memory"
@@ -147,15 +147,15 @@ def size_doubts(size_um: Sequence[float] | None) -> list[str]:
     return found
 
 
-def window_doubts(loaded: LoadedVolume, seen: Mapping[str, Any]) -> list[str]:
+def window_doubts(loaded: LoadedVolume, values: Mapping[str, Any]) -> list[str]:
     """What an 8-bit reconstruction has lost: attenuation outside the window that was chosen for the grey values."""
     window = loaded.attrs.get("attenuation_window")
     if window is None or loaded.values.dtype != np.uint8:
         return []
     return [
         f"NRecon wrote 8 bits: grey 0 to 255 is attenuation {window[0]:g} to {window[1]:g}, and what lies outside was "
-        f"cut ({100 * seen['bottom_share']:.3g} % of the values are 0, {100 * seen['saturated_share']:.3g} % are 255). "
-        "16 bits lose nothing."
+        f"cut ({100 * values['bottom_share']:.3g} % of the values are 0, {100 * values['saturated_share']:.3g} % are "
+        "255). 16 bits lose nothing."
     ]
 
 
@@ -167,7 +167,7 @@ def describe_sections(
     override_size: bool,
     memory_bytes: int | None,
 ) -> dict[str, Any]:
-    """Tell what a folder of sections with its counter holds, as photographed."""
+    """Report what a folder of sections with its counter holds, as photographed."""
     problem = None
     try:
         stack = read_section_stack(
@@ -179,7 +179,7 @@ def describe_sections(
         )
     except SizeError as error:
         problem = str(error)
-        # The values are told all the same; their size is not.
+        # The values are reported all the same; their size is not.
         stack = read_section_stack(path, voxel_um=1.0, channel=channel, override_size=True, memory_bytes=memory_bytes)
     steps = np.diff(stack.positions_um)
     step = float(np.median(steps))
@@ -198,7 +198,7 @@ def describe_sections(
         "kind": "sections",
         "file_name": path.name,
         "bytes": int(stack.attrs["file_bytes"]),
-        **look(stack.values, stack.attrs["full_scale"], warnings, dims=VOXEL.axes),
+        **inspect_values(stack.values, stack.attrs["full_scale"], warnings, dims=VOXEL.axes),
         "size_um": size,
         "size_source": None if problem else str(stack.attrs["voxel_um_source"]),
         "size_problem": problem,
@@ -214,7 +214,7 @@ def describe_image(
     override_size: bool,
     memory_bytes: int | None,
 ) -> dict[str, Any]:
-    """Tell what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
+    """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
     picture = load_picture(path, memory_bytes=memory_bytes)
     warnings: list[str] = []
     try:
@@ -233,7 +233,7 @@ def describe_image(
         "kind": "image",
         "file_name": path.name,
         "bytes": size_of_file(path),
-        **look(values, picture.full_scale, warnings, dims=PIXEL.axes),
+        **inspect_values(values, picture.full_scale, warnings, dims=PIXEL.axes),
         "dtype": str(picture.values.dtype),
         "colour": picture.colour,
         "channels": samples,

@@ -175,7 +175,7 @@ class ChangedArray(FileArray):
 
 
 class TurnedArray(FileArray):
-    """An array seen with its axes in another order, without those of length 1 that are left out of `order`."""
+    """An array with its axes in another order, without those of length 1 that are left out of `order`."""
 
     def __init__(self, inner: FileArray, order: Sequence[int]) -> None:
         self.inner, self.order = inner, tuple(order)

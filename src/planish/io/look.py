@@ -36,8 +36,8 @@ Values = NDArray[Any] | FileArray
 
 
 @dataclass(kw_only=True)
-class Seen:
-    """What was seen on the way through the planes; each plane is seen once."""
+class Statistics:
+    """Statistics of the values, collected plane by plane."""
 
     full_scale: int | None
     stride: int
@@ -52,8 +52,8 @@ class Seen:
     sample: list[NDArray[Any]] = field(default_factory=list[NDArray[Any]])
     digests: set[bytes] = field(default_factory=set[bytes])
 
-    def see(self, number: int, plane: NDArray[Any], *, sampled: bool) -> None:
-        """Take in one plane."""
+    def add(self, number: int, plane: NDArray[Any], *, sampled: bool) -> None:
+        """Add one plane."""
         numbers = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
         self.count += plane.size
         self.finite += numbers.size
@@ -77,23 +77,25 @@ class Seen:
             self.digests.add(digest)
 
 
-def look(values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]) -> dict[str, Any]:
+def inspect_values(
+    values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]
+) -> dict[str, Any]:
     """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
-    numbers = planes_to_see(values)
+    numbers = planes_to_read(values)
     total = values.shape[0]
     share = len(numbers) / total
     stride = max(1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim)))
-    seen = Seen(full_scale=full_scale, stride=stride)
+    found = Statistics(full_scale=full_scale, stride=stride)
     for index, number in enumerate(numbers):
-        seen.see(number, np.asarray(values[number]), sampled=index % stride == 0)
-    saturated_share = seen.saturated / seen.count
-    nan_share = 1 - seen.finite / seen.count
-    low, high = (seen.low, seen.high) if seen.finite else (None, None)
+        found.add(number, np.asarray(values[number]), sampled=index % stride == 0)
+    saturated_share = found.saturated / found.count
+    nan_share = 1 - found.finite / found.count
+    low, high = (found.low, found.high) if found.finite else (None, None)
     if low is None:
         warnings.append("There is no number in it, all values are missing.")
         percentiles: dict[str, float | None] = dict.fromkeys((str(p) for p in PERCENTILES), None)
     else:
-        sample = sorted_sample(seen.sample, lambda: (np.asarray(values[number]) for number in numbers))
+        sample = sorted_sample(found.sample, lambda: (np.asarray(values[number]) for number in numbers))
         levels = int(np.count_nonzero(np.diff(sample)) + 1)
         percentiles = {str(p): float(np.percentile(sample, p)) for p in PERCENTILES}
         if low == high:
@@ -108,7 +110,7 @@ def look(values: Values, full_scale: int | None, warnings: list[str], *, dims: t
             "grey levels were cut there."
         )
     if low != high:
-        warnings.extend(wrong_slices(seen))
+        warnings.extend(wrong_slices(found))
     return {
         "dims": list(dims),
         "shape": list(values.shape),
@@ -118,12 +120,12 @@ def look(values: Values, full_scale: int | None, warnings: list[str], *, dims: t
         "percentiles": percentiles,
         "nan_share": nan_share,
         "saturated_share": saturated_share,
-        "bottom_share": seen.bottom / seen.count,
+        "bottom_share": found.bottom / found.count,
         "sampled": None if len(numbers) == total else f"{len(numbers)} of {total} slices",
     }
 
 
-def planes_to_see(values: Values) -> list[int]:
+def planes_to_read(values: Values) -> list[int]:
     """Numbers of the planes to look at: all, or evenly spread ones where reading all would take long."""
     total = values.shape[0]
     if values.ndim < 3 or values.nbytes <= EAGER_BYTES:
@@ -140,17 +142,18 @@ def sorted_sample(sample: list[NDArray[Any]], again: Callable[[], Iterator[NDArr
     return np.sort(joined)
 
 
-def wrong_slices(seen: Seen) -> list[str]:
+def wrong_slices(values: Statistics) -> list[str]:
     """Sentences about slices of one grey and about slices that occur twice."""
     found: list[str] = []
-    if seen.constant:
+    one, twice = values.constant, values.copies
+    if one:
         found.append(
-            f"{len(seen.constant)} slices have one grey value only (black or empty), z {some(seen.constant)}: the scan "
-            "ended there, or files were damaged."
+            f"{len(one)} slices have one grey value only (black or empty), z {some(one)}: the scan ended there, or files "
+            "were damaged."
         )
-    if seen.copies:
+    if twice:
         found.append(
-            f"{len(seen.copies)} slices hold the same values as a slice before them, z {some(seen.copies)}: were they "
-            "copied to fill gaps?"
+            f"{len(twice)} slices hold the same values as a slice before them, z {some(twice)}: were they copied to "
+            "fill gaps?"
         )
     return found

@@ -23,7 +23,7 @@ LARGEST_LOG = 10_000_000
 
 Keys = Mapping[str, str]
 
-TOLD = {
+KEPT = {
     "system": ("Scanner", "Software version", "Software", "Source Type", "Camera"),
     "acquisition": (
         "Source Voltage (kV)", "Source Current (uA)", "Filter", "Exposure (ms)", "Rotation Step (deg)",
@@ -36,12 +36,12 @@ TOLD = {
         "Minimum for CS to Image Conversion", "Maximum for CS to Image Conversion",
     ),
 }  # fmt: skip
-"""What of a log tells a reader how the volume was made."""
+"""Keys of a log that describe how the volume was made."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """What a log tells.
+    """What a log states.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Scan:
         Of a slice.
     window : (float, float) or None
         Attenuation at grey 0 and at the largest grey value, in the units of NRecon.
-    told : dict
+    kept : dict
         Further keys, as written.
     """
 
@@ -71,7 +71,7 @@ class Scan:
     width: int | None
     height: int | None
     window: tuple[float, float] | None
-    told: dict[str, str]
+    kept: dict[str, str]
 
 
 def rec_log(folder: Path) -> Path | None:
@@ -108,7 +108,7 @@ def read_log(path: Path) -> dict[str, dict[str, str]]:
 
 
 def read_scan(folder: Path) -> Scan | None:
-    """Read the log of a folder; None where none tells of a reconstruction."""
+    """Read the log of a folder; None where there is none of a reconstruction."""
     log = rec_log(folder)
     sections = {} if log is None else read_log(log)
     keys = sections.get("reconstruction")
@@ -139,9 +139,9 @@ def read_scan(folder: Path) -> Scan | None:
         width=_count(keys.get("result image width (pixels)")),
         height=_count(keys.get("result image height (pixels)")),
         window=None if low is None or high is None or low >= high else (low, high),
-        told={
+        kept={
             name: sections[section][name.casefold()]
-            for section, names in TOLD.items()
+            for section, names in KEPT.items()
             for name in names
             if name.casefold() in sections.get(section, {})
         },
@@ -149,7 +149,7 @@ def read_scan(folder: Path) -> Scan | None:
 
 
 def slices_of(scan: Scan, folder: Path) -> list[Path] | None:
-    """Slices that a log tells of, in their order; None where it does not name them.
+    """Slices that a log names, in their order; None where it does not name them.
 
     Other pictures, such as NRecon's own preview, are left aside.
     """
@@ -164,8 +164,8 @@ def slices_of(scan: Scan, folder: Path) -> list[Path] | None:
     numbered.sort()
     if not numbered:
         raise VolumeError(
-            f"{folder.name} holds no slice named {scan.prefix} and a number, as {scan.log.name} tells. Give the slices "
-            "their names back, or move the log elsewhere and give --voxel-um."
+            f"{folder.name} holds no slice named {scan.prefix} and a number, as {scan.log.name} states. Give the "
+            "slices their names back, or move the log elsewhere and give --voxel-um."
         )
     numbers = [number for number, _ in numbered]
     remedy = "Add the missing slices, or move the log elsewhere and give --voxel-um."
@@ -174,18 +174,16 @@ def slices_of(scan: Scan, folder: Path) -> list[Path] | None:
         missing = [n for n, _ in zip((n for n in wanted if n not in present), range(9), strict=False)]
         if missing:
             raise VolumeError(
-                f"{scan.log.name} tells of {len(wanted)} sections, {folder.name} holds {len(numbers)}. "
+                f"{scan.log.name} states {len(wanted)} sections, {folder.name} holds {len(numbers)}. "
                 f"Missing: {some(missing)}. {remedy}"
             )
         odd = [n for n in numbers if n not in wanted]
         if odd:
             raise VolumeError(
-                f"{folder.name} holds slices that {scan.log.name} does not tell of: {some(odd)}. Move them elsewhere."
+                f"{folder.name} holds slices that {scan.log.name} does not name: {some(odd)}. Move them elsewhere."
             )
     if scan.count is not None and scan.count != len(numbers):
-        raise VolumeError(
-            f"{scan.log.name} tells of {scan.count} sections, {folder.name} holds {len(numbers)}. {remedy}"
-        )
+        raise VolumeError(f"{scan.log.name} states {scan.count} sections, {folder.name} holds {len(numbers)}. {remedy}")
     if len(numbers) > 1:
         check_no_gap(numbers, folder)
     return [path for _, path in numbered]
@@ -195,7 +193,7 @@ def check_count(scan: Scan, folder: Path, slices: int) -> None:
     """Refuse a folder with another number of slices."""
     if scan.count is not None and scan.count != slices:
         raise VolumeError(
-            f"{scan.log.name} tells of {scan.count} sections, {folder.name} holds {slices}. "
+            f"{scan.log.name} states {scan.count} sections, {folder.name} holds {slices}. "
             "Add the missing slices, or move the log elsewhere and give --voxel-um."
         )
 
@@ -204,14 +202,14 @@ def check_extent(scan: Scan, file: Path, height: int, width: int) -> None:
     """Refuse slices of another size than that of the reconstruction."""
     if (scan.height or height, scan.width or width) != (height, width):
         raise VolumeError(
-            f"{file.name} is {height} x {width} pixels, {scan.log.name} tells of {scan.height} x {scan.width}. If the "
+            f"{file.name} is {height} x {width} pixels, {scan.log.name} states {scan.height} x {scan.width}. If the "
             "slices were cropped, move the log elsewhere and give --voxel-um."
         )
 
 
 def scan_attrs(scan: Scan) -> dict[str, Any]:
     """Attributes of the volume: where its grey values come from."""
-    attrs: dict[str, Any] = {"nrecon": dict(scan.told)}
+    attrs: dict[str, Any] = {"nrecon": dict(scan.kept)}
     if scan.window is not None:
         attrs["attenuation_window"] = list(scan.window)
     return attrs

@@ -119,7 +119,7 @@ def stored_type(header: Mapping[str, Any], path: Path) -> np.dtype[Any]:
     dtype = np.dtype(name)
     order = header.get("endian")
     if dtype.itemsize > 1 and order not in ("little", "big"):
-        raise damaged(path, "its header does not tell the byte order (endian)")
+        raise damaged(path, "its header does not state the byte order (endian)")
     return dtype.newbyteorder(">" if order == "big" else "<")
 
 

@@ -40,7 +40,7 @@ OVERRIDE = "--override-size"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stated:
-    """What one kind of metadata says about the size.
+    """What one kind of metadata states about the size.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ def agreed_size(
     Parameters
     ----------
     stated : sequence of Stated
-        What the metadata say.
+        What the metadata state.
     given : float, sequence of float, or None
         What the user says: one value for all axes or one each.
     file_name : str
@@ -190,7 +190,7 @@ def as_given(given: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
 
 
 def merged(spoken: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[float | None, ...]:
-    """Join what several kinds of metadata say; the first that speaks about an axis gives its number."""
+    """Join what several kinds of metadata state; the first that states an axis gives its number."""
     found: list[float | None] = [None] * len(asked.axes)
     for one in spoken:
         for i, value in enumerate(one.um):

@@ -42,7 +42,7 @@ def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> Load
 
 
 def slice_files(folder: Path, scan: Scan | None) -> list[Path]:
-    """Slices of a folder in their order, as the log names them or as their numbers tell."""
+    """Slices of a folder in their order, as the log names them or in the order of their numbers."""
     files = (None if scan is None else slices_of(scan, folder)) or list_slices(folder)
     if len(files) < 2:
         raise VolumeError(f"{folder.name} holds one slice only, {files[0].name}. Needed are all slices of the volume.")
@@ -130,7 +130,7 @@ def check_same(picture: Picture, first: Picture, *, file: Path, first_file: Path
 
 
 class Head:
-    """What can be said about a slice before it is decoded.
+    """What is known of a slice before it is decoded.
 
     Attributes
     ----------

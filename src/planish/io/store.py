@@ -60,7 +60,7 @@ def write_store(
     memory_bytes: int = 2**31,
     threads: int | None = None,
     ome: Literal["0.5", "0.4"] = "0.5",
-    tell: Progress | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Write a volume into a new working store, part by part.
 
@@ -77,7 +77,7 @@ def write_store(
         Blocks are compressed on so many threads; the bytes do not depend on it.
     ome : {"0.5", "0.4"}
         Version of OME-Zarr. 0.4 has no shards, and so many more files.
-    tell : callable, optional
+    progress : callable, optional
         Called with what is done, the number of blocks done, and their number.
 
     Raises
@@ -99,7 +99,7 @@ def write_store(
         levels = _make_levels(partial, volume, shape, ome)
         done = Journal(partial, ome)
         with limit_threads(threads):
-            _first_two(volume, levels, done, memory_bytes=memory_bytes, tell=tell or _silent)
+            _first_two(volume, levels, done, memory_bytes=memory_bytes, progress=progress or _silent)
             for k in range(2, len(levels)):
                 _coarser(levels[k - 1], levels[k], done, k)
         done.settle()
@@ -171,7 +171,7 @@ class Journal:
             self.names.update(listed)
 
     def settle(self) -> None:
-        """Sort the lists: the order in which blocks were written is nobody's business."""
+        """Sort the lists: they do not depend on the order in which blocks were written."""
         for path in self.folder.glob(f"*/{CHECKSUMS}"):
             lines = sorted(set(path.read_text(encoding="utf-8").splitlines(keepends=True)), key=lambda line: line[64:])
             part = path.with_suffix(".part")
@@ -182,7 +182,9 @@ class Journal:
         return f"{self.prefix}{at[0]}/{at[1]}/{at[2]}"
 
 
-def _first_two(volume: xr.DataArray, levels: list[_Level], done: Journal, *, memory_bytes: int, tell: Progress) -> None:
+def _first_two(
+    volume: xr.DataArray, levels: list[_Level], done: Journal, *, memory_bytes: int, progress: Progress
+) -> None:
     """Write the volume and its half in one pass over the input."""
     shape, size = levels[0].shape, volume.dtype.itemsize
     edge = levels[0].array.shards or levels[0].array.chunks
@@ -209,7 +211,7 @@ def _first_two(volume: xr.DataArray, levels: list[_Level], done: Journal, *, mem
     with thread_pool(min(_AT_WORK, count_threads())) as pool:
         try:
             for n, _ in enumerate(pool.map(block, wheres)):
-                tell("import", n + 1, len(wheres))
+                progress("import", n + 1, len(wheres))
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
@@ -304,7 +306,7 @@ def _make_levels(folder: Path, volume: xr.DataArray, shape: tuple[int, ...], ome
 
 
 def _identity(volume: xr.DataArray) -> dict[str, Any]:
-    """What tells one input from another without reading it whole."""
+    """What identifies an input without reading it whole."""
     keys = ("file_name", "file_bytes", "voxel_um")
     found = {"shape": list(volume.shape), "dtype": str(volume.dtype), **{k: volume.attrs.get(k) for k in keys}}
     corrections = volume.attrs.get("corrections")
@@ -346,4 +348,4 @@ def _sha256(path: Path) -> str:
 
 
 def _silent(_what: str, _done: int, _all: int) -> None:
-    """Say nothing."""
+    """Report nothing."""

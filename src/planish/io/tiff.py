@@ -83,7 +83,7 @@ def check_declared_images(tif: TiffFile, path: Path) -> None:
 
 
 def check_data(series: TiffPageSeries, path: Path) -> None:
-    """Check that all data of a series are in the file, as far as the page tables tell."""
+    """Check that all data of a series are in the file, as far as the page tables show."""
     size = size_of_file(path)
     key = series.keyframe
     check_numbers(key, path)
@@ -114,7 +114,7 @@ def check_data(series: TiffPageSeries, path: Path) -> None:
 
 
 def check_numbers(page: TiffPage, path: Path) -> None:
-    """Refuse a page whose layout is not told in whole numbers, as damaged tags may have any type."""
+    """Refuse a page whose layout is not given in whole numbers, as damaged tags may have any type."""
     for name in LAYOUT_NUMBERS:
         value: Any = getattr(page, name)
         if not isinstance(value, int):

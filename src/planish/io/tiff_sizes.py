@@ -80,7 +80,7 @@ def stated_by_imagej(meta: Mapping[str, Any], density: tuple[float | None, float
 
 
 def stated_by_tags(page: TiffPage, density: tuple[float | None, float | None]) -> Stated:
-    """Read the resolution tags with their unit, inch or cm; they never speak about z."""
+    """Read the resolution tags with their unit, inch or cm; they never state z."""
     code: Any = page.tags.valueof(296)
     unit = RESOLUTION_UNITS.get(code, "") if isinstance(code, int) else ""
     across = [from_density(per_unit, unit) for per_unit in density]

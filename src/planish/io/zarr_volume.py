@@ -96,7 +96,7 @@ def open_node(path: Path, name: str) -> Any:
     if any((place / file).stat().st_size > LARGEST_METADATA for file in there):
         raise FileError(f"{path.name}: the metadata of {name or 'its root'} are larger than 50 MB. Export it again.")
     with reading(path):
-        # Each node is opened by its own folder, so that neither parents nor consolidated metadata have a say.
+        # Each node is opened by its own folder: neither parents nor consolidated metadata are read.
         return zarr.open(store=LocalStore(place, read_only=True), mode="r", use_consolidated=False)
 
 
@@ -154,13 +154,13 @@ def level_name(dataset: Any, path: Path) -> str:
 
 
 def axis_list(multiscale: Mapping[str, Any] | None, count: int, path: Path) -> list[dict[str, str]]:
-    """Axes of an array: name, type and unit, where the metadata tell."""
-    told: Any = None if multiscale is None else multiscale.get("axes")
-    if told is None:
+    """Axes of an array: name, type and unit, where the metadata state them."""
+    named: Any = None if multiscale is None else multiscale.get("axes")
+    if named is None:
         return [{"name": name} for name in "tczyx"[5 - count :]] if count <= 5 else [{"name": "?"}] * count
     axes = [
         {str(k): str(v) for k, v in axis.items()} if isinstance(axis, dict) else {"name": str(axis)}
-        for axis in (told if isinstance(told, list) else [])
+        for axis in (named if isinstance(named, list) else [])
     ]
     if len(axes) != count:
         raise FileError(f"{path.name} names {len(axes)} axes, its array has {count}. Export it again as OME-Zarr.")

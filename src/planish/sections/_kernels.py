@@ -159,7 +159,7 @@ def _clamped(value, last):
 
 @njit(**_SETTINGS)
 def _line(section, r, pose, grade, line):
-    """Set line to row r of a section put right: found where the pose says, grey made gain x value + offset."""
+    """Set line to row r of a corrected section: found where the pose says, grey made gain x value + offset."""
     high, wide = section.shape
     middle_r, middle_c = 0.5 * (high - 1), 0.5 * (wide - 1)
     gain, offset = np.float32(grade[0]), np.float32(grade[1])
@@ -207,7 +207,7 @@ def _line(section, r, pose, grade, line):
 
 @njit(**_SETTINGS)
 def between(first, second, share, poses, grades, low, high, whole, out):
-    """Set out to (1 - share) first + share second, both put right; rounded and kept in low..high where ``whole``."""
+    """Set out to (1 - share) first + share second, both corrected; rounded and kept in low..high where ``whole``."""
     wide = out.shape[1]
     one, two = np.empty(wide, np.float32), np.empty(wide, np.float32)
     t = np.float32(share)

@@ -2,7 +2,7 @@
 
 Aligning each section to the one before adds up errors and straightens the specimen's true bend. Here the offsets
 between all sections up to five apart are fitted together, and waves longer than some fifty sections, in which the
-bend of the sheet cannot be told from a drift of the stage, are left as they are.
+bend of the sheet cannot be separated from a drift of the stage, are left as they are.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ from planish.sections.trend import slow_part
 Array = NDArray[np.float64]
 
 _GAP_SECTIONS = 4.5  # neighbours farther apart show other fibres: three missing sections are bridged, no more
-_REACH_FIRST = 2
+_CUTOFF_SECTIONS = 50.0  # corrections with longer wavelengths are not applied
+_REACH, _REACH_FIRST = 5, 2  # each section is compared with so many on either side, and in the first rounds
+_ROUNDS = 3  # of measuring the offsets, each with the corrections of the last
 _FINE_ROUNDS = 2
 _COARSE_FACTOR = 4.0
 """On the sigma of pairs of coarse bands: those over the same sections, and the next ones, share their errors."""
@@ -74,10 +76,7 @@ def align_sections(
     pixel_um: tuple[float, float],
     *,
     band: Band | None = None,
-    reach: int = 5,
-    cutoff_sections: float = 50.0,
     rotation: bool = True,
-    rounds: int = 3,
     fixed: Array | None = None,
     threads: int | None = None,
 ) -> Alignment:
@@ -88,21 +87,15 @@ def align_sections(
     stack : ndarray or memmap, dims (section, row, col)
         Grey values of any integer or real type; NaN is missing. The sheet is a band along the columns.
     positions_um : ndarray (sections,)
-        True places along the cut in um, one way; missing sections are gaps.
+        True places along the cut in um, monotonic; missing sections are gaps.
     pixel_um : (row, col)
     band : Band, optional
         As `find_band` gives it, where it is known already.
-    reach : int
-        Each section is compared with so many on either side.
-    cutoff_sections : float
-        Corrections with longer wavelengths, in sections, are not applied.
     rotation : bool
         Whether sections are turned.
-    rounds : int
-        Times that the offsets are measured, each with the corrections of the last.
     fixed : ndarray (sections, 3), optional
-        Places against something that lies still, as :func:`planish.sections.fixed_places` gives them: the slow waves
-        are then taken from there instead of being left alone. NaN where it is not seen.
+        Places against something that does not move, as :func:`planish.sections.fixed_places` gives them: the slow waves
+        are then taken from there instead of being left alone. NaN where it is not visible.
     threads : int, optional
         All processors, at most 8, where not given. The result does not depend on it.
 
@@ -113,13 +106,13 @@ def align_sections(
     Raises
     ------
     VolumeError
-        If the stack is none, positions do not run one way, or no sheet is seen.
+        If the stack is none, positions are not monotonic, or no sheet is found.
 
     Notes
     -----
     Offsets come from the gradients of texture and faces (Lucas and Kanade 1981) in the band along the sheet; those
-    along the columns once more from fine texture of next neighbours, where it tells them better. Robust weighted least
-    squares joins them, and a filter with its half amplitude at the cut-off takes off the slow part.
+    along the columns once more from fine texture of next neighbours, where it determines them better. Robust weighted
+    least squares joins them, and a filter with its half amplitude at the cut-off removes the slow part.
     Joint alignment: Saalfeld et al. 2012, Nature Methods 9, 717. A sheet that rises along the cut has a true offset
     from section to section; it belongs to the slow part, and the band follows it before anything is compared.
     """
@@ -127,9 +120,9 @@ def align_sections(
     away = check_stack(stack, positions, pixel_um)
     n, rows, cols = stack.shape
     pitch = float(np.median(np.diff(away)))
-    cutoff = cutoff_sections * pitch
+    cutoff = _CUTOFF_SECTIONS * pitch
     band = band or find_band(stack, away, pixel_um, threads=threads)
-    first, second = neighbours(away, pitch, max(1, reach))
+    first, second = neighbours(away, pitch, _REACH)
     bands = Bands(stack=stack, band=band, pixel_um=pixel_um)
     # Course of the sheet itself as a pose: mean height and slope of the smooth surface, which the pairs do not see.
     course = _course(band, (rows, cols), pixel_um)
@@ -142,7 +135,7 @@ def align_sections(
 
     # The first rounds only bring the sections near, with few pairs; the offsets that count are those of the last.
     near = second - first <= _REACH_FIRST
-    for _ in range(rounds - 1):
+    for _ in range(_ROUNDS - 1):
         whole = measured(first[near], second[near])
         places, kept = _joined(whole, n, rotation)
         pose = _quick(places, course, away, parts(whole.first[kept], whole.second[kept], n), cutoff)
@@ -174,18 +167,18 @@ def align_sections(
     pose[~aligned] = 0.0
     left = np.full(3, np.nan)
     if aligned.any():
-        # Jackknife: one run of columns after the other is left out, of the surface too.
-        others: list[Array] = []
-        for k in range(GROUPS):
+
+        def without(k: int) -> Array:
             fewer = whole.without(k, rotation)
             there = _joined(fewer, n, rotation)[0]
             if fine is not None:
                 there[:, 1] = _columns(fewer, fine.without(k, False), n)
-            others.append(
-                _quick(there, _course(band, (rows, cols), pixel_um, without=k), away, groups, cutoff)[aligned]
-            )
-        left = np.mean(np.var(others, axis=0), axis=0) * (GROUPS - 1)
-    # A narrow image tells rotations badly: they are shortened to what is more than their own error (Wiener).
+            own = _course(band, (rows, cols), pixel_um, without=k)
+            return _quick(there, own, away, groups, cutoff)[aligned]
+
+        # Jackknife: one run of columns after the other is left out, of the surface too.
+        left = np.mean(np.var([without(k) for k in range(GROUPS)], axis=0), axis=0) * (GROUPS - 1)
+    # A narrow image determines rotations badly: they are shortened to what is more than their own error (Wiener).
     turned = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
     pose[:, 2] *= max(0.0, 1.0 - left[2] / turned) if rotation and turned > 0 else 0.0
     held = _hold(pose, fixed, away, cutoff, aligned) if fixed is not None else (False, False, False)

@@ -24,7 +24,7 @@ Result = TypeVar("Result")
 _BLOCK_UM = (5.0, 80.0)  # rows, cols of the blocks in which the sheet is looked for
 _BORDER = 0.15  # share of the rows at each end that is taken to be background
 _SMOOTH_SECTIONS = 30.0  # shortest wave of the surface
-_FILLED = 1e-3  # weight of a place where the sheet was not seen, against 1
+_FILLED = 1e-3  # weight of a place where the sheet was not found, against 1
 
 
 class Stack(Protocol):
@@ -111,7 +111,7 @@ def check_stack(stack: Stack, positions_um: Array, pixel_um: tuple[float, float]
         i = int(wrong[0])
         raise VolumeError(
             f"The sections {i + 1} and {i + 2} lie at {positions_um[i]:g} and {positions_um[i + 1]:g} um. Positions "
-            "have to run one way: correct the cut counter or put the sections in order."
+            "have to be monotonic: correct the cut counter or put the sections in order."
         )
     return away
 
@@ -134,11 +134,11 @@ def find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float], *, th
     Raises
     ------
     VolumeError
-        If no sheet is seen.
+        If no sheet is found.
 
     Notes
     -----
-    Block means of 5 x 80 um are told apart by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on the difference to the
+    Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on the difference to the
     section's background; the largest connected part is the sheet.
     """
     n, rows, cols = stack.shape
@@ -154,14 +154,14 @@ def find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float], *, th
     smoothed: NDArray[np.float32] = gaussian_filter(difference, 1.0)
     sheet = _largest(smoothed > _otsu(smoothed[:: max(1, n // 200)].ravel()))
     if sheet is None:
-        raise VolumeError("No sheet is seen in the sections: all grey levels are alike. Check the files.")
+        raise VolumeError("No sheet found in the sections: all grey levels are alike. Check the files.")
     count = sheet.sum(axis=1)
     usual = float(np.median(count[count > 0]))
     weight = np.where(sheet, difference, 0.0)
     total = weight.sum(axis=1)
     sound = (count >= 0.5 * usual) & (count <= 2.0 * usual) & (total > 0)
     if not sound.any():
-        raise VolumeError("No sheet of an even thickness is seen in the sections. Check the files and the pixel size.")
+        raise VolumeError("No sheet of an even thickness found in the sections. Check the files and the pixel size.")
     at_row = np.arange(blocks.shape[1])[:, None]
     middle = np.where(sound, (weight * at_row).sum(axis=1) / np.where(total > 0, total, 1.0), np.nan)
     middle = (middle + 0.5) * tall - 0.5

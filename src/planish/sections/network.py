@@ -17,7 +17,7 @@ _ROUNDS = 25
 _CAUCHY = 2.385  # 95 % as good as least squares where nothing is wrong (Holland and Welsch 1977)
 _HELD = 0.05  # a pair with less than this share of its weight is refused
 _TIED = 1e-7  # weight of the prior "where the stage put it", against the pairs: settles what they leave open
-_LEAST_PART = 6  # sections tied to each other, below which nothing slow can be told from something quick
+_LEAST_PART = 6  # sections tied to each other, below which slow and quick parts cannot be separated
 
 
 def solve_places(first: Index, second: Index, offset: Array, sigma: Array, n: int) -> tuple[Array, Array]:

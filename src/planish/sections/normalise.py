@@ -70,7 +70,7 @@ def normalise_sections(
     Raises
     ------
     VolumeError
-        If the stack is none, positions do not run one way, or no sheet is seen.
+        If the stack is none, positions are not monotonic, or no sheet is found.
 
     Notes
     -----

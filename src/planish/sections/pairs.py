@@ -1,7 +1,7 @@
 """Offsets between two sections from the band along the sheet: texture and faces, by gradients, in parts of the columns.
 
-Parts tell how sure an offset is. Neighbouring samples share their fibres, so residuals of single samples say too
-little; parts of some 150 um are independent, and how far they disagree is what counts.
+The scatter between parts gives the error of an offset. Neighbouring samples share their fibres, so residuals of single
+samples underestimate it; parts of some 150 um are independent.
 """
 
 from __future__ import annotations
@@ -207,7 +207,7 @@ def compare(
     rotation : bool
         Whether sections may be turned against each other.
     alike : ndarray of bool (pairs,), optional
-        Whether both show the same sheet, where the sums do not tell it: those of fine bands.
+        Whether both show the same sheet, where the sums do not show it: those of fine bands.
 
     Returns
     -------
@@ -256,7 +256,7 @@ def _limits(a: Samples, b: Samples) -> tuple[Array, Array]:
     """Difference beyond which a sample is an outlier, and the weight of its residual, for each row of two bands.
 
     Faces are rough and differ more than the fibres between them: rows in which they lie count less. No row counts more
-    than the median row, or the empty resin would have a say.
+    than the median row, or the empty resin would count.
     """
     difference = np.abs(a[:, ::4] - b[:, ::4])
     known = np.isfinite(difference)

@@ -1,6 +1,6 @@
 """Places of sections against something that lies still: the edge of the block, a line of the fixture.
 
-Neighbours tell quick errors only; a slow drift looks like a bend of the sheet. What is fixed to the stage shows the
+Neighbours show quick errors only; a slow drift looks like a bend of the sheet. What is fixed to the stage shows the
 drift itself. An edge or line along the rows of the photographs gives the place along the columns and the rotation, one
 along the columns the other place.
 """
@@ -105,7 +105,7 @@ def _against(
         what = "rows" if axis == 0 else "columns"
         raise VolumeError(
             f"The {what} {strip[0]} to {strip[1]} show no line or edge that lies still in most sections. Look at a few "
-            "photographs and give a strip in which the same straight line is seen."
+            "photographs and give a strip that shows the same straight line throughout."
         )
     along = (0.5 * (edges[1:] + edges[:-1] - 1) - 0.5 * (length - 1)) * pixel_um[1 - axis]
     return _line(off * pixel, seen, along)

@@ -40,7 +40,7 @@ def regular_volume(
     stack : ndarray, or any array that gives sections as ``stack[i]``, dims (section, row, col)
         Integers up to 16 bits or real numbers; others lose digits, for the kernels compute in single precision.
     positions_um : ndarray (sections,)
-        True places along the cut in um, one way.
+        True places along the cut in um, monotonic.
     pixel_um : (row, col)
     alignment : Alignment, optional
         Corrections; none are made where not given. Sections that could not be aligned count as missing.
@@ -56,7 +56,7 @@ def regular_volume(
     Returns
     -------
     DataArray, dims (z, y, x) = (section, row, col)
-        Worked out plane by plane when it is read, where the stack is no ndarray. In the type of the stack.
+        Computed plane by plane when it is read, where the stack is no ndarray. In the type of the stack.
         Coordinates in um, voxel i has its centre at i × size; z counts from the first
         section used, and its pitch is the median step of the positions. Attributes as `planish.io.read_volume` gives
         them, with ``sections``, ``sections_missing`` (planes between sections farther apart than one and a half
@@ -66,7 +66,7 @@ def regular_volume(
     Raises
     ------
     VolumeError
-        If the stack is none, positions do not run one way, or more than `most_missing` sections in a row are missing
+        If the stack is none, positions are not monotonic, or more than `most_missing` sections in a row are missing
         from an integer stack; in one of real numbers these planes are NaN.
     """
     positions = np.asarray(positions_um, np.float64)
@@ -123,7 +123,7 @@ def regular_volume(
 
 
 class Planes(LazyArray):
-    """The planes of a volume, each worked out from the sections before and after it.
+    """The planes of a volume, each computed from the sections before and after it.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class Planes(LazyArray):
     before, after : ndarray (planes,)
         Sections on both sides.
     share : ndarray (planes,)
-        Way from the one to the other, 0 to 1.
+        Position between the two, 0 to 1.
     empty : ndarray of bool (planes,)
         Planes in a gap that is too wide.
     poses, grades : ndarray (sections, 4), (sections, 2)
@@ -153,7 +153,7 @@ class Planes(LazyArray):
         )
 
     def fill(self, k: int, out: NDArray[Any]) -> None:
-        """Work out plane ``k`` into ``out`` (rows, cols)."""
+        """Compute plane ``k`` into ``out`` (rows, cols)."""
         if self.empty[k]:
             out[...] = np.nan
             return
@@ -166,7 +166,7 @@ class Planes(LazyArray):
         )  # fmt: skip
 
     def read(self, where: Where) -> NDArray[Any]:
-        """Work out a part."""
+        """Compute a part."""
         whole = np.empty(self.shape[1:], self.dtype)
         parts: list[NDArray[Any]] = []
         for k in range(where[0].start, where[0].stop, where[0].step):
@@ -193,7 +193,7 @@ def _grades(n: int, gains: Gains | None) -> Array:
 
 
 def _gap_words(long: NDArray[np.intp], missing: NDArray[Any], positions: Array, most: int) -> str:
-    """Say where sections are missing, and what to do."""
+    """Where sections are missing, and what to do."""
     named = ", ".join(f"{missing[k]} between {positions[k]:g} and {positions[k + 1]:g} um" for k in long[:_MOST_GAPS])
     more = f" and {long.size - _MOST_GAPS} more" if long.size > _MOST_GAPS else ""
     return (
