@@ -148,8 +148,8 @@ def wrong_slices(values: Statistics) -> list[str]:
     one, twice = values.constant, values.copies
     if one:
         found.append(
-            f"{len(one)} slices have one grey value only (black or empty), z {some(one)}: the scan ended there, or files "
-            "were damaged."
+            f"{len(one)} slices have one grey value only (black or empty), z {some(one)}: the scan ended there, or "
+            "files were damaged."
         )
     if twice:
         found.append(
