@@ -98,16 +98,15 @@ def _corrected(
             raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
         return data, lambda: None
     from planish.core.errors import FileError
-    from planish.correct import correct_volume, write_picture
+    from planish.correct import CorrectParams, correct_volume, write_picture
     from planish.io.run_folder import refuse_existing
 
     record, picture = (out.with_name(f"{out.stem}.corrections.{kind}") for kind in ("json", "png"))
     for path in (record, picture):
         refuse_existing(path)
     found = correct_volume(
-        data, axis=wanted.get("axis", "z"), centre_um=wanted.get("centre_um"),
-        memory_bytes=memory_bytes, progress=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
-        rings=wanted.get("rings", False), cupping=wanted.get("cupping", False),
+        data, params=CorrectParams(**wanted), memory_bytes=memory_bytes,
+        progress=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
     )  # fmt: skip
     for sentence in found.record.sentences:
         click.echo(sentence)
