@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from benchmarks import surfaces
 from benchmarks._unit import Unit
-from planish.core.threads import available
+from planish.core.threads import available, limit_threads
 from planish.flatten import RelaxationParams, relax_grid
 
 SIZES = {"S": (24, 32), "M": (96, 128), "L": (384, 512), "XL": (1536, 2048)}
@@ -200,9 +200,9 @@ def peers(name="M"):
     print(f"\npeers ({name}, chords)\nsheet    solver                     seconds   ratio  energy / lowest  inverted")
     for kind in ("smooth", "rough"):
         points = getattr(surfaces, kind)(rows, cols)
-        rests = {"planish multigrid": lambda p=points: relax_grid(p, rest="chord", threads=1).uv}
+        rests = {"planish multigrid": lambda p=points: relax_grid(p, rest="chord").uv}
         rests["planish relaxation"] = lambda p=points: (
-            relax_grid(p, rest="chord", method="relaxation", relaxation=RelaxationParams(stop="residual")).uv
+            relax_grid(p, rest="chord", method=RelaxationParams(stop="residual")).uv
         )
         rests["scipy least_squares"] = lambda p=points: _least_squares(p)
         rests |= {f"libigl {k}": (lambda p=points, k=k: _igl(p, k)) for k in ("ARAP", "SLIM")}
@@ -274,8 +274,12 @@ def _igl(points, kind):
 def threads():
     """Same bytes for any number of threads; relative change with the unit of length."""
     points = surfaces.rough(*SIZES["L"])
-    one = relax_grid(points, threads=1)
-    same = all(np.array_equal(relax_grid(points, threads=k).uv, one.uv) for k in (2, 3, 7))
+    found = []
+    for number in (1, 2, 3, 7):
+        with limit_threads(number):
+            found.append(relax_grid(points))
+    one, *others = found
+    same = all(np.array_equal(other.uv, one.uv) for other in others)
     print(f"\nthreads: same bytes with 1, 2, 3 and 7 threads: {same}")
     for unit in (1e-6, 1e6):
         other = relax_grid(points * unit)

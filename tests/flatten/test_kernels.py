@@ -84,7 +84,7 @@ def test_smoothing(mesh, cuts, kind):
     first[1] = first[2] + fine_from(coarse, level)[network.mask]
     expected = first[kind] + 0.8 * ease[:, None] * (f - (matrix @ first[kind].ravel()).reshape(-1, 2))
     parts = list(itertools.pairwise(cuts))
-    edges = [move[:, [a - 1, b]] for a, b in parts]
+    edges = [np.ascontiguousarray(move[:, [a - 1, b]]) for a, b in parts]
     for edge, (a, b) in zip(edges, parts, strict=True):
         smooth(kind, level.near, level.stiff, level.ease, force, coarse, move, edge, np.float32(0.6),
                np.float32(0.8), 14, a, b)  # fmt: skip
@@ -156,7 +156,7 @@ def test_newton_s_method_finds_rest():
     rest = padded(4, 5, 6, np.float64)
     rest[0, 1:6, 1:6] = rest[1, 1:5, 1:7] = 1.0
     rest[2:, 1:5, 1:6] = np.sqrt(2)
-    network = Network.of(Level(5, 6, [(1, 6)], rest, None))
+    network = Network.of(Level(5, 6, [(1, 6)], rest, np.ones((4, 1, rest.shape[2]), np.float32)))
     rng = np.random.default_rng(0)
     uv = np.argwhere(network.mask)[:, ::-1] + rng.normal(0, 0.15, (30, 2))
     assert network.energy(relax_exactly(network, uv)) < 1e-20

@@ -8,7 +8,7 @@ mean pitches.
   square of a distance to it overflows to infinity, so that such a spring pulls nowhere without being asked for.
 - ``rest`` (4, ...) float64: rest lengths of the springs (i, j)-(i, j + 1), (i, j)-(i + 1, j), (i, j)-(i + 1, j + 1) and
   (i, j + 1)-(i + 1, j), in this order and at [1 + i, 1 + j]; 0 where there is no spring.
-- ``stiff`` (4, ...) float32 or None: their stiffness, 1 where None.
+- ``stiff`` (4, ...) float32: their stiffness; with a single row that stands for all of them where every spring has 1.
 - ``near`` (2, ...) float32: ``xy`` once more, for the directions in the preconditioner, which need no more digits.
 - ``move``, ``force`` (2, ...) float32: a correction of the places, and what it has to balance.
 - ``ease`` (...) float32: one over the largest eigenvalue of a node's own 2 x 2 stiffness, 0 where there is no node.
@@ -43,31 +43,19 @@ _INNER_SUMS = {**_SUMS, "forceinline": True}
 
 
 @njit(**_INNER)
-def _row(stiff, family, i):
-    if stiff is None:
-        return None
-    return stiff[family, i]
-
-
-@njit(**_INNER)
-def _at(k, j):
-    if k is None:
-        return _ONE
-    return k[j]
-
-
-@njit(**_INNER)
-def _pulls(xa, ya, xb, yb, ua, va, ub, vb, k0, k1, k2, k3, t0, t1, t2, t3, n):
-    """Set t to k d.(du) / |d|^2 for the springs within the upper row a and between the rows a and b."""
+def _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n):
+    """Set t to k d.(du) / |d|^2 for the springs within row i and between the rows i and i + 1."""
+    xa, ya, xb, yb, s = x[i], y[i], x[i + 1], y[i + 1], min(i, stiff.shape[1] - 1)
+    k0, k1, k2, k3 = stiff[0, s], stiff[1, s], stiff[2, s], stiff[3, s]
     for j in range(n):
         dx, dy = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
-        t0[j] = _at(k0, j) * (dx * (ua[j + 1] - ua[j]) + dy * (va[j + 1] - va[j])) / (dx * dx + dy * dy + _TINY)
+        t0[j] = k0[j] * (dx * (ua[j + 1] - ua[j]) + dy * (va[j + 1] - va[j])) / (dx * dx + dy * dy + _TINY)
         dx, dy = xb[j] - xa[j], yb[j] - ya[j]
-        t1[j] = _at(k1, j) * (dx * (ub[j] - ua[j]) + dy * (vb[j] - va[j])) / (dx * dx + dy * dy + _TINY)
+        t1[j] = k1[j] * (dx * (ub[j] - ua[j]) + dy * (vb[j] - va[j])) / (dx * dx + dy * dy + _TINY)
         dx, dy = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
-        t2[j] = _at(k2, j) * (dx * (ub[j + 1] - ua[j]) + dy * (vb[j + 1] - va[j])) / (dx * dx + dy * dy + _TINY)
+        t2[j] = k2[j] * (dx * (ub[j + 1] - ua[j]) + dy * (vb[j + 1] - va[j])) / (dx * dx + dy * dy + _TINY)
         dx, dy = xb[j] - xa[j + 1], yb[j] - ya[j + 1]
-        t3[j] = _at(k3, j) * (dx * (ub[j] - ua[j + 1]) + dy * (vb[j] - va[j + 1])) / (dx * dx + dy * dy + _TINY)
+        t3[j] = k3[j] * (dx * (ub[j] - ua[j + 1]) + dy * (vb[j] - va[j + 1])) / (dx * dx + dy * dy + _TINY)
 
 
 @njit(**_INNER)
@@ -119,23 +107,24 @@ def forces(xy, rest, stiff, force, sums, n, r0, r1):
     for i in range(r0 - 1, r1):
         xa, ya, xb, yb = x[i], y[i], x[i + 1], y[i + 1]
         l0, l1, l2, l3 = rest[0, i], rest[1, i], rest[2, i], rest[3, i]
-        k0, k1, k2, k3 = _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i)
+        s = min(i, stiff.shape[1] - 1)
+        k0, k1, k2, k3 = stiff[0, s], stiff[1, s], stiff[2, s], stiff[3, s]
         energy = 0.0
         for j in range(n + 1):
             u, v = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
-            t, e = _strain(u, v, l0[j], _at(k0, j))
+            t, e = _strain(u, v, l0[j], k0[j])
             hx[j], hy[j] = t * u, t * v
             energy += e
             u, v = xb[j] - xa[j], yb[j] - ya[j]
-            t, e = _strain(u, v, l1[j], _at(k1, j))
+            t, e = _strain(u, v, l1[j], k1[j])
             vx[j], vy[j] = t * u, t * v
             energy += e
             u, v = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
-            t, e = _strain(u, v, l2[j], _at(k2, j))
+            t, e = _strain(u, v, l2[j], k2[j])
             dx[j], dy[j] = t * u, t * v
             energy += e
             u, v = xb[j] - xa[j + 1], yb[j] - ya[j + 1]
-            t, e = _strain(u, v, l3[j], _at(k3, j))
+            t, e = _strain(u, v, l3[j], k3[j])
             sx[j], sy[j] = t * u, t * v
             energy += e
         if i >= r0:
@@ -147,20 +136,6 @@ def forces(xy, rest, stiff, force, sums, n, r0, r1):
         for j in range(1, n + 1):
             px[j] = vx[j] + dx[j - 1] + sx[j]
             py[j] = vy[j] + dy[j - 1] + sy[j]
-
-
-@njit(**_INNER)
-def _softness(xa, ya, xb, yb, k0, k1, k2, k3, t0, t1, t2, t3, n):
-    """Set t to k / |d|^2 for the springs within the upper row a and between the rows a and b."""
-    for j in range(n):
-        dx, dy = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
-        t0[j] = _at(k0, j) / (dx * dx + dy * dy + _TINY)
-        dx, dy = xb[j] - xa[j], yb[j] - ya[j]
-        t1[j] = _at(k1, j) / (dx * dx + dy * dy + _TINY)
-        dx, dy = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
-        t2[j] = _at(k2, j) / (dx * dx + dy * dy + _TINY)
-        dx, dy = xb[j] - xa[j + 1], yb[j] - ya[j + 1]
-        t3[j] = _at(k3, j) / (dx * dx + dy * dy + _TINY)
 
 
 @njit(**_INNER)
@@ -176,10 +151,19 @@ def prepare(near, stiff, ease, n, r0, r1):
     b = np.zeros((8, near.shape[2]), dtype=np.float32)
     t0, t1, t2, t3, p1, p2, p3, out = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]
     for i in range(r0 - 1, r1):
-        _softness(x[i], y[i], x[i + 1], y[i + 1], _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i),
-                  _row(stiff, 3, i), t0, t1, t2, t3, n + 1)  # fmt: skip
+        xb, yb, xc, yc, s = x[i], y[i], x[i + 1], y[i + 1], min(i, stiff.shape[1] - 1)
+        k0, k1, k2, k3 = stiff[0, s], stiff[1, s], stiff[2, s], stiff[3, s]
+        for j in range(n + 1):  # stiffness over squared length
+            dx, dy = xb[j + 1] - xb[j], yb[j + 1] - yb[j]
+            t0[j] = k0[j] / (dx * dx + dy * dy + _TINY)
+            dx, dy = xc[j] - xb[j], yc[j] - yb[j]
+            t1[j] = k1[j] / (dx * dx + dy * dy + _TINY)
+            dx, dy = xc[j + 1] - xb[j], yc[j + 1] - yb[j]
+            t2[j] = k2[j] / (dx * dx + dy * dy + _TINY)
+            dx, dy = xc[j] - xb[j + 1], yc[j] - yb[j + 1]
+            t3[j] = k3[j] / (dx * dx + dy * dy + _TINY)
         if i >= r0:
-            xa, xb, xc, ya, yb, yc = x[i - 1], x[i], x[i + 1], y[i - 1], y[i], y[i + 1]
+            xa, ya = x[i - 1], y[i - 1]
             for j in range(1, n + 1):
                 u, v = xb[j], yb[j]
                 a, c, d = _add(t0[j], xb[j + 1] - u, yb[j + 1] - v, _NONE, _NONE, _NONE)
@@ -203,37 +187,24 @@ def prepare(near, stiff, ease, n, r0, r1):
 
 
 @njit(**_INNER)
-def _first(move, force, ease, weight, i, n):
-    """First step from nothing: row i of ``move`` = weight * ease * force."""
-    u, v, f, g, d = move[0, i], move[1, i], force[0, i], force[1, i], ease[i]
-    for j in range(1, n + 1):
-        w = weight * d[j]
-        u[j] = w * f[j]
-        v[j] = w * g[j]
-
-
-@njit(**_INNER)
-def _spread(coarse, move, buffer, i, n):
-    """Add the bilinear interpolation of ``coarse`` to row i of ``move``."""
-    up = (i - 1) // 2 + 1
-    cols = n // 2 + 2
-    for c in range(2):
-        a, b, fine = coarse[c, up], coarse[c, up + (i - 1) % 2], move[c, i]
-        for j in range(1, cols + 1):
-            buffer[j] = _HALF * (a[j] + b[j])
-        for j in range((n + 1) // 2):
-            fine[2 * j + 1] += buffer[j + 1]
-        for j in range(n // 2):
-            fine[2 * j + 2] += _HALF * (buffer[j + 1] + buffer[j + 2])
-
-
-@njit(**_SETTINGS)
-def _fresh(kind, coarse, move, force, ease, first, buffer, i, n):
-    """Make row i ready to be smoothed: from nothing, with the coarse correction added, or as it is."""
+def _fresh(kind, coarse, u, v, force, ease, first, buffer, i, n):
+    """Make row i, held in u and v, ready to be smoothed: from nothing, with the coarse correction, or as it is."""
     if kind == 0:
-        _first(move, force, ease, first, i, n)
+        f, g, d = force[0, i], force[1, i], ease[i]
+        for j in range(1, n + 1):
+            w = first * d[j]
+            u[j] = w * f[j]
+            v[j] = w * g[j]
     elif kind == 1:
-        _spread(coarse, move, buffer, i, n)
+        up = (i - 1) // 2 + 1
+        for c in range(2):
+            a, b, fine = coarse[c, up], coarse[c, up + (i - 1) % 2], u if c == 0 else v
+            for j in range(1, n // 2 + 3):
+                buffer[j] = _HALF * (a[j] + b[j])
+            for j in range((n + 1) // 2):
+                fine[2 * j + 1] += buffer[j + 1]
+            for j in range(n // 2):
+                fine[2 * j + 2] += _HALF * (buffer[j + 1] + buffer[j + 2])
 
 
 @njit(**_SETTINGS)
@@ -246,57 +217,32 @@ def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n,
     x, y = near[0], near[1]
     b = np.zeros((10, near.shape[2]), dtype=np.float32)
     t0, t1, t2, t3, p1, p2, p3, gx, gy, buffer = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8], b[9]
-    last = near.shape[1] - 1
-    above, below = np.zeros((2, 1, near.shape[2]), np.float32), np.zeros((2, 1, near.shape[2]), np.float32)
-    for c in range(2):
-        for j in range(near.shape[2]):
-            above[c, 0, j], below[c, 0, j] = edge[c, 0, j], edge[c, 1, j]
     # The rows beyond the border belong to other threads (or to the padding): made ready in copies of our own.
-    if r0 > 1:
-        _fresh_copy(kind, coarse, above, force, ease, first, r0 - 1, n)
-    if r1 < last:
-        _fresh_copy(kind, coarse, below, force, ease, first, r1, n)
-    _fresh(kind, coarse, move, force, ease, first, buffer, r0, n)
-    _pulls(x[r0 - 1], y[r0 - 1], x[r0], y[r0], above[0, 0], above[1, 0], move[0, r0], move[1, r0],
-           _row(stiff, 0, r0 - 1), _row(stiff, 1, r0 - 1), _row(stiff, 2, r0 - 1), _row(stiff, 3, r0 - 1),
-           t0, p1, p2, p3, n + 1)  # fmt: skip
-    for i in range(r0, r1):
-        if i + 1 < r1:
-            _fresh(kind, coarse, move, force, ease, first, buffer, i + 1, n)
+    above_u, above_v, below_u, below_v = edge[0, 0], edge[1, 0], edge[0, 1], edge[1, 1]
+    ua, va = above_u, above_v
+    last = near.shape[1] - 1
+    for i in range(r0 - 2, r1):
+        if i + 1 < r0:
+            ub, vb = above_u, above_v
+        elif i + 1 < r1:
             ub, vb = move[0, i + 1], move[1, i + 1]
         else:
-            ub, vb = below[0, 0], below[1, 0]
-        _pulls(x[i], y[i], x[i + 1], y[i + 1], move[0, i], move[1, i], ub, vb,
-               _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i),
-               t0, t1, t2, t3, n + 1)  # fmt: skip
-        _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n)
-        u, v, f, g, d = move[0, i], move[1, i], force[0, i], force[1, i], ease[i]
-        for j in range(1, n + 1):
-            w = weight * d[j]
-            u[j] += w * (f[j] + gx[j])
-            v[j] += w * (g[j] + gy[j])
-        t1, p1 = p1, t1
-        t2, p2 = p2, t2
-        t3, p3 = p3, t3
-
-
-@njit(**_SETTINGS)
-def _fresh_copy(kind, coarse, row, force, ease, first, i, n):
-    """As ``_fresh``, for row i held in ``row`` (2, 1, width)."""
-    if kind == 0:
-        for j in range(1, n + 1):
-            w = first * ease[i, j]
-            row[0, 0, j] = w * force[0, i, j]
-            row[1, 0, j] = w * force[1, i, j]
-    elif kind == 1:
-        up = (i - 1) // 2 + 1
-        for c in range(2):
-            for j in range(1, n + 1):
-                left = (j - 1) // 2 + 1
-                right = left + (j - 1) % 2
-                a = _HALF * (coarse[c, up, left] + coarse[c, up + (i - 1) % 2, left])
-                b = _HALF * (coarse[c, up, right] + coarse[c, up + (i - 1) % 2, right])
-                row[c, 0, j] += a if left == right else _HALF * (a + b)
+            ub, vb = below_u, below_v
+        if 0 < i + 1 < last:
+            _fresh(kind, coarse, ub, vb, force, ease, first, buffer, i + 1, n)
+        if i + 1 >= r0:
+            _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n + 1)
+            if i >= r0:
+                _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n)
+                f, g, d = force[0, i], force[1, i], ease[i]
+                for j in range(1, n + 1):
+                    w = weight * d[j]
+                    ua[j] += w * (f[j] + gx[j])
+                    va[j] += w * (g[j] + gy[j])
+            t1, p1 = p1, t1
+            t2, p2 = p2, t2
+            t3, p3 = p3, t3
+        ua, va = ub, vb
 
 
 @njit(**_SETTINGS)
@@ -311,9 +257,7 @@ def restrict(near, stiff, force, move, coarse_force, n, coarse_n, r0, r1):
     # Fine rows of the coarse row r0 - 1 + 1: from the odd one above it to the odd one below.
     start = max(1, 2 * (r0 - 1))
     for i in range(start - 1, min(rows, 2 * (r1 - 1)) + 1):
-        _pulls(x[i], y[i], x[i + 1], y[i + 1], move[0, i], move[1, i], move[0, i + 1], move[1, i + 1],
-               _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i),
-               t0, t1, t2, t3, n + 1)  # fmt: skip
+        _pulls(x, y, i, stiff, move[0, i], move[1, i], move[0, i + 1], move[1, i + 1], t0, t1, t2, t3, n + 1)
         if i >= start:
             _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n)
             f, g = force[0, i], force[1, i]
@@ -373,17 +317,18 @@ def survey(xy, rest, stiff, side, sums, n, r0, r1):
     for i in range(r0, r1):
         xa, ya, xb, yb, right, left = x[i], y[i], x[i + 1], y[i + 1], rest[2, i], rest[3, i]
         l0, l1 = rest[0, i], rest[1, i]
-        k0, k1, k2, k3 = _row(stiff, 0, i), _row(stiff, 1, i), _row(stiff, 2, i), _row(stiff, 3, i)
+        s = min(i, stiff.shape[1] - 1)
+        k0, k1, k2, k3 = stiff[0, s], stiff[1, s], stiff[2, s], stiff[3, s]
         energy = 0.0
         down = 0.0
         for j in range(n + 1):
             px, py = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
             qx, qy = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
             sx, sy = xb[j] - xa[j], yb[j] - ya[j]
-            energy += _strain(px, py, l0[j], _at(k0, j))[1]
-            energy += _strain(sx, sy, l1[j], _at(k1, j))[1]
-            energy += _strain(qx, qy, right[j], _at(k2, j))[1]
-            energy += _strain(xb[j] - xa[j + 1], yb[j] - ya[j + 1], left[j], _at(k3, j))[1]
+            energy += _strain(px, py, l0[j], k0[j])[1]
+            energy += _strain(sx, sy, l1[j], k1[j])[1]
+            energy += _strain(qx, qy, right[j], k2[j])[1]
+            energy += _strain(xb[j] - xa[j + 1], yb[j] - ya[j + 1], left[j], k3[j])[1]
             least = min(side * (px * qy - py * qx), side * (qx * sy - qy * sx))
             turned = 0.0 if least > 0.0 else 1.0
             down += turned if min(right[j], left[j]) > 0.0 else 0.0

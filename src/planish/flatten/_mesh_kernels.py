@@ -18,8 +18,6 @@ _INNER_SUMS = {**_INNER, "fastmath": {"contract", "nsz", "reassoc"}}
 _AGREE = 0.5
 # Differences of curvature that would change a rest length by less than this share do not count as disagreement.
 _FAINT = 1e-6
-# Offsets along a row; a number written in a call would be a type of its own, and the callee compiled for each.
-_THIS, _NEXT = np.int64(0), np.int64(1)
 
 
 @njit(**_INNER)
@@ -148,28 +146,23 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
     # Row i of the padded arrays is row i - 1 of the points, and its springs lead to row i of them. Rings of rows: the
     # points up to i + 2, their bends up to i + 1, and the mended bends up to i.
     rows, bends, mended = np.empty((8, 3, n + 2)), np.full((4, 4, n + 2), np.nan), np.empty((2, 4, n + 2))
-    for k in range(r0 - 3, r0 + 2):
-        _load(points, scale, k, rows[k % 8], n)
-    if arc:
-        for k in range(r0 - 2, r0 + 1):
-            _bend(rows[(k - 1) % 8], rows[k % 8], rows[(k + 1) % 8], bends[k % 4], n)
-    p = _mend(bends[(r0 - 2) % 4], bends[(r0 - 1) % 4], bends[r0 % 4], mended[(r0 - 1) % 2], n)
-    for i in range(r0, r1):
+    p = q = mended[0]
+    for i in range(r0 - 5, r1):
         _load(points, scale, i + 2, rows[(i + 2) % 8], n)
-        here, there = rows[(i - 1) % 8], rows[i % 8]
-        _chords(here, here, _THIS, _NEXT, rest[0, i], n)
-        _chords(here, there, _THIS, _THIS, rest[1, i], n)
-        _chords(here, there, _THIS, _NEXT, rest[2, i], n)
-        _chords(here, there, _NEXT, _THIS, rest[3, i], n)
-        left = 0.0
-        if arc:
-            _bend(there, rows[(i + 1) % 8], rows[(i + 2) % 8], bends[(i + 1) % 4], n)
-            q = _mend(bends[(i - 1) % 4], bends[i % 4], bends[(i + 1) % 4], mended[i % 2], n)
-            left += _arcs(p[0], p[0], _THIS, _NEXT, rest[0, i], n)
-            left += _arcs(p[1], q[1], _THIS, _THIS, rest[1, i], n)
-            left += _arcs(p[2], q[2], _THIS, _NEXT, rest[2, i], n)
-            left += _arcs(p[3], q[3], _NEXT, _THIS, rest[3, i], n)
+        if arc and i >= r0 - 3:
+            _bend(rows[i % 8], rows[(i + 1) % 8], rows[(i + 2) % 8], bends[(i + 1) % 4], n)
+        if arc and i >= r0 - 1:
             p = q
+            q = _mend(bends[(i - 1) % 4], bends[i % 4], bends[(i + 1) % 4], mended[i % 2], n)
+        if i < r0:
+            continue
+        here, there = rows[(i - 1) % 8], rows[i % 8]
+        left = 0.0
+        for family in range(4):  # one call for all: each would be compiled into this function once more
+            at, to = 1 if family == 3 else 0, 1 if family == 0 or family == 2 else 0
+            _chords(here, here if family == 0 else there, at, to, rest[family, i], n)
+            if arc:
+                left += _arcs(p[family], p[0] if family == 0 else q[family], at, to, rest[family, i], n)
         springs = 0
         for family in range(4):
             for j in range(1, n + 1):
@@ -180,16 +173,10 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
 @njit(**_INNER)
 def _lines(rest, stiff, family, i, total, length, n):
     """Add row i of the springs of a family to the sums of stiffness and of stiffness times length."""
-    long = rest[family, i]
-    if stiff is None:
-        for j in range(1, n + 1):
-            total[j] += 1.0 if long[j] > 0.0 else 0.0
-            length[j] += long[j]
-    else:
-        k = stiff[family, i]
-        for j in range(1, n + 1):
-            total[j] += k[j]
-            length[j] += k[j] * long[j]
+    long, k = rest[family, i], stiff[family, min(i, stiff.shape[1] - 1)]
+    for j in range(1, n + 1):
+        total[j] += k[j] if long[j] > 0.0 else 0.0
+        length[j] += k[j] * long[j]
 
 
 @njit(**_SETTINGS)
@@ -290,27 +277,25 @@ def interpolate(coarse, xy, near, n, coarse_n, gaps, r0, r1):
 
 
 @njit(**_SETTINGS)
-def moments(points, scale, xy, start, sums, r0, r1):
-    """Sums by rows over the nodes, for the turn that lays ``xy`` on ``start`` (rows, n, 2) or on x, y of ``points``.
+def moments(target, scale, xy, sums, r0, r1):
+    """Sums by rows over the nodes, for the turn that lays ``xy`` on the first two of ``target`` (rows, n, 2 or 3).
 
     ``sums`` (rows + 2, 7): count, u, v, p, q, u p + v q, u q - v p for places (u, v) and targets (p, q).
     """
-    n = points.shape[1]
+    n = target.shape[1]
     for i in range(r0, r1):
         count = su = sv = sp = sq = dot = cross = 0.0
         for j in range(n):
             u, v = xy[0, i, j + 1], xy[1, i, j + 1]
-            if u < GONE:
-                p = scale * (points[i - 1, j, 0] if start is None else start[i - 1, j, 0])
-                q = scale * (points[i - 1, j, 1] if start is None else start[i - 1, j, 1])
-                if p == p and q == q:
-                    count += 1.0
-                    su += u
-                    sv += v
-                    sp += p
-                    sq += q
-                    dot += u * p + v * q
-                    cross += u * q - v * p
+            p, q = scale * target[i - 1, j, 0], scale * target[i - 1, j, 1]
+            if u < GONE and p == p and q == q:
+                count += 1.0
+                su += u
+                sv += v
+                sp += p
+                sq += q
+                dot += u * p + v * q
+                cross += u * q - v * p
         sums[i, 0], sums[i, 1], sums[i, 2], sums[i, 3] = count, su, sv, sp
         sums[i, 4], sums[i, 5], sums[i, 6] = sq, dot, cross
 

@@ -63,11 +63,10 @@ def set_force(x, rest, stiff, f):
     largest = np.zeros(cols)
     for i in range(1, rows - 1):
         here, above = pulls[i % 2], pulls[1 - i % 2]
-        x0, y0, x1, y1 = x[0, i], x[1, i], x[0, i + 1], x[1, i + 1]
-        _pull(x0, y0, x0[1:], y0[1:], rest[0, i], stiff[0, i], n, here[0, 0], here[0, 1], energy)
-        _pull(x0, y0, x1, y1, rest[1, i], stiff[1, i], n, here[1, 0], here[1, 1], energy)
-        _pull(x0, y0, x1[1:], y1[1:], rest[2, i], stiff[2, i], n, here[2, 0], here[2, 1], energy)
-        _pull(x0[1:], y0[1:], x1, y1, rest[3, i], stiff[3, i], n, here[3, 0], here[3, 1], energy)
+        for family in range(4):  # one call for all: each would be compiled into this function once more
+            at, to, row = 1 if family == 3 else 0, 1 if family == 0 or family == 2 else 0, i if family == 0 else i + 1
+            _pull(x[0, i, at:], x[1, i, at:], x[0, row, to:], x[1, row, to:], rest[family, i], stiff[family, i], n,
+                  here[family, 0], here[family, 1], energy)  # fmt: skip
         for axis in range(2):
             out = f[axis, i]
             right, down, falling, rising = here[0, axis], here[1, axis], here[2, axis], here[3, axis]

@@ -44,9 +44,7 @@ class Network:
             first.append(number[rows + ends[0][0], cols + ends[0][1]])
             second.append(number[rows + ends[1][0], cols + ends[1][1]])
             rest.append(long[rows, cols])
-            stiff.append(
-                np.ones(rows.size) if level.stiff is None else level.stiff[family, rows + 1, cols + 1].astype(float)
-            )
+            stiff.append(level.stiff[family, np.minimum(rows + 1, level.stiff.shape[1] - 1), cols + 1].astype(float))
         return cls(mask, *(np.concatenate(part) for part in (first, second, rest, stiff)))
 
     def energy(self, uv: Array) -> float:

@@ -98,6 +98,8 @@ class Level:
     rows, cols : int
     rest, stiff, xy, near, ease, move, force
         As described in ``_kernels``.
+    sums, alone
+        Sums by rows, and the empty rows above and below a mesh that one thread smooths.
     parts : list of (int, int)
         Rows of each thread.
     """
@@ -106,7 +108,7 @@ class Level:
     cols: int
     parts: list[tuple[int, int]]
     rest: Array
-    stiff: Single | None
+    stiff: Single
     xy: Array = field(init=False)
     near: Single = field(init=False)
     ease: Single = field(init=False)

@@ -50,8 +50,9 @@ _RATE = 0.1
 _ROUGHLY = 0.1
 """Tolerance on the coarser levels: one step, as a rule."""
 
-_CHAIN = 5
-"""Levels handed to ``descend``, the last one repeated where there are fewer: each other number is compiled anew."""
+_CHAIN = 8
+"""Levels handed to ``descend``, the last one repeated: another number would be compiled anew. No mesh has more that are
+the work of one thread."""
 
 _STEPS = 300
 
@@ -197,7 +198,7 @@ class Multigrid:
             if left <= tolerance * energy or way <= _STILL:
                 return Outcome.RESTED if wanted <= max(100 * tolerance * energy, gain) else Outcome.HELD_OPEN
             slow += slow > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
-            if slow and slow % 4 == 0 and not self.guarded and look_over(level, self.team, self.side)[1]:
+            if slow and slow % 4 == 0 and not self.guarded and count_folds(level, self.team, self.side)[1]:
                 return Outcome.FOLDED
         return Outcome.OUT_OF_STEPS
 
@@ -224,7 +225,7 @@ class Multigrid:
         level.move *= share
         for _ in range(_HALVINGS):
             self.advance(level)
-            risen = look_over(level, self.team, self.side)[0] > energy * (1 + 1e-12)
+            risen = count_folds(level, self.team, self.side)[0] > energy * (1 + 1e-12)
             level.move *= -1
             self.advance(level)
             level.move *= -0.5 if risen else -1.0
@@ -288,7 +289,7 @@ class Multigrid:
             smooth(*fixed, level.alone, first, weight, level.cols, *level.parts[0])
             return
         # Rows that two threads share are copied before either of them moves its own.
-        edges = [level.move[:, [r0 - 1, r1]] for r0, r1 in level.parts]
+        edges = [np.ascontiguousarray(level.move[:, [r0 - 1, r1]]) for r0, r1 in level.parts]
         self.team.each(
             smooth,
             [(*fixed, edge, first, weight, level.cols, r0, r1)
@@ -311,7 +312,7 @@ def along_grid(level: Level, handedness: float) -> Array:
     return np.stack([u, v], axis=-1)[level.nodes]
 
 
-def look_over(level: Level, team: Team, side: float) -> tuple[float, int]:
+def count_folds(level: Level, team: Team, side: float) -> tuple[float, int]:
     """Energy of a level, and how many of its cells are not upright."""
     team.run(survey, level.parts, level.xy, level.rest, level.stiff, side, level.sums, level.cols)
     energy, down = level.sums[1 : level.rows + 1].sum(axis=0)

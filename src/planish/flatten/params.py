@@ -1,4 +1,4 @@
-"""Options of the flattening."""
+"""Options of the flattening and of the flat maps."""
 
 from __future__ import annotations
 
@@ -8,11 +8,20 @@ from planish.core.options import Params, option
 
 
 class FlattenParams(Params):
-    """Options of the flattening and of the flat maps."""
+    """How the centre surface is flattened, and the pixel of the flat maps."""
 
-    mesh_um: float | None = option(None, gt=0, help="Pitch of the spring mesh; four columns or more where not given.")
-    method: Literal["multigrid", "relaxation"] = option("multigrid", help="Solver.")
-    rest: Literal["arc", "chord"] = option("arc", help="Rest lengths.")
-    map_um: float | None = option(None, gt=0, help="Pixel of the flat maps; the pitch of the columns where not given.")
-    most_nodes: int = option(4_000_000, cli=None, help="Most nodes.")
-    doubt: float = option(0.2, cli=None, help="Weight of bridged places.")
+    mesh_um: float | None = option(
+        None, gt=0, help="Pitch of the spring mesh in um; four columns, or more for large sheets, where not given."
+    )
+    method: Literal["multigrid", "relaxation"] = option(
+        "multigrid",
+        help="multigrid: straight to the least spring energy; relaxation: the damped motion of Hirn et al. (2009).",
+    )
+    rest: Literal["arc", "chord"] = option(
+        "arc",
+        help="Rest lengths of the springs: along the curved surface, or straight through space as in Hirn et al. "
+        "(2009).",
+    )
+    map_um: float | None = option(
+        None, gt=0, help="Pixel of the flat maps in um; the volume's columns where not given."
+    )

@@ -16,11 +16,13 @@ from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments
 from planish.flatten.infill import make_up
 from planish.flatten.levels import Level, Team, hierarchy
-from planish.flatten.multigrid import OPEN, Multigrid, Step, look_over
+from planish.flatten.multigrid import OPEN, Multigrid, Step, count_folds
 from planish.flatten.relaxation import History, RelaxationParams, relax_dynamically
 from planish.flatten.springs import TRUSTED, find_pieces, loose_nodes, make_springs, mean_pitch, stiffen
 
 Array = NDArray[np.float64]
+Method = Literal["multigrid", "relaxation"]
+Rest = Literal["arc", "chord"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,14 +67,12 @@ class Relaxed:
 def relax_grid(
     points: Array,
     *,
-    method: Literal["multigrid", "relaxation"] = "multigrid",
-    rest: Literal["arc", "chord"] = "arc",
+    method: Method | RelaxationParams = "multigrid",
+    rest: Rest = "arc",
     start: Array | None = None,
     weights: Array | None = None,
     tolerance: float = 1e-6,
-    threads: int | None = None,
     apart: bool = False,
-    relaxation: RelaxationParams | None = None,
 ) -> Relaxed:
     """Flatten a grid of points in space.
 
@@ -81,8 +81,9 @@ def relax_grid(
     points : (rows, cols, 3)
         (x, y, z) in any unit of length; not finite where there is no sheet. Neighbours in the grid are neighbours in
         the sheet; the grid need be neither regular nor a height field.
-    method : {"multigrid", "relaxation"}
-        How the minimum of the spring energy is found: directly, or by the damped motion of Hirn et al. (2009).
+    method : {"multigrid", "relaxation"} or RelaxationParams
+        How the minimum of the spring energy is found: directly, or by the damped motion of Hirn et al. (2009), with
+        their constants or with others.
     rest : {"arc", "chord"}
         Rest lengths of the springs: along the surface, or straight through space as in the paper. A chord is too short
         by the square of the surface's normal curvature k, k^2 L^3 / 24; the correction is left out where the
@@ -97,17 +98,13 @@ def relax_grid(
     tolerance : float
         ``multigrid`` is at rest when its energy is expected to exceed the minimum by less than this share, or places to
         be wrong by less than 3e-6 pitches in the mean (root of the mean square).
-    threads : int, optional
-        All cores where not given. The result does not depend on it.
     apart : bool
         Flatten unconnected pieces each for itself; otherwise they are an error.
-    relaxation : RelaxationParams, optional
-        Choices of ``method="relaxation"``.
 
     Returns
     -------
     Relaxed
-        ``uv`` is a view in which u and v are stored apart.
+        ``uv`` is a view in which u and v are stored apart. The number of threads changes no byte of it.
 
     Raises
     ------
@@ -115,14 +112,14 @@ def relax_grid(
         If an argument does not fit, there are fewer than two by two nodes, or the sheet falls into unconnected pieces.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
-    _check(points, start, weights, tolerance, method=method, rest=rest, threads=threads)
+    _check(points, start, weights, tolerance, method=method, rest=rest)
     braces = None
     made_up = np.zeros(points.shape[:2], dtype=bool)
     if weights is not None:
         points, weights, made_up = _weigh(points, np.asarray(weights, dtype=np.float64))
     start = None if start is None else np.ascontiguousarray(start, dtype=np.float64)
     pitch = mean_pitch(points)
-    with Team(count_threads(threads)) as team:
+    with Team(count_threads()) as team:
         level, springs, straight = make_springs(points, pitch, rest, team)
         gaps = springs < _all_springs(level.rows, level.cols)
         if gaps:
@@ -130,8 +127,7 @@ def relax_grid(
             labels, sizes = find_pieces(known)
             _check_pieces(known, sizes, apart)
             if sizes.size > 1:
-                joined = _each_apart(points, labels, start, weights, method=method, rest=rest, tolerance=tolerance,
-                                     threads=threads, relaxation=relaxation)  # fmt: skip
+                joined = _each_apart(points, labels, start, weights, method=method, rest=rest, tolerance=tolerance)
                 return replace(joined, made_up=joined.made_up | made_up)
             loose, stiff = loose_nodes(known)
             _check_stiffness(stiff)
@@ -146,11 +142,12 @@ def relax_grid(
             steps, outcome, history, energy, down = _multigrid(level, points, start, team, tolerance, gaps=gaps)
         else:
             energy, down = 0.0, 0
-            steps, outcome, history = _relaxation(level, points, start, pitch, relaxation)
+            params = RelaxationParams() if method == "relaxation" else method
+            steps, outcome, history = _relaxation(level, points, start, pitch, params)
         if braces is not None:
             stiffen(level, np.where(braces, 0.0, np.ones(braces.shape) if weights is None else weights))
-        if braces is not None or method == "relaxation":
-            energy, down = look_over(level, team, _handedness(points, start))
+        if braces is not None or method != "multigrid":
+            energy, down = count_folds(level, team, _handedness(points, start))
         level.drop_springs()
         uv = _laid_down(level, points, start, pitch, team)
     if braces is not None:
@@ -190,15 +187,12 @@ def folded_cells(points: Array, uv: Array, *, side: float = 1.0, floor: float = 
 
 
 def _check(
-    points: Array, start: Array | None, weights: Array | None, tolerance: float, *, method: str, rest: str,
-    threads: int | None,
+    points: Array, start: Array | None, weights: Array | None, tolerance: float, *, method: object, rest: object
 ) -> None:  # fmt: skip
     faults: list[str] = []
     for name, value, known in (("method", method, ("multigrid", "relaxation")), ("rest", rest, ("arc", "chord"))):
-        if value not in known:
+        if value not in known and not isinstance(value, RelaxationParams):
             faults.append(f"{name} is {value!r}, needed is {' or '.join(map(repr, known))}")
-    if threads is not None and threads < 1:
-        faults.append(f"{threads} threads were asked for, needed is 1 or more")
     if points.ndim != 3 or points.shape[2] != 3:
         raise CannotFlatten(f"Points of shape {points.shape} were given; needed is a grid (rows, cols, 3) of x, y, z.")
     if min(points.shape[:2]) < 2:
@@ -266,7 +260,7 @@ def _weigh(points: Array, weights: Array) -> tuple[Array, Array | None, NDArray[
 def _each_apart(
     points: Array, labels: NDArray[np.int32], start: Array | None, weights: Array | None, **choices: object
 ) -> Relaxed:
-    """Flatten the pieces one after the other; each lies on its own start. Crumbs without a cell are left out."""
+    """Flatten the pieces one after the other; each lies on its own start. Fragments without a cell are left out."""
     uv = np.full((*labels.shape, 2), np.nan)
     folded = np.zeros((labels.shape[0] - 1, labels.shape[1] - 1), dtype=bool)
     made_up = np.zeros(labels.shape, dtype=bool)
@@ -321,18 +315,18 @@ def _multigrid(
         solver = Multigrid(hierarchy(level, team), team, gaps=gaps, side=side, guarded=guarded)
         outcome = solver.run(tolerance)
         history += tuple(solver.history)
-        energy, down = look_over(level, team, side)
+        energy, down = count_folds(level, team, side)
         if outcome in (Outcome.RESTED, Outcome.OUT_OF_STEPS) and down == 0:
             break
     return sum(step.nodes == finest for step in history), outcome, history, energy, down
 
 
 def _relaxation(
-    level: Level, points: Array, start: Array | None, pitch: float, params: RelaxationParams | None
+    level: Level, points: Array, start: Array | None, pitch: float, params: RelaxationParams
 ) -> tuple[int, Outcome, History]:
     rows, cols = level.rows, level.cols
     rest = np.where(level.rest > 0, level.rest, np.nan)[:, 1 : rows + 1, 1 : cols + 1]
-    stiff = None if level.stiff is None else level.stiff[:, 1 : rows + 1, 1 : cols + 1].astype(np.float64)
+    stiff = np.broadcast_to(level.stiff, level.rest.shape)[:, 1 : rows + 1, 1 : cols + 1].astype(np.float64)
     first = (points[..., :2] if start is None else start) / pitch
     first = np.where(np.isfinite(points).all(axis=-1, keepdims=True), first, np.nan)
     done = relax_dynamically(first, rest, stiffness=stiff, params=params)
@@ -344,7 +338,7 @@ def _relaxation(
 def _laid_down(level: Level, points: Array, start: Array | None, pitch: float, team: Team) -> Array:
     """Turn and shift the places to lie on the start: least squares without scale and without reflection."""
     sums = np.zeros((level.rows + 2, 7))
-    team.run(moments, level.parts, points, 1 / pitch, level.xy, start, sums)
+    team.run(moments, level.parts, points if start is None else start, 1 / pitch, level.xy, sums)
     count, u, v, p, q, dot, cross = sums.sum(axis=0)
     angle = np.arctan2(cross - (u * q - v * p) / count, dot - (u * p + v * q) / count) if count else 0.0
     cos, sin = float(np.cos(angle)), float(np.sin(angle))

@@ -14,7 +14,7 @@ from planish.flatten import _relaxation_kernels as kernels
 
 Array = NDArray[np.float64]
 
-_BLOCK = 50  # steps between two looks of the interpreter: some 10 ms at 128 x 96 nodes, so that Ctrl-C is heard
+_BLOCK = 50  # steps between two returns to the interpreter: some 10 ms at 128 x 96 nodes, so that Ctrl-C works
 
 # How the time step follows in the feedback reading of Eq. (4). The paper has no numbers for it; any come to a halt.
 _CUT, _GROW = 0.5, 1.1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -12,39 +11,21 @@ from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
 from planish.core.frame import Frame
-from planish.core.grid import bilinear
+from planish.core.grid import bilinear, pitch
 from planish.core.outcome import Outcome
 from planish.flatten.curvature import CurvatureCheck, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
+from planish.flatten.params import FlattenParams
 from planish.flatten.relax import Relaxed, relax_grid
 from planish.flatten.relaxation import History
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FlattenParams:
-    """Choices of the flattening.
-
-    Attributes
-    ----------
-    mesh_um : float or None
-        Pitch of the spring mesh. By default four columns, coarser where the mesh would have more than ``most_nodes``:
-        the centre surface holds no detail below its cut-off of 400 um, so that a mesh of 12 um loses nothing.
-    most_nodes : int
-        Takes half a second and half a gigabyte.
-    method, rest
-        As in ``relax_grid``.
-    doubt : float
-        Weight of the centre surface where it was bridged over holes and gaps, against 1 where both faces were seen: it
-        holds the sheet together there and leaves the say to what was measured.
-    """
-
-    mesh_um: float | None = None
-    most_nodes: int = 4_000_000
-    method: Literal["multigrid", "relaxation"] = "multigrid"
-    rest: Literal["arc", "chord"] = "arc"
-    doubt: float = 0.2
+_MOST_NODES = 4_000_000  # of the mesh: half a second and half a gigabyte
+_DOUBT = 0.2
+"""Weight of the centre surface where it was bridged over holes and gaps, against 1 where both faces were found: it
+holds the sheet together there and leaves its shape to what was measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,8 +73,11 @@ class Flattened:
     edge_strain_max: float
 
 
-def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) -> Flattened:
+def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams = FlattenParams()) -> Flattened:  # noqa: B008  # frozen
     """Develop the centre surface into the plane.
+
+    The mesh takes every n-th column (``params.mesh_um``): the centre surface holds no detail below its cut-off of
+    400 um, so that a mesh of 12 um loses nothing. Every column is carried along.
 
     Parameters
     ----------
@@ -110,12 +94,11 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     CannotFlatten
         If the centre surface is too small or falls into pieces.
     """
-    params = params or FlattenParams()
     frame = Frame.of(surfaces)
     y, x = surfaces["y"].values, surfaces["x"].values
     centre = surfaces["centre"].values
     known = _largest_piece(np.isfinite(centre))
-    step = _strides(y, x, int(np.count_nonzero(known)), params)
+    step = _strides(surfaces, int(np.count_nonzero(known)), params.mesh_um)
     rows, cols = _every(y.size, step[0]), _every(x.size, step[1])
     mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
     height = np.where(known, centre, np.nan)[np.ix_(rows, cols)]
@@ -123,8 +106,7 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     points[~_largest_piece(np.isfinite(height))] = np.nan
     weights = None
     if "status" in surfaces:
-        seen = surfaces["status"].values[np.ix_(rows, cols)] == 0
-        weights = np.where(seen, 1.0, params.doubt)
+        weights = np.where(surfaces["status"].values[np.ix_(rows, cols)] == 0, 1.0, _DOUBT)
     relaxed = relax_grid(points, method=params.method, rest=params.rest, weights=weights)
     flip = -1.0 if frame.mirrored else 1.0
     offset = float(x[-1] + x[0]) if frame.mirrored else 0.0
@@ -164,7 +146,7 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
         energy=relaxed.energy,
         springs=relaxed.springs,
         straight_share=relaxed.straight_share,
-        mesh_um=float(step[0] * (y[1] - y[0])),
+        mesh_um=step[0] * pitch(surfaces)[0],
         folded_cells=int(np.count_nonzero(relaxed.folded)),
         edge_strain_p95=float(np.percentile(edges, 95)),
         edge_strain_max=float(edges.max()),
@@ -176,8 +158,8 @@ def _at_cells(nodes: Array) -> Array:
 
 
 def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Array, dict[str, str]]]:
-    """History of either solver over ``step``: nodes of the mesh, energy, and the mean way of a node in the step."""
-    history, pitch = relaxed.history, relaxed.pitch
+    """History of either solver over ``step``: nodes of the mesh, energy, and the mean move of a node in the step."""
+    history, unit = relaxed.history, relaxed.pitch
     if isinstance(history, History):
         count = np.full(history.step.size, float(np.isfinite(relaxed.uv[..., 0]).sum()))
         nodes, energy, move = count, history.energy, history.mean_speed * history.dt
@@ -187,26 +169,28 @@ def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Array, dict[str, str]]]:
         )
     return {
         "step_nodes": ("step", nodes, {"long_name": "Nodes of the mesh"}),
-        "step_energy": ("step", energy * pitch**2, {"units": "um2", "long_name": "Spring energy"}),
-        "step_move": ("step", move * pitch, {"units": "um", "long_name": "Mean move"}),
+        "step_energy": ("step", energy * unit**2, {"units": "um2", "long_name": "Spring energy"}),
+        "step_move": ("step", move * unit, {"units": "um", "long_name": "Mean move"}),
     }
 
 
 def _largest_piece(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Keep the largest connected piece; crumbs beside it have no place in the plane."""
+    """Keep the largest connected piece; fragments beside it have no place in the plane."""
     labels, count = ndimage.label(known, structure=np.ones((3, 3)))
     if count == 0:
         raise CannotFlatten("The centre surface is empty; there is nothing to flatten.")
     return labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:])) if count > 1 else known
 
 
-def _strides(y: Array, x: Array, nodes: int, params: FlattenParams) -> tuple[int, int]:
+def _strides(surfaces: xr.Dataset, nodes: int, mesh_um: float | None) -> tuple[int, int]:
     """Columns per mesh cell, along rows and columns, so that cells are about square."""
-    pitch = float(y[1] - y[0]), float(x[1] - x[0])
-    wanted = params.mesh_um or max(4 * max(pitch), np.sqrt(nodes * pitch[0] * pitch[1] / params.most_nodes))
-    return tuple(  # type: ignore[return-value]
-        int(np.clip(round(wanted / p), 1, max(1, (n - 1) // 2))) for p, n in zip(pitch, (y.size, x.size), strict=True)
+    steps = pitch(surfaces)
+    wanted = mesh_um or max(4 * max(steps), np.sqrt(nodes * steps[0] * steps[1] / _MOST_NODES))
+    rows, cols = (
+        int(np.clip(round(wanted / step), 1, max(1, (n - 1) // 2)))
+        for step, n in zip(steps, surfaces["centre"].shape, strict=True)
     )
+    return rows, cols
 
 
 def _every(count: int, step: int) -> NDArray[np.intp]:
@@ -237,6 +221,3 @@ def _fold_mask(
     for i, j in zip(*np.nonzero(folded), strict=True):
         mask[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = True
     return mask
-
-
-__all__ = ["FlattenParams", "Flattened", "Outcome", "flatten_sheet"]

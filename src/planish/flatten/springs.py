@@ -57,7 +57,8 @@ def make_springs(points: Array, pitch: float, rest: Literal["arc", "chord"], tea
     springs, straight = counts.sum(axis=0)
     if springs == 0:
         raise CannotFlatten("No two neighbours of the mesh are known. Fill the gaps or use a coarser mesh.")
-    return Level(rows, cols, parts, lengths, None), int(springs), straight / springs if rest == "arc" else np.nan
+    even = np.ones((4, 1, lengths.shape[2]), np.float32)
+    return Level(rows, cols, parts, lengths, even), int(springs), straight / springs if rest == "arc" else np.nan
 
 
 def stiffen(level: Level, weights: Array) -> None:

@@ -14,6 +14,8 @@ from numba import njit
 _EDGE = 1e-9  # of the weights: a pixel of the source with less does not count, so none is lost to rounding
 _FINE = 40  # bits of a pixel: places are whole multiples of 2^-40 of it
 _FLAT = 1e-6  # of the square of its diagonal: an area below that is none
+# A number written in a call would be a type of its own, and the callee compiled once more.
+_ZERO, _ONE = np.int64(0), np.int64(1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -106,7 +108,7 @@ def interpolate(window, r0, c0, known, bounds, corners, out, valid, y0, x0):
             row, good = out[top - y0 + i], valid[top - y0 + i]
             begin, end = 0, 0
             if quick:
-                begin, end = _within(at_x, step_x, np.int64(cols - 1) << _FINE, 0, width)
+                begin, end = _within(at_x, step_x, np.int64(cols - 1) << _FINE, _ZERO, width)
                 begin, end = _within(at_y, step_y, np.int64(rows - 1) << _FINE, begin, end)
             for k in range(begin, end):
                 x, y = at_x + k * step_x, at_y + k * step_y
@@ -221,7 +223,7 @@ def _under(sums, stride, x0, y0, x1, y1, slope):
 def _add_up(window, known, top, left, rows, cols, sums, stride, counted):
     """Sums down the columns of the part of the window that begins at ``top``, ``left``; nothing beside the window.
 
-    Of its values, or where ``counted`` of the number of known pixels.
+    Of its values, or where ``counted`` is 1 of the number of known pixels.
     """
     for j in range(cols):
         sums[j] = 0.0
@@ -234,7 +236,7 @@ def _add_up(window, known, top, left, rows, cols, sums, stride, counted):
         if 0 <= y < window.shape[0]:
             for j in range(first, last):
                 if not masked or known[y, left + j]:
-                    sums[at + stride + j] += 1.0 if counted else window[y, left + j]
+                    sums[at + stride + j] += 1.0 if counted > 0 else window[y, left + j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -247,7 +249,7 @@ def average(window, r0, c0, known, bounds, corners, out, valid, y0, x0):
     """
     count = bounds.shape[0]
     boxes = np.empty((count, 4), np.int64)
-    most_rows, most_cols, most_width = 0, 0, 0
+    most_rows, most_cols, most_width = _ZERO, _ZERO, _ZERO
     for p in range(count):
         low_x, low_y, high_x, high_y = _box(corners[p])
         # A row and a column more on every side, for the last digit.
@@ -267,11 +269,11 @@ def average(window, r0, c0, known, bounds, corners, out, valid, y0, x0):
         rows, cols = boxes[p, 2] - by, boxes[p, 3] - bx
         whole = by >= r0 and bx >= c0 and by + rows <= r0 + window.shape[0] and bx + cols <= c0 + window.shape[1]
         whole = whole and _all_known(known, by - r0, by + rows - 1 - r0, bx - c0, bx + cols - 1 - c0)
-        _add_up(window, known, by - r0, bx - c0, rows, cols, sums, stride, False)
+        _add_up(window, known, by - r0, bx - c0, rows, cols, sums, stride, _ZERO)
         if not whole:
             if weights.shape[0] == 0:
                 weights = np.empty(sums.shape)
-            _add_up(window, known, by - r0, bx - c0, rows, cols, weights, stride, True)
+            _add_up(window, known, by - r0, bx - c0, rows, cols, weights, stride, _ONE)
         for i in range(height + 1):
             lx, ly, wx, wy = _side(corners[p], i / height)
             nx, ny, vx, vy = _side(corners[p], (i + 1) / height)

@@ -62,7 +62,7 @@ def _once() -> Values:
     fine = RelaxationParams(mean_speed=1e-4)
     ways = [
         relax_grid(dome, method="multigrid", rest="chord"),
-        relax_grid(dome, method="relaxation", rest="chord", relaxation=fine),
+        relax_grid(dome, method=fine, rest="chord"),
     ]
     return {
         "mesh_cylinder": node_error(found.uv, unrolled(flat)),
