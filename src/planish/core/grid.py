@@ -37,7 +37,8 @@ class Grid:
     ) -> Grid:
         """Return a grid of ``shape`` whose first pixel has its middle at ``origin_um``, (x, y)."""
         rows, cols = (pixel_um, pixel_um) if isinstance(pixel_um, int | float) else pixel_um
-        y, x = origin_um[1] + rows * np.arange(shape[0]), origin_um[0] + cols * np.arange(shape[1])
+        down, across = (np.arange(n, dtype=np.float64) for n in shape)
+        y, x = origin_um[1] + rows * down, origin_um[0] + cols * across
         return cls(y_um=y, x_um=x, step_um=(float(rows), float(cols)))
 
     @classmethod
