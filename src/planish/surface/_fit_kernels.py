@@ -30,16 +30,17 @@ _LAST = 6
 _TABLE = ndtr(np.arange(-_LAST * _PER_SIGMA, _LAST * _PER_SIGMA + 2) / _PER_SIGMA)
 
 
-@njit(cache=True, nogil=True)
-def _normal(x):
+@njit(cache=True, nogil=True, inline="always")
+def _step(x):
+    """Return the normal distribution and its density: the table's own slope."""
     t = (x + _LAST) * _PER_SIGMA
     if t <= 0.0:
-        return 0.0
+        return 0.0, 0.0
     if t >= 2.0 * _LAST * _PER_SIGMA:
-        return 1.0
+        return 1.0, 0.0
     i = int(t)
-    f = t - i
-    return _TABLE[i] * (1.0 - f) + _TABLE[i + 1] * f
+    rise = _TABLE[i + 1] - _TABLE[i]
+    return _TABLE[i] + (t - i) * rise, rise * _PER_SIGMA
 
 
 @njit(cache=True, nogil=True)
@@ -77,55 +78,58 @@ def _solve4(m, r, n):
 @njit(cache=True, nogil=True)
 def _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio):
     """Return the cost at p; set the lower triangle of ``matrix`` and ``step`` to the normal equations there."""
-    matrix[:] = 0.0
-    step[:] = 0.0
-    cost = 0.0
+    # Sums in variables of their own stay in registers.
+    cost = s0 = s1 = s2 = s3 = 0.0
+    m00 = m10 = m11 = m20 = m21 = m22 = m30 = m31 = m32 = m33 = 0.0
     scale = 1.0 / (noise * noise)
+    face, inside, coat, base = p[0], p[0] + p[1], p[2], p[3]
     for d in range(lo, hi + 1):
-        x1 = (d - p[0]) / w
-        outer, bell1 = _normal(x1), _bell(x1) / w
+        x = (d - face) / w
+        outer, bell = _step(x)
+        bell /= w
         if fringe is not None:
-            y = ratio * x1
+            y = ratio * x
             part = fringe * _bell(y)
-            outer, bell1 = outer + y * part, bell1 + ratio * (1.0 - y * y) * part / w
+            outer, bell = outer + y * part, bell + ratio * (1.0 - y * y) * part / w
         if coated:
-            x2 = (d - p[0] - p[1]) / w
-            inner, bell2 = _normal(x2), _bell(x2) / w
+            x = (d - inside) / w
+            j3, inner = _step(x)
+            inner /= w
             if fringe is not None:
-                y = ratio * x2
+                y = ratio * x
                 part = fringe * _bell(y)
-                inner, bell2 = inner + y * part, bell2 + ratio * (1.0 - y * y) * part / w
-            e = g[d] - (air + (p[2] - air) * outer + (p[3] - p[2]) * inner)
-            j1 = -(p[3] - p[2]) * bell2
-            j0 = -(p[2] - air) * bell1 + j1
-            j2 = outer - inner
-            j3 = inner
+                j3, inner = j3 + y * part, inner + ratio * (1.0 - y * y) * part / w
+            e = g[d] - (air + (coat - air) * outer + (base - coat) * j3)
+            j1 = -(base - coat) * inner
+            j0 = -(coat - air) * bell + j1
+            j2 = outer - j3
         else:
-            e = g[d] - (p[2] + (p[3] - p[2]) * outer)
-            j0 = -(p[3] - p[2]) * bell1
+            e = g[d] - (coat + (base - coat) * outer)
+            j0 = -(base - coat) * bell
             j1 = 0.0
             j2 = 1.0 - outer
             j3 = outer
         cost += e * e
-        step[0] += j0 * e
-        step[1] += j1 * e
-        step[2] += j2 * e
-        step[3] += j3 * e
-        matrix[0, 0] += j0 * j0
-        matrix[1, 0] += j1 * j0
-        matrix[1, 1] += j1 * j1
-        matrix[2, 0] += j2 * j0
-        matrix[2, 1] += j2 * j1
-        matrix[2, 2] += j2 * j2
-        matrix[3, 0] += j3 * j0
-        matrix[3, 1] += j3 * j1
-        matrix[3, 2] += j3 * j2
-        matrix[3, 3] += j3 * j3
+        s0 += j0 * e
+        s1 += j1 * e
+        s2 += j2 * e
+        s3 += j3 * e
+        m00 += j0 * j0
+        m10 += j1 * j0
+        m11 += j1 * j1
+        m20 += j2 * j0
+        m21 += j2 * j1
+        m22 += j2 * j2
+        m30 += j3 * j0
+        m31 += j3 * j1
+        m32 += j3 * j2
+        m33 += j3 * j3
     cost *= scale
-    for i in range(4):
-        step[i] *= scale
-        for j in range(i + 1):
-            matrix[i, j] *= scale
+    step[0], step[1], step[2], step[3] = scale * s0, scale * s1, scale * s2, scale * s3
+    matrix[0, 0] = scale * m00
+    matrix[1, 0], matrix[1, 1] = scale * m10, scale * m11
+    matrix[2, 0], matrix[2, 1], matrix[2, 2] = scale * m20, scale * m21, scale * m22
+    matrix[3, 0], matrix[3, 1], matrix[3, 2], matrix[3, 3] = scale * m30, scale * m31, scale * m32, scale * m33
     for i in range(4):
         if spread[i] > 0.0:
             k = 1.0 / (spread[i] * spread[i])
@@ -153,13 +157,15 @@ def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step,
     Without a coating t is left as it is.
     """
     damping = 1e-3
-    old = np.empty(4)
+    old = np.empty((6, 4))  # matrix, step and p before a trial
     cost = _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio)
     for _ in range(_STEPS):
         for i in range(4):
+            for j in range(i + 1):
+                old[i, j] = matrix[i, j]
+            old[4, i], old[5, i] = step[i], p[i]
             matrix[i, i] *= 1.0 + damping
             matrix[i, i] += 1e-12
-            old[i] = p[i]
         if not _solve4(matrix, step, 4):
             break
         move = max(abs(step[0]), abs(step[1]))
@@ -176,11 +182,12 @@ def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step,
                 break
         else:
             for i in range(4):
-                p[i] = old[i]
+                for j in range(i + 1):
+                    matrix[i, j] = old[i, j]
+                step[i], p[i] = old[4, i], old[5, i]
             damping *= 10.0
             if damping > 1e7:
                 break
-            _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio)
     return cost / (hi - lo + 1)
 
 
@@ -219,6 +226,34 @@ def darkest(g, d0, reach, noise):
 
 
 @njit(cache=True, nogil=True)
+def _guess(g, d0, air, w, middle, prior, coated):
+    """Face and thickness of the coating to start from, seen from the first sample above the air."""
+    depth = g.size
+    # Half height between the air and what lies just inside, so that a coating does not pull the start outwards.
+    inside = g[d0]
+    for d in range(d0, min(d0 + int(2.5 * w) + 2, depth)):
+        inside = max(inside, g[d])
+    half = 0.5 * (air + inside)
+    h0 = float(d0)
+    for d in range(d0 - 1, min(d0 + int(3 * w) + 3, depth - 1)):
+        if d >= 0 and g[d] <= half < g[d + 1]:
+            h0 = d + (half - g[d]) / (g[d + 1] - g[d])
+            break
+    if not coated:
+        return h0, 0.0
+    mid = 0.5 * (prior[2] + prior[3])
+    d = int(h0 + 0.5 * w) + 1
+    seen = False
+    while d < min(int(middle), depth - 2):
+        if 0.25 * g[d - 1] + 0.5 * g[d] + 0.25 * g[d + 1] > mid:
+            seen = True
+        elif seen or d - h0 > 2.5 * w:
+            break
+        d += 1
+    return h0, max(d - 0.5 - h0, 0.7 * w) if seen else 0.7 * w
+
+
+@njit(cache=True, nogil=True)
 def fit_faces(
     slab,
     expected,
@@ -236,6 +271,7 @@ def fit_faces(
     amid=0.0,
     fringe=None,
     ratio=1.0,
+    reverse=False,
 ):
     """Fit the outer face and the interface of every column of a slab, read from outside to inside.
 
@@ -265,12 +301,15 @@ def fit_faces(
     fringe, ratio : float
         Size of the phase-contrast fringe, and width of the blur over that of the fringe. None is compiled apart, which
         makes the fit of an edge without a fringe as quick as if there were none.
+    reverse : bool
+        Whether the slab is read from its far end; ``expected`` and ``other`` are counted from there.
     """
     rows, cols, depth = slab.shape
     matrix = np.zeros((4, 4))
     step = np.zeros(4)
     p = np.zeros(4)
     best = np.zeros(4)
+    g = np.empty(depth, np.float32)
     local = spread.copy()
     local[0] = 0.0
     base_level = air + 0.5 * (prior[3] - air)
@@ -281,7 +320,11 @@ def fit_faces(
             e = expected[i, j]
             if not isfinite(e):
                 continue
-            g = slab[i, j]
+            if reverse:
+                for d in range(depth):
+                    g[d] = slab[i, j, depth - 1 - d]
+            else:
+                g = slab[i, j]
             w = width / tilt[i, j]
             v = window / tilt[i, j] if window > 0.0 else w
             middle = 0.5 * (e + other[i, j])
@@ -291,29 +334,7 @@ def fit_faces(
             if d0 < 0:
                 continue
             gap = darkest(g, d0, int(4.0 * v) + 2, noise) if amid > 0.0 else 0
-            # Half height between the air and what lies just inside, so that a coating does not pull the start outwards.
-            inside = g[d0]
-            for d in range(d0, min(d0 + int(2.5 * w) + 2, depth)):
-                inside = max(inside, g[d])
-            half = 0.5 * ((g[gap] if amid > 0.0 else air) + inside)
-            h0 = float(d0)
-            for d in range(d0 - 1, min(d0 + int(3 * w) + 3, depth - 1)):
-                if d >= 0 and g[d] <= half < g[d + 1]:
-                    h0 = d + (half - g[d]) / (g[d + 1] - g[d])
-                    break
-            thick = 0.0
-            if coated:
-                mid = 0.5 * (prior[2] + prior[3])
-                d = int(h0 + 0.5 * w) + 1
-                seen = False
-                while d < min(int(middle), depth - 2):
-                    smooth = 0.25 * g[d - 1] + 0.5 * g[d] + 0.25 * g[d + 1]
-                    if smooth > mid:
-                        seen = True
-                    elif seen or d - h0 > 2.5 * w:
-                        break
-                    d += 1
-                thick = max(d - 0.5 - h0, 0.7 * w) if seen else 0.7 * w
+            h0, thick = _guess(g, d0, g[gap] if amid > 0.0 else air, w, middle, prior, coated)
             cost = 1e300
             lo = hi = 0
             for attempt in range(2 if coated else 1):

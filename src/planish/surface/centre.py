@@ -49,9 +49,10 @@ def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_
     pad = 8  # the spline forgets its end condition by a factor of four a node
     mean, weight = np.pad(mean, pad), np.pad(weight, pad)
     coarse_pitch = pitch_um[0] * block[0], pitch_um[1] * block[1]
-    coarse = _regress(mean, weight, coarse_pitch, cutoff_um)
+    regression = _Regression(weight, coarse_pitch, cutoff_um)
+    coarse = regression(mean)
     # A second pass over what the first left behind: a wave of 1500 um then loses 0.02 % of its height and not 0.6 %.
-    coarse += _regress(np.where(weight > 0, mean - coarse, 0.0), weight, coarse_pitch, cutoff_um)
+    coarse += regression(np.where(weight > 0, mean - coarse, 0.0))
     where = [
         np.clip((np.arange(n) - 0.5 * (b - 1)) / b + pad, 0, m - 1)
         for n, b, m in zip(height.shape, block, coarse.shape, strict=True)
@@ -108,35 +109,41 @@ def _blocks(height: Array, block: tuple[int, int]) -> tuple[Array, Array]:
     return np.where(whole, total / np.maximum(count, 1.0), 0.0), np.where(whole, count / (block[0] * block[1]), 0.0)
 
 
-def _regress(mean: Array, weight: Array, pitch: tuple[float, float], cutoff: float) -> Array:
-    """Local paraboloid with Gaussian weights at every node: its constant term."""
-    scale = _GAMMA * cutoff
-    axes = []
-    for p in pitch:
-        half = max(2, int(np.ceil(_REACH * scale / p)))
-        x = np.arange(-half, half + 1) * p / scale
-        axes.append((x, np.exp(-np.pi * x * x)))
+class _Regression:
+    """Local paraboloids with Gaussian weights, at all nodes of one grid of weights."""
 
-    def moment(field: Array, i: int, j: int) -> Array:
-        (y, wy), (x, wx) = axes
-        first = ndimage.correlate1d(field, wy * y**i, axis=0, mode="constant")
-        return ndimage.correlate1d(first, wx * x**j, axis=1, mode="constant")
+    def __init__(self, weight: Array, pitch: tuple[float, float], cutoff: float) -> None:
+        scale = _GAMMA * cutoff
+        self.weight = weight
+        self.axes: list[tuple[Array, Array]] = []
+        for p in pitch:
+            half = max(2, int(np.ceil(_REACH * scale / p)))
+            x = np.arange(-half, half + 1) * p / scale
+            self.axes.append((x, np.exp(-np.pi * x * x)))
+        moments = self._moments(weight, _POWERS)
+        full = float(self.axes[0][1].sum() * self.axes[1][1].sum())
+        # A field of view much smaller than the cut-off has no full neighbourhood anywhere; its own fullest counts then.
+        # Where there is data nothing is extrapolated, however few the neighbours are.
+        enough = moments[0, 0] > _LEAST_WEIGHT * min(full, 4.0 * float(moments[0, 0].max()))
+        self.good = (weight > 0) | enough
+        self.system = np.empty((int(np.count_nonzero(self.good)), 6, 6))
+        for a, (i, j) in enumerate(_TERMS):
+            for b, (k, m) in enumerate(_TERMS):
+                self.system[:, a, b] = moments[i + k, j + m][self.good]
+        self.system += 1e-9 * full * np.eye(6)
 
-    moments = {(i, j): moment(weight, i, j) for i, j in _POWERS}
-    known = weight > 0
-    # Heights about their mean keep the sums well conditioned.
-    offset = float(mean[known].mean()) if known.any() else 0.0
-    level = weight * (mean - offset)
-    right = np.stack([moment(level, i, j) for i, j in _TERMS], axis=-1)
-    matrix = np.empty((*weight.shape, 6, 6))
-    for a, (i, j) in enumerate(_TERMS):
-        for b, (k, m) in enumerate(_TERMS):
-            matrix[..., a, b] = moments[i + k, j + m]
-    full = float(axes[0][1].sum() * axes[1][1].sum())
-    # A field of view much smaller than the cut-off has no full neighbourhood anywhere; its own fullest counts then.
-    # Where there is data nothing is extrapolated, however few the neighbours are.
-    good = known | (moments[0, 0] > _LEAST_WEIGHT * min(full, 4.0 * float(moments[0, 0].max())))
-    result = np.full(weight.shape, np.nan)
-    system = matrix[good] + 1e-9 * full * np.eye(6)
-    result[good] = np.linalg.solve(system, right[good][..., None])[..., 0, 0] + offset
-    return result
+    def _moments(self, field: Array, powers: list[tuple[int, int]]) -> dict[tuple[int, int], Array]:
+        (y, wy), (x, wx) = self.axes
+        down = {i: ndimage.correlate1d(field, wy * y**i, axis=0, mode="constant") for i in {i for i, _ in powers}}
+        return {(i, j): ndimage.correlate1d(down[i], wx * x**j, axis=1, mode="constant") for i, j in powers}
+
+    def __call__(self, mean: Array) -> Array:
+        """Return the constant terms; NaN where nothing is known and the neighbourhood holds too little."""
+        known = self.weight > 0
+        # Heights about their mean keep the sums well conditioned.
+        offset = float(mean[known].mean()) if known.any() else 0.0
+        right = self._moments(self.weight * (mean - offset), _TERMS)
+        result = np.full(self.weight.shape, np.nan)
+        sums = np.stack([right[term][self.good] for term in _TERMS], axis=-1)
+        result[self.good] = np.linalg.solve(self.system, sums[..., None])[..., 0, 0] + offset
+        return result

@@ -205,9 +205,8 @@ def _fit_tile(fit: _Fit, tile: Tile) -> Array:
         if fit.again is not None:
             outer, amid = np.ascontiguousarray(fit.again[k]), 0.5 * learnt.base
         _fit_kernels.fit_faces(
-            np.ascontiguousarray(grey[:, :, ::-1]) if high else grey, outer, other, tilt, 0.0, edge.width,
-            learnt.scatter, side.level, side.spread, side.coated, learnt.reach, result, 0.0,
-            amid, edge.fringe or None, edge.ratio,
+            grey, outer, other, tilt, 0.0, edge.width, learnt.scatter, side.level, side.spread, side.coated,
+            learnt.reach, result, 0.0, amid, edge.fringe or None, edge.ratio, high,
         )  # fmt: skip
         out[2 * k : 2 * k + 2] = result[:2]
     return out

@@ -136,8 +136,8 @@ def material(blocks: NDArray[np.float32], air: float, known: float | None = None
     to the air where it is not ``known``.
     """
     deviation = blocks[np.isfinite(blocks)].astype(np.float64) - air
-    near = deviation[np.abs(deviation) <= np.percentile(np.abs(deviation), 50)]
-    scatter = spread(near) if known is None else known
+    size = np.abs(deviation)
+    scatter = spread(deviation[size <= np.percentile(size, 50)]) if known is None else known
     scatter = max(scatter, 1e-3 * float(np.ptp(deviation)), 1e-9)
     bright = deviation > _SIGMAS * scatter
     dark = deviation < -_SIGMAS * scatter
@@ -146,8 +146,8 @@ def material(blocks: NDArray[np.float32], air: float, known: float | None = None
             f"There is no sheet in the volume: all of it lies within {_SIGMAS:g} standard deviations of the air's grey "
             f"({air:.4g}). Check that this is the reconstructed volume, and --through."
         )
-    polarity = 1.0 if np.abs(deviation[bright]).sum() >= np.abs(deviation[dark]).sum() else -1.0
-    typical = float(np.median(np.abs(deviation[bright if polarity > 0 else dark])))
+    polarity = 1.0 if size[bright].sum() >= size[dark].sum() else -1.0
+    typical = float(np.median(size[bright if polarity > 0 else dark]))
     ends = np.concatenate([blocks[..., :3].ravel(), blocks[..., -3:].ravel()]).astype(np.float64)
     least = max(_FEWER_SIGMAS * spread(ends), 0.08 * typical)
     return polarity, max(_SIGMAS * scatter, 0.35 * typical), least

@@ -188,7 +188,7 @@ class Sampler:
         columns = map(np.ascontiguousarray, (sample.grey, sample.outer, sample.other, sample.tilt))
         _fit_kernels.fit_faces(
             *columns, 0.0, edge.width, self.scatter, side.level, side.spread, side.coated, self.reach, result, window,
-            self.amid, edge.fringe or None, edge.ratio,
+            self.amid, edge.fringe or None, edge.ratio, False,
         )  # fmt: skip
         return result
 
