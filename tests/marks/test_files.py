@@ -28,7 +28,7 @@ from marks.files_by_hand import (
 from planish.marks import read_holes, read_marks
 from planish.marks.files import (
     FORMATS,
-    LayerFacts,
+    LayerPixels,
     Places,
     format_of,
     holes_of,
@@ -43,7 +43,7 @@ from planish.marks.files import (
 )
 from planish.marks.files.formats import formats_table, module_of
 
-PIXELS = {"moving": LayerFacts(MOVING_PIXEL), "fixed": LayerFacts(FIXED_PIXEL)}
+PIXELS = {"moving": LayerPixels(MOVING_PIXEL), "fixed": LayerPixels(FIXED_PIXEL)}
 
 
 @pytest.fixture
@@ -141,7 +141,7 @@ def test_elastix_index_is_pixels_from_nought(put, word):
     index = np.array([[0, 0], [100, 40], [7, 99]])
     text = elastix(index, word or "index")
     a = put(text if word else text.split("\n", 1)[1], "a.txt")
-    marks = read_any(a, put(elastix(index, "index"), "b.txt"), moving=LayerFacts(2.5), fixed=LayerFacts((4.0, 3.0)))
+    marks = read_any(a, put(elastix(index, "index"), "b.txt"), moving=LayerPixels(2.5), fixed=LayerPixels((4.0, 3.0)))
     assert same(marks, index * 2.5, index * [3.0, 4.0])
 
 
@@ -297,7 +297,7 @@ def some_marks(flat=True, origin=(0.0, 0.0)):
     )
 
 
-BACK = {"moving": LayerFacts((2.7, 2.5), (-350.5, 20.25)), "fixed": LayerFacts((4.1, 4.0))}
+BACK = {"moving": LayerPixels((2.7, 2.5), (-350.5, 20.25)), "fixed": LayerPixels((4.1, 4.0))}
 
 
 @pytest.mark.parametrize(("to", "unit"), [

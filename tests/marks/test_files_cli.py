@@ -8,7 +8,7 @@ import pytest
 from marks.files_by_hand import FIXED, MOVING, bigwarp_2d, elastix
 from marks.test_files import mat_v5, same
 from planish.core.errors import CannotMeasure
-from planish.marks.files import LayerFacts, Places, make_marks, read_any, write_any
+from planish.marks.files import LayerPixels, Places, make_marks, read_any, write_any
 
 
 def test_convert_from_bigwarp_to_everything(planish, tmp_path):
@@ -29,7 +29,7 @@ def test_convert_from_bigwarp_to_everything(planish, tmp_path):
         how = ("--to", to) if to else ()
         code, _, err = planish("marks", "convert", tmp_path / "marks.json", tmp_path / name, *how, *sizes)
         assert code == 0, err
-        assert same(read_any(tmp_path / name, moving=LayerFacts(2.5), fixed=LayerFacts(4.0)))
+        assert same(read_any(tmp_path / name, moving=LayerPixels(2.5), fixed=LayerPixels(4.0)))
     code, out, err = planish("marks", "convert", tmp_path / "marks.json", tmp_path / "e.txt")
     assert code == 0, err
     assert "e-moving.txt" in out
@@ -89,7 +89,7 @@ def test_a_link_refuses_marks_that_it_cannot_use(read_by_link, tmp_path):
     # The image has pixels of 5 um.
     (path,) = write_any(some_pairs(np.round(POINTS / 5)), tmp_path / "pixels.csv")
     assert "look like pixels" in read_by_link(path)
-    (path,) = write_any(some_pairs(POINTS), tmp_path / "marks.mat", moving=LayerFacts(1.0), fixed=LayerFacts(5.0))
+    (path,) = write_any(some_pairs(POINTS), tmp_path / "marks.mat", moving=LayerPixels(1.0), fixed=LayerPixels(5.0))
     assert "--moving-pixel-um" in read_by_link(path)
     files = write_any(some_pairs(POINTS), tmp_path / "points.txt")
     assert "planish marks convert MOVING FIXED OUT" in read_by_link(files[0])

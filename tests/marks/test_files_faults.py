@@ -20,7 +20,7 @@ from marks.files_by_hand import (
 )
 from marks.test_files import mat_v5, mat_v73
 from planish.core.errors import FileError, MarkError, PlanishError, SizeError
-from planish.marks.files import LayerFacts, Places, make_marks, read_any, read_pairs, used_pairs, write_any
+from planish.marks.files import LayerPixels, Places, make_marks, read_any, read_pairs, used_pairs, write_any
 
 PAIRS = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n" + "".join(
     f"{n},{a[0]},{a[1]},{b[0]},{b[1]}\n" for n, a, b in zip(LABELS, MOVING.tolist(), FIXED.tolist(), strict=True)
@@ -161,7 +161,7 @@ def test_faults_say_what_to_do(put, text, error, message):
 ])  # fmt: skip
 def test_matlab_files_that_are_wrong(put, data, error, message):
     with pytest.raises(error, match=message):
-        read_any(put(data, "points.mat"), moving=LayerFacts(1.0), fixed=LayerFacts(1.0))
+        read_any(put(data, "points.mat"), moving=LayerPixels(1.0), fixed=LayerPixels(1.0))
 
 
 def test_files_that_are_not_there(tmp_path):
@@ -189,11 +189,11 @@ def test_units_and_sizes_that_contradict(put):
         read_any(path, unit="um")
     for wrong in (0, -1, np.nan, (1, 2, 3, 4), ()):
         with pytest.raises(SizeError, match="--fixed-pixel-um"):
-            read_any(path, fixed=LayerFacts(wrong))
+            read_any(path, fixed=LayerPixels(wrong))
     with pytest.raises(SizeError, match="two numbers"):
-        read_any(path, moving=LayerFacts(origin_um=(1.0,)))
+        read_any(path, moving=LayerPixels(origin_um=(1.0,)))
     with pytest.raises(SizeError, match="sizes z, y, x"):
-        read_any(put(bigwarp_3d()), unit="pixel", moving=LayerFacts((1.0, 2.0)), fixed=LayerFacts(1.0))
+        read_any(put(bigwarp_3d()), unit="pixel", moving=LayerPixels((1.0, 2.0)), fixed=LayerPixels(1.0))
     with pytest.raises(MarkError, match="--swap"):
         read_any(put(PAIRS), swap=True)
     with pytest.raises(SizeError, match="states its unit, um, and --unit says pixel"):
@@ -213,7 +213,7 @@ def test_too_few_marks(put):
 # --- marks against their layer
 
 
-LAYER = {"fixed": LayerFacts(12.0, shape=(1250, 1667))}  # 20 x 15 mm
+LAYER = {"fixed": LayerPixels(12.0, shape=(1250, 1667))}  # 20 x 15 mm
 
 
 def pairs_text(fixed):
@@ -253,15 +253,15 @@ def test_the_remedy_is_one_that_the_file_allows(put):
         read_any(put("\n".join(rows)), **LAYER)
     with pytest.raises(MarkError, match=r"says um: multiply them by the pixel size.*with decimals"):
         read_any(put(pairs_text(pixels)), **LAYER)
-    marks = read_any(put("\n".join(rows)), unit="pixel", moving=LayerFacts(1.0), **LAYER)
+    marks = read_any(put("\n".join(rows)), unit="pixel", moving=LayerPixels(1.0), **LAYER)
     np.testing.assert_allclose(marks.fixed_x, pixels[:, 0] * 12.0, rtol=0, atol=1e-9)
 
 
 def test_a_layer_of_fine_pixels(put):
     pixels = np.array([[100, 50], [19000, 700], [6000, 14500]])
     with pytest.raises(MarkError, match="look like pixels"):
-        read_any(put(pairs_text(pixels)), fixed=LayerFacts(0.5, shape=(15000, 20000)))
-    assert read_any(put(pairs_text(pixels * 0.5)), fixed=LayerFacts(0.5, shape=(15000, 20000))).sizes["mark"] == 3
+        read_any(put(pairs_text(pixels)), fixed=LayerPixels(0.5, shape=(15000, 20000)))
+    assert read_any(put(pairs_text(pixels * 0.5)), fixed=LayerPixels(0.5, shape=(15000, 20000))).sizes["mark"] == 3
 
 
 # --- writing
@@ -270,22 +270,22 @@ def test_a_layer_of_fine_pixels(put):
 def test_nothing_is_overwritten_and_every_need_is_told(put, tmp_path):
     marks = read_any(put(bigwarp_2d()))
     for to in ("json", "csv", "bigwarp", "slicer", "elastix", "matlab"):
-        files = write_any(marks, tmp_path / f"{to}.out", to=to, moving=LayerFacts(2.0), fixed=LayerFacts(2.0))
+        files = write_any(marks, tmp_path / f"{to}.out", to=to, moving=LayerPixels(2.0), fixed=LayerPixels(2.0))
         before = [f.read_bytes() for f in files]
         with pytest.raises(FileError, match="already there"):
-            write_any(marks, tmp_path / f"{to}.out", to=to, moving=LayerFacts(2.0), fixed=LayerFacts(2.0))
+            write_any(marks, tmp_path / f"{to}.out", to=to, moving=LayerPixels(2.0), fixed=LayerPixels(2.0))
         assert [f.read_bytes() for f in files] == before
         with pytest.raises(FileError, match="cannot be written"):
-            write_any(marks, tmp_path / "no" / "folder", to=to, moving=LayerFacts(2.0), fixed=LayerFacts(2.0))
+            write_any(marks, tmp_path / "no" / "folder", to=to, moving=LayerPixels(2.0), fixed=LayerPixels(2.0))
     with pytest.raises(SizeError, match=r"pixels, and the pixel size of the fixed layer.*--fixed-pixel-um"):
-        write_any(marks, tmp_path / "x.mat", moving=LayerFacts(1.0))
+        write_any(marks, tmp_path / "x.mat", moving=LayerPixels(1.0))
     with pytest.raises(SizeError, match="own unit"):
         write_any(marks, tmp_path / "x.json", unit="mm")
     with pytest.raises(FileError, match="does not tell its format"):
         write_any(marks, tmp_path / "marks.dat")
     volume = read_any(put(bigwarp_3d()))
     with pytest.raises(MarkError, match="MATLAB's control points are flat"):
-        write_any(volume, tmp_path / "x.mat", moving=LayerFacts(1.0), fixed=LayerFacts(1.0))
+        write_any(volume, tmp_path / "x.mat", moving=LayerPixels(1.0), fixed=LayerPixels(1.0))
     off = marks.assign(used=("mark", [False] * 4))
     with pytest.raises(MarkError, match="No mark is used"):
         write_any(off, tmp_path / "x.txt")
@@ -330,13 +330,13 @@ def damaged(data, rng):
 @pytest.mark.parametrize("name", sorted(WHOLE))
 def test_damaged_files_end_in_a_sentence_or_in_marks(put, name):
     """Twenty damaged files of each kind, 240 in all."""
-    assert read_any(put(WHOLE[name], name), moving=LayerFacts(2.0), fixed=LayerFacts(2.0)).sizes["mark"] > 0
+    assert read_any(put(WHOLE[name], name), moving=LayerPixels(2.0), fixed=LayerPixels(2.0)).sizes["mark"] > 0
     rng = np.random.default_rng(sorted(WHOLE).index(name))
     told: list[str] = []
     for _ in range(20):
         path = put(damaged(WHOLE[name], rng), name)
         try:
-            marks = read_any(path, moving=LayerFacts(2.0), fixed=LayerFacts(2.0))
+            marks = read_any(path, moving=LayerPixels(2.0), fixed=LayerPixels(2.0))
         except PlanishError as error:
             told.append(str(error))
             continue

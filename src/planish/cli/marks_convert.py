@@ -73,13 +73,13 @@ def convert(
     holds one layer only, IN is the moving and IN2 the fixed one, and marks belong together in their order. For elastix,
     OUT becomes two files, for -mp and -fp.
     """
-    from planish.marks.files import LayerFacts, about_layer, layer_names, read_any, write_any
+    from planish.marks.files import LayerPixels, about_layer, layer_names, read_any, write_any
 
     if not 2 <= len(files) <= 3:
         raise click.UsageError("Give IN and OUT, or IN, IN2 and OUT.")
     *sources, out = files
     kind = to or target_of(out)
-    facts = {k: LayerFacts(options[f"{k}_pixel_um"], options[f"{k}_origin_um"]) for k in ("moving", "fixed")}
+    facts = {k: LayerPixels(options[f"{k}_pixel_um"], options[f"{k}_origin_um"]) for k in ("moving", "fixed")}
     marks = read_any(*sources, **facts, unit=unit, swap=swap)
     made = write_any(marks, out, to=kind, **facts, unit=out_unit, swap=swap_out)
     layers, read = layer_names(marks), marks.attrs["read_from"]

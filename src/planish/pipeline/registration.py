@@ -16,7 +16,7 @@ from planish.core.grid import values_at
 from planish.core.results import HoleTiltFacts
 from planish.marks import hole_tilt
 from planish.marks.design import Pattern, read_pattern
-from planish.marks.files import LayerFacts, Places, make_marks, read_any, write_any
+from planish.marks.files import LayerPixels, Places, make_marks, read_any, write_any
 from planish.marks.files.model import EXTRAS, RESULTS
 from planish.register import (
     DesignedHoles,
@@ -249,9 +249,9 @@ def read_given(path: str, moving: Layer, fixed: Layer) -> xr.Dataset:
         If the file cannot be read or its marks cannot lie in the layers.
     """
     about = {
-        side: LayerFacts(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
+        side: LayerPixels(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
         if layer.image is not None
-        else LayerFacts()
+        else LayerPixels()
         for side, layer in (("moving", moving), ("fixed", fixed))
     }
     marks = read_any(path, moving=about["moving"], fixed=about["fixed"])

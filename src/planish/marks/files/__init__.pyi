@@ -4,7 +4,7 @@ from .convert import read_pairs as read_pairs
 from .convert import write_any as write_any
 from .formats import FORMATS as FORMATS
 from .formats import target_of as target_of
-from .lists import LayerFacts as LayerFacts
+from .lists import LayerPixels as LayerPixels
 from .lists import Unit as Unit
 from .model import Places as Places
 from .model import about_layer as about_layer

@@ -12,7 +12,7 @@ import xarray as xr
 from planish.core.errors import FileError, MarkError, SizeError
 from planish.marks.files.content import Content, read_content
 from planish.marks.files.formats import FORMATS, MarkFormat, Outgoing, Unit, known_formats, module_of, target_of
-from planish.marks.files.lists import LayerFacts, PointList, join_lists, scale_of
+from planish.marks.files.lists import LayerPixels, PointList, join_lists, scale_of
 from planish.marks.files.model import (
     Floats,
     about_layer,
@@ -26,15 +26,15 @@ from planish.marks.files.model import (
 )
 from planish.marks.files.plausible import check_marks, check_plausible
 
-_NOTHING = LayerFacts()
+_NOTHING = LayerPixels()
 
 
 def read_any(
     path: str | Path,
     second: str | Path | None = None,
     *,
-    moving: LayerFacts = _NOTHING,
-    fixed: LayerFacts = _NOTHING,
+    moving: LayerPixels = _NOTHING,
+    fixed: LayerPixels = _NOTHING,
     unit: Unit | None = None,
     swap: bool = False,
 ) -> xr.Dataset:
@@ -46,7 +46,7 @@ def read_any(
         A file with both layers, or with one.
     second : str or Path, optional
         The fixed layer, where ``path`` holds the moving one only. Marks belong together in their order.
-    moving, fixed : LayerFacts
+    moving, fixed : LayerPixels
         What is known of the layers: pixel size (needed where the file counts in pixels), place of the first pixel, from
         which other programs count, and size. Where both sizes are known, marks that cannot lie in a layer are refused.
     unit : {"um", "mm", "pixel"}, optional
@@ -98,7 +98,7 @@ def read_any(
 
 
 def read_pairs(
-    path: str | Path, *, least: int = 3, moving: LayerFacts = _NOTHING, fixed: LayerFacts = _NOTHING
+    path: str | Path, *, least: int = 3, moving: LayerPixels = _NOTHING, fixed: LayerPixels = _NOTHING
 ) -> xr.Dataset:
     """Read pairs of marks in any format, as :func:`planish.marks.read_marks` gives them.
 
@@ -107,7 +107,7 @@ def read_pairs(
     path : str or Path
     least : int
         Fewer pairs are an error.
-    moving, fixed : LayerFacts
+    moving, fixed : LayerPixels
         As for `read_any`.
 
     Returns
@@ -139,8 +139,8 @@ def write_any(
     path: str | Path,
     *,
     to: str | None = None,
-    moving: LayerFacts = _NOTHING,
-    fixed: LayerFacts = _NOTHING,
+    moving: LayerPixels = _NOTHING,
+    fixed: LayerPixels = _NOTHING,
     unit: Unit | None = None,
     swap: bool = False,
 ) -> list[Path]:
@@ -155,7 +155,7 @@ def write_any(
         ``-fixed`` are put before the suffix.
     to : str, optional
         One of `FORMATS` but ImageJ; as the name asks where not given.
-    moving, fixed : LayerFacts
+    moving, fixed : LayerPixels
         Pixel sizes, in place of those that the marks hold.
     unit : {"um", "mm", "pixel"}, optional
         Unit of a BigWarp or elastix file: that of the images as the other program opens them. um for BigWarp and mm for
@@ -232,7 +232,7 @@ def _recognised(content: Content) -> str:
     )
 
 
-def _with_facts(marks: xr.Dataset, moving: LayerFacts, fixed: LayerFacts, swap: bool) -> xr.Dataset:
+def _with_facts(marks: xr.Dataset, moving: LayerPixels, fixed: LayerPixels, swap: bool) -> xr.Dataset:
     """Marks with what is known of their layers beside what the file states."""
     if swap:
         raise MarkError("A planish file says itself which layer is the moving one. Leave --swap out.")
@@ -260,7 +260,7 @@ def _single_list(marks: xr.Dataset, name: str) -> PointList:
 
 
 def _outgoing(
-    marks: xr.Dataset, form: MarkFormat, facts: Sequence[LayerFacts], unit: Unit, swap: bool
+    marks: xr.Dataset, form: MarkFormat, facts: Sequence[LayerPixels], unit: Unit, swap: bool
 ) -> Outgoing:  # fmt: skip
     """Marks as another program expects them."""
     names = layer_names(marks)

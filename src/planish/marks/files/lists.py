@@ -60,8 +60,8 @@ class PointList:
 
 
 @dataclass(frozen=True, slots=True)
-class LayerFacts:
-    """What is known of one layer.
+class LayerPixels:
+    """Pixels of one layer, as far as they are known.
 
     Attributes
     ----------
@@ -134,8 +134,8 @@ def join_lists(
     lists: Sequence[PointList],
     *,
     name: str,
-    moving: LayerFacts,
-    fixed: LayerFacts,
+    moving: LayerPixels,
+    fixed: LayerPixels,
     unit: Unit | None,
     swap: bool,
 ) -> xr.Dataset:
@@ -147,7 +147,7 @@ def join_lists(
         One, or moving and fixed; lists that are named in the other order are exchanged.
     name : str
         For messages.
-    moving, fixed : LayerFacts
+    moving, fixed : LayerPixels
     unit : {"um", "mm", "pixel"}, optional
         Takes the place of a unit that the files do not state.
     swap : bool
@@ -196,7 +196,7 @@ def join_lists(
     )  # fmt: skip
 
 
-def _single(found: PointList, *, name: str, facts: LayerFacts, unit: Unit | None) -> xr.Dataset:
+def _single(found: PointList, *, name: str, facts: LayerPixels, unit: Unit | None) -> xr.Dataset:
     points, extras = _points(found, "marks", facts, unit, name)
     places = Places(um=points, source=found.source, extras=extras)
     about = {"marks": dict(found.about) | facts.about()}
@@ -204,7 +204,7 @@ def _single(found: PointList, *, name: str, facts: LayerFacts, unit: Unit | None
 
 
 def _points(
-    found: PointList, side: str, facts: LayerFacts, unit: Unit | None, name: str
+    found: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str
 ) -> tuple[Floats, dict[str, Floats]]:
     """Positions in um, shape (n, 2), or (n, 3) where z says something; and what else is known, in um too."""
     values = np.asarray(found.points, dtype=np.float64)
