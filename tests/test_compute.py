@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ from planish.io.params import VolumeParams
 from planish.io.store import write_store
 from planish.pipeline import map_sheet, read_whole, run_study
 from planish.study import as_study
-from planish.synthetic import HoleParams, SpecimenParams, make_specimen, write_instruments
+from planish.synthetic import HoleParams, SectionsParams, SpecimenParams, make_specimen, write_instruments
 from surface.sheets import slab, volume
 
 
@@ -176,8 +175,8 @@ def test_columns_get_wider_where_the_memory_asks_for_it():
 
 
 def test_sections_that_do_not_fit_are_imported_in_parts(tmp_path):
-    holes = HoleParams(pattern="irregular", count=4)
-    params = SpecimenParams(size_um=(500.0, 300.0), holes=replace(holes, count=0), seed=3)
+    sections = SectionsParams(pixel_um=2.5, section_um=4.0)
+    params = SpecimenParams(size_um=(400.0, 240.0), holes=HoleParams(count=0), sections=sections, seed=3)
     files = write_instruments(make_specimen(params), tmp_path / "specimen", volume="sections")
     section = VolumeParams(path=str(files.volume), through="y")
     silent = lambda _stage, _detail: None  # noqa: E731

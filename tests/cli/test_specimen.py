@@ -11,11 +11,14 @@ from planish.io import read_image, read_volume
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
+    import planish.synthetic as synthetic
     from planish.cli import main
 
     out = tmp_path_factory.mktemp("made") / "specimen"
-    with pytest.raises(SystemExit) as end:
-        main(["specimen", "--size", "T0", "--seed", "7", "--out", str(out)])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(synthetic.SIZES_UM, "T0", (560.0, 420.0))  # the least that has room for three holes
+        with pytest.raises(SystemExit) as end:
+            main(["specimen", "--size", "T0", "--seed", "7", "--out", str(out)])
     assert not end.value.code
     return out
 
