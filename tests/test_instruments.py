@@ -23,7 +23,7 @@ from planish.validate.truth import Comparison
 
 PARAMS = SpecimenParams(
     size_um=(1000.0, 760.0),
-    holes=HoleParams(pattern="irregular", count=4),
+    holes=HoleParams(pattern="irregular", count=5),
     warp=Warp(slope=0.35, wavelength_um=1800.0),
     scanner=ScannerParams(voxel_um=4.0),
     sections=SectionsParams(pixel_um=3.0, section_um=4.0, missing=0.03),

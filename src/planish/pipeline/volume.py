@@ -89,7 +89,7 @@ def join_sections(params: VolumeParams, compute: Compute, progress: Progress) ->
         # The photographs and the volume made from them are in memory at the same time.
         memory_bytes=compute.volume_bytes // 2,
     )  # fmt: skip
-    progress("align", f"{len(stack.values)} sections")
+    progress("align", f"{stack.values.shape[0]} sections")
     where = (stack.values, stack.positions_um, stack.pixel_um)
     band = find_band(stack.values, np.abs(stack.positions_um - stack.positions_um[0]), stack.pixel_um)
     fixed = None
