@@ -48,6 +48,17 @@ def write_volume(path, volume, voxel=4.0):
 
 
 @pytest.fixture(scope="module")
+def corner(specimen):
+    """A corner of the specimen's volume, 0.5 x 0.8 mm."""
+    return specimen.volume.values[:, :125, :200]
+
+
+@pytest.fixture(scope="module")
+def corner_file(corner, tmp_path_factory):
+    return write_volume(tmp_path_factory.mktemp("corner") / "volume.tif", corner)
+
+
+@pytest.fixture(scope="module")
 def holes_um(specimen):
     return specimen.pose(specimen.sheet.holes)
 
@@ -139,12 +150,12 @@ def test_other_pattern_in_the_image(planish, linked_run, tmp_path):
     stop(planish("link", linked_run, image, "-o", tmp_path / "run"), 3, "5", out=tmp_path / "run")
 
 
-def test_nan_voxels_everywhere_and_in_part(planish, specimen, tmp_path):
+def test_nan_voxels_everywhere_and_in_part(planish, corner, tmp_path):
     empty = np.full((20, 40, 40), np.nan, np.float32)
     path = write_volume(tmp_path / "nan.tif", empty)
     stop(planish("map", path, "-o", tmp_path / "run"), 3, "NaN", out=tmp_path / "run")
-    part = specimen.volume.values.astype(np.float32)
-    part[:, :30] = np.nan
+    part = corner.astype(np.float32)
+    part[:, :15] = np.nan
     path = write_volume(tmp_path / "part.tif", part)
     code, _, err = planish("map", path, "-o", tmp_path / "run")
     assert code == 4
@@ -153,30 +164,30 @@ def test_nan_voxels_everywhere_and_in_part(planish, specimen, tmp_path):
     assert (tmp_path / "run" / "report.html").is_file()
 
 
-def test_saturated_voxels(planish, specimen, tmp_path):
-    bright = np.clip(specimen.volume.values.astype(float) * 1.6, 0, 255).astype(np.uint8)
+def test_saturated_voxels(planish, corner, tmp_path):
+    bright = np.clip(corner.astype(float) * 1.6, 0, 255).astype(np.uint8)
     code, _, err = planish("map", write_volume(tmp_path / "bright.tif", bright), "-o", tmp_path / "run")
     assert code == 4
     assert "saturation" in err
     assert "wider grey window" in err
 
 
-def test_voxel_a_thousand_times_too_large_or_small(planish, specimen_files, tmp_path):
+def test_voxel_a_thousand_times_too_large_or_small(planish, corner_file, tmp_path):
     stop(
-        planish("map", specimen_files[0], "--voxel-um", 4000, "--override-size", "-o", tmp_path / "run"),
+        planish("map", corner_file, "--voxel-um", 4000, "--override-size", "-o", tmp_path / "run"),
         3,
         "4000",
         out=tmp_path / "run",
     )
     stop(
-        planish("map", specimen_files[0], "--voxel-um", 4000, "-o", tmp_path / "run"),
+        planish("map", corner_file, "--voxel-um", 4000, "-o", tmp_path / "run"),
         3,
         "4000",
         "--override-size",
         out=tmp_path / "run",
     )
     stop(
-        planish("map", specimen_files[0], "--voxel-um", 0.02, "--override-size", "-o", tmp_path / "run"),
+        planish("map", corner_file, "--voxel-um", 0.02, "--override-size", "-o", tmp_path / "run"),
         3,
         "um thick",
         out=tmp_path / "run",
@@ -207,7 +218,7 @@ def test_output_folder_that_exists(planish, specimen_files, tmp_path):
     assert [p.name for p in (tmp_path / "run").iterdir()] == ["mine.txt"]
 
 
-def test_disk_full_while_writing(specimen_files, tmp_path):
+def test_disk_full_while_writing(corner_file, tmp_path):
     """A limit on the size of files makes the real write fail half way, as a full disk does."""
     code = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
@@ -219,7 +230,7 @@ def test_disk_full_while_writing(specimen_files, tmp_path):
     )
     out = tmp_path / "run"
     done = subprocess.run(
-        [sys.executable, "-c", code, "map", str(specimen_files[0]), "--out", str(out)],
+        [sys.executable, "-c", code, "map", str(corner_file), "--out", str(out)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert errno.EFBIG

@@ -42,6 +42,7 @@ def _link(params, instrument, folder):
     return specimen, files, run, make_ledger(Comparison(specimen=specimen, files=files, run=run))
 
 
+@pytest.mark.study
 def test_a_scan_across_the_axis_of_rotation_keeps_its_hand(tmp_path):
     _, _, run, ledger = _link(PARAMS, "scanner", tmp_path)
     assert run.results.layers[0].source.size_source.startswith("NRecon")
@@ -50,6 +51,7 @@ def test_a_scan_across_the_axis_of_rotation_keeps_its_hand(tmp_path):
     assert ledger["tre_p95"] < 3.0
 
 
+@pytest.mark.study
 def test_sections_are_aligned_and_joined(tmp_path):
     specimen, _, run, ledger = _link(PARAMS, "sections", tmp_path)
     told = run.results.layers[0].sheet.sections
