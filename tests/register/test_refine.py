@@ -8,7 +8,7 @@ from planish.analyze import by_shift, cross_fitted
 from planish.core.errors import CannotRegister, SizeError
 from planish.register import fit_transform
 from planish.register.free_form import FreeForm
-from planish.register.refinement import refine
+from planish.register.refinement import RefineOptions, refine
 
 itk = pytest.importorskip("SimpleITK")
 PIXEL = 10.0
@@ -52,7 +52,7 @@ def test_an_affine_displacement_is_found(metric):
     linear = np.array([[0.004, 0.002], [-0.003, 0.001]])
     true = (places() - (500, 400)) @ linear.T + (7.0, -5.0)
     linked, image, valid = maps(true, 1)
-    found = refine(linked, image, valid, pixel_um=(PIXEL, PIXEL), fit=marks_fit(), metric=metric)
+    found = refine(linked, image, valid, pixel_um=(PIXEL, PIXEL), fit=marks_fit(), options=RefineOptions(metric=metric))
     error = np.linalg.norm(found.displacement_um(places()) - true, axis=-1)
     print(f"{metric}: error {np.sqrt(np.mean(error**2)):.2f} um rms of {np.linalg.norm(true, axis=-1).max():.1f} um")
     assert np.sqrt(np.mean(error**2)) < 1.5  # 0.15 pixels
@@ -67,7 +67,11 @@ def test_a_bend_is_found_by_the_spline_and_every_run_is_the_same():
     x, y = np.moveaxis(places(), -1, 0)
     true = np.stack([4 * np.sin(x / 1100 * np.pi), 3 * np.cos(y / 900 * np.pi)], axis=-1)
     linked, image, valid = maps(true, 2, r=0.95)
-    settings = {"pixel_um": (PIXEL, PIXEL), "fit": marks_fit(), "model": "bspline", "grid_um": 1200.0}
+    settings = {
+        "pixel_um": (PIXEL, PIXEL),
+        "fit": marks_fit(),
+        "options": RefineOptions(model="bspline", grid_um=1200.0),
+    }
     found = refine(linked, image, valid, **settings)
     error = np.linalg.norm(found.displacement_um(places()) - true, axis=-1)
     print(f"error {np.sqrt(np.mean(error**2)):.2f} um rms of {np.linalg.norm(true, axis=-1).max():.1f} um")
@@ -108,7 +112,7 @@ def test_more_than_the_marks_allow_is_refused():
     settings = {"pixel_um": (PIXEL, PIXEL), "fit": marks_fit(noise=0.8)}
     with pytest.raises(CannotRegister, match=r"moves the map by \d+\.\d um near .* up to 3 times that is accepted"):
         refine(linked, image, valid, **settings)
-    found = refine(linked, image, valid, **settings, bounded=False)
+    found = refine(linked, image, valid, **settings, options=RefineOptions(bounded=False))
     assert found.share > 3
     assert "Check the marks" in found.warnings[0]
 
@@ -142,7 +146,7 @@ def test_what_cannot_be_refined_is_refused(monkeypatch):
     with pytest.raises(CannotRegister, match="constant"):
         refine(linked, 0 * image, valid, **settings)
     with pytest.raises(SizeError, match="positive lengths"):
-        refine(linked, image, valid, **settings, grid_um=0.0)
+        refine(linked, image, valid, **settings, options=RefineOptions(grid_um=0.0))
     exact = fit_transform([[0, 0], [900, 100]], [[0, 0], [900, 100]])
     with pytest.raises(CannotRegister, match="nothing bounds"):
         refine(linked, image, valid, pixel_um=(PIXEL, PIXEL), fit=exact)
@@ -159,8 +163,10 @@ def test_a_refined_correlation_is_cross_fitted():
     linked, image, valid = maps(constant(4.0, -3.0), 6)
     fit = marks_fit()
 
+    free = RefineOptions(bounded=False)
+
     def tune(a, look):
-        return refine(a, image, look, pixel_um=(PIXEL, PIXEL), fit=fit, bounded=False).image_at(image, (PIXEL, PIXEL))
+        return refine(a, image, look, pixel_um=(PIXEL, PIXEL), fit=fit, options=free).image_at(image, (PIXEL, PIXEL))
 
     found = cross_fitted(linked, image, tune, valid=valid, pixel_um=(PIXEL, PIXEL))
     assert found.r == pytest.approx(-0.9, abs=0.06)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -13,7 +13,7 @@ from planish.core.errors import CannotMeasure
 from planish.core.grid import Grid
 from planish.core.results import RefinementFacts, RefinementR
 from planish.core.transform import Similarity
-from planish.register import Chain, FittedTransform, Refined, refine
+from planish.register import Chain, FittedTransform, Refined, RefineOptions, refine
 from planish.register.refinement import Refinement
 
 Array = NDArray[np.float64]
@@ -69,10 +69,13 @@ def refine_link(
     """
     pixel, valid = grid.pixel_um, linked["valid"].values
     a, b = (_detail(linked[name].values, valid, pixel) for name in (headline, "image"))
-    found = refine(a, b, valid, pixel_um=pixel, fit=fit, model=model)
+    options = RefineOptions(model=model)
+    found = refine(a, b, valid, pixel_um=pixel, fit=fit, options=options)
 
     def tune(other: Array, look: NDArray[np.bool_]) -> Array:
-        return refine(other, b, look, pixel_um=pixel, fit=fit, model=model, bounded=False).image_at(b, pixel)
+        return refine(other, b, look, pixel_um=pixel, fit=fit, options=replace(options, bounded=False)).image_at(
+            b, pixel
+        )
 
     try:
         of_r = _r_facts(cross_fitted(a, b, tune, valid=valid, pixel_um=pixel))

@@ -14,6 +14,7 @@ from .match_design import match_by_design as match_by_design
 from .match_design import match_to_design as match_to_design
 from .params import RegistrationParams as RegistrationParams
 from .refinement import Refined as Refined
+from .refinement import RefineOptions as RefineOptions
 from .refinement import refine as refine
 from .result import FittedTransform as FittedTransform
 from .saved import chain_from_json as chain_from_json

@@ -106,6 +106,35 @@ class Refined:
         return np.where(whole > 0.999, values, np.nan)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RefineOptions:
+    """How a registration is refined by the maps.
+
+    Attributes
+    ----------
+    model : {"affine", "bspline"}
+        6 parameters, or a cubic B-spline on a mesh.
+    metric : {"correlation", "mutual information"}
+        Squared correlation, of either sign, or Mattes' mutual information.
+    grid_um : float
+        Mesh of the B-spline, made a little smaller to fit the map.
+    most : float
+        Largest displacement that is accepted, in expected errors of the marks at the place.
+    bounded : bool
+        False returns what goes too far or folds, with a warning. Only for the null of a search, whose maps are
+        unrelated.
+    """
+
+    model: Refinement = "affine"
+    metric: Metric = "correlation"
+    grid_um: float = 2000.0
+    most: float = 3.0
+    bounded: bool = True
+
+
+_DEFAULT = RefineOptions()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Prepared:
     """Both maps, averaged and filled with their means, their masks, and where their pixels lie."""
@@ -123,11 +152,7 @@ def refine(
     *,
     pixel_um: Pair,
     fit: FittedTransform,
-    model: Refinement = "affine",
-    metric: Metric = "correlation",
-    grid_um: float = 2000.0,
-    most: float = 3.0,
-    bounded: bool = True,
+    options: RefineOptions = _DEFAULT,
 ) -> Refined:
     """Find the displacement of a linked map under which it agrees best with the image.
 
@@ -143,17 +168,7 @@ def refine(
         Along y and x. Maps of more than 60 000 pixels are averaged to larger ones first.
     fit : FittedTransform
         The fit to the marks.
-    model : {"affine", "bspline"}
-        6 parameters, or a cubic B-spline on a mesh.
-    metric : {"correlation", "mutual information"}
-        Squared correlation, of either sign, or Mattes' mutual information.
-    grid_um : float
-        Mesh of the B-spline, made a little smaller to fit the map.
-    most : float
-        Largest displacement that is accepted, in expected errors of the marks at the place.
-    bounded : bool
-        False returns what goes too far or folds, with a warning. Only for the null of a search, whose maps are
-        unrelated.
+    options : RefineOptions
 
     Returns
     -------
@@ -177,25 +192,19 @@ def refine(
     Mattes et al. (2003), IEEE Trans. Med. Imaging 22, 120, doi:10.1109/TMI.2003.809072.
     """
     itk = _library()
-    given = _prepared(linked, image, valid, pixel_um, grid_um)
-    transform = _searched(itk, given, model, metric, grid_um)
+    given = _prepared(linked, image, valid, pixel_um, options.grid_um)
+    transform = _searched(itk, given, options)
     both = given.known[0] & given.known[1]
     rows, cols = (np.unique(np.linspace(0, n - 1, min(n, _PLACES)).round().astype(np.int64)) for n in both.shape)
     y, x = np.meshgrid(rows, cols, indexing="ij")
     use = both[y, x]
     points = np.stack([x[use], y[use]], axis=-1) * np.array(given.pixel_um)[::-1] + given.first_um
-    return _judged(transform, points, fit, model, metric, most, bounded)
+    return _judged(transform, points, fit, options)
 
 
 def _judged(
-    transform: Affine | FreeForm,
-    points: Floats,
-    fit: FittedTransform,
-    model: Refinement,
-    metric: Metric,
-    most: float,
-    bounded: bool,
-) -> Refined:
+    transform: Affine | FreeForm, points: Floats, fit: FittedTransform, options: RefineOptions
+) -> Refined:  # fmt: skip
     """Look at displacement and derivatives at the points; refuse folds and what the marks do not allow."""
     derivatives = transform.jacobian(points)
     areas = derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0]
@@ -214,15 +223,15 @@ def _judged(
         faults.append(
             "The error of the marks is unknown, so nothing bounds a refinement. Add marks, or keep the marks only."
         )
-    elif ratio.max() > most:
+    elif ratio.max() > options.most:
         worst = int(np.argmax(ratio))
         x, y = points[worst]
         faults.append(
             f"The refinement moves the map by {length[worst]:.1f} um near ({x:.5g}, {y:.5g}) um, where the marks are "
-            f"expected to be right to {expected[worst]:.1f} um; up to {most:g} times that is accepted. Either marks "
-            "are wrong or the maps mislead. Check the marks, or keep them only."
+            f"expected to be right to {expected[worst]:.1f} um; up to {options.most:g} times that is accepted. Either "
+            "marks are wrong or the maps mislead. Check the marks, or keep them only."
         )
-    if faults and bounded:
+    if faults and options.bounded:
         raise CannotRegister(faults[0])
     strain = float(np.abs(np.linalg.svd(derivatives, compute_uv=False) - 1.0).max())
     if strain > NOTABLE:
@@ -231,24 +240,22 @@ def _judged(
             "lags of tiles before you believe it."
         )
     rms, largest = float(np.sqrt(np.mean(length**2))), float(length.max())
-    words = "affine" if model == "affine" else "B-spline"
+    words = "affine" if options.model == "affine" else "B-spline"
     return Refined(
         transform=transform,
-        model=model,
-        metric=metric,
+        model=options.model,
+        metric=options.metric,
         moved_um=(rms, largest),
         share=float(ratio.max()),
         area=(float(areas.min()), float(areas.max())),
         strain=strain,
         warnings=tuple(faults),
-        sentence=f"Refined on the maps ({words}, {metric}): points moved by {rms:.1f} um rms, {largest:.1f} um at "
-        f"most, strain up to {100 * strain:.2f} %.",
+        sentence=f"Refined on the maps ({words}, {options.metric}): points moved by {rms:.1f} um rms, {largest:.1f} um "
+        f"at most, strain up to {100 * strain:.2f} %.",
     )
 
 
-def _searched(
-    itk: Any, given: _Prepared, model: Refinement, metric: Metric, grid_um: float
-) -> Affine | FreeForm:  # fmt: skip
+def _searched(itk: Any, given: _Prepared, options: RefineOptions) -> Affine | FreeForm:
     """Climb from the identity. The library works in pixels (of the columns' axis), so its steps are pixels too."""
     unit = given.pixel_um[1]
     images: list[Any] = []
@@ -258,7 +265,7 @@ def _searched(
         images.append(made)
     search = itk.ImageRegistrationMethod()
     search.SetNumberOfThreads(1)
-    if metric == "correlation":
+    if options.metric == "correlation":
         search.SetMetricAsCorrelation()
     else:
         search.SetMetricAsMattesMutualInformation(_BINS)
@@ -269,7 +276,7 @@ def _searched(
     search.SetInterpolator(itk.sitkBSpline3)
     rows, cols = given.known[0].shape
     sides = cols * given.pixel_um[1], rows * given.pixel_um[0]
-    if model == "affine":
+    if options.model == "affine":
         start = itk.AffineTransform(2)
         start.SetCenter((0.5 * (cols - 1), 0.5 * (rows - 1) * given.pixel_um[0] / unit))
         search.SetOptimizerAsRegularStepGradientDescent(
@@ -277,7 +284,7 @@ def _searched(
         )
         search.SetOptimizerScalesFromPhysicalShift()
     else:
-        mesh = [max(math.ceil(side / grid_um), 1) for side in sides]
+        mesh = [max(math.ceil(side / options.grid_um), 1) for side in sides]
         start = itk.BSplineTransformInitializer(images[0], mesh, 3)
         search.SetOptimizerAsLBFGSB(
             gradientConvergenceTolerance=1e-5, numberOfIterations=_STEPS, costFunctionConvergenceFactor=1e10
@@ -291,7 +298,7 @@ def _searched(
             f"The maps could not be refined ({why}). Check that both show texture at the same places, or keep the "
             "marks only."
         ) from fault
-    if model == "affine":
+    if options.model == "affine":
         matrix = np.array(start.GetMatrix()).reshape(2, 2)
         middle = np.array(start.GetCenter())
         target = middle + np.array(start.GetTranslation())
