@@ -54,17 +54,8 @@ def limits(
 ) -> Scale:  # fmt: skip
     """Return a colour scale with limits from percentiles, so that single pixels do not flatten the rest.
 
-    Parameters
-    ----------
-    values : array
-    colours : str
-        Name of the colours.
-    percent : float
-        Share of the values beyond either limit.
-    symmetric : bool
-        Whether zero lies in the middle.
-    low : float or None
-        The lower limit, where it is fixed.
+    ``percent`` of the values lie beyond either limit; ``symmetric`` puts zero in the middle, ``low`` fixes the lower
+    limit.
     """
     data = np.asarray(values, dtype=np.float64).ravel()
     data = data[np.isfinite(data)]

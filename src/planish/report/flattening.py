@@ -30,12 +30,7 @@ _POINTS = 600  # of a line of the convergence
 
 
 def draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> list[Picture]:
-    """Draw the centre surface's height, and by how much flattening moved every column against its projection.
-
-    Parameters
-    ----------
-    surfaces, flat : Dataset, dims (y, x), in um
-    """
+    """Draw the centre surface's height, and by how much flattening moved every column against its projection."""
     up = 1.0 if surfaces.attrs["top_side"] == "high" else -1.0
     height = up * surfaces["centre"].values
     height = height - np.nanmedian(height)
@@ -82,15 +77,7 @@ def _displacement(flat: xr.Dataset) -> Picture:
 
 
 def draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
-    """Draw what flattening did to each cell of the mesh: change of area, shear, and the largest stretch.
-
-    Parameters
-    ----------
-    strain : Dataset, dims (row, col)
-        ``area_ratio``, ``shear`` (rad), ``stretch_max``, ``stretch_min``; coordinates ``y``, ``x`` in um.
-    flat : Dataset
-        States whether the view is mirrored.
-    """
+    """Draw what flattening did to each cell of the mesh (row, col): change of area, shear, and the largest stretch."""
     largest = np.maximum(np.abs(strain["stretch_max"].values - 1), np.abs(strain["stretch_min"].values - 1))
     area = 100 * (strain["area_ratio"].values - 1)
     shear = 100 * strain["shear"].values * (-1 if flat.attrs.get("mirrored_view", 0) else 1)
@@ -122,13 +109,7 @@ def draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
 
 
 def draw_progress(strain: xr.Dataset) -> Picture:
-    """Draw the mean move of a node over the steps, mesh by mesh.
-
-    Parameters
-    ----------
-    strain : Dataset
-        ``step_nodes``, ``step_move`` (um) over ``step``.
-    """
+    """Draw the mean move of a node over the steps, mesh by mesh."""
     nodes, move = strain["step_nodes"].values, strain["step_move"].values
     steps = np.arange(1.0, nodes.size + 1)
     finest = float(nodes.max()) if nodes.size else 0.0
@@ -160,17 +141,7 @@ def draw_progress(strain: xr.Dataset) -> Picture:
 
 
 def draw_curvature(strain: xr.Dataset, flat: xr.Dataset, *, patch_um: float, limit: float) -> Picture | None:
-    """Draw the strain that a patch of paper around each place would need to be flat; None where nothing is known.
-
-    Parameters
-    ----------
-    strain : Dataset, dims (row, col)
-        ``needed_strain``; coordinates ``y``, ``x`` in um.
-    flat : Dataset
-        States whether the view is mirrored.
-    patch_um, limit : float
-        Radius of a patch, and the strain that paper carries.
-    """
+    """Draw the strain that a patch of paper around each place would need to be flat; None where nothing is known."""
     values = 100 * strain["needed_strain"].values
     if not np.isfinite(values).any():
         return None

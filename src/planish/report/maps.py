@@ -26,18 +26,7 @@ _BINS = 80
 
 
 def draw_maps(maps: xr.Dataset, names: list[str], *, headline: str | None, rim_um: float) -> list[Picture]:
-    """Draw every property that has values, the headline first and large.
-
-    Parameters
-    ----------
-    maps : Dataset, dims (v, u)
-    names : list of str
-        The properties, in their order.
-    headline : str or None
-        The property that takes the whole width.
-    rim_um : float
-        Width of the rim left out around holes, for the caption.
-    """
+    """Draw every property that has values, the headline first and large; ``rim_um`` around holes is left out."""
     there = [name for name in names if name in maps and bool(np.isfinite(maps[name].values).any())]
     first = headline if headline in there else (there[0] if there else None)
     ordered = sorted(there, key=lambda name: name != first)
@@ -82,18 +71,7 @@ def draw_beside(
     maps: tuple[xr.DataArray, xr.DataArray], valid: tuple[NDArray[np.bool_], NDArray[np.bool_]], *,
     names: tuple[str, str], shared: bool,
 ) -> Picture:  # fmt: skip
-    """Draw two maps on one grid side by side.
-
-    Parameters
-    ----------
-    maps : (DataArray, DataArray), dims (y, x)
-    valid : (ndarray of bool, ndarray of bool), shape (rows, cols)
-        What is shown of each.
-    names : (str, str)
-        The layers that they belong to.
-    shared : bool
-        Whether they have one colour scale, as where both are of the same quantity.
-    """
+    """Draw two maps (y, x) on one grid side by side, where each is valid; ``shared``: they have one colour scale."""
     shown = [np.where(use, m.values.astype(np.float64), np.nan) for m, use in zip(maps, valid, strict=True)]
     known = [values[np.isfinite(values)] for values in shown]
     y, x = maps[0]["y"].values, maps[0]["x"].values

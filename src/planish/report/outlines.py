@@ -19,17 +19,7 @@ _SMALLEST = 12  # pixels of a region that is outlined
 
 
 def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float) -> list[Picture]:
-    """Draw property and image side by side, and the image with the thin regions outlined (Hirn et al. 2009, Fig. 6).
-
-    Parameters
-    ----------
-    linked : Dataset, dims (y, x)
-        ``image``, ``valid`` and the property.
-    name : str
-        The property: the coating of the top side, or the thickness of a sheet without coating.
-    thin_um : float
-        What counts as thin.
-    """
+    """Draw property and image side by side, and the image with thin regions outlined (Hirn et al. 2009, Fig. 6)."""
     y, x = linked["y"].values, linked["x"].values
     valid = linked["valid"].values.astype(bool)
     ground = image_ground(linked["image"], valid=valid, edge=None, edge_of="")

@@ -11,36 +11,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.results import LayerFacts, RegistrationFacts, Results, SheetFacts
-from planish.report import tables
+from planish.core.results import LayerFacts, RegistrationFacts, Results
+from planish.report import flattening, maps, outlines, registration, relation, slices, summary, tables, text
 from planish.report.draw import FULL, HALF, Picture
-from planish.report.flattening import draw_curvature, draw_progress, draw_strain, draw_warp
 from planish.report.groups import Groups
-from planish.report.maps import draw_beside, draw_maps
-from planish.report.outlines import draw_outlines
-from planish.report.registration import (
-    blank_ground,
-    draw_expected_error,
-    draw_lags,
-    draw_registration,
-    image_ground,
-    map_ground,
-    points,
-)  # fmt: skip
-from planish.report.relation import draw_pair, pair_of
-from planish.report.slices import draw_slices
-from planish.report.summary import (
-    Check,
-    Titles,
-    by_pair,
-    headline_pair,
-    lag_check,
-    machine_direction,
-    match_sentences,
-    refinement_sentences,
-    summarise,
-)  # fmt: skip
-from planish.report.text import REGISTERED, capital, in_words, the, title_of, typeset
 
 _HOLE_UM = (100.0, 300.0)
 _THIN_UM = 5.0
@@ -49,33 +23,23 @@ _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Sheet:
-    """What the page shows of one sheet that was measured in this run."""
+    """What the page shows of one sheet that was measured in this run, beside its results."""
 
     layer: LayerFacts
-    facts: SheetFacts
-    view: str
-    joined: str
-    columns: list[dict[str, str]]
+    surfaces: xr.Dataset
     slices: list[Picture]
     warp: list[Picture]
-    flattening: tables.Facts
     maps: list[Picture]
-    properties: list[tables.Line]
-    numbers: tables.Facts
-    greys: tables.Facts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Block:
-    """What the page shows of the registration of one layer."""
+    """What the page shows of the registration of one layer, beside its results."""
 
-    name: str
-    to: str
-    sentences: list[str]
-    check: Check | None
+    layer: LayerFacts
+    marks: xr.Dataset | None
+    check: summary.Check | None
     pictures: list[Picture]
-    facts: tables.Facts
-    marks: list[tables.Line]
     linked: list[Picture]
     outlined: bool
 
@@ -116,25 +80,15 @@ def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Da
         loader=PackageLoader("planish.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
-    text = environment.get_template("report.html.j2").render(
+    environment.filters["typeset"] = text.typeset
+    several = len(results.layers) > 2
+    page = environment.get_template("report.html.j2").render(
         results=results, layers=results.layers, reference=results.reference, sheets=sheets, blocks=blocks,
-        summary=summarise(results, titles),
-        gates=[(capital(g.name), g.passed, typeset(g.sentence)) for g in results.gates],
-        checks=[b.check for b in blocks if b.check is not None],
-        inputs=tables.inputs(results),
-        refinement=refinement_sentences(results),
+        titles=titles, tables=tables, summary=summary, text=text,
+        gates=[(g.name if several else text.capital(g.name), g.passed, g.sentence) for g in results.gates],
         pairs=_pairs(linked, results, titles),
-        correlations=tables.correlations(results, titles),
-        differences=any(row.same_quantity for row in results.correlations),
-        point_sizes=tables.point_sizes(results.correlations),
-        comparison=tables.comparison(results),
-        comparison_sizes=tables.point_sizes(results.comparison),
-        comparison_sentence=tables.comparison_sentence(results),
-        parameters=tables.parameters(results.parameters),
-        versions={"planish": results.planish, **results.versions},
-        registered=capital(REGISTERED), method=tables.METHOD, bland_altman=tables.BLAND_ALTMAN,
     )  # fmt: skip
-    return f"{text}\n"
+    return f"{page}\n"
 
 
 def _sheet(groups: Groups, layer: LayerFacts) -> _Sheet | None:
@@ -144,25 +98,20 @@ def _sheet(groups: Groups, layer: LayerFacts) -> _Sheet | None:
     if facts is None or len(parts) < len(_SHEET_PARTS):
         return None
     surfaces, flat, strain = parts["surfaces"], parts["flat"], parts["strain"]
-    curvature = facts.flatten.curvature
-    curved = draw_curvature(strain, flat, patch_um=curvature.patch_um, limit=curvature.limit)
-    rim_um = facts.surfaces.rim_um or 0.0
+    curvature, rim_um = facts.flatten.curvature, facts.surfaces.rim_um or 0.0
+    curved = flattening.draw_curvature(strain, flat, patch_um=curvature.patch_um, limit=curvature.limit)
+    warp = [
+        *flattening.draw_warp(surfaces, flat),
+        flattening.draw_strain(strain, flat),
+        flattening.draw_progress(strain),
+    ]
     return _Sheet(
         layer=layer,
-        facts=facts,
-        view=tables.view(facts.surfaces),
-        joined=tables.joined(facts.sections) if facts.sections else "",
-        columns=tables.columns(facts.surfaces),
-        slices=draw_slices(parts["slices"], surfaces),
-        warp=[
-            *draw_warp(surfaces, flat), draw_strain(strain, flat), draw_progress(strain), *([curved] if curved else [])
-        ],
-        flattening=tables.flattening(facts, surfaces),
-        maps=draw_maps(parts["maps"], list(facts.properties), headline=layer.headline, rim_um=rim_um),
-        properties=tables.properties(layer, groups.titles),
-        numbers=tables.numbers(facts),
-        greys=tables.greys(facts.surfaces),
-    )  # fmt: skip
+        surfaces=surfaces,
+        slices=slices.draw_slices(parts["slices"], surfaces),
+        warp=[*warp, *([curved] if curved else [])],
+        maps=maps.draw_maps(parts["maps"], list(facts.properties), headline=layer.headline, rim_um=rim_um),
+    )
 
 
 def _block(
@@ -175,29 +124,25 @@ def _block(
         return None
     own, other = data[layer.headline], onto[base.headline]
     first, second = (_named(m, one) for m, one in ((own, layer), (other, base)))
-    two = len(results.layers) == 2
     outlined = base.kind == "image" and layer.kind == "sheet"
     choices = _choice(results, "correlate", "thin_um", _THIN_UM)
     if outlined:
         both = data.assign(image=other, valid=data["valid"] & onto["valid"] if "valid" in onto else data["valid"])
-        shown = draw_outlines(both, name=layer.headline, thin_um=float(choices))
+        shown = outlines.draw_outlines(both, name=layer.headline, thin_um=float(choices))
     else:
-        rows = headline_pair(results, layer)
+        rows = summary.headline_pair(results, layer)
         shared = bool(rows) and rows[0].same_quantity
         valid = _valid(data, layer.headline), _valid(onto, base.headline)
-        shown = [draw_beside((own, other), valid, names=(layer.name, base.name), shared=shared)]
+        shown = [maps.draw_beside((own, other), valid, names=(layer.name, base.name), shared=shared)]
+    name = "image-based check" if len(results.layers) == 2 else f"image-based check of {layer.name}"
     return _Block(
-        name=layer.name,
-        to=r.to,
-        sentences=match_sentences(r),
-        check=lag_check(r.lag, first=first, second=second,
-                        name="image-based check" if two else f"image-based check of {layer.name}"),
+        layer=layer,
+        marks=marks,
+        check=summary.lag_check(r.lag, first=first, second=second, name=name),
         pictures=_registration(layer, r, data, onto, marks, results),
-        facts=tables.registration(r, moving=layer.name, fixed_layer=r.to),
-        marks=tables.mark_rows(marks) if marks is not None else [],
         linked=shown,
         outlined=outlined,
-    )  # fmt: skip
+    )
 
 
 def _registration(
@@ -210,22 +155,23 @@ def _registration(
     direct = r.to == base.name
     if base.kind == "image":
         window = data["valid"].values.astype(bool) if "valid" in data else None
-        ground = image_ground(onto["image"], valid=window, edge=_known(data), edge_of=layer.name)
+        ground = registration.image_ground(onto["image"], valid=window, edge=_known(data), edge_of=layer.name)
     else:
-        ground = map_ground(onto[base.headline], of=base.name, edge=_known(data), edge_of=layer.name)
+        ground = registration.map_ground(onto[base.headline], of=base.name, edge=_known(data), edge_of=layer.name)
     out: list[Picture] = []
     if marks is not None and marks.sizes["mark"]:
-        out.append(draw_registration(
-            ground if direct else blank_ground(points(marks, "fixed"), of=r.to), marks, hole_um=hole_um,
-            title=f"Marks in {the(r.to)} and their residuals", source=layer.name,
-            axis=machine_direction(r, moving=the(layer.name), fixed=the(r.to)), width=FULL if two else HALF,
+        axis = summary.machine_direction(r, moving=text.the(layer.name), fixed=text.the(r.to))
+        own = ground if direct else registration.blank_ground(registration.points(marks, "fixed"), of=r.to)
+        out.append(registration.draw_registration(
+            own, marks, hole_um=hole_um, title=f"Marks in {text.the(r.to)} and their residuals", source=layer.name,
+            axis=axis, width=FULL if two else HALF,
         ))  # fmt: skip
     first, second = _named(data[layer.headline], layer), _named(onto[base.headline], base)
-    lags = draw_lags(r.lag, ground, first=first, second=second, width=HALF)
+    lags = registration.draw_lags(r.lag, ground, first=first, second=second, width=HALF)
     if "expected_error" in data:
         # Alone it takes the whole width, beside another figure half of it.
         width = FULL if two and lags is None else HALF
-        error = draw_expected_error(
+        error = registration.draw_expected_error(
             data["expected_error"], marks if direct else None, hole_um=hole_um, width=width, of=base.name,
             shown=layer.name,
         )  # fmt: skip
@@ -233,11 +179,11 @@ def _registration(
     return [*out, *([lags] if lags is not None else [])]
 
 
-def _pairs(linked: Mapping[str, xr.Dataset], results: Results, titles: Titles) -> list[Picture]:
+def _pairs(linked: Mapping[str, xr.Dataset], results: Results, titles: summary.Titles) -> list[Picture]:
     """Draw the pairs of maps that stand for two layers, and all maps of the same quantity."""
     headlines = {layer.name: layer.headline for layer in results.layers}
     out: list[Picture] = []
-    for rows in by_pair(results):
+    for rows in summary.by_pair(results):
         row = rows[0]
         a, b = linked.get(row.a), linked.get(row.b)
         if a is None or b is None or row.a_map not in a or row.b_map not in b:
@@ -248,7 +194,9 @@ def _pairs(linked: Mapping[str, xr.Dataset], results: Results, titles: Titles) -
         if len(results.layers) > 2 or row.same_quantity:
             names = [f"{name}, {layer}" for name, layer in zip(names, (row.a, row.b), strict=True)]
         valid = _valid(a, row.a_map) & _valid(b, row.b_map)
-        out.append(draw_pair(pair_of(a[row.a_map], b[row.b_map], valid, names=(names[0], names[1])), rows))
+        out.append(
+            relation.draw_pair(relation.pair_of(a[row.a_map], b[row.b_map], valid, names=(names[0], names[1])), rows)
+        )
     return out
 
 
@@ -265,9 +213,9 @@ def _known(data: xr.Dataset) -> NDArray[np.bool_]:
 
 def _named(data: xr.DataArray, layer: LayerFacts) -> str:
     if layer.kind == "image":
-        return the(layer.name)
-    title = in_words(title_of(data))
-    return title if the(layer.name) != layer.name else f"{title} of {layer.name}"
+        return text.the(layer.name)
+    title = text.in_words(text.title_of(data))
+    return title if text.the(layer.name) != layer.name else f"{title} of {layer.name}"
 
 
 def _choice(results: Results, section: str, name: str, default: Any) -> Any:

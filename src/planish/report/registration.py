@@ -36,25 +36,7 @@ _BLANK = 64  # pixels across a ground that shows nothing
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ground:
-    """A picture to draw on.
-
-    Attributes
-    ----------
-    values : ndarray, shape (rows, cols)
-        Shown in grey; NaN is missing.
-    y, x : ndarray, in um
-        Coordinates of the pixel centres.
-    scale : Scale
-        The grey window.
-    edge : ndarray of bool, shape (rows, cols), or None
-        Where the other map lies; its border is drawn.
-    edge_of : str
-        What lies there, in words.
-    name : str
-        What it is, in words: "the image".
-    caption : str
-        What is shown, n, mask.
-    """
+    """A picture to draw on: values in grey, the border of another layer, what it is, and the words for a caption."""
 
     values: Array
     y: Array
@@ -69,18 +51,7 @@ class Ground:
 def image_ground(
     image: xr.DataArray, *, valid: NDArray[np.bool_] | None, edge: NDArray[np.bool_] | None, edge_of: str
 ) -> Ground:  # fmt: skip
-    """Return an image as ground.
-
-    Parameters
-    ----------
-    image : DataArray, dims (y, x)
-    valid : ndarray of bool, shape (rows, cols), or None
-        Pixels that set the grey window: holes and what lies beside the sheet may be black or white.
-    edge : ndarray of bool, shape (rows, cols), or None
-        Where the other layer lies.
-    edge_of : str
-        Name of the other layer.
-    """
+    """Return an image (y, x) as ground; ``valid`` pixels set the grey window, ``edge`` is where another layer lies."""
     values, x = image.values.astype(np.float64), image["x"].values
     return Ground(
         values=values,
@@ -96,18 +67,7 @@ def image_ground(
 
 
 def map_ground(data: xr.DataArray, *, of: str, edge: NDArray[np.bool_], edge_of: str) -> Ground:
-    """Return a map as ground, in grey.
-
-    Parameters
-    ----------
-    data : DataArray, dims (y, x)
-    of : str
-        The layer that the map belongs to.
-    edge : ndarray of bool, shape (rows, cols)
-        Where the other layer lies.
-    edge_of : str
-        Name of the other layer.
-    """
+    """Return a map (y, x) of the layer ``of`` as ground, in grey; ``edge`` is where the other layer lies."""
     ground = image_ground(data, valid=None, edge=edge, edge_of=edge_of)
     known = count(int(np.isfinite(ground.values).sum()))
     return replace(
@@ -119,15 +79,7 @@ def map_ground(data: xr.DataArray, *, of: str, edge: NDArray[np.bool_], edge_of:
 
 
 def blank_ground(points: Array, *, of: str) -> Ground:
-    """Return an empty ground around points, for places in coordinates of which no map is at hand.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 2)
-        ``(x, y)`` in um.
-    of : str
-        The layer that the coordinates belong to.
-    """
+    """Return an empty ground around points (x, y), for places in coordinates of which no map is at hand."""
     known = points[np.isfinite(points).all(axis=1)]
     low, high = (known.min(axis=0), known.max(axis=0)) if known.size else (np.zeros(2), np.ones(2))
     room = 0.2 * max(float((high - low).max()), 1.0)
@@ -166,23 +118,10 @@ def draw_registration(
     ground: Ground, marks: xr.Dataset, *, hole_um: float, title: str = "Marks and their residuals",
     source: str = "volume", axis: tuple[float, str] | None = None, width: float = FULL,
 ) -> Picture:  # fmt: skip
-    """Draw a ground with its marks, numbered, and the residual of each as an arrow.
+    """Draw a ground with its marks (``fixed_*``), numbered, and the residual of each as an arrow.
 
-    Parameters
-    ----------
-    ground : Ground
-        In the coordinates of ``fixed_x`` and ``fixed_y``.
-    marks : Dataset, dims (mark), in um
-        ``fixed_x``, ``fixed_y``, ``residual_x``, ``residual_y`` (mark minus transformed mark).
-    hole_um : float
-        Diameter at which marks are drawn.
-    title : str
-    source : str
-        Where the partners of the marks are, in words.
-    axis : (float, str) or None
-        Angle of the machine direction in degrees from x, clockwise on screen, and where it is known from.
-    width : float
-        CSS pixels.
+    ``axis`` is the angle of the machine direction in degrees from x, clockwise on screen, and where it is known from;
+    ``hole_um`` the diameter at which marks are drawn, ``source`` the layer of their partners.
     """
     canvas, axes, shown = draw_ground(ground, width=width)
     if ground.edge is not None:
@@ -232,20 +171,7 @@ def draw_expected_error(
 ) -> Picture | None:  # fmt: skip
     """Draw the expected error of each place, with contour lines and the marks; None where nothing is known.
 
-    Parameters
-    ----------
-    error : DataArray, dims (y, x), in um
-        Root mean square of the distance between the place that the transformation gives and the true one.
-    marks : Dataset, dims (mark), or None
-        ``fixed_x``, ``fixed_y`` in the coordinates of ``error``.
-    hole_um : float
-        Diameter at which marks are drawn.
-    width : float
-        CSS pixels.
-    of : str
-        Whose pixels they are, in words.
-    shown : str
-        What is shown there, in words.
+    ``of`` is the layer whose pixels they are, ``shown`` the one that was brought to them.
     """
     y, x = error["y"].values, error["x"].values
     known = error.values[np.isfinite(error.values)].astype(np.float64)
@@ -275,19 +201,7 @@ def draw_expected_error(
 
 
 def draw_lags(lag: LagFacts | None, ground: Ground, *, first: str, second: str, width: float) -> Picture | None:
-    """Draw the lags of the tiles that have a distinct one; None where there are no such tiles.
-
-    Parameters
-    ----------
-    lag : LagFacts or None
-        Lag of map b against map a.
-    ground : Ground
-        Map b, or what else is on its grid.
-    first, second : str
-        What maps a and b show, in words.
-    width : float
-        CSS pixels.
-    """
+    """Draw the lags of the tiles of two maps, named in words, that have a distinct one; None where there are none."""
     if lag is None:
         return None
     at, lags, silent = lag_places(lag, ground)
@@ -316,15 +230,8 @@ def draw_lags(lag: LagFacts | None, ground: Ground, *, first: str, second: str, 
 
 
 def lag_places(lag: LagFacts, ground: Ground) -> tuple[Array, Array, Array]:
-    """Return where tiles with a distinct lag lie on a ground, their lags, and where the others lie.
+    """Return where tiles with a distinct lag lie on a ground, their lags, and where the others lie, (n, 2) in um.
 
-    Returns
-    -------
-    ndarray, shape (n, 2); ndarray, shape (n, 2); ndarray, shape (m, 2)
-        ``(x, y)`` in um.
-
-    Notes
-    -----
     Tiles count from the middle of the first pixel that was compared, which may be the mean of several.
     """
     y0, x0 = (float(c[0]) + (p - pitch(c)) / 2 for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True))

@@ -23,17 +23,7 @@ _LEFT, _RIGHT = 85.0, 635.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """Two maps on one grid in double precision, NaN unless both are valid.
-
-    Attributes
-    ----------
-    a, b : ndarray, shape (rows, cols)
-        Drawn across and upwards.
-    pixel_um : (float, float)
-        Along y and x.
-    names, units : (str, str)
-        As they are written for readers.
-    """
+    """Two maps on one grid, NaN unless both are valid; ``a`` is drawn across and ``b`` upwards."""
 
     a: Array
     b: Array
@@ -49,16 +39,7 @@ class Pair:
 
 
 def pair_of(a: xr.DataArray, b: xr.DataArray, valid: NDArray[np.bool_], *, names: tuple[str, str]) -> Pair:
-    """Return two maps on one grid as a pair.
-
-    Parameters
-    ----------
-    a, b : DataArray, dims (y, x)
-    valid : ndarray of bool, shape (rows, cols)
-        Pixels that count.
-    names : (str, str)
-        Names for readers.
-    """
+    """Return two maps (y, x) on one grid as a pair with names for readers."""
     left, right = (m.values.astype(np.float64) for m in (a, b))
     both = valid & np.isfinite(left) & np.isfinite(right)
     return Pair(
@@ -73,16 +54,7 @@ def pair_of(a: xr.DataArray, b: xr.DataArray, valid: NDArray[np.bool_], *, names
 def block_means(pair: Pair, *, point_um: float) -> tuple[Array, Array]:
     """Average both maps over points of ``point_um``, over the pixels that are valid in both.
 
-    Parameters
-    ----------
-    pair : Pair
-    point_um : float
-        Edge of a point; points that are less than half valid do not count.
-
-    Returns
-    -------
-    (n,), (n,)
-        Empty where points would be smaller than pixels.
+    Points that are less than half valid do not count; there are none where they would be smaller than pixels.
     """
     factor = (point_um / pair.pixel_um[0], point_um / pair.pixel_um[1])
     if min(factor) < 1 - 1e-9:
@@ -95,16 +67,8 @@ def block_means(pair: Pair, *, point_um: float) -> tuple[Array, Array]:
 def draw_pair(pair: Pair, rows: Sequence[CorrelationRow]) -> Picture:
     """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
 
-    Parameters
-    ----------
-    pair : Pair
-    rows : sequence of CorrelationRow
-        The correlations of the pair, from the pixel to the largest points.
-
-    Notes
-    -----
-    The difference of two maps of the same quantity is drawn over their mean, with its mean and the limits that hold
-    95 % of normal differences (Bland and Altman 1986).
+    The rows go from the pixel to the largest points. The difference of two maps of the same quantity is drawn over
+    their mean, with its mean and the limits that hold 95 % of normal differences (Bland and Altman 1986).
     """
     fine, coarse = rows[0], largest(rows)
     known = np.isfinite(pair.a)

@@ -62,14 +62,7 @@ class Slice:
 
 
 def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
-    """Draw every slice in true proportions, and a magnified stretch of each that shows the layers.
-
-    Parameters
-    ----------
-    slices : Dataset, dims (slice, height, x)
-        ``grey``, and ``row``: where each slice lies in ``surfaces``.
-    surfaces : Dataset, dims (y, x), in um
-    """
+    """Draw every slice (slice, height, x) in true proportions, and a magnified stretch of each."""
     cuts = [take_slice(slices, surfaces, k) for k in range(slices.sizes["slice"])]
     thickness = float(np.nanmedian(surfaces["top"].values - surfaces["bottom"].values))
     greys = np.concatenate([c.grey.ravel()[:: max(1, c.grey.size // 200_000)] for c in cuts])

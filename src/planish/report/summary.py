@@ -54,19 +54,7 @@ class Summary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """Result of a check that is no quality gate.
-
-    Attributes
-    ----------
-    state : {"agrees", "amber", "grey"}
-        Its light: nothing wrong, to be inspected, inconclusive.
-    word : str
-        The same for readers who do not see colours.
-    name, sentence : str
-        What is checked, and what was found.
-    meaning : str
-        What that means for the numbers of the page.
-    """
+    """Result of a check that is no quality gate: its light, also as a word, what was found, and what that means."""
 
     state: Literal["agrees", "amber", "grey"]
     word: str
@@ -220,7 +208,7 @@ def _difference(row: CorrelationRow, titles: Titles) -> str:
 def _of_layers(results: Results, titles: Titles) -> tuple[str, tuple[Tile, ...]]:
     reference = results.reference.name
     names = [layer.name for layer in results.moving]
-    sentence = f"{', '.join(names[:-1])} and {names[-1]} were brought onto the pixels of {reference}."
+    sentence = f"The layers {', '.join(names[:-1])} and {names[-1]} were brought onto the pixels of {reference}."
     errors = [layer.registration.expected_error for layer in results.moving if layer.registration]
     median = max((e.median_um for e in errors if e), default=None)
     most = max((e.largest_um for e in errors if e), default=None)
@@ -261,16 +249,7 @@ def _note(row: CorrelationRow) -> str:
 
 
 def lag_check(lag: LagFacts | None, *, first: str, second: str, name: str = "image-based check") -> Check | None:
-    """Return what the lag of two maps means; None where none was looked for.
-
-    Parameters
-    ----------
-    lag : LagFacts or None
-    first, second : str
-        What the two maps show, in words.
-    name : str
-        What is checked.
-    """
+    """Return what the lag of two maps, named in words, means; None where none was looked for."""
     if lag is None:
         return None
     sentence = capital(typeset(lag.sentence)).removesuffix(".") + "."

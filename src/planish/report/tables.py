@@ -296,6 +296,11 @@ def registration(r: RegistrationFacts, *, moving: str, fixed_layer: str) -> Fact
     return rows
 
 
+def has_differences(results: Results) -> bool:
+    """Return whether two maps of the same quantity were compared."""
+    return any(row.same_quantity for row in results.correlations)
+
+
 def comparison(results: Results) -> list[PairLine]:
     """Return the registrations that the paper compares, with both point sizes in one line each."""
     rows = results.comparison
@@ -332,7 +337,7 @@ def correlations(results: Results, titles: Titles) -> list[PairLine]:
     """Return the correlation of every pair of maps, all point sizes in one line each."""
     headlines = [headline_pair(results, layer) for layer in results.moving]
     two, sizes = len(results.layers) == 2, _sizes(results.correlations)
-    differences = any(row.same_quantity for row in results.correlations)
+    differences = has_differences(results)
     out: list[PairLine] = []
     for group in by_pair(results):
         row, at = largest(group), {round(r.point_um, 4): r for r in group}
