@@ -20,6 +20,7 @@ from planish.core.results import (
     SheetFacts,
     SurfaceFacts,
 )  # fmt: skip
+from planish.core.status import Status
 from planish.report.relation import largest
 from planish.report.summary import Titles, by_pair, headline_pair
 from planish.report.text import (
@@ -142,25 +143,21 @@ def joined(facts: SectionFacts) -> str:
     )
 
 
-_STATUS = {
-    "measured": ("measured", "measured"),
-    "rim": ("left out: rim of a hole or an edge", "rim"),
-    "no_sheet": ("no sheet, or a hole", "none"),
-    "face_not_found": ("a face was not found", "lost"),
-    "normal_leaves_sheet": ("the normal leaves the sheet", "normal"),
-    "touching": ("the sheet touches another, or itself", "lost"),
-    "leaves_volume": ("the sheet leaves the volume", "none"),
-    "particle": ("a particle sticks to the sheet", "lost"),
-}
+_COLOURS = {"measured": "measured", "rim": "rim", "no_sheet": "none", "leaves_volume": "none",
+            "normal_leaves_sheet": "normal"}  # fmt: skip
+"""Status of columns -> class of the style; all others are lost."""
 
 
 def columns(surfaces: SurfaceFacts) -> list[dict[str, str]]:
     """Return the status of the volume's columns, as shares of all."""
-    order = [*_STATUS, *(name for name in surfaces.shares if name not in _STATUS)]
-    found = [(surfaces.shares.get(name), *_STATUS.get(name, (name.replace("_", " "), "lost"))) for name in order]
+    names = {status.label: status.sentence for status in Status}
+    order = [*_COLOURS, *(name for name in surfaces.shares if name not in _COLOURS)]
     return [
-        {"share": f"{100 * v:.3f}", "text": text, "percent": percent(v), "kind": kind} for v, text, kind in found if v
-    ]
+        {"share": f"{100 * v:.3f}", "text": names.get(name, name), "percent": percent(v),
+         "kind": _COLOURS.get(name, "lost")}
+        for name in order
+        if (v := surfaces.shares.get(name))
+    ]  # fmt: skip
 
 
 def flattening(sheet: SheetFacts, surfaces: xr.Dataset) -> Facts:
