@@ -151,6 +151,23 @@ def test_a_sheet_with_its_top_at_the_low_end_is_drawn_top_up() -> None:
     assert cut.grey[inside].mean() > 140
 
 
+def test_joined_sections_and_bridged_gaps_are_described() -> None:
+    run = a_run(linked=False)
+    sections = {"kind": "photographs", "count": 1250, "not_aligned": 2, "missing": 5, "cutoff_um": 150.0, "fixed": [],
+                "pairs_used": 9, "pairs_refused": 1, "gain_sd": 0.1, "shift_row_rms_um": 1.52, "shift_col_rms_um": 1.61,
+                "jitter_left_row_um": 0.31, "jitter_left_col_um": 0.42}  # fmt: skip
+    sheet = run["results"]["layers"][0]["sheet"]
+    sheet["sections"] = sections
+    sheet["surfaces"]["bridged_share"] = 0.02
+    text = Page(page_of(run)).text()
+    assert "1\u202f250 sections were aligned to their neighbours; shifts of 1.5\u202fµm and 1.6\u202fµm rms" in text
+    assert "5 missing sections were bridged, 2 of them because they match no neighbour." in text
+    assert "more slowly than over 150\u202fµm cannot be distinguished from the sheet's own bend" in text
+    assert "in 2.0\u202f% of the columns, were bridged" in text
+    sections["fixed"] = ["tilt"]
+    assert "Slow drift was removed (tilt)" in Page(page_of(run)).text()
+
+
 def test_numbers_that_are_missing_become_dashes() -> None:
     run = a_run()
     run["results"]["layers"][0]["registration"] |= {"leave_one_out_rms_um": None, "expected_error": None}

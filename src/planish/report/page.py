@@ -80,7 +80,8 @@ def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Da
         loader=PackageLoader("planish.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters["typeset"] = text.typeset
+    for name in ("typeset", "count", "fixed", "number", "percent"):
+        environment.filters[name] = getattr(text, name)
     several = len(results.layers) > 2
     page = environment.get_template("report.html.j2").render(
         results=results, layers=results.layers, reference=results.reference, sheets=sheets, blocks=blocks,

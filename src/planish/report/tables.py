@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -10,13 +10,13 @@ import numpy as np
 import xarray as xr
 
 from planish.core.results import (
+    ComparisonRow,
     CorrelationRow,
     LayerFacts,
     PropertyFacts,
     RegistrationFacts,
     Results,
     RoughnessFacts,
-    SectionFacts,
     SheetFacts,
     SurfaceFacts,
 )  # fmt: skip
@@ -40,49 +40,26 @@ from planish.report.text import (
     unit,
 )  # fmt: skip
 
-METHOD = (
-    "U. Hirn, J. Kritzinger, M. Donoser, W. Bauer: Introducing a concept to link 3D paper structure to 2D paper "
-    "properties. In: Advances in Pulp and Paper Research, Oxford 2009, Transactions of the XIVth Fundamental Research "
-    "Symposium."
-)
-BLAND_ALTMAN = (
-    "Differences: J. M. Bland, D. G. Altman: Statistical methods for assessing agreement between two methods of "
-    "clinical measurement. The Lancet 327 (1986), 307–310."
-)
-
 Facts = list[tuple[str, str]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
-    """One line of a table: its name, its cells, and whether it stands out."""
+    """One line of a table: its name and its cells."""
 
     name: str
     cells: list[str]
-    best: bool = False
-    second: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Group:
-    """n, r, r² and slope of one point size, and the length of the bar beside r²."""
-
-    n: str
-    r: str
-    r2: str
-    slope: str
-    bar: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairLine:
-    """One line of a table of correlations."""
+    """One line of a table of correlations, one row a point size; ``best`` stands out."""
 
     name: str
-    groups: list[Group]
+    rows: Sequence[CorrelationRow | ComparisonRow | None]
     second: str = ""
-    before: list[str]
-    after: list[str]
+    before: tuple[str, ...] = ()
+    after: tuple[str, ...] = ()
     best: bool = False
 
 
@@ -114,33 +91,6 @@ def inputs(results: Results) -> list[Line]:
         if any(share is not None for share in shares):
             lines.append(("Share of the reference covered", [percent(share, 2) for share in shares]))
     return [Line(name=name, cells=cells) for name, cells in lines]
-
-
-def view(surfaces: SurfaceFacts) -> str:
-    """Describe how a sheet lies in its volume and in its maps."""
-    return (
-        f"The axis {surfaces.through} runs through the sheet; its top side lies at the {surfaces.top_side} end of that "
-        f"axis. Maps are drawn as seen from the top side, with {surfaces.row_axis} down the rows and "
-        f"{surfaces.col_axis} along the columns. The centre of pixel or voxel i is at i × size."
-    )
-
-
-def joined(facts: SectionFacts) -> str:
-    """Describe how serial sections were joined."""
-    taken = " and ".join(length(v, 2) for v in (facts.shift_row_rms_um, facts.shift_col_rms_um))
-    left = " and ".join(length(v, 1) for v in (facts.jitter_left_row_um, facts.jitter_left_col_um))
-    slow = (
-        f"Slow drift was removed ({', '.join(facts.fixed)}) with the help of what is still in the photographs."
-        if facts.fixed
-        else f"Errors that vary more slowly than over {length(facts.cutoff_um)} cannot be distinguished from the "
-        "sheet's own bend and remain."
-    )
-    lost = f", {count(facts.not_aligned)} of them because they match no neighbour" if facts.not_aligned else ""
-    return (
-        f"{count(facts.count)} sections were aligned to their neighbours; shifts of {taken} rms along rows and columns "
-        f"were removed. According to the scatter between parts of the sheet, {left} remain; along the columns it may "
-        f"be twice as much. {count(facts.missing)} missing sections were bridged{lost}. {slow}"
-    )
 
 
 _COLOURS = {"measured": "measured", "rim": "rim", "no_sheet": "none", "leaves_volume": "none",
@@ -304,9 +254,8 @@ def comparison(results: Results) -> list[PairLine]:
     return [
         PairLine(
             name=capital(name),
-            groups=[group_of(row) for row in found],
-            before=[number(found[0].marks_rms_um, 3)],
-            after=[],
+            rows=found,
+            before=(number(found[0].marks_rms_um, 3),),
             best=name.startswith("flattened"),
         )
         for name in dict.fromkeys(row.registration for row in rows)
@@ -343,9 +292,8 @@ def correlations(results: Results, titles: Titles) -> list[PairLine]:
         out.append(PairLine(
             name=a if short else f"{row.a}: {in_words(a)}",
             second="" if short else f"{row.b}: {in_words(b)}",
-            groups=[group_of(at.get(s)) for s in sizes],
-            before=[],
-            after=[_difference(row)] if differences else [],
+            rows=[at.get(s) for s in sizes],
+            after=(_difference(row),) if differences else (),
             best=two and group in headlines and len(results.correlations) > len(group),
         ))  # fmt: skip
     return out
@@ -361,25 +309,12 @@ def _difference(row: CorrelationRow) -> str:
     return f"{spread}\n{beside(low, sd)} to {beside(high, sd)} {units}"
 
 
-def group_of(row: Any) -> Group:
-    """Return one correlation as a table shows it; dashes where there is none."""
-    if row is None:
-        return Group(n=NONE, r=NONE, r2=NONE, slope=NONE, bar="0")
-    return Group(
-        n=count(row.n),
-        r=fixed(row.r, 3),
-        r2=fixed(row.r2, 3),
-        slope=number(row.slope),
-        bar=f"{100 * (row.r2 or 0.0):.1f}",
-    )
-
-
-def point_sizes(rows: Iterable[Any]) -> list[str]:
+def point_sizes(rows: Iterable[CorrelationRow | ComparisonRow]) -> list[str]:
     """Return the point sizes of a table of correlations."""
     return [plain(size_um) for size_um in _sizes(rows)]
 
 
-def _sizes(rows: Iterable[Any]) -> list[float]:
+def _sizes(rows: Iterable[CorrelationRow | ComparisonRow]) -> list[float]:
     return sorted({round(float(row.point_um), 4) for row in rows})
 
 
