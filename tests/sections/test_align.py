@@ -70,6 +70,7 @@ def test_a_true_bend_is_left_alone() -> None:
     assert rms(found.shift_um[:, 0]) < 0.3
 
 
+@pytest.mark.study
 def test_wide_sections_tell_rotations_and_more() -> None:
     wide = make_series(sections=60, cols=2400, seed=4)
     found = align_sections(wide.stack, wide.positions_um, PIXEL_UM, threads=2)

@@ -160,21 +160,15 @@ def align_sections(
         fine = found
         places[:, 1] = _columns(whole, fine, n)
         pose = _quick(places, course, away, groups, cutoff)
-    aligned = np.zeros(n, bool)
-    for group in groups:
-        aligned[group] = True
+    aligned = np.isin(np.arange(n), np.concatenate([np.zeros(0, np.intp), *groups]))
     aligned &= np.bincount(np.concatenate([first[kept], second[kept]]), minlength=n) >= min(2, n - 1)
     pose[~aligned] = 0.0
     left = np.full(3, np.nan)
     if aligned.any():
 
         def without(k: int) -> Array:
-            fewer = whole.without(k, rotation)
-            there = _joined(fewer, n, rotation)[0]
-            if fine is not None:
-                there[:, 1] = _columns(fewer, fine.without(k, False), n)
-            own = _course(band, (rows, cols), pixel_um, without=k)
-            return _quick(there, own, away, groups, cutoff)[aligned]
+            there = _places_without(k, whole, fine, n, rotation)
+            return _quick(there, _course(band, (rows, cols), pixel_um, without=k), away, groups, cutoff)[aligned]
 
         # Jackknife: one run of columns after the other is left out, of the surface too.
         left = np.mean(np.var([without(k) for k in range(GROUPS)], axis=0), axis=0) * (GROUPS - 1)
@@ -252,6 +246,15 @@ def _joined(pairs: Pairs, n: int, rotation: bool) -> tuple[Array, NDArray[np.boo
             pairs.first[sound], pairs.second[sound], pairs.offset[sound, axis], pairs.sigma[sound, axis], n
         )
     return places, sound & held_pairs(kept)
+
+
+def _places_without(k: int, whole: Pairs, fine: Pairs | None, n: int, rotation: bool) -> Array:
+    """Places of all sections (sections, 3) without one group of the columns."""
+    fewer = whole.without(k, rotation)
+    places = _joined(fewer, n, rotation)[0]
+    if fine is not None:
+        places[:, 1] = _columns(fewer, fine.without(k, False), n)
+    return places
 
 
 def _columns(coarse: Pairs, fine: Pairs, n: int) -> Array:
