@@ -57,7 +57,7 @@ def loaded(
     """Check shape and type, read what is small, and put everything together."""
     if 0 in array.shape:
         raise FileError(f"{path.name} holds a volume of {size_words(array.shape)} voxels. Export it again.")
-    if min(array.shape) == 1:
+    if len(array.shape) != 3 or min(array.shape) == 1:
         raise VolumeError(f"{path.name} is no volume but {size_words(array.shape)} voxels (z, y, x). {ADVICE}")
     check_type(array.dtype, path)
     values = settle(as_supported(array, path), path, memory_bytes=memory_bytes)
