@@ -39,7 +39,7 @@ class Figures:
     share : float
         Of the columns that were measured.
     coated : bool
-        Whether both sides were rightly told to be coated or not.
+        Whether both sides were rightly recognised as coated or not.
     """
 
     faces: tuple[tuple[float, float], ...]
@@ -151,8 +151,8 @@ def judge(found: xr.Dataset, sheet: Sheet) -> Figures:
             up * ((inner(height, "top") - inner(height, "bottom")) - (inner(truth, "top") - inner(truth, "bottom")))
         )
     )
-    told = all(np.isnan(truth[f"interface_{k}"]).all() == np.isnan(height[f"interface_{k}"]).all() for k in _FACES)
-    return Figures(faces=faces, layers=tuple(layers), share=float(ok.mean()), coated=told)
+    right = all(np.isnan(truth[f"interface_{k}"]).all() == np.isnan(height[f"interface_{k}"]).all() for k in _FACES)
+    return Figures(faces=faces, layers=tuple(layers), share=float(ok.mean()), coated=right)
 
 
 def main(*only: Any) -> int:
@@ -203,21 +203,21 @@ def wedge(most: float, voxel: float, seed: int = 0) -> tuple[xr.DataArray, Array
 def thin_layers() -> None:
     """Print true against found thickness of layers thinner than the blur: 4 um of blur, voxels of 1.37 um."""
     print("found thickness in um of thin coatings, blur 4 um, voxel 1.37 um, noise 5 %")
-    print(f"{'true':>6s}{'even':>14s}{'other side 15':>16s}{'grey told':>12s}{'in a wedge':>13s}")
+    print(f"{'true':>6s}{'even':>14s}{'other side 15':>16s}{'grey given':>12s}{'in a wedge':>13s}")
     grey, truth = wedge(12.0, 1.37)
     found = find_surfaces(grey)
     along: Array = np.nanmean((found["top"] - found["interface_top"]).values, axis=0)
     for t in (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0):
         cells: list[str] = []
-        for coats, told in (((t, t), None), ((t, 15.0), None), ((t, t), 210.0)):
+        for coats, given in (((t, t), None), ((t, 15.0), None), ((t, t), 210.0)):
             sheet = Sheet(voxel=1.37, coats=coats, thickness=60.0, margin=20.0)
-            one = find_surfaces(sheet.volume(), params=SurfaceParams(coating_grey=told))
+            one = find_surfaces(sheet.volume(), params=SurfaceParams(coating_grey=given))
             value = (
                 float(np.nanmean((one["top"] - one["interface_top"]).values))
                 if np.isfinite(one["interface_top"].values).any()
                 else np.nan
             )
-            cells.append(f"{value:.2f}" if np.isfinite(value) else "not told")
+            cells.append(f"{value:.2f}" if np.isfinite(value) else "not found")
         near = np.abs(truth - t) < 0.3
         cells.append(f"{t + float(np.mean(along[near] - truth[near])):.2f}")
         print(f"{t:6.1f}{cells[0]:>14s}{cells[1]:>16s}{cells[2]:>12s}{cells[3]:>13s}", flush=True)

@@ -3,7 +3,7 @@
 ``python -m benchmarks holes [synthetic | rims | speed]``
 
 Two truths: the centre the laser aimed at, and the area centroid of the outline it cut. The rim's roughness moves the
-second against the first, and no image tells by how much.
+second against the first, and no image shows by how much.
 """
 
 from __future__ import annotations
@@ -418,7 +418,7 @@ def _bad(score: Score, pixel: float) -> bool:
 
 def _synthetic(seeds: int) -> int:
     print("Errors in um rms per axis: against the nominal centre, the rim's own part of it, against the centroid.")
-    print(f"The rim's own part cannot be told from a displacement; theory: {least_error():.2f} um.")
+    print(f"The rim's own part cannot be separated from a displacement; theory: {least_error():.2f} um.")
     failed = 0
     for bright in (False, True):
         sizes = {a: Score() for a in ACROSS}

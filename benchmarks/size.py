@@ -100,10 +100,10 @@ def main(*arguments: str | int) -> int:
     parser.add_argument("--column-um", default="4.11")
     parser.add_argument("--memory", default="2GB")
     parser.add_argument("--scheduler", default=None)
-    told = parser.parse_args([str(a) for a in arguments])
-    with folder_for(told.folder) as folder:
-        for gvoxel in map(float, told.gvoxel.split(",")):
-            measure(gvoxel, folder, told)
+    asked = parser.parse_args([str(a) for a in arguments])
+    with folder_for(asked.folder) as folder:
+        for gvoxel in map(float, asked.gvoxel.split(",")):
+            measure(gvoxel, folder, asked)
     return 0
 
 
@@ -124,7 +124,7 @@ class Kept:
     def __exit__(self, *_: object) -> None: ...
 
 
-def measure(gvoxel: float, folder: str, told: argparse.Namespace) -> None:
+def measure(gvoxel: float, folder: str, asked: argparse.Namespace) -> None:
     edge = round(np.sqrt(gvoxel * 1e9 / DEPTH))
     shape = (DEPTH, edge, edge)
     voxels = float(np.prod(shape))
@@ -139,8 +139,8 @@ def measure(gvoxel: float, folder: str, told: argparse.Namespace) -> None:
     print(f"  plain pass of reading {read:.1f} s, {voxels / read / 1e6:.0f} Mvoxel/s, {size / 1e9:.2f} GB on disk")
     out = Path(folder) / "run"
     shutil.rmtree(out, ignore_errors=True)
-    command = [sys.executable, "-m", "planish", "map", str(store), "--out", str(out), "--column-um", told.column_um]
-    command += ["--memory", told.memory, *(["--scheduler", told.scheduler] if told.scheduler else [])]
+    command = [sys.executable, "-m", "planish", "map", str(store), "--out", str(out), "--column-um", asked.column_um]
+    command += ["--memory", asked.memory, *(["--scheduler", asked.scheduler] if asked.scheduler else [])]
     start = time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     took = time.perf_counter() - start

@@ -37,8 +37,8 @@ _CELL_SAMPLES = 7  # per side of a print's cell, for the coating under its dot
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
-    """What each pixel of the image looks at; (rows, cols), float32 but for the coordinates."""
+class _Scene:
+    """What each pixel of the image shows; (rows, cols), float32 but for the coordinates."""
 
     u: Array
     v: Array
@@ -81,24 +81,24 @@ def photograph(
     """
     for_scatter, for_nuisance, for_tone, for_plain, for_print = (_child(seed, k) for k in range(5))
     pixel = camera.pixel_um
-    seen = _look(sheet, pose, camera, shape, _BASE_S_SD_M2_PER_KG * _coarse(sheet, _PAPER_UM, for_scatter))
+    scene = _look(sheet, pose, camera, shape, _BASE_S_SD_M2_PER_KG * _coarse(sheet, _PAPER_UM, for_scatter))
     nuisance = _coarse(sheet, _PAPER_UM, for_nuisance)
     if camera.oracle_r2 is None:
         gain = camera.nuisance_sd
     else:
-        gain = _oracle_gain(seen, _sampled(sheet, nuisance, seen.u, seen.v), pixel, camera.oracle_r2)
+        gain = _oracle_gain(scene, _sampled(sheet, nuisance, scene.u, scene.v), pixel, camera.oracle_r2)
     tone = _coarse(sheet, _TONE_UM, for_tone)
     dots = _Screen.of(sheet, camera.screen or PrintParams(), tone) if printed else None
 
     image, hole, solid = (np.empty(shape, dtype=np.float32) for _ in range(3))
     for rows in _blocks(shape[0]):
-        u, v = seen.u[rows], seen.v[rows]
-        paper = seen.reflectance[rows] + gain * _sampled(sheet, nuisance, u, v)
+        u, v = scene.u[rows], scene.v[rows]
+        paper = scene.reflectance[rows] + gain * _sampled(sheet, nuisance, u, v)
         if dots is not None:
             cover = dots.cover(u, v, pixel)
             paper = paper * (1 - cover) + dots.ink * cover  # Murray and Davies
         paper = paper * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, u, v)))
-        solid[rows] = np.clip(seen.rim_um[rows] / pixel + 0.5, 0, 1)
+        solid[rows] = np.clip(scene.rim_um[rows] / pixel + 0.5, 0, 1)
         below = np.clip(sheet.at(sheet.rim_um[1], u, v) / pixel + 0.5, 0, 1)
         hole[rows] = _HOLE + (_CHAR_GREY - _HOLE) * below
         image[rows] = paper
@@ -109,7 +109,7 @@ def photograph(
         image = _pierced(_scattered(image, camera.lateral_um, pixel), hole, solid)
     if camera.shading > 0:
         # The light stands on the left: what rises to the right faces it.
-        slope = np.gradient(seen.top_um, pixel, axis=1)
+        slope = np.gradient(scene.top_um, pixel, axis=1)
         image *= 1 + camera.shading / 0.1 * slope * solid
     if camera.lens_um > 0:
         image = ndimage.gaussian_filter(image, camera.lens_um / pixel, mode="nearest")
@@ -122,7 +122,7 @@ def photograph(
 
 
 def image_material(pose: CameraPose, shape: tuple[int, int], pixel_um: float) -> tuple[Array, Array]:
-    """Material coordinates (u, v) in um seen by each pixel of an image of ``shape`` (rows, cols)."""
+    """Material coordinates (u, v) in um shown by each pixel of an image of ``shape`` (rows, cols)."""
     u, v = np.empty(shape), np.empty(shape)
     x = np.arange(shape[1]) * pixel_um
     for rows in _blocks(shape[0]):
@@ -134,7 +134,7 @@ def image_material(pose: CameraPose, shape: tuple[int, int], pixel_um: float) ->
     return u, v
 
 
-def _look(sheet: Sheet, pose: CameraPose, camera: CameraParams, shape: tuple[int, int], scatter: Array) -> _Seen:
+def _look(sheet: Sheet, pose: CameraPose, camera: CameraParams, shape: tuple[int, int], scatter: Array) -> _Scene:
     u, v = image_material(pose, shape, camera.pixel_um)
     top, coating, rim, reflectance = (np.empty(shape, dtype=np.float32) for _ in range(4))
     for rows in _blocks(shape[0]):
@@ -152,19 +152,19 @@ def _look(sheet: Sheet, pose: CameraPose, camera: CameraParams, shape: tuple[int
             base_mass=sheet.at(sheet.base_mass, *at),
             base_s_m2_per_kg=np.maximum(BASE_S_M2_PER_KG + _sampled(sheet, scatter, *at), 0),
         )
-    return _Seen(u, v, top, coating, rim, reflectance)
+    return _Scene(u, v, top, coating, rim, reflectance)
 
 
-def _oracle_gain(seen: _Seen, nuisance: Array, pixel_um: float, target: float) -> float:
+def _oracle_gain(scene: _Scene, nuisance: Array, pixel_um: float, target: float) -> float:
     """Size of the nuisance that brings r2 of coating thickness and reflectance, both true, to ``target``.
 
     Over points of 100 um away from the holes, the covariances of ``R + g N`` with the thickness and with itself are
     polynomials in ``g``, so ``r2 = target`` is a quadratic equation.
     """
     side = (_ORACLE_UM / pixel_um, _ORACLE_UM / pixel_um)
-    away = seen.rim_um > _AWAY_UM
+    away = scene.rim_um > _AWAY_UM
     maps = [
-        area_mean(np.where(away, m, np.nan), side, least=1.0) for m in (seen.coating_um, seen.reflectance, nuisance)
+        area_mean(np.where(away, m, np.nan), side, least=1.0) for m in (scene.coating_um, scene.reflectance, nuisance)
     ]
     known = np.isfinite(maps[0])
     count = int(known.sum())
@@ -242,7 +242,7 @@ def _turned(u: Array, v: Array, pitch_um: float, angle_rad: float) -> tuple[Arra
 
 
 def _pierced(paper: Field, hole: Field, solid: Field) -> Field:
-    """Paper where it is ``solid`` (the share of a pixel), and what is seen in the holes elsewhere."""
+    """Paper where it is ``solid`` (the share of a pixel), and what shows in the holes elsewhere."""
     return np.asarray(hole + (paper - hole) * solid, dtype=np.float32)
 
 

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 _BORDER_UM = 260.0  # from the middle of a hole to the end of the field
 _CORNER_UM = 520.0  # from one line to the first hole of the next
 _APART_UM = 550.0
-# Pitches of the lines in um, all different, and so are the sums of neighbours: any few holes tell where they belong.
+# Pitches of the lines in um, all different, and so are the sums of neighbours: distances identify any few holes.
 _PITCHES_UM = ((500, 725, 590, 860, 650, 950), (545, 905, 620, 770, 510, 830), (695, 560, 815, 530, 935, 605))
 _ROUGH_UM = 30.0  # correlation length along the rim
 _ORDERS = np.arange(2, 25)  # waves around the rim; order 1 would move the centre

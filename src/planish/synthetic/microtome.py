@@ -142,11 +142,11 @@ class Microtome:
             poses.y_um[one], halo=taps.size - 1, shift_x=poses.shift_x_um[one], shift_z=poses.shift_z_um[one],
             turn=poses.turn_rad[one],
         ):  # fmt: skip
-            seen = smooth(block, taps, (1, 2))[0]
-            picture[col : col + seen.shape[0], depth : depth + seen.shape[1]] = seen
+            blurred = smooth(block, taps, (1, 2))[0]
+            picture[col : col + blurred.shape[0], depth : depth + blurred.shape[1]] = blurred
         grain = rng.standard_normal(self.shape, dtype=np.float32)
-        seen = gain * (grey[0] + picture.T + common) + p.noise * (p.grey[0] - p.grey[2]) * grain
-        return np.clip(np.rint(seen), 0, 255).astype(np.uint8)
+        exposed = gain * (grey[0] + picture.T + common) + p.noise * (p.grey[0] - p.grey[2]) * grain
+        return np.clip(np.rint(exposed), 0, 255).astype(np.uint8)
 
     def _knife(self, number: int) -> Slab:
         """Lines across the sheet, the same over as many sections as one part of the edge lasts."""

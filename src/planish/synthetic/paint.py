@@ -63,9 +63,9 @@ class Painter:
             under = np.concatenate(
                 [_kernels.columns(w, curve, ys_um[i : i + 1], xs + shift_x[i]) for i in range(ys_um.size)]
             )
-            seen = under[..., 2] - shift_z[:, None] - turn[:, None] * (xs - self.middle_um[0])
-            first = max(int(np.floor((seen.min() - half) / self.step_um)) - halo, 0)
-            last = min(int(np.ceil((seen.max() + half) / self.step_um)) + halo, self.shape[1] - 1)
+            middle = under[..., 2] - shift_z[:, None] - turn[:, None] * (xs - self.middle_um[0])
+            first = max(int(np.floor((middle.min() - half) / self.step_um)) - halo, 0)
+            last = min(int(np.ceil((middle.max() + half) / self.step_um)) + halo, self.shape[1] - 1)
             if last < first:
                 continue
             block = np.zeros((ys_um.size, xs.size, last - first + 1 + 2 * halo), dtype=np.float32)

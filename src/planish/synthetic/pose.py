@@ -88,20 +88,20 @@ class CameraPose:
     def _strain(self) -> Array:
         return np.array([1 + self.stretch, 1 - self.stretch])
 
-    def _shrink(self, seen: Array) -> Array:
-        """Radius on the sheet over the radius in the image, ``seen``: Newton's method on ``t + k t^3 = seen``.
+    def _shrink(self, shown: Array) -> Array:
+        """Radius on the sheet over the radius in the image, ``shown``: Newton's method on ``t + k t^3 = shown``.
 
-        The cubic bends to one side only, and ``t = seen`` lies on the side from which Newton's steps never overshoot.
+        The cubic bends to one side only, and ``t = shown`` lies on the side from which Newton's steps never overshoot.
         """
         k = self.radial
         fold = 2 / (3 * np.sqrt(-3 * k)) if k < 0 else np.inf  # the cubic's maximum
-        t = np.where(seen > fold, np.nan, seen)
+        t = np.where(shown > fold, np.nan, shown)
         for _ in range(_NEWTON_STEPS):
-            step = (t + k * t**3 - seen) / (1 + 3 * k * t * t)
+            step = (t + k * t**3 - shown) / (1 + 3 * k * t * t)
             t -= step
             if not np.any(np.abs(step) > 1e-14 * (1 + np.abs(t))):
                 break
-        return np.divide(t, seen, out=np.ones_like(t), where=seen > 0)
+        return np.divide(t, shown, out=np.ones_like(t), where=shown > 0)
 
 
 def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator) -> tuple[tuple[int, int], CameraPose]:

@@ -92,12 +92,12 @@ class Scanner:
         slab = np.zeros((stop - start, self.shape[2], self.shape[0]), dtype=np.float32)
         axes = (0, 1, 2)
         for col, depth, block in painter.blocks(ys, halo=halo, shift_x=still, shift_z=still, turn=still):
-            seen = trimmed(smooth(block, psf, axes), halo - psf.size + 1, axes)
+            blurred = trimmed(smooth(block, psf, axes), halo - psf.size + 1, axes)
             if p.fringe:
-                seen = seen - np.float32(p.fringe) * trimmed(
+                blurred = blurred - np.float32(p.fringe) * trimmed(
                     _laplacian(smooth(block, ring, axes)), halo - ring.size, axes
                 )
-            slab[:, col : col + seen.shape[1], depth : depth + seen.shape[2]] = seen
+            slab[:, col : col + blurred.shape[1], depth : depth + blurred.shape[2]] = blurred
         return slab
 
     def _noise(self, start: int, stop: int) -> Slab:

@@ -1,4 +1,4 @@
-"""One specimen seen by several instruments, with the truth for every pixel and column."""
+"""One specimen under several instruments, with the truth for every pixel and column."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def draw_example(example: Example) -> list[Picture]:
     """Draw what the image showed, what was measured, and how far off place and thickness are."""
     name = _NAMES.get(example.name, example.name)
     rows, cols = (np.arange(n) * p for n, p in zip(example.image.shape, example.pixel_um, strict=True))
-    seen = example.image[np.isfinite(example.found_um)]
+    valid = example.image[np.isfinite(example.found_um)]
 
     def draw(values: Array, scale: Scale, label: str, title: str, caption: str) -> Picture:
         canvas, _ = half_page(reduced(values, rows, cols, width=HALF - BESIDE), scale=scale, label=label)
@@ -41,7 +41,7 @@ def draw_example(example: Example) -> list[Picture]:
     bias = float(spread.mean()) if spread.size else None
     return [
         draw(
-            example.image, limits(seen if seen.size else example.image, GREYS, percent=0.2), "",
+            example.image, limits(valid if valid.size else example.image, GREYS, percent=0.2), "",
             "(a) The image of one specimen", f"Seed {example.seed}; pixels of {pixel}.",
         ),
         draw(

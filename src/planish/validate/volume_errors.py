@@ -44,8 +44,8 @@ def section_errors(both: Comparison) -> Values:
     line = np.polynomial.polynomial.polyfit(across, moved, 1)
     left = moved - np.polynomial.polynomial.polyval(across, line).T
     # In the physical frame x runs along the section, y across the sections and z through the sheet.
-    # What varies more slowly than the run's cut-off cannot be told from the sheet's own course: it is left alone on
-    # purpose. The rest is jitter that should be gone.
+    # What varies more slowly than the run's cut-off cannot be separated from the sheet's own bend: it is left alone.
+    # The rest is jitter that should be gone.
     jitter = [quick_part(across, left[:, k], cutoff_um=float(sections.attrs["cutoff_um"])) for k in (0, 2)]
     return {
         "sections_x_rms": rms(left[:, 0]),
