@@ -66,3 +66,11 @@ def test_two_logs_are_two_scans(scan):
     (folder / "other_rec.log").write_text("[Reconstruction]\n")
     with pytest.raises(VolumeError, match="2 NRecon logs"):
         read_volume(folder)
+
+
+def test_a_log_whose_sections_and_count_disagree_is_refused(scan):
+    sections = "[Reconstruction]\nPixel Size (um)=2\nFirst Section=0\nLast Section={last}\nSections Count={count}\n"
+    names = "[File name convention]\nFilename Prefix=sheet_rec\n"
+    assert read_volume(scan(sections.format(last=8, count=9) + names)).sizes["z"] == 9
+    with pytest.raises(VolumeError, match="contradicts itself: 8 sections"):
+        read_volume(scan(sections.format(last=8, count=8) + names))
