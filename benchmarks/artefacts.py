@@ -68,7 +68,7 @@ def measure(scenario: Scenario, params: SpecimenParams, seed: int) -> list[Value
             volume = {"path": str(made.volume), "through": made.through}
             try:
                 run = map_sheet(Study.model_validate({"volume": volume, "surface": {"method": mode}}))
-                found.append(make_ledger(Comparison(specimen=specimen, files=made, run=run)))
+                found.append(make_ledger(Comparison.of(specimen, made, run)))
             except PlanishError as error:
                 found.append(f"refused: {error}")
         return found

@@ -39,7 +39,7 @@ def _link(params, instrument, folder):
         {"volume": {"path": str(files.volume), "through": files.through}, "image": {"path": str(files.image)}}
     )
     run = run_study(study, folder / "run")
-    return specimen, files, run, make_ledger(Comparison(specimen=specimen, files=files, run=run))
+    return specimen, files, run, make_ledger(Comparison.of(specimen, files, run))
 
 
 @pytest.mark.study

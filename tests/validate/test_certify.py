@@ -70,14 +70,14 @@ def no_specimen(monkeypatch):
     files = SimpleNamespace(volume=Path("v.tif"), image=Path("i.tif"), through="z")
     monkeypatch.setattr(certify, "make_specimen", lambda _params: None)
     monkeypatch.setattr(certify, "write_instruments", lambda *_, **__: files)
+    monkeypatch.setattr(certify, "scenario_study", lambda *_: None)
 
 
 @pytest.mark.usefixtures("no_specimen")
 def test_every_seed_gives_an_entry_and_the_first_an_example(monkeypatch, small):
     """What the studies do with real runs, with the run and its ledger replaced."""
     gate = SimpleNamespace(name="marks", sentence="7 marks agree to 33.1 um only.", passed=False)
-    monkeypatch.setattr(certify, "Run", SimpleNamespace)
-    monkeypatch.setattr(certify, "run_study", lambda *_, **__: SimpleNamespace(gates=(gate,)))
+    monkeypatch.setattr(certify, "run_study", lambda *_, **__: SimpleNamespace(gates=(gate,), groups={}))
     monkeypatch.setattr(certify, "make_ledger", lambda _both, point_um: {"tre_p95": point_um})
     monkeypatch.setattr(certify, "make_example", lambda _both, seed: f"maps of {seed}")
     reports = []

@@ -135,17 +135,13 @@ def exact_run(*, shift=(0.0, 0.0), lift=0.0, stretch=1.0, thicker=0.0):
     )
     moving = stretch * HOLES + [100.0, -50.0]
     fixed = pose(HOLES)
-    marks = xr.Dataset(
-        {"moving_x": ("mark", moving[:, 0]), "moving_y": ("mark", moving[:, 1]), "fixed_x": ("mark", fixed[:, 0]),
-         "fixed_y": ("mark", fixed[:, 1])}
-    )  # fmt: skip
     study = SimpleNamespace(
-        registration=SimpleNamespace(hole_um=(100.0, 300.0), model="similarity"),
-        correlate=SimpleNamespace(thin_um=13.0),
-    )
+        holes=SimpleNamespace(hole_um=(100.0, 300.0)), correlate=SimpleNamespace(thin_um=13.0)
+    )  # fmt: skip
     run = SimpleNamespace(
-        groups={"surfaces": surfaces, "flat": flat, "linked": linked, "maps": maps},
-        marks=marks, results={"marks": {"mirrored": False}, "headline": "coating_top"}, study=study,
+        groups={"surfaces": surfaces, "flat": flat, "linked": linked, "maps": maps}, study=study,
+        registrations={"sheet": SimpleNamespace(fit=fit_transform(moving, fixed))},
+        results=SimpleNamespace(layers=[SimpleNamespace(headline="coating_top", sheet=True)]),
     )  # fmt: skip
     specimen = SimpleNamespace(warp=warp, sheet=sheet, pose=pose, truth=truth)
     files = SimpleNamespace(to_physical=lambda points, _sections=None: points)
@@ -153,7 +149,7 @@ def exact_run(*, shift=(0.0, 0.0), lift=0.0, stretch=1.0, thicker=0.0):
 
 
 def make_ledger(specimen, files, run):
-    return ledger_of(Comparison(specimen=specimen, files=files, run=run))
+    return ledger_of(Comparison.of(specimen, files, run))
 
 
 def disc_image(centres, x, y, coating):
@@ -249,9 +245,9 @@ def test_what_the_projection_misses():
 
 def test_marks_that_disagree_predict_their_error():
     specimen, files, run = exact_run()
-    moved = run.marks.copy()
-    moved["fixed_x"] = moved["fixed_x"] + np.array([2.0, -2.0, -2.0, 2.0])
-    run.marks = moved
+    fit = run.registrations["sheet"].fit
+    off = np.array([[2.0, 0.0], [-2.0, 0.0], [-2.0, 0.0], [2.0, 0.0]])
+    run.registrations["sheet"].fit = fit_transform(fit.moving, fit.fixed + off)
     found = make_ledger(specimen, files, run)
     assert found["fre_rms"] == pytest.approx(2.0, rel=0.05)
     assert found["loo_rms"] > found["fre_rms"]
@@ -301,7 +297,7 @@ def test_residual_poses_of_sections():
     files.to_physical = to_physical
     from planish.validate.volume_errors import section_errors
 
-    found = section_errors(Comparison(specimen=None, files=files, run=run))
+    found = section_errors(Comparison(specimen=None, files=files, groups=run.groups))
     # fitted straight lines take 2 of 150 degrees of freedom
     for name, k in (("sections_place_rms", 1), ("sections_z_rms", 2)):
         assert found[name] == pytest.approx(left[:, k].std(), rel=0.05)
@@ -317,7 +313,7 @@ def test_a_paper_without_coating_has_no_figures_of_it():
         run.groups[group]["coating_top"] = np.nan * run.groups[group]["coating_top"]
     for face in ("interface_top", "interface_bottom"):
         run.groups["surfaces"][face] = np.nan * run.groups["surfaces"][face]
-    run.results["headline"] = "thickness"
+    run.results.layers[0].headline = "thickness"
     found = make_ledger(specimen, files, run)
     assert found["interface_top_rmse"] is None
     assert found["pixel_coating_top_bias"] is None
@@ -330,7 +326,6 @@ def test_a_paper_without_coating_has_no_figures_of_it():
 def test_a_map_without_an_image():
     specimen, files, run = exact_run()
     del run.groups["linked"]
-    run.marks = None
     found = make_ledger(specimen, files, run)
     assert found["top_rmse"] < 1e-6
     assert not any(FIGURES[name].stage == "registration" for name in found)

@@ -93,16 +93,16 @@ def test_limits():
 
 def test_the_study_of_a_scenario(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text('name = "mine"\ntitle = "Mine"\n[study.registration]\nhole_um = [120, 250]\n')
+    path.write_text('name = "mine"\ntitle = "Mine"\n[study.holes]\nhole_um = [120, 250]\n')
 
     class Made:
         volume, image, through, voxel_um = tmp_path / "v", tmp_path / "i", "y", (3.0, 3.0, 3.0)
 
     study = scenario_study(read_scenario(path), Made)
-    assert study.registration.hole_um == (120.0, 250.0)
-    assert study.volume.through == "y"
+    assert study.holes.hole_um == (120.0, 250.0)
+    assert study.layers[0].volume.through == "y"
     path.write_text('name = "mine"\ntitle = "Mine"\n[study.surface]\ncutoff_um = -1\n')
-    with pytest.raises(InputError, match=r"study\.surface\.cutoff_um"):
+    with pytest.raises(InputError, match=r"surface\.cutoff_um"):
         scenario_study(read_scenario(path), Made)
 
 

@@ -3,34 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import click
 from pydantic import ValidationError
 
-from planish.core.options import options_of
+from planish.cli.options import given, options, verb
 from planish.synthetic.presets import SpecimenOptions
 
 
-def _ordered(command: Any) -> Any:
-    """Give a command the options of a specimen; limits and defaults are checked by the model."""
-    for name, field, shown in reversed(list(options_of(SpecimenOptions))):
-        several = "tuple" in str(field.annotation)
-        kind = get_args(field.annotation)[0] if several else field.annotation
-        names = [a for a in get_args(kind) if isinstance(a, str)]
-        plain: Any = click.Choice(names) if names else kind if kind in (int, float) else str
-        default: dict[str, Any] = {} if several else {"default": field.default, "show_default": True}
-        command = click.option(
-            *shown.flags, name, type=plain, multiple=several, metavar=shown.metavar, help=field.description, **default
-        )(command)
-    return command
-
-
-@click.command()
-@_ordered
+@verb(
+    "planish specimen --preset wfc135 --size T0 --seed 7 --out sheet",
+    "planish specimen --instrument stack --instrument image --nuisance none --out plain",
+    name="specimen",
+)
+@options(SpecimenOptions, "specimen", "Specimen")
 @click.option("--out", "-o", type=click.Path(path_type=Path), help="Folder to make; it must not exist.")
 @click.option("--list", "listed", is_flag=True, help="Name papers and nuisances and end.")
-def specimen(out: Path | None, listed: bool, **options: Any) -> int:
+def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     """Make a specimen with known answers: files as instruments write them, and the truth apart from them.
 
     DIR gets scan/ (slices with the log file of NRecon), sections/ (photographs with the cut counter), image.ome.tif,
@@ -42,7 +32,7 @@ def specimen(out: Path | None, listed: bool, **options: Any) -> int:
     if out is None:
         raise click.UsageError("Missing option '--out' / '-o': the folder to make.")
     try:
-        ordered = SpecimenOptions.model_validate({name: value for name, value in options.items() if value != ()})
+        ordered = SpecimenOptions.model_validate(given(values, "specimen"))
     except ValidationError as error:
         faults = [f"--{e['loc'][0]}: {e['msg'].removeprefix('Value error, ')}." for e in error.errors()]
         raise click.UsageError(" ".join(faults)) from error

@@ -61,6 +61,9 @@ DEMO = SpecimenParams(
 )
 
 
+INSTRUMENTS = ("ct", "sections", "stack", "image", "print")
+
+
 class SpecimenOptions(Params):
     """What a user orders: a paper, a size, the instruments, and their errors."""
 
@@ -69,9 +72,10 @@ class SpecimenOptions(Params):
         "T1", help="0.8 x 0.6, 3 x 2, 8 x 6 or 20 x 15 mm; the last has no voxels."
     )
     seed: int = option(0, ge=0, help="Another one, another specimen.")
-    instrument: tuple[Literal["ct", "sections", "stack", "image", "print"], ...] = option(
-        ("ct", "sections", "image", "print"), help="What is written; repeatable. All but 'stack' where not given."
-    )
+    instrument: tuple[str, ...] = option(
+        ("ct", "sections", "image", "print"), metavar="|".join(INSTRUMENTS),
+        help="What is written; repeatable. All but 'stack' where not given.",
+    )  # fmt: skip
     voxel_um: float = option(3.0, ge=0.5, help="Voxel of the scan.")
     nuisance: tuple[str, ...] | None = option(
         None, metavar="NAME", help="Only these are on; repeatable. 'none': no nuisance. All are on where not given."
@@ -82,6 +86,13 @@ class SpecimenOptions(Params):
     def _known_paper(cls, value: str) -> str:
         if value not in PRESETS:
             raise ValueError(f"there is no paper {value!r}; there are {', '.join(PRESETS)}")
+        return value
+
+    @field_validator("instrument")
+    @classmethod
+    def _known_instruments(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        if unknown := [name for name in value if name not in INSTRUMENTS]:
+            raise ValueError(f"there is no instrument {', '.join(unknown)}; there are {', '.join(INSTRUMENTS)}")
         return value
 
     @field_validator("nuisance")

@@ -9,7 +9,6 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +19,14 @@ from planish.core.errors import InputError, PlanishError, ResourceError
 from planish.core.grid import pitch
 from planish.pipeline import Progress, Run, run_study
 from planish.pipeline.progress import silent
-from planish.study import Study, as_study
+from planish.study import Study, faults_of
 from planish.synthetic import InstrumentFiles, make_specimen, write_instruments
 from planish.synthetic.params import SpecimenParams
 from planish.validate.figures import FIGURES
 from planish.validate.ledger import in_order, make_ledger
 from planish.validate.mesh import mesh_values
 from planish.validate.pair import make_pair, pair_study, pair_values
-from planish.validate.scenario import Limit, Scenario, faults_of
+from planish.validate.scenario import Limit, Scenario
 from planish.validate.truth import Comparison, Values
 
 Array = NDArray[np.float64]
@@ -189,7 +188,7 @@ class Certificate:
 
 
 def run_scenario(
-    scenario: Scenario, seeds: int | Sequence[int] | None = None, progress: Progress | None = None
+    scenario: Scenario, seeds: int | Sequence[int] | None = None, progress: Progress = silent
 ) -> Certificate:
     """Make the specimens of a scenario, run the program on their files, and measure its errors.
 
@@ -210,7 +209,7 @@ def run_scenario(
     entries: list[Entry] = []
     example: Example | None = None
     for k, seed in enumerate(numbers):
-        _report(progress, scenario.name, f"seed {seed}, {k + 1} of {len(numbers)}")
+        progress(scenario.name, f"seed {seed}, {k + 1} of {len(numbers)}")
         if scenario.kind == "mesh":
             start = time.perf_counter()
             values = in_order(mesh_values(seed, once=k == 0))
@@ -225,7 +224,7 @@ def run_scenario(
 
 
 def run_specimen(
-    scenario: Scenario, params: SpecimenParams, seed: int, progress: Progress | None = None, *, keep: bool = False
+    scenario: Scenario, params: SpecimenParams, seed: int, progress: Progress = silent, *, keep: bool = False
 ) -> tuple[Entry, Example | None]:
     """Make one specimen, run the program on its files, remove them; with ``keep``, also its maps for a picture."""
     with _folder() as folder:
@@ -235,13 +234,12 @@ def run_specimen(
         entry, run = _run(scenario_study(scenario, files), seed, folder, progress)
         if run is None:
             return entry, None
-        assert isinstance(run, Run)
-        both = Comparison(specimen=specimen, files=files, run=run)
+        both = Comparison.of(specimen, files, run)
         values = make_ledger(both, point_um=scenario.point_um)
         return replace(entry, values=values), make_example(both, seed) if keep else None
 
 
-def _run_pair(scenario: Scenario, seed: int, progress: Progress | None) -> Entry:
+def _run_pair(scenario: Scenario, seed: int, progress: Progress) -> Entry:
     """Make one sheet under two instruments, link their volumes, remove the files."""
     with _folder() as folder:
         with _makes(scenario):
@@ -250,11 +248,11 @@ def _run_pair(scenario: Scenario, seed: int, progress: Progress | None) -> Entry
         return entry if run is None else replace(entry, values=in_order(pair_values(made, run)))
 
 
-def _run(study: Study, seed: int, folder: Path, progress: Progress | None) -> tuple[Entry, Run | None]:
+def _run(study: Study, seed: int, folder: Path, progress: Progress) -> tuple[Entry, Run | None]:
     """Run a study in the folder; an entry without values yet, and the run, None where the program refused."""
     start = time.perf_counter()
     try:
-        run = run_study(study, folder / "run", progress=progress or silent)
+        run = run_study(study, folder / "run", progress=progress)
     except ResourceError:
         raise  # a matter of this machine, not of the specimen
     except PlanishError as error:
@@ -262,7 +260,7 @@ def _run(study: Study, seed: int, folder: Path, progress: Progress | None) -> tu
         refusal = str(error).replace(f"{folder}/", "")
         return Entry(seed=seed, values={}, refusal=refusal, seconds=time.perf_counter() - start), None
     seconds = time.perf_counter() - start
-    _report(progress, "compare", "with the truth")
+    progress("compare", "with the truth")
     gates = tuple(f"{gate.name}: {gate.sentence}" for gate in run.gates if not gate.passed)
     return Entry(seed=seed, values={}, gates=gates, seconds=seconds), run
 
@@ -288,25 +286,19 @@ def _folder() -> Generator[Path]:
 def scenario_study(scenario: Scenario, made: InstrumentFiles) -> Study:
     """The study of a scenario's files: what a user would give on the command line.
 
-    All of them state their voxel size, so that none is given.
-
-    Raises
-    ------
-    InputError
-        If the scenario's changes to the study do not fit.
+    All of them state their voxel size, so that none is given. InputError where the scenario's options do not fit.
     """
-    data: dict[str, dict[str, Any]] = {
-        "volume": {"path": str(made.volume), "through": made.through},
-        "image": {"path": str(made.image)},
+    own = {
+        "volume": {"path": str(made.volume), "through": made.through}, "image": {"path": str(made.image)},
         "correlate": {"point_um": scenario.point_um},
-    }
-    for table, changes in scenario.study.items():
-        data[table] = data.get(table, {}) | changes
+    }  # fmt: skip
+    groups = {name: own.get(name, {}) | scenario.study.get(name, {}) for name in own.keys() | scenario.study.keys()}
+    sheet = {name: groups.pop(name) for name in ("volume", "surface", "properties", "flatten") if name in groups}
+    layers = [{"name": "sheet", **sheet}, {"name": "image", "image": groups.pop("image")}]
     try:
-        return as_study(data)
+        return Study.model_validate({"layers": layers, **groups})
     except ValidationError as error:
-        faults = "; ".join(f"study.{place}: {fault}" for place, fault in faults_of(error))
-        raise InputError(f"The scenario {scenario.name} asks for a study that is not possible: {faults}.") from error
+        raise InputError(f"The study of the scenario {scenario.name} is not possible: {faults_of(error)}.") from error
 
 
 def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[int]:
@@ -317,8 +309,3 @@ def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[
 
 def _worse(name: str) -> Limit:
     return Limit(limit=0.0) if FIGURES[name].better == "small" or "ratio" in name else Limit(least=0.0)
-
-
-def _report(progress: Progress | None, stage: str, detail: str) -> None:
-    if progress is not None:
-        progress(stage, detail)

@@ -25,16 +25,6 @@ _LEAST_THIN = 0.002  # of the valid pixels: with fewer, the thin region is some 
 _RING = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1)
 
 
-def _refit(both: Comparison) -> FittedTransform:
-    """The transformation of a run, fitted again to its own marks."""
-    run = both.run
-    (registration,) = run.registrations.values()
-    fit = registration.fit
-    return fit_transform(
-        fit.moving, fit.fixed, model=run.study.registration.model, mirrored=fit.mirrored, lowest="similarity"
-    )
-
-
 def pixel_errors(both: Comparison) -> Values:
     """Linked thicknesses against those of the material that each pixel shows, and the region of thin coating."""
     values: Values = {}
@@ -43,7 +33,7 @@ def pixel_errors(both: Comparison) -> Values:
         values |= three(f"pixel_{name}", found - true)
         if name != "coating_top":
             continue
-        thin_um = both.run.study.correlate.thin_um
+        thin_um = both.study.correlate.thin_um
         known = np.isfinite(found) & np.isfinite(true)
         count = int(np.count_nonzero(known))
         if count and np.count_nonzero(true[known] < thin_um) >= _LEAST_THIN * count:
@@ -55,7 +45,7 @@ def pixel_errors(both: Comparison) -> Values:
 def hole_errors(both: Comparison) -> Values:
     """What hole finding gives on either side, against the true holes; it is asked again as the run asks it."""
     linked, maps, specimen = both.linked, both.groups["maps"], both.specimen
-    hole_um = both.run.study.registration.hole_um
+    hole_um = both.study.holes.hole_um
     true = specimen.sheet.holes
     radius = 0.5 * float(np.mean(hole_um))
     y, x = linked["y"].values, linked["x"].values
@@ -98,7 +88,7 @@ def _found(found: Array, true: Array, inside: Mask, side: str) -> Values:
 
 def registration_errors(both: Comparison) -> Values:
     """Error of every pixel in the sheet, what the marks say of it, and what it would be without flattening."""
-    fit, linked, away = _refit(both), both.linked, both.away_um
+    fit, linked, away = both.fit, both.linked, both.away_um
     rows, cols = np.nonzero(both.valid)
     places = np.stack([linked["x"].values[cols], linked["y"].values[rows]], axis=1)
     expected = rms(fit.expected_error_um(fit.inverse(places))) if len(rows) else None
@@ -152,7 +142,7 @@ def resampling_errors(both: Comparison) -> Values:
     rows, cols = np.arange(most) + (height - most) // 2, np.arange(width)
     centre = np.asarray(surfaces["centre"].values[rows], dtype=np.float64)
     u, v, _ = np.moveaxis(both.material_at(both.places(centre, rows, cols)), -1, 0)
-    fit = _refit(both)
+    fit = both.fit
     uv = np.stack([flat["u"].values[rows], flat["v"].values[rows]], axis=-1)
     places = find_places(fit.transform(uv), Grid.of(linked), least_um=min(pitch(surfaces)) * fit.transform.scale)
     carried = resample(true_thickness(both.specimen.sheet, name, u, v), places)

@@ -29,7 +29,7 @@ def make_ledger(both: Comparison, *, point_um: float = 100.0) -> Values:
         volume_errors.flattening_errors,
     ):  # fmt: skip
         values |= errors(both)
-    if "linked" in both.groups and both.run.marks is not None:
+    if "linked" in both.groups:
         for errors in (
             image_errors.pixel_errors, image_errors.hole_errors, image_errors.registration_errors,
             image_errors.resampling_errors,

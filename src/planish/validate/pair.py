@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.pipeline import Run
-from planish.pipeline.save import run_of_sheet
 from planish.study import Study
 from planish.synthetic import InstrumentFiles, Specimen, make_specimen, write_instruments
 from planish.validate.scenario import Scenario
@@ -53,7 +52,7 @@ def pair_values(made: Made, run: Run) -> Values:
     shown: list[Array] = []
     for name, (specimen, files), data in zip(NAMES, made, maps, strict=True):
         places = np.stack([data[f"volume_{axis}"].values[valid] for axis in ("x", "y", "z")], axis=-1)
-        both = Comparison(specimen=specimen, files=files, run=run_of_sheet(run.sheets[name], run.study))
+        both = Comparison(specimen=specimen, files=files, groups=run.sheets[name].groups)
         shown.append(both.material_at(places.astype(np.float64)))
         true = true_thickness(specimen.sheet, "coating_top", shown[-1][..., 0], shown[-1][..., 1])
         values[f"pair_coating_{name}_bias"] = float(np.nanmean(data["coating_top"].values[valid] - true))
@@ -63,10 +62,6 @@ def pair_values(made: Made, run: Run) -> Values:
     values["pair_predicted_rms"] = rms(maps[0]["expected_error"].values[valid].astype(np.float64))
     rows = [row for row in run.results.correlations if row.a_map == "coating_top"]
     if rows:
-        values["pair_r"], values["pair_r_point"] = _number(rows[0].r), _number(rows[1].r)
-        values["pair_difference_sd"] = _number(rows[0].difference_sd)
+        values["pair_r"], values["pair_r_point"] = rows[0].r, rows[1].r
+        values["pair_difference_sd"] = rows[0].difference_sd
     return values
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value

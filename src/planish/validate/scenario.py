@@ -6,12 +6,18 @@ import tomllib
 from dataclasses import asdict, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator, model_validator
 
+from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError
-from planish.study import LayerParams, Study
+from planish.flatten.params import FlattenParams
+from planish.io.params import ImageParams, VolumeParams
+from planish.marks.params import HoleParams
+from planish.measure.params import MeasureParams
+from planish.register.params import RegistrationParams
+from planish.surface.params import SurfaceParams
 from planish.synthetic.draws import draw_params
 from planish.synthetic.nuisances import NUISANCES, nuisances_of, with_only, without
 from planish.synthetic.params import SIZES_UM, SpecimenParams
@@ -23,9 +29,11 @@ Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 ALL: Literal["all"] = "all"
 NONE: Literal["none"] = "none"
 
-_STUDY_TABLES = frozenset(
-    {*Study.model_fields, *LayerParams.model_fields} - {"layers", "chain", "name", "run", "marks"}
-)
+# The groups of options that a scenario may change.
+_OPTIONS: dict[str, type[BaseModel]] = {
+    "volume": VolumeParams, "image": ImageParams, "surface": SurfaceParams, "properties": MeasureParams,
+    "flatten": FlattenParams, "holes": HoleParams, "registration": RegistrationParams, "correlate": CorrelateParams,
+}  # fmt: skip
 
 
 class Table(BaseModel):
@@ -96,7 +104,7 @@ class Scenario(Table):
     second : Second or None
         The other instrument of a pair, which is the reference.
     study : dict
-        Tables of run.toml that differ from their defaults.
+        Groups of options that differ from their defaults.
     limits : dict of Limit
     """
 
@@ -151,12 +159,9 @@ class Scenario(Table):
         except ValidationError as error:
             raise ValueError("; ".join(f"specimen.{place}: {fault}" for place, fault in faults_of(error))) from error
         for table, changes in self.study.items():
-            _one_of(table, _STUDY_TABLES, "table of run.toml")
-            home = LayerParams if table in LayerParams.model_fields else Study
-            kinds = (home.model_fields[table].annotation, *get_args(home.model_fields[table].annotation))
-            fields = next((kind.model_fields for kind in kinds if hasattr(kind, "model_fields")), {})
+            _one_of(table, _OPTIONS, "group of options")
             for key in changes:
-                _one_of(key, fields, f"key of [{table}]")
+                _one_of(key, _OPTIONS[table].model_fields, f"key of [{table}]")
         return self
 
     def params(self, seed: int, nuisances: str | tuple[str, ...] | None = None) -> SpecimenParams:

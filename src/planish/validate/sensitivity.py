@@ -9,6 +9,7 @@ import numpy as np
 
 from planish.core.errors import InputError
 from planish.pipeline import Progress
+from planish.pipeline.progress import silent
 from planish.synthetic.nuisances import NUISANCES
 from planish.validate.certify import Entry, run_specimen, seed_numbers
 from planish.validate.figures import FIGURES, KEYS, STAGES
@@ -78,7 +79,7 @@ class Sensitivity:
 def sensitivity(
     scenario: Scenario,
     seeds: int | Sequence[int] = 1,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Sensitivity:
     """Run a scenario without nuisances, with each alone, and with all; figures are rms over the seeds.
 
@@ -98,8 +99,7 @@ def sensitivity(
     def measure(what: str, chosen: str | tuple[str, ...]) -> tuple[dict[str, float | None], str | None]:
         entries: list[Entry] = []
         for seed in numbers:
-            if progress is not None:
-                progress("sensitivity", f"{what}, seed {seed}")
+            progress("sensitivity", f"{what}, seed {seed}")
             entries.append(run_specimen(scenario, scenario.params(seed, chosen), seed)[0])
         refusals = [entry.refusal for entry in entries if entry.refusal is not None]
         return _pooled(entries), refusals[0] if refusals else None

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import xarray as xr
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.pipeline import Run
+from planish.register import FittedTransform
+from planish.study import Study
 from planish.synthetic import InstrumentFiles, Sheet, Specimen
 
 Array = NDArray[np.float64]
@@ -36,12 +39,13 @@ class Comparison:
 
     specimen: Specimen
     files: InstrumentFiles
-    run: Run
+    groups: dict[str, xr.Dataset]
+    run: Run | None = None
 
-    @property
-    def groups(self) -> dict[str, xr.Dataset]:
-        """Datasets of the run."""
-        return self.run.groups
+    @classmethod
+    def of(cls, specimen: Specimen, files: InstrumentFiles, run: Run) -> Self:
+        """Compare a run of one volume, with or without an image."""
+        return cls(specimen=specimen, files=files, groups=run.groups, run=run)
 
     @cached_property
     def columns(self) -> tuple[Index, Index]:
@@ -86,17 +90,33 @@ class Comparison:
     def physical_at(self, places: Array) -> Array:
         """Places (..., 3) in space of places in the file."""
         sections = self.groups.get("sections")
-        return _where_known(lambda known: self.files.to_physical(known, sections), places)
+
+        def physical(known: Array) -> Array:
+            return self.files.to_physical(known, sections)
+
+        return _where_known(physical, places)
 
     def material_at(self, places: Array) -> Array:
         """Material of places (..., 3) in the file."""
-        warp = self.specimen.warp
-        return _where_known(lambda known: warp.material(np.ascontiguousarray(known)), self.physical_at(places))
+        return _where_known(self.specimen.warp.material, self.physical_at(places))
 
     @property
     def headline(self) -> str:
         """Property that the run puts first: the coating, or the sheet's thickness where there is none."""
-        return self.run.results.layers[0].headline
+        assert self.run is not None
+        return next(layer.headline for layer in self.run.results.layers if layer.sheet is not None)
+
+    @property
+    def study(self) -> Study:
+        """Parameters of the run."""
+        assert self.run is not None
+        return self.run.study
+
+    @property
+    def fit(self) -> FittedTransform:
+        """The registration of the run."""
+        assert self.run is not None
+        return next(iter(self.run.registrations.values())).fit
 
     @property
     def linked(self) -> xr.Dataset:
@@ -152,7 +172,7 @@ class Comparison:
         return np.asarray(inverse(middle + around) - inverse(middle[None]), dtype=np.float64)
 
 
-def _where_known(function: Any, points: Array) -> Array:
+def _where_known(function: Callable[[Array], Array], points: Array) -> Array:
     """Apply a function of (n, 3) to the points (..., 3) that are known."""
     known = np.isfinite(points).all(axis=-1)
     found = np.full(points.shape, np.nan)
