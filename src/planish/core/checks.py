@@ -1,4 +1,4 @@
-"""Checks at the door of a stage: what was found, what is needed, what to do next."""
+"""Checks of what a stage is given: what was found, what is needed, what to do next."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ def check_same_grid(first: xr.Dataset, second: xr.Dataset) -> None:
         a, b = first[axis].values, second[axis].values
         if a.shape != b.shape or not np.allclose(a, b, rtol=0, atol=1e-6):
             raise SurfaceError(
-                f"The two stores stand on different columns: {a.size} and {b.size} along {axis}. Make both "
-                f"from the same "
-                "surfaces."
+                f"The two stores stand on different columns: {a.size} and {b.size} along {axis}. Make both from the "
+                "same surfaces."
             )
 
 

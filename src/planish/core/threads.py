@@ -72,9 +72,9 @@ def available() -> int:
     ``PYTHON_CPU_COUNT`` if it is set; else those of its affinity (``taskset``), and no more than its control group's
     share of time (containers, batch systems).
     """
-    told = os.environ.get("PYTHON_CPU_COUNT", "")
-    if told.isdigit() and int(told) > 0:
-        return int(told)
+    given = os.environ.get("PYTHON_CPU_COUNT", "")
+    if given.isdigit() and int(given) > 0:
+        return int(given)
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min([count, *_quotas(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup"))]))
 

@@ -1,4 +1,4 @@
-"""Gaussian curvature of the warped sheet, and whether paper can carry it: paper bends freely one way at a time."""
+"""Gaussian curvature of the warped sheet, and whether paper can carry it: paper bends freely in one direction at a time."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ _HALVES = (
 )
 _TRUNCATE = 3.0  # Gaussian windows end after so many standard deviations
 _RIM = 1 / 3  # width, in half-sizes of a patch, over which patches fade towards the outline
+_LIMIT = 0.005  # in-plane strain beyond which paper cockles or yields
 _LEAST = 0.5  # a patch counts where so much of its weight lies on the sheet
 
 
@@ -57,7 +58,7 @@ class CurvatureCheck:
         patch = f"a patch of {2 * self.patch_um / 1000:.3g} mm"
         largest, limit = (f"{100 * max(k, 1e-4):.2g} %" for k in (self.largest, self.limit))
         if np.isnan(self.share):
-            return f"Nothing can be said about the curvature: the surface is smaller than {patch}."
+            return f"The curvature cannot be judged: the surface is smaller than {patch}."
         if self.share == 0:
             return (
                 f"The surface can be a sheet of paper: to be flat, {patch} has to be strained by {largest} or less, "
@@ -71,7 +72,7 @@ class CurvatureCheck:
 
 
 def gaussian_curvature(points: Array, *, smooth_um: float | None = None) -> Array:
-    """Gaussian curvature at every node of a quad grid, whichever way the grid lies on the surface.
+    """Gaussian curvature at every node of a quad grid, however the grid lies on the surface.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ def gaussian_curvature(points: Array, *, smooth_um: float | None = None) -> Arra
     return out
 
 
-def curvature_check(points: Array, *, patch_um: float = 1000.0, limit: float = 0.005) -> CurvatureCheck:
+def curvature_check(points: Array, *, patch_um: float = 1000.0) -> CurvatureCheck:
     """Compare the strain that flattening asks of patches of the sheet with what paper carries.
 
     Parameters
@@ -121,8 +122,6 @@ def curvature_check(points: Array, *, patch_um: float = 1000.0, limit: float = 0
         Nodes in space, um; NaN where there is no sheet.
     patch_um : float
         Half the side of a patch. A millimetre or more: below that, paper may have curvature from forming.
-    limit : float
-        In-plane strain; beyond some 0.5 % paper cockles or yields.
 
     Returns
     -------
@@ -138,7 +137,7 @@ def curvature_check(points: Array, *, patch_um: float = 1000.0, limit: float = 0
     roughness cancels there too.
 
     Slices shifted along the sheet's thickness imitate Gaussian curvature only where the sheet is bent within the slices
-    too; a shift that grows evenly shears the stack, leaves a cylinder a cylinder and is not seen here.
+    too; a shift that grows evenly shears the stack, leaves a cylinder a cylinder and is not found here.
     """
     rows, cols = points.shape[:2]
     lacking, area = _turn_and_area(points)
@@ -161,8 +160,8 @@ def curvature_check(points: Array, *, patch_um: float = 1000.0, limit: float = 0
         curvature=curvature,
         strain=strain,
         patch_um=patch_um,
-        limit=limit,
-        share=float(area[strain > limit].sum() / area[judged].sum()) if judged.any() else np.nan,
+        limit=_LIMIT,
+        share=float(area[strain > _LIMIT].sum() / area[judged].sum()) if judged.any() else np.nan,
         largest=float(strain[judged].max()) if judged.any() else np.nan,
     )
 

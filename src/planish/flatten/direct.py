@@ -112,6 +112,7 @@ class Network:
         return step / long[:, None], bend
 
 
+_NEWTON_STEPS = 60
 _FEW = 200
 """Nodes up to which a full matrix is quicker than a sparse one."""
 
@@ -156,13 +157,13 @@ class Exact:
         return (move - self._rigid @ (self._rigid.T @ move)).reshape(-1, 2)
 
 
-def relax_exactly(network: Network, uv: Array, *, tolerance: float = 1e-10, most_steps: int = 60) -> Array:
+def relax_exactly(network: Network, uv: Array, *, tolerance: float = 1e-10) -> Array:
     """Newton's method from ``uv`` (nodes, 2) until no node moves further than ``tolerance``.
 
     A step is shortened until the energy falls.
     """
     now = network.energy(uv)
-    for _ in range(most_steps):
+    for _ in range(_NEWTON_STEPS):
         move = Exact(network, uv, exact=True)(network.forces(uv))
         if not np.isfinite(move).all():
             return uv

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.flatten.geodesics import GeodesicError, geodesic_error, whole_cells
+from planish.flatten.geodesics import GeodesicError, geodesic_error, triangle_areas, whole_cells
 
 Array = NDArray[np.float64]
 
@@ -229,7 +229,7 @@ def _block_strain(points: Array, uv: Array) -> dict[str, Array]:
             "axial_u": np.hypot(au, av) / side - 1,
             "axial_v": np.hypot(du, dv) / np.sqrt(g22) - 1,
             "shear": np.arctan2(side * height, g12) - np.arctan2(np.abs(area), au * du + av * dv),
-            "signed_area": np.where(np.isfinite(g11), _smaller_area(uv), np.nan),
+            "signed_area": np.where(np.isfinite(g11), 0.5 * np.minimum(*triangle_areas(uv)), np.nan),
             "anisotropy": high / low,
         }
 
@@ -238,16 +238,6 @@ def _cell_edges(nodes: Array) -> tuple[Array, Array]:
     """Mean edge of each cell along its rows and along its columns."""
     across, down = np.diff(nodes, axis=1), np.diff(nodes, axis=0)
     return 0.5 * (across[:-1] + across[1:]), 0.5 * (down[:, :-1] + down[:, 1:])
-
-
-def _smaller_area(uv: Array) -> Array:
-    u, v = uv[..., 0], uv[..., 1]
-    here, there = slice(-1), slice(1, None)
-    # From corner a to the others; the triangles are (a, b, c) and (a, c, d).
-    bu, bv = u[here, there] - u[here, here], v[here, there] - v[here, here]
-    cu, cv = u[there, there] - u[here, here], v[there, there] - v[here, here]
-    du, dv = u[there, here] - u[here, here], v[there, here] - v[here, here]
-    return 0.5 * np.minimum(bu * cv - bv * cu, cu * dv - cv * du)
 
 
 def _spread(values: Array) -> Spread:

@@ -114,6 +114,16 @@ def whole_cells(points: Array, uv: Array) -> NDArray[np.bool_]:
     return known[:-1, :-1] & known[:-1, 1:] & known[1:, 1:] & known[1:, :-1]
 
 
+def triangle_areas(grid: Array) -> tuple[Array, Array]:
+    """Twice the signed areas of the triangles (a, b, c) and (a, c, d) of each cell; NaN where a corner is missing."""
+    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+
+    def area(one: Array, two: Array) -> Array:
+        return one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0]
+
+    return area(b - a, c - a), area(c - a, d - a)
+
+
 def random_places(whole: NDArray[np.bool_], count: int, rng: np.random.Generator) -> Places:
     """Draw ``count`` places: every triangle of the whole cells is as likely, and every place in it."""
     cells = np.flatnonzero(whole)
@@ -152,7 +162,7 @@ def trace_lines(points: Array, uv: Array, start: Places, end: Places) -> tuple[A
     space = np.full(flat.size, np.nan)
     target = np.stack([end.row, end.col, end.half], axis=1)
 
-    # Lines still on their way: number, triangle, edge they came through; and last place on the surface, length so far.
+    # Lines that have not arrived: number, triangle, edge crossed last; and last place on the surface, length so far.
     walk: Index = np.stack([np.arange(flat.size), start.row, start.col, start.half, np.full(flat.size, -1)], axis=1)
     gone: Array = np.column_stack([start.on(points), np.zeros(flat.size)])
     offset = _CORNERS[..., 0] * cols + _CORNERS[..., 1]

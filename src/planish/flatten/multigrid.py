@@ -1,7 +1,7 @@
 """Minimum spring energy by nested iteration: Gauss-Newton steps, each solved by one multigrid cycle.
 
 The mesh of every second node is itself a mesh of springs (in two dimensions a spring constant does not depend on the
-size of the mesh), so each coarser level is relaxed first and tells the next where to begin. There, the balance of
+size of the mesh), so each coarser level is relaxed first and gives the next its start. There, the balance of
 forces is taken in double precision; the correction comes from a V-cycle in single precision over the linearised springs
 of all levels (Brandt, 1977, doi:10.1090/S0025-5718-1977-0431719-X), with Chebyshev smoothing (Adams et al., 2003,
 doi:10.1016/S0021-9991(03)00194-3).
@@ -192,10 +192,10 @@ class Multigrid:
                 # One lucky step is no proof where progress is slow.
                 ratios = [b / a if a else 1.0 for a, b in itertools.pairwise(gains[-4 if slow else -2 :])]
                 self.rate = float(np.clip(max(ratios), 0.01, 0.95))
-            # What is left of the energy and, as its square root, of the way, summed over the steps to come.
-            left, way = gain * self.rate / (1 - self.rate), np.sqrt(square / count)
-            way *= np.sqrt(self.rate) / (1 - np.sqrt(self.rate))
-            if left <= tolerance * energy or way <= _STILL:
+            # What is left of the energy and, as its square root, of the distance, summed over the steps to come.
+            left, far = gain * self.rate / (1 - self.rate), np.sqrt(square / count)
+            far *= np.sqrt(self.rate) / (1 - np.sqrt(self.rate))
+            if left <= tolerance * energy or far <= _STILL:
                 return Outcome.RESTED if wanted <= max(100 * tolerance * energy, gain) else Outcome.HELD_OPEN
             slow += slow > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
             if slow and slow % 4 == 0 and not self.guarded and count_folds(level, self.team, self.side)[1]:

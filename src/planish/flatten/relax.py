@@ -14,6 +14,7 @@ from planish.core.outcome import Outcome
 from planish.core.threads import count_threads
 from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments
+from planish.flatten.geodesics import triangle_areas
 from planish.flatten.infill import make_up
 from planish.flatten.levels import Level, Team, hierarchy
 from planish.flatten.multigrid import OPEN, Multigrid, Step, count_folds
@@ -166,24 +167,16 @@ def relax_grid(
 def folded_cells(points: Array, uv: Array, *, side: float = 1.0, floor: float = 0.0) -> NDArray[np.bool_]:
     """Cells of ``uv`` (rows, cols, 2) with a triangle (a, b, c) or (a, c, d) that is empty or turned over.
 
-    ``side`` is -1 where columns and rows of the grid run the other way round than u and v; ``floor`` is the share of
-    a cell's half area in space, as the product of its diagonals tells it, that a triangle must exceed.
+    ``side`` is -1 where columns and rows of the grid run in the opposite sense to u and v; ``floor`` is the share of
+    a cell's half area in space, from the product of its diagonals, that a triangle must exceed.
     """
-
-    def corners(nodes: Array) -> tuple[Array, Array, Array, Array]:
-        return nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, 1:], nodes[1:, :-1]
-
-    a, b, c, d = corners(uv)
-
-    def area(p: Array, q: Array, r: Array) -> Array:
-        return (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
-
     least = 0.0
     if floor:
-        e, f, g, h = corners(points)
-        least = floor * 0.5 * np.linalg.norm(g - e, axis=-1) * np.linalg.norm(h - f, axis=-1)
+        across, rising = points[1:, 1:] - points[:-1, :-1], points[1:, :-1] - points[:-1, 1:]
+        least = floor * 0.5 * np.linalg.norm(across, axis=-1) * np.linalg.norm(rising, axis=-1)
     with np.errstate(invalid="ignore"):
-        return np.minimum(side * area(a, b, c), side * area(a, c, d)) <= least
+        first, second = triangle_areas(uv)
+        return np.minimum(side * first, side * second) <= least
 
 
 def _check(
@@ -297,7 +290,7 @@ def _each_apart(
 
 
 def _handedness(points: Array, start: Array | None) -> float:
-    """1 where columns and rows of the grid run like u and v, -1 where they run the other way round, as a whole."""
+    """1 where columns and rows of the grid run like u and v, -1 where they run in the opposite sense, as a whole."""
     rows, cols = (max(1, (n - 1) // 20) for n in points.shape[:2])
     flat = (points if start is None else start)[::rows, ::cols, :2]
     across, down = np.diff(flat, axis=1)[:-1], np.diff(flat, axis=0)[:, :-1]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planish.core.errors import CannotFlatten
 from planish.core.outcome import Outcome
 from planish.flatten import _relaxation_kernels as kernels
+from planish.flatten.geodesics import triangle_areas
 
 Array = NDArray[np.float64]
 
@@ -114,7 +115,7 @@ class Relaxation:
     steps : int
     history : History
     inverted : int
-        Cells with a triangle that is turned over or empty, as seen from the way round of the start as a whole.
+        Cells with a triangle that is empty or does not turn as the start does as a whole.
     """
 
     uv: Array
@@ -238,19 +239,9 @@ def _sides(known: Array) -> Array:
 
 
 def _inverted(uv: Array, start: Array) -> NDArray[np.bool_]:
-    """Cells (rows - 1, cols - 1) with a triangle not turned the way that the start is turned as a whole."""
+    """Cells (rows - 1, cols - 1) with a triangle that is empty or does not turn as the start does as a whole."""
     with np.errstate(invalid="ignore", over="ignore"):  # a mesh that has left the finite numbers is counted, too
-        first, second = _areas(start)
-        way = np.sign(np.nansum(first) + np.nansum(second))
-        one, two = _areas(uv)
-        return (way * one <= 0) | (way * two <= 0)
-
-
-def _areas(grid: Array) -> tuple[Array, Array]:
-    """Twice the signed areas of the two triangles of each cell; NaN where a corner is missing."""
-    p, q, r, s = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
-
-    def area(one: Array, two: Array) -> Array:
-        return one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0]
-
-    return area(q - p, r - p), area(r - p, s - p)
+        first, second = triangle_areas(start)
+        side = np.sign(np.nansum(first) + np.nansum(second))
+        one, two = triangle_areas(uv)
+        return (side * one <= 0) | (side * two <= 0)

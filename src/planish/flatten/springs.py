@@ -15,7 +15,7 @@ from planish.flatten.levels import Level, Team, padded
 Array = NDArray[np.float64]
 
 TRUSTED = 0.1
-"""Share of the median weight below which a node has no say in the flattening."""
+"""Share of the median weight below which a node does not count in the flattening."""
 
 
 def mean_pitch(points: Array) -> float:

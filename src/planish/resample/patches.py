@@ -3,7 +3,7 @@
 The target is cut into blocks of 512 pixels. In each, the transformation is asked at 4 x 4 points, which give a
 polynomial of third degree in each direction, and at 3 x 3 points between them, where that polynomial errs most. Blocks
 where it errs too much are cut into four. The polynomial then says how small a patch has to be for a bilinear map. So a
-thin-plate spline is asked about once in some thousand pixels, and an affine transformation is met exactly.
+thin-plate spline is evaluated once in some thousand pixels, and an affine transformation is met exactly.
 
 The blocks lie where the grid says and nowhere else: no result depends on what is worked on together.
 """
@@ -129,13 +129,13 @@ def _model(nodes: Floats, v: Floats, u: Floats) -> Floats:
 def _along(nodes: Floats, at: Floats) -> Floats:
     """The polynomial along the second axis (n, 4, ...), at shares (n, p)."""
     # A straight line and what is added to it: an affine map stays one to the last digits.
-    first, way = nodes[:, :1], nodes[:, 3:] - nodes[:, :1]
+    first, span = nodes[:, :1], nodes[:, 3:] - nodes[:, :1]
     t = at[..., None, None]
-    rest = nodes - first - _NODES[:, None, None] * way
+    rest = nodes - first - _NODES[:, None, None] * span
     for k in (1, 2):
         others = np.prod([at - b for j, b in enumerate(_NODES) if j != k], axis=0) / _SCALE[k]
         first = first + others[..., None, None] * rest[:, k : k + 1]
-    return first + t * way
+    return first + t * span
 
 
 def _curved(nodes: Floats) -> Floats:
@@ -161,7 +161,7 @@ def _beside(points: Floats, margin: Floats, source: tuple[int, int]) -> NDArray[
 
 
 def _quarters(bounds: Whole) -> tuple[Whole, NDArray[np.intp]]:
-    """Cut rectangles in the middle of both sides, and say which one each part is of."""
+    """Cut rectangles in the middle of both sides, and give the number of the one that each part is of."""
     y, x = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0] + 1) // 2, bounds[:, 2] + (bounds[:, 3] - bounds[:, 2] + 1) // 2
     y0, y1, x0, x1 = bounds.T
     parts = np.concatenate(
