@@ -1,4 +1,4 @@
-"""Gaussian curvature of the warped sheet, and whether paper can carry it: paper bends freely in one direction at a time."""
+"""Gaussian curvature of the warped sheet, and whether paper can carry it: paper bends freely in one direction only."""
 
 from __future__ import annotations
 
