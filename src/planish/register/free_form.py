@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,43 +36,34 @@ class FreeForm:
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points ``(..., 2)``, in um; NaN stays NaN."""
         given = np.asarray(points, dtype=np.float64)
-        near, (wx, wy), _ = self._near(given.reshape(-1, 2))
-        moved = np.einsum("kpab,pa,pb->pk", near, wy, wx)
-        known = np.isfinite(given).all(axis=-1, keepdims=True)
-        return np.where(known, given + moved.reshape(given.shape), np.nan)
+        moved = given + self._values(self._held(given)[0], (0, 0))
+        return np.where(np.isfinite(given).all(axis=-1, keepdims=True), moved, np.nan)
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
         given = np.asarray(points, dtype=np.float64)
-        near, (wx, wy), (dx, dy) = self._near(given.reshape(-1, 2))
-        along_x = np.einsum("kpab,pa,pb->pk", near, wy, dx) / self.mesh_um[0]
-        along_y = np.einsum("kpab,pa,pb->pk", near, dy, wx) / self.mesh_um[1]
-        out = np.stack([along_x, along_y], axis=-1) + np.eye(2)
-        out[~np.isfinite(given.reshape(-1, 2)).all(axis=1)] = np.nan
-        return out.reshape(*given.shape[:-1], 2, 2)
+        held, inside = self._held(given)
+        slopes = np.stack([self._values(held, nu) for nu in ((0, 1), (1, 0))], axis=-1)
+        out = slopes * inside[..., None, :] + np.eye(2)
+        return np.where(np.isfinite(given).all(axis=-1)[..., None, None], out, np.nan)
 
-    def _near(self, points: Floats) -> tuple[Floats, tuple[Floats, Floats], tuple[Floats, Floats]]:
-        """Coefficients around the points (2, n, 4, 4), and their weights and slopes along x and y, (n, 4) each."""
+    def _held(self, points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Nearest points of the mesh, and whether they are the points themselves, along x and y."""
         cells = np.array(self.coefficients_um.shape[:0:-1]) - 3
-        place = (np.nan_to_num(points) - self.origin_um) / self.mesh_um - 1.0
-        held = np.clip(place, 0.0, cells)
-        cell = np.minimum(held.astype(np.int64), cells - 1)
-        x, y = cell.T
-        four = np.arange(4)
-        near = self.coefficients_um[:, (y[:, None] + four)[:, :, None], (x[:, None] + four)[:, None, :]]
-        part = held - cell
-        free = (place == held).astype(np.float64)
-        weights = _weights(part[:, 0]), _weights(part[:, 1])
-        slopes = _slopes(part[:, 0]) * free[:, :1], _slopes(part[:, 1]) * free[:, 1:]
-        return near, weights, slopes
+        low = np.array(self.origin_um) + self.mesh_um
+        known = np.nan_to_num(points)
+        held = np.clip(known, low, low + cells * np.array(self.mesh_um))
+        return held, held == known
 
+    def _values(self, points: Floats, nu: tuple[int, int]) -> Floats:
+        """Displacement (..., 2) at points of the mesh, or its derivatives of the orders ``nu`` along y and x."""
+        from scipy.interpolate import NdBSpline
 
-def _weights(t: Floats) -> Floats:
-    """Values of the four cubic B-splines over a cell at the places ``t`` in [0, 1]: (n, 4)."""
-    s = 1.0 - t
-    return np.stack([s**3, 4 - 6 * t**2 + 3 * t**3, 4 - 6 * s**2 + 3 * s**3, t**3], axis=-1) / 6.0
-
-
-def _slopes(t: Floats) -> Floats:
-    s = 1.0 - t
-    return np.stack([-(s**2), 3 * t**2 - 4 * t, 4 * s - 3 * s**2, t**2], axis=-1) / 2.0
+        knots = [
+            first + mesh * (np.arange(n + 4) - 2.0)
+            for n, first, mesh in zip(
+                self.coefficients_um.shape[1:], self.origin_um[::-1], self.mesh_um[::-1], strict=True
+            )
+        ]
+        spline: Any = NdBSpline((knots[0], knots[1]), np.moveaxis(self.coefficients_um, 0, -1), 3)
+        return np.asarray(spline(points[..., ::-1], nu=nu), dtype=np.float64)

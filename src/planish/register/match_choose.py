@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from planish.core.errors import MarkError
 from planish.core.transform import Similarity
 from planish.register.match_search import Arrangements, Complexes, as_complex, chance_without, search
+from planish.register.pairs import Pairs
+from planish.register.similarity import SimilarityModel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -137,19 +139,9 @@ def choose(
 
 def fit_similarity(source: Floats, target: Floats, *, mirrored: bool) -> tuple[Similarity, float]:
     """Least-squares similarity through pairs ``(k, 2)`` in um, and the rms residual."""
-    z, w = as_complex(source), as_complex(target)
-    z = -np.conj(z) if mirrored else z
-    zm, wm = z.mean(), w.mean()
-    power = float(np.sum(np.abs(z - zm) ** 2))
-    alpha = np.sum(np.conj(z - zm) * (w - wm)) / power
-    beta = wm - alpha * zm
-    transform = Similarity(
-        scale=float(np.abs(alpha)),
-        rotation_rad=float(np.angle(alpha)),
-        shift_um=(float(beta.real), float(beta.imag)),
-        mirrored=mirrored,
-    )
-    return transform, float(np.sqrt(np.mean(np.abs(alpha * z + beta - w) ** 2)))
+    information = np.broadcast_to(np.eye(2), (len(source), 2, 2))
+    transform = SimilarityModel().fit(Pairs(moving=source, fixed=target, information=information), mirrored)
+    return transform, float(np.sqrt(np.mean(np.sum((transform(source) - target) ** 2, axis=1))))
 
 
 def checked_points(marks: ArrayLike, name: str) -> Floats:
