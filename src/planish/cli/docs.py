@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from planish.cli.main import planish
+from planish.measure.params import MeasureParams
 
 _HEAD = """# Commands
 
@@ -30,11 +31,25 @@ def _section(name: str, command: click.Command) -> str:
     return f"## {name}\n\n```\n{command.get_help(context)}\n```\n"
 
 
+def with_options(text: str) -> str:
+    """Return the text of docs/properties.md with the table of the options as the program has them."""
+    head, rest = text.split("## Options\n", 1)
+    rows = ["", "| `[properties]` | Default | |", "|---|---|---|"]
+    for name, field in MeasureParams.model_fields.items():
+        default = (
+            "" if field.default in (None, ()) else f"{field.default:g}" if field.annotation is float else field.default
+        )
+        rows.append(f"| `{name}` | {default} | {field.description} |")
+    return head + "## Options\n" + "\n".join(rows) + "\n\n## " + rest.split("\n## ", 1)[1]
+
+
 def main() -> None:
-    """Write the page into the docs folder of the checkout."""
-    path = Path(__file__).resolve().parents[3] / "docs" / "cli.md"
-    path.write_text(page(), encoding="utf-8", newline="\n")
-    click.echo(f"{path.name} written")
+    """Write the pages into the docs folder of the checkout."""
+    docs = Path(__file__).resolve().parents[3] / "docs"
+    properties = (docs / "properties.md").read_text(encoding="utf-8")
+    for name, text in (("cli.md", page()), ("properties.md", with_options(properties))):
+        (docs / name).write_text(text, encoding="utf-8", newline="\n")
+        click.echo(f"{name} written")
 
 
 if __name__ == "__main__":

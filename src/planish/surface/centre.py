@@ -118,7 +118,7 @@ class _Regression:
         self.axes: list[tuple[Array, Array]] = []
         for p in pitch:
             half = max(2, int(np.ceil(_REACH * scale / p)))
-            x = np.arange(-half, half + 1) * p / scale
+            x: Array = np.asarray(np.arange(-half, half + 1) * p / scale, dtype=np.float64)
             self.axes.append((x, np.exp(-np.pi * x * x)))
         moments = self._moments(weight, _POWERS)
         full = float(self.axes[0][1].sum() * self.axes[1][1].sum())

@@ -184,11 +184,10 @@ class Sampler:
     def fit(self, sample: Sample, side: Side, edge: Edge, window: float = 0.0) -> Array:
         """Fit every column: (5, 1, n) face, thickness, both greys and cost."""
         result = np.empty((5, *sample.outer.shape))
-        # Contiguous arrays: others are compiled apart.
-        columns = map(np.ascontiguousarray, (sample.grey, sample.outer, sample.other, sample.tilt))
+        outer, other, tilt = (np.ascontiguousarray(a) for a in (sample.outer, sample.other, sample.tilt))
         _fit_kernels.fit_faces(
-            *columns, 0.0, edge.width, self.scatter, side.level, side.spread, side.coated, self.reach, result, window,
-            self.amid, edge.fringe or None, edge.ratio, False,
+            np.ascontiguousarray(sample.grey), outer, other, tilt, 0.0, edge.width, self.scatter, side.level,
+            side.spread, side.coated, self.reach, result, window, self.amid, edge.fringe or None, edge.ratio, False,
         )  # fmt: skip
         return result
 
