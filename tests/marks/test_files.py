@@ -36,7 +36,6 @@ from planish.marks.files import (
     make_marks,
     marks_of_holes,
     read_any,
-    read_pairs,
     target_of,
     used_pairs,
     write_any,
@@ -113,7 +112,7 @@ def test_bigwarp_of_a_volume_and_an_image(put):
     marks = read_any(put(bigwarp_3d()))
     assert layer_names(marks) == ["volume", "fixed"]
     assert marks.volume_z.values.tolist() == [40.0, 41.0, 42.5, 39.0]
-    assert set(read_pairs(put(bigwarp_3d()))) >= {"volume_x", "volume_y", "volume_z", "fixed_x", "fixed_y"}
+    assert set(used_pairs(read_any(put(bigwarp_3d())))) >= {"volume_x", "volume_y", "volume_z", "fixed_x", "fixed_y"}
     assert layer_names(read_any(put(bigwarp_3d(z=(0.0,) * 4)))) == ["moving", "fixed"]  # two flat pictures
 
 
@@ -201,7 +200,7 @@ def test_the_two_tables_of_planish(put):
     )
     path = put(text, "pairs.csv")
     assert same(read_any(path))
-    xr.testing.assert_equal(read_pairs(path), read_marks(path))
+    xr.testing.assert_equal(used_pairs(read_any(path)), read_marks(path))
     holes = "label,x_um,y_um,diameter_um\nhole 1,1.5,2.5,150\nhole 2,3.5,4.5,\n"
     marks = read_any(put(holes, "holes.csv"))
     assert layer_names(marks) == ["marks"]

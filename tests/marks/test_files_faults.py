@@ -20,7 +20,7 @@ from marks.files_by_hand import (
 )
 from marks.test_files import mat_v5, mat_v73
 from planish.core.errors import FileError, MarkError, PlanishError, SizeError
-from planish.marks.files import LayerPixels, Places, make_marks, read_any, read_pairs, used_pairs, write_any
+from planish.marks.files import LayerPixels, Places, make_marks, read_any, used_pairs, write_any
 
 PAIRS = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n" + "".join(
     f"{n},{a[0]},{a[1]},{b[0]},{b[1]}\n" for n, a, b in zip(LABELS, MOVING.tolist(), FIXED.tolist(), strict=True)
@@ -180,7 +180,7 @@ def test_two_files_that_do_not_go_together(put):
     with pytest.raises(MarkError, match=r"already holds the layers moving, fixed"):
         read_any(put(PAIRS, "pairs.csv"), a)
     with pytest.raises(MarkError, match=r"one layer only .marks..*convert MOVING FIXED OUT"):
-        read_pairs(a)
+        used_pairs(read_any(a))
 
 
 def test_units_and_sizes_that_contradict(put):
@@ -202,7 +202,7 @@ def test_units_and_sizes_that_contradict(put):
 
 def test_too_few_marks(put):
     with pytest.raises(MarkError, match=r"holds 3 marks, of which 1 are used and lie in both .*\. At least 3"):
-        read_pairs(put(native()))
+        used_pairs(read_any(put(native())))
     three = make_marks(["a"], dict.fromkeys("klm", Places(um=np.array([[1.0, 2.0]]))))
     with pytest.raises(MarkError, match="3 layers: k, l, m"):
         used_pairs(three)

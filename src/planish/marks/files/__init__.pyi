@@ -1,6 +1,5 @@
 from .convert import format_of as format_of
 from .convert import read_any as read_any
-from .convert import read_pairs as read_pairs
 from .convert import write_any as write_any
 from .formats import FORMATS as FORMATS
 from .formats import target_of as target_of

@@ -22,7 +22,6 @@ from planish.marks.files.model import (
     places_of,
     points_of,
     used_of,
-    used_pairs,
 )
 from planish.marks.files.plausible import check_marks, check_plausible
 
@@ -95,32 +94,6 @@ def read_any(
     if unit != "um":
         check_plausible(marks, name)
     return marks
-
-
-def read_pairs(
-    path: str | Path, *, least: int = 3, moving: LayerPixels = _NOTHING, fixed: LayerPixels = _NOTHING
-) -> xr.Dataset:
-    """Read pairs of marks in any format, as :func:`planish.marks.read_marks` gives them.
-
-    Parameters
-    ----------
-    path : str or Path
-    least : int
-        Fewer pairs are an error.
-    moving, fixed : LayerPixels
-        As for `read_any`.
-
-    Returns
-    -------
-    Dataset, dims (mark)
-        As `used_pairs`: the marks that are used and lie in both layers.
-
-    Raises
-    ------
-    FileError, MarkError, SizeError
-        As `read_any`, and where there are not two layers or too few pairs.
-    """
-    return used_pairs(read_any(path, moving=moving, fixed=fixed), least=least, name=Path(path).name)
 
 
 def format_of(path: str | Path) -> str:

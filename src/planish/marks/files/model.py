@@ -163,9 +163,7 @@ def marks_of_holes(
     holes: xr.Dataset,
     *,
     layer: str,
-    labels: Sequence[str] | None = None,
     about: Mapping[str, Any] | None = None,
-    source: str = "detected",
 ) -> xr.Dataset:
     """Marks with one layer from holes as :func:`planish.marks.find_holes` and `read_holes` give them.
 
@@ -174,17 +172,13 @@ def marks_of_holes(
     holes : Dataset, dims (mark)
         ``x``, ``y`` in um, and any of `EXTRAS`.
     layer : str
-    labels : sequence of str, optional
-        ``hole 1``, ``hole 2`` ... where not given.
     about : mapping, optional
         As for `make_marks`.
-    source : str
-        One of `SOURCES`.
     """
     points = np.stack([np.asarray(holes[axis].values, dtype=np.float64) for axis in "xy"], axis=1)
     extras = {name: np.asarray(holes[name].values, dtype=np.float64) for name in EXTRAS if name in holes}
-    names = labels or [f"hole {k + 1}" for k in range(len(points))]
-    places = Places(um=points, source=source, extras=extras)
+    names = [f"hole {k + 1}" for k in range(len(points))]
+    places = Places(um=points, source="detected", extras=extras)
     return make_marks(names, {layer: places}, about={layer: about or {}})
 
 
