@@ -138,6 +138,7 @@ def slow_sum(grid, tile):
     return np.array([[grid[tile.rows, tile.cols].sum(), os.getpid()]])
 
 
+@pytest.mark.study
 def test_a_worker_that_dies_costs_only_time(cluster):
     grid = np.arange(400.0).reshape(20, 20)
     tiles = tiles_of(grid.shape, (2, 5))

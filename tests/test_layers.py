@@ -144,7 +144,13 @@ def test_a_chain_is_composed_and_its_error_adds_up(planish, linked_run, specimen
     direct = next(r["r"] for r in json.loads(text)["correlations"] if r["a_map"] == "coating_top")
     chained = next(r["r"] for r in results["correlations"] if (r["a_map"], r["b"]) == ("coating_top", "far"))
     assert chained == pytest.approx(direct, abs=0.02)
-    # Written by the program, so that it can be done again.
+
+
+@pytest.mark.study
+def test_a_chain_is_done_again_to_the_same_bytes(planish, linked_run, specimen_files, other_files, tmp_path):
+    out = tmp_path / "run"
+    layers = (f"ct={linked_run}", f"near={specimen_files[1]}", f"far={other_files.image}")
+    assert planish("link", *layers, "--chain", "-o", out)[0] == 0
     code, _, err = planish("run", out / "run.toml", "-o", tmp_path / "again")
     assert code == 0
     assert "same bytes" in err
