@@ -83,7 +83,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
         )
         write_store(
             data, out, memory_bytes=compute.volume_bytes, ome=ome,
-            progress=lambda what, done, count: progress(what, f"block {done} of {count}"),
+            tell=lambda what, done, count: progress(what, f"block {done} of {count}"),
         )  # fmt: skip
     write_record()
     click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
@@ -93,20 +93,23 @@ def _corrected(
     data: xr.DataArray, out: Path, wanted: dict[str, Any], *, memory_bytes: int, progress: Callable[[str, str], None]
 ) -> tuple[xr.DataArray, Callable[[], None]]:
     """Correct a volume on its way into a store; what is returned second writes the record when the store is whole."""
-    if not (wanted.get("rings") or wanted.get("cupping")):
+    from planish.core.errors import FileError
+    from planish.correct.params import CorrectParams
+
+    params = CorrectParams(**wanted)
+    if not params.asked:
         if wanted:
             raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
         return data, lambda: None
-    from planish.core.errors import FileError
-    from planish.correct import CorrectParams, correct_volume, write_picture
+    from planish.correct import correct_volume, write_picture
     from planish.io.run_folder import refuse_existing
 
     record, picture = (out.with_name(f"{out.stem}.corrections.{kind}") for kind in ("json", "png"))
     for path in (record, picture):
         refuse_existing(path)
     found = correct_volume(
-        data, params=CorrectParams(**wanted), memory_bytes=memory_bytes,
-        progress=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
+        data, params=params, memory_bytes=memory_bytes,
+        tell=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
     )  # fmt: skip
     for sentence in found.record.sentences:
         click.echo(sentence)

@@ -65,7 +65,9 @@ class Value(click.ParamType[Any]):
 
     def __init__(self, annotation: Any, metadata: Iterable[Any] = (), shown: Shown | None = None) -> None:
         extra = tuple(metadata)
-        self.adapter: TypeAdapter[Any] = TypeAdapter(Annotated[annotation, *extra] if extra else annotation)
+        self.adapter: TypeAdapter[Any] = TypeAdapter(
+            Annotated.__class_getitem__((annotation, *extra)) if extra else annotation  # pyright: ignore
+        )
         parts = _alternatives(annotation)
         self.count = next((len(get_args(p)) for p in parts if get_origin(p) is tuple), 0)
         self.whole = int in parts and float not in parts
@@ -152,7 +154,8 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
     if len(kinds) == 1 and get_origin(kinds[0]) is Literal:
         return click.option(*shown.flags, name, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
     if len(kinds) == 1 and kinds[0] == tuple[str, ...]:
-        return click.option(*shown.flags, name, multiple=True, metavar=shown.metavar, **how | {"default": ()})
+        how["default"] = ()
+        return click.option(*shown.flags, name, multiple=True, metavar=shown.metavar, **how)
     unit = next((u for ending, u in _UNITS.items() if name.endswith(ending)), None)
     if shown.metavar is None and unit is not None and kinds == [float]:
         shown = replace(shown, metavar=unit)

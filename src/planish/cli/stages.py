@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _STORE = "Zarr store to make; it must not exist."
-_ONE_FILE = {"type": click.Path(path_type=Path), "cls": Option}
+_ONE_FILE: dict[str, Any] = {"type": click.Path(path_type=Path), "cls": Option}
 
 
 def _write(out: Path, groups: dict[str, xr.Dataset], summary: str) -> None:

@@ -115,7 +115,7 @@ def study_of(layers: Sequence[str | Path], sections: Mapping[str, Section], *, c
     if unknown := sorted(set(options) - set(known)):
         raise InputError(f"There is no group of options called {', '.join(unknown)}; there are {', '.join(known)}.")
     parts = [_named(str(text)) for text in layers]
-    kinds = [kind_of(path) for _, path in parts]
+    kinds: list[Kind] = [kind_of(path) for _, path in parts]
     names = _all_names(parts, kinds)
     if "volume" not in kinds and (unused := _only_of_volumes(options)):
         raise InputError(
@@ -127,10 +127,9 @@ def study_of(layers: Sequence[str | Path], sections: Mapping[str, Section], *, c
             "--marks holds pairs of two layers, but more are given. Write them into a study file (docs/linking.md)."
         )
     try:
-        return Study(
-            layers=tuple(_layer(n, k, p, options) for n, k, (_, p) in zip(names, kinds, parts, strict=True)),
-            chain=chain, **{k: options[k] for k in _OF_THE_LINK if k in options},
-        )  # fmt: skip
+        found = [_layer(n, k, p, options) for n, k, (_, p) in zip(names, kinds, parts, strict=True)]
+        more = {k: options[k] for k in _OF_THE_LINK if k in options}
+        return Study.model_validate({"layers": found, "chain": chain, **more})
     except ValidationError as error:
         faults = "; ".join(f"{_place(e['loc'])}{e['msg'].removeprefix('Value error, ')}" for e in error.errors())
         raise InputError(faults) from error
@@ -147,7 +146,7 @@ def _layer(name: str, kind: Kind, path: Path, options: Mapping[str, dict[str, An
     place = str(path.absolute())
     volume = options.get("volume", {})
     if kind == "run":
-        return LayerParams(name=name, run=place, md_deg=volume.get("md_deg"))
+        return LayerParams.model_validate({"name": name, "run": place, "md_deg": volume.get("md_deg")})
     if kind == "image":
         own = {"override_size": volume["override_size"]} if "override_size" in volume else {}
         return LayerParams.model_validate({"name": name, "image": own | options.get("image", {}) | {"path": place}})

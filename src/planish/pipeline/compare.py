@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -66,7 +67,7 @@ def correlate_layers(
             yield _with_differences(row, u, v, str(first[of_a].attrs.get("units", "1"))) if all(sheets) else row
 
 
-def _numbers(found: Correlation) -> dict[str, float | int]:
+def _numbers(found: Correlation) -> dict[str, Any]:
     return {k: getattr(found, k) for k in ("n", "r", "r2", "slope", "intercept", "point_um")}
 
 

@@ -59,12 +59,8 @@ def surface_facts(surfaces: xr.Dataset) -> SurfaceFacts:
     counts = {k: int(attrs.get(k, 0)) for k in ("particles_removed", "half_closed_holes")}
     plain = {"columns", "shares", *counts}
     known = {k: attrs.get(k) for k in SurfaceFacts.model_fields if k not in plain}
-    return SurfaceFacts(
-        columns=int(status.size),
-        shares={name: float((status.values == k).mean()) for k, name in enumerate(names)},
-        **counts,
-        **known,  # pyright: ignore[reportArgumentType]
-    )
+    shares = {name: float((status.values == k).mean()) for k, name in enumerate(names)}
+    return SurfaceFacts.model_validate({"columns": int(status.size), "shares": shares, **counts, **known})
 
 
 def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planish.core.errors import MarkError
 from planish.core.frame import Frame
 from planish.core.grid import values_at
-from planish.core.results import HoleTiltFacts
+from planish.core.results import HoleTiltFacts, Side
 from planish.marks import hole_tilt
 from planish.marks.design import Pattern, read_pattern
 from planish.marks.files import LayerPixels, Places, make_marks, read_any, write_any
@@ -222,7 +222,9 @@ def register_layers(layer: Layer, to: Layer, study: Study) -> Registration:
     """Register one layer to another one by the marks that the study names, or by the holes of both."""
     r, params = study.registration, study.holes
     # A sheet is always seen from its top; its holes are searched in the face that the image shows.
-    face = {"moving": to.side if to.kind == "image" else "top", "fixed": layer.side if layer.kind == "image" else "top"}
+    face: dict[str, Side] = {
+        "moving": to.side if to.kind == "image" else "top", "fixed": layer.side if layer.kind == "image" else "top"
+    }  # fmt: skip
     path = layer.params.marks or r.marks
     if path is None:
         moving, fixed = layer.holes(params, face["moving"]), to.holes(params, face["fixed"])
@@ -272,7 +274,7 @@ def _volume_to_map(marks: xr.Dataset, layer: Layer) -> xr.Dataset:
     frame = Frame.of(measured)
     points = np.stack([marks[f"volume_{axis}"].values for axis in (frame.cols, frame.rows)], axis=1)
     uv = values_at(flat, ("u", "v"), points)
-    known = np.isfinite(points).all(axis=1)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
     lost = [str(n) for n, p, k in zip(marks["label"].values, uv, known, strict=True) if k and not np.isfinite(p).all()]
     if lost:
         raise MarkError(
@@ -304,7 +306,7 @@ def register_given(
     """
     used = paired(given)
     rows = np.stack([np.flatnonzero(used)] * 2, axis=1)
-    sides = {"moving": "bottom" if facing else "top", "fixed": "top"}
+    sides: dict[str, Side] = {"moving": "bottom" if facing else "top", "fixed": "top"}
     planes = [HolePlane(name=side, holes=_marked(given, side, used), faces=faces) for side, faces in sides.items()]
     labels = tuple(str(v) for v in given["label"].values[used])
     fit = match_and_fit(*planes, params=params, pairs=GivenPairs(rows=rows, labels=labels)).fit
