@@ -28,6 +28,9 @@ from planish.flatten.params import FlattenParams
 if TYPE_CHECKING:
     import xarray as xr
 
+_VOLUME = "volume"
+"""Attribute of a store of surfaces: the volume that they were found in."""
+
 _STORE = "Zarr store to make; it must not exist."
 _ONE_FILE: dict[str, Any] = {"type": click.Path(path_type=Path), "cls": Option}
 
@@ -86,27 +89,36 @@ def surface(volume: Path, out: Path, **values: Any) -> None:
         found = find_surfaces(data, frame=frame, params=how, step=step, engine=tiles)
     share = float((found["status"].values == 0).mean())
     summary = f"sheet of {found.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns measured"
+    # 'planish measure' finds the grey values again.
+    found = found.assign_attrs({_VOLUME: params.model_dump_json(exclude_none=True)})
     _write(out, {"surfaces": found}, summary)
 
 
 @verb("planish measure surfaces.zarr -o measured.zarr",
-      "planish measure surfaces.zarr -o measured.zarr --volume volume.tif --property porosity --solid-grey 180",
+      "planish measure surfaces.zarr -o measured.zarr --property porosity --solid-grey 180",
       name="measure")  # fmt: skip
 @existing("surfaces")
 @out_option(_STORE)
-@click.option("--volume", "path", help="Volume of the surfaces, for properties that need its grey values.", **_ONE_FILE)
+@click.option("--volume", "path", help="Volume of the surfaces, where it lies elsewhere now.", **_ONE_FILE)
 @volume_options
 @property_options
 @compute_options
 def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None:
     """Measure all properties along the normals of SURFACES."""
+    from planish.core.errors import FileError
     from planish.io.run_folder import refuse_existing
     from planish.measure import MeasureParams, measure_properties
 
     refuse_existing(out)
-    volume = None if path is None else _volume(path, values)[0]
+    data = _read(surfaces, "surfaces", "'planish surface'")
+    noted = json.loads(data.attrs.pop(_VOLUME, "{}"))
+    if path is None and noted:
+        path = Path(noted.pop("path"))
+        values = {f"volume__{k}": v for k, v in noted.items()} | {k: v for k, v in values.items() if v is not None}
+        if not path.exists():
+            raise FileError(f"The volume of {surfaces}, {path}, is not there any more. Give its place with --volume.")
     found = measure_properties(
-        _read(surfaces, "surfaces", "'planish surface'"), volume=volume,
+        data, volume=None if path is None else _volume(path, values)[0],
         params=MeasureParams(**given(values, "properties")),
     )  # fmt: skip
     mean = float(found["thickness"].mean())

@@ -1,0 +1,132 @@
+"""The line is the same by ``planish link``, by the commands of the stages, and by hand in Python: byte by byte."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import planish as pl
+
+
+def by_hand(files, frame, side):
+    """The line of a notebook."""
+    volume, image = pl.read_volume(files.volume), pl.read_image(files.image)
+    surfaces = pl.find_surfaces(volume, frame=frame)
+    measured = pl.measure_properties(surfaces, volume=volume)
+    flat = pl.flatten_sheet(surfaces).flat
+    maps = pl.resample_maps(measured, flat)
+    registration = pl.register_marks(pl.find_holes(maps, side=side), pl.find_holes(image, side=side))
+    linked = pl.resample_maps(measured, flat, onto=image, registration=registration)
+    rows = pl.correlate_maps(linked)
+    return linked, registration, rows
+
+
+def same_bytes(a: xr.Dataset, b: xr.Dataset) -> None:
+    """Every array, dtype, coordinate and attribute."""
+    xr.testing.assert_identical(a, b)
+    for name in (*a.variables,):
+        assert a[name].dtype == b[name].dtype
+        assert a[name].values.tobytes() == b[name].values.tobytes()
+
+
+def text_of(registration, folder: Path) -> str:
+    registration.save(folder / "again.json")
+    return (folder / "again.json").read_text()
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("pose", "frame", "side"), [
+    ("upright", pl.Frame(), "top"),
+    ("laid", pl.Frame(through="y", top="low"), "bottom"),
+])  # fmt: skip
+def test_link_the_stages_and_a_notebook_give_the_same_bytes(planish, request, tmp_path, pose, frame, side):
+    files = request.getfixturevalue(pose)
+    code, _, err = planish("link", files.volume, files.image, "-o", tmp_path / "run", *files.options)
+    assert code == 0, err
+    run = pl.open_run(tmp_path / "run")
+    linked, registration, rows = by_hand(files, frame, side)
+    same_bytes(linked, run.linked)
+    assert rows == run.results.correlations
+    assert text_of(registration, tmp_path) == (tmp_path / "run" / "marks.json").read_text()
+    lies = files.options[: files.options.index("--image-side")] if files.options else ()
+    seen = ("--image-side", side)
+    steps = (
+        ("surface", files.volume, "-o", tmp_path / "s.zarr", *lies),
+        ("measure", tmp_path / "s.zarr", "-o", tmp_path / "p.zarr"),
+        ("flatten", tmp_path / "s.zarr", "-o", tmp_path / "f.zarr"),
+        ("resample", tmp_path / "p.zarr", tmp_path / "f.zarr", "-o", tmp_path / "m.zarr"),
+        ("holes", tmp_path / "m.zarr", "-o", tmp_path / "h.json", *seen),
+        ("holes", files.image, "-o", tmp_path / "i.json", *seen),
+        ("register", tmp_path / "h.json", tmp_path / "i.json", "-o", tmp_path / "marks.json"),
+        ("resample", tmp_path / "p.zarr", tmp_path / "f.zarr", "-o", tmp_path / "linked.zarr", "--onto", files.image,
+         "--registration", tmp_path / "marks.json"),
+    )  # fmt: skip
+    for step in steps:
+        code, _, err = planish(*step)
+        assert code == 0, (step[0], err)
+    with xr.open_datatree(tmp_path / "linked.zarr", engine="zarr") as tree:
+        same_bytes(tree["linked"].to_dataset().load(), run.linked)
+    for name in ("marks.json", "marks.csv"):
+        assert (tmp_path / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
+    code, out, err = planish("correlate", tmp_path / "linked.zarr", "--json")
+    assert code == 0, err
+    assert json.loads(out) == [json.loads(row.model_dump_json()) for row in run.results.correlations]
+
+
+def test_the_groups_of_a_run_give_its_linked_maps(planish, linked_run, specimen_files, tmp_path):
+    maps = linked_run / "maps.zarr"
+    arguments = (maps, maps, "--onto", specimen_files[1], "--registration", linked_run / "marks.json")
+    code, _, err = planish("resample", *arguments, "-o", tmp_path / "linked.zarr")
+    assert code == 0, err
+    with xr.open_datatree(tmp_path / "linked.zarr", engine="zarr") as tree:
+        same_bytes(tree["linked"].to_dataset().load(), pl.open_run(linked_run).linked)
+
+
+def test_the_marks_of_a_run_given_back_give_its_bytes(planish, linked_run, specimen_files, tmp_path):
+    arguments = (linked_run, specimen_files[1], "--marks", linked_run / "marks.json", "-o", tmp_path / "run")
+    code, _, err = planish("link", *arguments)
+    assert code == 0, err
+    first, again = pl.open_run(linked_run), pl.open_run(tmp_path / "run")
+    same_bytes(again.linked, first.linked)
+    origin = ("source", "match_sentence", "second_best", "tilt", "design")
+    sheets = [run.results.layers[0] for run in (first, again)]
+    differ = [
+        name
+        for name in type(sheets[0].registration).model_fields
+        if getattr(sheets[0].registration, name) != getattr(sheets[1].registration, name)
+    ]
+    assert set(differ) <= set(origin)
+    assert sheets[1].registration.source == "json"
+    for name in ("correlations", "comparison", "linked", "gates"):
+        assert getattr(first.results, name) == getattr(again.results, name)
+
+
+def test_a_mark_that_is_not_used_is_still_masked(planish, linked_run, specimen_files, tmp_path):
+    text = json.loads((linked_run / "marks.json").read_text())
+    text["marks"][0]["used"] = False
+    text.pop("registration")
+    (tmp_path / "four.json").write_text(json.dumps(text))
+    arguments = (linked_run, specimen_files[1], "--marks", tmp_path / "four.json", "-o", tmp_path / "run")
+    code, _, err = planish("link", *arguments)
+    assert code == 0, err
+    first, again = pl.open_run(linked_run), pl.open_run(tmp_path / "run")
+    assert again.results.layers[0].registration.matched == first.results.layers[0].registration.matched - 1
+    at = text["marks"][0]["at"]["fixed"]
+    near = np.hypot(first.linked.x - at["x"], first.linked.y - at["y"]) < 150
+    assert not again.linked.valid.values[near.transpose("y", "x").values].any()
+
+
+def test_changed_marks_ask_for_a_new_registration(planish, linked_run, specimen_files, tmp_path):
+    text = json.loads((linked_run / "marks.json").read_text())
+    text["marks"][0]["at"]["fixed"]["x"] += 3.0
+    (tmp_path / "moved.json").write_text(json.dumps(text))
+    maps = linked_run / "maps.zarr"
+    arguments = (maps, maps, "--onto", specimen_files[1], "--registration", tmp_path / "moved.json")
+    code, _, err = planish("resample", *arguments, "-o", tmp_path / "linked.zarr")
+    assert code == 3
+    assert "changed after the registration" in err
+    assert not (tmp_path / "linked.zarr").exists()
