@@ -109,7 +109,7 @@ def _corrected(
         refuse_existing(path)
     found = correct_volume(
         data, params=params, memory_bytes=memory_bytes,
-        tell=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
+        progress=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
     )  # fmt: skip
     for sentence in found.record.sentences:
         click.echo(sentence)

@@ -14,6 +14,7 @@ from planish.core.checks import is_property
 from planish.core.errors import MarkError, SizeError
 from planish.core.grid import Grid, pitch, values_at
 from planish.core.results import ComparisonRow, CorrelationRow, LagFacts, Side
+from planish.measure import PROPERTIES
 from planish.pipeline.facts import lag_facts
 from planish.pipeline.onto import FlatSheet, headline_of
 from planish.pipeline.registration import Registration
@@ -38,9 +39,10 @@ def maps_to_correlate(maps: xr.Dataset) -> list[str]:
     """The maps of a layer that are correlated: its image, or all properties but angles and standard errors."""
     if "image" in maps and "thickness" not in maps:
         return ["image"]
-    return [
-        str(name) for name, data in maps.data_vars.items() if is_property(data) and data.attrs.get("units") != "deg"
-    ]
+    found = [str(k) for k, data in maps.data_vars.items() if is_property(data) and data.attrs.get("units") != "deg"]
+    # A store gives its maps in the order of the alphabet: here they stand in one order, wherever they come from.
+    usual = [*PROPERTIES]
+    return sorted(found, key=lambda name: (usual.index(name) if name in usual else len(usual), name))
 
 
 def correlate_layers(
