@@ -68,14 +68,7 @@ def missing(values: NDArray[Any], padding: float) -> Mask:
 
 
 def find_levels(slices: list[NDArray[Any]], radius: Array) -> Levels | None:
-    """Find the greys in some slices; None where no sheet stands out from the air.
-
-    Parameters
-    ----------
-    slices : list of (p, q)
-    radius : (p, q)
-        Distance from the axis of rotation.
-    """
+    """Find the greys in some slices; None where no sheet stands out from the air."""
     padding = _padding(slices, radius)
     found = _read_off(slices, padding)
     if found is None:

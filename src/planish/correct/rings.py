@@ -73,15 +73,7 @@ class Rings:
 
 
 def find_rings(sums: Sums, turning: Turning, contrast: float) -> Rings:
-    """Find the rings that stand out from noise and structure; there may be none.
-
-    Parameters
-    ----------
-    sums : Sums
-    turning : Turning
-    contrast : float
-        Grey between air and sheet.
-    """
+    """Find the rings that stand out from noise and structure; there may be none."""
     bins = sums.count.shape[-1]
     known = np.zeros(bins)
     residual = weight = np.zeros((0, 0, 0, bins))

@@ -101,15 +101,7 @@ def slices_of(
 def take_sums(
     slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Levels, *, threads: int,
 ) -> Sums:  # fmt: skip
-    """Add up all slices.
-
-    Parameters
-    ----------
-    slices : iterator of (number, (p, q))
-    turning : Turning
-    levels : Levels
-    threads : int
-    """
+    """Add up all slices."""
     length, rows, cols = turning.shape
     middles = block_middles(length)
     r, c = np.arange(rows), np.arange(cols)

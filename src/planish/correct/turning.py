@@ -89,17 +89,7 @@ class Turning:
 
 
 def make_turning(volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float] | None) -> Turning:
-    """Place the axis of rotation; in the middle of the field where ``centre_um`` is None.
-
-    Raises
-    ------
-    VolumeError
-        If the volume is too small along an axis.
-    InputError
-        If the centre lies outside the field by more than half its width.
-    SizeError
-        If the volume has no voxel size.
-    """
+    """Place the axis of rotation; in the middle of the field where ``centre_um`` is None."""
     if "voxel_um" not in volume.attrs:
         raise SizeError("The volume has no voxel size ('voxel_um'). Read it with read_volume, which asks for one.")
     size = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
