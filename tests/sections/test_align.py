@@ -60,6 +60,7 @@ def test_rotations_are_not_made_worse(series: Series, alignment) -> None:
     assert after < before  # in 2 mm its own error is as large as what there is to find
 
 
+@pytest.mark.study
 def test_a_true_bend_is_left_alone() -> None:
     still = make_series(errors=(0.0, 0.0), turn_rad=0.0, seed=2)
     found = align_sections(still.stack, still.positions_um, PIXEL_UM, threads=2)
