@@ -106,7 +106,7 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
         "gates": [{"name": "coverage", "value": 0.9, "limit": 0.5, "passed": True,
                    "sentence": "90 % of the columns are measured."}],
         "parameters": {"volume": {"voxel_um": [6.0, 6.0, 6.0], "through": "z", "top": top, "override_size": False},
-                       "registration": {"hole_um": [100.0, 300.0]}, "correlate": {"point_um": 100.0, "thin_um": 5.0}},
+                       "holes": {"hole_um": [120.0, 320.0]}, "correlate": {"point_um": 100.0, "thin_um": 5.0}},
     }  # fmt: skip
     if not linked:
         return {"groups": groups, "marks": {}, "results": results}

@@ -120,7 +120,7 @@ def layers(*, chain: bool = False, blank: bool = False) -> Given:
         "gates": [{"name": "before: marks", "value": 1.5, "limit": 20.0, "passed": True,
                    "sentence": "4 marks agree to 1.5 um."}],
         "parameters": {"chain": chain, "layers": [{"name": "before", "volume": {"voxel_um": [3.0, 3.0, 3.0]}}],
-                       "registration": {"hole_um": [100.0, 300.0]}},
+                       "holes": {"hole_um": [120.0, 320.0]}},
     }  # fmt: skip
     groups = {f"layers/{name}": data for name, data in maps.items()}
     return {"groups": groups, "marks": marks, "results": results}

@@ -118,6 +118,7 @@ def test_page_states_what_is_known_of_the_registration() -> None:
     text = Page(html).text()
     for expected in (
         "Expected error of the position",
+        f"orange circles of 220{MICRO}",  # the middle of the diameters that were looked for
         "Image-based check, tile by tile.",
         f"Lag 9 ± 0.3{MICRO}: more than the marks allow.",
         "The machine direction lies at 20° in the image.",

@@ -152,7 +152,7 @@ def _registration(
 ) -> list[Picture]:  # fmt: skip
     """Draw the residuals of a layer's marks, its expected error, and the lags of its tiles."""
     base, two = results.reference, len(results.layers) == 2
-    hole_um = float(sum(_choice(results, "registration", "hole_um", _HOLE_UM)) / 2)
+    hole_um = float(sum(_choice(results, "holes", "hole_um", _HOLE_UM)) / 2)
     direct = r.to == base.name
     if base.kind == "image":
         window = data["valid"].values.astype(bool) if "valid" in data else None
