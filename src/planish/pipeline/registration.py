@@ -16,7 +16,7 @@ from planish.core.grid import values_at
 from planish.core.results import HoleTiltFacts, Side
 from planish.marks import hole_tilt
 from planish.marks.design import Pattern, read_pattern
-from planish.marks.files import LayerPixels, Places, make_marks, read_any, write_any
+from planish.marks.files import LayerPixels, Places, make_marks, pair_of_layers, read_any, write_any
 from planish.marks.files.model import EXTRAS, RESULTS
 from planish.register import (
     DesignedHoles,
@@ -257,6 +257,7 @@ def read_given(path: str, moving: Layer, fixed: Layer) -> xr.Dataset:
         for side, layer in (("moving", moving), ("fixed", fixed))
     }
     marks = read_any(path, moving=about["moving"], fixed=about["fixed"])
+    pair_of_layers(marks, name=Path(path).name)  # one layer alone is refused
     if "volume_x" in marks:
         marks = _volume_to_map(marks, moving)
     if int(paired(marks).sum()) < 3:

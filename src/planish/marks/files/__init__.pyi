@@ -11,4 +11,5 @@ from .model import holes_of as holes_of
 from .model import layer_names as layer_names
 from .model import make_marks as make_marks
 from .model import marks_of_holes as marks_of_holes
+from .model import pair_of_layers as pair_of_layers
 from .model import used_pairs as used_pairs
