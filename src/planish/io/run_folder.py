@@ -114,7 +114,7 @@ def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> Non
         kind = "a link" if is_link(folder) else "a file"
         raise FileError(
             f"{folder} is {kind}; planish needs that name for a folder of its own while it writes {for_what.name}. "
-            f"Nothing was changed. Remove {kind} or give another name with --out."
+            f"Nothing was changed. Remove it or give another name with --out."
         )
     if folder.exists():
         return
