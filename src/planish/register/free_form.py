@@ -45,7 +45,7 @@ class FreeForm:
         held, inside = self._held(given)
         slopes = np.stack([self._values(held, nu) for nu in ((0, 1), (1, 0))], axis=-1)
         out = slopes * inside[..., None, :] + np.eye(2)
-        return np.where(np.isfinite(given).all(axis=-1)[..., None, None], out, np.nan)
+        return np.where(np.expand_dims(np.all(np.isfinite(given), axis=-1), (-2, -1)), out, np.nan)
 
     def _held(self, points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """Nearest points of the mesh, and whether they are the points themselves, along x and y."""
@@ -53,7 +53,7 @@ class FreeForm:
         low = np.array(self.origin_um) + self.mesh_um
         known = np.nan_to_num(points)
         held = np.clip(known, low, low + cells * np.array(self.mesh_um))
-        return held, held == known
+        return held, np.equal(held, known)
 
     def _values(self, points: Floats, nu: tuple[int, int]) -> Floats:
         """Displacement (..., 2) at points of the mesh, or its derivatives of the orders ``nu`` along y and x."""
