@@ -54,7 +54,7 @@ MUTANTS = [
     Mutant("surface/assemble.py", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_bottom), (top, inner_top)", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_top), (top, inner_bottom)", "surface/test_any_sheet.py surface/test_find.py"),
     Mutant("surface/assemble.py", "np.where(sheet & ~rim & seen, 0.5 * (top + bottom), np.nan)", "np.where(sheet & seen, 0.5 * (top + bottom), np.nan)", "surface/test_find.py surface/test_centre.py surface/test_presence.py"),
     Mutant("surface/assemble.py", "[Status.NO_SHEET, Status.RIM, Status.MEASURED]", "[Status.NO_SHEET, Status.MEASURED, Status.MEASURED]", "surface/test_find.py surface/test_presence.py"),
-    Mutant("surface/centre.py", "coarse += _regress(", "coarse -= _regress(", "surface/test_centre.py"),
+    Mutant("surface/centre.py", "coarse += regression(", "coarse -= regression(", "surface/test_centre.py"),
     Mutant("surface/envelope.py", "** 2 / (2 * radius_um)", "** 2 / radius_um", "surface/test_centre.py surface/test_find.py"),
     Mutant("surface/_fit_kernels.py", "x2 = (d - p[0] - p[1]) / w", "x2 = (d - p[0] + p[1]) / w", "surface/test_fit.py"),
     Mutant("surface/_fit_kernels.py", "return _TABLE[i] * (1.0 - f) + _TABLE[i + 1] * f", "return _TABLE[i] * f + _TABLE[i + 1] * (1.0 - f)", "surface/test_fit.py"),

@@ -48,7 +48,7 @@ class InstrumentFiles:
 
 
 def write_instruments(
-    specimen: Specimen, folder: Path, *, volume: Instrument = "stack", image: bool = True, printed: bool = False
+    specimen: Specimen, folder: Path, *, volume: Instrument = "stack", image: bool = True
 ) -> InstrumentFiles:
     """Write a volume as ``volume`` says, and an image: ``image.tif``.
 
@@ -59,7 +59,7 @@ def write_instruments(
     folder.mkdir(parents=True, exist_ok=True)
     write = {"stack": _write_stack, "scanner": _write_scan, "sections": _write_sections}[volume]
     path, voxel, through, to_physical = write(specimen, folder)
-    picture = write_image(specimen, folder / "image.tif", printed=printed) if image else None
+    picture = write_image(specimen, folder / "image.tif") if image else None
     return InstrumentFiles(volume=path, image=picture, voxel_um=voxel, through=through, to_physical=to_physical)
 
 
