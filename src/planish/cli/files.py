@@ -83,7 +83,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
         )
         write_store(
             data, out, memory_bytes=compute.volume_bytes, ome=ome,
-            tell=lambda what, done, count: progress(what, f"block {done} of {count}"),
+            progress=lambda what, done, count: progress(what, f"block {done} of {count}"),
         )  # fmt: skip
     write_record()
     click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
