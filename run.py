@@ -41,8 +41,10 @@ SUFFIX = ".exe" if os.name == "nt" else ""
 PYTHON = SCRIPTS / f"python{SUFFIX}"
 PLANISH = SCRIPTS / f"planish{SUFFIX}"
 # Files of tests side by side; `-n 0` after it runs them one after the other, for a debugger.
-PYTEST = [str(PYTHON), "-m", "pytest", "-n", "auto", "--maxprocesses", "4", "--dist", "loadfile"]
-PYTEST += ["--no-loadscope-reorder"]  # tests/conftest.py knows which files take long
+# tests/conftest.py knows which files take long.
+PYTEST = [str(PYTHON), "-m", "pytest", "-n", "auto", "--maxprocesses", "4", "--dist", "loadfile"] + [
+    "--no-loadscope-reorder"
+]
 LOCKS = ROOT / "requirements"
 STAMP = VENV / "planish-setup.json"  # what was installed; written last, so without it the folder is unfinished
 

@@ -16,7 +16,7 @@ The line by hand::
 or at once: ``run = pl.link("volume.tif", "image.tif", out="run")``. Lengths are um, missing is NaN.
 """
 
-import lazy_loader as lazy  # pyright: ignore[reportMissingTypeStubs]
+import lazy_loader as lazy
 
 __version__ = "0.2.0"
 

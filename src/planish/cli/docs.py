@@ -18,7 +18,10 @@ This page is written by `python3 run.py docs` from the program's own help.
 def page() -> str:
     """Return the text of docs/cli.md."""
     parts = [_HEAD, _section("planish", planish)]
-    for name, command in planish.commands.items():
+    context = click.Context(planish)
+    for name in planish.list_commands(context):
+        command = planish.get_command(context, name)
+        assert command is not None
         parts.append(_section(f"planish {name}", command))
         if isinstance(command, click.Group):
             parts += [_section(f"planish {name} {sub}", inner) for sub, inner in command.commands.items()]

@@ -72,7 +72,7 @@ def _done(
 ) -> Run:  # fmt: skip
     if len(study.layers) > 1:
         return link_study(study, compute=compute, progress=progress, kept=kept, sheets=sheets)
-    return run_of_sheet(map_layer(study.layers[0], compute=compute, progress=progress, kept=kept), study)
+    return run_of_sheet(map_layer(study.reference, compute=compute, progress=progress, kept=kept), study)
 
 
 def run_of_sheet(sheet: Sheet, study: Study) -> Run:

@@ -4,6 +4,6 @@ Everything is defined in material coordinates ``(u, v, s)`` of the flat sheet an
 exact map, so the truth at any pixel or voxel is a formula and not a measurement.
 """
 
-import lazy_loader as lazy  # pyright: ignore[reportMissingTypeStubs]
+import lazy_loader as lazy
 
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -1,5 +1,5 @@
 """Field size and hole size -> a pattern of laser holes, checked, drawn, and as a program for the stage."""
 
-import lazy_loader as lazy  # pyright: ignore[reportMissingTypeStubs]
+import lazy_loader as lazy
 
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
