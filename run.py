@@ -42,8 +42,9 @@ PYTHON = SCRIPTS / f"python{SUFFIX}"
 PLANISH = SCRIPTS / f"planish{SUFFIX}"
 # Files of tests side by side; `-n 0` after it runs them one after the other, for a debugger.
 # tests/conftest.py knows which files take long.
-PYTEST = [str(PYTHON), "-m", "pytest", "-n", "auto", "--maxprocesses", "4", "--dist", "loadfile"] + [
-    "--no-loadscope-reorder"
+PYTEST = [
+    *(str(PYTHON), "-m", "pytest", "-n", "auto", "--maxprocesses", "4", "--dist", "loadfile"),
+    "--no-loadscope-reorder",
 ]
 LOCKS = ROOT / "requirements"
 STAMP = VENV / "planish-setup.json"  # what was installed; written last, so without it the folder is unfinished
