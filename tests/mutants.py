@@ -56,8 +56,8 @@ MUTANTS = [
     Mutant("surface/assemble.py", "[Status.NO_SHEET, Status.RIM, Status.MEASURED]", "[Status.NO_SHEET, Status.MEASURED, Status.MEASURED]", "surface/test_find.py surface/test_presence.py"),
     Mutant("surface/centre.py", "coarse += regression(", "coarse -= regression(", "surface/test_centre.py"),
     Mutant("surface/envelope.py", "** 2 / (2 * radius_um)", "** 2 / radius_um", "surface/test_centre.py surface/test_find.py"),
-    Mutant("surface/_fit_kernels.py", "x2 = (d - p[0] - p[1]) / w", "x2 = (d - p[0] + p[1]) / w", "surface/test_fit.py"),
-    Mutant("surface/_fit_kernels.py", "return _TABLE[i] * (1.0 - f) + _TABLE[i + 1] * f", "return _TABLE[i] * f + _TABLE[i + 1] * (1.0 - f)", "surface/test_fit.py"),
+    Mutant("surface/_fit_kernels.py", "return _TABLE[i] + (t - i) * rise, rise * _PER_SIGMA", "return _TABLE[i] - (t - i) * rise, rise * _PER_SIGMA", "surface/test_fit.py"),
+    Mutant("surface/_fit_kernels.py", "face, inside, coat, base = p[0], p[0] + p[1], p[2], p[3]", "face, inside, coat, base = p[0], p[0] - p[1], p[2], p[3]", "surface/test_fit.py"),
     # measure
     Mutant("measure/faces.py", "length = np.sqrt(1 + along_rows**2 + along_cols**2)", "length = np.sqrt(1 + along_rows**2)", "measure/test_along_normals.py"),
     Mutant("measure/faces.py", '"coating_bottom": distance["interface_bottom"] - distance["bottom"]', '"coating_bottom": distance["bottom"] - distance["interface_bottom"]', "measure/test_along_normals.py"),
@@ -125,7 +125,7 @@ def main(arguments: list[str]) -> int:
         first, last = int(first), int(end or first)
     chosen = list(enumerate(MUTANTS, 1))[first - 1 : last]
     stale = [f"{k}: {m.file}: found {n} times: {m.old}" for k, m in chosen if (n := _count(m)) != 1]
-    print(*stale, sep="\n")
+    print("".join(f"{line}\n" for line in stale), end="")
     if asked.list or stale:
         print(*(f"{k}: {m.file}: {m.old!r} -> {m.new!r}" for k, m in chosen if asked.list), sep="\n")
         return len(stale)

@@ -53,6 +53,23 @@ def test_errors_of_the_links_add_up_as_they_do_in_many_repetitions():
     np.testing.assert_allclose(told / seen, 1.0, atol=0.1)
 
 
+def test_the_error_of_a_link_is_carried_on_by_the_scale_of_the_next():
+    first, second = chain(3.0).fits
+    wide = fit_transform(second.moving, 2.0 * second.fixed, model="similarity", mirrored=True)
+    at = np.array([[500.0, 500.0], [6000.0, 5000.0]])
+    scale = wide.transform.scale
+    expected = np.sqrt((scale * first.expected_error_um(at)) ** 2 + wide.expected_error_um(first(at)) ** 2)
+    np.testing.assert_allclose(Chain(fits=(first, wide)).expected_error_um(at), expected, rtol=1e-9)
+    assert scale > 1.9
+
+
+def test_two_mirrored_links_keep_the_hand():
+    first, second = chain().fits
+    back = fit_transform(second.fixed, second.moving, model="similarity", mirrored=True)
+    assert Chain(fits=(first, second)).mirrored
+    assert not Chain(fits=(first, second, back)).mirrored
+
+
 def test_one_link_is_the_fit_itself():
     fit = chain(1.0).fits[0]
     alone = Chain(fits=(fit,))
