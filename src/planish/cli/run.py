@@ -10,7 +10,7 @@ import click
 
 from planish.cli.options import existing, json_option, verb
 from planish.cli.sections import compute_from, compute_options, run_and_show
-from planish.cli.show import free_path
+from planish.cli.show import free_path, run_facts
 
 
 @verb("planish run run/run.toml", "planish run run/run.toml --out again --threads 2", name="run")
@@ -33,7 +33,10 @@ def run(study: Path, out: Path | None, as_json: bool, **values: Any) -> int:
     old = study.absolute().parent
     target = out or free_path(old.with_name(f"{old.name}-again"))
     code = run_and_show(checked, target, as_json=as_json, compute=compute_from(values))
-    if (old / "results.json").is_file():
+    before = run_facts(old)
+    if before is not None and before["warning"]:
+        click.echo(f"{old.name} was {before['warning']}", err=True)
+    elif (old / "results.json").is_file():
         different = _different(old, target)
         text = "same bytes as" if not different else f"{', '.join(different)} differ from"
         click.echo(f"{target}: {text} {old}", err=True)

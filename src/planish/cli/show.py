@@ -155,7 +155,7 @@ def run_facts(path: Path) -> dict[str, Any] | None:
 
 
 _OLD = (
-    "made by planish 0.1.0: the errors stated in it are about 1.5 times too small. 'planish run' repeats it with this "
+    "made by planish 0.1.0: the errors stated in it are about 1.5 times too small; 'planish run' repeats it with this "
     "version."
 )
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypedDict, Unpack
 from html import escape
 
 import numpy as np
@@ -29,6 +30,15 @@ _DENSITY = 1.35  # pixels of an image in one CSS pixel
 _TOP = 8.0  # above a map: half a line, for a number at the end of the colour bar
 _HIGHEST = 480.0  # of a map on half a page
 _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
+
+
+class Style(TypedDict, total=False):
+    """How a text looks: size in CSS pixels, colours of ink and halo, bold or not."""
+
+    size: float
+    colour: str
+    halo: str
+    bold: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,12 +121,13 @@ class Axes:
                 self._parts.append(_stroke(data, ink, width, opacity=opacity, cap="round"))
 
     def text(
-        self, x: float, y: float, text: str, *, size: float = BIG, anchor: str = "start", bold: bool = False,
-        colour: str = INK, upwards: bool = False, halo: str = "", shift: tuple[float, float] = (0, 0),
+        self, x: float, y: float, text: str, *, anchor: str = "start", upwards: bool = False,
+        shift: tuple[float, float] = (0, 0), **style: Unpack[Style],
     ) -> None:  # fmt: skip
         """Write a text whose base line begins, ends or has its middle at a place, moved by some pixels."""
+        size, colour, halo = style.get("size", BIG), style.get("colour", INK), style.get("halo", "")
         left, top = (_n(v) for v in self.place((x, y))[0] + shift)
-        more = (' font-weight="600"' if bold else "") + (f' text-anchor="{anchor}"' if anchor != "start" else "")
+        more = (' font-weight="600"' if style.get("bold") else "") + (f' text-anchor="{anchor}"' if anchor != "start" else "")
         more += f' transform="rotate(-90 {left} {top})"' if upwards else ""
         more += f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"' if halo else ""
         self._parts.append(

@@ -160,8 +160,7 @@ def align_sections(
         fine = found
         places[:, 1] = _columns(whole, fine, n)
         pose = _quick(places, course, away, groups, cutoff)
-    aligned = np.isin(np.arange(n), np.concatenate([np.zeros(0, np.intp), *groups]))
-    aligned &= np.bincount(np.concatenate([first[kept], second[kept]]), minlength=n) >= min(2, n - 1)
+    aligned = _aligned(groups, np.concatenate([first[kept], second[kept]]), n)
     pose[~aligned] = 0.0
     left = np.full(3, np.nan)
     if aligned.any():
@@ -233,6 +232,12 @@ def _sums(
         return bands.sums(pose, first[mine], second[mine])
 
     return for_each(block, -(-pose.shape[0] // _BLOCK), threads=threads)
+
+
+def _aligned(groups: list[NDArray[np.intp]], partners: NDArray[np.intp], n: int) -> NDArray[np.bool_]:
+    """Sections that hang together with others, by two pairs or more."""
+    found = np.isin(np.arange(n), np.concatenate([np.zeros(0, np.intp), *groups]))
+    return found & (np.bincount(partners, minlength=n) >= min(2, n - 1))
 
 
 def _joined(pairs: Pairs, n: int, rotation: bool) -> tuple[Array, NDArray[np.bool_]]:
