@@ -1,11 +1,14 @@
 """Topography, envelopes, warp and two-sidedness against formulas."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
 
 from planish.core.errors import CannotMeasure
-from planish.measure import measure_along_rays, roughness_numbers, scale_limited, two_sidedness
+from planish.measure import measure_along_rays, roughness_numbers, scale_limited, topography, two_sidedness
+from planish.measure.registry import find_property
 from planish.measure.thickness import envelope
 from planish.measure.topography import smoothed
 
@@ -127,3 +130,17 @@ def test_heights_without_neighbours_have_no_slope_and_are_refused():
     limited[5, 5], limited[12, 9] = 1.0, 2.0
     with pytest.raises(CannotMeasure, match="too small"):
         roughness_numbers(limited, (3.0, 3.0), s_filter_um=5.0, l_filter_um=800.0)
+
+
+@pytest.mark.parametrize(("side", "outwards"), [("top", 1.0), ("bottom", -1.0)])
+def test_peaks_of_both_sides_point_outwards(monkeypatch, side, outwards):
+    """A bump away from the middle of the sheet is a peak, on whichever side it stands."""
+    y, x = np.mgrid[:120, :120] * 5.0
+    bump = 3.0 * np.exp(-((x - 300) ** 2 + (y - 300) ** 2) / 900)
+    frame = SimpleNamespace(faces={side: outwards * (40.0 + bump)}, pitch_um=(5.0, 5.0))
+    params = SimpleNamespace(s_filter_um=20.0, l_filter_um=200.0)
+    monkeypatch.setattr(topography, "errors", lambda *_: (np.ones(x.shape),))
+    sheet = SimpleNamespace(frame=frame, params=params, valid=np.ones(x.shape, dtype=bool))
+    values = find_property(f"roughness_{side}").function(sheet).values
+    assert values[60, 60] > 1.0
+    assert np.nanmin(values) > -1.0
