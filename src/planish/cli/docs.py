@@ -1,12 +1,14 @@
-"""Write docs/cli.md from the help of every command, so that the page cannot differ from the program."""
+"""Write the pages that the program makes itself: docs/cli.md, the options of properties, the schema of the results."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
 
 from planish.cli.main import planish
+from planish.core.results import Results
 from planish.measure.params import MeasureParams
 
 _HEAD = """# Commands
@@ -46,13 +48,24 @@ def with_options(text: str) -> str:
     return head + "## Options\n" + "\n".join(rows) + "\n\n## " + rest.split("\n## ", 1)[1]
 
 
+def schema() -> str:
+    """Return the JSON schema of results.json."""
+    return json.dumps(Results.model_json_schema(), indent=1) + "\n"
+
+
 def main() -> None:
-    """Write the pages into the docs folder of the checkout."""
-    docs = Path(__file__).resolve().parents[3] / "docs"
+    """Write the pages into the docs folder of the checkout, the schema also into the package."""
+    package = Path(__file__).resolve().parents[1]
+    docs = package.parents[1] / "docs"
     properties = (docs / "properties.md").read_text(encoding="utf-8")
-    for name, text in (("cli.md", page()), ("properties.md", with_options(properties))):
-        (docs / name).write_text(text, encoding="utf-8", newline="\n")
-        click.echo(f"{name} written")
+    for path, text in (
+        (docs / "cli.md", page()),
+        (docs / "properties.md", with_options(properties)),
+        (docs / "results.schema.json", schema()),
+        (package / "core" / "results.schema.json", schema()),
+    ):
+        path.write_text(text, encoding="utf-8", newline="\n")
+        click.echo(f"{path.name} written")
 
 
 if __name__ == "__main__":

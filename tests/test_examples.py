@@ -1,0 +1,63 @@
+"""The examples run as they stand, each writes its picture, and docs/examples.md names them all."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+# Those that measure no sheet take a second; the others a quarter of a minute and more.
+QUICK = ("05_", "10_")
+
+
+def run(example, folder, monkeypatch):
+    """Run an example as a script that gets a folder."""
+    plt.switch_backend("agg")
+    monkeypatch.setattr(sys, "argv", [str(example), str(folder)])
+    names = runpy.run_path(str(example), run_name="__main__")
+    plt.close("all")
+    assert [path.stem for path in folder.glob("*.png")] == [example.stem]
+    return names
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_is_short_and_compiles(example):
+    text = example.read_text(encoding="utf-8")
+    compile(text, str(example), "exec")
+    assert len(text.splitlines()) < 90
+    assert f"python examples/{example.name} [FOLDER]" in text
+
+
+def test_the_page_shows_every_example_with_its_picture():
+    text = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
+    assert re.findall(r"\(\.\./examples/(\w+)\.py\)", text) == [path.stem for path in EXAMPLES]
+    assert re.findall(r"\(images/examples/(\w+)\.png\)", text) == [path.stem for path in EXAMPLES]
+    assert sorted(path.stem for path in (ROOT / "docs/images/examples").glob("*.png")) == [p.stem for p in EXAMPLES]
+
+
+@pytest.mark.parametrize("example", [p for p in EXAMPLES if p.stem.startswith(QUICK)], ids=lambda path: path.stem)
+def test_a_quick_example_runs(example, tmp_path, monkeypatch):
+    run(example, tmp_path, monkeypatch)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("example", [p for p in EXAMPLES if not p.stem.startswith(QUICK)], ids=lambda path: path.stem)
+def test_an_example_runs(example, tmp_path, monkeypatch):
+    run(example, tmp_path, monkeypatch)
+
+
+@pytest.mark.study
+def test_the_example_of_a_property_reports_what_it_measured(tmp_path, monkeypatch, capsys):
+    example = next(path for path in EXAMPLES if path.stem.startswith("03_"))
+    maps = run(example, tmp_path, monkeypatch)["main"](tmp_path)
+    assert "Brightness of the base near its faces" in capsys.readouterr().out
+    # the base's filler is denser in its middle: at most some tenths
+    assert 0.7 < float(maps["skin"].mean()) < 1.1
+    assert maps["skin"].attrs["units"] == "1"
+    assert int(maps["skin"].notnull().sum()) > 5000
