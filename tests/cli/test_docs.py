@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from importlib.resources import files
 from pathlib import Path
 
+import pytest
+
 from planish.cli.docs import page, schema, with_options
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted((*ROOT.glob("*.md"), *DOCS.glob("*.md")))
+# Of run.py, of other programs, and of the change that CONTRIBUTING.md shows.
+OTHER = {"--all", "--fix", "--host", "--port", "--cpu-limit", "--coating-above-um"}
 
 
 def test_the_page_is_the_programs_own_help():
@@ -23,3 +30,18 @@ def test_the_published_schema_is_that_of_the_results():
     assert (DOCS / "results.schema.json").read_text(encoding="utf-8") == schema(), "run: python3 run.py docs"
     packed = files("planish.core").joinpath("results.schema.json")
     assert packed.read_text(encoding="utf-8") == schema(), "run: python3 run.py docs"
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
+def test_a_page_links_to_files_that_exist_and_names_options_that_exist(path):
+    text = path.read_text(encoding="utf-8")
+    links = {link for link in re.findall(r"\]\(([^)#\s]+)", text) if not link.startswith("http")}
+    assert {link for link in links if not (path.parent / link).exists()} == set()
+    named = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]+", text))
+    known = set(re.findall(r"--[a-z][a-z0-9-]+", (DOCS / "cli.md").read_text(encoding="utf-8")))
+    assert named <= known | OTHER
+
+
+def test_the_glossary_explains_each_term_once():
+    terms = re.findall(r"\*\*([\w -]+)\*\*", (DOCS / "glossary.md").read_text(encoding="utf-8"))
+    assert len(terms) == len(set(terms)) > 40
