@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,9 +30,6 @@ COLUMN_BYTES = 900
 
 _MAPS = 0.6  # of the memory that the maps may take; the tiles get the rest
 _WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps that are compared with images
-
-Tell = Callable[[str, int, int], None]
-
 
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 _LEAST_BYTES = 2**20
@@ -123,7 +120,7 @@ def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, com
 
 
 @contextmanager
-def engine(compute: Compute, *, kept: Path | None = None, tell: Tell | None = None) -> Generator[Engine]:
+def engine(compute: Compute, *, kept: Path | None = None) -> Generator[Engine]:
     """Give the engine that works on tiles.
 
     Raises
@@ -131,16 +128,15 @@ def engine(compute: Compute, *, kept: Path | None = None, tell: Tell | None = No
     InputError
         If the scheduler cannot be reached, or the library for it is missing.
     """
-    more: dict[str, Any] = {} if tell is None else {"tell": tell}
     memory = int((1 - _MAPS) * compute.memory)
     if compute.scheduler is None:
-        yield Engine(threads=compute.threads, memory_bytes=memory, kept=kept, **more)
+        yield Engine(threads=compute.threads, memory_bytes=memory, kept=kept)
         return
     with _client(compute.scheduler) as client:
         workers = sum(client.ncores().values())
         if not workers:
             raise InputError(f"The scheduler {compute.scheduler} has no workers. Start some with 'dask worker'.")
-        yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, kept=kept, **more)
+        yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, kept=kept)
 
 
 @contextmanager

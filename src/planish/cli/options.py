@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import click
 from pydantic import TypeAdapter, ValidationError
@@ -215,7 +215,6 @@ def existing(name: str) -> Command:
     return click.argument(name, type=click.Path(path_type=Path))
 
 
-def verb(*examples: str, name: str | None = None, group: click.Group | None = None) -> Command:
+def verb(*examples: str, name: str) -> Command:
     """Make a command of a function, with examples at the end of its help."""
-    make = cast("Command", click.command if group is None else group.command)
-    return make(name, cls=Verb, examples=examples)
+    return click.command(name, cls=Verb, examples=examples)

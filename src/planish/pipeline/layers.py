@@ -129,10 +129,8 @@ def find_holes(
     return found.assign_attrs(layer=layer or "image", seen_from=side)
 
 
-def open_layers(
-    study: Study, *, compute: Compute, progress: Progress, kept: Path | None, sheets: dict[str, Sheet]
-) -> list[Layer]:
-    """Read all layers of a study and map its volumes; ``sheets`` are those that were mapped before.
+def open_layers(study: Study, *, compute: Compute, progress: Progress, kept: Path | None) -> list[Layer]:
+    """Read all layers of a study and map its volumes.
 
     Images come first: they are quick, and a missing pixel size or too few holes should not cost the time of a volume.
     """
@@ -149,11 +147,10 @@ def open_layers(
             own = changed(params, image=changed(params.image, pixel_um=pixel))
             found[name] = Layer(params=own, grid=Grid.of(image), source=input_file(image, params.path), image=image)
             continue
-        sheet = sheets.get(name)
-        if sheet is None and params.run is not None:
+        if params.run is not None:
             progress("read", Path(params.run).name)
             sheet = open_run(params.run).sheet()
-        if sheet is None:
+        else:
             inside = None if kept is None else kept / name
             sheet = map_layer(params, compute=compute, progress=progress, kept=inside)
         own = params

@@ -28,7 +28,7 @@ from planish.pipeline.progress import Progress, silent
 from planish.pipeline.refinement import refine_link
 from planish.pipeline.registration import Registration, read_design, register_layers
 from planish.pipeline.run import Run
-from planish.pipeline.sheet import Sheet, changed
+from planish.pipeline.sheet import changed
 from planish.register import Chain
 from planish.resample import resample_maps
 from planish.study import Study
@@ -49,9 +49,8 @@ class _Link:
 
 
 def link_study(
-    study: Study, *, compute: Compute | None = None, progress: Progress = silent, kept: Path | None = None,
-    sheets: dict[str, Sheet] | None = None,
-) -> Run:  # fmt: skip
+    study: Study, *, compute: Compute | None = None, progress: Progress = silent, kept: Path | None = None
+) -> Run:
     """Register layers to the last one, bring all onto its pixels, and correlate them in pairs.
 
     Parameters
@@ -61,8 +60,6 @@ def link_study(
     compute, progress
     kept : Path, optional
         Folder for the results of single tiles of volumes that are mapped.
-    sheets : dict of Sheet, optional
-        Sheets that were mapped before, by the name of their layer.
 
     Raises
     ------
@@ -71,7 +68,7 @@ def link_study(
     """
     compute = compute or Compute()
     read_design(study.registration)  # what is wrong with it should not cost the time of a volume
-    layers = open_layers(study, compute=compute, progress=progress, kept=kept, sheets=sheets or {})
+    layers = open_layers(study, compute=compute, progress=progress, kept=kept)
     links = _registered(layers, study, progress)
     reference = layers[-1]
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")

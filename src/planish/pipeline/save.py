@@ -23,9 +23,8 @@ from planish.study import Study, to_dict, write_study
 
 
 def run_study(
-    study: Study, out: Path | None = None, *, compute: Compute | None = None, progress: Progress = silent,
-    sheets: dict[str, Sheet] | None = None,
-) -> Run:  # fmt: skip
+    study: Study, out: Path | None = None, *, compute: Compute | None = None, progress: Progress = silent
+) -> Run:
     """Do what a study says, and write the run folder ``out`` where it is given.
 
     A run that was killed goes on where it stood when it is started again.
@@ -39,8 +38,6 @@ def run_study(
         What the run may use.
     progress : callable, optional
         Called with the name of a stage and a few words.
-    sheets : dict of Sheet, optional
-        Sheets that were mapped before, by the name of their layer.
 
     Raises
     ------
@@ -50,28 +47,24 @@ def run_study(
     compute = compute or Compute()
     with limit_threads(compute.threads):
         if out is None:
-            return _done(study, sheets, compute=compute, progress=progress, kept=None)
-        return _written(study, sheets, out, compute=compute, progress=progress)
+            return _done(study, compute=compute, progress=progress, kept=None)
+        return _written(study, out, compute=compute, progress=progress)
 
 
-def _written(
-    study: Study, sheets: dict[str, Sheet] | None, out: Path, *, compute: Compute, progress: Progress
-) -> Run:  # fmt: skip
+def _written(study: Study, out: Path, *, compute: Compute, progress: Progress) -> Run:
     refuse_existing(out)
     key = run_key(to_dict(study), [_hash(layer.path) for layer in study.layers])
     with work_folder(out, key) as work:
-        run = _done(study, sheets, compute=compute, progress=progress, kept=work / "tiles")
+        run = _done(study, compute=compute, progress=progress, kept=work / "tiles")
         progress("write", str(out))
         with new_folder(out, inside=work) as folder:
             save_run(run, folder, home=out)
         return run
 
 
-def _done(
-    study: Study, sheets: dict[str, Sheet] | None, *, compute: Compute, progress: Progress, kept: Path | None
-) -> Run:  # fmt: skip
+def _done(study: Study, *, compute: Compute, progress: Progress, kept: Path | None) -> Run:
     if len(study.layers) > 1:
-        return link_study(study, compute=compute, progress=progress, kept=kept, sheets=sheets)
+        return link_study(study, compute=compute, progress=progress, kept=kept)
     return run_of_sheet(map_layer(study.reference, compute=compute, progress=progress, kept=kept), study)
 
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypedDict, Unpack
 from html import escape
+from typing import TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -127,7 +127,9 @@ class Axes:
         """Write a text whose base line begins, ends or has its middle at a place, moved by some pixels."""
         size, colour, halo = style.get("size", BIG), style.get("colour", INK), style.get("halo", "")
         left, top = (_n(v) for v in self.place((x, y))[0] + shift)
-        more = (' font-weight="600"' if style.get("bold") else "") + (f' text-anchor="{anchor}"' if anchor != "start" else "")
+        more = (' font-weight="600"' if style.get("bold") else "") + (
+            f' text-anchor="{anchor}"' if anchor != "start" else ""
+        )
         more += f' transform="rotate(-90 {left} {top})"' if upwards else ""
         more += f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"' if halo else ""
         self._parts.append(
