@@ -121,7 +121,7 @@ def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, tmp_path
     stop(
         planish("link", path, specimen_files[1], "-o", tmp_path / "run"),
         3,
-        "in the volume",
+        "in the sheet",
         "hole",
         out=tmp_path / "run",
     )

@@ -11,7 +11,7 @@ from planish.analyze.params import CorrelateParams
 from planish.cli.options import given, options, stack
 from planish.cli.show import finish, stages
 from planish.compute import Compute
-from planish.core.errors import InputError
+from planish.core.errors import StudyError
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
@@ -51,7 +51,7 @@ def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain:
             sections["registration"][name] = str(Path(path).absolute())
     try:
         return study_of(layers, sections, chain=chain)
-    except InputError as error:
+    except StudyError as error:
         raise click.UsageError(str(error)) from error
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from planish.compute import Compute
-from planish.core.errors import InputError
+from planish.core.errors import StudyError
 from planish.core.options import Params
 from planish.io import find_place
 from planish.io.info import is_image
@@ -98,7 +98,7 @@ def link(
     ``run = pl.link("volume.tif", "image.tif", out="run", image={"side": "bottom"})``
     """
     if len(layers) < 2:
-        raise InputError("Something to link it to is missing: give two layers or more, the reference last.")
+        raise StudyError("Something to link it to is missing: give two layers or more, the reference last.")
     return run_study(study_of(layers, sections, chain=chain), _path(out), compute=compute, progress=progress)
 
 
@@ -107,23 +107,23 @@ def study_of(layers: Sequence[str | Path], sections: Mapping[str, Section], *, c
 
     Raises
     ------
-    InputError
+    StudyError
         If an option is unknown, out of range, or means nothing for these layers; all faults are named.
     """
     options = {k: v.model_dump() if isinstance(v, Params) else dict(v) for k, v in sections.items()}
     known = ("volume", "image", *_OF_A_VOLUME, *_OF_THE_LINK)
     if unknown := sorted(set(options) - set(known)):
-        raise InputError(f"There is no group of options called {', '.join(unknown)}; there are {', '.join(known)}.")
+        raise StudyError(f"There is no group of options called {', '.join(unknown)}; there are {', '.join(known)}.")
     parts = [_named(str(text)) for text in layers]
     kinds: list[Kind] = [kind_of(path) for _, path in parts]
     names = _all_names(parts, kinds)
     if "volume" not in kinds and (unused := _only_of_volumes(options)):
-        raise InputError(
+        raise StudyError(
             f"{', '.join(unused)}: for volumes only, and {', '.join(p.name for _, p in parts)} is none. A run keeps "
             "the options that it was made with; map the volume again to change them."
         )
     if len(kinds) > 2 and options.get("registration", {}).get("marks"):
-        raise InputError(
+        raise StudyError(
             "--marks holds pairs of two layers, but more are given. Write them into a study file (docs/linking.md)."
         )
     try:
@@ -132,7 +132,7 @@ def study_of(layers: Sequence[str | Path], sections: Mapping[str, Section], *, c
         return Study.model_validate({"layers": found, "chain": chain, **more})
     except ValidationError as error:
         faults = "; ".join(f"{_place(e['loc'])}{e['msg'].removeprefix('Value error, ')}" for e in error.errors())
-        raise InputError(faults) from error
+        raise StudyError(faults) from error
 
 
 def _only_of_volumes(options: Mapping[str, dict[str, Any]]) -> list[str]:
@@ -180,7 +180,7 @@ def _named(text: str) -> tuple[str | None, Path]:
     if _NAME.fullmatch(name):
         return name, Path(rest)
     if Path(rest).exists():
-        raise InputError(
+        raise StudyError(
             f"{name!r} is no name of a layer: letters from A to Z, digits, - and _ are possible, at most 40."
         )
     return None, Path(text)

@@ -206,5 +206,5 @@ def check_enough(plane: HolePlane, hole_um: tuple[float, float]) -> None:
     raise CannotRegister(
         f"{what} found in the {plane.name}{' at' + at if at else ''}; at least 3 are needed, and 4 to notice a wrong "
         f"match. Searched for round holes of {hole_um[0]:g} to {hole_um[1]:g} um (--hole-um). Check the "
-        f"{'voxel' if plane.name == 'volume' else 'pixel'} size, or give pairs of points with --marks."
+        "voxel and pixel sizes, or give pairs of points with --marks."
     )
