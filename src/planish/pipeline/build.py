@@ -27,14 +27,14 @@ _OF_THE_LINK = ("holes", "registration", "correlate")
 
 
 def map_sheet(
-    volume: str | Path, *, out: str | Path | None = None, compute: Compute | None = None, progress: Progress = silent,
+    path: str | Path, /, *, out: str | Path | None = None, compute: Compute | None = None, progress: Progress = silent,
     **sections: Section,
 ) -> Run:  # fmt: skip
     """Map the sheet in a volume: flattened maps of all properties.
 
     Parameters
     ----------
-    volume : path
+    path : path
         File, folder of slices or sections, or store.
     out : path, optional
         Run folder to make.
@@ -59,7 +59,7 @@ def map_sheet(
     --------
     ``run = pl.map_sheet("volume.tif", out="run", volume={"voxel_um": (3, 3, 3)})``
     """
-    study = study_of([volume], sections)
+    study = study_of([path], sections)
     return run_study(study, _path(out), compute=compute, progress=progress)
 
 
@@ -115,7 +115,7 @@ def study_of(layers: Sequence[str | Path], sections: Mapping[str, Section], *, c
     if unknown := sorted(set(options) - set(known)):
         raise StudyError(f"There is no group of options called {', '.join(unknown)}; there are {', '.join(known)}.")
     parts = [_named(str(text)) for text in layers]
-    kinds: list[Kind] = [kind_of(path) for _, path in parts]
+    kinds: list[Kind] = [kind_of(path) if len(parts) > 1 else "volume" for _, path in parts]
     names = _all_names(parts, kinds)
     if "volume" not in kinds and (unused := _only_of_volumes(options)):
         raise StudyError(
