@@ -34,12 +34,12 @@ def wall(shared_data, tmp_path_factory):
         main([str(a) for a in [*arguments, "--out", out]])
     assert end.value.code == 0
     with xr.open_datatree(out / "maps.zarr", engine="zarr") as tree:
-        return json.loads((out / "results.json").read_text()), tree.load()
+        return json.loads((out / "results.json").read_text())["layers"][0]["sheet"], tree.load()
 
 
 def test_wall_thickness(wall):
     results, _ = wall
-    median = results["properties"]["thickness"]["median_um"]
+    median = results["properties"]["thickness"]["median"]
     print(f"thickness of the wall: median {median:.2f} px; measured independently 6.6 px")
     assert median == pytest.approx(6.6, abs=0.3)
 
