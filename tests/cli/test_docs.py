@@ -45,3 +45,21 @@ def test_a_page_links_to_files_that_exist_and_names_options_that_exist(path):
 def test_the_glossary_explains_each_term_once():
     terms = re.findall(r"\*\*([\w -]+)\*\*", (DOCS / "glossary.md").read_text(encoding="utf-8"))
     assert len(terms) == len(set(terms)) > 40
+
+
+def test_the_changes_that_contributing_shows_still_fit():
+    blocks = re.findall(r"```diff\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) == 3
+    for block in blocks:
+        parts = re.findall(r"^--- (\S+)\n\+\+\+ b/(\S+)\n(.*?)(?=^--- |\Z)", block, re.DOTALL | re.MULTILINE)
+        assert len(parts) == 2, "two files each"
+        for old, name, hunks in parts:
+            if old == "/dev/null":
+                lines = [line[1:] for line in hunks.splitlines() if line.startswith("+")]
+                compile("\n".join(lines), name, "exec")
+                assert not (ROOT / name).exists()
+                continue
+            text = (ROOT / name).read_text(encoding="utf-8")
+            for hunk in re.split(r"^@@.*@@.*\n", hunks, flags=re.MULTILINE)[1:]:
+                before = [line[1:] for line in hunk.splitlines() if not line.startswith("+")]
+                assert "\n".join(before) in text, f"{name}: write this diff anew"
