@@ -54,10 +54,10 @@ def test_a_scan_across_the_axis_of_rotation_keeps_its_hand(tmp_path):
 @pytest.mark.study
 def test_sections_are_aligned_and_joined(tmp_path):
     specimen, _, run, ledger = _link(PARAMS, "sections", tmp_path)
-    told = run.results.layers[0].sheet.sections
-    assert told["count"] == specimen.poses.index.size
-    assert told["missing"] == 191 - specimen.poses.index.size
-    assert told["not_aligned"] == 0
+    facts = run.results.layers[0].sheet.sections
+    assert facts.count == specimen.poses.index.size
+    assert facts.missing == 191 - specimen.poses.index.size
+    assert facts.not_aligned == 0
     assert not run.results.layers[0].registration.mirrored
     assert ledger["tre_p95"] < 8.0
     assert abs(ledger["pixel_coating_top_bias"]) < 0.3
@@ -65,9 +65,9 @@ def test_sections_are_aligned_and_joined(tmp_path):
     assert np.all(np.diff(sections["position"]) > 0)
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "sections were aligned to their neighbours" in page
-    assert "sections fit to their neighbours" in page
-    # 1.5 um of jitter are taken off; what was put on is told
-    assert 1.0 < told["shift_row_rms_um"] < 2.2
+    assert "sections fit their neighbours" in page
+    # 1.5 um of jitter are taken off; what was put on is stated
+    assert 1.0 < facts.shift_row_rms_um < 2.2
 
 
 def test_sections_cannot_be_looked_at_from_above(tmp_path):

@@ -47,7 +47,10 @@ def test_the_files_of_planish_0_1_are_read():
     several = as_study(
         {
             "layers": [
-                {"name": "ct", "map": {"volume": {"path": "v.tif"}, "flatten": {"rest": "chord"}}, "marks": "pairs.csv"},
+                {
+                    "name": "ct", "marks": "pairs.csv",
+                    "map": {"volume": {"path": "v.tif"}, "flatten": {"rest": "chord"}},
+                },
                 {"name": "lm", "run": "lm"},
             ],
             "chain": False, "rim_um": 100.0, "registration": {"hole_um": [100.0, 300.0]},

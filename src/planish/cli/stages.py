@@ -18,12 +18,12 @@ from planish.cli.sections import (
     hole_options,
     image_options,
     property_options,
-    registration_options,
     surface_options,
     volume_options,
 )
 from planish.core.results import Side
 from planish.flatten.params import FlattenParams
+from planish.register.params import RegistrationParams
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -194,15 +194,15 @@ def holes(image: Path, out: Path, **values: Any) -> None:
     from planish.marks import HoleParams, write_holes
     from planish.pipeline import find_holes
 
-    table = out.with_suffix(".csv")
-    for path in (out, table):
+    files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
+    for path in files:
         refuse_existing(path)
     asked = given(values, "image")
     side: Side = asked.get("side", "top")
     size = {k: v for k, v in asked.items() if k in ("pixel_um", "channel", "override_size")}
     shown = _read(image, "maps", "'planish resample'") if image.is_dir() else read_image(image, **size)
     found = find_holes(shown, params=HoleParams(**given(values, "holes")), side=side)
-    for path in (out, table):
+    for path in files:
         write_holes(found, path)
     click.echo(f"{out}: {found.sizes['mark']} holes")
 
@@ -212,13 +212,12 @@ def holes(image: Path, out: Path, **values: Any) -> None:
 @existing("moving")
 @existing("fixed")
 @out_option("JSON file to make; a table of the pairs, .csv, is made beside it.")
-@registration_options
+@options(RegistrationParams, "registration", "Marks and registration", without=("marks", "refine"))
 def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     """Match the holes in MOVING and FIXED, two files of 'planish holes', and fit the transformation."""
     from planish.io.run_folder import refuse_existing
     from planish.marks import read_holes, write_marks
     from planish.pipeline import register_marks
-    from planish.register import RegistrationParams
 
     table = out.with_suffix(".csv")
     for path in (out, table):

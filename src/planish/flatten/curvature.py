@@ -65,7 +65,7 @@ class CurvatureCheck:
                 f"and paper carries {limit}."
             )
         return (
-            f"On {100 * self.share:.2g} % of the surface {patch} would have to be strained by more than {limit}, by up "
+            f"On {100 * self.share:.3g} % of the surface {patch} would have to be strained by more than {limit}, by up "
             f"to {largest}, to be flat, and paper does not carry that: look for slices that drift or jitter, and for "
             "errors of the segmentation."
         )
