@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 import xarray as xr
 
 import planish as pl
@@ -130,3 +131,24 @@ def test_changed_marks_ask_for_a_new_registration(planish, linked_run, specimen_
     assert code == 3
     assert "changed after the registration" in err
     assert not (tmp_path / "linked.zarr").exists()
+
+
+def test_a_registration_of_another_image_is_refused(planish, linked_run, specimen_files, tmp_path):
+    maps = linked_run / "maps.zarr"
+    small = tmp_path / "small.tif"
+    tifffile.imwrite(small, tifffile.imread(specimen_files[1])[:60, :60])
+    arguments = (maps, maps, "--onto", small, "--pixel-um", "5", "--registration", linked_run / "marks.json")
+    code, _, err = planish("resample", *arguments, "-o", tmp_path / "linked.zarr")
+    assert code == 3
+    assert "lie beside the image" in err
+    assert not (tmp_path / "linked.zarr").exists()
+
+
+def test_marks_in_a_volume_do_not_link_two_images(planish, specimen_files, tmp_path):
+    rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um"]
+    rows += [f"h{k},{x},{y},100,{x},{y}" for k, (x, y) in enumerate([(300, 300), (800, 350), (500, 700), (900, 600)])]
+    (tmp_path / "m.csv").write_text("\n".join(rows))
+    files = (f"a={specimen_files[1]}", f"b={specimen_files[1]}")
+    code, _, err = planish("link", *files, "--marks", tmp_path / "m.csv", "-o", tmp_path / "run")
+    assert code == 3
+    assert "places in a volume" in err

@@ -1,1 +1,1 @@
-"""TODO."""
+"""What all stages share: errors, grids, transforms, options, results, tables, threads. It imports no stage."""

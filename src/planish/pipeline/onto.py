@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.errors import CannotRegister
+from planish.core.errors import CannotRegister, MarkError
 from planish.core.grid import Grid
 from planish.core.results import Side
 from planish.marks import cut_holes, hole_mask
@@ -156,6 +156,7 @@ def linked_maps(
         All properties, where in the volume each pixel lies, ``image``, ``expected_error`` in um, and ``valid``:
         measured, and away from holes and their rims.
     """
+    _refuse_other_image(registration, Grid.of(onto))
     chain = Chain(fits=(registration.fit,))
     rim_um = float(measured.attrs["rim_um"])
     circles = (
@@ -165,6 +166,18 @@ def linked_maps(
     parts = {"sheet": Placed(shown=FlatSheet(measured=measured, flat=flat), chain=chain), "image": Placed(shown=onto)}
     maps, _ = on_reference(parts, circles, Grid.of(onto))
     return merged(maps["sheet"], maps["image"])
+
+
+def _refuse_other_image(registration: Registration, grid: Grid) -> None:
+    """Marks beside the image show that the registration belongs to another one, or its pixels have another size."""
+    (x, y), fixed, pixel = grid.origin_um, registration.fit.fixed, max(grid.pixel_um)
+    least, most = np.array([x, y]) - pixel, np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel
+    beside = int(np.count_nonzero(((fixed < least) | (fixed > most)).any(axis=1)))
+    if beside:
+        raise MarkError(
+            f"{beside} of {len(fixed)} marks of the registration lie beside the image. It belongs to another image, or "
+            "the pixel size is another one: give the image that was registered."
+        )
 
 
 def headline_of(maps: xr.Dataset, side: Side = "top") -> str:

@@ -270,7 +270,11 @@ def read_given(path: str, moving: Layer, fixed: Layer) -> xr.Dataset:
 
 def _volume_to_map(marks: xr.Dataset, layer: Layer) -> xr.Dataset:
     """Marks that were set in the volume, on the flat map of its sheet."""
-    assert layer.sheet is not None
+    if layer.sheet is None:
+        raise MarkError(
+            f"The marks have places in a volume, and {layer.name} is an image. Give marks with places in both images "
+            "(moving_x_um, moving_y_um), or the volume."
+        )
     measured, flat = layer.sheet.groups["surfaces"], layer.sheet.groups["flat"]
     frame = Frame.of(measured)
     points = np.stack([marks[f"volume_{axis}"].values for axis in (frame.cols, frame.rows)], axis=1)
