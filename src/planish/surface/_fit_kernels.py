@@ -32,15 +32,16 @@ _TABLE = ndtr(np.arange(-_LAST * _PER_SIGMA, _LAST * _PER_SIGMA + 2) / _PER_SIGM
 
 @njit(cache=True, nogil=True, inline="always")
 def _step(x):
-    """Return the normal distribution and its density: the table's own slope."""
+    """Return the normal distribution and its density: the table's slope there, bent as the density is between nodes."""
     t = (x + _LAST) * _PER_SIGMA
     if t <= 0.0:
         return 0.0, 0.0
     if t >= 2.0 * _LAST * _PER_SIGMA:
         return 1.0, 0.0
     i = int(t)
+    share = t - i
     rise = _TABLE[i + 1] - _TABLE[i]
-    return _TABLE[i] + (t - i) * rise, rise * _PER_SIGMA
+    return _TABLE[i] + share * rise, rise * (_PER_SIGMA - x * (share - 0.5))
 
 
 @njit(cache=True, nogil=True)
