@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,6 +24,14 @@ from planish.core.tiles import Engine
 
 if TYPE_CHECKING:
     import xarray as xr
+
+Progress = Callable[[str, str], None]
+"""How a run reports what it does: called with the name of a stage and a few words."""
+
+
+def silent(_stage: str, _detail: str) -> None:
+    """Report nothing."""
+
 
 COLUMN_BYTES = 900
 """What a measured column takes at the peak: heights, properties, coordinates, map pixels, and the work on them."""
@@ -132,15 +140,6 @@ def engine(compute: Compute, *, kept: Path | None = None) -> Generator[Engine]:
     if compute.scheduler is None:
         yield Engine(threads=compute.threads, memory_bytes=memory, kept=kept)
         return
-    with _client(compute.scheduler) as client:
-        workers = sum(client.ncores().values())
-        if not workers:
-            raise InputError(f"The scheduler {compute.scheduler} has no workers. Start some with 'dask worker'.")
-        yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, kept=kept)
-
-
-@contextmanager
-def _client(address: str) -> Generator[Any]:
     try:
         from distributed import Client
     except ImportError as error:
@@ -148,16 +147,17 @@ def _client(address: str) -> Generator[Any]:
             '--scheduler needs the library distributed, which is not installed. Run: pip install "planish[cluster]"'
         ) from error
     try:
-        client = Client(address, timeout="10s", set_as_default=False)
+        opened: Any = Client(compute.scheduler, timeout="10s", set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(
-            f"No scheduler answers at {address}: {error}. Start one with 'dask scheduler' and give the address that "
-            "it prints."
+            f"No scheduler answers at {compute.scheduler}: {error}. Start one with 'dask scheduler' and give the "
+            "address that it prints."
         ) from error
-    try:
-        yield client
-    finally:
-        client.close()
+    with opened as client:
+        workers = sum(client.ncores().values())
+        if not workers:
+            raise InputError(f"The scheduler {compute.scheduler} has no workers. Start some with 'dask worker'.")
+        yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, kept=kept)
 
 
 def run_key(study: dict[str, Any], fingerprints: list[str]) -> str:

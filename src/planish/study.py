@@ -190,7 +190,7 @@ def to_dict(study: Study) -> dict[str, Any]:
     return data
 
 
-def with_paths(params: P, change: Callable[[str], str]) -> P:
+def with_paths(params: P, change: Callable[[str], str | None]) -> P:
     """Change all paths of a study: those of the files that it reads."""
     update: dict[str, Any] = {}
     for name in type(params).model_fields:

@@ -15,8 +15,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from rich.table import Table
 
 if TYPE_CHECKING:
+    from planish.compute import Progress as Tell
     from planish.core.results import LayerFacts, Results, SheetFacts
-    from planish.pipeline import Progress as Tell
     from planish.pipeline import Run
 
 

@@ -57,8 +57,8 @@ def _read(path: Path, group: str, needed: str) -> xr.Dataset:
 def _volume(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, Any]:
     """A volume of any kind, and how it lies."""
     from planish.cli.sections import compute_from
+    from planish.compute import silent
     from planish.io.params import VolumeParams
-    from planish.pipeline.progress import silent
     from planish.pipeline.volume import read_sheet_volume
 
     params = VolumeParams(path=str(path.absolute()), **given(values, "volume"))

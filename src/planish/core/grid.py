@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.errors import SizeError
+from planish.core.errors import SizeError, SurfaceError
 
 Array = NDArray[np.float64]
 
@@ -77,6 +77,17 @@ class Grid:
 def pitch(data: xr.Dataset | xr.DataArray) -> tuple[float, float]:
     """Distance of the rows and of the columns of maps (y, x), or (v, u), in um."""
     return Grid.of(data).pixel_um
+
+
+def check_same_grid(first: xr.Dataset, second: xr.Dataset) -> None:
+    """Raise SurfaceError unless both datasets stand on the same columns of the same volume."""
+    for axis in ("y", "x"):
+        a, b = first[axis].values, second[axis].values
+        if a.shape != b.shape or not np.allclose(a, b, rtol=0, atol=1e-6):
+            raise SurfaceError(
+                f"The two stores stand on different columns: {a.size} and {b.size} along {axis}. Make both from the "
+                "same surfaces."
+            )
 
 
 def bilinear(field: NDArray[Any], row: Array, col: Array) -> Array:

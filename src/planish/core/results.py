@@ -22,15 +22,26 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def _all_finite(values: Any) -> Any:
+    return None if values is None or not all(map(math.isfinite, values)) else tuple(map(float, values))
+
+
 Number = Annotated[float | None, BeforeValidator(_finite)]
 Pair = tuple[float, float]
+KnownPair = Annotated[Pair | None, BeforeValidator(_all_finite)]
 Side = Literal["top", "bottom"]
 
 
 class Facts(BaseModel):
-    """A frozen part of the results; it can be made of the object of a stage that has the same attributes."""
+    """A frozen part of the results."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, from_attributes=True, protected_namespaces=())
+
+    @classmethod
+    def of(cls, *sources: object, **own: Any) -> Self:
+        """Take what is not given from objects of stages, the first that has an attribute of the field's name."""
+        found = {k: getattr(s, k) for s in reversed(sources) for k in cls.model_fields if hasattr(s, k)}
+        return cls.model_validate(found | own)
 
 
 class Gate(Facts):
@@ -293,7 +304,7 @@ class LagTile(Facts):
 
     x: float
     y: float
-    lag_um: Pair | None
+    lag_um: KnownPair
     distinct: bool
 
 
@@ -301,8 +312,8 @@ class LagFacts(Facts):
     """What two maps say of their registration by their own texture; a check, and no gate."""
 
     property: str
-    lag_um: Pair | None
-    se_um: Pair | None
+    lag_um: KnownPair
+    se_um: KnownPair
     length_um: Number
     length_se_um: Number
     r: Number
@@ -317,7 +328,7 @@ class LagFacts(Facts):
     n: int
     reach_um: float
     split_um: Number
-    lags_of_bands_um: tuple[Pair | None, ...]
+    lags_of_bands_um: tuple[KnownPair, ...]
     tile_um: Number
     tiles: tuple[LagTile, ...]
 

@@ -1,7 +1,8 @@
 from .build import link as link
 from .build import map_sheet as map_sheet
+from .compare import correlate_maps as correlate_maps
 from .layers import find_holes as find_holes
-from .progress import Progress as Progress
+from .onto import resample_maps as resample_maps
 from .registration import Registration as Registration
 from .registration import register_marks as register_marks
 from .run import Run as Run
@@ -9,7 +10,4 @@ from .run import is_run as is_run
 from .run import open_run as open_run
 from .save import run_study as run_study
 from .save import save_run as save_run
-from .steps import correlate_maps as correlate_maps
-from .steps import resample_maps as resample_maps
-from .volume import join_sections as join_sections
 from .volume import read_whole as read_whole

@@ -9,13 +9,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from planish.compute import Compute
+from planish.compute import Compute, Progress, silent
 from planish.core.errors import StudyError
 from planish.core.options import Params
 from planish.io import find_place
 from planish.io.info import is_image
 from planish.io.sections import is_section_folder
-from planish.pipeline.progress import Progress, silent
 from planish.pipeline.run import Run, is_run
 from planish.pipeline.save import run_study
 from planish.study import Kind, LayerParams, Study

@@ -1,24 +1,22 @@
-"""Layers on one grid against each other: correlation, differences of equal quantities, lag, ways of registering."""
+"""Layers on one grid against each other: correlation, differences of equal quantities, lag, other registrations."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.analyze import Correlation, correlate, correlate_at, masked_lag
-from planish.core.checks import is_property
+from planish.analyze import CorrelateParams, Correlation, Lag, correlate, correlate_at, masked_lag
 from planish.core.errors import MarkError, SizeError
 from planish.core.grid import Grid, pitch, values_at
-from planish.core.results import ComparisonRow, CorrelationRow, LagFacts, Side
+from planish.core.results import ComparisonRow, CorrelationRow, LagFacts, LagTile, Side
 from planish.measure import PROPERTIES
-from planish.pipeline.facts import lag_facts
-from planish.pipeline.onto import FlatSheet, headline_of
-from planish.pipeline.registration import Registration
-from planish.register import fit_transform
+from planish.register import FittedTransform, fit_transform
 from planish.resample import find_places, resample
 
 Array = NDArray[np.float64]
@@ -32,10 +30,16 @@ WAYS = (
     ("projection, similarity", ("projected_u", "projected_v"), "similarity"),
     ("flattened, similarity", ("u", "v"), "similarity"),
 )
-"""Ways of bringing a sheet to an image that the paper compares: name, coordinates, model."""
+"""Registrations of a sheet to an image that the paper compares: name, coordinates, model."""
 
 
-def maps_to_correlate(maps: xr.Dataset) -> list[str]:
+def is_property(data: xr.DataArray) -> bool:
+    """Whether a map is a measured property; standard errors, places and masks are none."""
+    attrs = data.attrs
+    return attrs.get("role") == "property" or ("support_um" in attrs and not str(data.name).endswith("_se"))
+
+
+def _maps_to_correlate(maps: xr.Dataset) -> list[str]:
     """The maps of a layer that are correlated: its image, or all properties but angles and standard errors."""
     if "image" in maps and "thickness" not in maps:
         return ["image"]
@@ -45,42 +49,67 @@ def maps_to_correlate(maps: xr.Dataset) -> list[str]:
     return sorted(found, key=lambda name: (usual.index(name) if name in usual else len(usual), name))
 
 
-def correlate_layers(
-    a: str, b: str, maps: dict[str, xr.Dataset], point_um: float
-) -> Iterator[CorrelationRow]:  # fmt: skip
+def correlate_maps(
+    linked: xr.Dataset, *, params: CorrelateParams | None = None, names: tuple[str, str] = ("sheet", "image")
+) -> tuple[CorrelationRow, ...]:  # fmt: skip
+    """Correlate every property with the image, per pixel and over larger points.
+
+    Parameters
+    ----------
+    linked : Dataset (y, x)
+        Linked maps of :func:`planish.resample_maps`.
+    params : CorrelateParams, optional
+    names : (str, str)
+        What the rows call the two layers.
+
+    Returns
+    -------
+    tuple of CorrelationRow
+        As ``results.correlations`` of a run.
+    """
+    params = params or CorrelateParams()
+    layers = {names[0]: linked.drop_vars("image"), names[1]: linked[["image", "valid"]]}
+    return tuple(correlate_layers(*names, layers, params.point_um))
+
+
+def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: float) -> Iterator[CorrelationRow]:
     """Correlate two layers point by point, per pixel and over larger points.
 
     Two sheets: the same properties, with their differences. A sheet and an image: every property with the image.
     """
     first, second = maps[a], maps[b]
-    names = [maps_to_correlate(data) for data in (first, second)]
-    sheets = ["image" not in n for n in names]
-    pairs = [(n, n) for n in names[0] if n in names[1]] if all(sheets) else [(m, n) for m in names[0] for n in names[1]]
-    valid = first["valid"].values & second["valid"].values
-    pixel = Grid.of(first).pixel_um
-    for of_a, of_b in pairs:
-        p, q = (np.where(valid, d[n].values.astype(np.float64), np.nan) for d, n in ((first, of_a), (second, of_b)))
-        if not (np.isfinite(p) & np.isfinite(q)).any():
-            continue
-        fine = correlate(p, q, point_um=float(np.sqrt(pixel[0] * pixel[1])))
-        coarse, *means = correlate_at(p, q, pixel_um=pixel, point_um=point_um)
-        for found, (u, v) in ((fine, (p, q)), (coarse, means)):
-            row = CorrelationRow(a=a, a_map=of_a, b=b, b_map=of_b, **_numbers(found))
-            yield _with_differences(row, u, v, str(first[of_a].attrs.get("units", "1"))) if all(sheets) else row
+    names = [_maps_to_correlate(data) for data in (first, second)]
+    sheets = all("image" not in n for n in names)
+    for of_a, of_b in [(n, n) for n in names[0] if n in names[1]] if sheets else product(*names):
+        p, q = _valid(first, second, of_a, of_b)
+        if (np.isfinite(p) & np.isfinite(q)).any():
+            for found, u, v in _at_both_sizes(p, q, Grid.of(first).pixel_um, point_um):
+                more = _differences(u, v, str(first[of_a].attrs.get("units", "1"))) if sheets else {}
+                yield CorrelationRow.of(found, a=a, a_map=of_a, b=b, b_map=of_b, **more)
 
 
-def _numbers(found: Correlation) -> dict[str, Any]:
-    return {k: getattr(found, k) for k in ("n", "r", "r2", "slope", "intercept", "point_um")}
+def _valid(a: xr.Dataset, b: xr.Dataset, of_a: str, of_b: str) -> tuple[Array, Array]:
+    """A map of each of two layers, NaN where one of them is not valid."""
+    valid = a["valid"].values & b["valid"].values
+    p, q = (np.where(valid, d[n].values.astype(np.float64), np.nan) for d, n in ((a, of_a), (b, of_b)))
+    return p, q
 
 
-def _with_differences(row: CorrelationRow, a: Array, b: Array, units: str) -> CorrelationRow:
+def _at_both_sizes(
+    a: Array, b: Array, pixel_um: tuple[float, float], point_um: float
+) -> tuple[tuple[Correlation, Array, Array], ...]:
+    """Correlation per pixel and over larger points, each with the values that it was made of."""
+    fine = correlate(a, b, point_um=float(np.sqrt(pixel_um[0] * pixel_um[1])))
+    return (fine, a, b), correlate_at(a, b, pixel_um=pixel_um, point_um=point_um)
+
+
+def _differences(a: Array, b: Array, units: str) -> dict[str, Any]:
     """Mean and spread of b - a, and the limits of agreement."""
     off = (b - a)[np.isfinite(a) & np.isfinite(b)]
     mean = float(off.mean()) if off.size else None
     sd = float(off.std(ddof=1)) if off.size > 1 else None
     limits = None if mean is None or sd is None else (mean - _LIMITS * sd, mean + _LIMITS * sd)
-    known = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd, "limits": limits, "units": units}
-    return row.model_copy(update=known)
+    return {"same_quantity": True, "difference_mean": mean, "difference_sd": sd, "limits": limits, "units": units}
 
 
 def likeness(a: xr.Dataset, b: xr.Dataset, point_um: float) -> dict[str, float] | None:
@@ -90,13 +119,10 @@ def likeness(a: xr.Dataset, b: xr.Dataset, point_um: float) -> dict[str, float] 
     """
     if "thickness" not in a or "thickness" not in b:
         return None
-    pixel = Grid.of(a).pixel_um
-    valid = a["valid"].values & b["valid"].values
 
     def r(of_a: str, of_b: str) -> float:
-        p, q = (np.where(valid, d[n].values.astype(np.float64), np.nan) for d, n in ((a, of_a), (b, of_b)))
-        coarse = correlate_at(p, q, pixel_um=pixel, point_um=point_um)[0]
-        return coarse.r if coarse.n >= _FEW else correlate(p, q, point_um=point_um).r
+        (fine, *_), (coarse, *_) = _at_both_sizes(*_valid(a, b, of_a, of_b), Grid.of(a).pixel_um, point_um)
+        return coarse.r if coarse.n >= _FEW else fine.r
 
     sides = ("coating_top", "coating_bottom")
     return {
@@ -124,44 +150,60 @@ def lag_of(a: xr.Dataset, b: xr.Dataset, side: Side) -> LagFacts | None:
     return lag_facts(lag, expected_um=float(np.sqrt(np.mean(shown**2))) if shown.size else None, name=name)
 
 
+def lag_facts(lag: Lag, *, expected_um: float | None, name: str) -> LagFacts:
+    """What two maps say of their registration by their own texture.
+
+    Parameters
+    ----------
+    lag : Lag
+        Of the second map against the first.
+    expected_um : float or None
+        Expected error of the registration over the map, rms.
+    name : str
+        The property of the first map.
+    """
+    expected = expected_um if expected_um is not None and math.isfinite(expected_um) else None
+    field = lag.field
+    tiles = () if field is None else tuple(
+        LagTile(x=float(x), y=float(y), lag_um=tuple(found), distinct=bool(distinct))
+        for (x, y), found, distinct in zip(field.at_um, field.lag_um, field.distinct, strict=True)
+    )  # fmt: skip
+    return LagFacts.of(
+        lag, property=name, expected_um=expected, agrees=None if expected is None else lag.agrees(expected),
+        sentence=lag.sentence(expected), tiles=tiles, tile_um=None if field is None else float(field.tile_um),
+    )  # fmt: skip
+
+
 def comparison_rows(
-    linked: xr.Dataset, sheet: FlatSheet, registration: Registration, *, name: str, point_um: float,
+    linked: xr.Dataset, sheet: Mapping[str, xr.Dataset], fit: FittedTransform, *, name: str, point_um: float,
     away: NDArray[np.bool_],
 ) -> Iterator[ComparisonRow]:  # fmt: skip
-    """The headline correlation by the ways that the paper compares, and by the registration of the run.
+    """The headline correlation by the registrations that the paper compares, and by that of the run.
 
-    Least squares of all marks, as in the paper: marks that do not fit are what shows that a way is wrong.
+    Least squares of all marks, as in the paper: marks that do not fit are what shows that a registration is wrong.
     """
-    fit, grid = registration.fit, Grid.of(linked)
-    brightness = linked["image"].values.astype(np.float64)
+    grid, pixel = Grid.of(linked), Grid.of(linked).pixel_um
+    measured, image = sheet["surfaces"], linked["image"].values.astype(np.float64)
+    ways: list[tuple[str, float, Array]] = []
     for title, names, model in WAYS:
-        if model == "similarity" and names == ("u", "v") and fit.model == "similarity":
+        if model == fit.model and names == ("u", "v"):
             continue  # the run's own
-        marks = fit.moving if names == ("u", "v") else _projected(sheet, fit.moving)
+        marks = fit.moving if names == ("u", "v") else values_at(sheet["maps"], names, fit.moving)
+        if not np.isfinite(marks).all():
+            raise MarkError("A mark lies outside the flattened sheet. Remove it from the table of marks.")
         way = fit_transform(marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False)
-        uv = np.stack([sheet.flat[axis].values for axis in names], axis=-1)
-        places = find_places(way.transform(uv), grid, least_um=min(pitch(sheet.measured)))
-        prop = np.where(away, resample(sheet.measured[name].values, places), np.nan)
-        yield from _rows(title, name, way.rms_um, prop, brightness, grid, point_um)
+        uv = np.stack([sheet["flat"][axis].values for axis in names], axis=-1)
+        places = find_places(way.transform(uv), grid, least_um=min(pitch(measured)))
+        ways.append((title, way.rms_um, np.where(away, resample(measured[name].values, places), np.nan)))
     own = np.where(linked["valid"].values, linked[name].values.astype(np.float64), np.nan)
-    yield from _rows(f"flattened, {fit.model}", name, fit.rms_um, own, brightness, grid, point_um)
+    for title, rms_um, values in (*ways, (f"flattened, {fit.model}", fit.rms_um, own)):
+        for found, *_ in _at_both_sizes(values, image, pixel, point_um):
+            yield ComparisonRow.of(found, registration=title, property=name, marks_rms_um=rms_um)
 
 
-def _projected(sheet: FlatSheet, points: Array) -> Array:
-    """Where points of the flat sheet lie in its projection."""
-    assert sheet.maps is not None
-    found = values_at(sheet.maps, ("projected_u", "projected_v"), points)
-    if not np.isfinite(found).all():
-        raise MarkError("A mark lies outside the flattened sheet. Remove it from the table of marks.")
-    return found
-
-
-def _rows(
-    title: str, name: str, rms_um: float, a: Array, b: Array, grid: Grid, point_um: float
-) -> Iterator[ComparisonRow]:  # fmt: skip
-    pixel = grid.pixel_um
-    for found in (
-        correlate(a, b, point_um=float(np.sqrt(pixel[0] * pixel[1]))),
-        correlate_at(a, b, pixel_um=pixel, point_um=point_um)[0],
-    ):
-        yield ComparisonRow(registration=title, property=name, marks_rms_um=rms_um, **_numbers(found))
+def headline_of(maps: xr.Dataset, side: Side = "top") -> str:
+    """The map that stands for a layer: an image itself, the coating of the side that is seen, or the thickness."""
+    if "thickness" not in maps:
+        return "image"
+    coating = f"coating_{side}"
+    return coating if np.isfinite(maps[coating].values).any() else "thickness"

@@ -2,35 +2,41 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.analyze import Lag
-from planish.core.checks import is_property
 from planish.core.results import (
-    CurvatureFacts,
-    DistortionFacts,
     ExpectedError,
     FlattenFacts,
     InputFile,
-    LagFacts,
-    LagTile,
+    LayerFacts,
     LinkedArea,
+    OrientationFacts,
     PropertyFacts,
+    RegistrationFacts,
     SectionFacts,
+    Side,
     SurfaceFacts,
 )
 from planish.flatten import Flattened
 from planish.io import fingerprint
-from planish.study import Study, to_dict
+from planish.pipeline.compare import headline_of, is_property, lag_of
+from planish.pipeline.layers import Layer
+from planish.pipeline.registration import Registration
+from planish.register import Chain, FittedTransform
+from planish.study import Study, to_dict, with_paths
 
-Array = NDArray[np.float64]
+
+class Link(NamedTuple):
+    """How a layer comes to the reference: its registration to the next layer of the path, and all of them composed."""
+
+    path: list[Layer]
+    registration: Registration
+    chain: Chain
 
 
 def versions() -> dict[str, str]:
@@ -86,68 +92,93 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
 def section_facts(sections: xr.Dataset) -> SectionFacts:
     """How serial sections were joined."""
     attrs, aligned = sections.attrs, sections["aligned"].values
-    rms = {axis: float(np.sqrt(np.mean(sections[f"shift_{axis}"].values[aligned] ** 2))) for axis in ("row", "col")}
-    left = [float(v) for v in attrs["jitter_left_um"]]
-    return SectionFacts(
-        kind=attrs["kind"], count=int(aligned.size), not_aligned=int(np.count_nonzero(~aligned)),
-        missing=int(attrs["missing"]), cutoff_um=float(attrs["cutoff_um"]), fixed=tuple(map(str, attrs["fixed"])),
-        pairs_used=int(attrs["pairs_used"]), pairs_refused=int(attrs["pairs_refused"]),
-        gain_sd=float(np.std(sections["gain"].values[aligned])),
-        shift_row_rms_um=rms["row"], shift_col_rms_um=rms["col"],
-        jitter_left_row_um=left[0], jitter_left_col_um=left[1],
-    )  # fmt: skip
+    rms = [float(np.sqrt(np.mean(sections[f"shift_{axis}"].values[aligned] ** 2))) for axis in ("row", "col")]
+    row, col = (float(v) for v in attrs["jitter_left_um"])
+    known = {k: v for k, v in attrs.items() if k in SectionFacts.model_fields}
+    return SectionFacts.model_validate(known | {
+        "count": int(aligned.size), "not_aligned": int(np.count_nonzero(~aligned)),
+        "gain_sd": float(np.std(sections["gain"].values[aligned])), "shift_row_rms_um": rms[0],
+        "shift_col_rms_um": rms[1], "jitter_left_row_um": row, "jitter_left_col_um": col,
+    })  # fmt: skip
 
 
 def flatten_facts(flattened: Flattened) -> FlattenFacts:
     """How the flattening ended and how much it strained the sheet."""
-    f, flat = flattened, flattened.flat
+    outcome, flat = flattened.outcome, flattened.flat
     move = np.hypot(*(flat[a].values - flat[b].values for a, b in (("u", "projected_u"), ("v", "projected_v"))))
-    return FlattenFacts(
-        outcome=f.outcome.name, sentence=f.outcome.value, steps=f.steps, energy_um2=f.energy, mesh_um=f.mesh_um,
-        folded_cells=f.folded_cells, edge_strain_p95=f.edge_strain_p95, edge_strain_max=f.edge_strain_max,
-        method=f.method, springs=f.springs, straight_share=f.straight_share,
-        distortion=DistortionFacts.model_validate(f.distortion), curvature=CurvatureFacts.model_validate(f.curvature),
+    return FlattenFacts.of(
+        flattened, outcome=outcome.name, sentence=outcome.value, energy_um2=flattened.energy,
         largest_move_um=float(np.nanmax(move)),
     )  # fmt: skip
 
 
-def lag_facts(lag: Lag, *, expected_um: float | None, name: str) -> LagFacts:
-    """What two maps say of their registration by their own texture.
-
-    Parameters
-    ----------
-    lag : Lag
-        Of the second map against the first.
-    expected_um : float or None
-        Expected error of the registration over the map, rms.
-    name : str
-        The property of the first map.
-    """
-    expected = expected_um if expected_um is not None and math.isfinite(expected_um) else None
-    tiles = () if lag.field is None else tuple(
-        LagTile(x=float(x), y=float(y), lag_um=_both(found), distinct=bool(distinct))
-        for (x, y), found, distinct in zip(lag.field.at_um, lag.field.lag_um, lag.field.distinct, strict=True)
-    )  # fmt: skip
-    return LagFacts(
-        property=name, lag_um=_both(lag.lag_um), se_um=_both(lag.se_um), length_um=lag.length_um,
-        length_se_um=lag.length_se_um, r=lag.r, r_at_zero=lag.r_at_zero, null_95=lag.null_95, null_99=lag.null_99,
-        silence=lag.silence, agrees=None if expected is None else lag.agrees(expected), expected_um=expected,
-        sentence=lag.sentence(expected), pixel_um=(float(lag.pixel_um[0]), float(lag.pixel_um[1])), n=lag.n,
-        reach_um=float(lag.reach_um), split_um=lag.split_um,
-        lags_of_bands_um=tuple(_both(part) for part in lag.lags_of_bands_um),
-        tile_um=None if lag.field is None else float(lag.field.tile_um), tiles=tiles,
+def layer_facts(layer: Layer, maps: xr.Dataset, reference: xr.Dataset, link: Link | None, side: Side) -> LayerFacts:
+    """What a layer is, how much of the reference it covers, and how it was registered; ``side`` is that which shows."""
+    shown = maps["volume_z" if layer.kind == "sheet" else "image"].values
+    return LayerFacts(
+        name=layer.name, kind=layer.kind, source=layer.source, headline=headline_of(maps, side),
+        share_of_reference=float(np.isfinite(shown).mean()), sheet=layer.facts,
+        registration=None if link is None else _registration_facts(layer, link, maps, reference, side),
     )  # fmt: skip
 
 
-def _both(pair: Sequence[float] | Array) -> tuple[float, float] | None:
-    """A pair of numbers, None unless both are known."""
-    return (float(pair[0]), float(pair[1])) if np.isfinite(pair).all() else None
-
-
-def expected_error_facts(error: Array) -> ExpectedError | None:
-    """Expected error of the pixels of a map; None where no pixel is known."""
+def _registration_facts(
+    layer: Layer, link: Link, maps: xr.Dataset, reference: xr.Dataset, side: Side
+) -> RegistrationFacts:  # fmt: skip
+    found, fit, error = link.registration, link.registration.fit, maps["expected_error"].values
     known = error[np.isfinite(error)]
-    return ExpectedError(median_um=float(np.median(known)), largest_um=float(known.max())) if known.size else None
+    return RegistrationFacts.of(
+        found, fit, fit.transform, to=link.path[1].name, path=tuple(at.name for at in link.path),
+        found_moving=found.count("moving"), found_fixed=found.count("fixed"), matched=len(fit.moving),
+        match_sentence=found.sentence, model_sentence=fit.sentence,
+        expected_error=ExpectedError(median_um=np.median(known), largest_um=known.max()) if known.size else None,
+        rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)), shift_um=tuple(fit.transform.shift_um),
+        orientation=orientation_facts(layer, link.path[1], fit), lag=lag_of(maps, reference, side),
+    )  # fmt: skip
+
+
+def orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> OrientationFacts:
+    """How two registered layers lie on each other: side, hand and machine direction, as given; nothing is guessed."""
+    numbered_back = fit.mirrored != (moving.side != fixed.side)
+    carried = None if moving.md_deg is None else _machine_direction(fit, moving.md_deg)
+    words = [
+        f"Side of the {layer.name} not given; top side assumed (--image-side)."
+        if layer.side_given is None
+        else f"The {layer.name} shows the {layer.side} side of the sheet, as given."
+        for layer in (moving, fixed)
+        if layer.kind == "image"
+    ]
+    if numbered_back:
+        words.append(f"The marks fit mirrored only: the {moving.name} is numbered against the usual sense.")
+    if carried is not None:
+        given = "." if fixed.md_deg is None else f"; {_angle(fixed.md_deg)} was given there."
+        words.append(
+            f"The machine direction lies at {_angle(moving.md_deg)} in the {moving.name} and so at {_angle(carried)} "
+            f"in the {fixed.name}{given}"
+        )
+    elif fixed.md_deg is not None:
+        words.append(
+            f"The machine direction lies at {_angle(fixed.md_deg)} in the {fixed.name}, as given; none was given for "
+            f"the {moving.name}."
+        )
+    else:
+        words.append("Machine direction not given (--md-deg, --image-md-deg).")
+    return OrientationFacts(
+        image_side=fixed.side, side_given=fixed.side_given is not None or fixed.kind == "sheet",
+        mirrored_volume=numbered_back, md_deg_moving=moving.md_deg, md_deg_fixed=fixed.md_deg,
+        md_deg_fixed_from_moving=carried, sentence=" ".join(words),
+    )  # fmt: skip
+
+
+def _machine_direction(fit: FittedTransform, md_deg: float) -> float:
+    """Carry an axis (deg clockwise on screen from x) over to the fixed layer; 0 to 180."""
+    angle = np.deg2rad(md_deg)
+    x, y = fit.transform.matrix() @ (np.cos(angle), np.sin(angle))
+    return float(np.rad2deg(np.arctan2(y, x)) % 180.0)
+
+
+def _angle(deg: float | None) -> str:
+    return f"{(deg or 0.0) % 180.0:.1f}".removesuffix(".0") + "°"
 
 
 def linked_area(linked: xr.Dataset, away: NDArray[np.bool_]) -> LinkedArea:
@@ -164,12 +195,4 @@ def linked_area(linked: xr.Dataset, away: NDArray[np.bool_]) -> LinkedArea:
 
 def parameters(study: Study) -> dict[str, Any]:
     """All parameters but the paths of inputs, which say where files lie and not what was done."""
-    return _without_paths(to_dict(study))
-
-
-def _without_paths(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _without_paths(v) for k, v in value.items() if k not in ("path", "run", "marks")}  # type: ignore[reportUnknownVariableType]
-    if isinstance(value, list):
-        return [_without_paths(v) for v in value]  # type: ignore[reportUnknownVariableType]
-    return value
+    return to_dict(with_paths(study, lambda _: None))

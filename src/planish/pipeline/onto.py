@@ -3,55 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.errors import CannotRegister, MarkError
-from planish.core.grid import Grid
-from planish.core.results import Side
+from planish.core.errors import CannotRegister, InputError, MarkError
+from planish.core.grid import Grid, check_same_grid
 from planish.marks import cut_holes, hole_mask
 from planish.marks.files import holes_of
 from planish.pipeline.registration import Registration
 from planish.register import Chain
-from planish.resample import expected_error, image_attrs, resample_image, resample_maps
+from planish.resample import expected_error, image_attrs, resample_image
+from planish.resample import resample_maps as flat_maps
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 VALID = {"long_name": "Measured, and away from holes and their rims"}
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FlatSheet:
-    """A measured sheet and its flat coordinates (y, x); ``maps`` (v, u) where it is itself the reference."""
-
-    measured: xr.Dataset
-    flat: xr.Dataset
-    maps: xr.Dataset | None = None
-
-
-Shown = FlatSheet | xr.DataArray
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Placed:
-    """What is brought to the reference: a sheet or an image, and how; the reference itself has no chain."""
-
-    shown: Shown
-    chain: Chain | None = None
+Shown = xr.DataArray | Mapping[str, xr.Dataset]
+"""What is brought to the reference: an image, or the groups of a sheet; the maps only where it is the reference."""
 
 
 def on_reference(
-    parts: Mapping[str, Placed], circles: Iterable[Array], grid: Grid, *, memory_bytes: int = 2**31
+    parts: Mapping[str, tuple[Shown, Chain | None]], circles: Iterable[Array], grid: Grid, *,
+    memory_bytes: int = 2**31,
 ) -> tuple[dict[str, xr.Dataset], Mask]:  # fmt: skip
     """Bring sheets and images onto a grid and mark what is valid there.
 
     Parameters
     ----------
-    parts : mapping of name to Placed
+    parts : mapping of name to (image or groups, chain)
+        The reference itself has no chain.
     circles : iterable of ndarray, shape (n, 3): x, y, radius in um
         Holes on the reference, with their burnt rims; see :func:`hole_circles`.
     grid : Grid
@@ -69,29 +53,23 @@ def on_reference(
     away = np.ones(grid.shape, dtype=bool)
     for found in circles:
         away &= ~hole_mask(grid, found[:, :2], found[:, 2])
-    maps = {name: _brought(name, part, grid, memory_bytes) for name, part in parts.items()}
+    maps = {name: _brought(name, *part, grid, memory_bytes) for name, part in parts.items()}
     for name, data in maps.items():
-        known = np.isfinite(data[_measured_where(data)].values) & away
+        known = np.isfinite(data["thickness" if "thickness" in data else "image"].values) & away
         maps[name] = data.assign(valid=(("y", "x"), known, VALID))
     return maps, away
 
 
-def _measured_where(data: xr.Dataset) -> str:
-    return "thickness" if "thickness" in data else "image"
-
-
-def _brought(name: str, part: Placed, grid: Grid, memory_bytes: int) -> xr.Dataset:
-    shown, chain = part.shown, part.chain
+def _brought(name: str, shown: Shown, chain: Chain | None, grid: Grid, memory_bytes: int) -> xr.Dataset:
     if isinstance(shown, xr.DataArray):
         if chain is None:
             return xr.Dataset({"image": (("y", "x"), shown.values, image_attrs(shown))}, coords=grid.coords)
         data = resample_image(shown, grid, chain, memory_bytes=memory_bytes)
     elif chain is None:
-        assert shown.maps is not None
-        maps = shown.maps.rename({"v": "y", "u": "x"})
+        maps = shown["maps"].rename({"v": "y", "u": "x"})
         return maps.drop_vars([n for n in maps.data_vars if str(n).startswith(("projected_", "presence", "valid"))])
     else:
-        data = resample_maps(shown.measured, shown.flat, onto=grid, transform=chain)
+        data = flat_maps(shown["surfaces"], shown["flat"], onto=grid, transform=chain)
     present = data["image" if "image" in data else "u"].values
     if not np.isfinite(present).any():
         raise CannotRegister(
@@ -136,35 +114,59 @@ def merged(sheet: xr.Dataset, image: xr.Dataset) -> xr.Dataset:
     return sheet.assign(image=image["image"], valid=sheet["valid"] & image["valid"]).assign_attrs()
 
 
-def linked_maps(
-    measured: xr.Dataset, flat: xr.Dataset, *, onto: xr.DataArray, registration: Registration
+def resample_maps(
+    measured: xr.Dataset, flat: xr.Dataset, *, onto: xr.DataArray | None = None,
+    registration: Registration | None = None, map_um: float | None = None,
 ) -> xr.Dataset:  # fmt: skip
-    """Bring all maps of a sheet onto the pixels of an image.
+    """Bring a sheet's properties onto a regular grid: of the flat sheet, or the pixels of an image.
+
+    Values are interpolated once, from the columns of the volume to the pixels of the result.
 
     Parameters
     ----------
-    measured, flat : Dataset (y, x)
-        Of :func:`planish.measure_properties` and :func:`planish.flatten_sheet`.
-    onto : DataArray (y, x)
-        An image of :func:`planish.read_image`.
-    registration : Registration
-        From the flat sheet to the image.
+    measured : Dataset (y, x)
+        Of :func:`planish.measure_properties`.
+    flat : Dataset (y, x)
+        Flat coordinates, of :func:`planish.flatten_sheet`.
+    onto : DataArray (y, x), optional
+        An image of :func:`planish.read_image`; with ``registration``.
+    registration : Registration, optional
+        From the flat sheet to the image, of :func:`planish.register_marks`.
+    map_um : float, optional
+        Pixel of the flat maps; the pitch of the columns where not given.
 
     Returns
     -------
-    Dataset (y, x), on the pixels of the image
-        All properties, where in the volume each pixel lies, ``image``, ``expected_error`` in um, and ``valid``:
-        measured, and away from holes and their rims.
+    Dataset
+        Maps (v, u) of the flat sheet; or linked maps (y, x) on the image's pixels: all properties, where in the volume
+        each pixel lies, ``image``, ``expected_error`` in um, and ``valid``: measured, and away from holes and their
+        rims.
+
+    Raises
+    ------
+    SurfaceError
+        If the two datasets stand on different columns.
+    InputError
+        If only one of ``onto`` and ``registration`` is given.
+    MarkError
+        If the registration belongs to another image.
     """
-    _refuse_other_image(registration, Grid.of(onto))
+    check_same_grid(measured, flat)
+    if onto is None and registration is None:
+        return flat_maps(measured, flat, map_um=map_um)
+    if onto is None or registration is None:
+        raise InputError("onto and registration belong together: give both, or neither for the flat maps.")
+    grid = Grid.of(onto)
+    _refuse_other_image(registration, grid)
     chain = Chain(fits=(registration.fit,))
     rim_um = float(measured.attrs["rim_um"])
     circles = (
         hole_circles(registration.marks, "moving", rim_um, chain=chain),
         hole_circles(registration.marks, "fixed", rim_um, image=onto),
     )
-    parts = {"sheet": Placed(shown=FlatSheet(measured=measured, flat=flat), chain=chain), "image": Placed(shown=onto)}
-    maps, _ = on_reference(parts, circles, Grid.of(onto))
+    maps, _ = on_reference(
+        {"sheet": ({"surfaces": measured, "flat": flat}, chain), "image": (onto, None)}, circles, grid
+    )
     return merged(maps["sheet"], maps["image"])
 
 
@@ -178,11 +180,3 @@ def _refuse_other_image(registration: Registration, grid: Grid) -> None:
             f"{beside} of {len(fixed)} marks of the registration lie beside the image. It belongs to another image, or "
             "the pixel size is another one: give the image that was registered."
         )
-
-
-def headline_of(maps: xr.Dataset, side: Side = "top") -> str:
-    """The map that stands for a layer: an image itself, the coating of the side that is seen, or the thickness."""
-    if "thickness" not in maps:
-        return "image"
-    coating = f"coating_{side}"
-    return coating if np.isfinite(maps[coating].values).any() else "thickness"

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from planish.analyze import CrossFitted, SearchedNull, cross_fitted, in_band, searched_null
+from planish.analyze import cross_fitted, in_band, searched_null
 from planish.core.errors import CannotMeasure
 from planish.core.grid import Grid
 from planish.core.results import RefinementFacts, RefinementR
@@ -44,23 +44,8 @@ def refine_link(
 ) -> tuple[RefinedTransform, RefinementFacts]:
     """Refine a link by its headline property and the image, and correlate without the bias of that.
 
-    Parameters
-    ----------
-    linked : Dataset (y, x)
-        As the marks place it.
-    headline : str
-        The property that is laid onto the image.
-    grid : Grid
-    fit : FittedTransform
-        To the marks.
-    model : {"affine", "bspline"}
-
-    Returns
-    -------
-    transform : RefinedTransform
-    facts : RefinementFacts
-        What the refinement changed, and r over tiles that it has not seen; where the map is too small for such tiles,
-        r after the search beside what the search reaches on unrelated maps.
+    What the refinement changed stands beside r over tiles that it has not seen; where the map is too small for such
+    tiles, beside r after the search and what the search reaches on unrelated maps.
 
     Raises
     ------
@@ -78,25 +63,15 @@ def refine_link(
         )
 
     try:
-        of_r = _r_facts(cross_fitted(a, b, tune, valid=valid, pixel_um=pixel))
+        of_r = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel)
     except CannotMeasure:
-        of_r = _r_facts(searched_null(a, tune, valid=valid, surrogates=_SURROGATES))
-    facts = RefinementFacts(
-        model=found.model, metric=found.metric, property=headline, moved_rms_um=float(found.moved_um[0]),
-        moved_most_um=float(found.moved_um[1]), share_of_expected_error=float(found.share),
-        area=tuple(float(v) for v in found.area), strain=float(found.strain), warnings=tuple(found.warnings),
-        sentence=found.sentence, longest_wave_um=_COARSEST_UM, correlation=of_r,
+        of_r = searched_null(a, tune, valid=valid, surrogates=_SURROGATES)
+    facts = RefinementFacts.of(
+        found, property=headline, moved_rms_um=found.moved_um[0], moved_most_um=found.moved_um[1],
+        share_of_expected_error=found.share, longest_wave_um=_COARSEST_UM,
+        correlation=RefinementR.of(of_r, registration=of_r.registration.value),
     )  # fmt: skip
     return RefinedTransform(marks=Chain(fits=(fit,)), refined=found), facts
-
-
-def _r_facts(found: CrossFitted | SearchedNull) -> RefinementR:
-    common = {"r": float(found.r), "registration": str(found.registration.value), "sentence": found.sentence}
-    if isinstance(found, CrossFitted):
-        more = {"n": int(found.n), "tile_um": float(found.tile_um), "guard_um": float(found.guard_um)}
-    else:
-        more = {"null_95": float(found.null_95), "p": float(found.p), "surrogates": int(found.surrogates)}
-    return RefinementR.model_validate(common | more)
 
 
 def _detail(values: Array, valid: NDArray[np.bool_], pixel_um: tuple[float, float]) -> Array:

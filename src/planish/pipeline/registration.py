@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -18,6 +18,7 @@ from planish.marks import hole_tilt
 from planish.marks.design import Pattern, read_pattern
 from planish.marks.files import LayerPixels, Places, make_marks, pair_of_layers, read_any, write_any
 from planish.marks.files.model import EXTRAS, RESULTS
+from planish.pipeline.layers import Layer
 from planish.register import (
     DesignedHoles,
     FittedTransform,
@@ -29,10 +30,7 @@ from planish.register import (
     registration_to_json,
 )
 from planish.register import register_marks as match_and_fit
-
-if TYPE_CHECKING:
-    from planish.pipeline.layers import Layer
-    from planish.study import Study
+from planish.study import Study
 
 Array = NDArray[np.float64]
 
@@ -270,12 +268,12 @@ def read_given(path: str, moving: Layer, fixed: Layer) -> xr.Dataset:
 
 def _volume_to_map(marks: xr.Dataset, layer: Layer) -> xr.Dataset:
     """Marks that were set in the volume, on the flat map of its sheet."""
-    if layer.sheet is None:
+    if layer.kind == "image":
         raise MarkError(
             f"The marks have places in a volume, and {layer.name} is an image. Give marks with places in both images "
             "(moving_x_um, moving_y_um), or the volume."
         )
-    measured, flat = layer.sheet.groups["surfaces"], layer.sheet.groups["flat"]
+    measured, flat = layer.groups["surfaces"], layer.groups["flat"]
     frame = Frame.of(measured)
     points = np.stack([marks[f"volume_{axis}"].values for axis in (frame.cols, frame.rows)], axis=1)
     uv = values_at(flat, ("u", "v"), points)

@@ -11,8 +11,8 @@ import xarray as xr
 from planish.core.errors import FileError
 from planish.core.results import Gate, Results
 from planish.io.run_folder import read_tree
+from planish.pipeline.layers import Layer
 from planish.pipeline.registration import Registration
-from planish.pipeline.sheet import Sheet
 from planish.study import Study, read_study
 
 _OF_A_SHEET = ("surfaces", "flat", "strain", "maps", "slices")
@@ -34,7 +34,7 @@ class Run:
         ``refined``. Of other links ``layers/NAME`` on the pixels of the reference.
     registrations : dict of Registration
         By the name of the moving layer.
-    sheets : dict of Sheet
+    sheets : dict of Layer
         Sheets that were mapped on the way to a link of other layers than one sheet and one image.
     folder : Path or None
         Where it was read from.
@@ -44,7 +44,7 @@ class Run:
     results: Results
     groups: dict[str, xr.Dataset]
     registrations: dict[str, Registration] = field(default_factory=dict[str, Registration])
-    sheets: dict[str, Sheet] = field(default_factory=dict[str, Sheet])
+    sheets: dict[str, Layer] = field(default_factory=dict[str, Layer])
     folder: Path | None = None
 
     @property
@@ -81,7 +81,7 @@ class Run:
         """Whether every quality gate was passed."""
         return self.results.passed
 
-    def sheet(self) -> Sheet:
+    def sheet(self) -> Layer:
         """The sheet that was mapped; what it was linked to stays behind.
 
         Raises
@@ -98,7 +98,8 @@ class Run:
             )
         params = next(layer for layer in self.study.layers if layer.name == facts.name)
         kept = {k: v for k, v in self.groups.items() if k in (*_OF_A_SHEET, "sections")}
-        return Sheet(params=params, groups=kept, source=facts.source, facts=facts.sheet)
+        md_deg = params.md_deg if params.volume is None else params.volume.md_deg
+        return Layer(params=params, source=facts.source, md_deg=md_deg, groups=kept, facts=facts.sheet)
 
     def _repr_html_(self) -> str:
         from planish.report import run_html

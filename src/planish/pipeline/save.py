@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from planish import __version__
-from planish.compute import Compute, run_key
+from planish.compute import Compute, Progress, run_key, silent
 from planish.core.errors import PlanishError
 from planish.core.results import LayerFacts, Results
 from planish.core.threads import limit_threads
@@ -14,10 +14,10 @@ from planish.io.run_folder import new_folder, refuse_existing, work_folder, writ
 from planish.marks import write_marks
 from planish.pipeline.facts import parameters, versions
 from planish.pipeline.gates import sheet_gates
+from planish.pipeline.layers import Layer
 from planish.pipeline.link import link_study
-from planish.pipeline.progress import Progress, silent
 from planish.pipeline.run import Run, marks_file
-from planish.pipeline.sheet import Sheet, map_layer
+from planish.pipeline.sheet import map_layer
 from planish.report import write_report
 from planish.study import Study, to_dict, write_study
 
@@ -48,32 +48,29 @@ def run_study(
     with limit_threads(compute.threads):
         if out is None:
             return _done(study, compute=compute, progress=progress, kept=None)
-        return _written(study, out, compute=compute, progress=progress)
-
-
-def _written(study: Study, out: Path, *, compute: Compute, progress: Progress) -> Run:
-    refuse_existing(out)
-    key = run_key(to_dict(study), [_hash(layer.path) for layer in study.layers])
-    with work_folder(out, key) as work:
-        run = _done(study, compute=compute, progress=progress, kept=work / "tiles")
-        progress("write", str(out))
-        with new_folder(out, inside=work) as folder:
-            save_run(run, folder, home=out)
-        return run
+        refuse_existing(out)
+        key = run_key(to_dict(study), [_hash(layer.path) for layer in study.layers])
+        with work_folder(out, key) as work:
+            run = _done(study, compute=compute, progress=progress, kept=work / "tiles")
+            progress("write", str(out))
+            with new_folder(out, inside=work) as folder:
+                save_run(run, folder, home=out)
+            return run
 
 
 def _done(study: Study, *, compute: Compute, progress: Progress, kept: Path | None) -> Run:
     if len(study.layers) > 1:
         return link_study(study, compute=compute, progress=progress, kept=kept)
-    return run_of_sheet(map_layer(study.reference, compute=compute, progress=progress, kept=kept), study)
+    return _run_of_sheet(map_layer(study.reference, compute=compute, progress=progress, kept=kept), study)
 
 
-def run_of_sheet(sheet: Sheet, study: Study) -> Run:
+def _run_of_sheet(sheet: Layer, study: Study) -> Run:
     """The run of one mapped sheet."""
+    assert sheet.facts is not None
     study = study.model_copy(update={"layers": (sheet.params,)})
-    facts = LayerFacts(
-        name=sheet.params.name, kind="sheet", source=sheet.source, headline=sheet.headline, sheet=sheet.facts
-    )  # fmt: skip
+    # The coating of the top stands for it, or the thickness where there is none.
+    headline = "coating_top" if "coating_top" in sheet.facts.properties else "thickness"
+    facts = LayerFacts(name=sheet.name, kind="sheet", source=sheet.source, headline=headline, sheet=sheet.facts)
     results = Results(
         planish=__version__, versions=versions(), layers=(facts,), gates=tuple(sheet_gates(sheet.facts)),
         parameters=parameters(study),
@@ -89,7 +86,7 @@ def save_run(run: Run, folder: Path, *, home: Path) -> None:
     for name, sheet in run.sheets.items():
         inner = folder / "layers" / name
         inner.mkdir(parents=True)
-        save_run(run_of_sheet(sheet, run.study), inner, home=home / "layers" / name)
+        save_run(_run_of_sheet(sheet, run.study), inner, home=home / "layers" / name)
     write_tree(folder / "maps.zarr", run.groups)
     for name, registration in run.registrations.items():
         path = folder / marks_file(run.results, name)

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 import xarray as xr
 
-from planish.compute import Compute, column_step, engine
+from planish.compute import Compute, Progress, column_step, engine
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.options import Params
-from planish.core.results import InputFile, SheetFacts
+from planish.core.results import SheetFacts
 from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
 from planish.io import find_place
 from planish.measure import measure_properties, sheet_numbers
 from planish.pipeline.facts import flatten_facts, input_file, property_facts, section_facts, surface_facts
-from planish.pipeline.progress import Progress
+from planish.pipeline.layers import Layer
 from planish.pipeline.volume import read_sheet_volume, some_slices
 from planish.resample import resample_maps
 from planish.study import LayerParams
@@ -32,35 +31,9 @@ _THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room 
 _LEAST_SHARE = 0.15  # of the columns: with less there is no map
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sheet:
-    """A sheet that was measured and flattened.
-
-    Attributes
-    ----------
-    params : LayerParams
-        With the sizes and pitches that were used.
-    groups : dict of Dataset
-        ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and ``sections`` of serial
-        sections.
-    source : InputFile
-    facts : SheetFacts
-    """
-
-    params: LayerParams
-    groups: dict[str, xr.Dataset]
-    source: InputFile
-    facts: SheetFacts
-
-    @property
-    def headline(self) -> str:
-        """The map that stands for it: the coating of the top, or the thickness where there is none."""
-        return "coating_top" if "coating_top" in self.facts.properties else "thickness"
-
-
 def map_layer(
     layer: LayerParams, *, compute: Compute, progress: Progress, kept: Path | None = None
-) -> Sheet:  # fmt: skip
+) -> Layer:  # fmt: skip
     """Go from a volume to flattened maps of its properties.
 
     Parameters
@@ -113,7 +86,10 @@ def map_layer(
         flatten=flatten_facts(flattened),
         sections=None if sections is None else section_facts(sections),
     )
-    return Sheet(params=changed(layer, **used), groups=groups, source=input_file(volume, v.path), facts=facts)
+    return Layer(
+        params=changed(layer, **used), source=input_file(volume, v.path), groups=groups, facts=facts,
+        md_deg=v.md_deg if layer.md_deg is None else layer.md_deg,
+    )  # fmt: skip
 
 
 def changed(params: P, **values: object) -> P:

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from planish.compute import Compute
+from planish.compute import Compute, Progress
 from planish.core.errors import InputError, ResourceError, VolumeError
 from planish.core.frame import Frame
+from planish.core.lazy import LazyArray, Where, replaced
 from planish.io import find_place, read_volume
 from planish.io.params import VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.pipeline.facts import section_facts
-from planish.pipeline.progress import Progress
-from planish.pipeline.remote import by_name
 from planish.sections import align_sections, find_band, fixed_places, normalise_sections, regular_volume
 
 _SLICES = 3
@@ -27,23 +28,33 @@ def read_sheet_volume(
 ) -> tuple[xr.DataArray, xr.Dataset | None]:
     """Read a volume; serial sections are aligned and joined, and come with what was done to each of them."""
     path = find_place(params.path).path
-    size: dict[str, Any] = {
-        "voxel_um": params.voxel_um,
-        "channel": params.channel,
-        "override_size": params.override_size,
-    }
     if is_section_folder(path):
         if compute.scheduler is not None:
             raise InputError(f"{path.name} holds sections, which --scheduler cannot work on. Import them first.")
-        volume, sections = join_sections(params, compute, progress)
+        volume, sections = _join_sections(params, compute, progress)
         _in_parts(volume, path, compute, f" --through {params.through}")
         return volume, sections
     if params.fixed_rows is not None or params.fixed_cols is not None:
         raise InputError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
-    how: dict[str, Any] = size | {"memory_bytes": compute.volume_bytes}
+    how = _how(params, compute.volume_bytes)
     volume = read_volume(params.path, **how)
     _in_parts(volume, path, compute)
-    return (volume if compute.scheduler is None else by_name(volume, params.path, how)), None
+    return (volume if compute.scheduler is None else replaced(volume, _ByName(volume, params.path, how))), None
+
+
+class _ByName(LazyArray):
+    """A volume that travels to other processes as the name of its file; each of them opens it once."""
+
+    def __init__(self, volume: xr.DataArray, path: str, how: dict[str, Any]) -> None:
+        self.path, self.how, self.shape, self.dtype = path, tuple(how.items()), volume.shape, volume.dtype
+
+    def read(self, where: Where) -> NDArray[Any]:
+        return _opened(self.path, self.how).variable[where].values
+
+
+@lru_cache(maxsize=1)
+def _opened(path: str, how: tuple[tuple[str, Any], ...]) -> xr.DataArray:
+    return read_volume(path, **dict(how))
 
 
 def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr.DataArray:
@@ -52,12 +63,13 @@ def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr
     What was done to sections is in the attributes, in short.
     """
     if not is_section_folder(params.path):
-        return read_volume(
-            params.path, voxel_um=params.voxel_um, channel=params.channel, override_size=params.override_size,
-            memory_bytes=compute.volume_bytes,
-        )  # fmt: skip
-    volume, sections = join_sections(params, compute, progress)
+        return read_volume(params.path, **_how(params, compute.volume_bytes))
+    volume, sections = _join_sections(params, compute, progress)
     return volume.assign_attrs(sections=section_facts(sections).model_dump())
+
+
+def _how(params: VolumeParams, memory_bytes: int) -> dict[str, Any]:
+    return params.model_dump(include={"voxel_um", "channel", "override_size"}) | {"memory_bytes": memory_bytes}
 
 
 def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, options: str = "") -> None:
@@ -70,25 +82,16 @@ def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, options: str =
         )
 
 
-def join_sections(params: VolumeParams, compute: Compute, progress: Progress) -> tuple[xr.DataArray, xr.Dataset]:
-    """Align serial sections and join them to a volume; return it with what was done to each params.
-
-    Raises
-    ------
-    VolumeError
-        If the axis through the sheet is not given, or the sections do not fit together.
-    """
+def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -> tuple[xr.DataArray, xr.Dataset]:
+    """Align serial sections and join them to a volume; return it with what was done to each of them."""
     path = Path(params.path)
     if params.through == "z":
         raise VolumeError(
-            f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to params. "
+            f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to section. "
             "Give --through y where it runs along the rows of the photographs, x where along their columns."
         )
-    stack = read_section_stack(
-        path, voxel_um=params.voxel_um, channel=params.channel, override_size=params.override_size,
-        # The photographs and the volume made from them are in memory at the same time.
-        memory_bytes=compute.volume_bytes // 2,
-    )  # fmt: skip
+    # The photographs and the volume made from them are in memory at the same time.
+    stack = read_section_stack(path, **_how(params, compute.volume_bytes // 2))
     progress("align", f"{stack.values.shape[0]} sections")
     where = (stack.values, stack.positions_um, stack.pixel_um)
     band = find_band(stack.values, np.abs(stack.positions_um - stack.positions_um[0]), stack.pixel_um)

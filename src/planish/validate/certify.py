@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from planish.compute import Progress, silent
 from planish.core.area import area_mean
 from planish.core.errors import InputError, PlanishError, ResourceError
 from planish.core.grid import pitch
-from planish.pipeline import Progress, Run, run_study
-from planish.pipeline.progress import silent
+from planish.pipeline import Run, run_study
 from planish.study import Study, faults_of
 from planish.synthetic import InstrumentFiles, make_specimen, write_instruments
 from planish.synthetic.params import SpecimenParams

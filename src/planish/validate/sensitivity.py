@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planish.compute import Progress, silent
 from planish.core.errors import InputError
-from planish.pipeline import Progress
-from planish.pipeline.progress import silent
 from planish.synthetic.nuisances import NUISANCES
 from planish.validate.certify import Entry, run_specimen, seed_numbers
 from planish.validate.figures import FIGURES, KEYS, STAGES
