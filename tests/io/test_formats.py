@@ -219,7 +219,7 @@ def test_several_channels_are_refused_by_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('"micrometer"', '"parsec"', "'parsec', which is no unit of length"),
+        ('"micrometer"', '"parsec"', "'parsec' is no unit of length"),
         ('"path": "0"', '"path": "../../x"', "leads out of the store"),
         ('"datasets"', '"nothing"', "name no data sets"),
         ('"name": "z"', '"name": "y"', "its axes are y, y, x"),

@@ -1,11 +1,11 @@
 """Which module reads which file: the one table, and the part of a path that chooses inside a file.
 
 A format is one line here and one module with the function
-``load(place, *, channel, memory_bytes) -> LoadedVolume``. ``channel`` is None or one of
+``load(place, channel, memory_bytes) -> LoadedVolume``. ``channel`` is None or one of
 :data:`planish.io.colour.CHANNELS`, for formats in colour; ``memory_bytes`` is the largest decoded size, three quarters
-of the memory available where it is None. It raises FileError for a file that is damaged or of another format,
-VolumeError for what is not one grey volume, SizeError, InputError for a channel that is not there, and ResourceError
-for what does not fit into the memory. Where a volume is made of several files, ``files(place)`` lists them.
+of the memory available where it is None. Values that stay in their file are given unread. It raises FileError for a
+file that is damaged or of another format, VolumeError for what is not one grey volume, SizeError, InputError for a
+channel that is not there, and ResourceError for what does not fit into the memory.
 """
 
 from __future__ import annotations
@@ -28,9 +28,8 @@ class Format:
 
     Attributes
     ----------
-    name : str
-    module : str
-        Module of this package.
+    name, module : str
+        The module is one of this package.
     suffixes : tuple of str
         Ends of the names of its files or folders, in small letters.
     members : tuple of str
@@ -53,8 +52,8 @@ HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".nx")
 FORMATS = (
     Format(name="raw with a header", module="raw_volume", suffixes=(".toml", ".raw", ".vol")),
     Format(name="OME-Zarr", module="zarr_volume", suffixes=(".zarr",), members=ZARR_MEMBERS, parts=True),
-    Format(name="NRRD", module="nrrd_volume", suffixes=(".nrrd", ".nhdr")),
-    Format(name="MetaImage", module="meta_volume", suffixes=(".mha", ".mhd")),
+    Format(name="NRRD", module="header_volume", suffixes=(".nrrd", ".nhdr")),
+    Format(name="MetaImage", module="header_volume", suffixes=(".mha", ".mhd")),
     Format(name="HDF5 or NeXus", module="hdf5_volume", suffixes=HDF5_SUFFIXES, parts=True),
     Format(name="MATLAB", module="matlab_volume", suffixes=(".mat",), parts=True),
 )
@@ -64,14 +63,7 @@ SLICES = Format(name="folder of slices", module="slice_volume", suffixes=())
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """A file or folder, and which of its volumes is meant.
-
-    Attributes
-    ----------
-    path : Path
-    part : str
-        What stands behind the colon; empty where nothing does.
-    """
+    """A file or folder, and which of its volumes is meant: what stands behind the colon."""
 
     path: Path
     part: str = ""
@@ -136,13 +128,6 @@ def loader(found: Format) -> Callable[..., LoadedVolume]:
     """Import the module of a format and return its function ``load``."""
     module: Any = importlib.import_module(f"planish.io.{found.module}")
     return module.load
-
-
-def files_of(place: Place) -> list[Path]:
-    """Every file that a volume is made of, where its format has several; otherwise the file itself."""
-    found = format_of(place)
-    module: Any = importlib.import_module(f"planish.io.{found.module}")
-    return module.files(place) if hasattr(module, "files") else [place.path]
 
 
 def extra(module: str, path: Path) -> ModuleType:

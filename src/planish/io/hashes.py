@@ -6,7 +6,7 @@ import hashlib
 import os
 from pathlib import Path
 
-from planish.io.formats import SLICES, files_of, find_place, format_of
+from planish.io.formats import SLICES, TIFF, find_place, format_of, loader
 from planish.io.guard import reading, size_of_file
 from planish.io.nrecon import read_scan
 from planish.io.sections import COUNTER, is_section_folder
@@ -44,14 +44,16 @@ def fingerprint(path: str | Path) -> str:
     # Sections have gaps that are none: their counter says where each one lies, and is part of what was measured.
     if is_section_folder(path):
         files = [file for file in path.iterdir() if is_slice_name(file.name) or file.name == COUNTER]
-    elif found.name == SLICES.name:
+    elif found is SLICES:
         files = slice_files(path, read_scan(path))
-    else:
+    elif path.is_dir():
         # A store that planish wrote has the hashes of its shards already.
-        known = store_fingerprint(path) if path.is_dir() else ""
+        known = store_fingerprint(path)
         if known:
             return known
-        files = files_of(place)
+        files = [file for file in path.rglob("*") if file.is_file()]
+    else:
+        files = [path] if found is TIFF else list(dict.fromkeys(loader(found)(place, None, None).files))
         if files == [path] and not place.part:
             return hash_of_file(path)
     base = path if path.is_dir() else path.parent

@@ -8,8 +8,9 @@ would read as zeros.
 from __future__ import annotations
 
 import os
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +25,6 @@ MOST_LINKS = 32
 """Links that one path may pass; more is a circle."""
 
 MOST_OBJECTS = 20_000
-DEEPEST = 24
 
 
 @contextmanager
@@ -123,35 +123,22 @@ def check_storage(dataset: h5py.Dataset, path: Path, *, depth: int = 0) -> None:
 def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
     """Names, shapes and types of all data sets with three axes longer than 1, links left aside."""
     found: list[tuple[str, tuple[int, ...], str]] = []
+    seen = count()
+
+    def note(name: str, item: Any) -> bool | None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "buif":
+            shape = tuple(int(n) for n in item.shape or ())
+            if sum(n > 1 for n in shape) == 3:
+                found.append((f"/{name}", shape, str(item.dtype)))
+        return True if next(seen) > MOST_OBJECTS else None
+
     with opened(path) as file:
-        for dataset in walk(file):
-            shape = tuple(int(n) for n in dataset.shape or ())
-            if dataset.dtype.kind in "buif" and sum(n > 1 for n in shape) == 3:
-                found.append((str(dataset.name), shape, str(dataset.dtype)))
+        file.visititems(note)
     return found
 
 
-def walk(group: Any, depth: int = 0, seen: set[int] | None = None) -> Iterator[Any]:
-    """Give every data set once; no links are followed."""
-    seen = set() if seen is None else seen
-    for key in group:
-        if len(seen) > MOST_OBJECTS:
-            return
-        if not is_hard(group, key):
-            continue
-        item = group[key]
-        address = h5py.h5o.get_info(item.id).addr  # pyright: ignore[reportAttributeAccessIssue]
-        if address in seen:
-            continue
-        seen.add(address)
-        if isinstance(item, h5py.Dataset):
-            yield item
-        elif isinstance(item, h5py.Group) and depth < DEEPEST:
-            yield from walk(item, depth + 1, seen)
-
-
 def listed(path: Path) -> str:
-    """Tell which volumes there are and how to choose one."""
+    """Which volumes there are, and how to choose one."""
     found = volumes_in(path)
     if not found:
         return "It holds no data set with three axes."

@@ -1,8 +1,13 @@
-"""Volumes in HDF5 files, and in the NeXus files of reconstruction programs (NXtomoproc)."""
+"""Volumes in HDF5 files, and in the NeXus files of reconstruction programs (NXtomoproc).
+
+NeXus names the volume that is meant, the order of its axes, and their steps; other programs write the voxel size into
+attributes.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,92 +19,62 @@ from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
 from planish.io.chunks import check_chunks
 from planish.io.formats import Place
-from planish.io.guard import reading, size_of_file
-from planish.io.hdf5_links import check_storage, find_dataset, listed, opened, volumes_in
+from planish.io.hdf5_links import check_storage, find_dataset, is_hard, link_of, listed, opened, volumes_in
 from planish.io.lazy import FileArray, turned
-from planish.io.loaded import ADVICE, LoadedVolume, loaded
-from planish.io.nexus import axis_order, default_dataset, stated_by_nexus
-from planish.io.sizes import Stated, unit_um
-from planish.io.stored import check_shape
+from planish.io.loaded import ADVICE, LoadedVolume
+from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import size_words
 
-SIZE_NAMES = ("voxel_size", "element_size", "pixel_size", "spacing", "resolution")
+SIZE_NAMES = ("voxel_size", "element_size", "pixel_size", "spacing", "resolution", "voxel_um")
 """Attributes in which programs write the voxel size, with ``_um`` or another unit at the end, or the unit beside."""
 
+LONGEST_AXIS = 10_000_000
+EVEN = 0.01
+"""Share by which the steps of an axis may differ."""
 
-def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
+
+def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Read the data set that was chosen, that NeXus names, or the only one with three axes."""
-    del channel
     path = place.path
-    file_path, name = find_dataset(path, place.part) if place.part.strip("/") else choose(path)
+    file_path, name = find_dataset(path, place.part) if place.part.strip("/") else _choose(path)
     with opened(file_path) as file:
         dataset: Any = file[name]
         if not isinstance(dataset, h5py.Dataset):
             raise VolumeError(f"{path.name}: {place.part!r} is a group. {listed(path)}")
-        check_storage(dataset, file_path)
-        shape = tuple(int(n) for n in dataset.shape or ())
-        long = [axis for axis, n in enumerate(shape) if n > 1]
+        long = [axis for axis, n in enumerate(dataset.shape or ()) if n > 1]
         if len(long) != 3:
-            raise VolumeError(f"{path.name}: {name} is no volume but {size_words(shape) or 'one value'}. {ADVICE}")
-        check_shape(shape, path)
-        with reading(path):
-            notes = check_values(dataset, path)
-            array = Hdf5Array(file_path, name, shape, dataset.dtype, chunk_bytes(dataset))
-            order = axis_order(dataset, long)
-            stated = [*stated_by_nexus(dataset, order), *stated_by_attributes(dataset)]
-    return loaded(
-        turned(array, order),
-        path,
-        stated=stated,
-        file_bytes=size_of_file(path) + (0 if file_path == path else size_of_file(file_path)),
-        memory_bytes=memory_bytes,
-        attrs={"dataset": name},
-        notes=notes,
+            what = size_words(dataset.shape or ()) or "one value"
+            raise VolumeError(f"{path.name}: {name} is no volume but {what}. {ADVICE}")
+        array, notes = lazy_dataset(dataset, file_path)
+        axes = _axis_names(dataset)
+        # As NeXus names them, otherwise as they stand.
+        letters = [axes[axis][:1].casefold() if axes else "" for axis in long]
+        order = [long[letters.index(a)] for a in "zyx"] if sorted(letters) == ["x", "y", "z"] else long
+        stated = [*_stated_by_nexus(dataset, axes, order), *_stated_by_attributes(dataset)]
+    return LoadedVolume(
+        values=turned(array, order), stated=stated, files=[path, file_path], attrs={"dataset": name}, notes=notes
     )
 
 
-def files(place: Place) -> list[Path]:
-    """The file, and the one that a link leads to."""
-    found = find_dataset(place.path, place.part)[0] if place.part.strip("/") else choose(place.path)[0]
-    return [place.path] if found == place.path else [place.path, found]
-
-
-def choose(path: Path) -> tuple[Path, str]:
-    """Data set that NeXus names as the default one, or the only volume there is."""
-    with opened(path) as file, reading(path):
-        default = default_dataset(file, path)
-    if default is not None:
-        return find_dataset(path, default)
-    found = volumes_in(path)
-    if len(found) != 1:
-        many = f"{len(found)} volumes" if found else "no volume"
-        raise VolumeError(f"{path.name} holds {many}. {listed(path)}")
-    return path, found[0][0]
-
-
-def check_values(dataset: Any, path: Path) -> tuple[str, ...]:
-    """Refuse a data set without values; report where some are missing."""
-    if dataset.is_virtual:
-        return ()
-    if dataset.id.get_storage_size() == 0:
-        raise FileError(f"{path.name}: {dataset.name} has no values stored. It is cut off: copy or export it again.")
-    if dataset.chunks is None:
-        return ()
-    grid = math.prod(-(-n // c) for n, c in zip(dataset.shape, dataset.chunks, strict=True))
-    if dataset.id.get_num_chunks() == grid:
-        return ()
+def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
+    """Return an array that reads a data set in parts, and what looks wrong; refuse one without values."""
+    check_storage(dataset, path)
+    shape, chunks, name = tuple(int(n) for n in dataset.shape), dataset.chunks, f"{path.name}: {dataset.name}"
+    chunk_bytes = 0 if chunks is None else math.prod(chunks) * dataset.dtype.itemsize
+    array = Hdf5Array(path, dataset.name, shape, dataset.dtype, chunk_bytes)
+    if not dataset.is_virtual and dataset.id.get_storage_size() == 0:
+        raise FileError(f"{name} has no values stored. It is cut off: copy or export it again.")
+    if dataset.is_virtual or chunks is None:
+        return array, ()
     present: list[tuple[int, ...]] = []
 
     def note(info: Any) -> None:
-        present.append(tuple(o // c for o, c in zip(info.chunk_offset, dataset.chunks, strict=True)))
+        present.append(tuple(o // c for o, c in zip(info.chunk_offset, chunks, strict=True)))
 
-    dataset.id.chunk_iter(note)
-    return check_chunks(present, dataset.shape, dataset.chunks, name=f"{path.name}: {dataset.name}")
-
-
-def chunk_bytes(dataset: Any) -> int:
-    """Size of what is decoded at least."""
-    return 0 if dataset.chunks is None else math.prod(dataset.chunks) * dataset.dtype.itemsize
+    if dataset.id.get_num_chunks() != math.prod(-(-n // c) for n, c in zip(shape, chunks, strict=True)):
+        dataset.id.chunk_iter(note)
+        return array, check_chunks(present, shape, chunks, name=name)
+    return array, ()
 
 
 class Hdf5Array(FileArray):
@@ -121,39 +96,125 @@ class Hdf5Array(FileArray):
             return np.asarray(dataset[where], self.dtype)
 
 
-def stated_by_attributes(dataset: Any) -> list[Stated]:
+def _choose(path: Path) -> tuple[Path, str]:
+    """Data set that NeXus names as the default one, or the only volume there is."""
+    with opened(path) as file:
+        default = _default_dataset(file, path)
+    if default is not None:
+        return find_dataset(path, default)
+    found = volumes_in(path)
+    if len(found) != 1:
+        many = f"{len(found)} volumes" if found else "no volume"
+        raise VolumeError(f"{path.name} holds {many}. {listed(path)}")
+    return path, found[0][0]
+
+
+def _default_dataset(file: h5py.File, path: Path) -> str | None:
+    """Follow ``default`` and ``signal`` from the root; None where the file is no NeXus file."""
+    entry = _default_group(file, "NXentry")
+    if entry is None:
+        return None
+    definition = _child(entry, "definition")
+    if isinstance(definition, h5py.Dataset) and _word(definition[()]) == "NXtomo":
+        raise VolumeError(
+            f"{path.name} holds raw projections (NXtomo). Give the reconstructed volume, a file with NXtomoproc."
+        )
+    data = _default_group(entry, "NXdata")
+    if data is None:
+        return None
+    signal = _attribute(data, "signal")
+    if not signal:
+        sets = [key for key in data if isinstance(_child(data, key), h5py.Dataset)]
+        signal = next((key for key in sets if "signal" in data[key].attrs), "data")
+    return None if link_of(data, signal) is None else f"{data.name}/{signal}"
+
+
+def _default_group(group: Any, kind: str) -> Any:
+    """Group of a NeXus class that ``default`` names, or the only one there is."""
+    named = _child(group, _attribute(group, "default"))
+    members = [named] if named is not None else []
+    for items in (members, [_child(group, key) for key in group]):
+        of_class = [i for i in items if isinstance(i, h5py.Group) and _attribute(i, "NX_class") == kind]
+        if len(of_class) == 1:
+            return of_class[0]
+    return None
+
+
+def _child(group: Any, name: str) -> Any:
+    """Member of a group that is no link; None where there is none."""
+    return group[name] if is_hard(group, name) else None
+
+
+def _axis_names(dataset: Any) -> list[str]:
+    """Names of the axes that the group or the data set gives, one for each; none where they do not fit."""
+    for owner in (dataset.parent, dataset):
+        if "axes" in owner.attrs:
+            names = [_word(v) for v in np.ravel(owner.attrs["axes"])]
+            if len(names) == 1:
+                names = names[0].strip("[]").replace(",", ":").split(":")
+            if len(names) == len(dataset.shape):
+                return [name.strip() for name in names]
+    return []
+
+
+def _stated_by_nexus(dataset: Any, names: Sequence[str], order: Sequence[int]) -> list[Stated]:
+    """Voxel size from the values along the axes, which have to be evenly spaced."""
+    steps: list[float | None] = [None] * len(dataset.shape)
+    units = [""] * len(dataset.shape)
+    notes: list[str] = []
+    for axis in order if names else ():
+        values: Any = _child(dataset.parent, names[axis])
+        if not _is_scale(values, dataset.shape[axis]):
+            continue
+        differences = np.abs(np.diff(np.asarray(values[()], np.float64)))
+        step = float(np.median(differences))
+        if not np.isfinite(differences).all() or step <= 0 or np.any(np.abs(differences - step) > EVEN * step):
+            notes.append(f"{names[axis]} is not evenly spaced")
+        else:
+            steps[axis], units[axis] = step, _attribute(values, "units")
+    if not notes and steps == [None] * len(steps):
+        return []
+    found = stated_in("the NeXus axes", steps, units, order)
+    return [Stated(source=found.source, um=found.um, note=", ".join([*notes, found.note] if found.note else notes))]
+
+
+def _is_scale(item: Any, length: int) -> bool:
+    """Whether something holds one number for each place along an axis."""
+    return (
+        isinstance(item, h5py.Dataset)
+        and item.shape == (length,)
+        and length <= LONGEST_AXIS
+        and item.dtype.kind in "uif"
+        and not item.is_virtual
+        and not item.external
+    )
+
+
+def _stated_by_attributes(dataset: Any) -> list[Stated]:
     """Voxel size in the attributes of a data set or its group, one number or z, y, x, where a unit is given."""
     stated: list[Stated] = []
     for owner in (dataset, dataset.parent):
-        keys = {str(key).casefold(): key for key in owner.attrs}
+        keys = {str(key).casefold(): str(key) for key in owner.attrs}
         for folded, key in keys.items():
             base = next((b for b in SIZE_NAMES if folded == b or folded.startswith(b + "_")), None)
-            if folded == "voxel_um":
-                base, unit = "voxel", "um"
-            elif base is None or "unit" in folded:
+            values = np.ravel(owner.attrs[key])
+            if base is None or "unit" in folded or values.dtype.kind not in "uif" or values.size not in (1, 3):
                 continue
-            elif folded != base:
-                unit = folded[len(base) + 1 :]
-            else:
-                beside = next((u for u in (f"{base}_units", f"{base}_unit", "units", "unit") if u in keys), None)
-                unit = "" if beside is None else word(owner.attrs[keys[beside]])
-            values = np.atleast_1d(np.asarray(owner.attrs[key])).ravel()
-            length = unit_um(unit)
-            source = f"the attribute {key}"
-            if values.dtype.kind not in "uif" or values.size not in (1, 3):
-                continue
-            if length is None:
-                what = f"{unit!r} is no unit of length" if unit else "it has no unit"
-                stated.append(Stated(source=source, um=(None, None, None), note=what))
-                continue
-            sizes = [float(v) * length for v in np.broadcast_to(values, 3)]
-            if all(math.isfinite(v) and v > 0 for v in sizes):
-                stated.append(Stated(source=source, um=tuple(sizes)))
+            unit = "um" if folded == "voxel_um" else folded[len(base) + 1 :]
+            if not unit:
+                beside = next((u for u in (f"{base}_units", f"{base}_unit", "units", "unit") if u in keys), "")
+                unit = _attribute(owner, keys.get(beside, ""))
+            sizes = [float(v) for v in np.broadcast_to(values, 3)]
+            stated.append(stated_in(f"the attribute {key}", sizes, [unit] * 3))
     return stated
 
 
-def word(value: Any) -> str:
-    """Read an attribute that holds text."""
+def _attribute(owner: Any, name: str) -> str:
+    return _word(owner.attrs[name]) if name in owner.attrs else ""
+
+
+def _word(value: Any) -> str:
+    """Read a word that may be stored as bytes, or as an array of one."""
     one = np.asarray(value).ravel()[:1]
-    text: Any = one[0] if one.size else ""
-    return text.decode("utf-8", errors="replace") if isinstance(text, bytes) else str(text)
+    found: Any = one[0] if one.size else ""
+    return found.decode("utf-8", errors="replace") if isinstance(found, bytes) else str(found)

@@ -12,16 +12,12 @@ from numpy.typing import NDArray
 from planish.core.errors import FileError, InputError
 from planish.core.lazy import labelled
 from planish.io.guard import check_memory, size_of_file
+from planish.io.loaded import COLOURS, LUMINANCE
 from planish.io.picture import Picture, load_picture
 from planish.io.sizes import PIXEL, Stated, agreed_size
 
 if TYPE_CHECKING:
     import xarray as xr
-
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Weights of red, green and blue, Rec. ITU-R BT.709."""
-
-COLOURS = {"red": 0, "green": 1, "blue": 2}
 
 
 def read_image(

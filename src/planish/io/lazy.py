@@ -5,12 +5,12 @@ Nothing that was read stays in memory, except the last few slices of formats tha
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ class FileArray(LazyArray):
     """
 
     path: Path
-    piece_bytes: int
+    piece_bytes: int = 0
     whole_slices: bool = False
     chunks: tuple[int, ...] | None = None
 
@@ -50,81 +50,42 @@ class FileArray(LazyArray):
         return reading(self.path)
 
 
-class Pages(Protocol):
-    """Pages that are decoded in strips of `unit_rows` rows; 1 where single rows can be read without loss."""
+class PagedArray(FileArray):
+    """A volume stored page by page, in strips of `unit_rows` rows; 1 where single rows can be read without loss."""
 
-    unit_rows: int
+    def __init__(self, path: Path, shape: tuple[int, int, int], dtype: np.dtype[Any], unit_rows: int) -> None:
+        self.path, self.shape, self.dtype, self.unit_rows = path, shape, dtype, unit_rows
+        self.piece_bytes = min(unit_rows, shape[1]) * shape[2] * dtype.itemsize
+        self.whole_slices = unit_rows >= shape[1]
+        self._strip = lru_cache(max(CACHE_BYTES // self.piece_bytes, 1))(self._decoded)
 
+    @abstractmethod
     def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
         """Decode rows of a page; start and stop lie on borders of strips or at the end of the page."""
-        ...
-
-
-class PagedArray(FileArray):
-    """A volume stored page by page."""
-
-    def __init__(self, pages: Pages, shape: tuple[int, int, int], dtype: np.dtype[Any], path: Path) -> None:
-        self.pages, self.shape, self.dtype, self.path = pages, shape, dtype, path
-        self.piece_bytes = min(pages.unit_rows, shape[1]) * shape[2] * dtype.itemsize
-        self.whole_slices = pages.unit_rows >= shape[1]
-        self._forget()
-
-    def _forget(self) -> None:
-        self._kept: OrderedDict[tuple[int, int], NDArray[Any]] = OrderedDict()
-        self._kept_bytes = 0
-        self._lock = threading.Lock()
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What another process needs; it decodes anew."""
-        return {key: value for key, value in vars(self).items() if key not in {"_kept", "_kept_bytes", "_lock"}}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Begin with nothing decoded."""
-        vars(self).update(state)
-        self._forget()
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part page by page."""
         pages, rows, columns = where
-        numbers = range(pages.start, pages.stop, pages.step)
-        height = len(range(rows.start, rows.stop, rows.step))
-        values = np.empty((len(numbers), height, len(range(columns.start, columns.stop, columns.step))), self.dtype)
-        for i, page in enumerate(numbers):
-            values[i] = self._rows(page, rows)[:, columns]
+        last = range(rows.start, rows.stop, rows.step)[-1] + 1
+        values = np.empty([len(range(w.start, w.stop, w.step)) for w in where], self.dtype)
+        for i, page in enumerate(range(pages.start, pages.stop, pages.step)):
+            values[i] = self._rows(page, rows.start, last)[:: rows.step, columns]
         return values
 
-    def _rows(self, page: int, rows: slice) -> NDArray[Any]:
-        last = range(rows.start, rows.stop, rows.step)[-1] + 1
-        unit = self.pages.unit_rows
-        if unit == 1:
-            return self.pages.rows(page, rows.start, last)[:: rows.step]
-        first = rows.start // unit
-        strips = [self._strip(page, k) for k in range(first, (last - 1) // unit + 1)]
+    def _rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
+        if self.unit_rows == 1:
+            return self.rows(page, start, stop)
+        first = start // self.unit_rows
+        strips = [self._strip(page, k) for k in range(first, (stop - 1) // self.unit_rows + 1)]
         block = strips[0] if len(strips) == 1 else np.concatenate(strips)
-        return block[rows.start - first * unit : last - first * unit : rows.step]
+        return block[start - first * self.unit_rows : stop - first * self.unit_rows]
 
-    def _strip(self, page: int, number: int) -> NDArray[Any]:
-        """Decode a strip, or take it from those kept."""
-        key = (page, number)
-        with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
-        unit = self.pages.unit_rows
-        strip = self.pages.rows(page, number * unit, min((number + 1) * unit, self.shape[1]))
-        with self._lock:
-            if key not in self._kept:
-                self._kept[key] = strip
-                self._kept_bytes += strip.nbytes
-                while self._kept_bytes > CACHE_BYTES and len(self._kept) > 1:
-                    self._kept_bytes -= self._kept.popitem(last=False)[1].nbytes
-        return strip
+    def _decoded(self, page: int, number: int) -> NDArray[Any]:
+        return self.rows(page, number * self.unit_rows, min((number + 1) * self.unit_rows, self.shape[1]))
 
 
 class MappedArray(FileArray):
     """Values that lie in a file as they are, in whatever byte order; the file is open only while it is read."""
-
-    piece_bytes = 0
 
     def __init__(self, path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> None:
         self.path, self.shape, self.stored, self.offset = path, shape, stored, offset
@@ -144,6 +105,22 @@ def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset:
     return MappedArray(path, shape, stored, offset=offset)
 
 
+class WholeArray(FileArray):
+    """Values that can only be decoded all at once, and so never stay in their file."""
+
+    whole_slices = True
+
+    def __init__(
+        self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], decode: Callable[[], NDArray[Any]]
+    ) -> None:
+        self.path, self.shape, self.dtype, self.decode = path, shape, dtype, decode
+        self.piece_bytes = self.nbytes
+
+    def read(self, where: Where) -> NDArray[Any]:
+        """Decode everything and take a part."""
+        return self.decode()[where]
+
+
 class ChangedArray(FileArray):
     """An array whose parts pass a function that changes each value for itself.
 
@@ -153,17 +130,11 @@ class ChangedArray(FileArray):
         May have a further last axis, the samples of a pixel, which `change` takes away.
     change : callable
         From a part of `inner` to that part of the array; can be pickled.
+    dtype : dtype
     """
 
-    def __init__(
-        self,
-        inner: FileArray,
-        change: Callable[[NDArray[Any]], NDArray[Any]],
-        *,
-        dtype: np.dtype[Any],
-        path: Path,
-    ) -> None:
-        self.inner, self.change, self.dtype, self.path = inner, change, dtype, path
+    def __init__(self, inner: FileArray, change: Callable[[NDArray[Any]], NDArray[Any]], dtype: np.dtype[Any]) -> None:
+        self.inner, self.change, self.dtype, self.path = inner, change, dtype, inner.path
         self.shape = inner.shape[:3]
         self.chunks = None if inner.chunks is None else inner.chunks[:3]
         self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
@@ -200,24 +171,25 @@ def turned(inner: FileArray, order: Sequence[int]) -> FileArray:
     return inner if tuple(order) == tuple(range(len(inner.shape))) else TurnedArray(inner, order)
 
 
-def as_supported(array: FileArray | NDArray[Any], path: Path) -> FileArray | NDArray[Any]:
+def supported_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
     """Widen float16, in which the kernels cannot compute, to float32; other types stay."""
-    if array.dtype != np.float16:
-        return array
-    wide = np.dtype(np.float32)
-    return (
-        ChangedArray(array, np.asarray, dtype=wide, path=path) if isinstance(array, FileArray) else array.astype(wide)
-    )
+    return np.dtype(np.float32) if dtype == np.float16 else dtype
 
 
-def settle(array: FileArray | NDArray[Any], path: Path, *, memory_bytes: int | None) -> FileArray | NDArray[Any]:
-    """Read an array at once where it is small, and leave it in its file otherwise."""
+def settle(array: FileArray | NDArray[Any], *, memory_bytes: int | None) -> FileArray | NDArray[Any]:
+    """Read an array at once where it is small, and leave it in its file otherwise; float16 becomes float32."""
+    wide = supported_type(array.dtype)
     if not isinstance(array, FileArray):
+        return array.astype(wide, copy=False)
+    if wide != array.dtype:
+        array = ChangedArray(array, np.asarray, wide)
+    if not is_small(array, memory_bytes=memory_bytes):
+        check_memory(array.path, needed_bytes=array.piece_bytes, limit_bytes=memory_bytes)
         return array
-    if is_small(array, memory_bytes=memory_bytes):
+    if not isinstance(array, WholeArray):
         return array[...]
-    check_memory(path, needed_bytes=array.piece_bytes, limit_bytes=memory_bytes)
-    return array
+    with array.guarded():
+        return array.decode()
 
 
 def is_small(array: FileArray, *, memory_bytes: int | None) -> bool:

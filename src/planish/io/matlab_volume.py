@@ -5,7 +5,7 @@ Files up to version 7 are read at once; of those of version 7.3, which are HDF5 
 
 from __future__ import annotations
 
-import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,55 +15,68 @@ from numpy.typing import NDArray
 from planish.core import matlab
 from planish.core.errors import FileError, VolumeError
 from planish.io.formats import Place
-from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
-from planish.io.lazy import FileArray, turned
-from planish.io.loaded import LoadedVolume, loaded
-from planish.io.sizes import Stated
-from planish.io.stored import check_shape
+from planish.io.guard import check_blown_up, reading, size_of_file
+from planish.io.lazy import FileArray, WholeArray, turned
+from planish.io.loaded import LoadedVolume
+from planish.io.sizes import stated_in
 from planish.io.tiff import size_words
 
 SIZE_VARIABLE = "voxel_um"
-"""Variable with the voxel size, one number or z, y, x."""
+"""Variable with the voxel size, one number or z, y, x: no habit of MATLAB, but it can be saved beside the volume."""
 
 
-def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
+def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Read the variable that was chosen, or the only one with three axes."""
-    del channel
     path = place.path
     size_of_file(path)
     with reading(path), path.open("rb") as file:
         head = file.read(520)
-        new = matlab.is_new(head)
-        if not new and not matlab.is_version_5(head):
+        if not matlab.is_new(head) and not matlab.is_version_5(head):
             raise FileError(
                 f"{path.name} is no MATLAB file of version 5 or later; version 4 holds no volumes. Save it with '-v7'."
             )
         try:
             variables = matlab.variables(file)
             chosen = _choose(variables, place)
-            if chosen.kind not in matlab.NUMBERS:
-                raise VolumeError(
-                    f"{path.name}: {chosen.name} holds values of the class {chosen.kind}. Save it with real numbers."
-                )
-            check_shape(chosen.shape, path)
-            long = [axis for axis, n in enumerate(chosen.shape) if n > 1]
-            order = [long[2], long[0], long[1]]  # slices, rows, columns
-            notes: tuple[str, ...] = ()
-            if new:
-                array, notes = _in_parts(path, chosen, order)
-            else:
-                needed = math.prod(chosen.shape) * matlab.NUMBERS[chosen.kind].itemsize
-                check_blown_up(path, decoded_bytes=needed, stored_bytes=size_of_file(path))
-                check_memory(path, needed_bytes=needed, limit_bytes=memory_bytes)
-                array = np.squeeze(matlab.values(file, chosen)).transpose(2, 0, 1)
             small = next((v for v in variables if v.name == SIZE_VARIABLE and v.stored and v.count in (1, 3)), None)
-            sizes = None if small is None else matlab.values(file, small)
+            sizes = [] if small is None else np.broadcast_to(np.ravel(matlab.values(file, small)), 3).tolist()
         except matlab.Damaged as error:
-            raise FileError(f"{path.name} is damaged: {error}. Save it again, or copy it once more.") from error
-    return loaded(
-        array, path, stated=[_stated(sizes)], file_bytes=size_of_file(path), memory_bytes=memory_bytes,
-        attrs={"variable": chosen.name}, notes=notes,
-    )  # fmt: skip
+            raise _damaged(path, error) from error
+    if chosen.kind not in matlab.NUMBERS:
+        raise VolumeError(
+            f"{path.name}: {chosen.name} holds values of the class {chosen.kind}. Save it with real numbers."
+        )
+    values, notes = _values(path, chosen, new=matlab.is_new(head))
+    stated = stated_in(f"the variable {SIZE_VARIABLE}", sizes, ["um"] * 3)
+    return LoadedVolume(values=values, stated=[stated], files=[path], attrs={"variable": chosen.name}, notes=notes)
+
+
+def _values(path: Path, chosen: matlab.Variable, *, new: bool) -> tuple[FileArray, tuple[str, ...]]:
+    """Slices, rows, columns of a variable, and what looks wrong in them."""
+    rows, columns, slices = (axis for axis, n in enumerate(chosen.shape) if n > 1)
+    order = (slices, rows, columns)
+    if new:
+        from planish.io.hdf5_volume import lazy_dataset, opened
+
+        with opened(path) as file:
+            array, notes = lazy_dataset(file[chosen.name], path)
+        return turned(array, [len(chosen.shape) - 1 - axis for axis in order]), notes
+    dtype = matlab.NUMBERS[chosen.kind]
+    check_blown_up(path, decoded_bytes=chosen.count * dtype.itemsize, stored_bytes=size_of_file(path))
+    shape = tuple(chosen.shape[axis] for axis in order)
+    return WholeArray(path, shape, dtype, partial(_decoded, path, chosen)), ()
+
+
+def _decoded(path: Path, chosen: matlab.Variable) -> NDArray[Any]:
+    try:
+        with path.open("rb") as file:
+            return np.squeeze(matlab.values(file, chosen)).transpose(2, 0, 1)
+    except matlab.Damaged as error:
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: matlab.Damaged) -> FileError:
+    return FileError(f"{path.name} is damaged: {error}. Save it again, or copy it once more.")
 
 
 def _choose(variables: list[matlab.Variable], place: Place) -> matlab.Variable:
@@ -83,26 +96,3 @@ def _choose(variables: list[matlab.Variable], place: Place) -> matlab.Variable:
     if len(volumes) > 1:
         raise VolumeError(f"{name} holds {len(volumes)} volumes: {there}. Choose one as {name}:{volumes[0].name}.")
     return volumes[0]
-
-
-def _in_parts(path: Path, chosen: matlab.Variable, order: list[int]) -> tuple[FileArray, tuple[str, ...]]:
-    """Values of a variable in a file of version 7.3, to be read in parts."""
-    from planish.io.hdf5_links import check_storage, opened
-    from planish.io.hdf5_volume import Hdf5Array, check_values, chunk_bytes
-
-    with opened(path) as file, reading(path):
-        dataset: Any = file[chosen.name]
-        check_storage(dataset, path)
-        notes = check_values(dataset, path)
-        shape = tuple(int(n) for n in dataset.shape)
-        array = Hdf5Array(path, chosen.name, shape, dataset.dtype, chunk_bytes(dataset))
-    return turned(array, [len(shape) - 1 - axis for axis in order]), notes
-
-
-def _stated(values: NDArray[Any] | None) -> Stated:
-    """Voxel size in the variable ``voxel_um``, which is no habit of MATLAB but can be saved beside the volume."""
-    source = f"the variable {SIZE_VARIABLE}"
-    sizes = [] if values is None else [float(v) for v in np.broadcast_to(np.ravel(values), 3)]
-    if not sizes or not all(math.isfinite(v) and v > 0 for v in sizes):
-        return Stated(source=source, um=(None, None, None), note="it is not there, or not one number or three")
-    return Stated(source=source, um=tuple(sizes))

@@ -8,10 +8,9 @@ named by ``Filename Prefix`` under ``[File name convention]``, not by the key of
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.io.guard import reading
@@ -20,8 +19,6 @@ from planish.io.slices import check_no_gap, is_slice_name, some
 
 _SUFFIX = "_rec.log"
 LARGEST_LOG = 10_000_000
-
-Keys = Mapping[str, str]
 
 KEPT = {
     "system": ("Scanner", "Software version", "Software", "Source Type", "Camera"),
@@ -41,21 +38,21 @@ KEPT = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """What a log states.
+    """What a log states; None where it does not.
 
     Attributes
     ----------
     log : Path
     stated : Stated
         Voxel size (z, y, x).
-    prefix : str or None
+    prefix : str
         Of the names of the slices.
-    count, first, last : int or None
+    count, first, last : int
     step : int
         From the number of a slice to the next.
-    width, height : int or None
+    width, height : int
         Of a slice.
-    window : (float, float) or None
+    window : (float, float)
         Attenuation at grey 0 and at the largest grey value, in the units of NRecon.
     kept : dict
         Further keys, as written.
@@ -74,18 +71,7 @@ class Scan:
     kept: dict[str, str]
 
 
-def rec_log(folder: Path) -> Path | None:
-    """Path of the log in a folder of slices, None where there is none."""
-    logs = sorted(p for p in folder.iterdir() if p.name.casefold().endswith(_SUFFIX))
-    if len(logs) > 1:
-        raise VolumeError(
-            f"{folder.name} holds {len(logs)} NRecon logs: {', '.join(p.name for p in logs)}. "
-            "Keep the one of this scan."
-        )
-    return logs[0] if logs else None
-
-
-def read_log(path: Path) -> dict[str, dict[str, str]]:
+def _read_log(path: Path) -> dict[str, dict[str, str]]:
     """Sections and keys of a log, case-folded; the first of keys that occur twice in a section counts."""
     with reading(path):
         if path.stat().st_size > LARGEST_LOG:
@@ -109,15 +95,21 @@ def read_log(path: Path) -> dict[str, dict[str, str]]:
 
 def read_scan(folder: Path) -> Scan | None:
     """Read the log of a folder; None where there is none of a reconstruction."""
-    log = rec_log(folder)
-    sections = {} if log is None else read_log(log)
+    logs = sorted(p for p in folder.iterdir() if p.name.casefold().endswith(_SUFFIX))
+    if len(logs) > 1:
+        raise VolumeError(
+            f"{folder.name} holds {len(logs)} NRecon logs: {', '.join(p.name for p in logs)}. "
+            "Keep the one of this scan."
+        )
+    sections = _read_log(logs[0]) if logs else {}
     keys = sections.get("reconstruction")
-    if log is None or keys is None:
+    if keys is None:
         return None
-    size, step = _size(keys.get("pixel size (um)")), _count(keys.get("section to section step", "1"))
-    if size is None or not step:
+    log = logs[0]
+    size, step = _number(keys.get("pixel size (um)")), _count(keys.get("section to section step", "1"))
+    if not size or size < 0 or not step:
         raise SizeError(
-            f"{log.name} has no number for '{'Pixel Size (um)' if size is None else 'Section to Section Step'}' under "
+            f"{log.name} has no number for '{'Section to Section Step' if size else 'Pixel Size (um)'}' under "
             "[Reconstruction]. Give the size with --voxel-um SIZE, in um, and move the log elsewhere."
         )
     count, first, last = (_count(keys.get(k)) for k in ("sections count", "first section", "last section"))
@@ -126,8 +118,7 @@ def read_scan(folder: Path) -> Scan | None:
             f"{log.name} contradicts itself: {count} sections, but from {first} to {last} in steps of {step}. "
             "Correct the log, or move it elsewhere and give --voxel-um."
         )
-    low = _number(keys.get("minimum for cs to image conversion"))
-    high = _number(keys.get("maximum for cs to image conversion"))
+    low, high = (_number(keys.get(f"{end} for cs to image conversion")) for end in ("minimum", "maximum"))
     return Scan(
         log=log,
         stated=Stated(source="NRecon log", um=(size * step, size, size)),
@@ -148,54 +139,37 @@ def read_scan(folder: Path) -> Scan | None:
     )
 
 
-def slices_of(scan: Scan, folder: Path) -> list[Path] | None:
-    """Slices that a log names, in their order; None where it does not name them.
-
-    Other pictures, such as NRecon's own preview, are left aside.
-    """
-    if scan.prefix is None:
-        return None
-    start = scan.prefix.casefold()
+def named_slices(scan: Scan, folder: Path) -> list[Path]:
+    """Slices with the prefix of a log, in their order; other pictures, such as NRecon's own preview, are left aside."""
+    prefix = scan.prefix or ""
     numbered: list[tuple[int, Path]] = []
     for path in folder.iterdir():
-        digits = path.stem[len(scan.prefix) :]
-        if path.stem.casefold().startswith(start) and digits.isdecimal() and is_slice_name(path.name):
+        digits = path.stem[len(prefix) :]
+        if path.stem.casefold().startswith(prefix.casefold()) and digits.isdecimal() and is_slice_name(path.name):
             numbered.append((int(digits), path))
     numbered.sort()
     if not numbered:
         raise VolumeError(
-            f"{folder.name} holds no slice named {scan.prefix} and a number, as {scan.log.name} states. Give the "
+            f"{folder.name} holds no slice named {prefix} and a number, as {scan.log.name} states. Give the "
             "slices their names back, or move the log elsewhere and give --voxel-um."
         )
     numbers = [number for number, _ in numbered]
-    remedy = "Add the missing slices, or move the log elsewhere and give --voxel-um."
     if scan.first is not None and scan.last is not None:
         present, wanted = set(numbers), range(scan.first, scan.last + 1, scan.step)
-        missing = [n for n, _ in zip((n for n in wanted if n not in present), range(9), strict=False)]
+        missing = list(islice((n for n in wanted if n not in present), 9))
         if missing:
             raise VolumeError(
-                f"{scan.log.name} states {len(wanted)} sections, {folder.name} holds {len(numbers)}. "
-                f"Missing: {some(missing)}. {remedy}"
+                f"{scan.log.name} states {len(wanted)} sections, {folder.name} holds {len(numbers)}. Missing: "
+                f"{some(missing)}. Add the missing slices, or move the log elsewhere and give --voxel-um."
             )
         odd = [n for n in numbers if n not in wanted]
         if odd:
             raise VolumeError(
                 f"{folder.name} holds slices that {scan.log.name} does not name: {some(odd)}. Move them elsewhere."
             )
-    if scan.count is not None and scan.count != len(numbers):
-        raise VolumeError(f"{scan.log.name} states {scan.count} sections, {folder.name} holds {len(numbers)}. {remedy}")
-    if len(numbers) > 1:
+    if len(numbers) > 1 and scan.count in (None, len(numbers)):
         check_no_gap(numbers, folder)
     return [path for _, path in numbered]
-
-
-def check_count(scan: Scan, folder: Path, slices: int) -> None:
-    """Refuse a folder with another number of slices."""
-    if scan.count is not None and scan.count != slices:
-        raise VolumeError(
-            f"{scan.log.name} states {scan.count} sections, {folder.name} holds {slices}. "
-            "Add the missing slices, or move the log elsewhere and give --voxel-um."
-        )
 
 
 def check_extent(scan: Scan, file: Path, height: int, width: int) -> None:
@@ -207,14 +181,6 @@ def check_extent(scan: Scan, file: Path, height: int, width: int) -> None:
         )
 
 
-def scan_attrs(scan: Scan) -> dict[str, Any]:
-    """Attributes of the volume: where its grey values come from."""
-    attrs: dict[str, Any] = {"nrecon": dict(scan.kept)}
-    if scan.window is not None:
-        attrs["attenuation_window"] = list(scan.window)
-    return attrs
-
-
 def _number(text: str | None) -> float | None:
     """Read a number, with a decimal point or comma; None where it is none."""
     try:
@@ -222,12 +188,6 @@ def _number(text: str | None) -> float | None:
     except ValueError:
         return None
     return value if math.isfinite(value) else None
-
-
-def _size(text: str | None) -> float | None:
-    """Read a positive number."""
-    value = _number(text)
-    return value if value is not None and value > 0 else None
 
 
 def _count(text: str | None) -> int | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -18,22 +19,27 @@ from tifffile import TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
+from planish.io.loaded import full_scale
 from planish.io.sizes import Stated, from_density
 from planish.io.tiff import (
     BLACK_IS_ZERO,
-    JPEG_COMPRESSIONS,
     PALETTE,
-    RGB,
     WHITE_IS_ZERO,
-    YCBCR,
-    check_data,
+    damaged,
+    has_rgb,
+    is_tiff,
+    long_axes,
     map_or_decode,
-    only_series,
-    open_tiff,
+    open_series,
     shape_words,
 )
-from planish.io.tiff_chain import damaged, is_tiff
 from planish.io.tiff_sizes import UNKNOWN_NOTE, stated_by_tiff
+
+PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
+    "png": PngImagePlugin.PngImageFile, "jpeg": JpegImagePlugin.JpegImageFile, "bmp": BmpImagePlugin.BmpImageFile
+}  # fmt: skip
+
+ADVICE = "One picture is needed: save it alone."
 
 PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
 
@@ -50,8 +56,8 @@ class Picture:
         As stored; palettes are looked up.
     colour : {"grey", "rgb", "other"}
         Meaning of the samples: the first is grey, the first three are red, green, blue, or neither.
-    full_scale : int or None
-        Largest value the file can store; None for floating point.
+    bits : int
+        Of a sample, if it is a whole number.
     stated : tuple of Stated
         Size along z (which a slice of a stack may know), y, x in the metadata.
     orientation : int
@@ -60,9 +66,14 @@ class Picture:
 
     values: NDArray[Any]
     colour: Colour
-    full_scale: int | None
+    bits: int
     stated: tuple[Stated, ...]
     orientation: int
+
+    @property
+    def full_scale(self) -> int | None:
+        """Largest value the file can store; None for floating point."""
+        return full_scale(self.values.dtype, self.bits)
 
     @property
     def in_colour(self) -> bool:
@@ -70,56 +81,50 @@ class Picture:
         return self.values.ndim == 3 and self.colour == "rgb"
 
 
-def kind_of(path: Path) -> Literal["tiff", "png", "jpeg", "bmp"]:
-    """Tell the format from the first bytes, whatever the name says."""
+def kind_of(path: Path) -> str:
+    """``tiff``, ``png``, ``jpeg`` or ``bmp``, by the first bytes, whatever the name says."""
     size_of_file(path)
     with reading(path), path.open("rb") as file:
         head = file.read(8)
     if is_tiff(head):
         return "tiff"
-    if head.startswith(b"\x89PNG\r\n\x1a\n"):
-        return "png"
-    if head.startswith(b"\xff\xd8\xff"):
-        return "jpeg"
-    if head.startswith(b"BM"):
-        return "bmp"
+    for start, kind in ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"BM", "bmp")):
+        if head.startswith(start):
+            return kind
     raise FileError(f"{path.name} is no TIFF, PNG, JPEG or BMP file. Export the image in one of these formats.")
 
 
 def load_picture(path: Path, *, memory_bytes: int | None = None) -> Picture:
     """Decode a picture."""
-    if kind_of(path) == "tiff":
-        return load_tiff(path, memory_bytes=memory_bytes)
-    return load_raster(path, memory_bytes=memory_bytes)
-
-
-def load_tiff(path: Path, *, memory_bytes: int | None) -> Picture:
-    """Decode the one picture of a TIFF file."""
-    advice = "One picture is needed: save it alone."
-    with open_tiff(path) as tif:
-        series = only_series(tif, path, error=FileError, advice=advice)
-        check_data(series, path)
-        axes = sample_axes(series, path, advice=advice)
+    if kind_of(path) != "tiff":
+        return _load_raster(path, memory_bytes=memory_bytes)
+    with open_series(path, error=FileError, advice=ADVICE) as (tif, series):
+        axes = long_axes(series)
+        if axes not in PICTURE_AXES:
+            raise FileError(f"{path.name} is not one picture but {shape_words(series)}. {ADVICE}")
         page = series.keyframe
-        stated = stated_by_tiff(tif, page, path)
         values = map_or_decode(series, path, memory_bytes=memory_bytes)
         values = values.reshape([n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes])
         if axes[0] in "SC" and len(axes) == 3:
             values = np.moveaxis(values, 0, -1)
         if values.dtype.kind not in "buif":
             raise FileError(f"{path.name} has {values.dtype} values. Export it with integer or real values.")
-        colour: Colour = "grey" if len(axes) == 2 else sample_meaning(page, samples=values.shape[-1], axes=axes)
+        colour: Colour = "grey" if len(axes) == 2 else _sample_meaning(page, samples=values.shape[-1], axes=axes)
         bits = int(page.bitspersample)
-        if page.photometric == PALETTE and len(axes) == 2:
-            with reading(path):
-                values, bits, colour = look_up(values, np.asarray(page.colormap))
         with reading(path):
+            if page.photometric == PALETTE and len(axes) == 2:
+                values, bits, colour = _look_up(values, np.asarray(page.colormap))
             orientation = page.tags.valueof(274, default=1)
+        stated = stated_by_tiff(tif, page, path)
+    return _picture(values, colour, bits, stated, orientation)
+
+
+def _picture(values: NDArray[Any], colour: Colour, bits: int, stated: Sequence[Stated], orientation: Any) -> Picture:
     return Picture(
         values=values,
         colour=colour,
-        full_scale=full_scale(values.dtype, bits=bits),
-        stated=stated,
+        bits=bits,
+        stated=tuple(stated),
         orientation=orientation if isinstance(orientation, int) else 1,
     )
 
@@ -127,38 +132,19 @@ def load_tiff(path: Path, *, memory_bytes: int | None) -> Picture:
 def is_picture(series: TiffPageSeries) -> bool:
     """Whether a series is one picture, with up to four samples or channels a pixel."""
     axes = long_axes(series)
-    return axes in PICTURE_AXES and (len(axes) == 2 or series.size <= 4 * plane_size(series))
+    plane = math.prod(n for a, n in zip(series.axes, series.shape, strict=True) if a in "YX")
+    return axes in PICTURE_AXES and (len(axes) == 2 or series.size <= 4 * plane)
 
 
-def long_axes(series: TiffPageSeries) -> str:
-    """Letters of y and x and of all other axes longer than 1."""
-    return "".join(a for a, n in zip(series.axes, series.shape, strict=True) if n > 1 or a in "YX")
-
-
-def plane_size(series: TiffPageSeries) -> int:
-    """Pixels along y times pixels along x."""
-    return math.prod(n for a, n in zip(series.axes, series.shape, strict=True) if a in "YX")
-
-
-def sample_axes(series: TiffPageSeries, path: Path, *, advice: str) -> str:
-    """Axes of a picture: y and x, and one for samples or channels if there are several."""
-    axes = long_axes(series)
-    if axes not in PICTURE_AXES:
-        raise FileError(f"{path.name} is not one picture but {shape_words(series)}. {advice}")
-    return axes
-
-
-def sample_meaning(page: TiffPage, *, samples: int, axes: str) -> Colour:
-    """Tell what the samples of a page with several mean."""
-    photometric = page.photometric
-    if photometric == RGB or (photometric == YCBCR and page.compression in JPEG_COMPRESSIONS):
+def _sample_meaning(page: TiffPage, *, samples: int, axes: str) -> Colour:
+    """What the samples of a page with several mean."""
+    if has_rgb(page):
         return "rgb" if samples >= 3 and "S" in axes else "other"
-    if photometric in {WHITE_IS_ZERO, BLACK_IS_ZERO} and samples == 2 and "S" in axes:
-        return "grey"
-    return "other"
+    grey = page.photometric in {WHITE_IS_ZERO, BLACK_IS_ZERO} and samples == 2 and "S" in axes
+    return "grey" if grey else "other"
 
 
-def look_up(index: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any], int, Colour]:
+def _look_up(index: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any], int, Colour]:
     """Replace palette entries by their 16-bit colours, or 8-bit where nothing is lost; grey stays grey."""
     if np.all(colormap % 257 == 0):
         colormap, bits = (colormap // 257).astype(np.uint8), 8
@@ -169,28 +155,22 @@ def look_up(index: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any], 
     return np.moveaxis(colormap[:, index.astype(np.intp)], 0, -1), bits, "rgb"
 
 
-def load_raster(path: Path, *, memory_bytes: int | None) -> Picture:
+def _load_raster(path: Path, *, memory_bytes: int | None) -> Picture:
     """Decode a PNG, JPEG or BMP file.
 
     The classes of Pillow are called directly: its own limit of pixels, which is a global, does not apply then,
     and the size is checked here against the memory instead.
     """
     kind = kind_of(path)
-    plugin = {
-        "png": PngImagePlugin.PngImageFile,
-        "jpeg": JpegImagePlugin.JpegImageFile,
-        "bmp": BmpImagePlugin.BmpImageFile,
-    }[kind]
-    size = size_of_file(path)
     with reading(path):
         data = path.read_bytes()
         if kind == "png":
-            check_png_chunks(data, path)
-        image: ImageFile.ImageFile = plugin(BytesIO(data))
+            _check_png_chunks(data, path)
+        image = PLUGINS[kind](BytesIO(data))
     deep = kind == "png" and data[24] == 16 and data[25] in (2, 4, 6)
     bands = len(image.getbands())
     needed = image.width * image.height * max(bands, 3 if image.mode == "P" else 1) * (2 if deep else 1)
-    check_blown_up(path, decoded_bytes=needed, stored_bytes=size)
+    check_blown_up(path, decoded_bytes=needed, stored_bytes=len(data))
     check_memory(path, needed_bytes=needed, limit_bytes=memory_bytes)
     with reading(path):
         orientation = image.getexif().get(274, 1)
@@ -207,16 +187,11 @@ def load_raster(path: Path, *, memory_bytes: int | None) -> Picture:
         colour: Colour = "other"
     else:
         colour = "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
-    return Picture(
-        values=values,
-        colour=colour,
-        full_scale=full_scale(values.dtype, bits=16 if image.mode == "I" else 8 * values.dtype.itemsize),
-        stated=(stated_by_dpi(dpi, source=f"the {kind.upper()} resolution"),),
-        orientation=orientation if isinstance(orientation, int) else 1,
-    )
+    bits = 16 if image.mode == "I" else 8 * values.dtype.itemsize
+    return _picture(values, colour, bits, [_stated_by_dpi(dpi, source=f"the {kind.upper()} resolution")], orientation)
 
 
-def check_png_chunks(data: bytes, path: Path) -> None:
+def _check_png_chunks(data: bytes, path: Path) -> None:
     """Check the checksum of every part of a PNG file, up to its end mark; decoders pass over some of them."""
     at, name = 8, b""
     while name != b"IEND":
@@ -229,7 +204,7 @@ def check_png_chunks(data: bytes, path: Path) -> None:
         at = end + 4
 
 
-def stated_by_dpi(dpi: Any, *, source: str) -> Stated:
+def _stated_by_dpi(dpi: Any, *, source: str) -> Stated:
     """Read a resolution that Pillow gives as dots per inch along x, y."""
     try:
         x, y = float(dpi[0]), float(dpi[1])
@@ -237,12 +212,3 @@ def stated_by_dpi(dpi: Any, *, source: str) -> Stated:
         return Stated(source=source, um=(None, None, None), note=UNKNOWN_NOTE)
     um = (None, from_density(y, "inch"), from_density(x, "inch"))
     return Stated(source=source, um=um, note="" if None not in um[1:] else UNKNOWN_NOTE)
-
-
-def full_scale(dtype: np.dtype[Any], *, bits: int) -> int | None:
-    """Largest value that can be stored, None for floating point."""
-    if dtype.kind == "f":
-        return None
-    if dtype.kind == "b":
-        return 1
-    return min(int(np.iinfo(dtype).max), 2**bits - 1)

@@ -21,9 +21,9 @@ import numpy as np
 from planish.core.errors import FileError
 from planish.io.formats import Place
 from planish.io.guard import reading, size_of_file
-from planish.io.loaded import LoadedVolume, inside, loaded
+from planish.io.header_volume import raw_values
+from planish.io.loaded import LoadedVolume, inside
 from planish.io.sizes import Stated
-from planish.io.stored import raw_values
 
 TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")
 KEYS = ("file", "shape", "dtype", "byte_order", "offset", "voxel_um")
@@ -32,37 +32,21 @@ LARGEST_HEADER = 100_000
 EXAMPLE = 'shape = [z, y, x], dtype = "uint16", byte_order = "little", voxel_um = 1.65'
 
 
-def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
+def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Map raw values as their header says; either of the two files is given."""
-    del channel
-    header, data, keys = found_files(place)
-    shape, stored, offset, voxel = checked(keys, header)
-    array = raw_values(header, data, shape, stored, offset=offset)
-    return loaded(
-        array,
-        header,
-        stated=[Stated(source="the TOML header", um=voxel, note="" if None not in voxel else "it has no voxel_um")],
-        file_bytes=size_of_file(header) + size_of_file(data),
-        memory_bytes=memory_bytes,
-    )
-
-
-def files(place: Place) -> list[Path]:
-    """Header and data."""
-    return list(found_files(place)[:2])
-
-
-def found_files(place: Place) -> tuple[Path, Path, dict[str, Any]]:
-    """Header, data, and what the header says."""
-    header = place.path if place.path.suffix.lower() == ".toml" else place.path.with_name(place.path.name + ".toml")
-    if not header.is_file() and header != place.path:
-        size_of_file(place.path)
+    path = place.path
+    header = path if path.suffix.lower() == ".toml" else path.with_name(path.name + ".toml")
+    if not header.is_file() and header != path:
+        size_of_file(path)
         raise FileError(
-            f"{place.path.name} has raw values and no header. Write {header.name} beside it, with lines such as: "
-            f"{EXAMPLE}."
+            f"{path.name} has raw values and no header. Write {header.name} beside it, with lines such as: {EXAMPLE}."
         )
     keys = read_header(header)
-    return header, inside(header.parent, str(keys.get("file", header.name[: -len(".toml")])), header), keys
+    data = inside(header.parent, str(keys.get("file", header.name[: -len(".toml")])), header)
+    shape, stored, offset, voxel = checked(keys, header)
+    values = raw_values(header, data, shape, stored, offset=offset)
+    stated = Stated(source="the TOML header", um=voxel, note="" if None not in voxel else "it has no voxel_um")
+    return LoadedVolume(values=values, stated=[stated], files=[header, data])
 
 
 def read_header(path: Path) -> dict[str, Any]:

@@ -1,21 +1,33 @@
-"""Photographs of serial sections: a folder of pictures and the cut counter that says where each was cut."""
+"""Photographs of serial sections: a folder of pictures and the cut counter that says where each was cut.
+
+The counter is ``sections.csv`` beside the pictures, with the columns ``file`` and ``position_um`` in the order of the
+cuts. Lines that start with ``#`` are comments; ``# kind: block-face`` or ``# kind: cut`` says what was photographed.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.errors import SizeError
-from planish.io.colour import check_channel, colour_attrs
-from planish.io.cut_counter import COUNTER, read_counter
+from planish.core.errors import FileError, SizeError, VolumeError
+from planish.core.tables import Table, parse_table, read_text
 from planish.io.guard import size_of_file
 from planish.io.lazy import FileArray
+from planish.io.loaded import check_channel, colour_attrs, full_scale
+from planish.io.picture import Picture
 from planish.io.sizes import VOXEL, Stated, agree, agreed_size, as_given
 from planish.io.slice_volume import load_pictures
+from planish.io.slices import is_slice_name, some
+
+COUNTER = "sections.csv"
+COLUMNS = ("file", "position_um")
+KINDS = ("block-face", "cut")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,50 +108,122 @@ def read_section_stack(
     -----
     Colour becomes luminance as `read_image` makes it: 0.2126 red + 0.7152 green + 0.0722 blue of the stored values.
     """
-    folder = Path(path)
-    counter = read_counter(folder)
-    files = [folder / name for name in counter.names]
-    channel = check_channel(channel)
-    values, first = load_pictures(files, channel=channel, memory_bytes=memory_bytes, photographs=True)
-    stated, full_scale = first.stated, None if values.dtype.kind == "f" else first.full_scale
-    size, source = section_size(
-        stated, voxel_um, pitch_um=counter.pitch_um, folder_name=folder.name, override=override_size
-    )
+    sections = open_sections(Path(path), channel=channel, memory_bytes=memory_bytes)
+    size, source = sections.agreed_size(voxel_um, override=override_size)
+    folder = sections.folder
     return SectionStack(
-        values=values,
-        positions_um=counter.positions_um,
+        values=sections.values,
+        positions_um=sections.positions_um,
         pixel_um=(size[1], size[2]),
-        kind=counter.kind,
+        kind=sections.kind,
         attrs={
             "voxel_um": list(size),
             "voxel_um_source": source,
-            "full_scale": full_scale,
+            "full_scale": sections.full_scale,
             "file_name": folder.name,
-            "file_bytes": sum(size_of_file(file) for file in [*files, folder / COUNTER]),
-            "section_kind": counter.kind,
-            **(colour_attrs(channel) if first.in_colour else {}),
+            "file_bytes": sections.file_bytes,
+            "section_kind": sections.kind,
+            **colour_attrs(check_channel(channel), folder, in_colour=sections.first.in_colour),
         },
     )
 
 
-def section_size(
-    stated: tuple[Stated, ...],
-    given: float | tuple[float, ...] | None,
-    *,
-    pitch_um: float,
-    folder_name: str,
-    override: bool,
-) -> tuple[tuple[float, ...], str]:
-    """Join the counter's pitch with the pixel size of metadata and user."""
-    flat = [Stated(source=s.source, um=(None, *s.um[1:]), note=s.note) for s in stated]
-    counter = Stated(source="the cut counter", um=(pitch_um, None, None))
-    if given is not None:
-        values = as_given(given, VOXEL)
-        single = isinstance(given, (int, float)) or len(given) == 1
-        if not single and not agree(values[0], pitch_um):
-            raise SizeError(
-                f"{folder_name}: {VOXEL.option} gives z {values[0]:g} um, but the median step of {COUNTER} is "
-                f"{pitch_um:g} um. Correct the counter, or give the pixel size alone."
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sections:
+    """Sections whose size is not settled; `first` is the first photograph."""
+
+    folder: Path
+    values: NDArray[Any] | FileArray
+    first: Picture
+    positions_um: NDArray[np.float64]
+    kind: str
+    file_bytes: int
+
+    @property
+    def full_scale(self) -> int | None:
+        """Largest value the files can store; None for floating point."""
+        return full_scale(self.values.dtype, self.first.bits)
+
+    def agreed_size(self, given: float | Sequence[float] | None, *, override: bool) -> tuple[tuple[float, ...], str]:
+        """Join the median step of the counter with the pixel size of metadata and user."""
+        name = self.folder.name
+        pitch_um = float(np.median(np.diff(self.positions_um)))
+        flat = [Stated(source=s.source, um=(None, *s.um[1:]), note=s.note) for s in self.first.stated]
+        if given is not None:
+            values = as_given(given, VOXEL)
+            single = isinstance(given, (int, float)) or len(given) == 1
+            if not single and not agree(values[0], pitch_um):
+                raise SizeError(
+                    f"{name}: {VOXEL.option} gives z {values[0]:g} um, but the median step of {COUNTER} is "
+                    f"{pitch_um:g} um. Correct the counter, or give the pixel size alone."
+                )
+            given = (pitch_um, values[1], values[2])
+        stated = [Stated(source="the cut counter", um=(pitch_um, None, None)), *flat]
+        return agreed_size(stated, given, file_name=name, asked=VOXEL, override=override)
+
+
+def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None) -> Sections:
+    """Read the cut counter of a folder, compare it with the pictures there, and read these."""
+    if not folder.is_dir():
+        raise FileError(f"{folder.name} is not a folder. Check the name.")
+    size_of_file(folder / COUNTER)
+    text = read_text(folder / COUNTER, what="cut counter")
+    table = parse_table(text, f"{COUNTER} in {folder.name}", needed=COLUMNS, error=VolumeError)
+    names = [table.text(row, "file") for row in table.rows]
+    positions = table.numbers(COLUMNS[1:])[:, 0]
+    known: set[str] = set()
+    for row, name in zip(table.rows, names, strict=True):
+        if not name or Path(name).name != name:
+            table.fault(row, f"{name!r} is not the name of a file in this folder")
+        elif name in known:
+            table.fault(row, f"{name} for the second time")
+        known.add(name)
+    table.check()
+    if len(names) < 2:
+        raise VolumeError(f"{table.name} names {len(names)} sections, at least two are needed.")
+    for (first, a), (second, b) in pairwise(zip(names, positions, strict=True)):
+        if not b > a:
+            raise VolumeError(
+                f"{table.name}: {second} lies at {b:g} um, {first} before it at {a:g} um. Positions have to increase "
+                "in the order of the cuts: correct the counter, or sort its rows by position."
             )
-        given = (pitch_um, values[1], values[2])
-    return agreed_size([counter, *flat], given, file_name=folder_name, asked=VOXEL, override=override)
+    kind = _kind_of_sections(table)
+    _check_pictures(folder, names)
+    files = [folder / name for name in names]
+    channel = check_channel(channel)
+    values, first = load_pictures(files, channel=channel, memory_bytes=memory_bytes, photographs=True)
+    file_bytes = sum(size_of_file(file) for file in [*files, folder / COUNTER])
+    return Sections(folder=folder, values=values, first=first, positions_um=positions, kind=kind, file_bytes=file_bytes)
+
+
+def _kind_of_sections(table: Table) -> str:
+    """What was photographed, as the comments say; empty where they do not. Two kinds are never mixed."""
+    split = [comment.partition(":") for comment in table.comments]
+    kinds = sorted({value.strip().lower() for key, colon, value in split if colon and key.strip().lower() == "kind"})
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown:
+        raise VolumeError(
+            f"{table.name} has the kind {', '.join(map(repr, unknown))}. Known are {' and '.join(KINDS)}."
+        )
+    if len(kinds) > 1:
+        raise VolumeError(
+            f"{table.name} has both kinds, {' and '.join(kinds)}. The knife squeezes cut sections by 5 to 15 % and "
+            "leaves the block's face as it is: put each kind into a folder of its own."
+        )
+    return kinds[0] if kinds else ""
+
+
+def _check_pictures(folder: Path, names: list[str]) -> None:
+    """Refuse a folder whose pictures are not those of the counter."""
+    missing = [name for name in names if not (folder / name).is_file()]
+    if missing:
+        raise VolumeError(
+            f"{folder.name} lacks {len(missing)} of {len(names)} files named in {COUNTER}: {some(missing)}. Add "
+            "them, or take their rows out: a gap in the positions is understood as a missing section."
+        )
+    odd = sorted(p.name for p in folder.iterdir() if is_slice_name(p.name) and p.is_file() and p.name not in set(names))
+    if odd:
+        raise VolumeError(
+            f"{folder.name} holds {len(odd)} pictures that {COUNTER} does not name: {some(odd)}. Add a row for "
+            "each with its position, or move them elsewhere."
+        )

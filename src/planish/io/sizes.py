@@ -27,13 +27,8 @@ UNITS_UM = {
 TOLERANCE = 0.01
 """Sizes that differ by more than this share are different sizes; less is rounding in the metadata."""
 
-VOXEL_RANGE_UM = (0.01, 100.0)
-PIXEL_RANGE_UM = (0.01, 500.0)
-"""What a scan or an image of a sheet can have; outside, the unit is wrong."""
-
 WEB_DPI = (72.0, 96.0)
 """What programs write when they do not know the resolution."""
-
 
 OVERRIDE = "--override-size"
 
@@ -59,21 +54,16 @@ class Stated:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asked:
-    """What the sizes are for: names, range and option, for the checks and the messages."""
+    """What the sizes are for: names, option, and range; outside of it the unit is wrong."""
 
     name: str
     axes: tuple[str, ...]
     option: str
     range_um: tuple[float, float]
 
-    @property
-    def how_to_give(self) -> str:
-        """The sentence that says what to do."""
-        return f"Give it with {self.option} SIZE (or {','.join(a.upper() for a in self.axes)}), in um."
 
-
-VOXEL = Asked(name="voxel", axes=("z", "y", "x"), option="--voxel-um", range_um=VOXEL_RANGE_UM)
-PIXEL = Asked(name="pixel", axes=("y", "x"), option="--pixel-um", range_um=PIXEL_RANGE_UM)
+VOXEL = Asked(name="voxel", axes=("z", "y", "x"), option="--voxel-um", range_um=(0.01, 100.0))
+PIXEL = Asked(name="pixel", axes=("y", "x"), option="--pixel-um", range_um=(0.01, 500.0))
 
 
 def unit_um(unit: str) -> float | None:
@@ -88,6 +78,25 @@ def unit_um(unit: str) -> float | None:
     return UNITS_UM.get(word)
 
 
+def stated_in(
+    source: str, values: Sequence[float | None], units: Sequence[str], order: Sequence[int] = (0, 1, 2)
+) -> Stated:
+    """Turn lengths with their units into um along the axes in `order`; what is no length is noted."""
+    found: list[float | None] = []
+    notes: list[str] = []
+    for axis in order:
+        value = values[axis] if axis < len(values) else None
+        unit = units[axis] if axis < len(units) else ""
+        length = unit_um(unit)
+        usable = value is not None and math.isfinite(value) and value > 0
+        found.append(value * length if usable and value is not None and length is not None else None)
+        if value is not None and not usable:
+            notes.append(f"{value:g} is no size")
+        elif usable and length is None:
+            notes.append(f"{unit!r} is no unit of length" if unit else f"{value:g} without a unit")
+    return Stated(source=source, um=tuple(found), note=", ".join(dict.fromkeys(notes)))
+
+
 def from_density(per_unit: float | None, unit: str) -> float | None:
     """Pixel size in um from pixels per unit of length, or None where nothing is meant by it.
 
@@ -98,12 +107,8 @@ def from_density(per_unit: float | None, unit: str) -> float | None:
     if per_unit is None or length is None or not math.isfinite(per_unit) or per_unit <= 0 or per_unit == 1:
         return None
     um = length / per_unit
-    return None if is_web_dpi(um) else um
-
-
-def is_web_dpi(um: float) -> bool:
-    """Whether a pixel size is 72 or 96 pixels per inch, within the rounding of whole pixels per cm."""
-    return any(abs(25400.0 / um - dpi) <= 1.0 for dpi in WEB_DPI)
+    # Within the rounding of whole pixels per cm.
+    return None if any(abs(25400.0 / um - dpi) <= 1.0 for dpi in WEB_DPI) else um
 
 
 def agree(first: float, second: float) -> bool:
@@ -147,30 +152,32 @@ def agreed_size(
         If it is missing on an axis, contradictory, or outside the possible range.
     """
     spoken = [s for s in stated if any(v is not None for v in s.um)]
-    if given is not None:
-        size = as_given(given, asked)
-        other = [s for s in spoken if any(v is not None and not agree(v, g) for v, g in zip(s.um, size, strict=True))]
-        if other and not override:
+    sources = " and ".join(s.source for s in spoken)
+    if given is None:
+        found = _merged(spoken, file_name=file_name, asked=asked)
+        missing = [axis for axis, value in zip(asked.axes, found, strict=True) if value is None]
+        if missing:
+            notes = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
+            along = f" along {_and_join(missing)}: {_in_words(spoken, asked)} only" if spoken else ""
             raise SizeError(
-                f"{file_name}: {asked.option} gives {in_words(size, asked)}, "
-                f"but {and_join(f'{s.source} states {in_words(s.um, asked)}' for s in other)}. "
-                f"Correct one of them, or add {OVERRIDE} to take the given size."
+                f"{file_name} states no {asked.name} size{along}{f' ({notes})' if notes else ''}. Give it with "
+                f"{asked.option} SIZE (or {','.join(a.upper() for a in asked.axes)}), in um."
             )
-        check_range(size, file_name=file_name, asked=asked, from_metadata=False)
-        if other:
-            return size, f"given, in place of {and_join(f'{s.source} ({in_words(s.um, asked)})' for s in other)}"
-        # A repeated run gives the very size that the metadata stated the first time; it still comes from there.
-        stated_fully = bool(spoken) and all(
-            v == g for v, g in zip(merged(spoken, file_name=file_name, asked=asked), size, strict=True)
+        size = tuple(value for value in found if value is not None)
+        _check_range(size, file_name=file_name, asked=asked, more=f", and add {OVERRIDE}")
+        return size, sources
+    size = as_given(given, asked)
+    other = [s for s in spoken if any(v is not None and not agree(v, g) for v, g in zip(s.um, size, strict=True))]
+    if other and not override:
+        raise SizeError(
+            f"{file_name}: {asked.option} gives {_axes_words(size, asked)}, but {_in_words(other, asked)}. "
+            f"Correct one of them, or add {OVERRIDE} to take the given size."
         )
-        return size, " and ".join(s.source for s in spoken) if stated_fully else "given"
-    found = merged(spoken, file_name=file_name, asked=asked)
-    missing = [axis for axis, value in zip(asked.axes, found, strict=True) if value is None]
-    if missing:
-        raise SizeError(missing_words(stated, spoken, missing, file_name=file_name, asked=asked))
-    size = tuple(value for value in found if value is not None)
-    check_range(size, file_name=file_name, asked=asked, from_metadata=True)
-    return size, " and ".join(s.source for s in spoken)
+    _check_range(size, file_name=file_name, asked=asked)
+    if other:
+        return size, f"given, in place of {_and_join(f'{s.source} ({_axes_words(s.um, asked)})' for s in other)}"
+    # A repeated run gives the very size that the metadata stated the first time; it still comes from there.
+    return size, sources if _merged(spoken, file_name=file_name, asked=asked) == size else "given"
 
 
 def as_given(given: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
@@ -189,41 +196,24 @@ def as_given(given: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
     return tuple(float(v) for v in values)
 
 
-def merged(spoken: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[float | None, ...]:
+def _merged(spoken: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[float | None, ...]:
     """Join what several kinds of metadata state; the first that states an axis gives its number."""
     found: list[float | None] = [None] * len(asked.axes)
     for one in spoken:
-        for i, value in enumerate(one.um):
-            known = found[i]
-            if value is None:
-                continue
-            if known is not None and not agree(known, value):
-                raise SizeError(
-                    f"{file_name} contradicts itself: "
-                    f"{and_join(f'{s.source} states {in_words(s.um, asked)}' for s in spoken)}. "
-                    f"Give the right {asked.name} size with {asked.option} and add {OVERRIDE}."
-                )
+        for i, (known, value) in enumerate(zip(found, one.um, strict=True)):
             if known is None:
                 found[i] = value
+            elif value is not None and not agree(known, value):
+                raise SizeError(
+                    f"{file_name} contradicts itself: {_in_words(spoken, asked)}. Give the right {asked.name} size "
+                    f"with {asked.option} and add {OVERRIDE}."
+                )
     return tuple(found)
 
 
-def missing_words(
-    stated: Sequence[Stated], spoken: Sequence[Stated], missing: Sequence[str], *, file_name: str, asked: Asked
-) -> str:
-    """Say what is known, what is not, why, and how to give it."""
-    notes = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
-    why = f" ({notes})" if notes else ""
-    if not spoken:
-        return f"{file_name} states no {asked.name} size{why}. {asked.how_to_give}"
-    known = and_join(f"{s.source} states {in_words(s.um, asked)}" for s in spoken)
-    return f"{file_name} states no {asked.name} size along {and_join(missing)}: {known} only{why}. {asked.how_to_give}"
-
-
-def check_range(size: Sequence[float], *, file_name: str, asked: Asked, from_metadata: bool) -> None:
+def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, more: str = "") -> None:
     """Refuse sizes that no image of a sheet has."""
     low, high = asked.range_um
-    also = f", and add {OVERRIDE}" if from_metadata else ""
     for axis, value in zip(asked.axes, size, strict=True):
         if low <= value <= high:
             continue
@@ -234,17 +224,20 @@ def check_range(size: Sequence[float], *, file_name: str, asked: Asked, from_met
                 break
         raise SizeError(
             f"{file_name}: the {asked.name} size along {axis} is {value:g} um, possible are {low:g} to {high:g} um. "
-            f"{guess}. Give the right one with {asked.option}, in um{also}."
+            f"{guess}. Give the right one with {asked.option}, in um{more}."
         )
 
 
-def in_words(size: Sequence[float | None], asked: Asked) -> str:
+def _in_words(stated: Sequence[Stated], asked: Asked) -> str:
+    return _and_join(f"{s.source} states {_axes_words(s.um, asked)}" for s in stated)
+
+
+def _axes_words(size: Sequence[float | None], asked: Asked) -> str:
     """Write a size with its axes, for example ``z 2, y 1.5, x 1.5 um``."""
     parts = [f"{axis} {value:.6g}" for axis, value in zip(asked.axes, size, strict=True) if value is not None]
     return ", ".join(parts) + " um"
 
 
-def and_join(parts: Iterable[str]) -> str:
-    """Join words with commas and a last "and"."""
+def _and_join(parts: Iterable[str]) -> str:
     words = list(parts)
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

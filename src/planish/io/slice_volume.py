@@ -7,43 +7,41 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin
 
 from planish.core.errors import FileError, SizeError, VolumeError
-from planish.io.colour import colour_attrs, grey_of, refuse_channel
 from planish.io.formats import Place
-from planish.io.guard import check_memory, default_memory_limit, reading, size_of_file
-from planish.io.lazy import EAGER_BYTES, PagedArray
-from planish.io.loaded import LoadedVolume, check_type, supported_type
-from planish.io.nrecon import Scan, check_count, check_extent, read_scan, scan_attrs, slices_of
-from planish.io.picture import Picture, kind_of, load_picture
+from planish.io.guard import check_memory, default_memory_limit, reading
+from planish.io.lazy import EAGER_BYTES, PagedArray, supported_type
+from planish.io.loaded import LoadedVolume, check_type, colour_attrs, grey_of
+from planish.io.nrecon import Scan, check_extent, named_slices, read_scan
+from planish.io.picture import ADVICE, PLUGINS, Picture, kind_of, load_picture
 from planish.io.sizes import agree
 from planish.io.slices import list_slices
-from planish.io.tiff import BLACK_IS_ZERO, check_data, only_series, open_tiff, size_words
-from planish.io.tiff_chain import damaged
+from planish.io.tiff import BLACK_IS_ZERO, open_series, size_words, stored_rows
 
 
-def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
+def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Read a folder of slices: at once where it fits, otherwise slice by slice when they are asked for."""
-    folder = place.path
-    scan = read_scan(folder)
-    files = slice_files(folder, scan)
+    scan = read_scan(place.path)
+    files = slice_files(place.path, scan)
     values, first = load_pictures(files, channel=channel, memory_bytes=memory_bytes)
+    attrs: dict[str, Any] = colour_attrs(channel, place.path, in_colour=first.in_colour)
+    stated = first.stated
     if scan is not None:
-        check_count(scan, folder, len(files))
         check_extent(scan, files[0], *values.shape[1:])
-    return LoadedVolume(
-        values=values,
-        stated=first.stated if scan is None else (scan.stated, *first.stated),
-        full_scale=None if values.dtype.kind == "f" else first.full_scale,
-        file_bytes=sum(size_of_file(file) for file in files),
-        attrs={**({} if scan is None else scan_attrs(scan)), **(colour_attrs(channel) if first.in_colour else {})},
-    )
+        attrs |= {"nrecon": scan.kept} | ({} if scan.window is None else {"attenuation_window": list(scan.window)})
+        stated = (scan.stated, *stated)
+    return LoadedVolume(values=values, stated=stated, files=files, bits=first.bits, attrs=attrs)
 
 
 def slice_files(folder: Path, scan: Scan | None) -> list[Path]:
     """Slices of a folder in their order, as the log names them or in the order of their numbers."""
-    files = (None if scan is None else slices_of(scan, folder)) or list_slices(folder)
+    files = list_slices(folder) if scan is None or scan.prefix is None else named_slices(scan, folder)
+    if scan is not None and scan.count not in (None, len(files)):
+        raise VolumeError(
+            f"{scan.log.name} states {scan.count} sections, {folder.name} holds {len(files)}. Add the missing slices, "
+            "or move the log elsewhere and give --voxel-um."
+        )
     if len(files) < 2:
         raise VolumeError(f"{folder.name} holds one slice only, {files[0].name}. Needed are all slices of the volume.")
     return files
@@ -59,34 +57,98 @@ def load_pictures(
     """
     folder = files[0].parent
     first = load_picture(files[0], memory_bytes=memory_bytes)
-    if not first.in_colour:
-        refuse_channel(channel, folder)
-    grey = grey_values(first, files[0], channel)
+    colour_attrs(channel, folder, in_colour=first.in_colour)
+    grey = _grey_values(first, files[0], channel)
     dtype = supported_type(grey.dtype)
-    shape = (len(files), *grey.shape)
     limit = default_memory_limit() if memory_bytes is None else memory_bytes
-    head = Head(files[0])
-    in_place = head.offset is not None and not photographs
-    if len(files) * grey.size * dtype.itemsize <= (min(limit, EAGER_BYTES) if in_place else limit):
-        values = np.empty(shape, dtype)
-        for i, file in enumerate(files):
-            picture = first if i == 0 else load_picture(file, memory_bytes=memory_bytes)
-            check_same(picture, first, file=file, first_file=files[0])
-            values[i] = grey_values(picture, file, channel)
+    kind, stored, offset = _head(files[0])
+    eager = limit if photographs or offset is None else min(limit, EAGER_BYTES)
+    if len(files) * grey.size * dtype.itemsize <= eager:
+        values = np.empty((len(files), *grey.shape), dtype)
+        values[0] = grey
+        for i, file in enumerate(files[1:], start=1):
+            picture = load_picture(file, memory_bytes=memory_bytes)
+            _check_same(picture, first, file=file, first_file=files[0])
+            values[i] = _grey_values(picture, file, channel)
         return values, first
     # Threads decode photographs while others are compared.
     check_memory(folder, needed_bytes=4 * first.values.nbytes if photographs else 2 * grey.nbytes, limit_bytes=limit)
-    offsets: list[int | None] = []
+    offsets: list[int] = []
     for file in files:
-        other = Head(file)
-        if other.kind != head.kind:
-            check_same(load_picture(file, memory_bytes=limit), first, file=file, first_file=files[0])
-        offsets.append(other.offset if other.stored == head.stored else None)
-    pages = SliceFiles(files, offsets, head.stored, channel if first.in_colour else None, first, grey.shape)
-    return PagedArray(pages, shape, dtype, folder), first
+        its_kind, its_stored, its_offset = _head(file)
+        if its_kind != kind:
+            _check_same(load_picture(file, memory_bytes=limit), first, file=file, first_file=files[0])
+        if its_offset is not None and its_stored == stored and grey.ndim == first.values.ndim:
+            offsets.append(its_offset)
+    return SliceFiles(files, offsets, stored, channel, (grey.shape[0], grey.shape[1]), dtype), first
 
 
-def grey_values(picture: Picture, file: Path, channel: str | None) -> NDArray[Any]:
+class SliceFiles(PagedArray):
+    """Slices as the pages of a volume: rows are read where they lie in the files as they are, others decoded whole.
+
+    Parameters
+    ----------
+    files : list of Path
+    offsets : list of int
+        Where the values lie in each file as they are; in place only if there is one for every file.
+    stored : dtype
+        Their type there.
+    channel : str or None
+    extent : (int, int)
+        Rows and columns.
+    dtype : dtype
+    """
+
+    def __init__(
+        self, files: list[Path], offsets: list[int], stored: np.dtype[Any], channel: str | None,
+        extent: tuple[int, int], dtype: np.dtype[Any],
+    ) -> None:  # fmt: skip
+        self.files, self.offsets, self.stored, self.channel, self.extent = files, offsets, stored, channel, extent
+        self.in_place = len(offsets) == len(files)
+        unit_rows = 1 if self.in_place else extent[0]
+        super().__init__(files[0].parent, (len(files), *extent), dtype, unit_rows)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process decodes anew."""
+        return SliceFiles, (self.files, self.offsets, self.stored, self.channel, self.extent, self.dtype)
+
+    def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
+        """Read rows of a slice, or decode the whole slice."""
+        file = self.files[page]
+        if self.in_place:
+            offset = self.offsets[page] + start * self.extent[1] * self.stored.itemsize
+            with file.open("rb") as opened:
+                return stored_rows(opened, file, offset, (stop - start, self.extent[1]), self.stored)
+        grey = _grey_values(load_picture(file), file, self.channel)
+        if grey.shape != self.extent:
+            raise VolumeError(
+                f"{file.name} is {size_words(grey.shape)} pixels, {size_words(self.extent)} when the folder was "
+                "opened. Leave the slices alone while planish reads them."
+            )
+        return grey[start:stop]
+
+
+def _head(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | None]:
+    """What is known of a slice before it is decoded.
+
+    Format, size and type, which slices that decode alike share; the type in the file, and where in it the values lie
+    as they are, if they do.
+    """
+    name = kind_of(file)
+    if name != "tiff":
+        with reading(file), file.open("rb") as opened:
+            image = PLUGINS[name](opened)
+            return (name, image.size, image.mode, image.info.get("dpi")), np.dtype(np.uint8), None
+    with open_series(file, error=FileError, advice=ADVICE) as (tif, series), reading(file):
+        page = series.keyframe
+        resolution = tuple(page.tags.valueof(code) for code in (282, 283, 296))
+        meta = (page.photometric, page.bitspersample, page.compression, resolution)
+        kind = (name, series.shape, series.axes, str(series.dtype), *meta)
+        offset = series.dataoffset if page.photometric == BLACK_IS_ZERO else None
+        return kind, series.dtype.newbyteorder(tif.byteorder), offset
+
+
+def _grey_values(picture: Picture, file: Path, channel: str | None) -> NDArray[Any]:
     """Grey values of a picture in its own type; colour becomes luminance where no channel is chosen."""
     check_type(picture.values.dtype, file)
     if picture.values.ndim == 2:
@@ -94,14 +156,14 @@ def grey_values(picture: Picture, file: Path, channel: str | None) -> NDArray[An
     if picture.colour == "grey":
         return picture.values[..., 0]
     if picture.colour == "rgb":
-        return grey_of(picture.values, channel=channel or "luminance")
+        return grey_of(picture.values, channel=channel)
     raise VolumeError(
         f"{file.name} is neither grey nor red, green and blue: {size_words(picture.values.shape[:2])} pixels with "
         f"{picture.values.shape[2]} samples. Export all pictures in grey."
     )
 
 
-def check_same(picture: Picture, first: Picture, *, file: Path, first_file: Path) -> None:
+def _check_same(picture: Picture, first: Picture, *, file: Path, first_file: Path) -> None:
     """Refuse a picture that differs from the first in colour, size, type or pixel size."""
     check_type(picture.values.dtype, file)
     if picture.colour != first.colour:
@@ -127,70 +189,3 @@ def check_same(picture: Picture, first: Picture, *, file: Path, first_file: Path
                     f"{file.name} states a pixel size of {a:g} um, {first_file.name} one of {b:g} um. "
                     "All slices need the same: remove the wrong slices or their resolution tags."
                 )
-
-
-class Head:
-    """What is known of a slice before it is decoded.
-
-    Attributes
-    ----------
-    kind : tuple
-        Format, size and type; slices with the same kind decode to the same shape and type.
-    offset : int or None
-        Where the values lie in the file as they are.
-    stored : dtype
-        Their type there.
-    """
-
-    def __init__(self, file: Path) -> None:
-        self.offset: int | None = None
-        self.stored = np.dtype(np.uint8)
-        name = kind_of(file)
-        if name != "tiff":
-            plugin = {"png": PngImagePlugin.PngImageFile, "jpeg": JpegImagePlugin.JpegImageFile}
-            with reading(file), file.open("rb") as opened:
-                image = plugin.get(name, BmpImagePlugin.BmpImageFile)(opened)
-                self.kind: tuple[Any, ...] = (name, image.size, image.mode, image.info.get("dpi"))
-            return
-        with open_tiff(file) as tif:
-            series = only_series(tif, file, error=FileError, advice="One picture is needed: save it alone.")
-            check_data(series, file)
-            page = series.keyframe
-            with reading(file):
-                resolution = tuple(page.tags.valueof(code) for code in (282, 283, 296))
-                meta = (page.photometric, page.bitspersample, page.compression, resolution)
-                self.kind = (name, series.shape, series.axes, str(series.dtype), *meta)
-                if page.photometric == BLACK_IS_ZERO:
-                    self.offset = series.dataoffset
-                self.stored = series.dtype.newbyteorder(tif.byteorder)
-
-
-class SliceFiles:
-    """Slices as the pages of a volume: rows are read where they lie in the files as they are, others decoded whole."""
-
-    def __init__(
-        self, files: list[Path], offsets: list[int | None], stored: np.dtype[Any], channel: str | None, first: Picture,
-        extent: tuple[int, ...],
-    ) -> None:  # fmt: skip
-        self.files, self.offsets, self.stored, self.channel, self.extent = files, offsets, stored, channel, extent
-        self.in_place = first.values.ndim == 2 and all(offset is not None for offset in offsets)
-        self.unit_rows = 1 if self.in_place else extent[0]
-
-    def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
-        """Read rows of a slice, or decode the whole slice."""
-        file, offset = self.files[page], self.offsets[page]
-        if self.in_place and offset is not None:
-            row_bytes = self.extent[1] * self.stored.itemsize
-            with file.open("rb") as opened:
-                opened.seek(offset + start * row_bytes)
-                data = opened.read((stop - start) * row_bytes)
-            if len(data) < (stop - start) * row_bytes:
-                raise damaged(file, f"it ends before row {stop}")
-            return np.frombuffer(data, self.stored).reshape(stop - start, self.extent[1])
-        grey = grey_values(load_picture(file), file, self.channel)
-        if grey.shape != self.extent:
-            raise VolumeError(
-                f"{file.name} is {size_words(grey.shape)} pixels, {size_words(self.extent)} when the folder was "
-                "opened. Leave the slices alone while planish reads them."
-            )
-        return grey[start:stop]

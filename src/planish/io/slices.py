@@ -6,7 +6,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 
 from planish.core.errors import FileError, VolumeError
@@ -78,17 +78,12 @@ def check_no_gap(numbers: list[int], folder: Path) -> None:
     if repeated:
         raise VolumeError(f"{folder.name} has more than one slice with the number {some(repeated)}. Remove the copies.")
     step = slice_step(ordered)
-    missing_count = (ordered[-1] - ordered[0]) // step + 1 - len(ordered)
-    if missing_count:
-        present = set(ordered)
-        missing: list[int] = []
-        for number in range(ordered[0], ordered[-1], step):
-            if number not in present:
-                missing.append(number)
-            if len(missing) > MOST_NAMES:
-                break
+    wanted, present = range(ordered[0], ordered[-1] + 1, step), set(ordered)
+    count = len(wanted) - len(ordered)
+    if count:
+        missing = list(islice((n for n in wanted if n not in present), MOST_NAMES + 1))
         raise VolumeError(
-            f"{folder.name} has {len(ordered)} slices from {ordered[0]} to {ordered[-1]}, {missing_count} missing: "
+            f"{folder.name} has {len(ordered)} slices from {ordered[0]} to {ordered[-1]}, {count} missing: "
             f"{some(missing)}. Add them, or move the slices before or after the gap elsewhere."
         )
 

@@ -1,12 +1,18 @@
-"""TIFF files, checked before they are decoded, then mapped or decoded whole: never short, never filled up."""
+"""TIFF files, checked before they are decoded, then mapped or decoded whole: never short, never filled up.
+
+A TIFF file is a chain of tables, one a page; each names the position of the next. A file that was cut while
+it was copied has a chain that leads out of it, a damaged one may lead in a circle. Libraries stop there and
+return the pages found so far, which would be a shorter volume without a word. Here both are errors.
+"""
 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +20,6 @@ from tifffile import TiffFile, TiffFrame, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError, InputError
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
-from planish.io.tiff_chain import check_chain, damaged
 
 WHITE_IS_ZERO = 0
 BLACK_IS_ZERO = 1
@@ -22,19 +27,32 @@ RGB = 2
 PALETTE = 3
 YCBCR = 6
 
+JPEG_COMPRESSIONS = frozenset({6, 7, 34892, 33007})
+
 LAYOUT_NUMBERS = (
     "imagewidth", "imagelength", "imagedepth", "tilewidth", "tilelength", "tiledepth", "rowsperstrip", "bitspersample",
     "samplesperpixel", "sampleformat", "compression", "photometric", "planarconfig", "predictor", "fillorder",
 )  # fmt: skip
 """Attributes of a page on which the position and meaning of every pixel depend."""
 
-JPEG_COMPRESSIONS = frozenset({6, 7, 34892, 33007})
+MOST_PAGES = 100_000
+"""No scan has more slices; a chain this long is damage."""
+
+MOST_TAGS = 4096
+
+TYPE_BYTES = {
+    1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8,
+}  # fmt: skip
+"""Bytes of one value, by TIFF type."""
+
+NEEDED_TAGS = frozenset({256, 257, 258, 259, 262, 270, 273, 277, 278, 279, 322, 323, 324, 325, 339})
+"""Size, type, layout and position of the image data, and the description: what is read must be inside the file."""
 
 
 @contextmanager
-def open_tiff(path: Path) -> Generator[TiffFile]:
-    """Open a TIFF file whose chain of pages is whole."""
-    pages = check_chain(path)
+def open_series(path: Path, *, error: type[InputError], advice: str) -> Generator[tuple[TiffFile, TiffPageSeries]]:
+    """Open a TIFF file and give its one series of equal pages, thumbnails left aside, with all data in the file."""
+    pages = _count_pages(path)
     with reading(path):
         tif = TiffFile(path, _multifile=False)
     try:
@@ -42,16 +60,77 @@ def open_tiff(path: Path) -> Generator[TiffFile]:
             found = len(tif.pages)
         if found != pages:
             raise damaged(path, f"{pages} pages are chained, {found} can be read")
-        yield tif
+        series = _only_series(tif, path, error=error, advice=advice)
+        _check_data(series, path)
+        yield tif, series
     finally:
         tif.close()
 
 
-def only_series(tif: TiffFile, path: Path, *, error: type[InputError], advice: str) -> TiffPageSeries:
-    """Return the one series of equal pages, leaving thumbnails aside."""
+def is_tiff(head: bytes) -> bool:
+    """Whether a file that begins with these bytes is a TIFF file."""
+    return head[:4] in {b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"}
+
+
+def _count_pages(path: Path) -> int:
+    """Walk the chain of pages from the first to the last."""
+    size = size_of_file(path)
+    seen: set[int] = set()
+    with reading(path), path.open("rb") as file:
+        head = file.read(16)
+        if not is_tiff(head):
+            raise FileError(f"{path.name} is not a TIFF file. Export it as TIFF.")
+        order = "<" if head[:2] == b"II" else ">"
+        widths, first = ("QHHQQ", 16) if head[2:4] in {b"+\0", b"\0+"} else ("HHHII", 8)
+        if len(head) < first:
+            raise damaged(path, "it ends within its header")
+        count, tag, at = (struct.Struct(order + part) for part in (widths[0], widths[1:4], widths[4]))
+        offset: int = at.unpack(head[first // 2 : first])[0]
+        while offset:
+            if offset in seen:
+                raise damaged(path, f"page {len(seen) + 1} of its chain is one of the pages before it")
+            if len(seen) == MOST_PAGES:
+                raise damaged(path, f"it claims more than {MOST_PAGES} pages")
+            seen.add(offset)
+            if not first <= offset <= size - count.size:
+                raise damaged(path, f"page {len(seen)} should begin at byte {offset}, the file has {size}")
+            file.seek(offset)
+            tags = count.unpack(file.read(count.size))[0]
+            if not 0 < tags <= MOST_TAGS:
+                raise damaged(path, f"page {len(seen)} claims {tags} tags")
+            table = file.read(tags * (tag.size + at.size) + at.size)
+            if len(table) != tags * (tag.size + at.size) + at.size:
+                raise damaged(path, f"the file ends within the table of page {len(seen)}")
+            _check_table(table, tag, at, f"of page {len(seen)}", path, size)
+            offset = at.unpack_from(table, len(table) - at.size)[0]
+    if not seen:
+        raise damaged(path, "it holds no page")
+    return len(seen)
+
+
+def _check_table(table: bytes, tag: struct.Struct, at: struct.Struct, page: str, path: Path, size: int) -> None:
+    """Check that the values of the tags of a page lie in the file."""
+    for start in range(0, len(table) - at.size, tag.size + at.size):
+        code, kind, count = tag.unpack_from(table, start)
+        if code not in NEEDED_TAGS:
+            continue
+        length = count * TYPE_BYTES.get(kind, 0)
+        if length == 0:
+            raise damaged(path, f"tag {code} {page} has no value")
+        # Values that are short enough stand in the table itself.
+        if length > at.size and at.unpack_from(table, start + tag.size)[0] + length > size:
+            raise damaged(path, f"tag {code} {page} lies outside the file of {size} bytes")
+
+
+def damaged(path: Path, what: str) -> FileError:
+    """One message for all kinds of damage: found, and what to do."""
+    return FileError(f"{path.name} is cut off or damaged: {what}. Copy or export it again.")
+
+
+def _only_series(tif: TiffFile, path: Path, *, error: type[InputError], advice: str) -> TiffPageSeries:
     with reading(path):
         every = list(tif.series)
-        check_declared_images(tif, path)
+        _check_declared_images(tif, path)
     full = [s for s in every if not s.keyframe.is_reduced] or every
     if not full:
         raise damaged(path, "it holds no image")
@@ -66,11 +145,8 @@ def only_series(tif: TiffFile, path: Path, *, error: type[InputError], advice: s
     return full[0]
 
 
-def check_declared_images(tif: TiffFile, path: Path) -> None:
-    """Compare the number of images that ImageJ wrote with the bytes and pages that are there.
-
-    ImageJ stores all slices behind one page table, so a cut file has a whole chain.
-    """
+def _check_declared_images(tif: TiffFile, path: Path) -> None:
+    """Compare the images that ImageJ declares with what is there: a cut file still has their one table of pages."""
     meta: Any = tif.imagej_metadata
     images = meta.get("images", 1) if meta else 1
     page = tif.pages.first
@@ -82,11 +158,14 @@ def check_declared_images(tif: TiffFile, path: Path) -> None:
         )
 
 
-def check_data(series: TiffPageSeries, path: Path) -> None:
+def _check_data(series: TiffPageSeries, path: Path) -> None:
     """Check that all data of a series are in the file, as far as the page tables show."""
     size = size_of_file(path)
     key = series.keyframe
-    check_numbers(key, path)
+    for name in LAYOUT_NUMBERS:  # damaged tags may have any type
+        value: Any = getattr(key, name)
+        if not isinstance(value, int):
+            raise damaged(path, f"its {name} is {str(value)[:40]!r}, which is no number")
     if series.size == 0 or key.dtype is None or series.dtype.itemsize == 0:
         raise damaged(path, f"its image is {' x '.join(map(str, series.shape)) or 'without extent'} pixels")
     if key.bitspersample not in range(1, 65):
@@ -100,7 +179,7 @@ def check_data(series: TiffPageSeries, path: Path) -> None:
         raise damaged(path, f"{series.size} pixels are declared, its pages hold {len(pages) * math.prod(key.shape)}")
     with reading(path):
         segments = math.prod(key.chunked)
-    needed = stored_bytes_if_uncompressed(key)
+    needed = _uncompressed_bytes(key)
     total = 0
     for number, page in enumerate(pages, start=1):
         if page is None:
@@ -108,20 +187,12 @@ def check_data(series: TiffPageSeries, path: Path) -> None:
                 f"{path.name}: image {number} of {len(pages)} is declared but not in this file. "
                 "Export all slices into one file."
             )
-        total += check_page_data(page, path, number=number, segments=segments, needed=needed, size=size)
+        total += _check_page_data(page, path, number=number, segments=segments, needed=needed, size=size)
     if key.compression != 1:
         check_blown_up(path, decoded_bytes=series.nbytes, stored_bytes=total)
 
 
-def check_numbers(page: TiffPage, path: Path) -> None:
-    """Refuse a page whose layout is not given in whole numbers, as damaged tags may have any type."""
-    for name in LAYOUT_NUMBERS:
-        value: Any = getattr(page, name)
-        if not isinstance(value, int):
-            raise damaged(path, f"its {name} is {str(value)[:40]!r}, which is no number")
-
-
-def check_page_data(
+def _check_page_data(
     page: TiffPage | TiffFrame, path: Path, *, number: int, segments: int, needed: int | None, size: int
 ) -> int:
     """Check the strips or tiles of one page; return their bytes."""
@@ -141,7 +212,7 @@ def check_page_data(
     return total
 
 
-def stored_bytes_if_uncompressed(page: TiffPage) -> int | None:
+def _uncompressed_bytes(page: TiffPage) -> int | None:
     """Bytes that the strips of an uncompressed page must have; None if it is compressed."""
     if page.compression != 1 or page.is_subsampled:
         return None
@@ -164,19 +235,38 @@ def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | Non
         decoded = series.asarray(out=values)
     if decoded.shape != values.shape:
         raise damaged(path, f"its data decode to {decoded.shape}, not {values.shape}")
-    return turn_white(values, path, bits=series.keyframe.bitspersample) if turned else values
+    return turn_white(values, path=path, bits=series.keyframe.bitspersample, out=values) if turned else values
 
 
-def turn_white(values: NDArray[Any], path: Path, *, bits: int) -> NDArray[Any]:
-    """Make black zero, in place."""
+def turn_white(values: NDArray[Any], *, path: Path, bits: int, out: NDArray[Any] | None = None) -> NDArray[Any]:
+    """Make black zero."""
     if values.dtype.kind == "b":
-        return np.logical_not(values, out=values)
+        return np.logical_not(values, out=out)
     if values.dtype.kind != "u":
         raise FileError(
             f"{path.name} stores white as 0 in {values.dtype} values, whose range is not defined. "
             "Export it with black as 0."
         )
-    return np.subtract(values.dtype.type(2**bits - 1), values, out=values)
+    return np.subtract(values.dtype.type(2**bits - 1), values, out=out)
+
+
+def stored_rows(file: BinaryIO, path: Path, offset: int, shape: tuple[int, ...], stored: np.dtype[Any]) -> NDArray[Any]:
+    """Read rows that lie in a file as they are."""
+    file.seek(offset)
+    data = file.read(math.prod(shape) * stored.itemsize)
+    if len(data) < math.prod(shape) * stored.itemsize:
+        raise damaged(path, f"it ends within the rows at byte {offset}")
+    return np.frombuffer(data, stored).reshape(shape)
+
+
+def has_rgb(page: TiffPage) -> bool:
+    """Whether the first samples of a page are red, green and blue."""
+    return page.photometric == RGB or (page.photometric == YCBCR and page.compression in JPEG_COMPRESSIONS)
+
+
+def long_axes(series: TiffPageSeries) -> str:
+    """Letters of y and x and of all other axes longer than 1."""
+    return "".join(a for a, n in zip(series.axes, series.shape, strict=True) if n > 1 or a in "YX")
 
 
 def shape_words(series: TiffPageSeries) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,32 +12,18 @@ from numpy.typing import NDArray
 from tifffile import TiffPageSeries
 
 from planish.core.errors import VolumeError
-from planish.io.colour import colour_attrs, refuse_channel, to_grey
 from planish.io.formats import Place
-from planish.io.guard import check_memory, reading, size_of_file
-from planish.io.lazy import (
-    ChangedArray,
-    FileArray,
-    MappedArray,
-    PagedArray,
-    as_supported,
-    is_small,
-    mapped,
-    settle,
-    turned,
-)
-from planish.io.loaded import ADVICE, LoadedVolume, check_type
-from planish.io.picture import kind_of, long_axes
+from planish.io.guard import check_memory, reading
+from planish.io.lazy import ChangedArray, FileArray, MappedArray, is_small, mapped, turned
+from planish.io.loaded import ADVICE, LoadedVolume, check_type, colour_attrs, grey_of
+from planish.io.picture import kind_of
 from planish.io.tiff import (
-    JPEG_COMPRESSIONS,
     PALETTE,
-    RGB,
     WHITE_IS_ZERO,
-    YCBCR,
-    check_data,
+    has_rgb,
+    long_axes,
     map_or_decode,
-    only_series,
-    open_tiff,
+    open_series,
     shape_words,
     turn_white,
 )
@@ -50,7 +37,7 @@ MANY_CHANNELS = 16
 MEANINGS = {"C": "channels", "T": "time points", "S": "colour samples"}
 
 
-def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
+def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Read a TIFF stack in one file."""
     path = place.path
     kind = kind_of(path)
@@ -58,55 +45,45 @@ def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> Load
         raise VolumeError(
             f"{path.name} is one {kind.upper()} picture, not a volume. Give a TIFF stack or a folder of slices."
         )
-    with open_tiff(path) as tif:
-        series = only_series(tif, path, error=VolumeError, advice=ADVICE)
-        check_data(series, path)
-        axes = volume_axes(series, path)
+    with open_series(path, error=VolumeError, advice=ADVICE) as (tif, series):
+        axes = _volume_axes(series, path)
         page = series.keyframe
         check_type(series.dtype, path)
-        if page.photometric == PALETTE and not tif.is_imagej and not is_grey_ramp(page.colormap):
+        if page.photometric == PALETTE and not tif.is_imagej and not _is_grey_ramp(page.colormap):
             raise VolumeError(f"{path.name} has a colour palette. {ADVICE}")
-        if "S" not in axes:
-            refuse_channel(channel, path)
-        stated = stated_by_tiff(tif, page, path)
-        array = stack(series, path, axes, channel=channel, memory_bytes=memory_bytes)
-        bits = int(page.bitspersample)
-        values = settle(as_supported(array, path), path, memory_bytes=memory_bytes)
-    return LoadedVolume(
-        values=values,
-        stated=stated,
-        full_scale=None if values.dtype.kind == "f" else min(2**bits - 1, int(np.iinfo(values.dtype).max)),
-        file_bytes=size_of_file(path),
-        attrs=colour_attrs(channel) if "S" in axes else {},
-    )
+        return LoadedVolume(
+            attrs=colour_attrs(channel, path, in_colour="S" in axes),
+            values=_stack(series, path, axes, channel=channel, memory_bytes=memory_bytes),
+            stated=stated_by_tiff(tif, page, path),
+            files=[path],
+            bits=int(page.bitspersample),
+        )
 
 
-def stack(
+def _stack(
     series: TiffPageSeries, path: Path, axes: str, *, channel: str | None, memory_bytes: int | None
 ) -> NDArray[Any] | FileArray:
     """Return the values of a checked series: mapped, left in its pages, or decoded."""
+    key = series.keyframe
     shape = tuple(n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes)
-    colour = to_grey(channel) if "S" in axes else None
-    white = series.keyframe.photometric == WHITE_IS_ZERO
+    colour = partial(grey_of, channel=channel) if "S" in axes else None
+    white = key.photometric == WHITE_IS_ZERO
     with reading(path):
         offset = series.dataoffset
-        stored = series.dtype.newbyteorder(series.keyframe.parent.byteorder)
+        stored = series.dtype.newbyteorder(key.parent.byteorder)
         paged = offset is None and can_page(series, shape[0])
     if offset is not None and colour is None and not white:
         return mapped(path, shape, stored, offset=offset)
     if offset is not None and colour is not None:
         order = (0, 2, 3, 1) if axes[1] == "S" else (0, 1, 2, 3)
         inner = turned(MappedArray(path, shape, stored, offset=offset), order)
-        return ChangedArray(inner, colour, dtype=inner.dtype, path=path)
+        return ChangedArray(inner, colour, inner.dtype)
     if offset is not None and series.dtype.kind == "u":
         inner = MappedArray(path, shape, stored, offset=offset)
-        bits = series.keyframe.bitspersample
-        return ChangedArray(inner, BlackIsZero(path, bits), dtype=inner.dtype, path=path)
+        return ChangedArray(inner, partial(turn_white, path=path, bits=key.bitspersample), inner.dtype)
     if paged:
-        zyx = (shape[0], series.keyframe.imagelength, series.keyframe.imagewidth)
         with reading(path):
-            pages = TiffPages(path, series, change=colour)
-        array = PagedArray(pages, zyx, series.dtype.newbyteorder("="), path)
+            array = TiffPages(path, series, colour)
         if colour is not None or not is_small(array, memory_bytes=memory_bytes):
             return array
     whole = map_or_decode(series, path, memory_bytes=memory_bytes).reshape(shape)
@@ -116,22 +93,11 @@ def stack(
     return np.stack([colour(np.moveaxis(p, 0, -1) if axes[1] == "S" else p) for p in whole])
 
 
-class BlackIsZero:
-    """Turns grey values round; can be sent to another process."""
-
-    def __init__(self, path: Path, bits: int) -> None:
-        self.path, self.bits = path, bits
-
-    def __call__(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Turn a copy round."""
-        return turn_white(np.array(values), self.path, bits=self.bits)
-
-
-def volume_axes(series: TiffPageSeries, path: Path) -> str:
+def _volume_axes(series: TiffPageSeries, path: Path) -> str:
     """Return the axes of a stack that are longer than 1: slices, y and x, and the samples of a stack in colour."""
     axes = long_axes(series)
     grey = axes.replace("S", "")
-    if len(grey) == 3 and grey[0] in SLICE_AXES and grey[1:] == "YX" and (axes == grey or is_rgb(series)):
+    if len(grey) == 3 and grey[0] in SLICE_AXES and grey[1:] == "YX" and (axes == grey or _is_rgb(series, axes)):
         return axes
     # ImageJ and tifffile file a stack of unnamed pages as channels; nothing has so many channels, so these are slices.
     if len(axes) == 3 and axes[0] == "C" and axes[1:] == "YX" and series.shape[series.axes.index("C")] >= MANY_CHANNELS:
@@ -152,16 +118,12 @@ def volume_axes(series: TiffPageSeries, path: Path) -> str:
     raise VolumeError(f"{path.name} is not a volume with the axes z, y, x: {shape_words(series)}. {ADVICE}")
 
 
-def is_rgb(series: TiffPageSeries) -> bool:
+def _is_rgb(series: TiffPageSeries, axes: str) -> bool:
     """Whether the samples of a pixel are red, green and blue, with or without further ones."""
-    axes = long_axes(series)
-    samples = series.shape[series.axes.index("S")]
-    page = series.keyframe
-    colours = page.photometric == RGB or (page.photometric == YCBCR and page.compression in JPEG_COMPRESSIONS)
-    return colours and samples in (3, 4) and axes.index("S") in (1, 3)
+    return has_rgb(series.keyframe) and series.shape[series.axes.index("S")] in (3, 4) and axes.index("S") in (1, 3)
 
 
-def is_grey_ramp(colormap: NDArray[Any] | None) -> bool:
+def _is_grey_ramp(colormap: NDArray[Any] | None) -> bool:
     """Whether a palette only spreads grey values over the range, in order."""
     if colormap is None:
         return False

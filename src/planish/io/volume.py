@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planish.core.lazy import labelled
-from planish.io.colour import check_channel
 from planish.io.formats import Place, find_place, format_of, loader
 from planish.io.lazy import FileArray
-from planish.io.loaded import LoadedVolume
+from planish.io.loaded import LoadedVolume, check_channel, settled
 from planish.io.sizes import VOXEL, agreed_size
 
 if TYPE_CHECKING:
@@ -86,24 +85,7 @@ def read_volume(
     return labelled(loaded.values, VOXEL.axes, size, name="volume", attrs=attrs, encoding=encoding)
 
 
-def load_volume(path: Place | Path, *, channel: str | None = None, memory_bytes: int | None = None) -> LoadedVolume:
-    """Read the values of a volume, whatever its voxel size.
-
-    Parameters
-    ----------
-    path : Place or Path
-    channel : str, optional
-    memory_bytes : int, optional
-
-    Returns
-    -------
-    LoadedVolume
-
-    Raises
-    ------
-    FileError, VolumeError, InputError, ResourceError
-        As :func:`read_volume`.
-    """
-    place = path if isinstance(path, Place) else find_place(path)
+def load_volume(place: Place, *, channel: str | None = None, memory_bytes: int | None = None) -> LoadedVolume:
+    """Read the values of a volume, whatever its voxel size; errors as those of :func:`read_volume`."""
     load = loader(format_of(place))
-    return load(place, channel=check_channel(channel), memory_bytes=memory_bytes)
+    return settled(load(place, check_channel(channel), memory_bytes), place.path, memory_bytes=memory_bytes)

@@ -14,36 +14,32 @@ from zarr.storage import LocalStore
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.chunks import check_chunks
+from planish.io.chunks import METADATA, check_blosc, check_chunks, packed_by_blosc, stored_chunks
 from planish.io.formats import Place
 from planish.io.guard import reading
 from planish.io.lazy import FileArray, turned
-from planish.io.loaded import ADVICE, LoadedVolume, loaded
-from planish.io.sizes import Stated, unit_um
+from planish.io.loaded import ADVICE, LoadedVolume, check_type
+from planish.io.sizes import Stated, stated_in
 from planish.io.store import missing_shards
-from planish.io.stored import check_shape
 from planish.io.tiff import size_words
-from planish.io.zarr_chunks import METADATA, check_blosc, packed_by_blosc, stored_chunks
 
 LARGEST_METADATA = 50_000_000
-SPACE = "zyx"
+
+Keys = Mapping[str, Any]
 
 
-def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
+def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Read the first level of a multiscale image, or the array that was chosen, in parts when they are asked for."""
-    del channel
     path = place.path
     if not path.is_dir():
         raise FileError(f"{path.name} is no folder. A zarr store is one: unpack it, or check the name.")
-    name = part_of(path, place.part)
-    multiscale, level, name = find_level(path, name)
-    array = open_node(path, name)
+    multiscale, level, name = _find_level(path, _part_of(path, place.part))
+    array = _open_node(path, name)
     if not isinstance(array, zarr.Array):
         raise VolumeError(f"{path.name}: {name or 'the store'} is no array. Choose one as {path.name}:NAME.")
     shape = tuple(int(n) for n in array.shape)
-    axes = axis_list(multiscale, len(shape), path)
-    order = check_axes(axes, shape, multiscale, path)
-    check_shape(shape, path)
+    axes = _axis_list(multiscale, len(shape), path)
+    order = _check_axes(axes, shape, multiscale, path)
     # A store that planish wrote lists its shards, also those that hold one constant.
     lost = [shard for shard in missing_shards(path) if shard.startswith(f"{name}/")]
     if lost:
@@ -54,28 +50,37 @@ def load(place: Place, *, channel: str | None, memory_bytes: int | None) -> Load
     with reading(path):
         chunk = tuple(int(n) for n in (array.shards or array.chunks))
         notes = check_chunks(stored_chunks(path / name), shape, chunk, name=path.name)
-        if array.dtype.kind not in "buif":
-            raise VolumeError(
-                f"{path.name} has {array.dtype} values. Needed are integers or real numbers up to 64 bits."
-            )
+        check_type(np.dtype(array.dtype), path)
         lazy = ZarrArray(path, name, shape, np.dtype(array.dtype), tuple(int(n) for n in array.chunks))
-    return loaded(
-        turned(lazy, order),
-        path,
-        stated=[] if multiscale is None else [stated_by_scale(multiscale, level, axes, order)],
-        file_bytes=sum(file.stat().st_size for file in (path / name).rglob("*") if file.is_file()),
-        memory_bytes=memory_bytes,
+    return LoadedVolume(
+        values=turned(lazy, order),
+        stated=[] if multiscale is None else [_stated_by_scale(multiscale, level, axes, order)],
+        files=[file for file in (path / name).rglob("*") if file.is_file()],
         attrs={"dataset": name or "/"},
         notes=notes,
     )
 
 
-def files(place: Place) -> list[Path]:
-    """All files of the store."""
-    return sorted(file for file in place.path.rglob("*") if file.is_file())
+class ZarrArray(FileArray):
+    """An array of a zarr store."""
+
+    def __init__(
+        self, path: Path, name: str, shape: tuple[int, ...], dtype: np.dtype[Any], chunks: tuple[int, ...]
+    ) -> None:
+        self.path, self.name, self.shape, self.chunks = path, name, shape, chunks
+        self.dtype, self.piece_bytes = dtype.newbyteorder("="), math.prod(chunks) * dtype.itemsize
+
+    def read(self, where: Where) -> NDArray[Any]:
+        """Read a part."""
+        array = _open_node(self.path, self.name)
+        if tuple(array.shape) != self.shape:
+            raise FileError(f"{self.path.name} was changed while planish read it. Start again.")
+        if packed_by_blosc(array):
+            check_blosc(array, where, self.path / self.name, self.path)
+        return np.asarray(array[where], self.dtype)
 
 
-def part_of(path: Path, part: str) -> str:
+def _part_of(path: Path, part: str) -> str:
     """Path inside the store."""
     pieces = [piece for piece in part.replace("\\", "/").split("/") if piece not in ("", ".")]
     if ".." in pieces or not (path / "/".join(pieces)).resolve().is_relative_to(path.resolve()):
@@ -85,7 +90,7 @@ def part_of(path: Path, part: str) -> str:
     return "/".join(pieces)
 
 
-def open_node(path: Path, name: str) -> Any:
+def _open_node(path: Path, name: str) -> Any:
     """Open a group or an array for reading."""
     place = path / name
     there = [file for file in METADATA if (place / file).is_file()]
@@ -100,33 +105,31 @@ def open_node(path: Path, name: str) -> Any:
         return zarr.open(store=LocalStore(place, read_only=True), mode="r", use_consolidated=False)
 
 
-def find_level(path: Path, name: str) -> tuple[Mapping[str, Any] | None, int, str]:
+def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
     """Find the multiscale image that a part belongs to, the level in it, and the path of that level's array."""
-    node = open_node(path, name)
+    node = _open_node(path, name)
     if isinstance(node, zarr.Array):
         parent, _, last = name.rpartition("/")
         if name and any((path / parent / file).is_file() for file in (".zgroup", "zarr.json")):
-            multiscale = multiscale_of(open_node(path, parent), path)
-            names = [] if multiscale is None else [level_name(d, path) for d in multiscale["datasets"]]
+            multiscale = _multiscale_of(_open_node(path, parent), path)
+            names = [] if multiscale is None else [_part_of(path, str(d.get("path"))) for d in multiscale["datasets"]]
             if last in names:
                 return multiscale, names.index(last), name
         return None, 0, name
-    multiscale = multiscale_of(node, path)
+    multiscale = _multiscale_of(node, path)
     if multiscale is not None:
-        first = level_name(multiscale["datasets"][0], path)
+        first = _part_of(path, str(multiscale["datasets"][0].get("path", "")))
         return multiscale, 0, f"{name}/{first}".strip("/")
     with reading(path):
-        members = sorted(
-            child.name for child in (path / name).iterdir() if any((child / m).is_file() for m in METADATA)
-        )
+        members = sorted(c.name for c in (path / name).iterdir() if any((c / m).is_file() for m in METADATA))
     if len(members) == 1:
-        return find_level(path, f"{name}/{members[0]}".strip("/"))
+        return _find_level(path, f"{name}/{members[0]}".strip("/"))
     listed = ", ".join(members[:8]) or "nothing"
     example = f" Choose one as {path.name}:{members[0]}." if members else " Export it again as OME-Zarr."
     raise VolumeError(f"{path.name} has no multiscale image at {name or 'its root'}; it holds {listed}.{example}")
 
 
-def multiscale_of(group: Any, path: Path) -> Mapping[str, Any] | None:
+def _multiscale_of(group: Any, path: Path) -> Keys | None:
     """The one multiscale image of a group; None where the group has none."""
     with reading(path):
         attrs: Any = dict(group.attrs)
@@ -136,24 +139,14 @@ def multiscale_of(group: Any, path: Path) -> Mapping[str, Any] | None:
         return None
     if isinstance(found, list) and len(found) > 1:
         raise VolumeError(f"{path.name} holds {len(found)} images in one group. {ADVICE}")
-    if (
-        not isinstance(found, list)
-        or not found
-        or not isinstance(found[0], dict)
-        or not isinstance(found[0].get("datasets"), list)
-        or not found[0]["datasets"]
-        or not all(isinstance(d, dict) for d in found[0]["datasets"])
-    ):
+    image: Any = found[0] if isinstance(found, list) and found else None
+    levels: Any = image.get("datasets") if isinstance(image, dict) else None
+    if not isinstance(levels, list) or not levels or not all(isinstance(level, dict) for level in levels):
         raise FileError(f"{path.name}: its multiscales metadata name no data sets. Export it again as OME-Zarr.")
-    return {**found[0], "omero": ome.get("omero")}
+    return {**image, "omero": ome.get("omero")}
 
 
-def level_name(dataset: Any, path: Path) -> str:
-    """Path of a level in its group."""
-    return part_of(path, str(dataset.get("path", "")))
-
-
-def axis_list(multiscale: Mapping[str, Any] | None, count: int, path: Path) -> list[dict[str, str]]:
+def _axis_list(multiscale: Keys | None, count: int, path: Path) -> list[dict[str, str]]:
     """Axes of an array: name, type and unit, where the metadata state them."""
     named: Any = None if multiscale is None else multiscale.get("axes")
     if named is None:
@@ -167,52 +160,35 @@ def axis_list(multiscale: Mapping[str, Any] | None, count: int, path: Path) -> l
     return axes
 
 
-def check_axes(
-    axes: list[dict[str, str]], shape: tuple[int, ...], multiscale: Mapping[str, Any] | None, path: Path
+def _check_axes(
+    axes: list[dict[str, str]], shape: tuple[int, ...], multiscale: Keys | None, path: Path
 ) -> tuple[int, ...]:
     """Return which axes are z, y and x; all others have to be of length 1."""
     names = [axis.get("name", "").casefold() for axis in axes]
+    named = f"{size_words(shape)} ({', '.join(names)}). {ADVICE}"
     for name, n in zip(names, shape, strict=True):
-        if name not in SPACE and n > 1:
+        if name not in ("z", "y", "x") and n > 1:
             what = {"c": "channels", "t": "time points"}.get(name, f"places along {name!r}")
-            labels = channel_labels(multiscale) if name == "c" else ""
-            raise VolumeError(f"{path.name} has {n} {what}{labels}: {size_words(shape)} ({', '.join(names)}). {ADVICE}")
-    if any(names.count(letter) != 1 for letter in SPACE):
-        raise VolumeError(f"{path.name} is no volume: its axes are {', '.join(names)}, {size_words(shape)}. {ADVICE}")
-    return tuple(names.index(letter) for letter in SPACE)
+            omero: Any = multiscale.get("omero") if multiscale is not None and name == "c" else None
+            channels: Any = omero.get("channels") if isinstance(omero, dict) else None
+            labels = ", ".join(str(c.get("label")) for c in channels or () if isinstance(c, dict))
+            raise VolumeError(f"{path.name} has {n} {what}{f' ({labels})' if labels else ''}: {named}")
+    if any(names.count(letter) != 1 for letter in "zyx"):
+        raise VolumeError(f"{path.name} is no volume: its axes are {', '.join(names)}: {named}")
+    return tuple(names.index(letter) for letter in "zyx")
 
 
-def channel_labels(multiscale: Mapping[str, Any] | None) -> str:
-    """Names of the channels, in brackets."""
-    omero: Any = None if multiscale is None else multiscale.get("omero")
-    channels: Any = omero.get("channels") if isinstance(omero, dict) else None
-    labels = [str(c.get("label", "?")) for c in channels if isinstance(c, dict)] if isinstance(channels, list) else []
-    return f" ({', '.join(labels)})" if labels else ""
-
-
-def stated_by_scale(
-    multiscale: Mapping[str, Any], level: int, axes: list[dict[str, str]], order: tuple[int, ...]
-) -> Stated:
+def _stated_by_scale(multiscale: Keys, level: int, axes: list[dict[str, str]], order: tuple[int, ...]) -> Stated:
     """Voxel size along z, y, x from the scale transformations of the level and of the whole image."""
     source = "the OME-Zarr scale"
-    datasets: Any = multiscale["datasets"]
-    factors = [scale_of(datasets[level], len(axes)), scale_of(multiscale, len(axes))]
-    if factors[0] is None:
+    own, whole = _scale_of(multiscale["datasets"][level], len(axes)), _scale_of(multiscale, len(axes))
+    if own is None:
         return Stated(source=source, um=(None, None, None), note="the level has no scale transformation")
-    found: list[float | None] = []
-    notes: list[str] = []
-    for axis in order:
-        value = math.prod(factor[axis] for factor in factors if factor is not None)
-        unit = axes[axis].get("unit", "")
-        length = unit_um(unit)
-        found.append(None if length is None or not math.isfinite(value) or value <= 0 else value * length)
-        if length is None:
-            what = f"{unit!r}, which is no unit of length" if unit else "no unit"
-            notes.append(f"{axes[axis].get('name')} has {what}")
-    return Stated(source=source, um=tuple(found), note=", ".join(notes))
+    values = [a * b for a, b in zip(own, whole or [1.0] * len(axes), strict=True)]
+    return stated_in(source, values, [axis.get("unit", "") for axis in axes], order)
 
 
-def scale_of(owner: Any, count: int) -> list[float] | None:
+def _scale_of(owner: Keys, count: int) -> list[float] | None:
     """Factors of the scale transformation of a level or an image."""
     transformations: Any = owner.get("coordinateTransformations")
     for one in transformations if isinstance(transformations, list) else []:
@@ -220,22 +196,3 @@ def scale_of(owner: Any, count: int) -> list[float] | None:
         if isinstance(values, list) and len(values) == count and all(type(v) in (int, float) for v in values):
             return [float(v) for v in values]
     return None
-
-
-class ZarrArray(FileArray):
-    """An array of a zarr store."""
-
-    def __init__(
-        self, path: Path, name: str, shape: tuple[int, ...], dtype: np.dtype[Any], chunks: tuple[int, ...]
-    ) -> None:
-        self.path, self.name, self.shape, self.chunks = path, name, shape, chunks
-        self.dtype, self.piece_bytes = dtype.newbyteorder("="), math.prod(chunks) * dtype.itemsize
-
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a part."""
-        array = open_node(self.path, self.name)
-        if tuple(array.shape) != self.shape:
-            raise FileError(f"{self.path.name} was changed while planish read it. Start again.")
-        if packed_by_blosc(array):
-            check_blosc(array, where, self.path / self.name, self.path)
-        return np.asarray(array[where], self.dtype)

@@ -1,0 +1,349 @@
+"""Volumes behind a header of text, NRRD and MetaImage: raw values are mapped, compressed ones unpacked at once.
+
+Header and values are one file or two. Compressed values of a MetaImage that do not fit into the memory are read in
+parts by SimpleITK.
+"""
+
+from __future__ import annotations
+
+import bz2
+import math
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.errors import FileError, VolumeError
+from planish.core.lazy import Where
+from planish.io.formats import Place, extra
+from planish.io.guard import check_blown_up, default_memory_limit, reading, size_of_file
+from planish.io.lazy import FileArray, WholeArray, mapped
+from planish.io.loaded import ADVICE, LoadedVolume, inside
+from planish.io.sizes import Stated, stated_in
+from planish.io.tiff import damaged, size_words
+
+LARGEST_HEADER = 2**20
+READ_BYTES = 4 * 2**20
+UNPACKED_BYTES = 64 * 2**20
+
+NRRD_TYPES = {
+    "int8": "signed char, int8, int8_t",
+    "uint8": "uchar, unsigned char, uint8, uint8_t",
+    "int16": "short, short int, signed short, signed short int, int16, int16_t",
+    "uint16": "ushort, unsigned short, unsigned short int, uint16, uint16_t",
+    "int32": "int, signed int, int32, int32_t",
+    "uint32": "uint, unsigned int, uint32, uint32_t",
+    "int64": "longlong, long long, long long int, signed long long, signed long long int, int64, int64_t",
+    "uint64": "ulonglong, unsigned long long, unsigned long long int, uint64, uint64_t",
+    "float32": "float",
+    "float64": "double",
+}
+META_TYPES = {
+    "int8": "MET_CHAR",
+    "uint8": "MET_UCHAR",
+    "int16": "MET_SHORT",
+    "uint16": "MET_USHORT",
+    "int32": "MET_INT, MET_LONG",
+    "uint32": "MET_UINT, MET_ULONG",
+    "int64": "MET_LONG_LONG",
+    "uint64": "MET_ULONG_LONG",
+    "float32": "MET_FLOAT",
+    "float64": "MET_DOUBLE",
+}
+PACKINGS = {"raw": "", "gzip": "deflate", "gz": "deflate", "bzip2": "bzip2", "bz2": "bzip2"}
+SPATIAL = frozenset({"domain", "space", "???", "none", ""})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Header:
+    """What a header says.
+
+    Attributes
+    ----------
+    sizes : tuple of int
+        Of all axes, the fastest first.
+    order : tuple of int
+        Which of these axes are z, y, x.
+    stored : dtype
+    data : Path
+        File with the values.
+    offset : int
+        Byte at which they begin; -1 where they end with the file.
+    packing : {"", "deflate", "bzip2"}
+    stated : list of Stated
+    """
+
+    sizes: tuple[int, ...]
+    order: tuple[int, ...]
+    stored: np.dtype[Any]
+    data: Path
+    offset: int
+    packing: str
+    stated: list[Stated]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Voxels along z, y, x."""
+        return tuple(self.sizes[axis] for axis in self.order)
+
+    @property
+    def needed_bytes(self) -> int:
+        """Size of the values without compression."""
+        return math.prod(self.shape) * self.stored.itemsize
+
+
+def load(place: Place, _channel: str | None, memory_bytes: int | None) -> LoadedVolume:
+    """Map the values, or leave them to be unpacked."""
+    path = place.path
+    size_of_file(path)
+    with reading(path), path.open("rb") as file:
+        head = file.read(LARGEST_HEADER)
+    header = (_nrrd if path.suffix.lower() in (".nrrd", ".nhdr") else _meta)(head, path)
+    data, needed, native = header.data, header.needed_bytes, header.stored.newbyteorder("=")
+    values: NDArray[Any] | FileArray
+    if not header.packing:
+        offset = max(size_of_file(data) - needed, 0) if header.offset < 0 else header.offset
+        values = raw_values(path, data, header.shape, header.stored, offset=offset)
+    else:
+        check_blown_up(data, decoded_bytes=needed, stored_bytes=max(size_of_file(data) - header.offset, 0))
+        limit = default_memory_limit() if memory_bytes is None else memory_bytes
+        if needed > limit and path.suffix.lower() in (".mha", ".mhd"):
+            # SimpleITK reads on behind the end of values that are shorter than declared.
+            for _ in _unpacked_parts(path, header):
+                pass
+            values = MetaArray(path, header.shape, native)
+        else:
+            values = WholeArray(path, header.shape, native, partial(_unpacked, path, header))
+    return LoadedVolume(values=values, stated=header.stated, files=[path, data])
+
+
+def raw_values(
+    path: Path, data: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int
+) -> NDArray[Any] | FileArray:
+    """Map values that lie in a file as they are and fill it from an offset to its end."""
+    needed = math.prod(shape) * stored.itemsize
+    there = size_of_file(data) - offset
+    if there != needed:
+        fault = "It was cut off" if there < needed else "The header is wrong"
+        raise FileError(
+            f"{path.name} declares {size_words(shape)} values of {stored.itemsize} bytes, {needed} bytes; {data.name} "
+            f"has {max(there, 0)} from byte {offset} on. {fault}: copy or export it again, or correct the header."
+        )
+    return mapped(data, shape, stored, offset=offset)
+
+
+def _unpacked(path: Path, header: Header) -> NDArray[Any]:
+    """Unpack values that fill a file from an offset to its end."""
+    values = np.empty(header.needed_bytes, np.uint8)
+    filled = 0
+    for part in _unpacked_parts(path, header):
+        values[filled : filled + len(part)] = np.frombuffer(part, np.uint8)
+        filled += len(part)
+    return values.view(header.stored).reshape(header.shape).astype(header.stored.newbyteorder("="), copy=False)
+
+
+def _unpacked_parts(path: Path, header: Header) -> Iterator[bytes]:
+    """Unpack values bit by bit; in the end they were as many as declared, or an error is raised."""
+    bzip2, needed = header.packing == "bzip2", header.needed_bytes
+    unpacker: Any = bz2.BZ2Decompressor() if bzip2 else zlib.decompressobj(wbits=47)
+    filled = 0
+    with reading(header.data), header.data.open("rb") as file:
+        file.seek(header.offset)
+        packed = b""
+        while not unpacker.eof and filled <= needed:
+            # What is unpacked at once is limited, and so some input may be left, here or inside the unpacker.
+            if not packed and not (bzip2 and not unpacker.needs_input):
+                packed = file.read(READ_BYTES)
+                if not packed:
+                    break
+            part = unpacker.decompress(packed, min(needed - filled + 1, UNPACKED_BYTES))
+            packed = b"" if bzip2 else unpacker.unconsumed_tail
+            filled += len(part)
+            if filled <= needed:
+                yield part
+    if filled != needed or not unpacker.eof:
+        found = f"more than the {needed}" if filled > needed else f"{filled} of the {needed}"
+        raise FileError(
+            f"{path.name}: the packed values in {header.data.name} hold {found} bytes declared. It is cut off or "
+            "damaged, or its header is wrong: copy or export it again."
+        )
+
+
+def _axes(sizes: tuple[int, ...], several: str, path: Path) -> tuple[int, ...]:
+    """Which axes are z, y, x: the three that are longer than 1, the slowest first."""
+    long = tuple(axis for axis, n in enumerate(sizes) if n > 1)
+    if several or len(long) != 3:
+        what = f"has {several}" if several else "is no volume"
+        raise VolumeError(f"{path.name} {what}: {size_words(sizes)} (fastest axis first). {ADVICE}")
+    return long[::-1]
+
+
+def _type_of(word: str, types: Mapping[str, str], path: Path) -> np.dtype[Any]:
+    for name, words in types.items():
+        if word in words.split(", "):
+            return np.dtype(name)
+    raise VolumeError(f"{path.name} has values of the type {word!r}. Export it with integer or real values.")
+
+
+def _data_file(name: str, path: Path) -> Path:
+    """File with the values that a header names."""
+    if name.split()[:1] == ["LIST"] or "%" in name:
+        raise FileError(f"{path.name} takes its slices from several files. Save it as one file.")
+    return inside(path.parent, name, path)
+
+
+def _nrrd(head: bytes, path: Path) -> Header:
+    import nrrd  # pyright: ignore[reportMissingTypeStubs]
+
+    if not head.startswith(b"NRRD"):
+        raise FileError(f"{path.name} is no NRRD file. Check its name, or export it again.")
+    taken: list[str] = []
+    end = 0
+    for line in BytesIO(head):
+        taken.append(line.decode("utf-8", errors="replace"))  # pynrrd would drop what is not ASCII, as in file names
+        end += len(line)
+        if not line.strip():
+            break
+    with reading(path):
+        keys: Mapping[str, Any] = nrrd.read_header(taken)
+        sizes = tuple(int(n) for n in np.atleast_1d(keys.get("sizes", ())))
+        line_skip, byte_skip = (int(keys.get(f"{word} skip", keys.get(f"{word}skip", 0))) for word in ("line", "byte"))
+    kinds = keys.get("kinds") or [""] * len(sizes)
+    if not sizes or len(sizes) != keys.get("dimension") or len(kinds) != len(sizes):
+        raise damaged(path, f"its sizes are {keys.get('sizes')}, its dimension is {keys.get('dimension')}")
+    several = [f"{n} of kind {kind!r}" for n, kind in zip(sizes, kinds, strict=True) if n > 1 and kind not in SPATIAL]
+    order = _axes(sizes, f"{' and '.join(several)} in each voxel" if several else "", path)
+    dtype = _type_of(str(keys.get("type", "")).strip(), NRRD_TYPES, path)
+    if dtype.itemsize > 1 and keys.get("endian") not in ("little", "big"):
+        raise damaged(path, "its header does not state the byte order (endian)")
+    encoding = str(keys.get("encoding", "")).casefold()
+    if line_skip != 0 or byte_skip < -1 or (byte_skip and encoding != "raw"):
+        raise FileError(f"{path.name} skips lines or packed bytes before its values. Save it again without.")
+    if encoding not in PACKINGS:
+        raise FileError(f"{path.name} has the encoding {encoding!r}. Save it with the encoding raw or gzip.")
+    name = keys.get("data file", keys.get("datafile"))
+    return Header(
+        sizes=sizes,
+        order=order,
+        stored=dtype.newbyteorder(">" if keys.get("endian") == "big" else "<"),
+        data=path if name is None else _data_file(str(name), path),
+        offset=-1 if byte_skip == -1 else byte_skip + (end if name is None else 0),
+        packing=PACKINGS[encoding],
+        stated=_stated_by_nrrd(keys, order),
+    )
+
+
+def _stated_by_nrrd(keys: Mapping[str, Any], order: tuple[int, ...]) -> list[Stated]:
+    """Voxel size along z, y, x: the lengths of the space directions, and the spacings."""
+    stated: list[Stated] = []
+    directions, spacings = keys.get("space directions"), keys.get("spacings")
+    if directions is not None:
+        lengths = [None if v is None else float(np.linalg.norm(np.asarray(v, float))) for v in directions]
+        # A direction may mix the axes of space only if all of these have one unit.
+        words = {str(u).strip('"') for u in np.atleast_1d(keys.get("space units", ()))}
+        medical = not words and "-" in str(keys.get("space", ""))
+        unit = "mm" if medical else words.pop() if len(words) == 1 else ""
+        more = " (no unit written; mm, as programs for anatomical spaces have it)" if medical else ""
+        stated.append(stated_in(f"the NRRD space directions{more}", lengths, [unit] * len(lengths), order))
+    if spacings is not None:
+        units = [str(u) for u in np.atleast_1d(keys.get("units", [""] * len(spacings)))]
+        stated.append(stated_in("the NRRD spacings", [float(v) for v in spacings], units, order))
+    return stated
+
+
+def _meta(head: bytes, path: Path) -> Header:
+    keys: dict[str, str] = {}
+    end = 0
+    for line in BytesIO(head):
+        key, equals, value = line.decode("utf-8", errors="replace").partition("=")
+        if not equals and key.strip():
+            break
+        end += len(line)
+        keys.setdefault(key.strip().casefold(), value.strip())
+        if "elementdatafile" in keys:
+            break
+    name = keys.get("elementdatafile")
+    if name is None:
+        raise FileError(
+            f"{path.name} is no MetaImage or has a damaged header: its line ElementDataFile is missing. Export it "
+            "again."
+        )
+
+    def switched(key: str, default: str) -> bool:
+        return keys.get(key, default).strip().casefold() in {"true", "t", "1"}
+
+    words = keys.get("dimsize", "").split()
+    whole = all(word.isascii() and word.isdecimal() and len(word) < 16 for word in words)
+    if not whole or str(len(words)) != keys.get("ndims", ""):
+        raise damaged(path, f"its sizes are {keys.get('dimsize', '')[:40]!r}, its dimension is {keys.get('ndims')}")
+    sizes = tuple(int(word) for word in words)
+    channels = keys.get("elementnumberofchannels", "1")
+    order = _axes(sizes, f"{channels} channels" if channels != "1" else "", path)
+    dtype = _type_of(keys.get("elementtype", ""), META_TYPES, path)
+    if not switched("binarydata", "True"):
+        raise FileError(f"{path.name} has its values written as text. Save it with binary values.")
+    local, skip = name.casefold() == "local", keys.get("headersize", "0")
+    if skip != "0" and (local or skip != "-1"):
+        raise FileError(f"{path.name} skips {skip} bytes before its values (HeaderSize). Save it again without.")
+    packed = switched("compresseddata", "False")
+    big = switched("binarydatabyteordermsb", keys.get("elementbyteordermsb", "False"))
+    unit = keys.get("distanceunits", "")
+    return Header(
+        sizes=sizes,
+        order=order,
+        stored=dtype.newbyteorder(">" if big else "<"),
+        data=path if local else _data_file(name, path),
+        offset=-1 if skip == "-1" and not packed else end if local else 0,
+        packing="deflate" if packed else "",
+        stated=[
+            stated_in(
+                f"the MetaImage {key} ({unit or 'no unit written; mm, as ITK has it'})",
+                _lengths(keys[key.casefold()]),
+                [unit or "mm"] * len(sizes),
+                order,
+            )
+            for key in ("ElementSpacing", "ElementSize")
+            if key.casefold() in keys
+        ],
+    )
+
+
+def _lengths(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError:
+        return []
+
+
+class MetaArray(FileArray):
+    """Compressed values, of which SimpleITK reads parts."""
+
+    def __init__(self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        extra("SimpleITK", path)
+        self.path, self.shape, self.dtype = path, shape, dtype
+        self.piece_bytes = shape[1] * shape[2] * dtype.itemsize
+
+    def read(self, where: Where) -> NDArray[Any]:
+        """Read a part."""
+        itk: Any = extra("SimpleITK", self.path)
+        reader = itk.ImageFileReader()
+        reader.SetImageIO("MetaImageIO")
+        reader.SetFileName(str(self.path))
+        reader.ReadImageInformation()
+        # Axes of length 1 that were left out above lie before the others or after them; here they come back.
+        sizes = tuple(int(n) for n in reader.GetSize())
+        long = [axis for axis, n in enumerate(sizes) if n > 1]
+        start, size = [0] * len(sizes), [1] * len(sizes)
+        for part, axis in zip(reversed(where), long, strict=True):
+            start[axis], size[axis] = part.start, range(part.start, part.stop, part.step)[-1] + 1 - part.start
+        reader.SetExtractIndex(start)
+        reader.SetExtractSize(size)
+        values = np.asarray(itk.GetArrayFromImage(reader.Execute()))
+        values = values.reshape([range(s.start, s.stop, s.step)[-1] + 1 - s.start for s in where])
+        return values[tuple(slice(None, None, s.step) for s in where)]
