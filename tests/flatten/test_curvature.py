@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from planish.flatten.curvature import _turn_and_area, curvature_check, gaussian_curvature
+from planish.flatten.curvature import _turn_and_area, curvature_check
 
 
 def plan(rows, cols, pitch):
@@ -63,9 +63,8 @@ def test_patches_equal_the_slow_twin():
 @pytest.mark.parametrize("radius", [5e3, 2e4, 1e5])
 @pytest.mark.parametrize("pitch", [25.0, 100.0])
 def test_a_sphere(radius, pitch):
-    """K = 1 / R^2; central differences err by some (pitch / R)^2, here 4e-4 at most."""
+    """K = 1 / R^2."""
     points = sphere(round(5000 / pitch), round(4000 / pitch), pitch, radius)
-    np.testing.assert_allclose(gaussian_curvature(points)[1:-1, 1:-1] * radius**2, 1.0, rtol=2e-3)
     found = curvature_check(points)
     known = np.isfinite(found.curvature)
     np.testing.assert_allclose(found.curvature[known] * radius**2, 1.0, rtol=1e-3)
@@ -78,28 +77,27 @@ def test_the_grid_may_lie_on_the_surface_as_it_likes():
     """Longitudes and latitudes of a sphere, and the same points turned: no height field, cells of all shapes."""
     lat, lon = np.meshgrid(np.linspace(-1.2, 1.2, 150), np.linspace(0.0, 3.0, 170), indexing="ij")
     points = 300 * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
-    found = gaussian_curvature(points)[1:-1, 1:-1]
-    np.testing.assert_allclose(found * 300**2, 1.0, rtol=2e-3)  # (3 / 170)^2 = 3e-4 and its like
-    np.testing.assert_allclose(gaussian_curvature(points[::-1])[1:-1, 1:-1], found[::-1], rtol=1e-6)
+    for grid in (points, points[::-1]):
+        found = curvature_check(grid, patch_um=40.0).curvature
+        known = np.isfinite(found)
+        assert known.mean() > 0.8
+        np.testing.assert_allclose(found[known] * 300**2, 1.0, rtol=2e-3)  # (3 / 170)^2 = 3e-4 and its like
 
 
 @pytest.mark.parametrize("degrees", [0, 17, 45, 60, 90, 135])
 def test_a_cylinder_of_any_direction_can_be_flat(degrees):
-    """Wave of 6 mm with slopes up to 45 degrees; exact K is 0, what is found is the differences' error."""
+    """Wave of 6 mm with slopes up to 45 degrees; exact K is 0."""
     x, y = plan(250, 300, 20.0)
     wave = 6000 / (2 * np.pi)
     along = np.cos(np.radians(degrees)) * x + np.sin(np.radians(degrees)) * y
     points = np.stack([x, y, wave * np.sin(along / wave)], axis=-1)
     assert curvature_check(points).largest < 1e-4
-    assert np.nanmax(np.abs(gaussian_curvature(points))) * 1e6 / 16 < 1e-4
 
 
 def test_a_saddle_is_negative():
     """z = x y / b has K = -1 / b^2 in the middle, less where it is steep: (1 + slope^2)^-2."""
     x, y = plan(161, 161, 25.0)
     points = np.stack([x, y, x * y / 2e4], axis=-1)
-    exact = -1 / 2e4**2 / (1 + (x**2 + y**2) / 2e4**2) ** 2
-    np.testing.assert_allclose(gaussian_curvature(points)[1:-1, 1:-1], exact[1:-1, 1:-1], rtol=1e-4)
     found = curvature_check(points).curvature
     assert np.nanmax(found) < 0
     assert found[80, 80] == pytest.approx(-1 / 2e4**2, rel=0.01)
@@ -109,15 +107,13 @@ def test_nothing_depends_on_the_unit_of_length():
     points = sphere(90, 110, 50.0, 6000.0)
     one, seven = curvature_check(points), curvature_check(7 * points, patch_um=7000.0)
     np.testing.assert_allclose(one.strain, seven.strain, rtol=1e-9)
-    np.testing.assert_allclose(gaussian_curvature(7 * points) * 49, gaussian_curvature(points), rtol=1e-6)
 
 
 def test_roughness_is_not_taken_for_curvature():
-    """Noise of 0.5 um on a pitch of 10 um: by differences a strain of 6 (4 s^2 / p^4), by the angles under 0.05 %."""
+    """Noise of 0.5 um on a pitch of 10 um: by finite differences a strain of 6, by the angles under 0.05 %."""
     rng = np.random.default_rng(4)
     x, y = plan(300, 350, 10.0)
     points = np.stack([x, y, rng.normal(0, 0.5, x.shape)], axis=-1)
-    assert np.nanmean(gaussian_curvature(points)) * 1e6 / 16 > 1.0
     assert curvature_check(points).largest < 5e-4
     points[..., 2] = 3 * _unit(ndimage.gaussian_filter(rng.normal(size=x.shape), 5))
     points[140:160, 170:180] = np.nan
@@ -128,23 +124,6 @@ def test_roughness_is_not_taken_for_curvature():
 
 def _unit(z):
     return z / z.std()
-
-
-def test_smoothing_passes_the_form_and_takes_the_roughness():
-    """By differences, noise of 0.3 um is over 100 times the sphere's curvature; 100 um of Gaussian leave a part."""
-    rng = np.random.default_rng(5)
-    points = sphere(200, 220, 10.0, 3000.0)
-    points[..., 2] += rng.normal(0, 0.3, points.shape[:2])
-    points[60, 60] = np.nan
-    rough, smooth = gaussian_curvature(points), gaussian_curvature(points, smooth_um=100.0)
-    assert np.nanstd(rough) * 3000**2 > 100
-    known = np.isfinite(smooth)
-    assert smooth[known].mean() * 3000**2 == pytest.approx(1.0, abs=0.05)
-    assert np.abs(smooth[known] * 3000**2 - 1).max() < 0.5
-    # three standard deviations, 30 nodes, and one for the difference are lost at the outline and about the hole
-    assert known[31:-31, 100:-31].all()
-    assert not known[:31].any()
-    assert not known[29:92, 29:92][1:-1, 1:-1].any()
 
 
 def test_a_surface_that_no_paper_can_have_is_named():
@@ -168,5 +147,3 @@ def test_too_small_or_empty_surfaces_are_not_judged():
         found = curvature_check(points)
         assert np.isnan([found.share, found.largest]).all()
         assert "smaller than a patch of 2 mm" in found.verdict
-    assert np.isnan(gaussian_curvature(np.full((5, 5, 3), np.nan), smooth_um=50.0)).all()
-    assert np.isnan(gaussian_curvature(sphere(2, 9, 10.0, 5000.0))).all()

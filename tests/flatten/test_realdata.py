@@ -54,10 +54,10 @@ def test_topographies(shared_data, name):
     if count > 1:
         with pytest.raises(CannotFlatten, match=f"{count} unconnected pieces"):
             relax_grid(points)
-    found = relax_grid(points, apart=True)
+    points[labels != np.argmax(np.bincount(labels.ravel())[1:]) + 1] = np.nan
+    found = relax_grid(points)
     print(name, found.outcome.name, found.steps, "steps,", int(found.folded.sum()), "marked cells")
-    largest = np.argmax(np.bincount(labels.ravel())[1:]) + 1
-    assert np.isfinite(found.uv[labels == largest]).all()
+    assert np.isfinite(found.uv[np.isfinite(points).all(axis=-1)]).all()
     if name == "matrix-2_txt":
         # Steps of up to 80 degrees between neighbours; every marked cell lies on one of more than 60.
         assert found.outcome is Outcome.HELD_OPEN

@@ -1,6 +1,5 @@
 from .curvature import CurvatureCheck as CurvatureCheck
 from .curvature import curvature_check as curvature_check
-from .curvature import gaussian_curvature as gaussian_curvature
 from .distortion import Distortion as Distortion
 from .distortion import cell_strain as cell_strain
 from .distortion import edge_strain as edge_strain
@@ -11,7 +10,6 @@ from .multigrid import Step as Step
 from .params import FlattenParams as FlattenParams
 from .relax import Relaxed as Relaxed
 from .relax import relax_grid as relax_grid
-from .relaxation import History as History
 from .relaxation import RelaxationParams as RelaxationParams
 from .sheet import Flattened as Flattened
 from .sheet import flatten_sheet as flatten_sheet

@@ -71,48 +71,6 @@ class CurvatureCheck:
         )
 
 
-def gaussian_curvature(points: Array, *, smooth_um: float | None = None) -> Array:
-    """Gaussian curvature at every node of a quad grid, however the grid lies on the surface.
-
-    Parameters
-    ----------
-    points : (rows, cols, 3)
-        Nodes in space, um; NaN where there is no sheet.
-    smooth_um : float, optional
-        Standard deviation of a Gaussian, along the mesh, that smooths the surface first.
-
-    Returns
-    -------
-    (rows, cols)
-        1/um2; positive on a cap, negative on a saddle. NaN beside a missing node and on the outline, and with
-        ``smooth_um`` wherever the Gaussian, three standard deviations long, reaches beyond the sheet: a one-sided mean
-        bends the surface.
-
-    Notes
-    -----
-    det II / det I of the two fundamental forms, with central differences along the grid's rows and columns. The value
-    is one of the second derivative: roughness of s um on a pitch p without smoothing adds about 4 s^2 / p^4. For
-    averages over areas use ``curvature_check``.
-    """
-    if smooth_um is not None:
-        points = _smoothed(points, smooth_um)
-    rows, cols = points.shape[:2]
-    out = np.full((rows, cols), np.nan)
-    for part in row_blocks(rows - 2, cols):
-        block = points[part.start : part.stop + 2]
-        r = 0.5 * (block[2:, 1:-1] - block[:-2, 1:-1])
-        c = 0.5 * (block[1:-1, 2:] - block[1:-1, :-2])
-        rr = block[2:, 1:-1] - 2 * block[1:-1, 1:-1] + block[:-2, 1:-1]
-        cc = block[1:-1, 2:] - 2 * block[1:-1, 1:-1] + block[1:-1, :-2]
-        rc = 0.25 * (block[2:, 2:] - block[2:, :-2] - block[:-2, 2:] + block[:-2, :-2])
-        normal = _cross(r, c)  # its square is det I
-        ll, mm, nn = (_dot(k, normal) for k in (rr, rc, cc))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            curvature = (ll * nn - mm * mm) / _dot(normal, normal) ** 2
-        out[1 + part.start : 1 + part.stop, 1:-1] = np.where(np.isfinite(curvature), curvature, np.nan)
-    return out
-
-
 def curvature_check(points: Array, *, patch_um: float = 1000.0) -> CurvatureCheck:
     """Compare the strain that flattening asks of patches of the sheet with what paper carries.
 
@@ -200,18 +158,6 @@ def _soft_outline(inside: NDArray[np.bool_], pitch: tuple[float, float], rim_um:
     away = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
     share = np.minimum(away / rim_um, 1.0)
     return share * share * (3 - 2 * share)
-
-
-def _smoothed(points: Array, smooth_um: float) -> Array:
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
-    sigma = [smooth_um / p for p in _pitch(points)]
-    reach = [2 * int(_TRUNCATE * s + 0.5) + 1 for s in sigma]
-    covered = ndimage.minimum_filter(known, size=reach, mode="constant", cval=False)
-    out = np.empty_like(points)
-    for k in range(3):
-        smooth = ndimage.gaussian_filter(np.where(known, points[..., k], 0.0), sigma, truncate=_TRUNCATE)
-        out[..., k] = np.where(covered, smooth, np.nan)
-    return out
 
 
 def _pitch(points: Array) -> tuple[float, float]:

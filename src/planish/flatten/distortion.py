@@ -16,16 +16,9 @@ Array = NDArray[np.float64]
 _BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Spread:
-    """Distribution of a strain over the cells; NaN where there is no cell.
-
-    Attributes
-    ----------
-    median, p5, p95 : float
-    p95_abs, max_abs : float
-        Of the absolute value.
-    """
+    """Distribution of a strain over the cells, the last two of its absolute value; NaN where there is no cell."""
 
     median: float
     p5: float
@@ -107,10 +100,7 @@ def measure_distortion(
     """
     strain = cell_strain(points, uv) if strain is None else strain
     area = strain["signed_area"].values
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1))
-    projected, flat = points[..., :2][known], uv[known]
-    grown, uneven, direction = _growth(projected, flat)
-    moved = _displacement(projected, flat)
+    grown, uneven, direction, moved = _against_projection(points, uv)
     median, p95, largest = np.percentile(moved, [50, 95, 100]) if moved.size else (np.nan, np.nan, np.nan)
     in_space, in_plane = boundary_lengths(points, uv)
     return Distortion(
@@ -177,15 +167,9 @@ def cell_strain(points: Array, uv: Array) -> xr.Dataset:
     not. Axial strains and shear apart, because springs along the edges bear the former and diagonal ones the latter
     (Hirn et al. 2009, section 2.3.1).
     """
-    rows, cols = points.shape[0] - 1, points.shape[1] - 1
-    out = {name: np.empty((rows, cols)) for name in (
-        "stretch_max", "stretch_min", "area_ratio", "axial_u", "axial_v", "shear", "signed_area", "anisotropy",
-    )}  # fmt: skip
-    for part in row_blocks(rows, cols):
-        nodes = slice(part.start, part.stop + 1)
-        for name, values in _block_strain(points[nodes], uv[nodes]).items():
-            out[name][part] = values
-    return xr.Dataset({name: (("row", "col"), values) for name, values in out.items()})
+    parts = [slice(part.start, part.stop + 1) for part in row_blocks(points.shape[0] - 1, points.shape[1] - 1)]
+    blocks = [_block_strain(points[nodes], uv[nodes]) for nodes in parts]
+    return xr.Dataset({name: (("row", "col"), np.concatenate([b[name] for b in blocks])) for name in blocks[0]})
 
 
 def row_blocks(rows: int, cols: int) -> Iterator[slice]:
@@ -241,33 +225,27 @@ def _cell_edges(nodes: Array) -> tuple[Array, Array]:
 
 
 def _spread(values: Array) -> Spread:
-    values = values[np.isfinite(values)]
-    if values.size == 0:
-        return Spread(median=np.nan, p5=np.nan, p95=np.nan, p95_abs=np.nan, max_abs=np.nan)
-    p5, median, p95 = np.percentile(values, [5, 50, 95])
-    p95_abs, max_abs = np.percentile(np.abs(values), [95, 100])
-    return Spread(median=float(median), p5=float(p5), p95=float(p95), p95_abs=float(p95_abs), max_abs=float(max_abs))
+    values = values[np.isfinite(values)] if np.isfinite(values).any() else np.array([np.nan])
+    found = *np.percentile(values, [50, 5, 95]), *np.percentile(np.abs(values), [95, 100])
+    return Spread(*map(float, found))
 
 
-def _growth(projected: Array, flat: Array) -> tuple[float, float, float]:
-    """Scale of the similarity, ratio of the affine map's singular values, direction of the larger one in degrees."""
-    if flat.shape[0] < 3:
-        return np.nan, np.nan, np.nan
-    a, b = projected - projected.mean(axis=0), flat - flat.mean(axis=0)
+def _against_projection(points: Array, uv: Array) -> tuple[float, float, float, Array]:
+    """Scale of the similarity from (x, y) to (u, v), ratio of the affine map's singular values, direction of the first.
+
+    And the distances (n,) in um that are left after the rotation and shift that make them smallest.
+    """
+    known = np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1)
+    a, b = points[..., :2][known], uv[known]
+    if len(a) < 3:
+        return np.nan, np.nan, np.nan, np.zeros(len(a))
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     inertia, mixed = a.T @ a, b.T @ a
     grown = float(np.hypot(mixed[0, 0] + mixed[1, 1], mixed[1, 0] - mixed[0, 1]) / np.trace(inertia))
-    if np.linalg.cond(inertia) > 1e12:  # a sheet on edge: its projection is a line
-        return grown, np.nan, np.nan
-    _, size, axes = np.linalg.svd(mixed @ np.linalg.inv(inertia))
-    direction = float(np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180)
-    return grown, float(size[0] / size[1]), direction
-
-
-def _displacement(projected: Array, flat: Array) -> Array:
-    """Distances (n,) in um between the two after the rotation and shift, without scale, that make them smallest."""
-    if flat.shape[0] == 0:
-        return np.empty(0)
-    a, b = projected - projected.mean(axis=0), flat - flat.mean(axis=0)
     turn = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
     cos, sin = np.cos(turn), np.sin(turn)
-    return np.linalg.norm(b - a @ np.array([[cos, sin], [-sin, cos]]), axis=1)
+    moved = np.linalg.norm(b - a @ np.array([[cos, sin], [-sin, cos]]), axis=1)
+    if np.linalg.cond(inertia) > 1e12:  # a sheet on edge: its projection is a line
+        return grown, np.nan, np.nan, moved
+    _, size, axes = np.linalg.svd(mixed @ np.linalg.inv(inertia))
+    return grown, float(size[0] / size[1]), float(np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180), moved

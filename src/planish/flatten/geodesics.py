@@ -13,10 +13,8 @@ Index = NDArray[np.intp]
 # Cell (i, j) has the corners a = (i, j), b = (i, j + 1), c = (i + 1, j + 1), d = (i + 1, j) and is cut along a-c:
 # half 0 is (a, b, c), half 1 is (a, c, d). Edge k of a half runs from its corner k to its corner k + 1.
 _CORNERS = np.array([[[0, 0], [0, 1], [1, 1]], [[0, 0], [1, 1], [1, 0]]], dtype=np.intp)
-# Behind each edge of each half: (rows down, columns across, half, the same edge as counted there).
-_BEHIND = np.array(
-    [[[-1, 0, 1, 1], [0, 1, 1, 2], [0, 0, 1, 0]], [[0, 0, 0, 2], [1, 0, 0, 0], [0, -1, 0, 1]]], dtype=np.intp
-)
+# Behind each edge of each half: rows down, columns across, and which half.
+_BEHIND = np.array([[[-1, 0, 1], [0, 1, 1], [0, 0, 1]], [[0, 0, 0], [1, 0, 0], [0, -1, 0]]], dtype=np.intp)
 _LONGEST = 20  # times rows + cols: no line crosses so many triangles unless it winds through folded cells
 
 
@@ -91,20 +89,14 @@ def geodesic_error(points: Array, uv: Array, *, rng: np.random.Generator, pairs:
     cell, which on a surface of radius R are shorter than arcs by up to (pitch / R)^2 / 24.
     """
     whole = whole_cells(points, uv)
-    if not whole.any():
-        return GeodesicError(p50=np.nan, p95=np.nan, largest=np.nan, used=0, dropped=pairs)
-    flat, space = trace_lines(points, uv, random_places(whole, pairs, rng), random_places(whole, pairs, rng))
-    used = np.isfinite(space) & (space > 0)
-    if not used.any():
-        return GeodesicError(p50=np.nan, p95=np.nan, largest=np.nan, used=0, dropped=pairs)
-    error = np.abs(flat[used] / space[used] - 1)
-    p50, p95 = np.percentile(error, [50, 95])
+    error = np.empty(0)
+    if whole.any():
+        flat, space = trace_lines(points, uv, random_places(whole, pairs, rng), random_places(whole, pairs, rng))
+        used = np.isfinite(space) & (space > 0)
+        error = np.abs(flat[used] / space[used] - 1)
+    p50, p95, largest = np.percentile(error, [50, 95, 100]) if error.size else (np.nan, np.nan, np.nan)
     return GeodesicError(
-        p50=float(p50),
-        p95=float(p95),
-        largest=float(error.max()),
-        used=int(error.size),
-        dropped=pairs - int(error.size),
+        p50=float(p50), p95=float(p95), largest=float(largest), used=error.size, dropped=pairs - error.size
     )
 
 
@@ -122,6 +114,21 @@ def triangle_areas(grid: Array) -> tuple[Array, Array]:
         return one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0]
 
     return area(b - a, c - a), area(c - a, d - a)
+
+
+def folded_cells(points: Array, uv: Array, *, side: float = 1.0, floor: float = 0.0) -> NDArray[np.bool_]:
+    """Cells of ``uv`` (rows, cols, 2) with a triangle (a, b, c) or (a, c, d) that is empty or turned over.
+
+    ``side`` is -1 where columns and rows of the grid run in the opposite sense to u and v; ``floor`` is the share of
+    a cell's half area in space, from the product of its diagonals, that a triangle must exceed.
+    """
+    least = 0.0
+    if floor:
+        across, rising = points[1:, 1:] - points[:-1, :-1], points[1:, :-1] - points[:-1, 1:]
+        least = floor * 0.5 * np.linalg.norm(across, axis=-1) * np.linalg.norm(rising, axis=-1)
+    with np.errstate(invalid="ignore"):
+        first, second = triangle_areas(uv)
+        return np.minimum(side * first, side * second) <= least
 
 
 def random_places(whole: NDArray[np.bool_], count: int, rng: np.random.Generator) -> Places:
@@ -149,9 +156,10 @@ def trace_lines(points: Array, uv: Array, start: Places, end: Places) -> tuple[A
 
     Notes
     -----
-    All lines walk at the same time, a triangle a step. Each corner lies to the left of the line or not, so a line
-    enters and leaves a triangle by the two edges whose ends differ; no intersection is ever searched, and corners on
-    the line do no harm. In folded cells a line follows the sheet there and back.
+    All lines walk at the same time, a triangle a step. Each corner lies to the left of the line or not, and a line
+    leaves a triangle by the one edge that runs from its right to its left (the other way round where it starts in a
+    triangle that is turned over); no intersection is ever searched, and corners on the line do no harm. In folded cells
+    a line follows the sheet there and back.
     """
     cols = points.shape[1]
     inside = np.pad(whole_cells(points, uv), 1)
@@ -161,44 +169,34 @@ def trace_lines(points: Array, uv: Array, start: Places, end: Places) -> tuple[A
     flat = np.hypot(along[:, 0], along[:, 1])
     space = np.full(flat.size, np.nan)
     target = np.stack([end.row, end.col, end.half], axis=1)
+    turned = np.stack(triangle_areas(uv))[start.half, start.row, start.col] < 0
 
-    # Lines that have not arrived: number, triangle, edge crossed last; and last place on the surface, length so far.
-    walk: Index = np.stack([np.arange(flat.size), start.row, start.col, start.half, np.full(flat.size, -1)], axis=1)
+    # Lines that have not arrived: number, triangle; and last place on the surface, length so far.
+    walk: Index = np.stack([np.arange(flat.size), start.row, start.col, start.half], axis=1)
     gone: Array = np.column_stack([start.on(points), np.zeros(flat.size)])
     offset = _CORNERS[..., 0] * cols + _CORNERS[..., 1]
     for _ in range(_LONGEST * sum(points.shape[:2])):
-        there = (walk[:, 1:4] == target[walk[:, 0]]).all(axis=1)
+        there = (walk[:, 1:] == target[walk[:, 0]]).all(axis=1)
         arrived = walk[there, 0]
         space[arrived] = gone[there, 3] + np.linalg.norm(goal[arrived] - gone[there, :3], axis=1)
         walk, gone = walk[~there], gone[~there]
         if walk.size == 0:
             break
-        line, row, col, half, edge = walk.T
+        line, row, col, half = walk.T
         corner = (row * cols + col)[:, None] + offset[half]
         x, y = plane[corner, 0] - first[line, 0, None], plane[corner, 1] - first[line, 1, None]
-        dx, dy = along[line, 0, None], along[line, 1, None]
-        left = dx * y - dy * x
-        crossed = (left > 0) != (left > 0)[:, [1, 2, 0]]
-        if edge[0] < 0:  # a line starts inside: it came, as it were, through the edge behind its start
-            edge = _edge_behind(left, dx * x + dy * y, crossed)
-        every = np.arange(line.size)
-        crossed[every, edge] = False
-        edge: Index = np.argmax(crossed, axis=1)
+        left = along[line, 0, None] * y - along[line, 1, None] * x
+        right = (left > 0) == turned[line, None]
+        leaves = right & ~right[:, [1, 2, 0]]
+        every, edge = np.arange(line.size), np.argmax(leaves, axis=1)
         left_a, left_b = left[every, edge], left[every, (edge + 1) % 3]
-        met = crossed.any(axis=1)  # not so where a line starts so close to an edge that rounding put it outside
+        met = leaves.any(axis=1)  # not so where a line starts so close to an edge that rounding put it outside
         share = left_a / np.where(met, left_a - left_b, 1.0)
         a, b = room[corner[every, edge]], room[corner[every, (edge + 1) % 3]]
         here = a + share[:, None] * (b - a)
         gone = np.column_stack([here, gone[:, 3] + np.linalg.norm(here - gone[:, :3], axis=1)])
         step = _BEHIND[half, edge]
-        walk = np.stack([line, row + step[:, 0], col + step[:, 1], step[:, 2], step[:, 3]], axis=1)
+        walk = np.stack([line, row + step[:, 0], col + step[:, 1], step[:, 2]], axis=1)
         on = met & inside[walk[:, 1] + 1, walk[:, 2] + 1]
         walk, gone = walk[on], gone[on]
     return flat, space
-
-
-def _edge_behind(left: Array, ahead: Array, crossed: NDArray[np.bool_]) -> Index:
-    """Which of the edges (n, 3) that a line crosses it crosses first, from the corners' places across and along it."""
-    apart = left - left[:, [1, 2, 0]]
-    place = ahead + left / np.where(crossed, apart, 1.0) * (ahead[:, [1, 2, 0]] - ahead)
-    return np.argmin(np.where(crossed, place, np.inf), axis=1)

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
-from planish.core.errors import CannotFlatten
-
 Array = NDArray[np.float64]
 
 
@@ -19,66 +17,40 @@ _BRACE = 0.01
 def make_up(
     points: Array, weights: Array | None, known: NDArray[np.bool_], missing: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
-    """Lay the ``missing`` nodes smoothly between the ``known`` ones, with next to no weight.
-
-    Parameters
-    ----------
-    points : (rows, cols, 3)
-    weights : (rows, cols), optional
-    known, missing : (rows, cols) bool
-
-    Returns
-    -------
-    points, weights
-    """
-    weights = np.where(known, 1.0, 0.0) if weights is None else np.where(known, weights, 0.0)
-    points = np.where(known[..., None], points, np.nan)
-    return fill_smoothly(points, missing), np.where(missing, _BRACE * weights.max(), weights)
-
-
-def fill_smoothly(uv: Array, missing: NDArray[np.bool_]) -> Array:
-    """Fill the ``missing`` nodes (rows, cols) of ``uv`` (rows, cols, values) so that rows and columns bend least.
+    """Lay the ``missing`` nodes of ``points`` so that rows and columns bend least, and give them next to no weight.
 
     Least sum of squared second differences along rows and columns, to which known neighbours up to two nodes away
-    contribute; nodes that are neither known nor missing stay NaN. What is linear in row and column is met exactly.
+    contribute; nodes that are neither known nor missing become NaN. What is linear in row and column is met exactly.
     """
-    uv = uv.copy()
+    weights = np.where(known, 1.0 if weights is None else weights, 0.0)
+    points = np.where(known[..., None], points, np.nan)
     if not missing.any():
-        return uv
-    known = np.isfinite(uv[..., 0]) & ~missing
-    if not known.any():
-        raise CannotFlatten("No node of the mesh is certain enough to flatten it. Check the weights.")
+        return points, weights
     part = missing | (known & ndimage.binary_dilation(missing, structure=np.ones((3, 3), dtype=bool), iterations=2))
     number = np.full(missing.shape, -1)
     number[part] = np.arange(np.count_nonzero(part))
-    differences = []
-    for axis in (0, 1):
-        n = np.moveaxis(number, axis, 0)
-        a, b, c = n[:-2], n[1:-1], n[2:]
-        whole = (a >= 0) & (b >= 0) & (c >= 0)
-        differences.append((a[whole], b[whole], c[whole]))
-    a, b, c = (np.concatenate(k) for k in zip(*differences, strict=True))
-    row = np.arange(a.size)
     size = int(np.count_nonzero(part))
-    bend = sparse.csr_array(
-        (np.repeat([1.0, -2.0, 1.0], a.size), (np.tile(row, 3), np.concatenate([a, b, c]))), shape=(a.size, size)
-    )
+
+    def differences(weights: tuple[float, ...]) -> sparse.csr_array:
+        """Sums of as many nodes in a row or a column, with these weights, wherever all of them take part."""
+        count = len(weights)
+        lines = [[n[k : len(n) + 1 + k - count].ravel() for k in range(count)] for n in (number, number.T)]
+        nodes = np.concatenate([np.stack(line) for line in lines], axis=1)
+        nodes = nodes[:, (nodes >= 0).all(axis=0)]
+        place = (np.tile(np.arange(nodes.shape[1]), count), nodes.ravel())
+        return sparse.csr_array((np.repeat(weights, nodes.shape[1]), place), shape=(nodes.shape[1], size))
+
+    bend = differences((1.0, -2.0, 1.0))
     # A faint pull towards the neighbours settles what no second difference reaches.
-    edges = [np.stack([np.moveaxis(number, k, 0)[:-1].ravel(), np.moveaxis(number, k, 0)[1:].ravel()]) for k in (0, 1)]
-    ends = np.concatenate(edges, axis=1)
-    ends = ends[:, (ends >= 0).all(axis=0)]
-    line = np.arange(ends.shape[1])
-    slope = sparse.csr_array(
-        (np.repeat([1.0, -1.0], line.size), (np.tile(line, 2), ends.ravel())), shape=(line.size, size)
-    )
+    slope = differences((1.0, -1.0))
     free = missing[part]
     # The pull acts on the deviation from a plane, which leaves linear maps alone.
     rows, cols = np.nonzero(part)
-    fixed = uv[part][~free]
+    fixed = points[part][~free]
     basis = np.stack([np.ones(size), rows, cols], axis=1)
     plane = basis @ np.linalg.lstsq(basis[~free], fixed, rcond=None)[0]
     matrix = (bend.T @ bend + 1e-8 * (slope.T @ slope)).tocsc()
     solve = splu((matrix[free][:, free] + 1e-14 * sparse.eye_array(int(free.sum()))).tocsc()).solve
     values = solve(-(matrix[free][:, ~free] @ (fixed - plane[~free])))
-    uv[missing] = plane[free] + values
-    return uv
+    points[missing] = plane[free] + values
+    return points, np.where(missing, _BRACE * weights.max(), weights)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -14,12 +14,12 @@ from planish.core.outcome import Outcome
 from planish.core.threads import count_threads
 from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments
-from planish.flatten.geodesics import triangle_areas
+from planish.flatten.geodesics import folded_cells
 from planish.flatten.infill import make_up
 from planish.flatten.levels import Level, Team, hierarchy
 from planish.flatten.multigrid import OPEN, Multigrid, Step, count_folds
-from planish.flatten.relaxation import History, RelaxationParams, relax_dynamically
-from planish.flatten.springs import TRUSTED, find_pieces, loose_nodes, make_springs, mean_pitch, stiffen
+from planish.flatten.relaxation import RelaxationParams, relax_dynamically
+from planish.flatten.springs import TRUSTED, loose_nodes, make_springs, mean_pitch, stiffen
 
 Array = NDArray[np.float64]
 Method = Literal["multigrid", "relaxation"]
@@ -40,7 +40,7 @@ class Relaxed:
     outcome : Outcome
     steps : int
         Of ``relaxation``: steps in time; of ``multigrid``: steps on the finest mesh.
-    history : tuple of Step, or History
+    history : tuple of Step
         All steps, those on the coarser meshes of ``multigrid`` included, in mean pitches.
     folded : (rows - 1, cols - 1) bool
         Cells with a triangle whose signed area is not above zero, and those that are held open at next to none.
@@ -58,7 +58,7 @@ class Relaxed:
     springs: int
     outcome: Outcome
     steps: int
-    history: tuple[Step, ...] | History
+    history: tuple[Step, ...]
     folded: NDArray[np.bool_]
     made_up: NDArray[np.bool_]
     straight_share: float
@@ -73,7 +73,6 @@ def relax_grid(
     start: Array | None = None,
     weights: Array | None = None,
     tolerance: float = 1e-6,
-    apart: bool = False,
 ) -> Relaxed:
     """Flatten a grid of points in space.
 
@@ -99,8 +98,6 @@ def relax_grid(
     tolerance : float
         ``multigrid`` is at rest when its energy is expected to exceed the minimum by less than this share, or places to
         be wrong by less than 3e-6 pitches in the mean (root of the mean square).
-    apart : bool
-        Flatten unconnected pieces each for itself; otherwise they are an error.
 
     Returns
     -------
@@ -125,24 +122,17 @@ def relax_grid(
         gaps = springs < _all_springs(level.rows, level.cols)
         if gaps:
             known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
-            labels, sizes = find_pieces(known)
-            _check_pieces(known, sizes, apart)
-            if sizes.size > 1:
-                joined = _each_apart(points, labels, start, weights, method=method, rest=rest, tolerance=tolerance)
-                return replace(joined, made_up=joined.made_up | made_up)
-            loose, stiff = loose_nodes(known)
-            _check_stiffness(stiff)
+            loose = _check_whole(known)
             if loose.any():
                 braces = ~known & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
                 points, weights = make_up(points, weights, known, braces)
                 level = make_springs(points, pitch, rest, team)[0]
         if weights is not None:
             stiffen(level, weights)
-        history: tuple[Step, ...] | History
+        energy, down = 0.0, 0
         if method == "multigrid":
             steps, outcome, history, energy, down = _multigrid(level, points, start, team, tolerance, gaps=gaps)
         else:
-            energy, down = 0.0, 0
             params = RelaxationParams() if method == "relaxation" else method
             steps, outcome, history = _relaxation(level, points, start, pitch, params)
         if braces is not None:
@@ -162,21 +152,6 @@ def relax_grid(
         outcome = Outcome.FOLDED
     return Relaxed(uv=uv, energy=float(energy) * pitch * pitch, springs=springs, outcome=outcome, steps=steps,
                    history=history, folded=folded, made_up=made_up, straight_share=straight, pitch=pitch)  # fmt: skip
-
-
-def folded_cells(points: Array, uv: Array, *, side: float = 1.0, floor: float = 0.0) -> NDArray[np.bool_]:
-    """Cells of ``uv`` (rows, cols, 2) with a triangle (a, b, c) or (a, c, d) that is empty or turned over.
-
-    ``side`` is -1 where columns and rows of the grid run in the opposite sense to u and v; ``floor`` is the share of
-    a cell's half area in space, from the product of its diagonals, that a triangle must exceed.
-    """
-    least = 0.0
-    if floor:
-        across, rising = points[1:, 1:] - points[:-1, :-1], points[1:, :-1] - points[:-1, 1:]
-        least = floor * 0.5 * np.linalg.norm(across, axis=-1) * np.linalg.norm(rising, axis=-1)
-    with np.errstate(invalid="ignore"):
-        first, second = triangle_areas(uv)
-        return np.minimum(side * first, side * second) <= least
 
 
 def _check(
@@ -205,28 +180,31 @@ def _check(
         raise CannotFlatten("; ".join(faults).capitalize() + ".")
 
 
-def _check_pieces(known: NDArray[np.bool_], sizes: NDArray[np.intp], apart: bool) -> None:
+def _check_whole(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Raise unless the nodes are one piece that is stiff as a whole; give those that hang on it loosely."""
     if np.count_nonzero(known) < 4:
         raise CannotFlatten(
             f"The mesh has {np.count_nonzero(known)} nodes in {known.shape[0]} rows and {known.shape[1]} columns; at "
             f"least 2 rows and 2 columns are needed. Use a finer mesh."
         )
-    if sizes.size > 1 and not apart:
-        listed = ", ".join(map(str, sizes[:6])) + (" ..." if sizes.size > 6 else "")
-        raise CannotFlatten(
-            f"The sheet falls into {sizes.size} unconnected pieces of {listed} nodes. Flatten each piece apart: their "
-            f"distance in the plane is not known."
-        )
-
-
-def _check_stiffness(parts: NDArray[np.intp]) -> None:
-    large = parts[parts > 0.02 * parts.sum()] if parts.size else parts
-    if large.size != 1:
-        listed = ", ".join(map(str, large[:6])) + (" ..." if large.size > 6 else "")
-        raise CannotFlatten(
-            f"The sheet falls into {large.size} pieces of {listed} cells that hang together by single nodes at most. "
-            f"Flatten each piece apart: how they are turned against each other is not known."
-        )
+    pieces = np.bincount(ndimage.label(known, structure=np.ones((3, 3)))[0].ravel())[1:]
+    loose, stiff = loose_nodes(known)
+    stiff = stiff[stiff > 0.02 * stiff.sum()]
+    for sizes, of, unknown in (
+        (pieces, "unconnected pieces of {} nodes", "their distance in the plane"),
+        (
+            stiff,
+            "pieces of {} cells that hang together by single nodes at most",
+            "how they are turned against each other",
+        ),
+    ):
+        if sizes.size != 1:
+            listed = ", ".join(map(str, np.sort(sizes)[:-7:-1])) + (" ..." if sizes.size > 6 else "")
+            raise CannotFlatten(
+                f"The sheet falls into {sizes.size} {of.format(listed)}. Flatten each piece apart: {unknown} is not "
+                f"known."
+            )
+    return loose
 
 
 def _all_springs(rows: int, cols: int) -> int:
@@ -248,45 +226,6 @@ def _weigh(points: Array, weights: Array) -> tuple[Array, Array | None, NDArray[
         return (*make_up(points, weights, known & ~doubted, doubted), doubted)
     even = np.ptp(weights[known]) == 0 and weights[known][0] == 1
     return points, None if even else np.where(known, weights, 0.0), doubted
-
-
-def _each_apart(
-    points: Array, labels: NDArray[np.int32], start: Array | None, weights: Array | None, **choices: object
-) -> Relaxed:
-    """Flatten the pieces one after the other; each lies on its own start. Fragments without a cell are left out."""
-    uv = np.full((*labels.shape, 2), np.nan)
-    folded = np.zeros((labels.shape[0] - 1, labels.shape[1] - 1), dtype=bool)
-    made_up = np.zeros(labels.shape, dtype=bool)
-    parts: list[Relaxed] = []
-    for k, box in enumerate(ndimage.find_objects(labels), 1):
-        mine = labels[box] == k
-        if min(mine.shape) < 2 or not loose_nodes(mine)[1].any():
-            continue
-        part = relax_grid(
-            np.where(mine[..., None], points[box], np.nan),
-            start=None if start is None else start[box],
-            weights=None if weights is None else weights[box],
-            **choices,  # type: ignore[arg-type]
-        )
-        uv[box][mine] = part.uv[mine]
-        made_up[box] |= part.made_up & mine
-        folded[box[0].start : box[0].stop - 1, box[1].start : box[1].stop - 1] |= part.folded
-        parts.append(part)
-    if not parts:
-        raise CannotFlatten("No piece of the sheet has two rows and two columns. Use a finer mesh.")
-    worst = next((p.outcome for p in parts if p.outcome is not Outcome.RESTED), Outcome.RESTED)
-    springs = sum(p.springs for p in parts)
-    return replace(
-        parts[0],
-        uv=uv,
-        energy=sum(p.energy for p in parts),
-        springs=springs,
-        outcome=worst,
-        steps=max(p.steps for p in parts),
-        folded=folded,
-        made_up=made_up,
-        straight_share=sum(p.straight_share * p.springs for p in parts) / springs,
-    )
 
 
 def _handedness(points: Array, start: Array | None) -> float:
@@ -316,7 +255,7 @@ def _multigrid(
 
 def _relaxation(
     level: Level, points: Array, start: Array | None, pitch: float, params: RelaxationParams
-) -> tuple[int, Outcome, History]:
+) -> tuple[int, Outcome, tuple[Step, ...]]:
     rows, cols = level.rows, level.cols
     rest = np.where(level.rest > 0, level.rest, np.nan)[:, 1 : rows + 1, 1 : cols + 1]
     stiff = np.broadcast_to(level.stiff, level.rest.shape)[:, 1 : rows + 1, 1 : cols + 1].astype(np.float64)
@@ -325,7 +264,11 @@ def _relaxation(
     done = relax_dynamically(first, rest, stiffness=stiff, params=params)
     level.open()
     level.xy[:, 1 : rows + 1, 1 : cols + 1] = np.where(np.isfinite(done.uv), done.uv, 10 * GONE).transpose(2, 0, 1)
-    return done.steps, done.outcome, done.history
+    count, log = int(np.isfinite(done.uv[..., 0]).sum()), done.history
+    history = (
+        Step(count, energy, np.nan, move) for energy, move in zip(log.energy, log.mean_speed * log.dt, strict=True)
+    )
+    return done.steps, done.outcome, tuple(history)
 
 
 def _laid_down(level: Level, points: Array, start: Array | None, pitch: float, team: Team) -> Array:

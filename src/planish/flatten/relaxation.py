@@ -10,19 +10,13 @@ from numpy.typing import NDArray
 
 from planish.core.errors import CannotFlatten
 from planish.core.outcome import Outcome
-from planish.flatten import _relaxation_kernels as kernels
-from planish.flatten.geodesics import triangle_areas
+from planish.flatten._relaxation_kernels import mix, set_force
+from planish.flatten.geodesics import folded_cells, triangle_areas
 
 Array = NDArray[np.float64]
 
-_BLOCK = 50  # steps between two returns to the interpreter: some 10 ms at 128 x 96 nodes, so that Ctrl-C works
-
 # How the time step follows in the feedback reading of Eq. (4). The paper has no numbers for it; any come to a halt.
 _CUT, _GROW = 0.5, 1.1
-
-_INTEGRATORS = {"symplectic": kernels.SYMPLECTIC, "rk4": kernels.RK4, "euler": kernels.EULER}
-_CONTROLS = {"scale": kernels.SCALE, "feedback": kernels.FEEDBACK, "fixed": kernels.FIXED}
-_STOPS = {"first": kernels.FIRST, "sustained": kernels.SUSTAINED, "residual": kernels.RESIDUAL}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,7 +158,6 @@ def relax_dynamically(
     Nothing in the energy forbids a fold. The step control keeps a fair start from folding; cells that are turned over
     in the start may stay so. They are counted at the end.
     """
-    p = params or RelaxationParams()
     start = np.asarray(start, dtype=np.float64)
     rest = np.asarray(rest, dtype=np.float64)
     stiff = np.ones_like(rest) if stiffness is None else np.asarray(stiffness, dtype=np.float64)
@@ -177,41 +170,90 @@ def relax_dynamically(
     tied = _ties(known) & np.isfinite(rest) & np.isfinite(stiff)
     unit = float(np.max(stiff, where=tied, initial=0.0)) or 1.0
     x = _framed(np.where(known[..., None], start, 0.0).transpose(2, 0, 1))
-    rests, constants = _framed(np.where(tied, rest, 0.0)), _framed(np.where(tied, stiff / unit, 0.0))
-    side, nodes = _sides(_framed(known.astype(np.float64))), int(np.count_nonzero(known))
-    v, f = np.zeros_like(x), np.zeros_like(x)
-    energy, largest = kernels.set_force(x, rests, constants, f)
-    state = np.zeros(kernels.SIZE)
-    uneven = kernels.mix(v, 0.0, f, 1.0, side, np.zeros_like(x))[0]
-    state[kernels.DT], state[kernels.C] = p.fixed_dt, max(p.c_min, np.sqrt(uneven / p.b))
-    if p.control == "fixed":
-        state[kernels.C] = p.fixed_c
-    kinds = (_INTEGRATORS[p.integrator], _CONTROLS[p.control], _STOPS[p.stop])
-    rule = (p.a, p.b, p.c_min, p.dt_max, p.c_fall, _CUT, _GROW, p.most_move, p.mean_speed, p.residual,
-            2.0 * max(known.shape))  # fmt: skip
-    # Without any force there is no motion to wait for.
-    done, code = 0, kernels.RESTED if largest == 0.0 else kernels.GOING
-    logs: list[Array] = [np.empty((0, 5))]
-    while code == kernels.GOING and done < p.most_steps:
-        log = np.empty((min(_BLOCK, p.most_steps - done), 5))
-        made, code = kernels.steps(x, v, f, rests, constants, side, nodes, state, kinds, rule, log)
-        logs.append(log[:made])
-        done += made
-    log = np.concatenate(logs)
-    log[:, 4] *= unit
-    uv = np.where(known[..., None], x[:, 1:-1, 1:-1].transpose(1, 2, 0), np.nan)
-    inverted = int(np.count_nonzero(_inverted(uv, start)))
-    outcome = {kernels.GOING: Outcome.OUT_OF_STEPS, kernels.NOT_FINITE: Outcome.NOT_FINITE}.get(code, Outcome.RESTED)
+    springs = _framed(np.where(tied, rest, 0.0)), _framed(np.where(tied, stiff / unit, 0.0))
+    with np.errstate(invalid="ignore", over="ignore"):  # a mesh that leaves the finite numbers is an outcome
+        outcome, energy, log = _motion(x, springs, _framed(known.astype(np.float64)), params or RelaxationParams())
+        uv = np.where(known[..., None], x[:, 1:-1, 1:-1].transpose(1, 2, 0), np.nan)
+        side = np.sign(np.nansum(triangle_areas(start)))
+        inverted = int(np.count_nonzero(folded_cells(start, uv, side=side)))
     if inverted and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
-    return Relaxation(
-        uv=uv,
-        energy=float(log[-1, 4]) if done else float(energy * unit),
-        outcome=outcome,
-        steps=done,
-        history=History(np.arange(1.0, done + 1), *log.T),
-        inverted=inverted,
-    )
+    log[:, 4] *= unit
+    history = History(np.arange(1.0, len(log) + 1), *log.T)
+    return Relaxation(uv=uv, energy=energy * unit, outcome=outcome, steps=len(log), history=history, inverted=inverted)
+
+
+def _motion(
+    x: Array, springs: tuple[Array, Array], known: Array, p: RelaxationParams
+) -> tuple[Outcome, float, Array]:  # fmt: skip
+    """Move ``x`` (2, rows + 2, cols + 2) until it rests; give the energy, and time step, damping ... of each step."""
+    side, nodes, period = _sides(known), np.count_nonzero(known), 2.0 * (max(known.shape) - 2)
+    v, new, f = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
+    energy, largest = set_force(x, *springs, f)
+    dt, c = p.fixed_dt, max(p.c_min, np.sqrt(mix(v, 0.0, f, 1.0, side, new)[0] / p.b))
+    if p.control == "fixed":
+        c = p.fixed_c
+    gradient = time = low = 0.0
+    armed = False
+    # Without any force there is no motion to wait for.
+    outcome = Outcome.RESTED if largest == 0.0 else Outcome.OUT_OF_STEPS
+    log: list[tuple[float, ...]] = []
+
+    def accelerate() -> tuple[float, float, float]:
+        euler = p.integrator == "euler"
+        keep, push = (1.0 - c * dt, dt) if euler else (1.0 / (1.0 + c * dt), dt / (1.0 + c * dt))
+        return mix(v, keep, f, push, side, new)
+
+    while outcome is Outcome.OUT_OF_STEPS and len(log) < p.most_steps:
+        if p.control != "fixed":
+            c = max(p.c_min, gradient / p.b, p.c_fall * c)
+        if p.control == "scale":
+            dt = min(p.dt_max, p.a / gradient if gradient > 0.0 else np.inf)
+        elif p.control == "feedback":
+            dt = dt * _CUT if gradient >= p.a else min(p.dt_max, dt * _GROW)
+        gradient, fastest, total = accelerate()
+        if p.control == "scale" and dt * gradient > p.a:
+            dt = p.a / gradient
+            gradient, fastest, total = accelerate()
+        if p.control != "fixed" and fastest * dt > p.most_move:
+            dt *= p.most_move / (fastest * dt)
+            gradient, fastest, total = accelerate()
+        if p.integrator == "rk4":
+            x[:], new[:] = _runge_kutta(x, v, f, springs, dt, c)
+            gradient, _, total = mix(new, 1.0, f, 0.0, side, new)
+        else:
+            x += dt * (v if p.integrator == "euler" else new)
+        energy, largest = set_force(x, *springs, f)
+        v, new = new, v
+        speed = total / nodes
+        log.append((dt, c, gradient, speed, energy))
+        time += dt
+        armed, low = (True, 0.0) if speed > p.mean_speed else (armed, low + dt)
+        rested = {
+            # A mesh that has not been fast within a period of its slowest mode will never be.
+            "first": (armed or time >= period) and low > 0.0,
+            "sustained": low >= period,
+            "residual": largest < p.residual,
+        }[p.stop]
+        if not np.isfinite(speed + energy):
+            outcome = Outcome.NOT_FINITE
+        elif rested:
+            outcome = Outcome.RESTED
+    return outcome, energy, np.array(log).reshape(-1, 5)
+
+
+def _runge_kutta(
+    x: Array, v: Array, f: Array, springs: tuple[Array, Array], dt: float, c: float
+) -> tuple[Array, Array]:  # fmt: skip
+    """Places and velocities after ``dt`` by the classical method of fourth order; ``f``, the force, is overwritten."""
+    place, speed, new_x, new_v = x, v, x, v
+    for stage, (weight, reach) in enumerate(((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))):
+        if stage > 0:
+            set_force(place, *springs, f)
+        rate = f - c * speed
+        new_x, new_v = new_x + weight * speed, new_v + weight * rate
+        place, speed = x + reach * speed, v + reach * rate
+    return new_x, new_v
 
 
 def _ties(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -231,17 +273,6 @@ def _framed(values: Array) -> Array:
 
 def _sides(known: Array) -> Array:
     """Weights of the differences to the neighbours right, left, below and above (4, rows + 2, cols + 2)."""
-    side = np.zeros((4, *known.shape))
     right, left, below, above = (np.roll(known, shift, axis) for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0)))
-    for k, (one, other) in enumerate(((right, left), (left, right), (below, above), (above, below))):
-        side[k] = known * one * (1.0 - 0.5 * other)
-    return side
-
-
-def _inverted(uv: Array, start: Array) -> NDArray[np.bool_]:
-    """Cells (rows - 1, cols - 1) with a triangle that is empty or does not turn as the start does as a whole."""
-    with np.errstate(invalid="ignore", over="ignore"):  # a mesh that has left the finite numbers is counted, too
-        first, second = triangle_areas(start)
-        side = np.sign(np.nansum(first) + np.nansum(second))
-        one, two = triangle_areas(uv)
-        return (side * one <= 0) | (side * two <= 0)
+    opposite = ((right, left), (left, right), (below, above), (above, below))
+    return np.stack([known * one * (1.0 - 0.5 * other) for one, other in opposite])

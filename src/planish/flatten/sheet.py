@@ -17,7 +17,6 @@ from planish.flatten.curvature import CurvatureCheck, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
 from planish.flatten.params import FlattenParams
 from planish.flatten.relax import Relaxed, relax_grid
-from planish.flatten.relaxation import History
 
 Array = NDArray[np.float64]
 
@@ -158,15 +157,11 @@ def _at_cells(nodes: Array) -> Array:
 
 
 def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Array, dict[str, str]]]:
-    """History of either solver over ``step``: nodes of the mesh, energy, and the mean move of a node in the step."""
-    history, unit = relaxed.history, relaxed.pitch
-    if isinstance(history, History):
-        count = np.full(history.step.size, float(np.isfinite(relaxed.uv[..., 0]).sum()))
-        nodes, energy, move = count, history.energy, history.mean_speed * history.dt
-    else:
-        nodes, energy, move = (
-            np.array([getattr(step, k) for step in history], dtype=np.float64) for k in ("nodes", "energy", "move")
-        )
+    """History of the solver over ``step``: nodes of the mesh, energy, and the mean move of a node in the step."""
+    unit = relaxed.pitch
+    nodes, energy, move = (
+        np.array([getattr(step, k) for step in relaxed.history], dtype=np.float64) for k in ("nodes", "energy", "move")
+    )
     return {
         "step_nodes": ("step", nodes, {"long_name": "Nodes of the mesh"}),
         "step_energy": ("step", energy * unit**2, {"units": "um2", "long_name": "Spring energy"}),

@@ -24,7 +24,6 @@ def mean_pitch(points: Array) -> float:
         rows, cols = (max(1, n // some) for n in points.shape[:2])
         with np.errstate(invalid="ignore", over="ignore"):
             steps = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
-        with np.errstate(invalid="ignore", over="ignore"):
             long = np.concatenate([np.sqrt(np.sum(step * step, axis=-1)).ravel() for step in steps])
         long = long[np.isfinite(long)]
         if long.size > 1000:
@@ -74,16 +73,6 @@ def stiffen(level: Level, weights: Array) -> None:
     level.stiff = stiff
 
 
-def find_pieces(known: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
-    """Label the pieces of the mesh, the largest first, and count their nodes."""
-    labels, count = ndimage.label(known, structure=np.ones((3, 3)))
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    order = np.argsort(-sizes, kind="stable")
-    rank = np.zeros(count + 1, dtype=np.int32)
-    rank[1 + order] = 1 + np.arange(count)
-    return rank[labels], sizes[order]
-
-
 def loose_nodes(known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
     """Find the nodes whose place the springs do not settle: what hangs on the sheet by a single node or spring.
 
@@ -95,7 +84,7 @@ def loose_nodes(known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np
     (rows, cols) bool
         Known nodes outside of the largest stiff part.
     (parts,)
-        Cells of the stiff parts, the largest first.
+        Cells of the stiff parts.
     """
     corners = sum(known[i : i + known.shape[0] - 1, j : j + known.shape[1] - 1].astype(np.int8)
                   for i in (0, 1) for j in (0, 1))  # fmt: skip
@@ -113,4 +102,4 @@ def loose_nodes(known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np
     for i in (0, 1):
         for j in (0, 1):
             held[i : i + cells.shape[0], j : j + cells.shape[1]] |= cells
-    return known & ~held, np.sort(sizes[sizes > 0])[::-1]
+    return known & ~held, sizes[sizes > 0]
