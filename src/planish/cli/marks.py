@@ -105,7 +105,7 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **options: Any
     if as_json:
         predicted = written.predicted
         data = {
-            "out": str(out), "files": list(written.files), "holes": len(pattern.positions_um), **_rules_data(rules),
+            "out": str(out), "files": list(written.files), "holes": len(pattern.holes), **_rules_data(rules),
             "fle_um": predicted.fle_um, "error_centre_um": predicted.centre_um, "error_corner_um": predicted.corner_um,
             "time_s": written.run.time_s, "path_um": written.run.length_um,
         }  # fmt: skip
@@ -114,7 +114,7 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **options: Any
     _show(pattern, rules)
     click.echo(written.predicted.sentence())
     click.echo(f"stage: {written.run.sentence()}")
-    click.echo(f"{out}: {len(pattern.positions_um)} holes, {', '.join(written.files)}")
+    click.echo(f"{out}: {len(pattern.holes)} holes, {', '.join(written.files)}")
 
 
 @marks.command()
@@ -134,7 +134,7 @@ def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: floa
     read = read_pattern(pattern, field_um=field_um, diameter_um=diameter_um)
     rules, predicted = check_pattern(read), predict(read)
     if as_json:
-        data = {"holes": len(read.positions_um), **_rules_data(rules), "error_corner_um": predicted.corner_um}
+        data = {"holes": len(read.holes), **_rules_data(rules), "error_corner_um": predicted.corner_um}
         click.echo(json.dumps(data, indent=2, allow_nan=False))
     else:
         _show(read, rules)
@@ -166,7 +166,7 @@ def simulate(
     """
     from planish.core.tables import read_text
     from planish.io.run_folder import refuse_existing
-    from planish.marks.design import Limits, dry_run, read_pattern
+    from planish.marks.design import dry_run, read_pattern
     from planish.marks.design.write import path_picture
 
     checked = _checked(StageParams, {"range_um": range_um})
@@ -174,8 +174,7 @@ def simulate(
         if out.suffix.lower().lstrip(".") not in _PICTURES:
             raise click.UsageError(f"--out: {out.name} is no .png, .svg or .pdf.")
         refuse_existing(out)
-    limits = Limits(range_um=checked.range_um, pulse_s=pulse_most_s)
-    run = dry_run(read_text(program, what="stage program"), limits)
+    run = dry_run(read_text(program, what="stage program"), checked, pulse_s=pulse_most_s)
     difference = None if pattern is None else _compared(run, read_pattern(pattern))
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -219,7 +218,7 @@ def _show(pattern: Pattern, rules: tuple[Rule, ...]) -> None:
         )
         for rule in rules
     ]
-    title = f"{pattern.name}: {len(pattern.positions_um)} holes of {pattern.burn.diameter_um:g} um"
+    title = f"{pattern.name}: {len(pattern.holes)} holes of {pattern.diameter_um:g} um"
     table(title, ("rule", "measured", "limit", ""), rows)
 
 

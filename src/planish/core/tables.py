@@ -13,12 +13,15 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, InputError, PlanishError
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 LARGEST_FILE = 10_000_000
 """Bytes; no table of marks, holes or sections is larger."""
@@ -258,6 +261,12 @@ def raise_faults(name: str, faults: Sequence[str], remedy: str, *, error: type[P
     if faults:
         more = f"; and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
         raise error(f"{name}: {'; '.join(faults[:MOST_FAULTS])}{more}. {remedy}")
+
+
+def model_faults(error: ValidationError, where: Sequence[str] = ()) -> list[str]:
+    """Say what pydantic found in a file; ``where`` is put before the place of each fault."""
+    found = error.errors(include_url=False, include_input=False)
+    return [f"{'.'.join(map(str, (*where, *e['loc']))) or 'the file'}: {e['msg']}" for e in found]
 
 
 def table_text(header: Sequence[str], rows: Iterable[Sequence[Any]], *, quote_all: bool = False) -> str:

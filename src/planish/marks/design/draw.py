@@ -1,193 +1,214 @@
-"""The drawing of a pattern: magnified with its pitches and numbers, and in its true size to lay a specimen on."""
+"""The three pages of a design: the pattern, the error that it allows over its field, and the path of the stage."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
+from planish.marks.design.params import ImagingParams
 from planish.marks.design.pattern import Pattern
+from planish.marks.design.predict import P95, Predicted
 from planish.marks.design.rules import Rule
-from planish.marks.design.sheet import (
-    ACCENT,
-    BURNT,
-    FAINT,
-    GROUND,
-    INK,
-    SOFT,
-    Page,
-    as_ratio,
-    box,
-    dimension,
-    fitting_scale,
-    scale_bar,
-)
+from planish.marks.design.sheet import ACCENT, ASIDE, BURNT, FAINT, GROUND, INK, SOFT, Page
+from planish.marks.design.simulate import DryRun
 
 Array = NDArray[np.float64]
 
-_ROOM = (180.0, 148.0)  # mm for the magnified drawing
-_LEFT, _TOP = 24.0, 36.0
-_ARROW = {"arrowstyle": "-|>", "lw": 1.1, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
-_ASIDE = 226.0  # where the right column begins
+_ARROW: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.1, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
+_FINE = 200  # pixels along the longer side of the map
 
 
 def drawing_page(pattern: Pattern) -> Page:
-    """Draw a pattern as the laser sees it, y up."""
-    view = tuple(side / 1000 for side in pattern.view_um)
-    low = tuple(value / 1000 for value in pattern.origin_um)
-    scale = fitting_scale(view, _ROOM)
-    page = Page(
-        f"Laser holes: {pattern.name}",
-        f"{len(pattern.positions_um)} holes around a field of {_size(pattern.field_um)} mm; as the laser sees it",
-    )
-    left, top = _LEFT + (_ROOM[0] - view[0] * scale) / 2, _TOP + (_ROOM[1] - view[1] * scale) / 2
-    axes = page.plan(left, top, low=low, size=view, scale=scale)
-    _plan(axes, pattern, numbers=True)
-    _pitches(axes, pattern, scale)
-    gap = 9 / scale
-    frame, at = (tuple(v / 1000 for v in pair) for pair in (pattern.frame_um, pattern.frame_low_um))
-    dimension(axes, (at[0], low[1] + view[1] + gap), (at[0] + frame[0], low[1] + view[1] + gap), f"{frame[0]:g} mm")
-    dimension(axes, (low[0] - gap, at[1]), (low[0] - gap, at[1] + frame[1]), f"{frame[1]:g} mm")
-    _origin(axes, pattern, scale)
-    scale_bar(page, _LEFT, 199, scale=scale, most=40)
-    page.text(_LEFT + 66, 200.4, f"drawn {as_ratio(scale)} on A4; pitches in mm", color=SOFT)
-    _aside(page, pattern)
+    """Draw a pattern as the laser sees it, y up: magnified with its pitches and numbers, and in its true size."""
+    holes = f"{len(pattern.holes)} holes around a field of {_size(pattern.field_um)} mm; as the laser sees it"
+    view, (x, y) = pattern.view_um, pattern.origin_um
+    page = Page(f"Laser holes: {pattern.name}", holes, (x, y), view, note="; pitches in mm")
+    axes, mm = page.plan, 1000 / page.scale  # um of the sheet for one mm of paper
+    _holes(axes, pattern, SOFT)
+    _box(axes, (x, y), view, edgecolor=SOFT, ls=(0, (5, 3)))
+    (left, low), (width, height) = pattern.field_low_um, pattern.field_um
+    note = f"field {_size(pattern.field_um)} mm\nno hole reaches into it"
+    _write(axes, (left + width / 2, low + height / 2), note, color=SOFT, fontsize=9, linespacing=1.6)
+    _numbers(axes, pattern.points_um, pattern.labels, pattern.frame_low_um, pattern.frame_um)
+    for dx, dy, name in ((11 * mm, 0, "x"), (0, 11 * mm, "y")):
+        arrow = {**_ARROW, "color": ACCENT}
+        axes.annotate("", (x + dx, y + dy), (x, y), annotation_clip=False, arrowprops=arrow)
+        _write(axes, (x + dx, y + dy), name, (6 * bool(dx), 6 * bool(dy)), color=ACCENT, fontsize=8)
+    if pattern.layout != "own":
+        _pitches(axes, pattern, 4.2 * mm + pattern.border_um)
+        corner = pattern.frame_low_um
+        axes.plot(*[[value] for value in corner], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
+        axes.annotate(
+            "no hole in this corner:\nit shows the orientation", corner, (left + 13 * mm, low + 13 * mm),
+            color=ACCENT, fontsize=7.5, ha="left", va="bottom",
+            arrowprops={"arrowstyle": "-", "color": ACCENT, "lw": 0.6, "shrinkB": 5},
+        )  # fmt: skip
+    rows = [
+        ("layout", f"{pattern.layout}, seed {pattern.seed}"),
+        ("hole", f"{pattern.diameter_um:g} µm"),
+        ("burnt rim", f"{pattern.rim_um:g} µm"),
+        ("pulse, pause", f"{1000 * pattern.pulse_s:g} ms, {1000 * pattern.pause_s:g} ms"),
+        ("frame", f"{_size(pattern.frame_um)} mm"),
+        ("margin to field", f"{pattern.margin_um[0]:g}, {pattern.margin_um[1]:g} µm"),
+        ("least spacing", f"{pattern.spacing_um:g} µm"),
+        ("to be imaged", f"{_size(view)} mm"),
+    ]
+    page.aside("To burn", rows, ("dashed: what both instruments", "have to image; dark: the hole;", "brown: its rim"))
+    if view[0] <= 62_000 and view[1] <= 95_000:
+        page.aside("True size (print without fitting)")
+        _holes(page.add_plan(ASIDE, page.bottom - 12, (x, y), view, 1.0), pattern, FAINT)
+        page.scale_bar(ASIDE, page.bottom - 9 + view[1] / 1000, 1.0, most=10)
     return page
 
 
-def rules_table(page: Page, left: float, top: float, rules: tuple[Rule, ...]) -> None:
-    """Write the rules with what was measured."""
-    page.text(left, top, "Rules", fontweight="bold", fontsize=9)
-    for k, rule in enumerate(rules):
-        y = top + 6 + 4.9 * k
-        page.text(left, y, rule.name, color=SOFT, fontsize=7.5)
-        page.text(left + 39, y, rule_value(rule), ha="right", fontsize=7.5, color=INK if rule.passed else ACCENT)
-        page.text(left + 41, y, f"{'≥' if rule.sense == 'at least' else '≤'} {rule.limit:.4g}", fontsize=7.5)
+def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, rules: Sequence[Rule]) -> Page:
+    """Draw the predicted error over the field, with its numbers and the rules."""
+    about = "rms distance between a point of one map and the same point of the other, by the marks alone; similarity"
+    page = Page("Predicted error of the registration", about, pattern.origin_um, pattern.view_um)
+    axes, places = page.plan, predicted.field_um
+    field, at = np.array(pattern.field_um), np.array(pattern.field_low_um)
+    across, up = (np.linspace(0, side, max(20, round(_FINE * side / field.max()))) for side in field)
+    grid = np.stack(np.meshgrid(at[0] + across, at[1] + up), axis=-1)
+    error = predicted.at(grid)
+    norm = Normalize(float(error.min()), float(error.max()))
+    extent = (float(at[0]), float(at[0] + field[0]), float(at[1]), float(at[1] + field[1]))
+    limits = axes.axis()
+    axes.imshow(
+        error, extent=extent, origin="lower", norm=norm, cmap="cividis", aspect="auto", interpolation="bilinear"
+    )
+    axes.axis(limits)
+    levels = np.linspace(float(error.min()), float(error.max()), 7)[1:-1]
+    lines = axes.contour(grid[..., 0], grid[..., 1], error, levels=levels, colors="white", linewidths=0.6)
+    axes.clabel(lines, fmt="%.2f", fontsize=7)
+    _box(axes, pattern.field_low_um, pattern.field_um, edgecolor=SOFT)
+    _box(axes, pattern.origin_um, pattern.view_um, edgecolor=SOFT, ls=(0, (5, 3)))
+    axes.plot(*pattern.points_um.T, "o", ms=3.5, mfc="white", mec=INK, mew=0.8, clip_on=False)
+    worst = places[1 + int(np.argmax(predicted.at(places[1:])))]
+    pad = {"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": "none", "alpha": 0.9}
+    for place, value, name in (
+        (places[0], predicted.centre_um, "middle"),
+        (worst, predicted.corner_um, "worst corner"),
+    ):
+        axes.plot(*place[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
+        x, y = np.sign(places[0] - place)
+        side = {1: "left", 0: "center", -1: "right"}[int(x)]
+        _write(axes, place, f"{name}: {value:.2f} µm", (10 * x, 12 * (y or -1)), ha=side, fontsize=8.5, bbox=pad)
+    box = axes.get_position()
+    bar = page.figure.colorbar(
+        ScalarMappable(norm=norm, cmap="cividis"),
+        cax=page.figure.add_axes((box.x1 + 4 / page.width, box.y0, 3.5 / page.width, box.height)),
+    )
+    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
+    bar.ax.set_title("µm", fontsize=8)
+    rows = [
+        ("one hole", f"{predicted.fle_um:.2f} µm rms"),
+        ("holes N", f"{len(predicted.holes_um)}"),
+        ("rms radius f", f"{predicted.radius_um / 1000:.2f} mm"),
+        ("middle", f"{predicted.centre_um:.2f} µm rms"),
+        ("worst corner", f"{predicted.corner_um:.2f} µm rms"),
+        ("95 % there", f"< {P95 * predicted.corner_um:.2f} µm"),
+        ("pixels", f"{imaging.pixel_um[0]:g} and {imaging.pixel_um[1]:g} µm"),
+        ("rim roughness", f"{imaging.roughness_um:g} µm"),
+        ("varies over", f"{imaging.rim_length_um:g} µm"),
+    ]
+    page.aside("Error", rows, ("error² = hole² / N · (1 + r² / f²),", "r from the holes' centroid"))
+    page.aside("Rules", [(rule.name, _measured(rule)) for rule in rules])
+    return page
 
 
-def rule_value(rule: Rule) -> str:
-    """Write what was measured, with its unit."""
-    digits = f"{rule.value:.0f}" if rule.unit in ("um", "holes") else f"{rule.value:.2f}"
-    return f"{digits} {rule.unit.replace('um', 'µm')}".strip()
+def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
+    """Draw the path of a stage program, from its dry run."""
+    points, path = run.fired_um, run.path_um
+    low, size = path.min(axis=0), np.maximum(np.ptp(path, axis=0), 1000.0)
+    border = 0.03 * float(size.max())
+    low, size = low - border, size + 2 * border
+    page = Page(title, run.sentence(), low.tolist(), size.tolist(), note="; numbers: order of the shots")
+    axes = page.plan
+    axes.plot(*path.T, "-", color=SOFT, lw=0.8, clip_on=False)
+    for a, b in pairwise(path):
+        if np.hypot(*(b - a)) * page.scale > 8000:
+            middle = (a + b) / 2
+            axes.annotate("", middle + 0.01 * (b - a), middle, arrowprops={**_ARROW, "color": SOFT, "lw": 0.8})
+    axes.plot(*points.T, "o", ms=4.5, color=ACCENT, clip_on=False)
+    _numbers(axes, points, [str(k + 1) for k in range(len(points))], low, size)
+    for place, name, dy in ((path[0], "begins", 7), (path[-1], "ends", -7)):
+        axes.plot(*place[:, None], "s", ms=5, mfc="white", mec=INK, clip_on=False)
+        _write(axes, place, name, (-7, dy), fontsize=7.5, ha="right")
+    pause = "-" if not np.isfinite(run.least_pause_s) else f"{1000 * run.least_pause_s:.0f} ms"
+    shots = sorted({f"{1000 * value:g}" for value in run.pulse_s})
+    ends = [f"{a:g} to {b:g} mm" for a, b in zip(path.min(axis=0) / 1000, path.max(axis=0) / 1000, strict=True)]
+    rows = [
+        ("shots", str(len(points))),
+        ("pulse", f"{', '.join(shots[:3])} ms"),
+        ("laser off", f"≥ {pause}"),
+        ("path", f"{run.length_um / 1000:.1f} mm"),
+        ("time", f"{run.time_s:.1f} s"),
+        ("x", ends[0]),
+        ("y", ends[1]),
+    ]
+    page.aside("Dry run", rows, ("time without acceleration",))
+    return page
 
 
-def _plan(axes: Axes, pattern: Pattern, *, numbers: bool) -> None:
-    """Draw field, view and holes to scale."""
-    view, low = ([v / 1000 for v in pair] for pair in (pattern.view_um, pattern.origin_um))
-    field, at = ([v / 1000 for v in pair] for pair in (pattern.field_um, pattern.field_low_um))
-    box(axes, at, field, fill=True, facecolor=GROUND, edgecolor=SOFT if numbers else FAINT, lw=0.5)
-    if numbers:
-        box(axes, low, view, edgecolor=SOFT, lw=0.5, ls=(0, (5, 3)))
-    burn = pattern.burn
-    for x, y in pattern.points_um / 1000:
-        outer = 0.0005 * burn.diameter_um + 0.001 * burn.rim_um
-        axes.add_patch(Circle((x, y), outer, facecolor=BURNT, edgecolor="none", clip_on=False))
-        axes.add_patch(Circle((x, y), 0.0005 * burn.diameter_um, facecolor=INK, edgecolor="none", clip_on=False))
-    if not numbers:
-        return
-    axes.text(
-        at[0] + field[0] / 2, at[1] + field[1] / 2, f"field {_size(pattern.field_um)} mm\nno hole reaches into it",
-        ha="center", va="center", color=SOFT, fontsize=9, linespacing=1.6,
-    )  # fmt: skip
-    inwards = _inwards(pattern)
-    for label, (x, y), (dx, dy) in zip(pattern.labels, pattern.points_um / 1000, inwards, strict=True):
-        axes.annotate(
-            label, (x, y), (9 * dx, 9 * dy), textcoords="offset points", ha="center", va="center", fontsize=6.5,
-            annotation_clip=False,
-        )  # fmt: skip
+def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
+    """Draw field and holes to scale."""
+    _box(axes, pattern.field_low_um, pattern.field_um, fill=True, facecolor=GROUND, edgecolor=edge)
+    for place in pattern.points_um:
+        for radius, colour in ((pattern.burnt_um, BURNT), (0.5 * pattern.diameter_um, INK)):
+            axes.add_patch(Circle((place[0], place[1]), radius, facecolor=colour, edgecolor="none", clip_on=False))
 
 
-def _inwards(pattern: Pattern) -> Array:
-    """Direction (n, 2) from each hole into the field."""
-    points = pattern.points_um - np.array(pattern.frame_low_um)
-    size = np.array(pattern.frame_um)
-    near = 0.02 * size.min()
-    inwards = (points < near).astype(np.float64) - (points > size - near)
-    corner = inwards.all(axis=1)
-    inwards[corner] *= -1.1  # the numbers of the neighbours stand inside
+def _numbers(
+    axes: Axes, points: Array, labels: Sequence[str], low: Sequence[float] | Array, size: Sequence[float] | Array
+) -> None:
+    """Write a number at each point, on the side of the middle of the rectangle."""
+    away = np.asarray(low) + np.asarray(size) / 2 - points
+    inwards = np.sign(away) * (np.abs(away) > 0.4 * np.asarray(size))
     inwards[~inwards.any(axis=1)] = [0.7, 0.7]
-    return inwards
+    for label, point, towards in zip(labels, points, 9 * inwards, strict=True):
+        _write(axes, point, label, towards, fontsize=6.5)
 
 
-def _pitches(axes: Axes, pattern: Pattern, scale: float) -> None:
-    """Write the distance between neighbours on a line beside it."""
-    if pattern.layout == "own":
-        return
-    points, low, size = pattern.points_um / 1000, pattern.frame_low_um, pattern.frame_um
-    # Middle of each side, and whether it runs upwards; the text stands outside.
-    beside = 4.2 / scale + pattern.border_um / 1000
+def _pitches(axes: Axes, pattern: Pattern, beside: float) -> None:
+    """Write the distance between neighbours on a line beside them, outside the frame."""
+    points, low, size = pattern.points_um, pattern.frame_low_um, pattern.frame_um
     for axis, end in ((0, 0), (1, 1), (0, 1), (1, 0)):
-        level = (low[1 - axis] + end * size[1 - axis]) / 1000
-        on = np.sort(points[np.abs(points[:, 1 - axis] - level) < 1e-6][:, axis])
+        level = low[1 - axis] + end * size[1 - axis]
+        on = np.sort(points[np.abs(points[:, 1 - axis] - level) < 1e-3][:, axis])
         place = level + (beside if end else -beside)
         for a, b in pairwise(on):
-            x, y = ((a + b) / 2, place) if axis == 0 else (place, (a + b) / 2)
-            axes.text(
-                x, y, f"{b - a:.2f}", ha="center", va="center", fontsize=6, color=SOFT, rotation=90 * axis,
-                clip_on=False,
-            )  # fmt: skip
+            middle = ((a + b) / 2, place) if axis == 0 else (place, (a + b) / 2)
+            _write(axes, middle, f"{(b - a) / 1000:.2f}", fontsize=6, color=SOFT, rotation=90 * axis)
 
 
-def _origin(axes: Axes, pattern: Pattern, scale: float) -> None:
-    """Mark the stage's origin, its axes, and the empty corner."""
-    x, y = (value / 1000 for value in pattern.origin_um)
-    arm = 11 / scale
-    for dx, dy, name in ((arm, 0.0, "x"), (0.0, arm, "y")):
-        axes.annotate(
-            "", (x + dx, y + dy), (x, y), annotation_clip=False,
-            arrowprops={**_ARROW, "color": ACCENT},
-        )  # fmt: skip
-        axes.annotate(
-            name, (x + dx, y + dy), (6 if dx else 0, 6 if dy else 0), textcoords="offset points", color=ACCENT,
-            ha="center", va="center", fontsize=8, annotation_clip=False,
-        )  # fmt: skip
-    axes.plot([x], [y], "o", ms=3.5, color=ACCENT, clip_on=False)
-    origin = ", ".join(f"{value / 1000:g}" for value in pattern.origin_um)
-    axes.annotate(
-        f"stage {origin} mm", (x, y), (-4, -20), textcoords="offset points", color=ACCENT, fontsize=7, ha="left",
-        va="center", annotation_clip=False,
-    )  # fmt: skip
-    if pattern.layout == "own":
-        return
-    corner = [value / 1000 for value in pattern.frame_low_um]
-    axes.plot(*[[value] for value in corner], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
-    inwards = [v / 1000 for v in pattern.field_low_um]
-    axes.annotate(
-        "no hole in this corner:\nit shows the orientation", (corner[0], corner[1]),
-        (inwards[0] + 13 / scale, inwards[1] + 13 / scale), color=ACCENT, fontsize=7.5, ha="left", va="bottom",
-        arrowprops={"arrowstyle": "-", "color": ACCENT, "lw": 0.6, "shrinkB": 5},
-    )  # fmt: skip
+def _write(
+    axes: Axes, place: Sequence[float] | Array, text: str, away: Sequence[float] | Array = (0, 0), **options: Any
+) -> None:
+    """Write beside a place, ``away`` in points of the paper."""
+    given: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, **options}
+    axes.annotate(text, (place[0], place[1]), (away[0], away[1]), textcoords="offset points", **given)
 
 
-def _aside(page: Page, pattern: Pattern) -> None:
-    """Write the parameters and draw the pattern in its true size, where there is room."""
-    burn = pattern.burn
-    page.text(_ASIDE, 38, "To burn", fontweight="bold", fontsize=9)
-    rows = [
-        ("layout", f"{pattern.layout}, seed {pattern.seed}"),
-        ("hole", f"{burn.diameter_um:g} µm"),
-        ("burnt rim", f"{burn.rim_um:g} µm"),
-        ("pulse, pause", f"{1000 * burn.pulse_s:g} ms, {1000 * burn.pause_s:g} ms"),
-        ("margin to field", f"{pattern.margin_um[0]:g}, {pattern.margin_um[1]:g} µm"),
-        ("least spacing", f"{pattern.spacing_um:g} µm"),
-        ("to be imaged", f"{_size(pattern.view_um)} mm"),
-    ]
-    bottom = page.rows(_ASIDE, 44, rows, across=27, step=4.9)
-    page.text(_ASIDE, bottom + 4, "dashed: what both instruments", color=SOFT, fontsize=7)
-    page.text(_ASIDE, bottom + 7.6, "have to image; dark: the hole;", color=SOFT, fontsize=7)
-    page.text(_ASIDE, bottom + 11.2, "brown: its burnt rim", color=SOFT, fontsize=7)
-    view = tuple(side / 1000 for side in pattern.view_um)
-    if view[0] <= 62 and view[1] <= 95:
-        page.text(_ASIDE, bottom + 22, "True size (print without fitting)", fontweight="bold", fontsize=9)
-        low = tuple(value / 1000 for value in pattern.origin_um)
-        axes = page.plan(_ASIDE, bottom + 26, low=low, size=view, scale=1.0)
-        _plan(axes, pattern, numbers=False)
-        scale_bar(page, _ASIDE, bottom + 29 + view[1], scale=1.0, most=10)
-    page.divide(_ASIDE - 6)
+def _box(axes: Axes, low: Sequence[float], size: Sequence[float], **options: Any) -> None:
+    axes.add_patch(Rectangle((low[0], low[1]), *size, **{"fill": False, "clip_on": False, "lw": 0.5, **options}))
 
 
-def _size(size_um: tuple[float, float]) -> str:
+def _measured(rule: Rule) -> str:
+    """Write what was measured, and the limit."""
+    digits = f"{rule.value:.0f}" if rule.unit in ("um", "holes") else f"{rule.value:.2f}"
+    return (
+        f"{digits} {rule.unit.replace('um', 'µm')}".strip()
+        + f"  {'≥' if rule.sense == 'at least' else '≤'} {rule.limit:.4g}"
+    )
+
+
+def _size(size_um: Sequence[float]) -> str:
     return " × ".join(f"{side / 1000:g}" for side in size_um)

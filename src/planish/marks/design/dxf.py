@@ -7,94 +7,62 @@ Release 12 has no unit of its own; a comment (999) and the drawing's extents say
 
 from __future__ import annotations
 
+from itertools import pairwise
+from typing import Any
+
+from planish.marks.design.gcode import ascii_only
 from planish.marks.design.pattern import Pattern
 
 # Name, colour number: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
 _LAYERS = (("HOLES", 1), ("BURNT", 8), ("FIELD", 3), ("VIEW", 8), ("NUMBERS", 7), ("ORIGIN", 5))
-Pair = tuple[int, str]
+Groups = list[tuple[int, Any]]
 
 
 def pattern_dxf(pattern: Pattern) -> str:
     """Write the holes, their burnt rims and numbers, the field, the view and the stage's origin."""
-    pairs: list[Pair] = [
-        (999, f"planish hole pattern, {_ascii(pattern.name)}: mm, x right, y up as the laser sees the sheet"),
-        *_header(pattern),
-        *_tables(),
-        (0, "SECTION"),
-        (2, "ENTITIES"),
-    ]
-    burn = pattern.burn
-    for label, (x, y) in zip(pattern.labels, pattern.positions_um, strict=True):
-        pairs += _circle("HOLES", x, y, 0.5 * burn.diameter_um)
-        pairs += _circle("BURNT", x, y, 0.5 * burn.diameter_um + burn.rim_um)
-        pairs += _text("NUMBERS", x + 0.6 * burn.diameter_um + burn.rim_um, y, burn.diameter_um, label)
-    pairs += _rectangle("FIELD", pattern.field_low_um, pattern.field_um)
-    pairs += _rectangle("VIEW", pattern.origin_um, pattern.view_um)
-    x, y = pattern.origin_um
-    arm = 3 * burn.diameter_um
-    pairs += _line("ORIGIN", (x, y), (x + arm, y)) + _line("ORIGIN", (x, y), (x, y + arm))
-    pairs += _text("ORIGIN", x + arm, y, burn.diameter_um, "x") + _text("ORIGIN", x, y + arm, burn.diameter_um, "y")
-    pairs += [(0, "ENDSEC"), (0, "EOF")]
-    return "".join(f"{code:3d}\n{value}\n" for code, value in pairs)
-
-
-def _header(pattern: Pattern) -> list[Pair]:
-    (x, y), (width, height) = pattern.origin_um, pattern.view_um
-    return [
-        (0, "SECTION"),
-        (2, "HEADER"),
-        (9, "$ACADVER"),
-        (1, "AC1009"),
-        (9, "$EXTMIN"),
-        *_point(10, x, y),
-        (9, "$EXTMAX"),
-        *_point(10, x + width, y + height),
-        (0, "ENDSEC"),
-    ]
-
-
-def _tables() -> list[Pair]:
-    pairs: list[Pair] = [
-        (0, "SECTION"), (2, "TABLES"),
-        (0, "TABLE"), (2, "LTYPE"), (70, "1"),
-        (0, "LTYPE"), (2, "CONTINUOUS"), (70, "64"), (3, "Solid line"), (72, "65"), (73, "0"), (40, "0.0"),
-        (0, "ENDTAB"),
-        (0, "TABLE"), (2, "LAYER"), (70, str(len(_LAYERS))),
+    (x0, y0), (width, height), diameter = pattern.origin_um, pattern.view_um, pattern.diameter_um
+    groups: Groups = [
+        (999, f"planish hole pattern, {ascii_only(pattern.name)}: mm, x right, y up as the laser sees the sheet"),
+        (0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (9, "$EXTMIN"), *_point(10, x0, y0),
+        (9, "$EXTMAX"), *_point(10, x0 + width, y0 + height), (0, "ENDSEC"),
+        (0, "SECTION"), (2, "TABLES"), (0, "TABLE"), (2, "LTYPE"), (70, 1), (0, "LTYPE"), (2, "CONTINUOUS"), (70, 64),
+        (3, "Solid line"), (72, 65), (73, 0), (40, "0.0"), (0, "ENDTAB"),
+        (0, "TABLE"), (2, "LAYER"), (70, len(_LAYERS)),
     ]  # fmt: skip
     for name, colour in _LAYERS:
-        pairs += [(0, "LAYER"), (2, name), (70, "64"), (62, str(colour)), (6, "CONTINUOUS")]
-    return [*pairs, (0, "ENDTAB"), (0, "ENDSEC")]
+        groups += [(0, "LAYER"), (2, name), (70, 64), (62, colour), (6, "CONTINUOUS")]
+    groups += [(0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
+    for label, (x, y) in zip(pattern.labels, pattern.points_um.tolist(), strict=True):
+        for layer, radius in (("HOLES", 0.5 * diameter), ("BURNT", pattern.burnt_um)):
+            groups += [(0, "CIRCLE"), (8, layer), *_point(10, x, y), (40, _mm(radius))]
+        groups += _text("NUMBERS", x + 0.6 * diameter + pattern.rim_um, y, diameter, label)
+    for layer, (x, y), (w, h) in (
+        ("FIELD", pattern.field_low_um, pattern.field_um),
+        ("VIEW", pattern.origin_um, pattern.view_um),
+    ):
+        groups += _lines(layer, (x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y))
+    arm = 3 * diameter
+    groups += _lines("ORIGIN", (x0, y0), (x0 + arm, y0)) + _lines("ORIGIN", (x0, y0), (x0, y0 + arm))
+    groups += _text("ORIGIN", x0 + arm, y0, diameter, "x") + _text("ORIGIN", x0, y0 + arm, diameter, "y")
+    groups += [(0, "ENDSEC"), (0, "EOF")]
+    return "".join(f"{code:3d}\n{value}\n" for code, value in groups)
 
 
-def _circle(layer: str, x_um: float, y_um: float, radius_um: float) -> list[Pair]:
-    return [(0, "CIRCLE"), (8, layer), *_point(10, x_um, y_um), (40, _mm(radius_um))]
+def _lines(layer: str, *corners: tuple[float, float]) -> Groups:
+    groups: Groups = []
+    for start, end in pairwise(corners):
+        groups += [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]
+    return groups
 
 
-def _line(layer: str, start: tuple[float, float], end: tuple[float, float]) -> list[Pair]:
-    return [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]
+def _text(layer: str, x_um: float, y_um: float, height_um: float, text: str) -> Groups:
+    return [(0, "TEXT"), (8, layer), *_point(10, x_um, y_um), (40, _mm(height_um)), (1, ascii_only(text))]
 
 
-def _text(layer: str, x_um: float, y_um: float, height_um: float, text: str) -> list[Pair]:
-    return [(0, "TEXT"), (8, layer), *_point(10, x_um, y_um), (40, _mm(height_um)), (1, _ascii(text))]
-
-
-def _rectangle(layer: str, low: tuple[float, float], size: tuple[float, float]) -> list[Pair]:
-    x, y, right, top = low[0], low[1], low[0] + size[0], low[1] + size[1]
-    corners = [(x, y), (right, y), (right, top), (x, top)]
-    return [
-        pair for a, b in zip(corners, [*corners[1:], corners[0]], strict=True) for pair in _line(layer, a, b)
-    ]  # fmt: skip
-
-
-def _point(code: int, x_um: float, y_um: float) -> list[Pair]:
+def _point(code: int, x_um: float, y_um: float) -> Groups:
     return [(code, _mm(x_um)), (code + 10, _mm(y_um)), (code + 20, "0.0")]
 
 
 def _mm(value_um: float) -> str:
     text = f"{value_um / 1000:.6f}".rstrip("0")
     return text + "0" if text.endswith(".") else text
-
-
-def _ascii(text: str) -> str:
-    """Keep what Release 12 can show."""
-    return "".join(c if c.isascii() and c.isprintable() else "?" for c in text)

@@ -11,6 +11,7 @@ rate of its own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -73,14 +74,14 @@ class Ruler:
         return np.concatenate(parts, axis=-1)
 
 
-def share_out(count: int, lengths: tuple[float, float, float, float], least: int) -> tuple[int, int, int, int]:
+def share_out(count: int, lengths: Sequence[float], least: int) -> list[int]:
     """Share holes out to the four sides, each at least so many, by the sides' lengths."""
     shares = [least] * 4
     for _ in range(max(0, count - 4 * least)):
         # The side on which the holes are farthest apart gets the next one.
         side = max(range(4), key=lambda k: (lengths[k] / (shares[k] + 1), -k))
         shares[side] += 1
-    return shares[0], shares[1], shares[2], shares[3]
+    return shares
 
 
 def coded_side(ruler: Ruler, count: int, used: set[int], rng: np.random.Generator) -> Ints | None:
@@ -122,17 +123,14 @@ def growing_rates(rng: np.random.Generator) -> tuple[float, ...]:
     return tuple(rng.permutation(np.array(_RATES)) + rng.uniform(-0.4, 0.4, 4))
 
 
-def placed(sides: tuple[Ints, Ints, Ints, Ints], width: int, height: int) -> tuple[Array, tuple[int, ...]]:
+def placed(sides: Sequence[Ints], width: int, height: int) -> tuple[Array, Ints]:
     """Lay the sides around the frame: positions (n, 2) in um from its lower left corner, and the side of each."""
-    start = ((0, 0), (width, 0), (width, height), (0, height))
-    direction = ((1, 0), (0, 1), (-1, 0), (0, -1))
-    points: list[tuple[int, int]] = []
-    owner: list[int] = []
-    for side, inner in enumerate(sides):
-        along = [int(s) for s in inner] if side == 0 else [0, *(int(s) for s in inner)]
-        points += [(start[side][0] + s * direction[side][0], start[side][1] + s * direction[side][1]) for s in along]
-        owner += [side] * len(along)
-    return STEP_UM * np.array(points, dtype=np.float64), tuple(owner)
+    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)])
+    direction = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
+    # The first corner stays empty.
+    along = [np.array([0, *inner] if side else inner, dtype=np.int64) for side, inner in enumerate(sides)]
+    points = np.concatenate([corners[k] + steps[:, None] * direction[k] for k, steps in enumerate(along)])
+    return STEP_UM * points, np.repeat(np.arange(4), [len(steps) for steps in along])
 
 
 def _drawn(ruler: Ruler, count: int, rng: np.random.Generator) -> Ints:
@@ -156,6 +154,5 @@ def _drawn(ruler: Ruler, count: int, rng: np.random.Generator) -> Ints:
 def _distances(marks: Ints) -> Ints:
     """All distances (batch, n (n - 1) / 2) between positions (batch, n) but that from corner to corner."""
     n = marks.shape[1]
-    pairs = [(a, b) for a, b in combinations(range(n), 2) if (a, b) != (0, n - 1)]
-    first, last = np.array(pairs).T
+    first, last = np.array([pair for pair in combinations(range(n), 2) if pair != (0, n - 1)]).T
     return marks[:, last] - marks[:, first]

@@ -1,4 +1,4 @@
-"""A pattern of laser holes: where they are meant to be, how each is burnt, and what lies around them.
+"""A pattern of laser holes: where they are meant to be, how each is burnt, what lies around them, and its files.
 
 Coordinates are those of the stage, as the laser sees the sheet: x to the right, y up. From the outside inwards::
 
@@ -10,7 +10,8 @@ Coordinates are those of the stage, as the laser sees the sheet: x to the right,
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -18,50 +19,38 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from planish.core.errors import MarkError
-from planish.core.tables import raise_faults
+from planish.core.tables import model_faults, parse_table, raise_faults, read_text, table_text
+from planish.marks.design.params import DesignParams
 
 Array = NDArray[np.float64]
-Layout = Literal["coded", "line", "own"]
+Pair = tuple[float, float]
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 
-FORMAT = "planish hole pattern"
-VERSION = 1
+FORMAT, VERSION = "planish hole pattern", 1
 SIDES = ("bottom", "right", "top", "left")
-_BORDER_DIAMETERS = 1.5  # from the middle of a hole to the end of the view
+BORDER_DIAMETERS = 1.5  # from the middle of a hole to the end of the view
+BURN = ("diameter_um", "rim_um", "pulse_s", "pause_s")
+_COLUMNS = ("label", "x_um", "y_um", "diameter_um")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Burn:
-    """How a hole is burnt, and what it leaves; defaults as Hirn et al. (2009), section 2.1.
+class Hole(BaseModel):
+    """Number and centre of a hole, and its line: bottom, right, top or left; ``own`` where a table gave the holes."""
 
-    Attributes
-    ----------
-    diameter_um : float
-        Nominal diameter, 150 to 200 depending on the grammage.
-    rim_um : float
-        Width of the burnt rim around it.
-    pulse_s, pause_s : float
-        Length of the laser's pulse, and the rest after it.
-    """
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
-    diameter_um: float = 175.0
-    rim_um: float = 40.0
-    pulse_s: float = 0.005
-    pause_s: float = 0.1
+    label: str
+    x_um: float
+    y_um: float
+    line: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pattern:
+class Pattern(BaseModel):
     """Holes in the order in which they lie around the field, counter-clockwise from the empty corner.
 
     Attributes
     ----------
-    positions_um : tuple of (x, y)
-        Centres in stage coordinates.
-    lines : tuple of str
-        The line of each hole: bottom, right, top or left; ``own`` where a table gave the holes.
     field_um : (width, height)
         Region whose maps are compared.
     margin_um : (x, y)
@@ -72,48 +61,72 @@ class Pattern:
         The view's lower left corner in stage coordinates; the stage program ends there.
     spacing_um : float
         Least distance of two holes that was asked for.
+    diameter_um, rim_um : float
+        Nominal diameter of a hole, and width of the burnt rim around it.
+    pulse_s, pause_s : float
+        Length of the laser's pulse, and the rest after it.
+    holes : tuple of Hole
+        Centres in stage coordinates.
     """
 
-    name: str = "pattern"
-    layout: Layout = "own"
-    positions_um: tuple[tuple[float, float], ...]
-    lines: tuple[str, ...]
-    field_um: tuple[float, float]
-    margin_um: tuple[float, float]
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    format: Literal["planish hole pattern"] = FORMAT
+    version: Literal[1] = VERSION
+    name: str
+    layout: Literal["coded", "line", "own"]
+    axes: str = "stage, as the laser sees the sheet: x to the right, y up"
+    field_um: tuple[Positive, Positive]
+    margin_um: Pair
     border_um: float
-    origin_um: tuple[float, float] = (0.0, 0.0)
-    spacing_um: float = 525.0
-    burn: Burn = Burn()
-    seed: int = 0
+    origin_um: Pair
+    spacing_um: float
+    diameter_um: Positive
+    rim_um: NotNegative
+    pulse_s: Positive
+    pause_s: NotNegative
+    seed: int
+    holes: Annotated[tuple[Hole, ...], Field(min_length=3)] = ()
+
+    def with_holes(self, points_um: Array, lines: Sequence[str]) -> Pattern:
+        """Return the pattern with other holes, (n, 2) in stage coordinates, numbered from 1."""
+        places = zip(points_um.tolist(), lines, strict=True)
+        holes = tuple(Hole(label=str(k), x_um=x, y_um=y, line=line) for k, ((x, y), line) in enumerate(places, 1))
+        return self.model_copy(update={"holes": holes})
 
     @property
     def points_um(self) -> Array:
         """Centres as an array (n, 2), stage coordinates."""
-        return np.array(self.positions_um, dtype=np.float64).reshape(-1, 2)
+        return np.array([(hole.x_um, hole.y_um) for hole in self.holes], dtype=np.float64).reshape(-1, 2)
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Number of each hole, from 1."""
-        return tuple(str(k + 1) for k in range(len(self.positions_um)))
+        return tuple(hole.label for hole in self.holes)
 
     @property
-    def frame_um(self) -> tuple[float, float]:
+    def burnt_um(self) -> float:
+        """Radius of a hole with its burnt rim."""
+        return 0.5 * self.diameter_um + self.rim_um
+
+    @property
+    def frame_um(self) -> Pair:
         """Width and height of the rectangle on which the holes lie."""
         return self.field_um[0] + 2 * self.margin_um[0], self.field_um[1] + 2 * self.margin_um[1]
 
     @property
-    def frame_low_um(self) -> tuple[float, float]:
+    def frame_low_um(self) -> Pair:
         """Lower left corner of that rectangle, stage coordinates."""
         return self.origin_um[0] + self.border_um, self.origin_um[1] + self.border_um
 
     @property
-    def field_low_um(self) -> tuple[float, float]:
+    def field_low_um(self) -> Pair:
         """Lower left corner of the field, stage coordinates."""
         low = self.frame_low_um
         return low[0] + self.margin_um[0], low[1] + self.margin_um[1]
 
     @property
-    def view_um(self) -> tuple[float, float]:
+    def view_um(self) -> Pair:
         """Width and height of what has to be imaged."""
         return self.frame_um[0] + 2 * self.border_um, self.frame_um[1] + 2 * self.border_um
 
@@ -125,90 +138,32 @@ class Pattern:
 
     def to_json(self) -> str:
         """Write the pattern as JSON; lengths in um, times in s."""
-        holes = [
-            {"label": label, "x_um": x, "y_um": y, "line": line}
-            for label, (x, y), line in zip(self.labels, self.positions_um, self.lines, strict=True)
-        ]
-        data = {
-            "format": FORMAT,
-            "version": VERSION,
-            "name": self.name,
-            "layout": self.layout,
-            "axes": "stage, as the laser sees the sheet: x to the right, y up",
-            "field_um": list(self.field_um),
-            "margin_um": list(self.margin_um),
-            "border_um": self.border_um,
-            "origin_um": list(self.origin_um),
-            "spacing_um": self.spacing_um,
-            **asdict(self.burn),
-            "seed": self.seed,
-            "holes": holes,
-        }
-        return json.dumps(data, indent=2, allow_nan=False) + "\n"
+        return json.dumps(self.model_dump(), indent=2, allow_nan=False) + "\n"
 
-    @staticmethod
-    def from_json(text: str) -> Pattern:
-        """Read what :meth:`to_json` wrote."""
+    @classmethod
+    def from_json(cls, text: str) -> Pattern:
+        """Read what :meth:`to_json` wrote; further keys are passed over."""
+        advice = "Give the pattern.json of 'planish marks design'."
         try:
             data: Any = json.loads(text)
         except ValueError as error:
-            raise MarkError(f"This is no JSON: {error}. Give the pattern.json of 'planish marks design'.") from error
+            raise MarkError(f"This is no JSON: {error}. {advice}") from error
         if not isinstance(data, dict) or data.get("format") != FORMAT:
-            raise MarkError(f"This JSON holds no '{FORMAT}'. Give the pattern.json of 'planish marks design'.")
+            raise MarkError(f"This JSON holds no '{FORMAT}'. {advice}")
         if data.get("version") != VERSION:
             raise MarkError(
                 f"The pattern has version {data.get('version')!r}; this planish reads version {VERSION}. Design it "
                 "again, or use the planish that wrote it."
             )
         try:
-            held = _File.model_validate(data)
+            return cls.model_validate({"holes": []} | data)
         except ValidationError as error:
-            faults = [f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors(include_url=False)]
-            raise_faults("The pattern", faults, "Design it again.", error=MarkError)
+            raise_faults("The pattern", model_faults(error), "Design it again.", error=MarkError)
             raise
-        own = {name: getattr(held, name) for name in _File.model_fields if name in Pattern.__dataclass_fields__}
-        return Pattern(
-            positions_um=tuple((hole.x_um, hole.y_um) for hole in held.holes),
-            lines=tuple(hole.line for hole in held.holes),
-            burn=Burn(**{name: getattr(held, name) for name in asdict(Burn())}),
-            **own,
-        )
-
-
-class _Hole(BaseModel):
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    x_um: float
-    y_um: float
-    line: str
-
-
-class _File(BaseModel):
-    """What pattern.json has to hold; further keys are passed over."""
-
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    name: str
-    layout: Layout
-    field_um: tuple[Positive, Positive]
-    margin_um: tuple[float, float]
-    border_um: float
-    origin_um: tuple[float, float]
-    spacing_um: float
-    diameter_um: Positive
-    rim_um: NotNegative
-    pulse_s: Positive
-    pause_s: NotNegative
-    seed: int
-    holes: Annotated[list[_Hole], Field(min_length=3)]
 
 
 def own_pattern(
-    points_um: ArrayLike,
-    *,
-    name: str = "own",
-    field_um: tuple[float, float] | None = None,
-    burn: Burn | None = None,
+    points_um: ArrayLike, *, name: str = "own", field_um: Pair | None = None, diameter_um: float | None = None
 ) -> Pattern:
     """Make a pattern of holes that somebody else has placed, so that the same rules can be applied.
 
@@ -219,36 +174,82 @@ def own_pattern(
     field_um : (width, height), optional
         Region whose maps are to be compared, in the middle of the holes; where it is not given, all that lies within
         the holes.
+    diameter_um : float, optional
+        That of a design where not given.
 
     Raises
     ------
     MarkError
         If there are fewer than three holes, or they lie on one line along an axis.
     """
-    burn = burn or Burn()
+    burn = {key: DesignParams.model_fields[key].default for key in BURN}
+    diameter = burn["diameter_um"] = diameter_um or burn["diameter_um"]
     points = np.asarray(points_um, dtype=np.float64).reshape(-1, 2)
     if len(points) < 3:
         raise MarkError(f"{len(points)} holes are no pattern. Give 12 or more, around the field.")
-    low, size = points.min(axis=0), np.ptp(points, axis=0)
-    if size.min() <= 0:
+    low, size = points.min(axis=0).tolist(), np.ptp(points, axis=0).tolist()
+    if min(size) <= 0:
         raise MarkError("All holes have the same x or the same y; such a line encloses no field. Place them around it.")
-    inwards = 0.5 * burn.diameter_um + burn.rim_um
-    field = field_um or (max(float(size[0]) - 2 * inwards, 1.0), max(float(size[1]) - 2 * inwards, 1.0))
-    border = _BORDER_DIAMETERS * burn.diameter_um
-    return Pattern(
-        name=name,
-        layout="own",
-        positions_um=tuple((float(x), float(y)) for x, y in points),
-        lines=("own",) * len(points),
-        field_um=field,
-        margin_um=((float(size[0]) - field[0]) / 2, (float(size[1]) - field[1]) / 2),
-        border_um=border,
-        origin_um=(float(low[0]) - border, float(low[1]) - border),
-        spacing_um=3 * burn.diameter_um,
-        burn=burn,
-    )
+    inwards = 0.5 * diameter + burn["rim_um"]
+    field = field_um or (max(size[0] - 2 * inwards, 1.0), max(size[1] - 2 * inwards, 1.0))
+    border = BORDER_DIAMETERS * diameter
+    blank = Pattern(
+        name=name, layout="own", field_um=field, margin_um=((size[0] - field[0]) / 2, (size[1] - field[1]) / 2),
+        border_um=border, origin_um=(low[0] - border, low[1] - border), spacing_um=3 * diameter, seed=0, **burn,
+    )  # fmt: skip
+    return blank.with_holes(points, ("own",) * len(points))
 
 
-def border_of(burn: Burn) -> float:
-    """Distance from the centres of the holes to the end of the view, in um."""
-    return _BORDER_DIAMETERS * burn.diameter_um
+def holes_csv(pattern: Pattern, *, imaged: bool = False) -> str:
+    """Write ``label,x_um,y_um,diameter_um``, a hole a row.
+
+    Parameters
+    ----------
+    imaged : bool
+        Positions as an image of the laser's side shows them, from its upper left corner with y down, instead of
+        those of the stage.
+    """
+    rows = [
+        [label, *(f"{value:.6f}".rstrip("0").rstrip(".") for value in (x, y, pattern.diameter_um))]
+        for label, (x, y) in zip(pattern.labels, pattern.imaged_um if imaged else pattern.points_um, strict=True)
+    ]
+    return table_text(_COLUMNS, rows)
+
+
+def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um: float | None = None) -> Pattern:
+    """Read a pattern: the JSON of a design, or a CSV table of anybody's holes.
+
+    Parameters
+    ----------
+    path : str or Path
+        A table has the columns ``x_um, y_um`` and may have ``diameter_um``, whose median counts; others are passed
+        over.
+    field_um : (width, height), optional
+        Of a table only: the region in the middle of the holes whose maps are to be compared.
+    diameter_um : float, optional
+        Of a table only; goes before the column.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
+    MarkError
+        If it is no pattern, or a number is missing or malformed.
+    """
+    place = Path(path)
+    text = read_text(place, what="pattern")
+    if text.lstrip().startswith("{"):
+        if field_um is not None or diameter_um is not None:
+            raise MarkError(
+                f"{place.name} states its field and diameter itself; they can be given for a CSV table only."
+            )
+        return Pattern.from_json(text)
+    table = parse_table(text, place.name, needed=_COLUMNS[1:3], error=MarkError)
+    points = table.numbers(_COLUMNS[1:3])
+    diameters = table.numbers(_COLUMNS[3:]) if _COLUMNS[3] in table.header else np.empty(0)
+    table.check()
+    if diameter_um is None and diameters.size:
+        diameter_um = float(np.median(diameters))
+    if diameter_um is not None and not 10 <= diameter_um <= 2000:
+        raise MarkError(f"{place.name}: a diameter of {diameter_um:g} um; 10 to 2000 um are possible.")
+    return own_pattern(points, name=place.stem, field_um=field_um, diameter_um=diameter_um)

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from planish.core.errors import MarkError
-from planish.marks.design.layouts import (
-    STEP_UM,
-    Ints,
-    Ruler,
-    coded_distances,
-    coded_side,
-    growing_rates,
-    growing_side,
-    placed,
-    share_out,
-)
+from planish.marks.design import layouts
+from planish.marks.design.layouts import STEP_UM
 from planish.marks.design.params import DesignParams
-from planish.marks.design.pattern import SIDES, Burn, Pattern, border_of
+from planish.marks.design.pattern import BORDER_DIAMETERS, BURN, SIDES, Pattern
 from planish.marks.design.rules import (
     MARKER_DIAMETERS,
     SPACING_DIAMETERS,
     Rule,
     area_rule,
-    code_rule,
+    code_rules,
     matching_rules,
     simple_rules,
 )
@@ -73,10 +62,10 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
 
 def _blank(params: DesignParams) -> Pattern:
     """Return the pattern without its holes: field, frame and view."""
-    burn = Burn(**{name: getattr(params, name) for name in ("diameter_um", "rim_um", "pulse_s", "pause_s")})
-    closest, inwards = SPACING_DIAMETERS * burn.diameter_um, 0.5 * burn.diameter_um + burn.rim_um
+    burn = {name: getattr(params, name) for name in BURN}
+    closest, inwards = SPACING_DIAMETERS * params.diameter_um, 0.5 * params.diameter_um + params.rim_um
     spacing = params.spacing_um if params.spacing_um is not None else max(LEAST_PITCH_UM, closest)
-    least = params.margin_um if params.margin_um is not None else max(1.5 * burn.diameter_um, inwards)
+    least = params.margin_um if params.margin_um is not None else max(1.5 * params.diameter_um, inwards)
     faults: list[str] = []
     if spacing < closest:
         faults.append(f"a spacing of {spacing:g} um; the burnt zones touch below 3 diameters, {closest:g} um")
@@ -88,9 +77,9 @@ def _blank(params: DesignParams) -> Pattern:
     frame = [STEP_UM * np.ceil((side + 2 * least) / STEP_UM - 1e-9) for side in params.field_um]
     margin = tuple(float(outer - side) / 2 for outer, side in zip(frame, params.field_um, strict=True))
     return Pattern(
-        name=params.name, layout=params.layout, positions_um=(), lines=(), field_um=params.field_um,
-        margin_um=(margin[0], margin[1]), border_um=border_of(burn), origin_um=params.origin_um,
-        spacing_um=float(spacing), burn=burn, seed=params.seed,
+        name=params.name, layout=params.layout, field_um=params.field_um, margin_um=(margin[0], margin[1]),
+        border_um=BORDER_DIAMETERS * params.diameter_um, origin_um=params.origin_um, spacing_um=float(spacing),
+        seed=params.seed, **burn,
     )  # fmt: skip
 
 
@@ -104,19 +93,19 @@ def _search(
     kept: list[tuple[tuple[float, float], Pattern, tuple[Rule, ...]]] = []
     nearest: list[Rule] | None = None
     searched = 0
-    for _ in range(_ATTEMPTS["line" if blank.layout == "line" else "coded"]):
+    for _ in range(_ATTEMPTS[blank.layout]):
         pattern = _drawn(blank, count, rng)
         if pattern is None:
             continue
-        rules = simple_rules(pattern)
-        broken = [rule for rule in rules if not rule.passed]
-        if not broken:
-            rules = (*rules, code_rule(pattern))
+        rules: tuple[Rule, ...] = ()
+        broken: list[Rule] = []
+        # The quick ones first.
+        for more in (simple_rules, code_rules, matching_rules):
+            searched += more is matching_rules
+            rules = (*rules, *more(pattern))
             broken = [rule for rule in rules if not rule.passed]
-        if not broken:
-            searched += 1
-            rules = (*rules, *matching_rules(pattern))
-            broken = [rule for rule in rules if not rule.passed]
+            if broken:
+                break
         if not broken:
             rival = max(rule.value for rule in rules if rule.sense == "at most" and not rule.unit)
             code = next(rule.value for rule in rules if rule.name == "code")
@@ -143,26 +132,25 @@ def _drawn(blank: Pattern, count: int, rng: np.random.Generator) -> Pattern | No
     width, height = (round(side / STEP_UM) for side in blank.frame_um)
     lengths = (width, height, width, height)
     apart = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
-    marker = max(apart, int(np.ceil(MARKER_DIAMETERS * blank.burn.diameter_um / STEP_UM)))
+    marker = max(apart, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
     # Three corners hold holes too.
-    shares = share_out(count - 3, lengths, min(_LEAST_A_SIDE, max(1, (count - 3) // 4)))
-    rates = growing_rates(rng)
+    shares = layouts.share_out(count - 3, lengths, min(_LEAST_A_SIDE, max(1, (count - 3) // 4)))
+    rates = layouts.growing_rates(rng)
     used: set[int] = set()
-    sides: list[Ints] = []
+    sides: list[layouts.Ints] = []
     for side, (length, share) in enumerate(zip(lengths, shares, strict=True)):
-        ruler = Ruler(
+        ruler = layouts.Ruler(
             length=length, start=side != 0, end=side != 3, apart=apart, marker=marker,
             view=blank.view_um[side % 2] / STEP_UM, border=blank.border_um / STEP_UM,
-            radius=0.5 * blank.burn.diameter_um / STEP_UM,
+            radius=0.5 * blank.diameter_um / STEP_UM,
         )  # fmt: skip
         if blank.layout == "coded":
-            inner = coded_side(ruler, share, used, rng)
+            inner = layouts.coded_side(ruler, share, used, rng)
         else:
-            inner = growing_side(ruler, share, rates[side])
+            inner = layouts.growing_side(ruler, share, rates[side])
         if inner is None:
             return None
-        used |= coded_distances(ruler, inner)
+        used |= layouts.coded_distances(ruler, inner)
         sides.append(inner)
-    points, owner = placed((sides[0], sides[1], sides[2], sides[3]), width, height)
-    positions = tuple((float(x), float(y)) for x, y in points + np.array(blank.frame_low_um))
-    return replace(blank, positions_um=positions, lines=tuple(SIDES[side] for side in owner))
+    points, owner = layouts.placed(sides, width, height)
+    return blank.with_holes(points + np.array(blank.frame_low_um), [SIDES[side] for side in owner])

@@ -40,26 +40,33 @@ class Predicted:
     ----------
     fle_um : float
         Error of one hole's position in one map against the other, rms in the plane.
-    centroid_um : (x, y)
-        Of the holes, stage coordinates.
-    radius_um : float
-        Their rms distance from it.
-    holes : int
-    centre_um, corner_um : float
-        Error of the map, rms, in the middle of the field and in its worst corner.
+    holes_um, field_um : ndarray, (n, 2) and (5, 2)
+        Holes, and the middle and corners of the field, stage coordinates.
     """
 
     fle_um: float
-    centroid_um: tuple[float, float]
-    radius_um: float
-    holes: int
-    centre_um: float
-    corner_um: float
+    holes_um: Array
+    field_um: Array
+
+    @property
+    def radius_um(self) -> float:
+        """Rms distance of the holes from their centroid."""
+        return float(np.sqrt(np.mean(np.sum((self.holes_um - self.holes_um.mean(axis=0)) ** 2, axis=1))))
+
+    @property
+    def centre_um(self) -> float:
+        """Error of the map, rms, in the middle of the field."""
+        return float(self.at(self.field_um[0]))
+
+    @property
+    def corner_um(self) -> float:
+        """Error of the map, rms, in the field's worst corner."""
+        return float(self.at(self.field_um[1:]).max())
 
     def at(self, points_um: ArrayLike) -> Array:
         """Predict the rms error, in um, at points (..., 2) in stage coordinates."""
-        away = np.sum((np.asarray(points_um, dtype=np.float64) - np.array(self.centroid_um)) ** 2, axis=-1)
-        return np.asarray(self.fle_um / np.sqrt(self.holes) * np.sqrt(1 + away / self.radius_um**2))
+        away = np.sum((np.asarray(points_um, dtype=np.float64) - self.holes_um.mean(axis=0)) ** 2, axis=-1)
+        return np.asarray(self.fle_um / np.sqrt(len(self.holes_um)) * np.sqrt(1 + away / self.radius_um**2))
 
     def sentence(self) -> str:
         """Say it in a line."""
@@ -79,15 +86,9 @@ def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> f
 
 def predict(pattern: Pattern, imaging: ImagingParams | None = None) -> Predicted:
     """Predict the error of a registration by a similarity over the pattern's field."""
-    points = pattern.points_um
-    centroid = points.mean(axis=0)
-    radius = float(np.sqrt(np.mean(np.sum((points - centroid) ** 2, axis=1))))
-    fle = hole_error_um(pattern.burn.diameter_um, imaging)
-    low, size = np.array(pattern.field_low_um), np.array(pattern.field_um)
-    places = low + size * np.array([[0.5, 0.5], [0, 0], [1, 0], [1, 1], [0, 1]])
-    away = np.sum((places - centroid) ** 2, axis=1)
-    errors = fle / np.sqrt(len(points)) * np.sqrt(1 + away / radius**2)
+    shares = np.array([[0.5, 0.5], [0, 0], [1, 0], [1, 1], [0, 1]])
     return Predicted(
-        fle_um=fle, centroid_um=(float(centroid[0]), float(centroid[1])), radius_um=radius, holes=len(points),
-        centre_um=float(errors[0]), corner_um=float(errors[1:].max()),
-    )  # fmt: skip
+        fle_um=hole_error_um(pattern.diameter_um, imaging),
+        holes_um=pattern.points_um,
+        field_um=np.array(pattern.field_low_um) + np.array(pattern.field_um) * shares,
+    )

@@ -16,8 +16,9 @@ from planish.marks.design.selfmatch import TOLERANCE_UM, code_misfit_um, self_mo
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-LEAST_HOLES = 12
-MOST_HOLES = 120
+Sense = Literal["at least", "at most"]
+
+LEAST_HOLES, MOST_HOLES = 12, 120
 RADIUS_SHARE = 0.4
 SPACING_DIAMETERS = 3.0
 AREA_SHARE = 0.03
@@ -25,11 +26,44 @@ CROP = 0.3
 SURVIVORS = 4
 RIVAL_SHARE = 0.5
 MARKER_DIAMETERS = 6.0
-_REMEDY = "use unequal pitches, or another seed"
 _FEW = 6  # of so few survivors, three may meet by chance; four are needed to believe an arrangement
 
+_REMEDY = "use unequal pitches, or another seed"
+_FEWER = "take fewer or smaller holes, or a larger field"
+_MEET = "share of the holes that meet holes when the pattern is"
+# Sense, unit, what is measured, and what to change where the rule is broken.
+_RULES: dict[str, tuple[Sense, str, str, str]] = {
+    "count": ("at least", "holes", "holes of the pattern", "burn more holes"),
+    "around": (
+        "at most", "holes", "holes whose burnt rim reaches into the field",
+        "move them outwards, or give a smaller field or a larger margin",
+    ),
+    "radius": (
+        "at least", "", "rms distance from the holes' centroid, as a share of the field's diagonal",
+        "put more holes near the corners, widen the margin, or take another number of holes",
+    ),
+    "spacing": ("at least", "um", "least distance of two holes; burnt zones must not touch", _FEWER),
+    "area": ("at most", "%", "area of holes and rims, as a share of the field's", _FEWER),
+    "marker": (
+        "at least", "um", "how much farther one corner of the frame is from its nearest hole than the others",
+        "put holes into three corners of the frame and end the last line short of the fourth",
+    ),
+    "crop": (
+        "at least", "holes", "whole holes left when 30 % of width and height are cut off at up to three sides",
+        "take more holes, 20 or more, and spread them along all four sides",
+    ),
+    "code": ("at least", "um", "misfit of any 4 consecutive holes with any other 4", _REMEDY),
+    "half turn": ("at most", "", f"{_MEET} turned by about 180 degrees", _REMEDY),
+    "quarter turn": ("at most", "", f"{_MEET} turned by about 90 degrees", _REMEDY),
+    "mirror": ("at most", "", f"{_MEET} turned over, about any axis", _REMEDY),
+    "shift": ("at most", "", f"{_MEET} shifted, scaled by 3 % or turned by another angle", _REMEDY),
+    "crop told apart": (
+        "at most", "", "share of the holes left by the worst crop that meet holes elsewhere", _REMEDY
+    ),
+}  # fmt: skip
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+
+@dataclass(frozen=True, slots=True)
 class Rule:
     """One rule, applied to one pattern.
 
@@ -38,21 +72,31 @@ class Rule:
     name : str
     value, limit : float
         Measured, and allowed.
-    sense : {"at least", "at most"}
-    unit : str
-    meaning : str
-        What is measured.
-    remedy : str
-        What to change where the rule is broken.
     """
 
     name: str
     value: float
     limit: float
-    sense: Literal["at least", "at most"]
-    unit: str
-    meaning: str
-    remedy: str
+
+    @property
+    def sense(self) -> Sense:
+        """Whether the value has to be at least or at most the limit."""
+        return _RULES[self.name][0]
+
+    @property
+    def unit(self) -> str:
+        """Of value and limit."""
+        return _RULES[self.name][1]
+
+    @property
+    def meaning(self) -> str:
+        """What is measured."""
+        return _RULES[self.name][2]
+
+    @property
+    def remedy(self) -> str:
+        """What to change where the rule is broken."""
+        return _RULES[self.name][3]
 
     @property
     def passed(self) -> bool:
@@ -76,102 +120,52 @@ def check_pattern(pattern: Pattern) -> tuple[Rule, ...]:
     MarkError
         If there are more holes than can be checked.
     """
-    if len(pattern.positions_um) > MOST_HOLES:
+    if len(pattern.holes) > MOST_HOLES:
         raise MarkError(
-            f"{len(pattern.positions_um)} holes are more than the {MOST_HOLES} that are checked; 20 to 40 are enough."
+            f"{len(pattern.holes)} holes are more than the {MOST_HOLES} that are checked; 20 to 40 are enough."
         )
-    return (*simple_rules(pattern), code_rule(pattern), *matching_rules(pattern))
+    return (*simple_rules(pattern), *code_rules(pattern), *matching_rules(pattern))
 
 
 def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
     """Apply the rules that need no search: count, place, radius, spacing, area, marker, crop."""
-    points, burn = pattern.points_um, pattern.burn
+    points, diameter = pattern.points_um, pattern.diameter_um
     n, field = len(points), np.array(pattern.field_um)
     away = np.maximum(np.abs(points - np.array(pattern.field_low_um) - field / 2) - field / 2, 0.0)
-    inside = int(np.sum(np.hypot(*away.T) < 0.5 * burn.diameter_um + burn.rim_um - 1e-6))
+    inside = int(np.sum(np.hypot(*away.T) < pattern.burnt_um - 1e-6))
     radius = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
     gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) + np.diag(np.full(n, np.inf))
-    least = max(SPACING_DIAMETERS * burn.diameter_um, pattern.spacing_um)
-    masks = crops(pattern)
+    least = max(SPACING_DIAMETERS * diameter, pattern.spacing_um)
     return (
-        Rule(
-            name="count", value=n, limit=LEAST_HOLES, sense="at least", unit="holes", meaning="holes of the pattern",
-            remedy="burn more holes",
-        ),
-        Rule(
-            name="around", value=inside, limit=0, sense="at most", unit="holes",
-            meaning="holes whose burnt rim reaches into the field",
-            remedy="move them outwards, or give a smaller field or a larger margin",
-        ),
-        Rule(
-            name="radius", value=radius / float(np.hypot(*field)), limit=RADIUS_SHARE, sense="at least", unit="",
-            meaning="rms distance from the holes' centroid, as a share of the field's diagonal",
-            remedy="put more holes near the corners, widen the margin, or take another number of holes",
-        ),
-        Rule(
-            name="spacing", value=float(gaps.min()), limit=least, sense="at least", unit="um",
-            meaning="least distance of two holes; burnt zones must not touch",
-            remedy="take fewer or smaller holes, or a larger field",
-        ),
+        Rule("count", n, LEAST_HOLES),
+        Rule("around", inside, 0),
+        Rule("radius", radius / float(np.hypot(*field)), RADIUS_SHARE),
+        Rule("spacing", float(gaps.min()), least),
         area_rule(pattern, n),
-        Rule(
-            name="marker", value=_marker_um(pattern), limit=MARKER_DIAMETERS * burn.diameter_um, sense="at least",
-            unit="um", meaning="how much farther one corner of the frame is from its nearest hole than the others",
-            remedy="put holes into three corners of the frame and end the last line short of the fourth",
-        ),
-        Rule(
-            name="crop", value=int(masks.sum(axis=1).min()), limit=SURVIVORS, sense="at least", unit="holes",
-            meaning="whole holes left when 30 % of width and height are cut off at up to three sides",
-            remedy="take more holes, 20 or more, and spread them along all four sides",
-        ),
-    )  # fmt: skip
+        Rule("marker", _marker_um(pattern), MARKER_DIAMETERS * diameter),
+        Rule("crop", int(crops(pattern).sum(axis=1).min()), SURVIVORS),
+    )
 
 
 def area_rule(pattern: Pattern, count: int) -> Rule:
     """Apply the rule on the area that is burnt, for so many holes."""
-    burnt = count * np.pi / 4 * (pattern.burn.diameter_um + 2 * pattern.burn.rim_um) ** 2
-    return Rule(
-        name="area", value=100 * burnt / (pattern.field_um[0] * pattern.field_um[1]), limit=100 * AREA_SHARE,
-        sense="at most", unit="%", meaning="area of holes and rims, as a share of the field's",
-        remedy="take fewer or smaller holes, or a larger field",
-    )  # fmt: skip
+    burnt = count * np.pi / 4 * (pattern.diameter_um + 2 * pattern.rim_um) ** 2
+    return Rule("area", 100 * burnt / (pattern.field_um[0] * pattern.field_um[1]), 100 * AREA_SHARE)
 
 
-def code_rule(pattern: Pattern) -> Rule:
+def code_rules(pattern: Pattern) -> tuple[Rule, ...]:
     """Apply the rule that any 4 consecutive holes identify their place."""
-    return Rule(
-        name="code", value=code_misfit_um(pattern.points_um), limit=TOLERANCE_UM, sense="at least", unit="um",
-        meaning="misfit of any 4 consecutive holes with any other 4", remedy=_REMEDY,
-    )  # fmt: skip
+    return (Rule("code", code_misfit_um(pattern.points_um), TOLERANCE_UM),)
 
 
 def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
     """Apply the rules against taking the pattern for itself in another position."""
-    points = pattern.points_um
-    motions, n = self_motions(points), len(points)
-    kinds = (
-        ("half turn", motions.half_turn, "turned by about 180 degrees"),
-        ("quarter turn", motions.quarter_turn, "turned by about 90 degrees"),
-        ("mirror", motions.mirrored, "turned over, about any axis"),
-        ("shift", motions.other, "shifted, scaled by 3 % or turned by another angle"),
-    )
-    rivals = [
-        Rule(
-            name=name, value=motions.most(chosen) / n, limit=RIVAL_SHARE, sense="at most", unit="",
-            meaning=f"share of the holes that meet holes when the pattern is {how}", remedy=_REMEDY,
-        )
-        for name, chosen, how in kinds
-    ]  # fmt: skip
-    masks = crops(pattern)
-    left = np.maximum(masks.sum(axis=1), _FEW)
-    worst = float(np.max(motions.most_of(masks) / left))
-    return (
-        *rivals,
-        Rule(
-            name="crop told apart", value=worst, limit=RIVAL_SHARE, sense="at most", unit="",
-            meaning="share of the holes left by the worst crop that meet holes elsewhere", remedy=_REMEDY,
-        ),
-    )  # fmt: skip
+    points, masks = pattern.points_um, crops(pattern)
+    motions = self_motions(points)
+    kinds = ("half turn", "quarter turn", "mirror", "shift")
+    worst = float(np.max(motions.most_of(masks) / np.maximum(masks.sum(axis=1), _FEW)))
+    rivals = [Rule(kind, motions.most(kind) / len(points), RIVAL_SHARE) for kind in kinds]
+    return (*rivals, Rule("crop told apart", worst, RIVAL_SHARE))
 
 
 def refuse_broken(rules: Sequence[Rule], what: str) -> None:
@@ -197,7 +191,7 @@ def crops(pattern: Pattern) -> Bools:
     """
     points = pattern.points_um - np.array(pattern.origin_um)
     view = np.array(pattern.view_um)
-    radius = 0.5 * pattern.burn.diameter_um
+    radius = 0.5 * pattern.diameter_um
     found: list[Bools] = []
     for kept in (0, 1):  # the direction across the side that is kept
         along = 1 - kept

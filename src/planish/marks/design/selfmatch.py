@@ -32,38 +32,21 @@ class Motions:
     ----------
     hit : (motions, n) bool
         Which holes meet a hole. Where the motion is nearly no rotation, a hole that meets itself does not count.
-    turn_deg : (motions,)
-        Angle, -180 to 180.
-    mirrored : (motions,) bool
+    kind : (motions,) str
+        ``half turn`` and ``quarter turn``, about that; ``mirror``; all else is ``shift``: also other angles and scales.
     """
 
     hit: Bools
-    turn_deg: Array
-    mirrored: Bools
+    kind: NDArray[np.str_]
 
-    def most(self, chosen: Bools) -> int:
-        """Count the holes that the best of the chosen motions explains."""
-        return int(np.sum(self.hit[chosen], axis=1).max(initial=0))
+    def most(self, kind: str) -> int:
+        """Count the holes that the best motion of a kind explains."""
+        return int(np.sum(self.hit[self.kind == kind], axis=1).max(initial=0))
 
     def most_of(self, masks: Bools) -> NDArray[np.intp]:
         """Count, for each choice of holes (choices, n), those that the best motion without a mirror explains."""
-        hit = self.hit[~self.mirrored].astype(np.float32)
+        hit = self.hit[self.kind != "mirror"].astype(np.float32)
         return np.max(hit @ masks.T.astype(np.float32), axis=0, initial=0).astype(np.intp)
-
-    @property
-    def half_turn(self) -> Bools:
-        """Which motions turn by about 180 degrees."""
-        return ~self.mirrored & (np.abs(self.turn_deg) >= 180 - _TURN_DEG)
-
-    @property
-    def quarter_turn(self) -> Bools:
-        """Which motions turn by about 90 degrees, either way."""
-        return ~self.mirrored & (np.abs(np.abs(self.turn_deg) - 90) <= _TURN_DEG)
-
-    @property
-    def other(self) -> Bools:
-        """Which motions are none of these and no mirror image: shifts, other angles, other scales."""
-        return ~self.mirrored & ~self.half_turn & ~self.quarter_turn
 
 
 def self_motions(points_um: Array) -> Motions:
@@ -87,11 +70,7 @@ def self_motions(points_um: Array) -> Motions:
     goal, which = np.concatenate([goal, goal[:, ::-1]]), np.concatenate([which, which])
     finder = _Finder(points_um)
     parts = [_lay(z, base[which], goal, finder, mirrored) for mirrored in (False, True)]
-    return Motions(
-        np.concatenate([part[0] for part in parts]),
-        np.concatenate([part[1] for part in parts]),
-        np.repeat([False, True], [len(part[1]) for part in parts]),
-    )
+    return Motions(np.concatenate([hit for hit, _ in parts]), np.concatenate([kind for _, kind in parts]))
 
 
 class _Finder:
@@ -135,8 +114,8 @@ class _Finder:
 
 def _lay(
     z: NDArray[np.complex128], base: NDArray[np.intp], goal: NDArray[np.intp], finder: _Finder, mirrored: bool
-) -> tuple[Bools, Array]:
-    """Which holes meet one under each motion, and its angle in degrees."""
+) -> tuple[Bools, NDArray[np.str_]]:
+    """Which holes meet one under each motion, and the kind of each."""
     if not mirrored:
         moved = np.any(base != goal, axis=1)
         base, goal = base[moved], goal[moved]
@@ -148,11 +127,12 @@ def _lay(
     landed = alpha[:, None] * source + (z[goal[:, 0]] - alpha * source[base[:, 0]])[:, None]
     found = finder.at(landed)
     hit = found < len(z)
-    turn = np.degrees(np.angle(alpha))
-    if not mirrored:
-        still = np.abs(turn) < _TURN_DEG
-        hit &= ~(still[:, None] & (found == np.arange(len(z))))
-    return hit, turn
+    if mirrored:
+        return hit, np.full(len(hit), "mirror")
+    turn = np.abs(np.degrees(np.angle(alpha)))
+    hit &= ~((turn < _TURN_DEG)[:, None] & (found == np.arange(len(z))))
+    half, quarter = turn >= 180 - _TURN_DEG, np.abs(turn - 90) <= _TURN_DEG
+    return hit, np.select([half, quarter], ["half turn", "quarter turn"], "shift")
 
 
 def around_order(points_um: Array) -> NDArray[np.intp]:

@@ -1,11 +1,11 @@
-"""What every drawing is made of: a page in millimetres, dimension lines, and files that are the same each time."""
+"""What every drawing is made of: a page in millimetres with a plan and a column, and files that repeat to the byte."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from matplotlib import style
@@ -15,11 +15,12 @@ from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
 
 INK, SOFT, FAINT, ACCENT, GROUND = "#22292f", "#66707a", "#c9ced3", "#b3402a", "#eef4f8"
 BURNT = "#e8c9b8"
-DPI = 150
+ASIDE = 226.0  # where the right column begins
+_ROOM = (180.0, 148.0)  # of the plan
+_LEFT, _TOP = 24.0, 36.0
 _SCALES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8, 10, 12, 15, 20, 25, 30, 40, 50)
 
 _STYLE: dict[str, Any] = {
@@ -38,25 +39,48 @@ _STYLE: dict[str, Any] = {
 
 
 class Page:
-    """A landscape A4 page whose parts are placed in millimetres from its upper left corner."""
+    """A landscape A4 page with a magnified plan and a column beside it, in mm from its upper left corner.
+
+    Parameters
+    ----------
+    title, subtitle : str
+    low_um, size_um : (x, y)
+        Lower left corner and size of what the plan shows.
+    note : str
+        Put behind the scale.
+    """
 
     width, height = 297.0, 210.0
 
-    def __init__(self, title: str, subtitle: str) -> None:
-        self.figure = Figure(figsize=(self.width / 25.4, self.height / 25.4), dpi=DPI, facecolor="white")
+    def __init__(
+        self, title: str, subtitle: str, low_um: Sequence[float], size_um: Sequence[float], *, note: str = ""
+    ) -> None:  # fmt: skip
+        self.figure = Figure(figsize=(self.width / 25.4, self.height / 25.4), dpi=150, facecolor="white")
         self.text(12, 13, title, fontsize=14, fontweight="bold")
         self.text(12, 19.5, subtitle, color=SOFT, fontsize=9)
+        most = min(1000 * room / side for room, side in zip(_ROOM, size_um, strict=True))
+        self.scale = max((scale for scale in _SCALES if scale <= most), default=most)
+        left, top = (
+            edge + (room - side * self.scale / 1000) / 2
+            for edge, room, side in zip((_LEFT, _TOP), _ROOM, size_um, strict=True)
+        )
+        self.plan = self.add_plan(left, top, low_um, size_um, self.scale)
+        self.scale_bar(_LEFT, 199, self.scale, most=40)
+        ratio = f"{self.scale:g}:1" if self.scale >= 1 else f"1:{1 / self.scale:.3g}"
+        self.text(_LEFT + 66, 200.4, f"drawn {ratio} on A4{note}", color=SOFT)
+        x = (ASIDE - 6) / self.width
+        self.figure.add_artist(Line2D([x, x], [0.05, 0.85], color=FAINT, lw=0.6))
+        self.bottom = 38.0
 
-    def axes(self, left: float, top: float, width: float, height: float) -> Axes:
-        """Add axes."""
-        box = (left / self.width, 1 - (top + height) / self.height, width / self.width, height / self.height)
-        return self.figure.add_axes(box)
-
-    def plan(self, left: float, top: float, *, low: Sequence[float], size: Sequence[float], scale: float) -> Axes:
-        """Add bare axes in mm that show ``size`` from ``low`` on, magnified ``scale`` times."""
-        axes = self.axes(left, top, size[0] * scale, size[1] * scale)
-        axes.set_xlim(low[0], low[0] + size[0])
-        axes.set_ylim(low[1], low[1] + size[1])
+    def add_plan(
+        self, left: float, top: float, low_um: Sequence[float], size_um: Sequence[float], scale: float
+    ) -> Axes:
+        """Add bare axes in um that show ``size_um`` from ``low_um`` on, magnified ``scale`` times."""
+        across, down = (scale * side / 1000 for side in size_um)
+        box = (left / self.width, 1 - (top + down) / self.height, across / self.width, down / self.height)
+        axes = self.figure.add_axes(box)
+        axes.set_xlim(low_um[0], low_um[0] + size_um[0])
+        axes.set_ylim(low_um[1], low_um[1] + size_um[1])
         axes.set_axis_off()
         return axes
 
@@ -64,17 +88,26 @@ class Page:
         """Write, from the base line on."""
         self.figure.text(left / self.width, 1 - top / self.height, text, va="baseline", **options)
 
-    def divide(self, left: float) -> None:
-        """Draw a line down the page."""
-        x = left / self.width
-        self.figure.add_artist(Line2D([x, x], [0.05, 0.85], color=FAINT, lw=0.6))
+    def aside(self, title: str, rows: Sequence[tuple[str, str]] = (), notes: Sequence[str] = ()) -> None:
+        """Write names with their values, and notes, under a title; the next part of the column stands below."""
+        self.text(ASIDE, self.bottom, title, fontweight="bold", fontsize=9)
+        self.bottom += 6
+        for name, value in rows:
+            self.text(ASIDE, self.bottom, name, color=SOFT, fontsize=7.5)
+            self.text(ASIDE + 27, self.bottom, value, fontsize=7.5)
+            self.bottom += 4.9
+        for note in notes:
+            self.text(ASIDE, self.bottom + 3, note, color=SOFT, fontsize=7)
+            self.bottom += 3.6
+        self.bottom += 10
 
-    def rows(self, left: float, top: float, rows: Sequence[tuple[str, str]], *, across: float, step: float) -> float:
-        """Write names and values in two columns; where the next line would stand comes back."""
-        for k, (name, value) in enumerate(rows):
-            self.text(left, top + k * step, name, color=SOFT, fontsize=7.5)
-            self.text(left + across, top + k * step, value, fontsize=7.5)
-        return top + len(rows) * step
+    def scale_bar(self, left: float, top: float, scale: float, *, most: float) -> None:
+        """Draw a round length of at most ``most`` millimetres of paper."""
+        power = 10.0 ** np.floor(np.log10(most / scale))
+        length = float(power * max(k for k in (1, 2, 5) if k * power <= most / scale * (1 + 1e-9)))
+        axes = self.add_plan(left, top, (0, 0), (1000 * length, 1000 / scale), scale)
+        axes.plot([0, 1000 * length], [500 / scale] * 2, color=INK, lw=2, solid_capstyle="butt", clip_on=False)
+        self.text(left + length * scale + 2, top + 1.4, f"{length:g} mm", fontsize=8)
 
 
 @contextmanager
@@ -84,63 +117,17 @@ def house_style() -> Generator[None]:
         yield
 
 
-def encode(page: Page, kind: Literal["svg", "png"]) -> bytes:
-    """Render a page."""
+def encode(pages: Sequence[Page], kind: str, title: str = "") -> bytes:
+    """Render a page as ``svg`` or ``png``, or pages as one ``pdf``."""
     data = io.BytesIO()
     if kind == "svg":
-        FigureCanvasSVG(page.figure).print_svg(data, metadata={"Date": None, "Creator": "planish"})
+        FigureCanvasSVG(pages[0].figure).print_svg(data, metadata={"Date": None, "Creator": "planish"})
+    elif kind == "png":
+        FigureCanvasAgg(pages[0].figure).print_png(data, metadata={"Software": "planish"})
     else:
-        FigureCanvasAgg(page.figure).print_png(data, metadata={"Software": "planish"})
+        facts = {"Title": title, "Creator": "planish", "Producer": "planish", "CreationDate": None}
+        with PdfPages(data, metadata=facts) as pdf:
+            for page in pages:
+                FigureCanvasPdf(page.figure)
+                pdf.savefig(page.figure)
     return data.getvalue()
-
-
-def encode_pdf(pages: Sequence[Page], title: str) -> bytes:
-    """Render pages into one PDF."""
-    data = io.BytesIO()
-    facts = {"Title": title, "Creator": "planish", "Producer": "planish", "CreationDate": None}
-    with PdfPages(data, metadata=facts) as pdf:
-        for page in pages:
-            FigureCanvasPdf(page.figure)
-            pdf.savefig(page.figure)
-    return data.getvalue()
-
-
-def fitting_scale(size_mm: Sequence[float], room_mm: tuple[float, float]) -> float:
-    """Return the largest round magnification at which something fits."""
-    most = min(room / side for room, side in zip(room_mm, size_mm, strict=True))
-    return max((scale for scale in _SCALES if scale <= most), default=most)
-
-
-def as_ratio(scale: float) -> str:
-    """Write a magnification as on a drawing: 8:1, 1:2."""
-    return f"{scale:g}:1" if scale >= 1 else f"1:{1 / scale:.3g}"
-
-
-def box(axes: Axes, low: Sequence[float], size: Sequence[float], **options: Any) -> None:
-    """Draw a rectangle."""
-    options_drawn: dict[str, Any] = {"fill": False, "clip_on": False, **options}
-    axes.add_patch(Rectangle((low[0], low[1]), size[0], size[1], **options_drawn))
-
-
-def dimension(axes: Axes, start: Sequence[float], end: Sequence[float], text: str) -> None:
-    """Draw a dimension line along x or y with its length."""
-    upright = start[0] == end[0]
-    axes.annotate(
-        "", (end[0], end[1]), (start[0], start[1]), annotation_clip=False,
-        arrowprops={"arrowstyle": "<->", "color": SOFT, "lw": 0.6, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7},
-    )  # fmt: skip
-    middle = [(a + b) / 2 for a, b in zip(start, end, strict=True)]
-    axes.annotate(
-        text, (middle[0], middle[1]), (-3, 0) if upright else (0, 3), textcoords="offset points", color=INK,
-        ha="right" if upright else "center", va="center" if upright else "bottom", rotation=90 if upright else 0,
-        fontsize=7.5, annotation_clip=False,
-    )  # fmt: skip
-
-
-def scale_bar(page: Page, left: float, top: float, *, scale: float, most: float) -> None:
-    """Draw a round length of at most ``most`` millimetres of paper."""
-    power = 10.0 ** np.floor(np.log10(most / scale))
-    length = float(power * max(k for k in (1, 2, 5) if k * power <= most / scale * (1 + 1e-9)))
-    axes = page.plan(left, top, low=(0, 0), size=(length, 1 / scale), scale=scale)
-    axes.plot([0, length], [0.5 / scale] * 2, color=INK, lw=2, solid_capstyle="butt", clip_on=False)
-    page.text(left + length * scale + 2, top + 1.4, f"{length:g} mm", fontsize=8)

@@ -8,37 +8,25 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import MarkError
+from planish.marks.design.params import StageParams
 
 Array = NDArray[np.float64]
 
-_WORD = re.compile(r"([A-Z])\s*([+-]?(?:\d+\.?\d*|\.\d+))")
+_WORD = re.compile(r"\s*([A-Z])\s*([+-]?(?:\d+\.?\d*|\.\d+))\s*")
+# Commands, and the words that may stand beside them.
 _COMMANDS = {
-    "G": {0: "XYF", 1: "XYF", 4: "P", 21: "", 90: ""},
-    "M": {2: "", 3: "S", 5: "", 30: "", 64: "P", 65: "P"},
-}
-_KNOWN = "G0, G1, G4, G21, G90, M2, M3, M5, M30, M64, M65 with X, Y, F, P, S"
+    "G0": "XYF", "G1": "XYF", "G4": "P", "G21": "", "G90": "",
+    "M2": "", "M3": "S", "M5": "", "M30": "", "M64": "P", "M65": "P",
+}  # fmt: skip
+_KNOWN = f"{', '.join(_COMMANDS)} with X, Y, F, P, S"
+_OFF = {"M3": "M5", "M64": "M65"}
 _SAME_UM = 1.0  # two shots so close together go through one hole
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """What the stage can do, and what would be a fire rather than a hole.
-
-    Attributes
-    ----------
-    range_um : (x0, y0, x1, y1)
-        Range of the stage.
-    pulse_s : float
-        Longest pulse.
-    """
-
-    range_um: tuple[float, float, float, float] = (0.0, 0.0, 100_000.0, 100_000.0)
-    pulse_s: float = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,14 +69,17 @@ class DryRun:
         )
 
 
-def dry_run(program: str, limits: Limits | None = None) -> DryRun:
+def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 0.05) -> DryRun:
     """Run a stage program without a stage.
 
     Parameters
     ----------
     program : str
         The text of the program, in the dialect of :mod:`planish.marks.design.gcode`.
-    limits : Limits, optional
+    stage : StageParams, optional
+        Its range counts.
+    pulse_s : float
+        Longest pulse: what would be a fire rather than a hole.
 
     Raises
     ------
@@ -96,49 +87,52 @@ def dry_run(program: str, limits: Limits | None = None) -> DryRun:
         If a word is not known, a move leaves the stage's range or is made with the laser on, the laser stays on at the
         end, a pulse is too long or has no length, or the program does not end; the message names the line.
     """
-    state = _State(limits or Limits())
+    state = _State((stage or StageParams()).range_um, pulse_s)
     for number, line in enumerate(program.splitlines(), 1):
         text = re.sub(r"\([^()]*\)", " ", line.partition(";")[0]).strip().upper()
         if not text or text == "%":
             continue
-        if state.ended:
-            raise _fault(number, line, "the program goes on after its end; remove what follows M2")
         try:
-            state.take(_words(text))
+            state.take(text)
         except MarkError as error:
-            raise _fault(number, line, str(error)) from error
+            raise MarkError(f"Line {number} of the program ({line.strip()[:60]!r}) is refused: {error}.") from error
     return state.result()
 
 
 @dataclass
 class _State:
-    limits: Limits
-    place: tuple[float | None, float | None] = (None, None)
+    range_um: tuple[float, float, float, float]
+    longest_s: float
+    place: dict[str, float] = field(default_factory=dict[str, float])
     speed: float | None = None
-    metric: bool = False
-    absolute: bool = False
-    ended: bool = False
-    motion: int | None = None
+    done: set[str] = field(default_factory=set[str])  # commands so far
+    moves: bool = False  # whether a position without a command is a move
     on: str = ""  # the command that switched the laser on
-    lit_s: float = 0.0
     clock_s: float = 0.0
-    off_at_s: float | None = None
+    started_s: float = 0.0  # when the laser was switched on, and how long it has been on
+    lit_s: float = 0.0
     path: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     fired: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+    switched_s: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     pulses: list[float] = field(default_factory=list[float])
-    pauses: list[float] = field(default_factory=list[float])
 
-    def take(self, words: list[tuple[str, float]]) -> None:
+    def take(self, text: str) -> None:
         """Carry out one line."""
-        commands = [(letter, _whole(letter, value)) for letter, value in words if letter in _COMMANDS]
-        values = {letter: value for letter, value in words if letter not in _COMMANDS}
+        if self.done & {"M2", "M30"}:
+            raise MarkError("the program goes on after its end; remove what follows M2")
+        words = [word for word in _words(text) if word[0] != "N"]  # the number of a line
+        commands = [f"{letter}{value:g}" for letter, value in words if letter in "GM"]
+        values = {letter: value for letter, value in words if letter not in "GM"}
+        unknown = [command for command in commands if command not in _COMMANDS]
+        if unknown:
+            raise MarkError(f"{unknown[0]} is not known; the dialect has {_KNOWN}")
         if len(values) + len(commands) != len(words):
             raise MarkError("a letter is given twice")
-        if sum((letter, code) not in (("G", 21), ("G", 90)) for letter, code in commands) > 1:
+        if sum(command not in ("G21", "G90") for command in commands) > 1:
             raise MarkError("two commands stand in one line; give each a line of its own")
-        allowed = "".join(_COMMANDS[letter][code] for letter, code in commands)
+        allowed = "".join(_COMMANDS[command] for command in commands)
         if not commands:
-            allowed = "XYF" if self.motion is not None else "F"
+            allowed = "XYF" if self.moves else "F"
         foreign = [letter for letter in values if letter not in allowed]
         if foreign:
             raise MarkError(f"{foreign[0]} has no meaning here")
@@ -146,114 +140,98 @@ class _State:
             if values["F"] <= 0:
                 raise MarkError("the speed F is not positive")
             self.speed = values["F"]
-        for letter, code in commands:
-            self._command(letter, code, values)
-        if not commands and ("X" in values or "Y" in values):
-            self._move(values)
+        self.done |= set(commands)
+        for command in commands or [""]:
+            self._command(command, values)
 
-    def _command(self, letter: str, code: int, values: dict[str, float]) -> None:
-        match letter, code:
-            case "G", 21:
-                self.metric = True
-            case "G", 90:
-                self.absolute = True
-            case "G", (0 | 1):
-                self.motion = code
-                if "X" in values or "Y" in values:
-                    self._move(values)
-                elif "F" not in values:
-                    raise MarkError("a move without a position")
-            case "G", _:
-                self._wait(values)
-            case "M", (3 | 64):
-                self._switch_on(f"M{code}", values)
-            case "M", (5 | 65):
-                self._switch_off(f"M{code}", values)
-            case _:
-                if self.on:
-                    raise MarkError("the program ends with the laser on; switch it off before")
-                self.ended = True
+    def _command(self, command: str, values: dict[str, float]) -> None:
+        if command in ("", "G0", "G1"):
+            self.moves |= bool(command)
+            if values.keys() & {"X", "Y"}:
+                self._move(values)
+            elif command and "F" not in values:
+                raise MarkError("a move without a position")
+        elif command == "G4":
+            self._wait(values.get("P", -1.0))
+        elif command in ("M64", "M65") and "P" not in values:
+            raise MarkError(f"{command} needs the number P of the output")
+        elif command in _OFF:
+            self._switch_on(command)
+        elif command in _OFF.values():
+            self._switch_off(command)
+        elif command in ("M2", "M30") and self.on:
+            raise MarkError("the program ends with the laser on; switch it off before")
 
     def _move(self, values: dict[str, float]) -> None:
-        if not (self.metric and self.absolute):
+        if not {"G21", "G90"} <= self.done:
             raise MarkError("a move before G21 (millimetres) and G90 (absolute positions)")
         if self.on:
             raise MarkError("a move with the laser on; it would cut the sheet")
-        here = self.place
-        there = tuple(
-            1000 * values[letter] if letter in values else old for letter, old in zip("XY", here, strict=True)
-        )
-        for letter, value, low, high in zip(
-            "XY", there, self.limits.range_um[:2], self.limits.range_um[2:], strict=True
-        ):
-            if value is not None and not low - 1e-3 <= value <= high + 1e-3:
+        self.place |= {letter: 1000 * values[letter] for letter in "XY" if letter in values}
+        for k, letter in enumerate("XY"):
+            value, low, high = self.place.get(letter, math.nan), self.range_um[k], self.range_um[k + 2]
+            if value < low - 1e-3 or value > high + 1e-3:
                 raise MarkError(
                     f"{letter} {value / 1000:g} mm is out of the stage's range, {low / 1000:g} to {high / 1000:g} mm; "
                     "move the origin or give the stage's own range"
                 )
-        self.place = (there[0], there[1])
-        x, y = self.place
-        if x is None or y is None:
+        if len(self.place) < 2:
             return
-        if here[0] is not None and here[1] is not None:
+        there = self.place["X"], self.place["Y"]
+        if self.path:
             if self.speed is None:
                 raise MarkError("a move before a speed F")
-            self.clock_s += 60 * math.hypot(x - here[0], y - here[1]) / 1000 / self.speed
-        self.path.append((x, y))
+            self.clock_s += 60 * math.dist(there, self.path[-1]) / 1000 / self.speed
+        self.path.append(there)
 
-    def _wait(self, values: dict[str, float]) -> None:
-        if values.get("P", -1.0) < 0:
+    def _wait(self, seconds: float) -> None:
+        if seconds < 0:
             raise MarkError("G4 needs a time P in seconds")
-        self.clock_s += values["P"]
+        self.clock_s += seconds
         if self.on:
-            self.lit_s += values["P"]
-            if self.lit_s > self.limits.pulse_s + 1e-12:
+            self.lit_s += seconds
+            if self.lit_s > self.longest_s + 1e-12:
                 raise MarkError(
-                    f"a pulse of {self.lit_s:g} s is longer than {self.limits.pulse_s:g} s and would burn the sheet; P "
-                    "is in seconds"
+                    f"a pulse of {self.lit_s:g} s is longer than {self.longest_s:g} s and would burn the sheet; P is "
+                    "in seconds"
                 )
 
-    def _switch_on(self, code: str, values: dict[str, float]) -> None:
-        x, y = self.place
-        if x is None or y is None:
+    def _switch_on(self, command: str) -> None:
+        if not self.path:
             raise MarkError("the laser fires before both X and Y are known")
-        if code == "M64" and "P" not in values:
-            raise MarkError("M64 needs the number P of the output")
         if self.on:
             raise MarkError("the laser is on already")
+        x, y = self.path[-1]
         if any(math.hypot(x - a, y - b) < _SAME_UM for a, b in self.fired):
             raise MarkError(f"a second shot at X {x / 1000:g} Y {y / 1000:g} mm")
-        self.on, self.lit_s = code, 0.0
-        if self.off_at_s is not None:
-            self.pauses.append(self.clock_s - self.off_at_s)
+        self.on, self.lit_s, self.started_s = command, 0.0, self.clock_s
         self.fired.append((x, y))
 
-    def _switch_off(self, code: str, values: dict[str, float]) -> None:
-        if code == "M65" and "P" not in values:
-            raise MarkError("M65 needs the number P of the output")
+    def _switch_off(self, command: str) -> None:
         if not self.on:
             return  # a program may make sure that the laser is off
-        if {"M3": "M5", "M64": "M65"}[self.on] != code:
-            raise MarkError(f"{code} does not switch off what {self.on} switched on")
+        if _OFF[self.on] != command:
+            raise MarkError(f"{command} does not switch off what {self.on} switched on")
         if self.lit_s <= 0:
             raise MarkError("a pulse without a length; put G4 P between on and off")
         self.on = ""
-        self.off_at_s = self.clock_s
+        self.switched_s.append((self.started_s, self.clock_s))
         self.pulses.append(self.lit_s)
 
     def result(self) -> DryRun:
         """Return what was done, if the program is whole."""
         if self.on:
             raise MarkError("The program stops with the laser on. Add the command that switches it off, and M2.")
-        if not self.ended:
+        if not self.done & {"M2", "M30"}:
             raise MarkError("The program has no end, M2 or M30; it may have been cut off. Write it again.")
         if not self.fired:
             raise MarkError("The program fires no shot. Give a stage program of 'planish marks design'.")
+        pauses = [on - off for (_, off), (on, _) in pairwise(self.switched_s)]
         return DryRun(
             fired_um=np.array(self.fired),
             pulse_s=np.array(self.pulses),
             path_um=np.array(self.path),
-            least_pause_s=min(self.pauses, default=math.nan),
+            least_pause_s=min(pauses, default=math.nan),
             time_s=self.clock_s,
         )
 
@@ -266,18 +244,6 @@ def _words(text: str) -> list[tuple[str, float]]:
         found = _WORD.match(text, at)
         if found is None:
             raise MarkError(f"{text[at : at + 20]!r} is not in the dialect ({_KNOWN})")
-        if found[1] != "N":  # the number of a line
-            words.append((found[1], float(found[2])))
+        words.append((found[1], float(found[2])))
         at = found.end()
-        at += len(text[at:]) - len(text[at:].lstrip())
     return words
-
-
-def _whole(letter: str, value: float) -> int:
-    if value != int(value) or int(value) not in _COMMANDS[letter]:
-        raise MarkError(f"{letter}{value:g} is not known; the dialect has {_KNOWN}")
-    return int(value)
-
-
-def _fault(number: int, line: str, what: str) -> MarkError:
-    return MarkError(f"Line {number} of the program ({line.strip()[:60]!r}) is refused: {what}.")

@@ -5,19 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from planish.marks.design.draw import drawing_page
+from planish.marks.design.draw import drawing_page, error_page, path_page
 from planish.marks.design.dxf import pattern_dxf
 from planish.marks.design.gcode import stage_program
-from planish.marks.design.pages import error_page, path_page
 from planish.marks.design.params import ImagingParams, StageParams
-from planish.marks.design.pattern import Pattern
+from planish.marks.design.pattern import Pattern, holes_csv
 from planish.marks.design.predict import Predicted, predict
 from planish.marks.design.rules import Rule
-from planish.marks.design.sheet import encode, encode_pdf, house_style
-from planish.marks.design.simulate import DryRun, Limits, dry_run
-from planish.marks.design.tables import holes_csv
-
-PROGRAM = "program.gcode"
+from planish.marks.design.sheet import encode, house_style
+from planish.marks.design.simulate import DryRun, dry_run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,22 +63,20 @@ def write_design(
     stage, imaging = stage or StageParams(), imaging or ImagingParams()
     program = stage_program(pattern, stage)
     # The pulse that is asked for here is meant; a program from elsewhere is held to the usual length.
-    limits = Limits(range_um=stage.range_um, pulse_s=max(0.05, pattern.burn.pulse_s))
-    run, predicted = dry_run(program, limits), predict(pattern, imaging)
+    run, predicted = dry_run(program, stage, pulse_s=max(0.05, pattern.pulse_s)), predict(pattern, imaging)
     files: dict[str, bytes] = {
         "pattern.json": pattern.to_json().encode(),
         "holes.csv": holes_csv(pattern).encode(),
         "holes_as_imaged.csv": holes_csv(pattern, imaged=True).encode(),
         "pattern.dxf": pattern_dxf(pattern).encode("ascii"),
-        PROGRAM: program.encode("ascii"),
+        "program.gcode": program.encode("ascii"),
     }
     with house_style():
-        drawing = drawing_page(pattern)
-        pages = [drawing, error_page(pattern, predicted, imaging, rules), path_page(run)]
-        files["drawing.svg"] = encode(drawing, "svg")
+        pages = [drawing_page(pattern), error_page(pattern, predicted, imaging, rules), path_page(run)]
+        files["drawing.svg"] = encode(pages, "svg")
         for name, page in zip(("drawing", "predicted_error", "path"), pages, strict=True):
-            files[f"{name}.png"] = encode(page, "png")
-        files["drawing.pdf"] = encode_pdf(pages, f"Laser holes: {pattern.name}")
+            files[f"{name}.png"] = encode([page], "png")
+        files["drawing.pdf"] = encode(pages, "pdf", f"Laser holes: {pattern.name}")
     for name, data in files.items():
         (Path(folder) / name).write_bytes(data)
     return Written(files=tuple(files), run=run, predicted=predicted)
@@ -91,7 +85,4 @@ def write_design(
 def path_picture(run: DryRun, kind: str, *, title: str = "Path of the stage") -> bytes:
     """Draw the path of a dry run as ``png``, ``svg`` or ``pdf``."""
     with house_style():
-        page = path_page(run, title=title)
-        if kind == "pdf":
-            return encode_pdf([page], title)
-        return encode(page, "svg" if kind == "svg" else "png")
+        return encode([path_page(run, title=title)], kind, title)
