@@ -15,7 +15,6 @@ from collections.abc import Callable
 from multiprocessing import get_context
 from resource import RUSAGE_SELF, getrusage
 from statistics import median
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,21 +30,16 @@ Floats = NDArray[np.float64]
 _PIXEL_UM = 0.5
 _BUDGET = 2_000_000_000
 _LEAST_RATE = 50e6  # of the larger of the two counts, a second
-_CASES = [
-    (dtype, transformation, reduction)
-    for reduction in (1, 2, 3)
-    for transformation in ("similarity", "tps")
-    for dtype in ("uint8", "uint16")
-]
+_CASES = [(transformation, reduction) for reduction in (1, 2, 3) for transformation in ("similarity", "tps")]
 
 
-def picture(dtype: str, rows: int, cols: int) -> NDArray[Any]:
+def picture(rows: int, cols: int) -> NDArray[np.float32]:
     """Waves and noise, made row by row so that the making takes no more memory than the image."""
     rng = np.random.default_rng(0)
-    top = float(np.iinfo(dtype).max)
+    top = 250.0
     across = np.sin(np.arange(cols) / 40)
     noise = rng.uniform(0, 0.3, cols + 997)
-    out = np.empty((rows, cols), dtype=dtype)
+    out = np.empty((rows, cols), dtype=np.float32)
     for r in range(rows):
         shift = r * 37 % 997
         out[r] = top * (0.35 + 0.3 * np.sin(r / 55) * across + noise[shift : shift + cols])
@@ -67,10 +61,10 @@ def backwards(name: str, rows: int, cols: int) -> Callable[[Floats], Floats]:
 
 
 def measure(
-    dtype: str, transformation: str, reduction: int, rows: int, cols: int, runs: int, threads: int | None = None
+    transformation: str, reduction: int, rows: int, cols: int, runs: int, threads: int | None = None
 ) -> dict[str, float]:
     """Seconds, processor seconds (medians) and peak memory of one case, the process's own included."""
-    source = picture(dtype, rows, cols)
+    source = picture(rows, cols)
     to_source = backwards(transformation, rows, cols)
     shape = rows // reduction, cols // reduction
     pixel = _PIXEL_UM * reduction
@@ -81,9 +75,9 @@ def measure(
     def once() -> tuple[float, float, float]:
         begun, used = time.perf_counter(), time.process_time()
         with limit_threads(threads):
-            warped = warp_image(source, grid, to_source, pixel_um=_PIXEL_UM, memory_bytes=free)
+            warped = warp_image(source, grid, to_source, pixel_um=(_PIXEL_UM, _PIXEL_UM), memory_bytes=free)
         seconds, cpu = time.perf_counter() - begun, time.process_time() - used
-        return seconds, cpu, float(np.count_nonzero(warped.valid)) / warped.valid.size
+        return seconds, cpu, float(np.isfinite(warped).mean())
 
     once()  # compiled, or from the cache
     found = [once() for _ in range(runs)]
@@ -98,15 +92,15 @@ def main(rows: int = 10944, cols: int = 14592, runs: int = 5) -> int:
     print(f"{rows} x {cols} pixels, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}; medians of {runs} runs")
     print("Mpixel/s by the clock, and by the processor time shared out evenly; of the source | of the target")
     missed = 0
-    for dtype, transformation, reduction in _CASES:
+    for transformation, reduction in _CASES:
         with get_context("spawn").Pool(1) as pool:
-            found = pool.apply(measure, (dtype, transformation, reduction, rows, cols, runs))
+            found = pool.apply(measure, (transformation, reduction, rows, cols, runs))
         target = (rows // reduction) * (cols // reduction)
         under = target * reduction**2
         evenly = found["cpu"] / (os.cpu_count() or 1)
         missed += under / found["seconds"] < _LEAST_RATE or found["peak"] > _BUDGET
         print(
-            f"{dtype:7s} {transformation:10s} {'bilinear' if reduction == 1 else f'area {reduction}x':9s}"
+            f"{transformation:10s} {'bilinear' if reduction == 1 else f'area {reduction}x':9s}"
             f"{found['seconds']:7.2f} s {found['cpu']:7.2f} s cpu"
             f"{under / found['seconds'] / 1e6:8.0f} {under / evenly / 1e6:6.0f} |"
             f"{target / found['seconds'] / 1e6:6.0f} {target / evenly / 1e6:6.0f}"

@@ -5,7 +5,6 @@ import xarray as xr
 from naive import resample_quads
 from planish.core.errors import SurfaceError
 from planish.core.grid import Grid
-from planish.core.threads import limit_threads
 from planish.resample import find_places, resample_dataset, resample_labels
 
 
@@ -92,15 +91,6 @@ def test_the_type_is_kept_and_every_value_of_it_passes(dtype):
     assert (out[:, 4] == np.array(high, dtype=dtype)).all()
 
 
-def test_nodes_that_do_not_count_leave_the_fill():
-    y, x = np.mgrid[0:3, 0:4].astype(float)
-    places = located(np.stack([x, y], axis=-1), shape=(3, 4), pixel_um=(1.0, 1.0))
-    known = np.ones((3, 4), dtype=bool)
-    known[1, 2] = False
-    out = resample_labels(np.full((3, 4), 7, dtype=np.uint8), places, known=known, fill=255)
-    np.testing.assert_array_equal(out, np.where(known, 7, 255))
-
-
 def test_delaunay_takes_the_corner_of_greatest_weight():
     uv, labels = mesh()
     places = located(uv, shape=(30, 30), pixel_um=(2.0, 2.0), origin_um=(-20.0, 0.0), method="delaunay")
@@ -114,16 +104,6 @@ def test_delaunay_takes_the_corner_of_greatest_weight():
             assert out[r, c] == labels.reshape(-1)[places.corners[number, corner]]
 
 
-def test_same_bytes_on_any_number_of_threads():
-    uv, labels = mesh(100, 90)
-    places = located(uv, shape=(150, 130), pixel_um=(2.0, 2.0), origin_um=(-100.0, 0.0), least_um=1.0)
-    found = []
-    for threads in (1, 2):
-        with limit_threads(threads):
-            found.append(resample_labels(labels, places).tobytes())
-    assert found[0] == found[1]
-
-
 def test_fractions_and_a_fill_that_does_not_fit_are_refused():
     places = located(mesh()[0], shape=(3, 4), pixel_um=(1.0, 1.0))
     with pytest.raises(SurfaceError, match="whole numbers"):
@@ -132,23 +112,12 @@ def test_fractions_and_a_fill_that_does_not_fit_are_refused():
         resample_labels(np.zeros((12, 15), dtype=np.uint8), places, fill=-1)
 
 
-def test_a_dataset_takes_along_the_labels_that_are_named():
+def test_a_dataset_takes_along_its_numbers_only():
     uv, labels = mesh()
-    flags = {"flag_values": [0, 1], "flag_meanings": "valid missing", "long_name": "Status"}
-    data = xr.Dataset(
-        {
-            "height": (("y", "x"), uv[..., 0], {"units": "um"}),
-            "status": (("y", "x"), labels.astype(np.uint8), flags),
-            "other": (("y", "x"), labels),
-        }
-    )
+    about = {"units": "um", "long_name": "Height"}
+    data = xr.Dataset({"height": (("y", "x"), uv[..., 0], about | {"other": 1}), "status": (("y", "x"), labels)})
     places = located(uv, shape=(6, 5), pixel_um=(4.0, 4.0), origin_um=(-10.0, 5.0))
     coords = {"v": 4.0 * np.arange(6), "u": 4.0 * np.arange(5)}
-    assert set(resample_dataset(data, places, dims=("v", "u"), coords=coords).data_vars) == {"height"}
-    out = resample_dataset(data, places, dims=("v", "u"), coords=coords, labels={"status": 255})
-    assert set(out.data_vars) == {"height", "status"}
-    assert out["status"].dtype == np.uint8
-    assert out["status"].attrs == flags
-    np.testing.assert_array_equal(out["status"] == 255, np.isnan(out["height"]))
-    with pytest.raises(SurfaceError, match="colour"):
-        resample_dataset(data, places, dims=("v", "u"), coords=coords, labels={"colour": 0})
+    out = resample_dataset(data, places, dims=("v", "u"), coords=coords)
+    assert set(out.data_vars) == {"height"}
+    assert out["height"].attrs == about

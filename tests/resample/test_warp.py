@@ -3,16 +3,18 @@ import pytest
 
 from planish.core.errors import CannotRegister, InputError, ResourceError, SizeError
 from planish.core.grid import Grid
+from planish.core.threads import limit_threads
 from planish.core.tiles import Tile
 from planish.core.transform import Affine, Projective, Similarity
 from planish.resample import warp, warp_image
-from planish.resample.patches import TOLERANCE, find_patches
+from planish.resample.warp import TOLERANCE, find_patches, places
 
 IDENTITY = Similarity()
 
 
 def warped(source, source_um, to_source, shape, pixel, *, origin_um=(0.0, 0.0), **more):
-    return warp_image(source, Grid.regular(shape, pixel, origin_um), to_source, pixel_um=source_um, **more)
+    pitch = (source_um, source_um) if isinstance(source_um, float) else source_um
+    return warp_image(source, Grid.regular(shape, pixel, origin_um), to_source, pixel_um=pitch, **more)
 
 
 def ramp(rows, cols):
@@ -105,15 +107,13 @@ def bilinear_twin(source, known, places):
     ],
 )
 def test_a_linear_ramp_is_exact_under_an_affine_map(to_source):
-    out = warped(ramp(130, 170), 1.0, to_source, (150, 140), 1.0, method="bilinear")
+    out = warped(ramp(130, 170), 1.0, to_source, (150, 140), 1.0)
     at = to_source(middles((150, 140)))
     inside = np.all((at >= -1e-9) & (at <= np.array([169, 129]) + 1e-9), axis=-1)
     assert inside.mean() > 0.1
-    np.testing.assert_array_equal(out.valid, inside)
+    np.testing.assert_array_equal(np.isfinite(out), inside)
     truth = 3 * at[..., 0] - 2 * at[..., 1] + 1000
-    # Places are multiples of 2^-40 pixels, 256 steps of them in a patch.
-    np.testing.assert_allclose(out.values[inside], truth[inside], atol=1e-8)
-    assert np.isnan(out.values[~inside]).all()
+    np.testing.assert_allclose(out[inside], truth[inside], atol=1e-8)
 
 
 def test_sizes_of_pixels_and_the_origin_enter():
@@ -122,46 +122,37 @@ def test_sizes_of_pixels_and_the_origin_enter():
     source, source_um, target_um, origin = ramp(90, 80), (2.0, 3.0), (1.5, 0.8), (40.0, 25.0)
     out = warped(source, source_um, to_source, (60, 70), target_um, origin_um=origin)
     at = to_source(middles((60, 70), target_um, origin)) / (3.0, 2.0)
-    np.testing.assert_allclose(out.values, 3 * at[..., 0] - 2 * at[..., 1] + 1000, atol=1e-8)
+    np.testing.assert_allclose(out, 3 * at[..., 0] - 2 * at[..., 1] + 1000, atol=1e-8)
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int16, np.float32, np.float64, ">u2"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_bilinear_equals_the_twin(dtype):
     source = noise(50, 60).astype(dtype)
     known = noise(50, 60, seed=1) > 5
     to_source = Similarity(scale=0.8, rotation_rad=0.5, shift_um=(12.0, -8.0))
-    out = warped(source, 1.0, to_source, (64, 66), 1.0, valid=known, method="bilinear")
+    out = warped(np.where(known, source, np.nan), 1.0, to_source, (64, 66), 1.0)
     truth = bilinear_twin(source.astype(float), known, to_source(middles((64, 66))))
-    np.testing.assert_array_equal(out.valid, np.isfinite(truth))
-    assert out.values.dtype == np.dtype(dtype).newbyteorder("=")
-    if np.dtype(dtype).kind == "f":
-        np.testing.assert_allclose(out.values, truth, rtol=1e-6 if dtype == np.float32 else 1e-9)
-    else:
-        np.testing.assert_array_equal(out.values, np.where(out.valid, np.floor(np.nan_to_num(truth) + 0.5), 0))
+    assert out.dtype == dtype
+    np.testing.assert_allclose(out, truth, rtol=1e-6 if dtype == np.float32 else 1e-9)
 
 
 @pytest.mark.parametrize(
-    ("dtype", "to_source"),
+    "to_source",
     [
-        (np.float64, Similarity(scale=2.3, rotation_rad=0.05, shift_um=(-2.0, 1.0))),
-        (np.float64, Similarity(scale=1.7, rotation_rad=0.7, shift_um=(8.0, -20.0))),
-        (np.float64, Similarity(scale=2.0, rotation_rad=-2.5, shift_um=(50.0, 40.0), mirrored=True)),
-        (np.float64, Similarity(scale=3.0)),
-        (np.float64, Affine(linear=((2.5, 0.4), (0.1, 0.6)))),
-        (np.uint16, Similarity(scale=2.3, rotation_rad=0.05)),
+        Similarity(scale=2.3, rotation_rad=0.05, shift_um=(-2.0, 1.0)),
+        Similarity(scale=1.7, rotation_rad=0.7, shift_um=(8.0, -20.0)),
+        Similarity(scale=2.0, rotation_rad=-2.5, shift_um=(10.0, 20.0), mirrored=True),
+        Similarity(scale=3.0),
+        Affine(linear=((2.5, 0.4), (0.1, 0.6))),
     ],
 )
-def test_area_means_equal_exact_clipping(dtype, to_source):
-    source = noise(40, 50).astype(dtype)
+def test_area_means_equal_exact_clipping(to_source):
+    source = noise(40, 50)
     known = noise(40, 50, seed=1) > 40
-    out = warped(source, 1.0, to_source, (18, 22), 1.0, valid=known)
-    truth, share = area_twin(source.astype(float), known, to_source, (18, 22), (1.0, 1.0), (0.0, 0.0))
+    out = warped(np.where(known, source, np.inf), 1.0, to_source, (18, 22), 1.0)
+    truth, share = area_twin(source, known, to_source, (18, 22), (1.0, 1.0), (0.0, 0.0))
     assert np.abs(share - 0.5).min() > 1e-6  # no pixel is a matter of rounding
-    np.testing.assert_array_equal(out.valid, share >= 0.5)
-    if dtype is np.float64:
-        np.testing.assert_allclose(out.values, truth, rtol=1e-9)
-    else:
-        assert np.abs(out.values[out.valid] - truth[out.valid]).max() <= 0.5 + 1e-6
+    np.testing.assert_allclose(out, truth, rtol=1e-9)
 
 
 def test_area_means_without_a_mask_equal_exact_clipping_where_the_map_bends():
@@ -170,12 +161,12 @@ def test_area_means_without_a_mask_equal_exact_clipping_where_the_map_bends():
     def to_source(points):
         return bent(2.2 * points + 8) * (0.9, 0.9)
 
-    out = warped(source, 1.0, to_source, shape, 1.0, method="area")
+    out = warped(source, 1.0, to_source, shape, 1.0)
     truth, share = area_twin(source, np.ones((60, 60), bool), to_source, shape, (1.0, 1.0), (0.0, 0.0))
-    inside = (share > 1 - 1e-9) & out.valid
+    inside = (share > 1 - 1e-9) & np.isfinite(out)
     assert inside.mean() > 0.4
     # A side that is wrong by 0.01 of a pixel moves 0.03 of 5 square pixels at most, of values up to 250.
-    assert np.abs(out.values - truth)[inside].max() < 4 * TOLERANCE * 2.2 / 4 * 250
+    assert np.abs(out - truth)[inside].max() < 4 * TOLERANCE * 2.2 / 4 * 250
 
 
 def test_a_checkerboard_is_grey_and_its_sum_is_kept():
@@ -183,7 +174,7 @@ def test_a_checkerboard_is_grey_and_its_sum_is_kept():
     board = 200.0 * ((x + y) % 2)
     # Pixels of 2 x 2 fields see exactly two of each colour, wherever they lie.
     out = warped(board, 1.0, Similarity(shift_um=(0.3, 0.7)), (100, 100), 2.0)
-    np.testing.assert_allclose(out.values, 100.0, atol=1e-9)
+    np.testing.assert_allclose(out, 100.0, atol=1e-9)
     # A turned grid that covers a spot on a black ground takes up all of it.
     spot = np.zeros((240, 240))
     spot[100:140, 90:150] = board[100:140, 90:150] + noise(40, 60)
@@ -191,73 +182,31 @@ def test_a_checkerboard_is_grey_and_its_sum_is_kept():
     out = warped(spot, 1.0, turned, (90, 100), 1.0)
     middle = turned.inverse(np.array([120.0, 120.0]))
     assert 20 < middle.min() < middle.max() < 80
-    assert out.valid.any()
-    assert not out.valid.all()
-    np.testing.assert_allclose(np.nansum(out.values) * 2.5**2, spot.sum(), rtol=1e-10)
+    assert 0 < np.isfinite(out).mean() < 1
+    np.testing.assert_allclose(np.nansum(out) * 2.5**2, spot.sum(), rtol=1e-10)
 
 
-def test_auto_averages_large_pixels_only():
-    source = noise(80, 90)
-    for scale, method in ((0.5, "bilinear"), (1.0, "bilinear"), (1.09, "bilinear"), (1.2, "area"), (3.0, "area")):
+def test_large_pixels_only_are_averaged():
+    source, known = noise(80, 90), np.ones((80, 90), bool)
+    for scale in (0.5, 1.0, 1.09, 1.2):
         to_source = Similarity(scale=scale, rotation_rad=0.2, shift_um=(20.0, 3.0))
-        auto, plain = (warped(source, 1.0, to_source, (20, 20), 1.0, method=m) for m in ("auto", method))
-        assert auto.values.tobytes() == plain.values.tobytes()
+        out = warped(source, 1.0, to_source, (20, 20), 1.0)
+        if scale < 1.1:
+            truth = bilinear_twin(source, known, to_source(middles((20, 20))))
+        else:
+            truth = area_twin(source, known, to_source, (20, 20), (1.0, 1.0), (0.0, 0.0))[0]
+        np.testing.assert_allclose(out, truth, rtol=1e-9)
 
 
 def test_the_identity_keeps_every_bit():
-    for method in ("bilinear", "area", "nearest"):
-        for source in (noise(70, 65, np.uint8), noise(70, 65, np.float32)):
-            out = warped(source, 0.37, IDENTITY, (70, 65), 0.37, method=method)
-            np.testing.assert_array_equal(out.values, source)
-            assert out.valid.all()
-
-
-@pytest.mark.parametrize("dtype", [np.bool_, np.int8, np.uint16, np.float32, np.int64])
-def test_labels_are_those_of_the_nearest_pixel(dtype):
-    labels = (noise(50, 60) > 125).astype(dtype) if dtype is np.bool_ else (noise(50, 60) - 125).astype(dtype)
-    to_source = Similarity(scale=1.3, rotation_rad=0.3, shift_um=(8.0, -7.0))
-    out = warped(labels, 1.0, to_source, (45, 50), 1.0, method="auto" if dtype is np.bool_ else "nearest", fill=1)
-    at = np.floor(to_source(middles((45, 50))) + 0.5).astype(int)
-    inside = np.all((at >= 0) & (at < (60, 50)), axis=-1)
-    assert 0.5 < inside.mean() < 1
-    np.testing.assert_array_equal(out.valid, inside)
-    np.testing.assert_array_equal(out.values[inside], labels[at[inside][:, 1], at[inside][:, 0]])
-    blank = out.values[~inside]
-    assert np.isnan(blank).all() if np.dtype(dtype).kind == "f" else (blank == 1).all()
-
-
-def test_large_whole_numbers_pass_as_labels():
-    labels = np.array([[2**62 + 1, -(2**62) - 1]])
-    np.testing.assert_array_equal(warped(labels, 1.0, IDENTITY, (1, 2), 1.0, method="nearest").values, labels)
-
-
-def test_what_is_not_finite_is_missing():
-    source = noise(40, 40, np.float32)
-    source[10, 10], source[20, 30] = np.nan, np.inf
-    known = np.isfinite(source)
-    for scale in (0.8, 2.5):
-        to_source = Similarity(scale=scale, rotation_rad=0.1)
-        holes = warped(source, 1.0, to_source, (15, 15), 1.0)
-        masked = warped(np.nan_to_num(source, nan=7, posinf=9), 1.0, to_source, (15, 15), 1.0, valid=known)
-        assert holes.values.tobytes() == masked.values.tobytes()
-        assert holes.valid.tobytes() == masked.valid.tobytes()
-        np.testing.assert_array_equal(holes.valid, np.isfinite(holes.values))
-        assert scale > 1 or not holes.valid[10:14, 10:14].all()
+    source = noise(70, 65, np.float32)
+    np.testing.assert_array_equal(warped(source, 0.37, IDENTITY, (70, 65), 0.37), source)
 
 
 def test_half_of_a_pixel_has_to_be_known():
     source = np.array([[4.0, np.nan, 8.0, np.nan, np.nan, np.nan]])
     out = warped(source, 1.0, IDENTITY, (1, 3), (1.0, 2.0), origin_um=(0.5, 0.0))
-    np.testing.assert_array_equal(out.values, [[4.0, 8.0, np.nan]])
-
-
-def test_colour_is_warped_channel_by_channel():
-    rgb = np.stack([noise(60, 70, np.uint8, seed=k) for k in range(3)], axis=-1)
-    to_source = Similarity(scale=1.5, rotation_rad=0.2, shift_um=(5.0, -3.0))
-    out = warped(rgb, 1.0, to_source, (40, 45), 1.0)
-    assert out.values.shape == (40, 45, 3)
-    for k in range(3):
-        np.testing.assert_array_equal(out.values[..., k], warped(rgb[..., k], 1.0, to_source, (40, 45), 1.0).values)
+    np.testing.assert_array_equal(out, [[4.0, 8.0, np.nan]])
 
 
 def test_places_are_right_to_a_hundredth_of_a_pixel_and_affine_maps_are_asked_once():
@@ -267,25 +216,21 @@ def test_places_are_right_to_a_hundredth_of_a_pixel_and_affine_maps_are_asked_on
         asked.append(points[..., 0].size)
         return bent(points)
 
-    patches = find_patches(counted, Tile(0, 400, 0, 450), (600, 600))
-    covered = np.zeros((400, 450), dtype=int)
-    for y0, y1, x0, x1 in patches.bounds:
+    bounds, nodes = find_patches(counted, Tile(0, 400, 0, 450), (600, 600))
+    covered, worst = np.zeros((400, 450), dtype=int), 0.0
+    for (y0, y1, x0, x1), at in zip(bounds, nodes, strict=True):
         covered[y0:y1, x0:x1] += 1
+        made = places(at, *((np.arange(n) + 0.5) / n for n in (y1 - y0, x1 - x0)))
+        truth = bent(middles((y1 - y0, x1 - x0), origin=(x0, y0)))
+        worst = max(worst, np.hypot(*np.moveaxis(made - truth, -1, 0)).max())
     assert covered.max() == 1
     # Only pixels that the bend takes out of the source may be left out.
     assert np.any((bent(middles((400, 450))) < 1) | (bent(middles((400, 450))) > 598), axis=-1)[covered == 0].all()
-    worst = 0.0
-    for (y0, y1, x0, x1), corner in zip(patches.bounds[::9], patches.corners[::9], strict=True):
-        v, u = ((np.arange(n) + 0.5) / n for n in (y1 - y0, x1 - x0))
-        rows = corner[0] + v[:, None, None] * (corner[1] - corner[0])
-        made = rows[:, None, 0] + u[None, :, None] * (rows[:, None, 1] - rows[:, None, 0])
-        truth = bent(middles((y1 - y0, x1 - x0), origin=(x0, y0)))
-        worst = max(worst, np.hypot(*np.moveaxis(made - truth, -1, 0)).max())
     assert 0.001 < worst < TOLERANCE
     assert sum(asked) < 0.05 * 400 * 450
     asked.clear()
     find_patches(lambda p: (asked.append(p[..., 0].size), IDENTITY(p))[1], Tile(0, 400, 0, 450), (600, 600))
-    assert sum(asked) == 25
+    assert sum(asked) == 4 * 25  # blocks of 256 pixels
 
 
 def test_a_view_from_aslant_equals_the_twin_of_its_true_places():
@@ -294,11 +239,11 @@ def test_a_view_from_aslant_equals_the_twin_of_its_true_places():
         source=(40.0, 40.0), target=(30.0, 30.0), source_size=40.0, target_size=30.0,
     )  # fmt: skip
     source = ramp(70, 70)
-    out = warped(source, 1.0, oblique, (80, 80), 1.0, method="bilinear")
-    truth = bilinear_twin(source, np.ones((70, 70), bool), oblique(middles((80, 80))))
-    assert (out.valid != np.isfinite(truth)).mean() < 0.01
-    both = out.valid & np.isfinite(truth)
-    assert np.abs(out.values - truth)[both].max() < np.hypot(3, 2) * TOLERANCE
+    out = warped(source, 1.0, oblique, (110, 110), 0.7)  # nowhere more than 1.1 pixels of the source
+    truth = bilinear_twin(source, np.ones((70, 70), bool), oblique(middles((110, 110), (0.7, 0.7))))
+    assert (np.isfinite(out) != np.isfinite(truth)).mean() < 0.01
+    both = np.isfinite(out) & np.isfinite(truth)
+    assert np.abs(out - truth)[both].max() < np.hypot(3, 2) * TOLERANCE
 
 
 def test_beyond_the_horizon_nothing_is_valid():
@@ -306,12 +251,12 @@ def test_beyond_the_horizon_nothing_is_valid():
         return np.where(points[..., :1] > 40.3, np.nan, points)
 
     out = warped(ramp(80, 80), 1.0, half, (80, 80), 1.0)
-    assert out.valid[:, :40].all()
-    assert not out.valid[:, 41:].any()
+    assert np.isfinite(out[:, :40]).all()
+    assert np.isnan(out[:, 41:]).all()
 
 
 @pytest.mark.parametrize("scale", [0.9, 2.2])
-def test_same_bytes_on_any_number_of_threads_any_memory_and_any_tiles(scale, monkeypatch):
+def test_same_bytes_on_any_number_of_threads_and_any_tiles(scale, monkeypatch):
     rows, cols = (700, 600) if scale < 1 else (1250, 1150)
     source = noise(rows, cols, np.float32)
     source[300:310, 200:240] = np.nan
@@ -320,43 +265,12 @@ def test_same_bytes_on_any_number_of_threads_any_memory_and_any_tiles(scale, mon
         return bent(scale * points)
 
     results = []
-    for threads, window, tile in ((1, 2**30, (512, 4096)), (2, 2**16, (512, 512)), (3, 2**14, (1024, 512))):
+    for threads, tile in ((1, (512, 4096)), (2, (512, 512)), (3, (1024, 512))):
         monkeypatch.setattr(warp, "_TILE", tile)
-        monkeypatch.setattr(warp, "_budget", lambda *_a, w=window, n=threads: (n, w))
-        results.append(warped(source, 1.0, to_source, (600, 560), 1.0))
-    first = results[0]
-    assert first.valid.mean() > 0.5
-    for other in results[1:]:
-        for name in ("values", "valid"):
-            assert getattr(first, name).tobytes() == getattr(other, name).tobytes()
-
-
-def test_an_image_may_stay_in_its_file(tmp_path):
-    source = noise(90, 80, np.uint16)
-    np.save(tmp_path / "in.npy", source)
-    lazy = np.load(tmp_path / "in.npy", mmap_mode="r")
-    to_source = Similarity(scale=1.4, rotation_rad=0.1)
-    found, plain = (warped(image, 1.0, to_source, (60, 50), 1.0) for image in (lazy, source))
-    np.testing.assert_array_equal(found.values, plain.values)
-    np.testing.assert_array_equal(found.valid, plain.valid)
-
-
-def test_a_source_that_is_cut_only():
-    """What stays in its file is asked for parts, never as a whole."""
-
-    class Parts:
-        shape, dtype = (3000, 80), np.dtype(np.uint8)
-        most = 0
-
-        def __getitem__(self, key):
-            rows = range(*key[0].indices(3000))
-            self.most = max(self.most, len(rows))
-            return np.tile(np.arange(80, dtype=np.uint8), (len(rows), 1))
-
-    parts = Parts()
-    out = warped(parts, 1.0, IDENTITY, (3000, 80), 1.0)
-    assert parts.most < 530
-    np.testing.assert_array_equal(out.values, np.tile(np.arange(80), (3000, 1)))
+        with limit_threads(threads):
+            results.append(warped(source, 1.0, to_source, (600, 560), 1.0))
+    assert np.isfinite(results[0]).mean() > 0.5
+    assert {other.tobytes() for other in results} == {results[0].tobytes()}
 
 
 def test_nothing_in_common_is_refused_with_what_to_check():
@@ -375,16 +289,13 @@ def test_a_singular_transformation_is_refused():
         warped(ramp(40, 50), 1.0, Affine(linear=((0.0, 0.0), (0.0, 0.0))), (30, 30), 1.0)
 
 
-def test_what_cannot_be_warped_is_said_all_at_once():
-    with pytest.raises(InputError, match=r"complex128.*mask has the shape"):
-        warped(ramp(4, 5) * 1j, 1.0, IDENTITY, (4, 5), 1.0, valid=np.ones((3, 3), bool))
-    with pytest.raises(InputError, match="fill value 300"):
-        warped(noise(4, 5, np.uint8), 1.0, IDENTITY, (4, 5), 1.0, fill=300)
-    with pytest.raises(InputError, match="truth values have no area mean"):
-        warped(ramp(4, 5) > 0, 1.0, IDENTITY, (4, 5), 1.0, method="area")
+def test_what_cannot_be_warped_is_refused():
+    for image in (ramp(4, 5) * 1j, noise(4, 5, np.uint8), ramp(4, 5)[..., None], ramp(0, 5)):
+        with pytest.raises(InputError, match=r"\(rows, cols\) of floats"):
+            warped(image, 1.0, IDENTITY, (4, 5), 1.0)
     with pytest.raises(InputError, match="points of the same shape"):
         warped(ramp(4, 5), 1.0, lambda p: p[..., 0], (4, 5), 1.0)
-    for pixel in (0.0, -1.0, np.nan, (1.0, np.inf)):
+    for pixel in (0.0, -1.0, float("nan"), (1.0, np.inf)):
         with pytest.raises(SizeError, match="positive"):
             warped(ramp(4, 5), pixel, IDENTITY, (4, 5), 1.0)
     with pytest.raises(SizeError, match="grid"):
@@ -394,6 +305,6 @@ def test_what_cannot_be_warped_is_said_all_at_once():
 def test_what_does_not_fit_into_the_memory_is_refused_before_the_work():
     with pytest.raises(ResourceError, match=r"0\.2. GB are allowed.*coarser"):
         warped(noise(10, 10), 1.0, IDENTITY, (10**5, 10**5), 1.0, memory_bytes=2 * 10**8 + 10**7)
-    big = np.broadcast_to(np.uint8(1), (20000, 20000))
+    big = np.broadcast_to(np.float32(1), (20000, 20000))
     with pytest.raises(ResourceError, match="under one pixel"):
         warped(big, 1.0, IDENTITY, (1, 2), 10000.0, origin_um=(5000.0, 5000.0))

@@ -9,5 +9,4 @@ from .maps import resample_maps as resample_maps
 from .places import Places as Places
 from .places import covering_grid as covering_grid
 from .places import find_places as find_places
-from .warp import Warped as Warped
 from .warp import warp_image as warp_image

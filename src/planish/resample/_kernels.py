@@ -1,11 +1,11 @@
 # pyright: standard
-"""Compiled inner loops of resampling: which triangle covers a pixel, and what stands there.
+"""Compiled inner loops of resampling: which triangle covers a pixel and what stands there, and sums over areas.
 
 A quad with the corners 0 = (0, 0), 1 = (0, 1), 2 = (1, 1), 3 = (1, 0) in (row, column) is cut along 0-2 into the
 triangles 0-1-2 and 0-2-3. Triangle t of the quad whose first corner is node n of the mesh has the number 2 n + t.
 
-All kernels work on the rows ``begin`` to ``end`` of their output and on nothing else of it, so that several may run at
-the same time; no result depends on how the rows are shared out.
+The kernels of triangles work on the rows ``begin`` to ``end`` of their output and on nothing else of it, so that several
+may run at the same time; no result depends on how the rows are shared out.
 """
 
 import numpy as np
@@ -183,55 +183,64 @@ def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end)
             share[y, x] = known / (fine * fine)
 
 
-@njit(cache=True, nogil=True)
-def _nearest(number, wb, wc, corners, cols):
-    """Node in whose cell a point lies: half a step of the mesh to each side, or else the corner of greatest weight."""
-    a, b, c = _corners(number, corners, cols)
-    if corners.shape[0] > 0:
-        wa = 1.0 - wb - wc
-        return a if wa >= wb and wa >= wc else (b if wb >= wc else c)
-    if number & 1:
-        row, col = wb + wc, wb
-    else:
-        row, col = wc, wb + wc
-    return a + (cols if row >= 0.5 else 0) + (1 if col >= 0.5 else 0)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _under(sums, x0, y0, x1, y1):
+    """Integral over x, along a straight line, of the integral over y of an image from row 0 down to the line.
 
-
-@njit(cache=True, nogil=True)
-def vote(labels, known, cols, triangle, weight, corners, fine, fill, out, begin, end):
-    """Set ``out`` (rows_out, cols_out) to the most frequent label of each pixel's known sub-pixels.
-
-    A sub-pixel has the label of its nearest node, and is known where ``known`` (rows * cols) says so of that node. Of
-    equally frequent labels the one met first stays, row by row; ``fill`` stands where less than half is known. The
-    other parameters are those of :func:`sample`.
+    In a pixel what is integrated is linear in y, so its value at the middle of the piece of the line that lies in the
+    pixel is exact.
     """
-    met = np.empty(fine * fine, np.int64)
-    times = np.empty(fine * fine, np.int64)
-    for y in range(begin, end):
-        for x in range(out.shape[1]):
-            kinds = 0
-            total = 0
-            for m in range(y * fine, (y + 1) * fine):
-                for n in range(x * fine, (x + 1) * fine):
-                    number = triangle[m, n]
-                    if number < 0:
-                        continue
-                    node = _nearest(number, weight[0, m, n], weight[1, m, n], corners, cols)
-                    if not known[node]:
-                        continue
-                    total += 1
-                    label = labels[node]
-                    k = 0
-                    while k < kinds and met[k] != label:
-                        k += 1
-                    if k == kinds:
-                        met[k], times[k] = label, 0
-                        kinds += 1
-                    times[k] += 1
-            out[y, x] = fill
-            if total > 0 and 2 * total >= fine * fine:
-                best = 0
-                for k in range(1, kinds):
-                    if times[k] > times[best]:
-                        best = k
-                out[y, x] = met[best]
+    dx, dy = x1 - x0, y1 - y0
+    if dx == 0.0:
+        return 0.0
+    c, r = int(x0), int(y0)
+    cols, rows = abs(int(x1) - c), abs(int(y1) - r)
+    # Shares of the line at which it enters the next column, and the next row.
+    step_x, step_y = abs(1.0 / dx), abs(1.0 / dy)
+    to_c, next_x = (1, (c + 1 - x0) * step_x) if dx > 0.0 else (-1, (x0 - c) * step_x)
+    to_r, next_y = (1, (r + 1 - y0) * step_y) if dy > 0.0 else (-1, (y0 - r) * step_y)
+    total, now = 0.0, 0.0
+    while True:
+        last = cols + rows == 0
+        across = rows == 0 or (cols > 0 and next_x <= next_y)
+        then = 1.0 if last else next_x if across else next_y
+        base = sums[r, c]
+        total += (then - now) * (base + (y0 - r + 0.5 * (now + then) * dy) * (sums[r + 1, c] - base))
+        if last:
+            return dx * total
+        now = then
+        if across:
+            next_x += step_x
+            c += to_c
+            cols -= 1
+        else:
+            next_y += step_y
+            r += to_r
+            rows -= 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def integrals(sums, x, y):
+    """Return the integrals (rows, cols) of an image over the quadrilaterals between nodes, exactly.
+
+    The integral over a quadrilateral is the one along its four sides (Green), and neighbours share their sides.
+    ``sums`` (height + 1, width) are those of the pixels above each row; pixel (r, c) reaches from x = c to c + 1 and
+    from y = r to r + 1. ``x`` and ``y`` (rows + 1, cols + 1) are the nodes, all inside the image.
+    """
+    rows, cols = x.shape[0] - 1, x.shape[1] - 1
+    out = np.zeros((rows, cols))
+    for i in range(rows + 1):
+        for k in range(cols + 1):
+            if k < cols:
+                along = _under(sums, x[i, k], y[i, k], x[i, k + 1], y[i, k + 1])
+                if i < rows:
+                    out[i, k] += along
+                if i > 0:
+                    out[i - 1, k] -= along
+            if i < rows:
+                side = _under(sums, x[i, k], y[i, k], x[i + 1, k], y[i + 1, k])
+                if k < cols:
+                    out[i, k] -= side
+                if k > 0:
+                    out[i, k - 1] += side
+    return out

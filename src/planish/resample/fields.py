@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import SurfaceError
-from planish.resample._kernels import sample, vote
+from planish.resample._kernels import sample
 from planish.resample.places import Places, each_band
 
 Array = NDArray[np.float64]
@@ -55,9 +55,7 @@ def support(known: NDArray[np.bool_], places: Places) -> Array:
     return _sampled(np.where(known, 0.0, np.nan), places)[1]
 
 
-def resample_labels(
-    labels: NDArray[Label], places: Places, *, fill: int = 0, known: NDArray[np.bool_] | None = None
-) -> NDArray[Label]:
+def resample_labels(labels: NDArray[Label], places: Places, *, fill: int = 0) -> NDArray[Label]:
     """Labels of the mesh's nodes on the grid, in their own type and never mixed.
 
     A point of the mesh has the label of the nearest node, counted in rows and columns of the mesh: each node holds the
@@ -72,9 +70,7 @@ def resample_labels(
     places : Places
         From :func:`find_places`, of a mesh of (rows, cols).
     fill : int
-        What stands where less than half of the pixel's area is known. To the vote it is a label like any other.
-    known : (rows, cols), optional
-        Nodes whose label counts; all where not given.
+        What stands where less than half of the pixel's area is known.
 
     Returns
     -------
@@ -83,7 +79,8 @@ def resample_labels(
     Raises
     ------
     SurfaceError
-        The labels are not whole numbers or truth values, ``fill`` is not of their type, or a shape is not the mesh's.
+        The labels are not whole numbers or truth values, ``fill`` is not of their type, or their shape is not the
+        mesh's.
     """
     if labels.dtype.kind not in "iub":
         raise SurfaceError(
@@ -93,28 +90,41 @@ def resample_labels(
     low, high = (info.min, info.max) if info else (0, 1)
     if not low <= fill <= high:
         raise SurfaceError(f"The fill value {fill} does not fit into {labels.dtype} labels. Choose another one.")
-    counted = np.ones(places.mesh, dtype=np.bool_) if known is None else known
     _check_mesh(labels, places)
-    _check_mesh(counted, places)
-    # All types travel as 64 bits, there and back without loss: one compiled kernel serves them all.
-    nodes = np.ascontiguousarray(labels).astype(np.int64).reshape(-1)
-    blank = int(np.array(fill, dtype=labels.dtype).astype(np.int64))
-    flags = np.ascontiguousarray(counted, dtype=np.bool_).reshape(-1)
-    out = np.empty(places.shape, dtype=np.int64)
+    fine, cells = places.fine, int(np.prod(places.shape))
+    # Sub-pixels one pixel after the other.
+    known, node = (
+        a.reshape(places.shape[0], fine, places.shape[1], fine).swapaxes(1, 2).reshape(cells, -1)
+        for a in (places.triangle >= 0, _nearest_nodes(places))
+    )
+    pixel = np.repeat(np.arange(cells), known.sum(axis=1))
+    met = labels.reshape(-1)[node[known]]
+    order = np.lexsort((met, pixel))
+    changed = (np.diff(pixel[order], prepend=-1) != 0) | (met[order] != np.roll(met[order], 1))
+    start = np.flatnonzero(changed)
+    # Each pixel's labels, the most frequent first, then the one met first.
+    best = np.lexsort((order[start], -np.diff(start, append=met.size), pixel[order[start]]))
+    found, first = np.unique(pixel[order[start]][best], return_index=True)
+    out = np.full(cells, fill, dtype=labels.dtype)
+    out[found] = met[order[start]][best][first]
+    out[2 * known.sum(axis=1) < fine * fine] = fill
+    return out.reshape(places.shape)
 
-    def band(begin: int, end: int) -> None:
-        vote(
-            nodes, flags, places.mesh[1], places.triangle, places.weight, places.corners, places.fine, blank, out,
-            begin, end,
-        )  # fmt: skip
 
-    each_band(band, out.shape[0])
-    return out.astype(labels.dtype)
+def _nearest_nodes(places: Places) -> NDArray[np.intp]:
+    """Node in whose cell each sub-pixel lies; any one outside of the mesh."""
+    number, (second, third) = places.triangle, places.weight
+    if len(places.corners):
+        corner = np.argmax([1.0 - second - third, second, third], axis=0)
+        return places.corners[number, corner].astype(np.intp)
+    node, odd = np.divmod(np.maximum(number, 0), 2)
+    row = np.where(odd, second + third, third) >= 0.5
+    col = np.where(odd, second, second + third) >= 0.5
+    return (node + np.where(row, places.mesh[1], 0) + col).astype(np.intp)
 
 
 def resample_dataset(
-    data: xr.Dataset, places: Places, *, dims: tuple[str, str], coords: Mapping[str, NDArray[Any]],
-    labels: Mapping[str, int] | None = None,
+    data: xr.Dataset, places: Places, *, dims: tuple[str, str], coords: Mapping[str, NDArray[Any]]
 ) -> xr.Dataset:  # fmt: skip
     """Resample every floating variable of ``data`` (rows, cols); units and names are set anew from the source's.
 
@@ -128,27 +138,12 @@ def resample_dataset(
         Names of the grid's rows and columns.
     coords : mapping of str to array
         Positions of the grid's rows and columns in um.
-    labels : mapping of str to int, optional
-        Variables of whole numbers or truth values to take along as labels, and what stands where there are none:
-        ``{"status": 255}``. Others are left behind.
-
-    Raises
-    ------
-    SurfaceError
-        A name in ``labels`` is not in ``data``, or as for :func:`resample` and :func:`resample_labels`.
     """
-    named = labels or {}
-    absent = sorted(set(named) - {str(name) for name in data.data_vars})
-    if absent:
-        raise SurfaceError(f"No variable {', '.join(absent)} to take along; there are {', '.join(map(str, data))}.")
     variables: dict[str, Any] = {}
     for name, variable in data.data_vars.items():
         attrs = {k: variable.attrs[k] for k in ("units", "long_name", "role", "support_um") if k in variable.attrs}
         if np.issubdtype(variable.dtype, np.floating):
             variables[str(name)] = (dims, resample(variable.values, places), attrs)
-        elif name in named:
-            attrs |= {k: variable.attrs[k] for k in ("flag_values", "flag_meanings") if k in variable.attrs}
-            variables[str(name)] = (dims, resample_labels(variable.values, places, fill=named[str(name)]), attrs)
     return xr.Dataset(variables, coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()})
 
 

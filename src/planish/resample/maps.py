@@ -34,19 +34,6 @@ class ToReference(Protocol):
         ...
 
 
-class WithErrors(Protocol):
-    """A registration that knows how far its points may be off."""
-
-    @property
-    def inverse(self) -> Any:
-        """The transformation back."""
-        ...
-
-    def expected_error_um(self, points: ArrayLike, /) -> Array:
-        """Expected error at points (..., 2) of the moving layer."""
-        ...
-
-
 def resample_maps(
     surfaces: xr.Dataset, flat: xr.Dataset, *, onto: Grid | None = None, transform: ToReference | None = None,
     map_um: float | None = None,
@@ -136,9 +123,8 @@ def resample_image(image: xr.DataArray, onto: Grid, transform: Any, *, memory_by
         ``image``: means over the area where pixels become larger, interpolated elsewhere.
     """
     rows, cols = image.attrs["pixel_um"]
-    values = warp_image(
-        image.values, onto, transform.inverse, pixel_um=(float(rows), float(cols)), memory_bytes=memory_bytes
-    ).values
+    pixel_um = float(rows), float(cols)
+    values = warp_image(image.values, onto, transform.inverse, pixel_um=pixel_um, memory_bytes=memory_bytes)
     return xr.Dataset({"image": (("y", "x"), values, image_attrs(image))}, coords=onto.coords)
 
 
@@ -147,7 +133,7 @@ def image_attrs(image: xr.DataArray) -> dict[str, str]:
     return {"long_name": str(image.attrs.get("long_name", "Image")), "units": "1"}
 
 
-def expected_error(transform: WithErrors, grid: Grid, known: Array) -> xr.DataArray:
+def expected_error(transform: Any, grid: Grid, known: Array) -> xr.DataArray:
     """How far each pixel of a reference may be off, in um, where ``known`` (y, x) is finite.
 
     It is worked out on a lattice of at most some 200 x 200 places and interpolated between.

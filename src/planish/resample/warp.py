@@ -1,149 +1,79 @@
-"""Images on another grid: warped by any transformation, of any size, piece by piece.
+"""Images on another grid: warped by any transformation, of any size, patch by patch.
 
-The transformation may be any function of points. Where pixels become smaller the values are interpolated, where they
-become larger they are averaged, and labels are taken as they are.
+Where pixels become smaller the values are interpolated, where they become larger they are averaged. In each block of
+the target the transformation is asked at 4 x 4 points, which give a polynomial of third degree in each direction, and
+at 3 x 3 points between them, where that polynomial errs most; blocks where it errs too much are cut into four. So a
+thin-plate spline is evaluated once in some thousand pixels, and an affine transformation is met exactly. The blocks lie
+where the grid says and nowhere else: no result depends on what is worked on together.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from planish.core.errors import CannotRegister, InputError, ResourceError, SizeError
 from planish.core.grid import Grid
-from planish.core.threads import count_threads, map_threads
+from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
-from planish.resample._warp_kernels import average, interpolate, take
-from planish.resample.patches import Patches, find_patches
+from planish.resample._kernels import integrals
 
 Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Pair = tuple[float, float]
-WarpMethod = Literal["auto", "bilinear", "area", "nearest"]
+Mapping = Callable[[Floats], Floats]
+
+TOLERANCE = 0.01
+"""What a place may be wrong by, in source pixels."""
 
 LARGER = 1.1
-"""Length of a pixel's longer side in source pixels from which on "auto" averages. A calibration that is a few percent
-off does not change the method in the middle of an image."""
+"""Length of a pixel's longer side in source pixels from which on values are averaged. A calibration that is a few
+percent off does not change the method in the middle of an image."""
 
-_TILE = (512, 4096)  # target pixels that are worked on together, always the same ones; whole blocks of the patches
-_WINDOW = 16 * 2**20  # bytes of the source that are read at once
-_SCRATCH = 8 * 2**20  # bytes a thread takes beside the tile and the window
-_MOST_SIDE = 2**22  # of the source: places are counted in 2^-40 of a pixel
+_TILE = (512, 4096)  # target pixels that a thread works on, always the same ones; whole blocks
+_BLOCK = 256  # target pixels
+_ERROR = 0.5 * TOLERANCE  # what the polynomial may err by where it is tested; the rest is for between the tests
+_NODES = np.array([0.0, 1.0, 2.0, 3.0]) / 3
+_TEST = np.array([1.0, 3.0, 5.0]) / 6
+_MOST_PIXELS = 2**18  # of the source under a patch: what is summed for area means then stays in the cache
 _MOST_UNDER = 2**26  # source pixels under one pixel
+_NEAR = 2.0  # source pixels: a patch that is further away from the source than this shows nothing of it
+_EDGE = 1e-9  # of the weights: a pixel of the source with less does not count, so none is lost to rounding
+_FLAT = 1e-6  # of the square of its diagonal: an area below that is none
 _LOOKS = 17  # points per side of the target at which the transformation is looked at first
 _SINGULAR = 1e-6  # of the square of the longest side of a cell of these: an area below that is none
 
 
-class Source(Protocol):
-    """An image that may stay in its file: what is cut out of it becomes an array."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Rows and columns, and channels where there are some."""
-        ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of the values."""
-        ...
-
-    def __getitem__(self, key: Any, /) -> Any:
-        """Cut out rows and columns."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Warped:
-    """An image on another grid.
-
-    Attributes
-    ----------
-    values : (rows, cols) or (rows, cols, channels), type of the source
-        NaN, or the fill value for whole numbers, where not valid.
-    valid : (rows, cols) bool
-        Pixels that have a value.
-    """
-
-    values: NDArray[Any]
-    valid: Flags
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Work:
-    """What a tile needs to know."""
-
-    source: Source
-    pixel: Pair
-    to_source: Callable[[Floats], Floats]
-    grid: Grid
-    method: WarpMethod
-    valid: Source | None
-    fill: int
-    window_bytes: int
-
-    def mapping(self, points: Floats) -> Floats:
-        """Places in source pixels of points (..., 2) in target pixels."""
-        rows, cols = self.grid.pixel_um
-        at = points * (cols, rows) + self.grid.origin_um
-        found = np.asarray(self.to_source(at), dtype=np.float64)
-        if found.shape != at.shape:
-            raise InputError(
-                f"The transformation gave an array {found.shape} for points {at.shape}. It has to take points "
-                "(..., 2) to points of the same shape."
-            )
-        return found / (self.pixel[1], self.pixel[0])
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Rows and columns of the source."""
-        return self.source.shape[0], self.source.shape[1]
-
-    @property
-    def carrier(self) -> np.dtype[Any]:
-        """Type of the values in the kernels: real numbers, or whole ones of 64 bits, which those cannot hold."""
-        dtype = self.source.dtype.newbyteorder("=")
-        whole = self.method == "nearest" and dtype.kind in "iu" and dtype.itemsize == 8
-        return dtype if whole else np.dtype(np.float64)
-
-
 def warp_image(
-    image: Source, grid: Grid, to_source: Callable[[Floats], Floats], *, pixel_um: float | Pair = 1.0,
-    method: WarpMethod = "auto", valid: Source | None = None, fill: int = 0, memory_bytes: int = 2**31,
-) -> Warped:  # fmt: skip
+    image: NDArray[np.floating[Any]], grid: Grid, to_source: Mapping, *, pixel_um: Pair = (1.0, 1.0),
+    memory_bytes: int = 2**31,
+) -> NDArray[np.floating[Any]]:  # fmt: skip
     """Warp an image by a transformation.
 
     Parameters
     ----------
-    image : (rows, cols) or (rows, cols, channels)
-        Truth values, whole or real numbers; what is not finite is missing. An array, a memory map, or anything that has
-        a shape and a type and can be cut as an array can. The middle of its first pixel is (0, 0) um.
+    image : (rows, cols), float32 or float64
+        What is not finite is missing. The middle of its first pixel is (0, 0) um.
     grid : Grid
         Pixels of the target.
     to_source : callable
         Takes points (..., 2), (x, y) in um, of the target to the image: the ``inverse`` of a transformation that takes
         the image to the target. NaN where there is none. It is called for few points, from several threads.
-    pixel_um : float or (float, float)
+    pixel_um : (float, float)
         Pitch of the image's rows and columns.
-    method : {"auto", "bilinear", "area", "nearest"}
-        Bilinear at the pixel's middle; the mean over the pixel's area; the value of the pixel in which the middle lies,
-        for labels. ``auto`` averages where the longer side of a pixel is more than 1.1 source pixels long, and is
-        bilinear elsewhere; it decides patch by patch. Truth values are taken as labels.
-    valid : (rows, cols), optional
-        Pixels of the image that count.
-    fill : int
-        What stands where a whole number is not valid.
     memory_bytes : int
         What may be taken beside the image.
 
     Returns
     -------
-    Warped
-        The same bytes whatever the memory and the number of threads.
+    (rows, cols) of the grid, type of the image
+        NaN is missing. The same bytes on any number of threads.
 
     Raises
     ------
@@ -152,133 +82,196 @@ def warp_image(
     SizeError
         A pixel size or the grid is impossible.
     InputError
-        Arrays of other shapes or types than are needed.
+        The image or what the transformation returns has another shape or type than is needed.
     ResourceError
         It does not fit into the memory.
 
     Notes
     -----
-    Places in the image are right to 0.01 of its pixels, and exact for affine transformations. A pixel's area is the
-    quadrilateral between the images of its four corners, and every source pixel counts with the part of it that lies
-    inside: nothing is sampled, and of whole images the sums are kept. A pixel is valid where at least half of its area
-    is known. Between the middles of source pixels, a bilinear value is known where all pixels that have weight are, as
-    in :func:`planish.resample.resample`: it ends at the middles of the outermost pixels, half a pixel before the area
-    does. In several channels what is missing in one is missing in all.
+    Places in the image are right to 0.01 of its pixels, and exact for affine transformations. Values are averaged where
+    the longer side of a pixel is more than 1.1 source pixels long, and interpolated elsewhere; that is decided patch by
+    patch. A pixel's area is the quadrilateral between the images of its four corners, and every source pixel counts
+    with the part of it that lies inside: nothing is sampled, and of whole images the sums are kept. A pixel is known
+    where at least half of its area is. Between the middles of source pixels, a bilinear value is known where all pixels
+    that have weight are, as in :func:`planish.resample.resample`: it ends at the middles of the outermost pixels, half
+    a pixel before the area does.
 
-    Rounding leaves 1e-13 of the largest value nearby in a mean: say where values are that stand for missing ones.
+    Rounding leaves 1e-13 of the largest value nearby in a mean: mark values that stand for missing ones as NaN.
     """
-    pixel = (pixel_um, pixel_um) if isinstance(pixel_um, int | float) else pixel_um
-    _check(image, pixel, grid, method, valid, fill)
-    dtype = image.dtype.newbyteorder("=")
-    full = (*grid.shape, *image.shape[2:])
-    needed = grid.shape[0] * grid.shape[1] + int(np.prod(full)) * dtype.itemsize
-    count, window = _budget(image, needed, memory_bytes)
-    chosen: WarpMethod = "nearest" if method == "auto" and dtype.kind == "b" else method
-    work = _Work(
-        source=image, pixel=pixel, to_source=to_source, grid=grid, method=chosen, valid=valid, fill=fill,
-        window_bytes=window,
-    )  # fmt: skip
-    at = _probe(work)
-    warped = Warped(values=np.empty(full, dtype=dtype), valid=np.empty(grid.shape, dtype=np.bool_))
-    tiles = tiles_of(grid.shape, _TILE)
-    if not any(map_threads(partial(_warp_tile, work, warped), tiles, number=min(count, len(tiles)))):
-        raise _apart(work, at)
-    return warped
+    shape, size = grid.shape, image.shape
+    if image.ndim != 2 or min(size) < 1 or image.dtype.kind != "f":
+        raise InputError(f"The image has the shape {size} and {image.dtype} values; (rows, cols) of floats is needed.")
+    if min(shape) < 1 or not np.isfinite(grid.origin_um).all():
+        raise SizeError(
+            f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size and the origin."
+        )
+    for whose, (rows, cols) in (("image", pixel_um), ("target", grid.pixel_um)):
+        if not (0 < rows < np.inf and 0 < cols < np.inf):
+            raise SizeError(f"The pixel size of the {whose} is {rows:g} x {cols:g} um. Give positive numbers.")
+    needed = shape[0] * shape[1] * image.dtype.itemsize
+    if needed > memory_bytes:
+        raise ResourceError(
+            f"The warped image needs {needed / 1e9:.2f} GB of memory, {memory_bytes / 1e9:.2f} GB are allowed. "
+            "Allow more, or warp to a smaller or coarser grid."
+        )
 
-
-def _warp_tile(work: _Work, warped: Warped, tile: Tile) -> bool:
-    """Do one tile; whether it meets the source, even if only where that is missing."""
-    dtype = warped.values.dtype
-    channels = int(np.prod(work.source.shape[2:]))
-    values = np.full((channels, *tile.shape), np.nan if dtype.kind == "f" else work.fill, dtype=work.carrier)
-    known = np.zeros(tile.shape, dtype=np.uint8)
-    missing = False
-    patches = find_patches(work.mapping, tile, work.size)
-    # Those that are averaged have nothing in common with the others: one kernel each.
-    averaged = _averaged(patches, work.method)
-    for which in (averaged, ~averaged):
-        kernel = average if which is averaged else take if work.method == "nearest" else interpolate
-        for group in _groups(patches.some(np.flatnonzero(which)), work):
-            missing |= _warp_group(work, kernel, group, values, known, tile)
-    if dtype.kind in "iu" and work.method != "nearest":
-        np.floor(values + 0.5, out=values, where=known.view(np.bool_))
-    for k in range(channels):
-        place = (tile.rows, tile.cols) if warped.values.ndim == 2 else (tile.rows, tile.cols, k)
-        warped.values[place] = values[k].astype(dtype, copy=False)
-    warped.valid[tile.rows, tile.cols] = known.view(np.bool_)
-    return missing or bool(known.any())
-
-
-def _warp_group(
-    work: _Work, kernel: Callable[..., None], group: Patches, values: NDArray[Any], known: NDArray[np.uint8], tile: Tile
-) -> bool:
-    """Read what lies under patches and do them; whether anything of it is missing."""
-    (r0, r1), (c0, c1) = _window(group.corners, work.size)
-    if r1 <= r0 or c1 <= c0:
-        return False
-    window = np.asarray(work.source[r0:r1, c0:c1])
-    there = np.empty((0, 0), dtype=np.uint8)
-    if work.valid is not None:
-        there = np.ascontiguousarray(work.valid[r0:r1, c0:c1], dtype=np.bool_).view(np.uint8)
-    if window.dtype.kind == "f":
-        finite = np.isfinite(window)
-        if not finite.all():
-            finite = finite if finite.ndim == 2 else finite.all(axis=2)
-            there = np.ascontiguousarray(finite & (there > 0) if there.size else finite).view(np.uint8)
-    if there.size and there.all():
-        there = np.empty((0, 0), dtype=np.uint8)
-    for k in range(len(values)):
-        plane = np.ascontiguousarray(window if window.ndim == 2 else window[..., k], dtype=work.carrier)
-        places = (plane.view(np.float64), r0, c0, there, group.bounds, group.corners)
-        kernel(*places, values[k].view(np.float64), known, tile.r0, tile.c0)
-    return there.size > 0
-
-
-def _averaged(patches: Patches, method: WarpMethod) -> Flags:
-    """Which patches are averaged."""
-    if method != "auto":
-        return np.full(len(patches), method == "area")
-    across = np.linalg.norm(np.diff(patches.corners, axis=2), axis=-1).max(axis=(1, 2))
-    down = np.linalg.norm(np.diff(patches.corners, axis=1), axis=-1).max(axis=(1, 2))
-    b = patches.bounds
-    return np.maximum(down / (b[:, 1] - b[:, 0]), across / (b[:, 3] - b[:, 2])) > LARGER
-
-
-def _groups(patches: Patches, work: _Work) -> Generator[Patches]:
-    """Part patches until what lies under each part can be read at once."""
-    if not len(patches):
-        return
-    (r0, r1), (c0, c1) = _window(patches.corners, work.size)
-    under = max(r1 - r0, 0) * max(c1 - c0, 0)
-    if under * work.source.dtype.itemsize * int(np.prod(work.source.shape[2:])) <= work.window_bytes:
-        yield patches
-        return
-    if len(patches) == 1:
-        if under > _MOST_UNDER:
-            raise ResourceError(
-                f"{under:.1e} pixels of the source lie under one pixel. Warp to smaller pixels first, then take means."
+    def mapping(points: Floats) -> Floats:
+        """Places in source pixels of points (..., 2) in target pixels."""
+        at = points * grid.pixel_um[::-1] + grid.origin_um
+        found = np.asarray(to_source(at), dtype=np.float64)
+        if found.shape != at.shape:
+            raise InputError(
+                f"The transformation gave an array {found.shape} for points {at.shape}. It has to take points "
+                "(..., 2) to points of the same shape."
             )
-        yield patches
-        return
-    b = patches.bounds
-    axis = 0 if np.ptp(b[:, 0]) >= np.ptp(b[:, 2]) else 2
-    order = np.argsort(b[:, axis], kind="stable")
-    yield from _groups(patches.some(order[: len(order) // 2]), work)
-    yield from _groups(patches.some(order[len(order) // 2 :]), work)
+        return found / pixel_um[::-1]
+
+    looked = _probe(mapping, shape)
+    out = np.full(shape, np.nan, dtype=image.dtype)
+    map_threads(partial(_warp_tile, image, mapping, out), tiles_of(shape, _TILE))
+    if not np.isfinite(out).any():
+        raise _apart(looked * pixel_um[::-1], size[1] * pixel_um[1], size[0] * pixel_um[0])
+    return out
 
 
-def _window(corners: Floats, size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Rows and columns of the source that corners (n, 2, 2, 2) reach, with some more than the kernels look at."""
-    low, high = corners.min(axis=(0, 1, 2)), corners.max(axis=(0, 1, 2))
-    (c0, r0), (c1, r1) = np.floor(low).astype(int) - 3, np.ceil(high).astype(int) + 4
-    return (max(int(r0), 0), min(int(r1), size[0])), (max(int(c0), 0), min(int(c1), size[1]))
+def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: Tile) -> None:
+    """Do one tile; ``out`` is NaN before."""
+    for (y0, y1, x0, x1), nodes in zip(*find_patches(mapping, tile, image.shape), strict=True):
+        sides = y1 - y0, x1 - x0
+        longest = [np.linalg.norm(np.diff(nodes[::3, ::3], axis=k), axis=-1).max() / n for k, n in enumerate(sides)]
+        if max(longest) > LARGER:
+            v, u = (np.arange(n + 1) / n for n in sides)
+            out[y0:y1, x0:x1] = _averaged(image, places(nodes, v, u))
+        else:
+            v, u = ((np.arange(n) + 0.5) / n for n in sides)
+            out[y0:y1, x0:x1] = _interpolated(image, places(nodes, v, u))
 
 
-def _probe(work: _Work) -> Floats:
+def _part(image: NDArray[Any], at: Floats, more: int) -> tuple[NDArray[Any], Floats]:
+    """Part of an image under places (..., 2) and ``more`` pixels around, NaN beside it; and its first pixel (x, y)."""
+    low = np.floor(at.min(axis=(0, 1))).astype(np.int64) - more
+    high = np.floor(at.max(axis=(0, 1))).astype(np.int64) + 2 + more
+    if np.prod((high - low).astype(np.float64)) > _MOST_UNDER:
+        raise ResourceError(
+            f"{np.prod((high - low).astype(np.float64)):.1e} pixels of the source lie under one pixel. Warp to smaller "
+            "pixels first, then take means."
+        )
+    part = np.full((high - low)[::-1], np.nan, dtype=image.dtype)
+    first, last = np.maximum(low, 0), np.minimum(high, image.shape[::-1])
+    if np.all(last > first):
+        (c0, r0), (c1, r1), (x, y) = first, last, first - low
+        part[y : y + r1 - r0, x : x + c1 - c0] = image[r0:r1, c0:c1]
+    return part, low.astype(np.float64)
+
+
+def _interpolated(image: NDArray[Any], at: Floats) -> Floats:
+    """Bilinear values at places (rows, cols, 2); NaN where a pixel around one that has weight is not known."""
+    part, first = _part(image, at, 0)
+    known = np.isfinite(part)
+    rows_cols = np.moveaxis((at - first)[..., ::-1], -1, 0)
+    values = ndimage.map_coordinates(np.where(known, part, 0.0), rows_cols, output=np.float64, order=1)
+    if not known.all():
+        share = ndimage.map_coordinates(known.astype(np.float64), rows_cols, order=1)
+        values[share < 1.0 - _EDGE] = np.nan
+    return values
+
+
+def _averaged(image: NDArray[Any], nodes: Floats) -> Floats:
+    """Means over the quadrilaterals between nodes (rows + 1, cols + 1, 2); NaN where less than half is known."""
+    part, first = _part(image, nodes + 0.5, 1)
+    known = np.isfinite(part)
+    # From here on a pixel of the source begins at a whole number.
+    x, y = np.moveaxis(nodes + 0.5 - first, -1, 0)
+    along = 0.5 * (y[:, :-1] + y[:, 1:]) * np.diff(x, axis=1)
+    side = 0.5 * (y[:-1] + y[1:]) * np.diff(x, axis=0)
+    area = (along[:-1] - side[:, :-1]) + side[:, 1:] - along[1:]
+    longest = np.maximum(
+        np.sum((nodes[1:, 1:] - nodes[:-1, :-1]) ** 2, axis=-1), np.sum((nodes[:-1, 1:] - nodes[1:, :-1]) ** 2, axis=-1)
+    )
+    area[2 * np.abs(area) <= _FLAT * longest] = np.nan
+    total = integrals(_sums(np.where(known, part, 0.0)), x, y)
+    weight = area if known.all() else integrals(_sums(known), x, y)
+    share = weight / area
+    return np.where(share >= 0.5 - _EDGE, total / np.where(share > 0, weight, 1.0), np.nan)
+
+
+def _sums(values: NDArray[Any]) -> Floats:
+    """Sums (rows + 1, cols) of the pixels above each row."""
+    sums = np.zeros((values.shape[0] + 1, values.shape[1]))
+    np.cumsum(values, axis=0, out=sums[1:])
+    return sums
+
+
+def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple[Whole, Floats]:
+    """Cut a tile of the target into patches; those that show nothing of the source are left out.
+
+    Parameters
+    ----------
+    mapping : callable
+        From points (..., 2) of the target to the source, both (x, y) in pixels; NaN where there is none.
+    tile : Tile
+        Rows and columns of the target. Tiles have to begin at multiples of the same number of blocks.
+    source : (int, int)
+        Rows and columns of the source.
+
+    Returns
+    -------
+    bounds : (n, 4)
+        First row, row after the last, first column, column after the last of each patch.
+    nodes : (n, 4, 4, 2), in source pixels
+        (x, y) of points at thirds of its height and width, outline included; the middle of the first pixel is (0, 0).
+    """
+    r, c = (np.arange(a, b, _BLOCK) for a, b in ((tile.r0, tile.r1), (tile.c0, tile.c1)))
+    rows, cols = (g.ravel() for g in np.meshgrid(r, c, indexing="ij"))
+    ends = np.minimum(rows + _BLOCK, tile.r1), np.minimum(cols + _BLOCK, tile.c1)
+    bounds = np.stack([rows, ends[0], cols, ends[1]], axis=1).astype(np.int64)
+    found: list[tuple[Whole, Floats]] = []
+
+    def asked(at: Floats) -> Floats:
+        y = bounds[:, :1] + at * (bounds[:, 1:2] - bounds[:, :1]) - 0.5
+        x = bounds[:, 2:3] + at * (bounds[:, 3:] - bounds[:, 2:3]) - 0.5
+        return mapping(np.stack(np.broadcast_arrays(x[:, None, :], y[:, :, None]), axis=-1))
+
+    while len(bounds):
+        nodes, tests = asked(_NODES), asked(_TEST)
+        there = np.concatenate([np.isfinite(a).all(axis=-1).reshape(len(a), -1) for a in (nodes, tests)], axis=1)
+        finite = there.all(axis=1)
+        error = np.where(finite, np.linalg.norm(places(nodes, _TEST, _TEST) - tests, axis=-1).max(axis=(1, 2)), np.inf)
+        low, high = nodes.min(axis=(1, 2)), nodes.max(axis=(1, 2))
+        margin = (2 * error + _NEAR)[:, None]
+        beside = np.any((high + margin < 0) | (low - margin > (source[1] - 1, source[0] - 1)), axis=1)
+        nowhere = (finite & beside) | ~there.any(axis=1)
+        single = (bounds[:, 1] - bounds[:, 0] == 1) & (bounds[:, 3] - bounds[:, 2] == 1)
+        small = (error <= _ERROR) & ((high - low).prod(axis=1) <= _MOST_PIXELS)
+        kept = finite & ~nowhere & (small | single)
+        found.append((bounds[kept], nodes[kept]))
+        bounds = _quarters(bounds[~(kept | nowhere | single)])
+    return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+
+
+def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
+    """Polynomials through nodes (..., 4, 4, 2) at shares (p,) of the height and (q,) of the width: (..., p, q, 2)."""
+    down, across = (
+        np.stack([np.prod([(at - b) / (a - b) for b in _NODES if b != a], axis=0) for a in _NODES], axis=-1)
+        for at in (v, u)
+    )
+    return np.moveaxis(down @ np.moveaxis(nodes, -1, -3) @ across.T, -3, -1)
+
+
+def _quarters(bounds: Whole) -> Whole:
+    """Cut rectangles in the middle of both sides."""
+    y, x = (bounds[:, 0] + bounds[:, 1] + 1) // 2, (bounds[:, 2] + bounds[:, 3] + 1) // 2
+    y0, y1, x0, x1 = bounds.T
+    parts = np.concatenate(
+        [np.stack(e, axis=1) for e in ((y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1))]
+    )
+    return parts[(parts[:, 1] > parts[:, 0]) & (parts[:, 3] > parts[:, 2])]
+
+
+def _probe(mapping: Mapping, shape: tuple[int, int]) -> Floats:
     """Places (n, n, 2) of the target in the source; refuse a transformation that makes a line or a point of it."""
-    shape = work.grid.shape
     y, x = (np.linspace(-0.5, n - 0.5, _LOOKS) for n in shape)
-    at = work.mapping(np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=-1))
+    at = mapping(np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=-1))
     # Per pixel: a grid of one row is narrow by right.
     down, across = (at[1:, :-1] - at[:-1, :-1]) / shape[0], (at[:-1, 1:] - at[:-1, :-1]) / shape[1]
     area = np.abs(down[..., 0] * across[..., 1] - down[..., 1] * across[..., 0])
@@ -292,65 +285,15 @@ def _probe(work: _Work) -> Floats:
     return at
 
 
-def _apart(work: _Work, at: Floats) -> CannotRegister:
-    """The error for a target that does not meet the source."""
-    at = at[np.isfinite(at).all(axis=-1)] * (work.pixel[1], work.pixel[0])
+def _apart(at: Floats, width: float, height: float) -> CannotRegister:
+    """The error for a target that lies at places (..., 2) in um and does not meet the source."""
+    at = at[np.isfinite(at).all(axis=-1)]
     where = "nowhere"
     if len(at):
         (a, b), (c, d) = at.min(axis=0), at.max(axis=0)
         where = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
-    width, height = (work.size[k] * work.pixel[k] for k in (1, 0))
     return CannotRegister(
         f"The transformation takes the target {where}, which is {width:.0f} um wide and {height:.0f} um high: nothing "
         "overlaps. Check the pixel sizes and the origin, and whether the transformation goes from target to image "
         "(use its inverse if not)."
     )
-
-
-def _budget(source: Source, arrays: int, memory: int) -> tuple[int, int]:
-    """Threads, and bytes of the source that each of them reads at once."""
-    channels = int(np.prod(source.shape[2:]))
-    tile = _TILE[0] * _TILE[1] * (channels * 8 + 1)
-    # Read, then one plane of it as a real number, and what is known of it.
-    factor = 1 + (8 + 2) / (source.dtype.itemsize * channels)
-    least = tile + _SCRATCH + int(factor * 2**20)
-    if arrays + least > memory:
-        raise ResourceError(
-            f"The warped image needs {(arrays + least) / 1e9:.2f} GB of memory, {memory / 1e9:.2f} GB are allowed. "
-            "Allow more, or warp to a smaller or coarser grid."
-        )
-    count = max(1, min(count_threads(), int((memory - arrays) // least)))
-    free = (memory - arrays) // count - tile - _SCRATCH
-    return count, max(2**20, min(_WINDOW, int(free / factor)))
-
-
-def _check(source: Source, pixel: Pair, grid: Grid, method: str, valid: Source | None, fill: int) -> None:
-    size, dtype, shape = tuple(source.shape), source.dtype, grid.shape
-    faults: list[str] = []
-    if len(size) not in (2, 3) or min(size, default=0) < 1:
-        faults.append(f"the image has the shape {size}; (rows, cols) or (rows, cols, channels) is needed")
-    elif max(size[:2]) > _MOST_SIDE:
-        faults.append(f"the image has the shape {size}; {_MOST_SIDE} pixels a side are the most")
-    if dtype.kind not in "buif" or dtype.itemsize > 8:
-        faults.append(f"the image has {dtype} values; truth values, whole or real numbers are needed")
-    elif dtype.kind in "bui":
-        low, high = (0, 1) if dtype.kind == "b" else (np.iinfo(dtype.str).min, np.iinfo(dtype.str).max)
-        if not low <= fill <= high:
-            faults.append(f"the fill value {fill} does not fit into {dtype}")
-    if dtype.kind == "b" and method in ("bilinear", "area"):
-        faults.append(f"truth values have no {method} mean; use nearest, or convert them to numbers")
-    if method not in ("auto", "bilinear", "area", "nearest"):
-        faults.append(f"there is no method {method!r}; choose auto, bilinear, area or nearest")
-    if valid is not None and tuple(valid.shape) != size[:2]:
-        faults.append(
-            f"the mask has the shape {tuple(valid.shape)}, the image {size}; their rows and columns must agree"
-        )
-    if faults:
-        raise InputError(f"The image cannot be warped: {'; '.join(faults)}.")
-    if min(shape) < 1 or not np.isfinite(grid.origin_um).all():
-        raise SizeError(
-            f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size and the origin."
-        )
-    for whose, (rows, cols) in (("image", pixel), ("target", grid.pixel_um)):
-        if not (0 < rows < np.inf and 0 < cols < np.inf):
-            raise SizeError(f"The pixel size of the {whose} is {rows:g} x {cols:g} um. Give positive numbers.")
