@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister
 from planish.core.transform import Similarity
-from planish.register import match_marks
-from planish.register.match_design import match_by_design
+from planish.register import match_by_design, match_marks
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]

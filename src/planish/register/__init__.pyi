@@ -7,11 +7,8 @@ from .holes import Registration as Registration
 from .holes import check_enough as check_enough
 from .holes import register_marks as register_marks
 from .match import Matched as Matched
+from .match import match_by_design as match_by_design
 from .match import match_marks as match_marks
-from .match_design import MatchedByDesign as MatchedByDesign
-from .match_design import MatchedToDesign as MatchedToDesign
-from .match_design import match_by_design as match_by_design
-from .match_design import match_to_design as match_to_design
 from .params import RegistrationParams as RegistrationParams
 from .refinement import Refined as Refined
 from .refinement import RefineOptions as RefineOptions

@@ -1,29 +1,39 @@
-"""Find which mark of one map is which mark of the other, from nothing but their positions.
+"""Find which mark of one map is which mark of the other, from their positions alone or through the designed pattern.
 
-An arrangement is believed only if it is far better than chance and than every different arrangement, and if the
-pattern behind the marks cannot be laid on itself in a second orientation.
+An arrangement is believed only if it is far better than chance and than every different arrangement. Without a design,
+the pattern behind the marks must not coincide with itself in a second orientation either. With one, each side is
+matched to the design and the two are joined: a side that lost some marks still has most of the design, so that two
+sides which share few marks can be matched, and a symmetry that one side alone seems to have is judged by the design.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planish.core.errors import CannotRegister
+from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
-from planish.register.match_choose import ACCEPTED_LOG_CHANCE, MARGIN, Choice, checked_points, choose, fit_similarity
-from planish.register.match_search import Complexes, marks_needed
+from planish.register.match_choose import Choice, choose
+from planish.register.match_search import marks_needed
 from planish.register.match_symmetry import self_likeness
+from planish.register.pairs import Pairs
+from planish.register.similarity import SimilarityModel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-# Scales under which a pattern may repeat itself.
-_SELF_SCALE = 0.01
+# A chance agreement as good as the one accepted is expected in fewer than 10**-3 of all searches.
+_ACCEPTED_LOG_CHANCE = -3.0
+# A different arrangement has to be this much likelier to be chance, as log10.
+_MARGIN = 3.0
 # A stretch that is reported.
 _NOTABLE_STRETCH = 0.001
+# From so many marks on both sides on, they alone give the transformation; with fewer, the design helps.
+_ENOUGH_SHARED = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,21 +45,27 @@ class Matched:
     pairs : ndarray of int, shape (k, 2)
         Row in ``moving``, row in ``fixed``; sorted by the first.
     transform : Similarity
-        Least-squares fit through the pairs, moving to fixed.
+        Least-squares fit through the pairs, moving to fixed; through the design where it identified fewer than four
+        holes on both sides.
     mirrored : bool
         Whether the moving side had to be turned over.
-    inliers, second_best : int
-        Marks that match, and those of the second-best match.
+    second_best : int
+        Marks of the second-best match.
     sentence : str
         Counts, rotation, scale and residual.
+    labels : tuple of str
+        With a design: name of the hole of each row of ``pairs``.
+    behind : bool
+        With a design: whether it had to be turned over to match the fixed side.
     """
 
     pairs: Ints
     transform: Similarity
     mirrored: bool
-    inliers: int
     second_best: int
     sentence: str
+    labels: tuple[str, ...] = ()
+    behind: bool = False
 
 
 def match_marks(
@@ -103,73 +119,234 @@ def match_marks(
     Hirn et al. (2009), section 2.4. Moisan and Stival (2004), Int. J. Comput. Vis. 57, 201,
     doi:10.1023/B:VISI.0000013094.38752.54 (agreement judged against chance).
     """
-    source, target = checked_points(moving, names[0]), checked_points(fixed, names[1])
+    source, target = _checked(moving, names[0]), _checked(fixed, names[1])
     sides = f"{len(source)} marks of the {names[0]} and {len(target)} of the {names[1]}"
     for name, points in zip(names, (source, target), strict=True):
         if len(points) < 3:
-            raise CannotRegister(_too_few(sides, name, points))
-    found = choose(
-        source, target, scale_tolerance=scale_tolerance, tolerance_um=tolerance_um,
-        hands=(False, True) if mirror else (False,),
-    )  # fmt: skip
-    other = None
-    if not mirror:
-        other = choose(source, target, scale_tolerance=scale_tolerance, tolerance_um=tolerance_um, hands=(True,))
+            at = f" (at {', '.join(f'({x:.0f}, {y:.0f})' for x, y in points)} um)" if len(points) else ""
+            raise CannotRegister(
+                f"{sides}: {len(points)} on the side of the {name}{at} cannot be matched without a hint; at least 3 on "
+                "each side are needed, 4 or more are better. Check that the holes are in the field and that the pixel "
+                "and voxel sizes are right, widen the range of hole diameters, give the pattern that was burnt "
+                "(--design) or pairs (--marks)."
+            )
+    off = (scale_tolerance, tolerance_um)
+    found = choose(source, target, *off, hands=(False, True) if mirror else (False,))
+    other = None if mirror else choose(source, target, *off, hands=(True,))
     best = np.inf if found is None else found.log_chance
-    if other is not None and other.log_chance < min(best - 1.0, ACCEPTED_LOG_CHANCE):
+    if other is not None and other.log_chance < min(best - 1.0, _ACCEPTED_LOG_CHANCE):
         raise CannotRegister(
             f"{sides}: {0 if found is None else len(found.pairs)} match, but {len(other.pairs)} match if one side is "
             "mirrored: one is probably viewed from the wrong side. Check --image-side, --top "
             "and --through; if the slices are numbered against the usual sense, pass --mirror."
         )
-    if found is None:
-        raise CannotRegister(_no_match(sides, 2, 4, mirror, min(len(source), len(target))))
-    count, rival = len(found.pairs), found.second_best
-    if count < found.needed or found.log_chance > ACCEPTED_LOG_CHANCE:
-        least = marks_needed(len(found.small), found.large, found.found.tests, tolerance_um, ACCEPTED_LOG_CHANCE)
-        raise CannotRegister(_no_match(sides, count, max(found.needed, least), mirror, len(found.small)))
-    if len(found.small) == 3:
-        _refuse_confusable(sides, source[found.pairs[:, 0]], target[found.pairs[:, 1]], 3.0 * tolerance_um)
-    rival_chance = min(found.second_log_chance, np.inf if other is None else other.log_chance)
-    if rival_chance < found.log_chance + MARGIN:
+    smaller = min(len(source), len(target))
+    count, need = _agreement(found, tolerance_um)
+    if found is None or count < need:
+        if smaller == 3:
+            raise CannotRegister(
+                f"{sides}: with three marks on a side a match may be chance. Add a fourth, give the pattern that was "
+                "burnt (--design), or pairs (--marks)."
+            )
+        needed = f"about {need} have to" if need <= smaller else f"more than the {smaller} of the smaller side would"
         raise CannotRegister(
-            f"{sides}: {count} match in the best arrangement, {rival} in the second-best, too close to decide: "
-            "the pattern is symmetric or ambiguous. Find more of the marks (range of hole diameters), remove false "
-            "ones, give the pattern that was burnt (--design) or pairs (--marks)."
+            f"{sides}: no match found: {count} agree at best, and {needed}{' have to' * (need > smaller)}, closer than "
+            "chance would bring them. Printed dots as large as holes count as marks: raise the lower end of --hole-um. "
+            "Check the pixel and voxel sizes, --top, and --image-side: the side that the image shows"
+            + ("" if mirror else "; if the slices are numbered against the usual sense pass --mirror")
+            + "; find more of the marks, give the pattern that was burnt (--design) or pairs (--marks)."
+        )
+    at, to = source[found.pairs[:, 0]], target[found.pairs[:, 1]]
+    if smaller == 3:
+        _refuse_confusable(sides, (at, to), 3.0 * tolerance_um)
+    rival_chance = min(found.second_log_chance, np.inf if other is None else other.log_chance)
+    if rival_chance < found.log_chance + _MARGIN:
+        raise CannotRegister(
+            f"{sides}: {count} match in the best arrangement, {found.second_best} in the second-best, too close to "
+            "decide: the pattern is symmetric or ambiguous. Find more of the marks (range of hole diameters), remove "
+            "false ones, give the pattern that was burnt (--design) or pairs (--marks)."
             + (" Without --mirror, only one handedness competes." if mirror else "")
         )
-    transform, rms = fit_similarity(source[found.pairs[:, 0]], target[found.pairs[:, 1]], mirrored=found.mirrored)
-    if fault := found.scale_fault(transform.scale, scale_tolerance):
-        raise CannotRegister(f"{sides}: {fault}")
-    _refuse_symmetric(sides, count, *found.together(), tolerance_um, mirror)
+    transform, rms = _fitted(at, to, found.mirrored)
+    _refuse_scale(sides, found, transform.scale, scale_tolerance)
+    repeats = self_likeness(*found.together(), tolerance_um=tolerance_um, mirror=mirror)
+    if repeats is not None:
+        raise CannotRegister(
+            f"{sides}: {count} match, but the pattern may be symmetric or regular: {repeats}, and the others may be "
+            "lost. Give the pattern that was burnt (--design) or pairs (--marks), or add marks "
+            "that break the symmetry."
+        )
     sentence = (
         f"{sides}: {count} match (rotation {np.degrees(transform.rotation_rad):.2f} deg, scale {transform.scale:.4f}"
         f"{', mirrored' if found.mirrored else ''}, residual {rms:.1f} um rms); the second-best match has "
-        f"{rival}." + _stretch(found)
+        f"{found.second_best}."
     )
-    if len(found.small) == 3:
+    stretch = 2.0 * abs(found.found.gamma[found.best]) / abs(found.found.alpha[found.best])
+    if stretch >= _NOTABLE_STRETCH and count >= 6:
+        sentence += (
+            f" One direction is stretched by {100 * stretch:.1f} % against the other: an affine fit may be better."
+        )
+    if smaller == 3:
         sentence += " Three marks only: all match and their distances differ, but one false mark would not be noticed."
     return Matched(
-        pairs=found.pairs,
-        transform=transform,
-        mirrored=found.mirrored,
-        inliers=count,
-        second_best=rival,
+        pairs=found.pairs, transform=transform, mirrored=found.mirrored, second_best=found.second_best,
         sentence=sentence,
+    )  # fmt: skip
+
+
+def match_by_design(
+    moving: ArrayLike,
+    fixed: ArrayLike,
+    design: ArrayLike,
+    *,
+    labels: Sequence[str] | None = None,
+    scale_tolerance: float = 0.03,
+    tolerance_um: float = 25.0,
+    mirror: bool = False,
+    names: tuple[str, str] = ("moving", "fixed"),
+) -> Matched:
+    """Match two sets of marks through the designed positions of the holes.
+
+    Parameters
+    ----------
+    moving, fixed : array-like, shape (n, 2) and (m, 2), in um
+        Mark centres ``(x, y)`` with marks missing and false marks.
+    design : array-like, shape (d, 2), in um
+        Designed positions of all holes, of either hand: both sides may show the sheet from behind.
+    labels : sequence of str, optional
+        Names of the holes; their numbers from 1 otherwise.
+    scale_tolerance, tolerance_um, names
+        As in :func:`match_marks`.
+    mirror : bool
+        Whether the moving side may be turned over against the fixed one.
+
+    Returns
+    -------
+    Matched
+
+    Raises
+    ------
+    CannotRegister
+        If there are fewer than three marks or holes, if fewer than 4 marks or 35 % of a side agree with the design, if
+        as good an agreement is expected by chance, if a different arrangement is nearly as good, as in a symmetric
+        design, or if the sides show different hands although ``mirror`` is not set.
+    MarkError
+        If a position is not finite, an array has another shape, or there is not one label a hole.
+    """
+    holes = _checked(design, "design")
+    called = tuple(str(k + 1) for k in range(len(holes))) if labels is None else tuple(labels)
+    if len(called) != len(holes):
+        raise MarkError(f"{len(called)} labels are given for {len(holes)} designed holes. Give one for each.")
+    sides = tuple(_checked(marks, name) for marks, name in zip((moving, fixed), names, strict=True))
+    for what, some in (
+        *((f"marks of the {n}", s) for n, s in zip(names, sides, strict=True)),
+        ("designed holes", holes),
+    ):
+        if len(some) < 3:
+            raise CannotRegister(
+                f"{len(some)} {what}: at least 3 are needed to match them to the design, 4 or more are better. Check "
+                "that the holes are in the field and that the pixel and voxel sizes are right, widen the range of hole "
+                "diameters, or give the pairs with --marks."
+            )
+    off = (scale_tolerance, tolerance_um)
+    hands = (False, True)
+    found = {(k, hand): choose(holes, side, *off, hands=(hand,)) for k, side in enumerate(sides) for hand in hands}
+    chance = {key: 10.0 if one is None else one.log_chance for key, one in found.items()}
+    # Which hand the design has against the sheet is not known; both sides have the same, unless mirrored.
+    sums = {pair: chance[0, pair[0]] + chance[1, pair[1]] for pair in product(hands, repeat=2)}
+    allowed = {pair: value for pair, value in sums.items() if mirror or pair[0] == pair[1]}
+    best = min(allowed, key=lambda pair: (allowed[pair], pair))
+    if min(sums.values()) < min(allowed[best], 2 * _ACCEPTED_LOG_CHANCE) - 1.0:
+        raise CannotRegister(
+            f"The {names[0]} and the {names[1]} both match the design, but one of them only if it is turned over: one "
+            "is probably viewed from the wrong side. Check --top and --through; if the slices are numbered against the "
+            "usual sense, pass --mirror."
+        )
+    one, two = (_on_design(found[k, best[k]], sides[k], holes, off, names[k]) for k in range(2))
+    if any(pair != best and value < allowed[best] + _MARGIN for pair, value in allowed.items()):
+        raise CannotRegister(
+            f"{one.sentence} {two.sentence} Turned over, the design fits nearly as well, so the holes cannot be "
+            "identified. Give the pairs with --marks, or leave the design out."
+        )
+    shared, *rows = np.intersect1d(one.pairs[:, 0], two.pairs[:, 0], assume_unique=True, return_indices=True)
+    pairs = np.stack([side.pairs[row, 1] for side, row in zip((one, two), rows, strict=True)], axis=1)
+    order = np.argsort(pairs[:, 0])
+    pairs = np.ascontiguousarray(pairs[order])
+    mirrored = one.mirrored != two.mirrored
+    if len(pairs) >= _ENOUGH_SHARED:
+        transform, rms = _fitted(sides[0][pairs[:, 0]], sides[1][pairs[:, 1]], mirrored)
+        how = f"residual {rms:.1f} um rms"
+    else:
+        # The design's holes as both sides have them, laid on one another.
+        transform, _ = _fitted(one.transform(holes), two.transform(holes), mirrored)
+        how = "through the design, since fewer than 4 are on both sides"
+    sentence = (
+        f"{one.sentence} {two.sentence} {len(pairs)} holes are on both sides (rotation "
+        f"{np.degrees(transform.rotation_rad):.2f} deg, scale {transform.scale:.4f}{', mirrored' if mirrored else ''}, "
+        f"{how})."
     )
+    return Matched(
+        pairs=pairs, labels=tuple(called[k] for k in shared[order]), transform=transform, mirrored=mirrored,
+        second_best=max(one.second_best, two.second_best), sentence=sentence, behind=two.mirrored,
+    )  # fmt: skip
 
 
-def _stretch(found: Choice) -> str:
-    """Sentence where the sheet is notably stretched more in one direction than in the other."""
-    stretch = 2.0 * abs(found.found.gamma[found.best]) / abs(found.found.alpha[found.best])
-    if stretch < _NOTABLE_STRETCH or len(found.pairs) < 6:
-        return ""
-    return f" One direction is stretched by {100 * stretch:.1f} % against the other: an affine fit may be better."
+def _on_design(
+    found: Choice | None, points: Floats, holes: Floats, off: tuple[float, float], name: str
+) -> Matched:  # fmt: skip
+    """Accept the best arrangement of a design on one side, or refuse it; its pairs begin with the row in the design."""
+    sides = f"{len(points)} marks of the {name} and {len(holes)} designed holes"
+    count, need = _agreement(found, off[1])
+    if found is None or count < need:
+        raise CannotRegister(
+            f"{sides}: the design does not match the marks: {count} agree at best, and about {need} have to, closer "
+            "than chance would bring them. Check that it is the design of this sheet, its unit (um), the pixel and "
+            "voxel sizes; find more of the marks, or give the pairs with --marks."
+        )
+    if found.second_log_chance < found.log_chance + _MARGIN:
+        raise CannotRegister(
+            f"{sides}: {count} match in the best arrangement, {found.second_best} in the second-best, which is too "
+            "close to decide: the design is symmetric or regular, or the marks that would decide are missing. Find "
+            "more of the marks (range of hole diameters), or give the pairs with --marks."
+        )
+    transform, rms = _fitted(holes[found.pairs[:, 0]], points[found.pairs[:, 1]], found.mirrored)
+    _refuse_scale(sides, found, transform.scale, off[0])
+    sentence = f"{sides}: {count} match (residual {rms:.1f} um rms); the second-best match has {found.second_best}."
+    return Matched(
+        pairs=found.pairs, transform=transform, mirrored=found.mirrored, second_best=found.second_best,
+        sentence=sentence,
+    )  # fmt: skip
 
 
-def _refuse_confusable(sides: str, a: Floats, b: Floats, least_um: float) -> None:
+def _agreement(found: Choice | None, tolerance_um: float) -> tuple[int, int]:
+    """How many marks agree, and how many have to at least: more than do where the agreement may be chance."""
+    if found is None:
+        return 2, 4
+    count = len(found.pairs)
+    if count >= found.needed and found.log_chance <= _ACCEPTED_LOG_CHANCE:
+        return count, count
+    least = marks_needed(len(found.small), found.large, found.found.tests, tolerance_um, _ACCEPTED_LOG_CHANCE)
+    return count, max(found.needed, least, count + 1)
+
+
+def _fitted(source: Floats, target: Floats, mirrored: bool) -> tuple[Similarity, float]:
+    """Least-squares similarity through pairs ``(k, 2)`` in um, and the rms residual."""
+    information = np.broadcast_to(np.eye(2), (len(source), 2, 2))
+    transform = SimilarityModel().fit(Pairs(moving=source, fixed=target, information=information), mirrored)
+    return transform, float(np.sqrt(np.mean(np.sum((transform(source) - target) ** 2, axis=1))))
+
+
+def _refuse_scale(sides: str, found: Choice, scale: float, tolerance: float) -> None:
+    if abs(scale - 1.0) > tolerance:
+        raise CannotRegister(
+            f"{sides}: {len(found.pairs)} match, but at a scale of {scale:.4f}, which is {100 * abs(scale - 1.0):.1f} % "
+            f"off the calibration; {100 * tolerance:.3g} % are allowed. Check the pixel and voxel sizes."
+        )
+
+
+def _refuse_confusable(sides: str, triangles: tuple[Floats, Floats], least_um: float) -> None:
     """Three marks are not enough where two sides of the triangle are alike, on either side."""
-    for corners in (a, b):
+    for corners in triangles:
         lengths = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
         if np.diff(lengths).min() < least_um:
             raise CannotRegister(
@@ -179,44 +356,17 @@ def _refuse_confusable(sides: str, a: Floats, b: Floats, least_um: float) -> Non
             )
 
 
-def _refuse_symmetric(
-    sides: str, count: int, points: Complexes, alone: tuple[int, int], tolerance_um: float, mirror: bool
-) -> None:
-    like = self_likeness(
-        points, alone, scale_tolerance=_SELF_SCALE, tolerance_um=tolerance_um, mirror=mirror
-    )  # fmt: skip
-    if like is None:
-        return
-    raise CannotRegister(
-        f"{sides}: {count} match, but the pattern may be symmetric or regular: of the {like.marks} marks in all, "
-        f"{like.repeated} coincide with a mark again when the pattern is {like.describe()}, and the others may be "
-        "lost. Give the pattern that was burnt (--design) or pairs (--marks), or add marks "
-        "that break the symmetry."
-    )
-
-
-def _too_few(sides: str, name: str, points: Floats) -> str:
-    where = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in points)
-    return (
-        f"{sides}: {len(points)} on the side of the {name}"
-        + (f" (at {where} um)" if len(points) else "")
-        + " cannot be matched without a hint; at least 3 on each side are needed, 4 or more are better. "
-        "Check that the holes are in the field and that the pixel and voxel sizes are right, widen the range of hole "
-        "diameters, give the pattern that was burnt (--design) or pairs (--marks)."
-    )
-
-
-def _no_match(sides: str, count: int, need: int, mirror: bool, of: int) -> str:
-    if of == 3:
-        return (
-            f"{sides}: with three marks on a side a match may be chance. Add a fourth, give the pattern that was "
-            "burnt (--design), or pairs (--marks)."
+def _checked(marks: ArrayLike, name: str) -> Floats:
+    """Return marks as ``(n, 2)`` float64, or name their faults."""
+    points = np.array(marks, dtype=np.float64)
+    if points.size == 0:
+        return np.empty((0, 2))
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise MarkError(f"The marks of the {name} have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row.")
+    bad = np.flatnonzero(~np.all(np.isfinite(points), axis=1))
+    if bad.size:
+        raise MarkError(
+            f"Position of mark {', '.join(str(i) for i in bad[:8])} (counted from 0) of the {name} is not finite. "
+            "Leave it out, or correct it."
         )
-    needed = f"about {need} have to" if need <= of else f"more than the {of} of the smaller side would have to"
-    return (
-        f"{sides}: no match found: {count} agree at best, and {needed}, closer than chance would bring "
-        "them. Printed dots as large as holes count as marks: raise the lower end of --hole-um. Check the "
-        "pixel and voxel sizes, --top, and --image-side: the side that the image shows"
-        + ("" if mirror else "; if the slices are numbered against the usual sense pass --mirror")
-        + "; find more of the marks, give the pattern that was burnt (--design) or pairs (--marks)."
-    )
+    return points

@@ -5,23 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from planish.core.errors import MarkError
-from planish.core.transform import Similarity
-from planish.register.match_search import Arrangements, Complexes, as_complex, chance_without, search
-from planish.register.pairs import Pairs
-from planish.register.similarity import SimilarityModel
+from planish.register.match_search import Arrangements, Complexes, chance_without, search
+from planish.register.pairs import as_complex
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-# A chance agreement as good as the one accepted is expected in fewer than 10**-3 of all searches.
-ACCEPTED_LOG_CHANCE = -3.0
-# A different arrangement has to be this much likelier to be chance, as log10.
-MARGIN = 3.0
 # Of the marks of the smaller side that lie in the field of the other, this share has to agree.
-LEAST_SHARE = 0.35
+_LEAST_SHARE = 0.35
 # A pair this many times further apart than the others are is not one, however wide the tolerance.
 _OUTLYING = 5.0
 
@@ -63,48 +56,27 @@ class Choice:
         return bool(self.found.mirrored[self.best])
 
     @property
-    def landed(self) -> Complexes:
-        """Marks of the smaller side in the frame of the larger."""
-        return self.found.landed[self.best]
-
-    @property
-    def in_common_field(self) -> int:
-        """How many marks of the smaller side lie in the rectangle around the marks of the larger."""
-        return int(np.count_nonzero(_inside(self.landed, self.large, 0.05)))
-
-    @property
     def needed(self) -> int:
         """How many marks have to agree at least."""
-        n = len(self.small)
-        return 3 if n == 3 else max(4, int(np.ceil(LEAST_SHARE * self.in_common_field)))
-
-    def scale_fault(self, scale: float, tolerance: float) -> str:
-        """Sentence where a scale is too far off; empty otherwise."""
-        if abs(scale - 1.0) <= tolerance:
-            return ""
-        return (
-            f"{len(self.pairs)} match, but at a scale of {scale:.4f}, which is {100 * abs(scale - 1.0):.1f} % off the "
-            f"calibration; {100 * tolerance:.3g} % are allowed. Check the pixel and voxel sizes."
-        )
+        if len(self.small) == 3:
+            return 3
+        in_common_field = np.count_nonzero(_inside(self.found.landed[self.best], self.large, 0.05))
+        return max(4, int(np.ceil(_LEAST_SHARE * in_common_field)))
 
     def together(self) -> tuple[Complexes, tuple[int, int]]:
         """All marks of the field that both sides show, first the pairs; and how many each side alone shows."""
-        rows = self.pairs[:, 1 if self.swapped else 0]
-        columns = self.pairs[:, 0 if self.swapped else 1]
-        lonely = np.ones(len(self.small), dtype=np.bool_)
-        lonely[rows] = False
-        other = np.ones(len(self.large), dtype=np.bool_)
-        other[columns] = False
+        landed = self.found.landed[self.best]
+        rows, columns = self.pairs.T[::-1] if self.swapped else self.pairs.T
+        lonely, other = np.delete(landed, rows), np.delete(self.large, columns)
         # Marks of a larger map are no evidence about a smaller one.
         alone = [
-            points[_inside(points, self.large, 0.15) & _inside(points, self.landed, 0.15)]
-            for points in (self.landed[lonely], self.large[other])
+            points[_inside(points, self.large, 0.15) & _inside(points, landed, 0.15)] for points in (lonely, other)
         ]
         return np.concatenate([self.large[columns], *alone]), (len(alone[0]), len(alone[1]))
 
 
 def choose(
-    source: Floats, target: Floats, *, scale_tolerance: float, tolerance_um: float, hands: tuple[bool, ...]
+    source: Floats, target: Floats, scale_tolerance: float, tolerance_um: float, *, hands: tuple[bool, ...]
 ) -> Choice | None:
     """Return the best arrangement and its rival, or None where no three marks agree.
 
@@ -114,8 +86,8 @@ def choose(
         At least three marks each.
     """
     swapped = len(source) > len(target)
-    a, b = (as_complex(p) for p in ((target, source) if swapped else (source, target)))
-    found = search(a, b, scale_tolerance=scale_tolerance, tolerance_um=tolerance_um, hands=hands)
+    a, b = (as_complex(p, False) for p in ((target, source) if swapped else (source, target)))
+    found = search(a, b, scale_tolerance, tolerance_um, hands=hands)
     if found is None:
         return None
     best = int(np.lexsort((np.sum(np.minimum(found.squares, tolerance_um**2), axis=1), found.log_chance))[0])
@@ -135,29 +107,6 @@ def choose(
         second_log_chance=rival_chance,
         second_best=rival_count,
     )
-
-
-def fit_similarity(source: Floats, target: Floats, *, mirrored: bool) -> tuple[Similarity, float]:
-    """Least-squares similarity through pairs ``(k, 2)`` in um, and the rms residual."""
-    information = np.broadcast_to(np.eye(2), (len(source), 2, 2))
-    transform = SimilarityModel().fit(Pairs(moving=source, fixed=target, information=information), mirrored)
-    return transform, float(np.sqrt(np.mean(np.sum((transform(source) - target) ** 2, axis=1))))
-
-
-def checked_points(marks: ArrayLike, name: str) -> Floats:
-    """Return marks as ``(n, 2)`` float64, or name their faults."""
-    points = np.array(marks, dtype=np.float64)
-    if points.size == 0:
-        return np.empty((0, 2))
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise MarkError(f"The marks of the {name} have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row.")
-    bad = np.flatnonzero(~np.all(np.isfinite(points), axis=1))
-    if bad.size:
-        raise MarkError(
-            f"Position of mark {', '.join(str(i) for i in bad[:8])} (counted from 0) of the {name} is not finite. "
-            "Leave it out, or correct it."
-        )
-    return points
 
 
 def _rival(found: Arrangements, best: int, b: Complexes, tolerance: float) -> tuple[float, int]:

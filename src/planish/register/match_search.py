@@ -82,17 +82,12 @@ class Arrangements:
 _ARRAYS = tuple(f.name for f in fields(Arrangements) if f.name != "tests")
 
 
-def as_complex(points: Floats) -> Complexes:
-    """Points ``(n, 2)`` as ``x + 1j y``."""
-    return points[:, 0] + 1j * points[:, 1]
-
-
 def search(
     a: Complexes,
     b: Complexes,
-    *,
     scale_tolerance: float,
     tolerance_um: float,
+    *,
     hands: Sequence[bool],
     least_share: float | None = None,
     most_tried: int = _MOST_TRIED,
@@ -134,7 +129,6 @@ def search(
     parts: list[Arrangements] = []
     for hand in hands:
         points = -np.conj(a) if hand else a
-        share = _SHARE if least_share is None else 0.0
         share = _SHARE if least_share is None else 0.0
         counts = _kernels.count_near(points, b, base, first, start, target, raster, share)
         enough = max(3, int(share * counts.max()), int((least_share or 0.0) * len(a)))

@@ -6,7 +6,6 @@ which each side lost some marks looks, on each side, like a pattern without symm
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import comb, log10
 
 import numpy as np
@@ -16,6 +15,8 @@ from planish.register.match_search import REACH, Arrangements, Complexes, extent
 
 Floats = NDArray[np.float64]
 
+# Scales under which a pattern may repeat itself.
+_SCALE = 0.01
 # log10 of how much better than chance a symmetry has to explain the marks before it counts: symmetric patterns are
 # rare among those that people burn, but a wrong match is worse than none.
 _LOG_DOUBT = -2.0
@@ -32,40 +33,8 @@ _LOG_DOUBT_ON_A_LINE = -8.0
 _MOST_TRIED = 25_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Symmetry:
-    """The other arrangement of a pattern on itself that is hardest to rule out.
-
-    Attributes
-    ----------
-    marks, repeated : int
-        Marks in all, and those that meet a mark under the other arrangement.
-    turn_deg : float
-        Its angle.
-    mirrored : bool
-    shift_um : float
-        How far it moves the middle of the marks.
-    """
-
-    marks: int
-    repeated: int
-    turn_deg: float
-    mirrored: bool
-    shift_um: float
-
-    def describe(self) -> str:
-        """How the pattern repeats itself."""
-        if self.mirrored:
-            return "turned over"
-        if abs(self.turn_deg) < 5.0:
-            return f"shifted by {self.shift_um:.0f} um"
-        return f"turned by {abs(self.turn_deg):.0f} deg"
-
-
-def self_likeness(
-    points: Complexes, alone: tuple[int, int], *, scale_tolerance: float, tolerance_um: float, mirror: bool
-) -> Symmetry | None:
-    """Return the symmetry that a pattern may have, or None if it can be ruled out.
+def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: float, mirror: bool) -> str | None:
+    """Return how a pattern may repeat itself, as the beginning of a sentence, or None if it can be ruled out.
 
     Parameters
     ----------
@@ -79,8 +48,8 @@ def self_likeness(
     if count < 4:
         return None
     found = search(
-        points, points, scale_tolerance=scale_tolerance, tolerance_um=tolerance_um,
-        hands=(False, True) if mirror else (False,), least_share=0.3, most_tried=_MOST_TRIED,
+        points, points, _SCALE, tolerance_um, hands=(False, True) if mirror else (False,), least_share=0.3,
+        most_tried=_MOST_TRIED,
     )  # fmt: skip
     if found is None:
         return None
@@ -108,16 +77,13 @@ def self_likeness(
         return None
     # The most complete one is the clearest to name.
     worst = int(np.lexsort((-doubt, -met, ~suspect))[0])
-    alpha, middle = other.alpha[worst], points.mean()
-    source = -np.conj(middle) if other.mirrored[worst] else middle
-    shift = abs(alpha * source + other.gamma[worst] * np.conj(source) + other.beta[worst] - middle)
-    return Symmetry(
-        marks=count,
-        repeated=int(met[worst]),
-        turn_deg=float(np.degrees(np.angle(alpha))),
-        mirrored=bool(other.mirrored[worst]),
-        shift_um=float(shift),
-    )
+    turn_deg = abs(float(np.degrees(np.angle(other.alpha[worst]))))
+    how = "turned over" if other.mirrored[worst] else f"turned by {turn_deg:.0f} deg"
+    if not other.mirrored[worst] and turn_deg < 5.0:
+        middle = points.mean()
+        to = other.alpha[worst] * middle + other.gamma[worst] * np.conj(middle) + other.beta[worst]
+        how = f"shifted by {abs(to - middle):.0f} um"
+    return f"of the {count} marks in all, {met[worst]} coincide with a mark again when the pattern is {how}"
 
 
 def _log_evidence(found: Arrangements, points: Complexes, singles: int, tolerance: float) -> Floats:
