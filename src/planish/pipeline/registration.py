@@ -22,10 +22,7 @@ from planish.pipeline.layers import Layer
 from planish.register import (
     DesignedHoles,
     FittedTransform,
-    GivenPairs,
-    HolePlane,
     RegistrationParams,
-    check_enough,
     registration_from_json,
     registration_to_json,
 )
@@ -153,23 +150,16 @@ def register_marks(
     Hirn et al. (2009), section 2.4. Each pair is weighted with the covariances of its two holes.
     """
     r = params or RegistrationParams()
-    planes = [_plane(holes, name) for holes, name in ((moving, "moving layer"), (fixed, "fixed layer"))]
-    for plane in planes:
-        check_enough(plane, hole_um)
     pattern = read_design(r)
     designed = None
     if pattern is not None:
         designed = DesignedHoles(name=pattern.name, places_um=pattern.imaged_um, labels=tuple(pattern.labels))
-    found = match_and_fit(*planes, params=r, pattern=designed)
+    found = match_and_fit(moving, fixed, params=r, pattern=designed, hole_um=hole_um)
     marks = _all_marks(moving, fixed, found.pairs, list(found.labels))
     return Registration(
         fit=found.fit, marks=_with_residuals(marks, found.fit), sentence=found.sentence,
-        second_best=found.second_best, design=found.design or None, tilt=hole_tilt(moving),
+        second_best=found.second_best, design=found.design, tilt=hole_tilt(moving),
     )  # fmt: skip
-
-
-def _plane(holes: xr.Dataset, name: str) -> HolePlane:
-    return HolePlane(name=str(holes.attrs.get("layer", name)), holes=holes, faces=holes.attrs.get("seen_from", "top"))
 
 
 def _all_marks(moving: xr.Dataset, fixed: xr.Dataset, pairs: NDArray[np.intp], labels: list[str]) -> xr.Dataset:
@@ -310,9 +300,8 @@ def register_given(
     used = paired(given)
     rows = np.stack([np.flatnonzero(used)] * 2, axis=1)
     sides: dict[str, Side] = {"moving": "bottom" if facing else "top", "fixed": "top"}
-    planes = [HolePlane(name=side, holes=_marked(given, side, used), faces=faces) for side, faces in sides.items()]
-    labels = tuple(str(v) for v in given["label"].values[used])
-    fit = match_and_fit(*planes, params=params, pairs=GivenPairs(rows=rows, labels=labels)).fit
+    layers = [_marked(given, side, used).assign_attrs(seen_from=seen) for side, seen in sides.items()]
+    fit = match_and_fit(*layers, params=params, pairs=rows).fit
     marks = given
     for side, holes in (("moving", moving), ("fixed", fixed)):
         if holes is not None:

@@ -1,10 +1,7 @@
 from .chain import Chain as Chain
 from .fit import fit_transform as fit_transform
 from .holes import DesignedHoles as DesignedHoles
-from .holes import GivenPairs as GivenPairs
-from .holes import HolePlane as HolePlane
 from .holes import Registration as Registration
-from .holes import check_enough as check_enough
 from .holes import register_marks as register_marks
 from .match import Matched as Matched
 from .match import match_by_design as match_by_design
