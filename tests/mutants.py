@@ -56,7 +56,7 @@ MUTANTS = [
     Mutant("surface/assemble.py", "[Status.NO_SHEET, Status.RIM, Status.MEASURED]", "[Status.NO_SHEET, Status.MEASURED, Status.MEASURED]", "surface/test_find.py surface/test_presence.py"),
     Mutant("surface/centre.py", "coarse += regression(", "coarse -= regression(", "surface/test_centre.py"),
     Mutant("surface/envelope.py", "** 2 / (2 * radius_um)", "** 2 / radius_um", "surface/test_disturbed.py"),
-    Mutant("surface/_fit_kernels.py", "return _TABLE[i] + (t - i) * rise, rise * _PER_SIGMA", "return _TABLE[i] - (t - i) * rise, rise * _PER_SIGMA", "surface/test_fit.py"),
+    Mutant("surface/_fit_kernels.py", "return _TABLE[i] + share * rise", "return _TABLE[i] - share * rise", "surface/test_fit.py"),
     Mutant("surface/_fit_kernels.py", "face, inside, coat, base = p[0], p[0] + p[1], p[2], p[3]", "face, inside, coat, base = p[0], p[0] - p[1], p[2], p[3]", "surface/test_fit.py"),
     # measure
     Mutant("measure/faces.py", "length = np.sqrt(1 + along_rows**2 + along_cols**2)", "length = np.sqrt(1 + along_rows**2)", "measure/test_along_normals.py"),
