@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from planish.core._envelope_kernels import rolled
 from planish.core.errors import CannotMeasure
 from planish.measure import measure_along_rays, roughness_numbers, scale_limited, topography, two_sidedness
 from planish.measure.registry import find_property
-from planish.measure.thickness import envelope
 from planish.measure.topography import smoothed
 
 
@@ -25,7 +25,7 @@ def slow_envelope(height, pitch, radius):
 def test_envelope_equals_its_slow_twin():
     height = np.random.default_rng(0).normal(0, 3, (17, 23))
     height[4:7, 10:12] = np.nan
-    found = envelope(height, (2.0, 3.0), 20.0)
+    found = rolled(height, (2.0, 3.0), 20.0)
     np.testing.assert_allclose(found, slow_envelope(height, (2.0, 3.0), 20.0), atol=1e-9)
     known = np.isfinite(height)
     assert (found[known] >= height[known] - 1e-9).all()
@@ -35,11 +35,11 @@ def test_a_ball_bridges_a_narrow_pit_and_enters_a_wide_one():
     """Over a slot 20 um wide a ball of 250 um sinks by 10^2 / 500 = 0.2 um."""
     height = np.zeros((3, 400))
     height[:, 190:210] = -15.0
-    found = envelope(height, (1.0, 1.0), 250.0)
+    found = rolled(height, (1.0, 1.0), 250.0)
     # the slot's edges are the nodes beside it, 21 um apart, and the ball's middle stands on a node, 10 um from one
     assert found[1].min() == pytest.approx(-(10.0**2) / 500, abs=1e-9)
     height[:, 20:380] = -15.0
-    assert envelope(height, (1.0, 1.0), 250.0)[1, 200] == pytest.approx(-15.0)
+    assert rolled(height, (1.0, 1.0), 250.0)[1, 200] == pytest.approx(-15.0)
 
 
 def test_filters_pass_their_cut_off_by_half():

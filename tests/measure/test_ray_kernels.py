@@ -9,6 +9,11 @@ S0, DS = -10.0, 0.5
 S = S0 + DS * np.arange(41)
 
 
+def pieces(values, lower, upper, least=0.0, most=2.0):
+    """Integral, length and ends of one profile."""
+    return [float(found[0, 0]) for found in kernels.pieces(one(values), S0, DS, at(lower), at(upper), least, most)]
+
+
 def one(values):
     return np.asarray(values, dtype=np.float32)[None, None]
 
@@ -22,23 +27,21 @@ def test_integral_and_length_equal_dense_sums(lower, upper):
     g = np.random.default_rng(1).normal(0, 1, S.size).astype(np.float32)
     dense = np.linspace(lower, upper, 400_001)
     value = np.interp(dense, S, g.astype(float))
-    integral = kernels.integrals(one(g), S0, DS, at(lower), at(upper))[0, 0]
+    integral, length, ends = pieces(g, lower, upper, -0.2, 0.9)
     # a sum over 400000 places is exact to some 1e-5 of the length
     assert integral == pytest.approx(np.mean(value) * (upper - lower), abs=2e-4)
-    length, ends = kernels.lengths(one(g), S0, DS, at(lower), at(upper), -0.2, 0.9)
     inside = (value >= -0.2) & (value <= 0.9)
-    assert length[0, 0] == pytest.approx(inside.mean() * (upper - lower), abs=2e-4)
-    assert ends[0, 0] == np.count_nonzero(np.diff(inside.astype(int)))
+    assert length == pytest.approx(inside.mean() * (upper - lower), abs=2e-4)
+    assert ends == np.count_nonzero(np.diff(inside.astype(int)))
 
 
 def test_what_is_not_known_has_no_integral():
     g = np.ones(S.size)
     g[20] = np.nan
-    assert np.isnan(kernels.integrals(one(g), S0, DS, at(-1), at(1))[0, 0])
-    assert kernels.integrals(one(g), S0, DS, at(2), at(4))[0, 0] == pytest.approx(2.0)
-    assert np.isnan(kernels.integrals(one(g), S0, DS, at(-11), at(-5))[0, 0])
-    assert np.isnan(kernels.lengths(one(g), S0, DS, at(-1), at(1), 0.0, 2.0)[0][0, 0])
-    assert kernels.integrals(one(g), S0, DS, at(4), at(3))[0, 0] == 0.0
+    assert np.isnan(pieces(g, -1, 1)[:2]).all()
+    assert pieces(g, 2, 4) == pytest.approx([2.0, 2.0, 0])
+    assert np.isnan(pieces(g, -11, -5)[:2]).all()
+    assert pieces(g, 4, 3) == [0.0, 0.0, 0.0]
 
 
 def profile(*pieces):

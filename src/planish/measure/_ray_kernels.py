@@ -1,5 +1,5 @@
 # pyright: standard
-"""Compiled inner loops on rays: grey values along them, integrals, lengths and layers.
+"""Compiled inner loops on rays: where they meet the faces, grey along them, integrals, lengths and layers.
 
 A profile is what lies between its samples too: linear from one to the next. A length is then exact for such a profile
 and does not jump by whole samples. A piece of a ray that is not wholly known has no integral and no length.
@@ -7,6 +7,75 @@ and does not jump by whole samples. A piece of a ray that is not wholly known ha
 
 import numpy as np
 from numba import njit
+
+_STEPS = 12
+_CLOSE_UM = 1e-4
+_HALF = 0.5
+
+
+@njit(cache=True, nogil=True)
+def height_at(field, r, c):
+    """Bilinear height at fractional row and column; NaN beside two missing nodes, or right at one.
+
+    A column in which one face was not found has good neighbours as a rule: the plane through the other three nodes
+    speaks for it, where they hold half of the weight or more. The outermost cells reach one node further than the
+    field, so that a normal at the border, which leans outwards by a fraction of the sheet's thickness, still meets its
+    faces. Beyond that NaN.
+    """
+    rows, cols = field.shape
+    if not (-1.0 <= r <= rows and -1.0 <= c <= cols):
+        return np.nan
+    i, j = min(max(int(r), 0), rows - 2), min(max(int(c), 0), cols - 2)
+    fr, fc = r - i, c - j
+    p, q, s, t = field[i, j], field[i, j + 1], field[i + 1, j], field[i + 1, j + 1]
+    if not np.isfinite(p) and (1 - fr) * (1 - fc) <= _HALF:
+        p = q + s - t
+    elif not np.isfinite(q) and (1 - fr) * fc <= _HALF:
+        q = p + t - s
+    elif not np.isfinite(s) and fr * (1 - fc) <= _HALF:
+        s = p + t - q
+    elif not np.isfinite(t) and fr * fc <= _HALF:
+        t = q + s - p
+    a = p * (1 - fc) + q * fc
+    b = s * (1 - fc) + t * fc
+    return a * (1 - fr) + b * fr
+
+
+@njit(cache=True, nogil=True)
+def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_c):
+    """Signed distance (rows, cols) from a centre surface to another along unit vectors, um; NaN where it is not met.
+
+    Parameters
+    ----------
+    surface, centre, normal_r, normal_c, normal_h : (rows, cols)
+        Heights in um; unit vectors along rows, columns and height.
+    pitch_r, pitch_c : float
+        um.
+    """
+    rows, cols = centre.shape
+    out = np.full((rows, cols), np.nan)
+    for i in range(rows):
+        for j in range(cols):
+            h0, nr, nc, nh = centre[i, j], normal_r[i, j], normal_c[i, j], normal_h[i, j]
+            # Secant steps on f(s) = surface - point; the surface is nearly parallel, so they converge in three or four.
+            s0 = 0.0
+            f0 = surface[i, j] - h0
+            if not (np.isfinite(f0) and np.isfinite(nh)):
+                continue
+            s1 = f0 * nh
+            for _ in range(_STEPS):
+                f1 = height_at(surface, i + s1 * nr / pitch_r, j + s1 * nc / pitch_c) - (h0 + s1 * nh)
+                if not np.isfinite(f1):
+                    break
+                if abs(f1) < _CLOSE_UM:
+                    out[i, j] = s1
+                    break
+                slope = (f1 - f0) / (s1 - s0) if abs(s1 - s0) > 1e-9 else -nh
+                if not (-4.0 < slope < -0.05):
+                    slope = -nh
+                s0, f0 = s1, f1
+                s1 = s1 - f1 / slope
+    return out
 
 
 @njit(cache=True, nogil=True)
@@ -84,56 +153,36 @@ def resample_rays(block, corner, first, wide, depth, step_r, step_c, step_d, wan
 
 
 @njit(cache=True, nogil=True)
-def _integral(g, x0, x1):
-    """Integral of one profile between two places in samples."""
+def _piece(g, x0, x1, least, most):
+    """Integral of one profile between two places in samples, length on which least <= g <= most, its ends on the way."""
     if not (x0 >= 0 and x1 <= g.size - 1):
-        return np.nan
-    total = 0.0
-    if x1 <= x0:
-        return total
+        return np.nan, np.nan, 0
+    total = length = 0.0
+    ends = 0
     k = int(x0)
-    while k < x1:
+    while k < x1 and x0 < x1:
         a, b = max(x0 - k, 0.0), min(x1 - k, 1.0)
         if b > a:
             g0 = float(g[k])
             g1 = float(g[k + 1]) if k + 1 < g.size else g0
             total += (b - a) * (g0 + (g1 - g0) * 0.5 * (a + b))
-        k += 1
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _length(g, x0, x1, least, most):
-    """Length in samples on which least <= g <= most between two places; the number of its ends on the way."""
-    if not (x0 >= 0 and x1 <= g.size - 1):
-        return np.nan, 0
-    total = 0.0
-    ends = 0
-    if x1 <= x0:
-        return total, ends
-    k = int(x0)
-    while k < x1:
-        a, b = max(x0 - k, 0.0), min(x1 - k, 1.0)
-        if b > a:
-            g0 = float(g[k])
-            g1 = float(g[k + 1]) if k + 1 < g.size else g0
             v0, v1 = g0 + (g1 - g0) * a, g0 + (g1 - g0) * b
             if not (np.isfinite(v0) and np.isfinite(v1)):
-                return np.nan, 0
+                return np.nan, np.nan, 0
             lo, hi = min(v0, v1), max(v0, v1)
             if hi == lo:
                 if least <= lo <= most:
-                    total += b - a
+                    length += b - a
             else:
-                total += (b - a) * max(min(hi, most) - max(lo, least), 0.0) / (hi - lo)
+                length += (b - a) * max(min(hi, most) - max(lo, least), 0.0) / (hi - lo)
                 ends += int(lo < least <= hi) + int(lo <= most < hi)
         k += 1
-    return total, ends
+    return total, length, ends
 
 
 @njit(cache=True, nogil=True)
-def integrals(grey, s0, ds, lower, upper):
-    """Integral of the grey between two places on each ray.
+def pieces(grey, s0, ds, lower, upper, least, most):
+    """Integral and phase between two places on each ray.
 
     Parameters
     ----------
@@ -142,32 +191,23 @@ def integrals(grey, s0, ds, lower, upper):
         First sample and step, um.
     lower, upper : (rows, cols)
         um.
+    least, most : float
+        The phase's grey range.
 
     Returns
     -------
-    (rows, cols)
-        Grey times um; 0 where upper lies below lower, NaN where the ray is not known in between.
+    integral, length, ends : (rows, cols)
+        Grey times um, um with least <= grey <= most, and the number of its ends; 0 where upper lies below lower, NaN
+        where the ray is not known in between.
     """
     rows, cols, _ = grey.shape
-    out = np.empty((rows, cols))
-    for i in range(rows):
-        for j in range(cols):
-            out[i, j] = ds * _integral(grey[i, j], (lower[i, j] - s0) / ds, (upper[i, j] - s0) / ds)
-    return out
-
-
-@njit(cache=True, nogil=True)
-def lengths(grey, s0, ds, lower, upper, least, most):
-    """Length in um with least <= grey <= most between two places on each ray, and the number of its ends there."""
-    rows, cols, _ = grey.shape
-    out = np.empty((rows, cols))
+    integral, length = np.empty((rows, cols)), np.empty((rows, cols))
     ends = np.zeros((rows, cols), dtype=np.int32)
     for i in range(rows):
         for j in range(cols):
-            length, n = _length(grey[i, j], (lower[i, j] - s0) / ds, (upper[i, j] - s0) / ds, least, most)
-            out[i, j] = ds * length
-            ends[i, j] = n
-    return out, ends
+            total, part, n = _piece(grey[i, j], (lower[i, j] - s0) / ds, (upper[i, j] - s0) / ds, least, most)
+            integral[i, j], length[i, j], ends[i, j] = ds * total, ds * part, n
+    return integral, length, ends
 
 
 @njit(cache=True, nogil=True)
@@ -289,7 +329,7 @@ def depths_of_shares(grey, s0, ds, face, limit, least, most, shares):
         for j in range(cols):
             g = grey[i, j]
             x1, x0 = (face[i, j] - s0) / ds, (limit[i, j] - s0) / ds
-            whole, _n = _length(g, x0, x1, least, most)
+            _, whole, _n = _piece(g, x0, x1, least, most)
             total[i, j] = whole * ds
             if not whole > 0:
                 continue
@@ -298,13 +338,13 @@ def depths_of_shares(grey, s0, ds, face, limit, least, most, shares):
             q = 0
             while q < shares.size and at > x0:
                 below = max(np.ceil(at) - 1.0, x0)
-                piece, _n = _length(g, below, at, least, most)
+                _, piece, _n = _piece(g, below, at, least, most)
                 while q < shares.size and done + piece >= shares[q] * whole * (1 - 1e-12):
                     # Inside the piece by bisection: its length is monotone.
                     low, high = below, at
                     for _ in range(30):
                         middle = 0.5 * (low + high)
-                        part, _n = _length(g, middle, at, least, most)
+                        _, part, _n = _piece(g, middle, at, least, most)
                         if done + part >= shares[q] * whole * (1 - 1e-12):
                             low = middle
                         else:

@@ -17,7 +17,7 @@ from planish.core.tiles import Engine
 from planish.measure.greys import Greys
 from planish.measure.params import MeasureParams
 from planish.measure.ray_frame import RayFrame
-from planish.measure.rays import Array, Rays
+from planish.measure.rays import Rays
 from planish.measure.registry import Measured, Property, Sheet, in_order, length_of
 from planish.measure.uncertainty import ray_noise
 
@@ -60,7 +60,7 @@ def measure_along_rays(
         If a property is unknown, or a density or grey level that it needs was not given.
     SurfaceError, SizeError, ResourceError
     """
-    params, engine = params or MeasureParams(), engine or Engine()
+    params = params or MeasureParams()
     greys = Greys.of(surfaces)
     wanted = in_order(names, params, greys)
     if not wanted:
@@ -70,9 +70,8 @@ def measure_along_rays(
         if one.check is not None:
             one.check(params, greys)
     frame = ray_frame(volume, surfaces, params)
-    shape = frame.status.shape
     of_rays = [one for one in wanted if one.kind == "rays"]
-    found: dict[str, Measured] = {one.name: _blank(shape, one) for one in of_rays}
+    found = {one.name: _blank(frame.status.shape) for one in of_rays}
     status = frame.status.copy()
 
     def work(tile: Rays, own: slice, at: slice) -> None:
@@ -87,32 +86,28 @@ def measure_along_rays(
                 grouped[halo] = part, slice(own.start - lo, own.stop - lo)
             part, inner = grouped[halo]
             answer = _measured(one, part)
-            store = found[one.name]
-            store.values[at] = answer.values[inner]
-            if answer.se is not None and store.se is not None:
-                store.se[at] = answer.se[inner]
-            if answer.reason is not None and store.reason is not None:
-                store.reason[at] = answer.reason[inner]
+            for name in ("values", "se", "reason"):
+                getattr(found[one.name], name)[at] = getattr(answer, name)[inner]
 
     if of_rays:
         most = max(_halo(one, frame) for one in of_rays)
         each_tile(volume, frame, work, halo=most, rows=rows_per_tile, engine=engine)
-    sheet = Sheet(frame=replace(frame, status=status), maps=found, noise_um=frame.noise_um)
+    sheet = Sheet(frame=replace(frame, status=status), maps=found)
     for one in wanted:
         if one.kind == "sheet":
             found[one.name] = _measured(one, sheet)
     return _dataset([one for one in wanted if one.name in asked], found, status, surfaces, frame)
 
 
-def ray_frame(volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
+def ray_frame(volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams | None) -> RayFrame:
     """Find where the rays lie and how much noise their integrals have."""
-    frame = RayFrame.of(volume, surfaces, params)
+    frame = RayFrame.of(volume, surfaces, params or MeasureParams())
     return replace(frame, noise_um=ray_noise(volume, frame))
 
 
 def each_tile(
     volume: xr.DataArray, frame: RayFrame, work: Callable[[Rays, slice, slice], T], *, halo: int = 0,
-    rows: int | None = None, engine: Engine,
+    rows: int | None = None, engine: Engine | None,
 ) -> list[T]:  # fmt: skip
     """Straighten the sheet tile by tile and call ``work`` on threads.
 
@@ -133,6 +128,7 @@ def each_tile(
     ResourceError
         If a single row with its halo does not fit into the memory.
     """
+    engine = engine or Engine()
     count = frame.status.shape[0]
     threads = count_threads(engine.threads)
     per_row = frame.status.shape[1] * frame.samples * _PER_SAMPLE
@@ -162,7 +158,8 @@ def _halo(one: Property, frame: RayFrame) -> int:
 
 
 def _measured(one: Property, given: Rays | Sheet) -> Measured:
-    answer = one(given)
+    """Answer of a property with all three arrays."""
+    answer = one.function(given)
     if not isinstance(answer, Measured):
         answer = Measured(values=np.asarray(answer))
     shape = given.status.shape if isinstance(given, Rays) else given.frame.status.shape
@@ -171,15 +168,13 @@ def _measured(one: Property, given: Rays | Sheet) -> Measured:
             f"The property '{one.name}' returned the shape {answer.values.shape} for {shape[0]} x {shape[1]} rays. "
             "Return one value for each ray: (rows, cols)."
         )
-    return answer
+    se, reason = (np.broadcast_to(part, shape) for part in (answer.se, answer.reason))
+    return Measured(values=answer.values, se=se, reason=reason)
 
 
-def _blank(shape: tuple[int, ...], one: Property) -> Measured:
-    return Measured(
-        values=np.full(shape, np.nan, dtype=np.float32),  # type: ignore[arg-type]
-        se=np.full(shape, np.nan, dtype=np.float32),  # type: ignore[arg-type]
-        reason=np.zeros(shape, dtype=np.uint8) if one.reasons else None,
-    )  # fmt: skip
+def _blank(shape: tuple[int, ...]) -> Measured:
+    values, se = (np.full(shape, np.nan, dtype=np.float32) for _ in range(2))
+    return Measured(values=values, se=se, reason=np.zeros(shape, dtype=np.uint8))  # type: ignore[arg-type]
 
 
 def _dataset(
@@ -192,23 +187,16 @@ def _dataset(
     for one in properties:
         answer = found[one.name]
         support = ray if one.support_um is None else max(length_of(one.support_um, frame.params), ray)
+        values = np.where(valid, answer.values, np.nan).astype(np.float32)
+        se = np.where(np.isfinite(values), answer.se, np.nan).astype(np.float32)
+        title = f"Standard error of {one.long_name[0].lower()}{one.long_name[1:]}"
         about: dict[str, object] = {"units": one.units, "long_name": one.long_name, "support_um": round(support, 3)}
-        values = np.where(valid, answer.values, np.nan)
-        data[one.name] = (("y", "x"), values.astype(np.float32), about)
-        se: Array = np.full(status.shape, np.nan) if answer.se is None else answer.se.astype(np.float64)
-        title = {"units": one.units, "long_name": f"Standard error of {one.long_name[0].lower()}{one.long_name[1:]}"}
-        data[f"{one.name}_se"] = (
-            ("y", "x"), np.where(np.isfinite(values), se, np.nan).astype(np.float32), dict(title),
-        )  # fmt: skip
+        data[one.name] = (("y", "x"), values, about)
+        data[f"{one.name}_se"] = (("y", "x"), se, {"units": one.units, "long_name": title})
         if one.reasons:
-            own = status.copy()
-            if answer.reason is not None:
-                own[valid & (answer.reason > 0)] = answer.reason[valid & (answer.reason > 0)] + FIRST_OWN - 1
-            data[f"{one.name}_status"] = (
-                ("y", "x"),
-                own,
-                status_flags(f"Status of {one.long_name}", last=Status.RAY_LEAVES_VOLUME, own=one.reasons),
-            )
+            own = np.where(valid & (answer.reason > 0), answer.reason + np.uint8(FIRST_OWN - 1), status)
+            flags = status_flags(f"Status of {one.long_name}", last=Status.RAY_LEAVES_VOLUME, own=one.reasons)
+            data[f"{one.name}_status"] = (("y", "x"), own, flags)
     data["status"] = (("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME))
     attrs = dict(surfaces.attrs) | {"rays": frame.params.rays, "ray_step_um": frame.step_um} | frame.params.known()
     return xr.Dataset(data, coords=surfaces.coords, attrs=attrs)

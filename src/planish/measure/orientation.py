@@ -7,14 +7,15 @@ that flattening keeps. A fibre lies along the direction in which the grey change
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.options import Params, option
 from planish.core.transform import axial_angle
-from planish.measure.porosity import void_level
+from planish.measure.phases import void_level
 from planish.measure.registry import Property, ray_property
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def _width(params: MeasureParams) -> float:
 
 def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
     """Gradient along rows and columns, per um of projection, of the samples (slice) that some base reaches."""
-    from planish.measure import _orientation_kernels
+    from scipy import ndimage
 
     def work() -> tuple[Grey3, Grey3, slice]:
         some = rays.samples_within(*rays.core)
@@ -61,22 +62,22 @@ def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
         taps = [_taps(rays.params.orientation_sigma_um or p, p) for p in rays.pitch_um]
 
         def along(axis: int) -> Grey3:
-            calm = _orientation_kernels.filtered(grey, taps[1 - axis][0], 1 - axis)
-            return _orientation_kernels.filtered(calm, taps[axis][1], axis)
+            calm = ndimage.correlate1d(grey, taps[1 - axis][0], 1 - axis, mode="nearest")
+            return ndimage.correlate1d(calm, taps[axis][1], axis, mode="nearest")
 
         return along(0), along(1), some
 
     return rays.once("gradients", work)
 
 
-def _taps(sigma_um: float, pitch_um: float) -> tuple[Grey3, Grey3]:
+def _taps(sigma_um: float, pitch_um: float) -> tuple[Array, Array]:
     """Gaussian of ``sigma_um``, at least half a pitch, and its derivative per um."""
     sigma = max(sigma_um / pitch_um, 0.5)
     x = np.arange(-int(np.ceil(_CUT * sigma)), int(np.ceil(_CUT * sigma)) + 1)
     bell = np.exp(-0.5 * (x / sigma) ** 2)
     # The derivative's taps have the slope 1 on a ramp.
     slope = x * bell / np.sum(x * x * bell) / pitch_um
-    return (bell / bell.sum()).astype(np.float32), slope.astype(np.float32)
+    return bell / bell.sum(), slope
 
 
 def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Array, Array, Array]:
@@ -87,16 +88,17 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Array, Array, Ar
     """
     from scipy import ndimage
 
-    from planish.measure import _orientation_kernels
-
     def work() -> tuple[Array, Array, Array]:
         by_row, by_col, some = _gradients(rays)
         bottom, thick = rays.interface_bottom, rays.interface_top - rays.interface_bottom
         lower, upper = rays.core
-        across, down, both = _orientation_kernels.tensor_sums(
-            by_row, by_col, rays.grey[..., some], rays.s_um[some], np.maximum(lower, bottom + lowest * thick),
-            np.minimum(upper, bottom + highest * thick), void_level(rays.greys, rays.params), rays.greys.polarity,
-        )  # fmt: skip
+        inside = rays.s_um[some] >= np.maximum(lower, bottom + lowest * thick)[..., None]
+        inside &= rays.s_um[some] < np.minimum(upper, bottom + highest * thick)[..., None]
+        inside &= rays.greys.polarity * (rays.grey[..., some] - void_level(rays.greys, rays.params)) > 0
+        across, down, both = (
+            np.einsum("ijk,ijk,ijk->ij", a, b, inside, dtype=np.float64)
+            for a, b in ((by_col, by_col), (by_row, by_row), (by_row, by_col))
+        )
         xx, yy, xy = _in_tangent_plane(across, down, both, rays.slope)
         known = (rays.status == 0) & np.isfinite(xx)
         sigma = [rays.params.orientation_rho_um / p for p in rays.pitch_um]
@@ -127,7 +129,7 @@ def _in_tangent_plane(xx: Array, yy: Array, xy: Array, slope: Array) -> tuple[Ar
     )
 
 
-def _components(rays: Rays, lowest: float, highest: float) -> tuple[Array, Array]:
+def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[Array, Array]:
     """Anisotropy times cos and sin of twice the fibre's angle."""
     trace, cosine, sine = _tensor(rays, lowest, highest)
     turn = -1.0 if rays.mirrored else 1.0
@@ -136,16 +138,24 @@ def _components(rays: Rays, lowest: float, highest: float) -> tuple[Array, Array
         return np.where(trace > 0, -cosine / trace, np.nan), np.where(trace > 0, -turn * sine / trace, np.nan)
 
 
+def _angle(rays: Rays, **depth: float) -> Array:
+    return axial_angle(*_components(rays, **depth))
+
+
+def _anisotropy(rays: Rays, **depth: float) -> Array:
+    return np.hypot(*_components(rays, **depth))
+
+
 @ray_property("fibre_cos2", units="1", long_name="Fibre direction, cosine part", halo_um=_halo, support_um=_width)
 def fibre_cos2(rays: Rays) -> Array:
     """Anisotropy times cos(2 angle): may be averaged and interpolated, which an angle may not."""
-    return _components(rays, 0.0, 1.0)[0]
+    return _components(rays)[0]
 
 
 @ray_property("fibre_sin2", units="1", long_name="Fibre direction, sine part", halo_um=_halo, support_um=_width)
 def fibre_sin2(rays: Rays) -> Array:
     """Anisotropy times sin(2 angle)."""
-    return _components(rays, 0.0, 1.0)[1]
+    return _components(rays)[1]
 
 
 @ray_property("fibre_angle", units="deg", long_name="Fibre angle", halo_um=_halo, support_um=_width, together=_PARTS)
@@ -155,7 +165,7 @@ def fibre_angle(rays: Rays) -> Array:
     Axial statistics: of doubled angles, each gradient with its square. No standard error: the directions of one
     neighbourhood are those of few fibres. Do not interpolate it; use ``fibre_cos2`` and ``fibre_sin2``.
     """
-    return axial_angle(*_components(rays, 0.0, 1.0))
+    return _angle(rays)
 
 
 @ray_property("fibre_anisotropy", units="1", long_name="Fibre anisotropy", halo_um=_halo, support_um=_width)
@@ -164,7 +174,7 @@ def fibre_anisotropy(rays: Rays) -> Array:
 
     Noise adds to both eigenvalues and makes it smaller.
     """
-    return np.hypot(*_components(rays, 0.0, 1.0))
+    return _anisotropy(rays)
 
 
 def orientation_layers(count: int) -> tuple[Property, ...]:
@@ -178,20 +188,12 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
     """
     made: list[Property] = []
     for k in range(count):
-        lowest, highest = k / count, (k + 1) / count
-        common: dict[str, Any] = {"kind": "rays", "halo_um": _halo, "support_um": _width}
-        where = f"layer {k + 1} of {count}"
-
-        def angle(rays: Rays, lowest: float = lowest, highest: float = highest) -> Array:
-            return axial_angle(*_components(rays, lowest, highest))
-
-        def anisotropy(rays: Rays, lowest: float = lowest, highest: float = highest) -> Array:
-            return np.hypot(*_components(rays, lowest, highest))
-
-        made += [
-            Property(name=f"fibre_angle_layer_{k + 1}", units="deg", function=angle,
-                     long_name=f"Fibre angle, {where}", **common),
-            Property(name=f"fibre_anisotropy_layer_{k + 1}", units="1", function=anisotropy,
-                     long_name=f"Fibre anisotropy, {where}", **common),
-        ]  # fmt: skip
+        depth = {"lowest": k / count, "highest": (k + 1) / count}
+        for name, units, title, function in (
+            ("angle", "deg", "Fibre angle", _angle), ("anisotropy", "1", "Fibre anisotropy", _anisotropy),
+        ):  # fmt: skip
+            made.append(
+                Property(name=f"fibre_{name}_layer_{k + 1}", units=units, long_name=f"{title}, layer {k + 1} of {count}",
+                         kind="rays", function=partial(function, **depth), halo_um=_halo, support_um=_width)
+            )  # fmt: skip
     return tuple(made)

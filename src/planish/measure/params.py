@@ -1,4 +1,4 @@
-"""Options of the measurement, and the table of the modules with properties: an import, and a base where it has options.
+"""Options of the measurement, and the table of the modules with properties: an import, and a base.
 
 Every module declares its own options as a ``Params`` model; :class:`MeasureParams` inherits all of them, so that they
 appear in the study file, on the command line and in the documents. Nothing here imports numba or scipy.
@@ -9,20 +9,7 @@ from __future__ import annotations
 from typing import Literal
 
 from planish.core.options import Params, option
-from planish.measure import (
-    coat_weight,
-    densities,
-    filler,
-    grammage,
-    ink,
-    orientation,
-    pores,
-    porosity,
-    thickness,
-    topography,
-    two_sides,
-    warp,
-)
+from planish.measure import ink, masses, orientation, phases, pores, thickness, topography
 
 
 class Common(Params):
@@ -46,16 +33,10 @@ class MeasureParams(
     thickness.Options,
     pores.Options,
     orientation.Options,
-    grammage.Options,
-    coat_weight.Options,
     ink.Options,
-    filler.Options,
-    porosity.Options,
-    densities.Densities,
+    phases.Options,
+    masses.Options,
+    masses.Densities,
     Common,
 ):
     """Options of the properties; lengths in um, grey levels in the volume's own values."""
-
-
-WITHOUT_OPTIONS = (two_sides, warp)
-"""Modules with properties that need no option."""

@@ -1,6 +1,6 @@
 """Size of the pores of the base: chords in the plane of the sheet, and the largest spheres that fit (P-10).
 
-Pores are voids (:func:`~planish.measure.porosity.void_level`) inside the base; they end at its interfaces. What is
+Pores are voids (:func:`~planish.measure.phases.void_level`) inside the base; they end at its interfaces. What is
 smaller than two voxels is not seen. Neither size has a standard error: it depends on which voids were resolved, and a
 distribution of pores needs 20 mm2 to be stable.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.options import Params, option
-from planish.measure.porosity import void_level
+from planish.measure.phases import void_level
 from planish.measure.registry import ray_property
 
 if TYPE_CHECKING:
@@ -44,8 +44,19 @@ def _reach(params: MeasureParams) -> float:
     return params.pore_limit_um
 
 
-def _far(params: MeasureParams) -> float:
-    return 1.5 * params.pore_limit_um
+def chords(void: NDArray[np.uint8], axis: int, most: int) -> NDArray[np.int64]:
+    """Sum over the void samples of each ray of the run of void through them along an axis, in steps (rows, cols).
+
+    A run ends ``most`` steps to each side.
+    """
+    total = np.zeros(void.shape, dtype=np.int16)
+    for turned in (slice(None), slice(None, None, -1)):
+        lines, sums = (np.moveaxis(a, axis, 0)[turned] for a in (void, total))
+        run = np.zeros(lines.shape[1:], dtype=np.int16)
+        for line, to in zip(lines, sums, strict=True):
+            run = np.minimum(run + 1, most) * line
+            to += run
+    return (total - (void > 0)).sum(axis=-1)
 
 
 @ray_property("pore_chord", units="um", long_name="Pore chord in the plane", halo_um=_reach, support_um=_reach)
@@ -55,20 +66,26 @@ def pore_chord(rays: Rays) -> Array:
     Lengths are those in the centre surface. A run counts ``pore_limit_um`` to each side and no further. Longer runs
     hold more samples and count so much more often. NaN where the ray meets no void.
     """
-    from planish.measure import _pore_kernels
-
     void, count = _voids(rays)
-    most = tuple(max(int(rays.params.pore_limit_um / p), 1) for p in rays.pitch_um)
-    along = _pore_kernels.chords(void, most)
     total = np.zeros(count.shape)
-    for k in range(2):
-        total += 0.5 * along[k] * rays.pitch_um[k] * rays.stretch[..., k]
+    for k, pitch in enumerate(rays.pitch_um):
+        along = chords(void, k, max(int(rays.params.pore_limit_um / pitch), 1))
+        total += 0.5 * along * pitch * rays.stretch[..., k]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(count > 0, total / count, np.nan)
 
 
-@ray_property("pore_diameter", units="um", long_name="Pore diameter", halo_um=_far,
-              support_um=_reach)  # fmt: skip
+def distances(void: NDArray[np.uint8], step: tuple[float, float, float], most: float) -> NDArray[np.float32]:
+    """Distance of each void sample to the nearest solid one, no more than ``most``; um, 0 in the solid."""
+    from scipy import ndimage
+
+    if void.all():
+        return np.full(void.shape, most, dtype=np.float32)
+    return np.minimum(ndimage.distance_transform_edt(void, sampling=step), most).astype(np.float32)
+
+
+@ray_property("pore_diameter", units="um", long_name="Pore diameter", support_um=_reach,
+              halo_um=lambda params: 1.5 * params.pore_limit_um)  # fmt: skip
 def pore_diameter(rays: Rays) -> Array:
     """Diameter of the largest sphere inside the voids, at most ``pore_limit_um``, mean over the void on the ray.
 
@@ -81,7 +98,7 @@ def pore_diameter(rays: Rays) -> Array:
     void, count = _voids(rays)
     step = rays.pitch_um[0] * rays.mean_stretch[0], rays.pitch_um[1] * rays.mean_stretch[1], rays.step_um
     half = 0.5 * float(np.mean(step))
-    distance = _pore_kernels.distances(void, step, 0.5 * rays.params.pore_limit_um + half)
+    distance = distances(void, step, 0.5 * rays.params.pore_limit_um + half)
     radius = _pore_kernels.inscribed(distance, step)
     size = np.where(void > 0, 2 * np.maximum(radius - half, 0.5 * half), 0.0).sum(axis=-1, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,25 +1,18 @@
-"""The step of a run: the six properties of the faces, all further maps, and the numbers that are no maps."""
+"""The step of a run: the six properties of the faces (Hirn et al. 2009, section 2.2), and all further maps."""
 
 from __future__ import annotations
-
-from dataclasses import asdict
 
 import numpy as np
 import xarray as xr
 
 from planish.core.errors import CannotMeasure, InputError
-from planish.core.grid import pitch
-from planish.core.results import ProfileFacts, RoughnessFacts, SheetNumbers, ThinFacts, TwoSidesFacts
+from planish.core.status import Status, status_flags
 from planish.core.tiles import Engine
 from planish.measure.along_rays import measure_along_rays
-from planish.measure.coverage import thin_fraction
-from planish.measure.faces import PROPERTIES, measure_faces
 from planish.measure.greys import Greys
 from planish.measure.params import MeasureParams
-from planish.measure.profiles import depth_profiles
-from planish.measure.registry import SIDES, Side, chosen
-from planish.measure.topography import roughness_numbers, scale_limited
-from planish.measure.two_sides import two_sidedness
+from planish.measure.ray_frame import meet
+from planish.measure.registry import PROPERTIES, chosen
 
 
 def measure_properties(
@@ -67,7 +60,7 @@ def measure_properties(
     paper's, is too large by 1 / cos of the tilt across the slices.
     """
     params = params or MeasureParams()
-    found = surfaces.drop_vars("status", errors="ignore").merge(measure_faces(surfaces), combine_attrs="override")
+    found = surfaces.drop_vars("status", errors="ignore").merge(_measure_faces(surfaces), combine_attrs="override")
     if "from_labels" in surfaces.attrs:
         if params.maps:
             raise InputError(
@@ -90,64 +83,40 @@ def further_maps(measured: xr.Dataset) -> list[str]:
     return maps + [name for name in errors if np.isfinite(measured[name].values).any()]
 
 
-def sheet_numbers(
-    measured: xr.Dataset,
-    *,
-    volume: xr.DataArray | None = None,
-    params: MeasureParams | None = None,
-    engine: Engine | None = None,
-) -> SheetNumbers:
-    """Describe a sheet in numbers: thin and bare shares, roughness, two-sidedness, and profiles in depth.
-
-    Parameters
-    ----------
-    measured : Dataset
-        From :func:`measure_properties`.
-    volume : DataArray
-        Needed for the profiles of porosity and filler, which are made where their maps were measured.
-    params, engine
-    """
-    params = params or MeasureParams()
-    profiled = [name for name in ("porosity", "filler") if name in measured]
-    profiles = None
-    if profiled and volume is not None:
-        found = depth_profiles(volume, measured, names=profiled, params=params, engine=engine)
-        values: dict[str, tuple[float | None, ...]] = {
-            name: tuple(float(v) for v in found[name].values) for name in profiled
-        }
-        profiles = ProfileFacts(depth=tuple(float(v) for v in found["depth"].values), values=values)
-    thin: dict[Side, ThinFacts] = {}
-    for side in SIDES:
-        if (facts := _thin(measured, side)) is not None:
-            thin[side] = facts
-    return SheetNumbers(
-        thin=thin,
-        roughness={side: _roughness(measured, params, side) for side in SIDES},
-        two_sides=TwoSidesFacts.model_validate(two_sidedness(measured)),
-        profiles=profiles,
+def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
+    """Thicknesses and topographies along the true 3D normals of the centre surface."""
+    met = meet(surfaces, "normal")
+    place = met.faces
+    values = {
+        "coating_top": place["top"] - place["interface_top"],
+        "coating_bottom": place["interface_bottom"] - place["bottom"],
+        "base_thickness": place["interface_top"] - place["interface_bottom"],
+        "thickness": place["top"] - place["bottom"],
+        "topography_top": place["top"],
+        "topography_bottom": -place["bottom"],
+    }
+    status = surfaces["status"].values.copy()
+    # A column counts as measured when everything that the sheet has was measured there.
+    whole = np.isfinite(values["thickness"])
+    for side, coated in met.coated.items():
+        if not coated:
+            values[f"coating_{side}"] = np.full(whole.shape, np.nan)
+        elif np.isfinite(values[f"coating_{side}"]).any():
+            whole &= np.isfinite(values[f"coating_{side}"])
+    status[(status == 0) & ~whole] = Status.NORMAL_LEAVES_SHEET
+    valid = status == 0
+    if not valid.any():
+        raise CannotMeasure(
+            "No normal of the centre surface meets both faces. Look at the surfaces with 'planish surface'."
+        )
+    data = {
+        name: (
+            ("y", "x"),
+            np.where(valid, v, np.nan),
+            {"units": "um", "long_name": PROPERTIES[name], "role": "property"},
+        )
+        for name, v in values.items()
+    }
+    return xr.Dataset(
+        {**data, "status": (("y", "x"), status, status_flags())}, coords=surfaces.coords, attrs=dict(surfaces.attrs)
     )
-
-
-def _thin(measured: xr.Dataset, side: Side) -> ThinFacts | None:
-    """Shares of thin coating; None on a side without one."""
-    coating = measured[f"coating_{side}"]
-    if not np.isfinite(coating.values).any():
-        return None
-    support = float(np.sqrt(np.prod(pitch(measured))))
-    found = thin_fraction(coating.assign_attrs(support_um=support))
-    return ThinFacts(
-        thinner_than_um=tuple(float(v) for v in found["marked"].values),
-        share=tuple(float(v) for v in found["marked_share"].values),
-        support_um=support,
-        warning=found.attrs.get("warning"),
-    )
-
-
-def _roughness(measured: xr.Dataset, params: MeasureParams, side: Side) -> RoughnessFacts:
-    """Roughness numbers; a field smaller than the filters has none, which is reported and is no fault of the run."""
-    filters = {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um}
-    try:
-        limited = scale_limited(measured[f"topography_{side}"].values, pitch(measured), **filters)
-        return RoughnessFacts(**asdict(roughness_numbers(limited, pitch(measured), **filters)))
-    except CannotMeasure as reason:
-        return RoughnessFacts(reason=str(reason))

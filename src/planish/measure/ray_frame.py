@@ -3,23 +3,73 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.errors import CannotMeasure, SizeError, SurfaceError
+from planish.core.errors import CannotMeasure, SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.status import Status
 from planish.measure import _ray_kernels
-from planish.measure._kernels import along_normals
 from planish.measure.greys import Greys
 from planish.measure.params import MeasureParams
-from planish.measure.rays import FACES, Array, Direction, Grey, Rays, oblique_factor
+from planish.measure.rays import FACES, Array, Direction, Grey, Rays
+from planish.measure.registry import SIDES, Side
 
 _FARTHEST = 1.5  # sheet thicknesses from the centre surface: a face beyond is not this ray's
-_TILE = 256  # rows whose geometry is worked out together
+
+
+class Met(NamedTuple):
+    """Where the rays meet the faces.
+
+    ``heights``: of ``centre`` and the faces (rows, cols), um, up towards the top. ``faces``: signed distances along the
+    rays; an interface of a side without a coating is its face. ``coated``: of each side. ``stretch``: mean length of a
+    step of one um along rows and columns, measured in the centre surface.
+    """
+
+    heights: dict[str, Array]
+    faces: dict[str, Array]
+    coated: dict[Side, bool]
+    stretch: tuple[float, float]
+
+
+def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
+    """Find where the rays meet the faces.
+
+    Raises
+    ------
+    SurfaceError
+        If a surface is missing or the top lies below the bottom.
+    """
+    lacking = [name for name in (*FACES, "centre", "status") if name not in surfaces]
+    if lacking:
+        raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
+    up = Frame.of(surfaces).sign
+    heights = {name: up * surfaces[name].values.astype(np.float64) for name in (*FACES, "centre")}
+    below = int(np.count_nonzero(heights["top"] < heights["bottom"]))
+    if below:
+        raise SurfaceError(f"The top lies below the bottom at {below} points. Check --top.")
+    step = pitch(surfaces)
+    slope = _slopes(heights["centre"], step, slice(0, surfaces.sizes["y"]))
+    known = np.isfinite(slope).all(axis=-1)
+    stretch = np.sqrt(1 + slope[known] ** 2).mean(axis=0) if known.any() else np.zeros(2)
+    unit = directions(slope, rays)
+    along_r, along_c, along_h = (np.ascontiguousarray(unit[..., k]) for k in range(3))
+    faces: dict[str, Array] = {}
+    for name in FACES:
+        if name.startswith("interface") and not np.isfinite(heights[name]).any():
+            faces[name] = faces[name.removeprefix("interface_")]
+        elif rays == "vertical":
+            faces[name] = heights[name] - heights["centre"]
+        else:
+            faces[name] = _ray_kernels.along_normals(
+                heights[name], heights["centre"], along_r, along_c, along_h, *step
+            )  # fmt: skip
+    coated: dict[Side, bool] = {side: faces[f"interface_{side}"] is not faces[side] for side in SIDES}
+    return Met(heights=heights, faces=faces, coated=coated, stretch=(float(stretch[0]), float(stretch[1])))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,10 +78,8 @@ class RayFrame:
 
     Attributes
     ----------
-    heights : dict
-        ``centre`` and the faces (rows, cols), um, up towards the top.
-    faces : dict
-        Signed distances along the rays (rows, cols), um.
+    heights, faces : dict
+        As :class:`Met` has them.
     status : (rows, cols) uint8
     low, high : int
         First and last sample; sample k lies at k * step_um.
@@ -51,63 +99,36 @@ class RayFrame:
     greys: Greys
     params: MeasureParams
     mean_stretch: tuple[float, float]
-    wide: int = 1
+    wide: int
     noise_um: float = float("nan")
 
     @classmethod
-    def of(
-        cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams, *, step_um: float | None = None
-    ) -> RayFrame:
-        """Find where every ray meets the faces.
-
-        Parameters
-        ----------
-        volume : DataArray, dims (z, y, x)
-            Only its size and coordinates are looked at.
-        surfaces : Dataset, dims (y, x), heights in um
-        params : MeasureParams
-            ``rays``: along the normals of the centre surface, or along the axis through the sheet for comparison: a
-            vertical thickness is too large by 1 / cos of the tilt.
-        step_um : float
-            At most half a voxel, which is the default.
+    def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
+        """Find where every ray meets the faces; of the volume only size and coordinates are looked at.
 
         Raises
         ------
         SurfaceError, SizeError, CannotMeasure
         """
-        lacking = [name for name in (*FACES, "centre", "status") if name not in surfaces]
-        if lacking:
-            raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
+        met = meet(surfaces, params.rays)
         voxel_um, wide = _column(volume, surfaces)
-        if step_um is not None and not 0 < step_um <= 0.5 * voxel_um * (1 + 1e-9):
-            raise SizeError(
-                f"A ray is sampled every {step_um:g} um; the voxels are {voxel_um:g} um high, and more than half of "
-                f"that loses what they show. Give a step of at most {0.5 * voxel_um:g} um."
-            )
-        step = step_um or 0.5 * voxel_um
+        step = 0.5 * voxel_um  # a longer step loses what the voxels show
         greys = Greys.of(surfaces)
         margin = 3 * greys.blur_um + 6 * voxel_um  # beyond the faces
-        frame = Frame.of(surfaces)
-        heights = {name: frame.sign * surfaces[name].values.astype(np.float64) for name in (*FACES, "centre")}
-        pitch_um = pitch(surfaces)
         status = surfaces["status"].values.astype(np.uint8)
-        faces, stretch = _meet(heights, pitch_um, params.rays)
-        known = np.isfinite(faces["top"]) & np.isfinite(faces["bottom"]) & (status == 0)
-        thick = float(np.median((faces["top"] - faces["bottom"])[known])) if known.any() else float("nan")
-        whole = known & (np.abs(faces["top"]) < _FARTHEST * thick) & (np.abs(faces["bottom"]) < _FARTHEST * thick)
-        for name in ("interface_top", "interface_bottom"):
-            if np.isfinite(heights[name]).any():
-                whole &= np.isfinite(faces[name])
-            else:
-                faces[name] = faces[name.removeprefix("interface_")]
+        top, bottom = met.faces["top"], met.faces["bottom"]
+        whole = np.isfinite(top) & np.isfinite(bottom) & (status == 0)
+        thick = float(np.median((top - bottom)[whole])) if whole.any() else float("nan")
+        whole &= (np.abs(top) < _FARTHEST * thick) & (np.abs(bottom) < _FARTHEST * thick)
+        whole &= np.isfinite(met.faces["interface_top"]) & np.isfinite(met.faces["interface_bottom"])
         if not whole.any():
             raise CannotMeasure("No ray of the centre surface meets both faces. Look at the surfaces in the report.")
         status[(status == 0) & ~whole] = Status.NORMAL_LEAVES_SHEET
-        low = int(np.floor((float(faces["bottom"][whole].min()) - margin) / step))
-        high = int(np.ceil((float(faces["top"][whole].max()) + margin) / step))
+        low = int(np.floor((float(bottom[whole].min()) - margin) / step))
+        high = int(np.ceil((float(top[whole].max()) + margin) / step))
         return cls(
-            frame=frame, heights=heights, faces=faces, status=status, pitch_um=pitch_um, voxel_um=voxel_um,
-            step_um=step, low=low, high=high, greys=greys, params=params, mean_stretch=stretch,
+            frame=Frame.of(surfaces), heights=met.heights, faces=met.faces, status=status, pitch_um=pitch(surfaces),
+            voxel_um=voxel_um, step_um=step, low=low, high=high, greys=greys, params=params, mean_stretch=met.stretch,
             wide=wide,
         )  # fmt: skip
 
@@ -118,15 +139,20 @@ class RayFrame:
 
     def slopes(self, rows: slice) -> Array:
         """Slope of the centre surface along rows and columns (rows, cols, 2)."""
-        return np.stack(_slopes(self.heights["centre"], self.pitch_um, rows), axis=-1)
+        return _slopes(self.heights["centre"], self.pitch_um, rows)
+
+    def oblique(self, slope: Array) -> Array:
+        """Length of ray for one um along the normal (rows, cols)."""
+        if self.params.rays == "normal":
+            return np.ones(slope.shape[:-1])
+        return np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)
 
     def tile(self, volume: xr.DataArray, rows: slice) -> Rays:
         """Straighten some rows; only the voxels that they need are read."""
         start, stop, _ = rows.indices(self.status.shape[0])
         rows = slice(start, stop)
         slope = self.slopes(rows)
-        stretch = np.sqrt(1 + slope**2)
-        normals = _directions(slope, self.params.rays)
+        normals = directions(slope, self.params.rays)
         status = self.status[rows].copy()
         grey = self._grey(volume, rows, normals, status == 0)
         faces = {name: np.where(status == 0, values[rows], np.nan) for name, values in self.faces.items()}
@@ -134,7 +160,7 @@ class RayFrame:
         tile = Rays(
             grey=grey, s_um=samples, top=faces["top"], bottom=faces["bottom"],
             interface_top=faces["interface_top"], interface_bottom=faces["interface_bottom"], normals=normals,
-            stretch=stretch, slope=slope, oblique=oblique_factor(slope, self.params.rays), status=status,
+            stretch=np.sqrt(1 + slope**2), slope=slope, oblique=self.oblique(slope), status=status,
             pitch_um=self.pitch_um, voxel_um=self.voxel_um, greys=self.greys, params=self.params,
             noise_um=self.noise_um, mirrored=self.frame.mirrored, mean_stretch=self.mean_stretch,
         )  # fmt: skip
@@ -182,35 +208,6 @@ class RayFrame:
         return out
 
 
-def straighten(
-    volume: xr.DataArray, surfaces: xr.Dataset, rows: slice, *, step_um: float | None = None,
-    params: MeasureParams | None = None,
-) -> Rays:  # fmt: skip
-    """Resample the volume along the rays of some rows of the centre surface.
-
-    Parameters
-    ----------
-    volume : DataArray, dims (z, y, x), coordinates in um
-        May be lazily indexed: only what the rows need is read.
-    surfaces : Dataset, dims (y, x), heights in um
-        As :func:`planish.surface.find_surfaces` returns them.
-    rows : slice
-        Rows of the surfaces.
-    step_um, params
-        As in :meth:`RayFrame.of`.
-
-    Returns
-    -------
-    Rays
-        The same values whatever other rows are asked for.
-
-    Raises
-    ------
-    SurfaceError, SizeError, CannotMeasure
-    """
-    return RayFrame.of(volume, surfaces, params or MeasureParams(), step_um=step_um).tile(volume, rows)
-
-
 def _column(volume: xr.DataArray, surfaces: xr.Dataset) -> tuple[float, int]:
     """Voxel size along the axis through the sheet, and voxels along the edge of a column of the surfaces."""
     frame = Frame.of(surfaces)
@@ -226,44 +223,18 @@ def _column(volume: xr.DataArray, surfaces: xr.Dataset) -> tuple[float, int]:
     return abs(float(values[1] - values[0])), wide
 
 
-def _slopes(centre: Array, pitch: tuple[float, float], rows: slice) -> tuple[Array, Array]:
-    """Central differences of some rows, the same as those of the whole field."""
+def _slopes(centre: Array, pitch: tuple[float, float], rows: slice) -> Array:
+    """Central differences of some rows along rows and columns (rows, cols, 2), the same as those of the whole field."""
     lo, hi = max(rows.start - 1, 0), min(rows.stop + 1, centre.shape[0])
     while hi - lo < 2:
         lo, hi = max(lo - 1, 0), min(hi + 1, centre.shape[0])
     along = [np.gradient(centre[lo:hi], p, axis=i) for i, p in enumerate(pitch)]
-    return along[0][rows.start - lo : rows.stop - lo], along[1][rows.start - lo : rows.stop - lo]
+    return np.stack(along, axis=-1)[rows.start - lo : rows.stop - lo]
 
 
-def _directions(slope: Array, rays: Direction) -> Array:
+def directions(slope: Array, rays: Direction) -> Array:
+    """Unit vectors of the rays along rows, columns and height (rows, cols, 3), pointing up; NaN without a slope."""
     if rays == "vertical":
-        upright = np.where(np.isfinite(slope[..., :1]) & np.isfinite(slope[..., 1:]), [0.0, 0.0, 1.0], np.nan)
-        return upright
+        return np.where(np.isfinite(slope).all(axis=-1, keepdims=True), [0.0, 0.0, 1.0], np.nan)
     length = np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)
     return np.stack([-slope[..., 0] / length, -slope[..., 1] / length, 1 / length], axis=-1)
-
-
-def _meet(
-    heights: dict[str, Array], pitch: tuple[float, float], rays: Direction
-) -> tuple[dict[str, Array], tuple[float, float]]:
-    """Distances to the faces along all rays, and the mean stretch along rows and columns."""
-    centre = heights["centre"]
-    if rays == "vertical":
-        faces = {name: heights[name] - centre for name in FACES}
-    else:
-        faces = {name: np.full(centre.shape, np.nan) for name in FACES}
-    sums: list[tuple[float, float, int]] = []
-    for start in range(0, centre.shape[0], _TILE):
-        rows = slice(start, min(start + _TILE, centre.shape[0]))
-        slope = _slopes(centre, pitch, rows)
-        known = np.isfinite(slope[0]) & np.isfinite(slope[1])
-        part = [np.sqrt(1 + s[known] ** 2) for s in slope]
-        sums.append((float(part[0].sum()), float(part[1].sum()), int(known.sum())))
-        if rays == "normal":
-            directions = _directions(np.stack(slope, -1), rays)
-            nr, nc, nh = (np.ascontiguousarray(directions[..., k]) for k in range(3))
-            for name in FACES:
-                if np.isfinite(heights[name]).any():
-                    faces[name][rows] = along_normals(heights[name], centre, nr, nc, nh, *pitch, start)
-    count = max(sum(n for _, _, n in sums), 1)
-    return faces, (sum(a for a, _, _ in sums) / count, sum(b for _, b, _ in sums) / count)

@@ -90,12 +90,6 @@ class Rays:
         """Lower and upper end of the base without its edges."""
         return self.interface_bottom + self.edge_um, self.interface_top - self.edge_um
 
-    @property
-    def depth(self) -> NDArray[np.float32]:
-        """Relative depth of every sample in the base: 0 at its bottom, 1 at its top; (rows, cols, s)."""
-        thick = (self.interface_top - self.interface_bottom)[..., None]
-        return ((self.s_um - self.interface_bottom[..., None]) / thick).astype(np.float32)
-
     def between(self, lower: Array, upper: Array) -> NDArray[np.bool_]:
         """Which samples lie between two places on each ray; (rows, cols, s)."""
         return (self.s_um >= lower[..., None]) & (self.s_um <= upper[..., None])
@@ -111,10 +105,7 @@ class Rays:
 
     def integral(self, lower: Array, upper: Array) -> Array:
         """Integral of the grey above the air from ``lower`` to ``upper`` (rows, cols); grey times um."""
-        from planish.measure import _ray_kernels
-
-        found = _ray_kernels.integrals(self.grey, float(self.s_um[0]), self.step_um, lower, upper)
-        return found - self.greys.air * np.maximum(upper - lower, 0.0)
+        return self._pieces(lower, upper, 0.0, 0.0)[0] - self.greys.air * np.maximum(upper - lower, 0.0)
 
     def mean(self, lower: Array, upper: Array) -> Array:
         """Mean grey above the air between two places; NaN where they are not a step apart."""
@@ -124,9 +115,15 @@ class Rays:
 
     def length(self, lower: Array, upper: Array, *, least: float, most: float) -> tuple[Array, NDArray[np.int32]]:
         """Length in um with ``least <= grey <= most`` between two places, and how many ends it has there."""
+        _, length, ends = self._pieces(lower, upper, least, most)
+        return length, ends
+
+    def _pieces(self, lower: Array, upper: Array, least: float, most: float) -> tuple[Array, Array, NDArray[np.int32]]:
         from planish.measure import _ray_kernels
 
-        return _ray_kernels.lengths(self.grey, float(self.s_um[0]), self.step_um, lower, upper, least, most)
+        return _ray_kernels.pieces(
+            self.grey, float(self.s_um[0]), self.step_um, lower, upper, float(least), float(most)
+        )
 
     def beyond(self, lower: Array, upper: Array, level: float) -> tuple[Array, NDArray[np.int32]]:
         """Length in um on which the grey is farther from the air than ``level``, and how many ends it has."""
@@ -157,10 +154,3 @@ class Rays:
         arrays = ("grey", *FACES, "normals", "stretch", "slope", "oblique", "status")
         cut: dict[str, Any] = {name: getattr(self, name)[part] for name in arrays}
         return replace(self, **cut, _kept={})
-
-
-def oblique_factor(slope: Array, rays: Direction) -> Array:
-    """Length of ray for one um along the normal (rows, cols)."""
-    if rays == "normal":
-        return np.ones(slope.shape[:-1])
-    return np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)

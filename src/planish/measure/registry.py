@@ -30,10 +30,21 @@ if TYPE_CHECKING:
     from planish.measure.greys import Greys
     from planish.measure.params import MeasureParams
     from planish.measure.ray_frame import RayFrame
-    from planish.measure.rays import Array, Rays
+    from planish.measure.rays import Array
 
 Side = Literal["top", "bottom"]
 SIDES: tuple[Side, Side] = ("top", "bottom")
+
+
+PROPERTIES = {
+    "coating_top": "Coating thickness, top side",
+    "coating_bottom": "Coating thickness, bottom side",
+    "base_thickness": "Base thickness",
+    "thickness": "Sheet thickness",
+    "topography_top": "Topography, top side",
+    "topography_bottom": "Topography, bottom side",
+}
+"""The six properties that the faces alone give."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,19 +55,19 @@ class Measured:
     ----------
     values : (rows, cols)
         NaN where there is no answer.
-    se : (rows, cols) or None
-        Standard error in the same unit; None where it cannot be stated.
-    reason : (rows, cols) uint8 or None
+    se : (rows, cols) or NaN
+        Standard error in the same unit; NaN where it cannot be stated.
+    reason : (rows, cols) uint8 or 0
         1, 2, ... for the property's own reasons where ``values`` is NaN.
     """
 
     values: Array
-    se: Array | None = None
-    reason: NDArray[np.uint8] | None = None
+    se: Array | float = np.nan
+    reason: NDArray[np.uint8] | int = 0
 
     def times(self, factor: float) -> Measured:
         """Return the same in another unit."""
-        return Measured(values=self.values * factor, se=None if self.se is None else self.se * abs(factor))
+        return Measured(values=self.values * factor, se=self.se * abs(factor))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,13 +80,10 @@ class Sheet:
         Faces along the rays, centre surface, status, pitch and parameters.
     maps : mapping of Measured
         The properties that were named with ``after``.
-    noise_um : float
-        Variance of the grey's integral over one um of ray.
     """
 
     frame: RayFrame
     maps: Mapping[str, Measured]
-    noise_um: float
 
     @property
     def params(self) -> MeasureParams:
@@ -94,7 +102,7 @@ class Sheet:
 
 Length = float | Callable[["MeasureParams"], float]
 After = tuple[str, ...] | Callable[..., tuple[str, ...]]
-Check = Callable[..., None]
+Check = Callable[..., object]
 When = Callable[["MeasureParams", "Greys"], bool] | Callable[["MeasureParams", "Greys", Side], bool]
 Answer = Callable[..., "Array | Measured"]
 
@@ -138,50 +146,31 @@ class Property:
     when: Callable[..., bool] | None = None
     together: tuple[str, ...] = ()
 
-    def __call__(self, given: Rays | Sheet) -> Array | Measured:
-        """Call the function itself."""
-        return self.function(given)
-
 
 _REGISTERED: dict[str, Property] = {}
 
 
-def ray_property(
-    name: str, *, units: str, long_name: str, support_um: Length | None = None, check: Check | None = None,
-    when: When | None = None, **more: Any,
-) -> Callable[[Answer], Property]:  # fmt: skip
-    """Register a function of rays as a property; see :class:`Property` for these words and for more of them.
+def _registers(kind: Literal["rays", "sheet"]):
+    def words(
+        name: str, *, units: str, long_name: str, support_um: Length | None = None, check: Check | None = None,
+        when: When | None = None, halo_um: Length = 0.0, **more: Any,
+    ) -> Callable[[Answer], Property]:  # fmt: skip
+        """Register a function of rays, or of whole maps, as a property; :class:`Property` explains these words and more.
 
-    Raises
-    ------
-    CannotMeasure
-        If the name is taken.
-    """
+        Raises
+        ------
+        CannotMeasure
+            If the name is taken.
+        """
+        return lambda function: _add(
+            Property(name=name, units=units, long_name=long_name, kind=kind, function=function, support_um=support_um,
+                     check=check, when=when, halo_um=halo_um, **more)
+        )  # fmt: skip
 
-    def register(function: Answer) -> Property:
-        return _add(Property(name=name, units=units, long_name=long_name, kind="rays", function=function,
-                             support_um=support_um, check=check, when=when, **more))  # fmt: skip
-
-    return register
+    return words
 
 
-def sheet_property(
-    name: str, *, units: str, long_name: str, support_um: Length | None = None, check: Check | None = None,
-    when: When | None = None, after: After = (), **more: Any,
-) -> Callable[[Answer], Property]:  # fmt: skip
-    """Register a function of whole maps as a property.
-
-    Raises
-    ------
-    CannotMeasure
-        If the name is taken.
-    """
-
-    def register(function: Answer) -> Property:
-        return _add(Property(name=name, units=units, long_name=long_name, kind="sheet", function=function,
-                             support_um=support_um, check=check, when=when, after=after, **more))  # fmt: skip
-
-    return register
+ray_property, sheet_property = _registers("rays"), _registers("sheet")
 
 
 def _add(new: Property) -> Property:

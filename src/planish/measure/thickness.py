@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option
-from planish.measure.faces import PROPERTIES
-from planish.measure.registry import Measured, Sheet, Side, ray_property, sheet_property
+from planish.measure.registry import PROPERTIES, SIDES, Measured, Sheet, Side, ray_property, sheet_property
 
 if TYPE_CHECKING:
     from planish.measure.greys import Greys
@@ -28,14 +26,13 @@ class Options(Params):
 
 def errors(sheet: Sheet, side: Side) -> tuple[Array, Array, Array]:
     """Standard errors of the face, the coating and the interface of one side, along the sheet's rays."""
-    from planish.measure.rays import oblique_factor
     from planish.measure.uncertainty import layer_errors
 
     f = sheet.frame
     layer = np.abs(f.faces[side] - f.faces[f"interface_{side}"])
     # A vertical distance is longer than a normal one, and so is its error.
-    oblique = oblique_factor(f.slopes(slice(0, f.status.shape[0])), f.params.rays)
-    found = layer_errors(layer / oblique, f.greys, sheet.noise_um, side)
+    oblique = f.oblique(f.slopes(slice(0, f.status.shape[0])))
+    found = layer_errors(layer / oblique, f.greys, f.noise_um, side)
     return found[0] * oblique, found[1] * oblique, found[2] * oblique
 
 
@@ -51,6 +48,24 @@ def coating(sheet: Sheet, side: Side) -> Measured:
         return Measured(values=np.full(f.status.shape, np.nan))
     outwards = 1.0 if side == "top" else -1.0
     return Measured(values=outwards * (f.faces[side] - f.faces[f"interface_{side}"]), se=errors(sheet, side)[1])
+
+
+def _both(_params: MeasureParams, greys: Greys) -> None:
+    for side in SIDES:
+        greys.need_coating(side, "The difference of both coatings")
+
+
+def difference(sheet: Sheet, name: str) -> Measured:
+    """Top less bottom of a property; SE: the root of the summed squares of both."""
+    top, bottom = (sheet.maps[f"{name}_{side}"] for side in SIDES)
+    return Measured(values=top.values - bottom.values, se=np.hypot(top.se, bottom.se))
+
+
+@sheet_property("coating_difference", units="um", long_name="Coating, top less bottom", check=_both,
+                after=("coating_top", "coating_bottom"))  # fmt: skip
+def coating_difference(sheet: Sheet) -> Measured:
+    """P-14: t_T - t_B on the same ray; SE: the root of the summed squares of both."""
+    return difference(sheet, "coating")
 
 
 @sheet_property("base_thickness", units="um", long_name=PROPERTIES["base_thickness"])
@@ -79,34 +94,12 @@ def thickness_envelope(sheet: Sheet) -> Measured:
     The ball is taken as the paraboloid x^2 / (2 R), which it is to H / (2 R) of its height at a depth H; the places of
     the faces on the rays are the height field. No standard error: an envelope rests on few points.
     """
+    from planish.core._envelope_kernels import rolled
+
     f = sheet.frame
-    top = envelope(np.where(sheet.valid, f.faces["top"], np.nan), f.pitch_um, f.params.envelope_radius_um)
-    bottom = envelope(np.where(sheet.valid, -f.faces["bottom"], np.nan), f.pitch_um, f.params.envelope_radius_um)
+    faces = (np.where(sheet.valid, face, np.nan) for face in (f.faces["top"], -f.faces["bottom"]))
+    top, bottom = (rolled(face, f.pitch_um, f.params.envelope_radius_um) for face in faces)
     return Measured(values=top + bottom)
-
-
-def envelope(height: Array, pitch_um: tuple[float, float], radius_um: float) -> Array:
-    """Closing of a height field by a paraboloid: the lowest a ball can come from above.
-
-    Parameters
-    ----------
-    height : (rows, cols)
-        um, outwards; NaN where unknown: the ball may dip there.
-    pitch_um : (float, float)
-    radius_um : float
-
-    Returns
-    -------
-    (rows, cols)
-        um; NaN where ``height`` is.
-    """
-    from planish.measure import _envelope_kernels
-
-    if not np.isfinite(height).any():
-        raise CannotMeasure("An envelope needs a face, and none is known. Look at the surfaces in the report.")
-    rises = tuple(p * p / (2 * radius_um) for p in pitch_um)
-    dilated = -_envelope_kernels.lowest(np.where(np.isfinite(height), -height, np.inf), *rises)
-    return np.where(np.isfinite(height), _envelope_kernels.lowest(dilated, *rises), np.nan)
 
 
 def _layer(rays: Rays, side: Side) -> tuple[Array, Array, Array]:

@@ -1,23 +1,21 @@
-"""Topography: places of the faces on the rays, their roughness between two filters, and its numbers."""
+"""Topography of the faces, their roughness between two filters, and the warp of the centre surface."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option
-from planish.measure.faces import PROPERTIES
-from planish.measure.registry import Measured, Sheet, Side, sheet_property
-from planish.measure.thickness import errors
+from planish.measure.registry import PROPERTIES, Measured, Sheet, Side, sheet_property
+from planish.measure.thickness import difference, errors
 
 if TYPE_CHECKING:
     from planish.measure.rays import Array
 
 _ALPHA = 0.4697  # sqrt(ln 2 / pi): the Gaussian exp(-pi (x / (alpha cutoff))^2) passes its cut-off by half
+_PER_MM = 1000.0
 _LEAST_WEIGHT = 0.3  # of the filter's weight that must lie on known values
 
 
@@ -103,7 +101,8 @@ def scale_limited(
             "s_filter_um or l_filter_um."
         )
     known = np.isfinite(height)
-    outside = np.pad(~_filled(known), 1, constant_values=True)
+    # Holes are no edge: the masked filter bridges them.
+    outside = np.pad(~ndimage.binary_fill_holes(known), 1, constant_values=True)
     away = ndimage.distance_transform_edt(~outside, sampling=pitch_um)
     inside = np.asarray(away)[1:-1, 1:-1] >= 0.5 * l_filter_um
     if not (inside & known).any():
@@ -117,69 +116,67 @@ def scale_limited(
     return np.where(inside & known, fine - coarse, np.nan)
 
 
-def _filled(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The field with its holes: they are no edge, the masked filter bridges them."""
-    from scipy import ndimage
+@sheet_property("topography_difference", units="um", long_name="Topography, top less bottom",
+                after=("topography_top", "topography_bottom"))  # fmt: skip
+def topography_difference(sheet: Sheet) -> Measured:
+    """P-14: outward height of the top face less that of the bottom face on the same ray; SE as of coatings.
 
-    return np.asarray(ndimage.binary_fill_holes(known))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Roughness:
-    """Numbers of a scale-limited surface, named as in ISO 25178-2; lengths in um.
-
-    Attributes
-    ----------
-    sa, sq : float
-        Mean and root-mean-square height.
-    ssk, sku : float
-        Skewness and kurtosis; 0 and 3 for normal heights.
-    sz : float
-        Highest to lowest; grows with the field.
-    sdq : float
-        Root-mean-square slope, um/um.
-    n : int
-    s_filter_um, l_filter_um : float
+    Both are measured from the centre surface, the smoothed mean of the faces, so that its mean is near 0 by
+    construction; what is left is roughness that only one side has, and form below the centre surface's cut-off.
     """
-
-    sa: float
-    sq: float
-    ssk: float
-    sku: float
-    sz: float
-    sdq: float
-    n: int
-    s_filter_um: float
-    l_filter_um: float
+    return difference(sheet, "topography")
 
 
-def roughness_numbers(
-    limited: Array, pitch_um: tuple[float, float], *, s_filter_um: float, l_filter_um: float
-) -> Roughness:
-    """Sa, Sq, Ssk, Sku, Sz and Sdq of what :func:`scale_limited` gives.
+# Warp, tilt and curvatures (P-07) have no standard error: what matters is a slow drift of the stack, which bends the
+# surface as a real warp does and cannot be told from one scan. Warp and tilt cost no look at the volume.
 
-    Raises
-    ------
-    CannotMeasure
-        If it is empty or flat.
+
+@sheet_property("warp", units="um", long_name="Warp", support_um=400.0, when=lambda _params, _greys: True)
+def warp(sheet: Sheet) -> Array:
+    """Height of the centre surface above the plane that fits it best, up towards the top."""
+    height = sheet.frame.heights["centre"]
+    y, x = (np.arange(n) * p for n, p in zip(height.shape, sheet.frame.pitch_um, strict=True))
+    yy, xx = np.meshgrid(y - y.mean(), x - x.mean(), indexing="ij")
+    known = np.isfinite(height) & sheet.valid
+    terms = np.stack([np.ones(int(known.sum())), yy[known], xx[known]], axis=1)
+    level, by_y, by_x = np.linalg.lstsq(terms, height[known], rcond=None)[0]
+    return height - (level + by_y * yy + by_x * xx)
+
+
+@sheet_property("tilt", units="deg", long_name="Tilt of the sheet", support_um=400.0, when=lambda _params, _greys: True)
+def tilt(sheet: Sheet) -> Array:
+    """Angle between the normal and the axis through the sheet."""
+    slope = sheet.frame.slopes(slice(0, sheet.frame.status.shape[0]))
+    return np.rad2deg(np.arctan(np.hypot(slope[..., 0], slope[..., 1])))
+
+
+@sheet_property("mean_curvature", units="1/mm", long_name="Mean curvature", support_um=400.0)
+def mean_curvature(sheet: Sheet) -> Array:
+    """H = ((1 + p^2) t - 2 p q s + (1 + q^2) r) / (2 (1 + p^2 + q^2)^(3/2)); positive where the sheet is a bowl.
+
+    p, q are the slopes, r, s, t the second derivatives of the centre surface's height.
     """
-    known = np.isfinite(limited)
-    if np.count_nonzero(known) < 2:
-        raise CannotMeasure("No height is known between the filters. Look at 'status', and at l_filter_um.")
-    h = limited[known] - limited[known].mean()
-    sq = float(np.sqrt(np.mean(h**2)))
-    if sq == 0:
-        raise CannotMeasure("The surface is exactly flat: it has no skewness. Check that it was measured.")
-    slopes = [np.gradient(limited, p, axis=k) for k, p in enumerate(pitch_um)]
-    steep = slopes[0] ** 2 + slopes[1] ** 2
-    steep = steep[np.isfinite(steep)]
-    if not steep.size:
-        raise CannotMeasure(
-            f"Between the filters only {h.size} heights are known, none with neighbours on all sides: the field is too "
-            "small for an L-filter of this length. Give a shorter l_filter_um, and say so beside every number."
-        )
-    return Roughness(
-        sa=float(np.mean(np.abs(h))), sq=sq, ssk=float(np.mean(h**3)) / sq**3, sku=float(np.mean(h**4)) / sq**4,
-        sz=float(h.max() - h.min()), sdq=float(np.sqrt(np.mean(steep))), n=int(h.size), s_filter_um=s_filter_um,
-        l_filter_um=l_filter_um,
-    )  # fmt: skip
+    p, q, r, s, t = _derivatives(sheet)
+    above = (1 + p * p) * t - 2 * p * q * s + (1 + q * q) * r
+    return _PER_MM * above / (2 * (1 + p * p + q * q) ** 1.5)
+
+
+@sheet_property("gaussian_curvature", units="1/mm2", long_name="Gaussian curvature", support_um=400.0)
+def gaussian_curvature(sheet: Sheet) -> Array:
+    """K = (r t - s^2) / (1 + p^2 + q^2)^2; 0 where the sheet can be laid flat without strain."""
+    p, q, r, s, t = _derivatives(sheet)
+    return _PER_MM**2 * (r * t - s * s) / (1 + p * p + q * q) ** 2
+
+
+def _derivatives(sheet: Sheet) -> tuple[Array, Array, Array, Array, Array]:
+    """Slopes p, q and second derivatives r, s, t along columns, mixed and along rows; NaN on the border."""
+    centre = sheet.frame.heights["centre"]
+    dy, dx = sheet.frame.pitch_um
+    p, q, r, s, t = (np.full(centre.shape, np.nan) for _ in range(5))
+    inner = (slice(1, -1), slice(1, -1))
+    up, down, left, right = centre[:-2, 1:-1], centre[2:, 1:-1], centre[1:-1, :-2], centre[1:-1, 2:]
+    here = centre[inner]
+    p[inner], q[inner] = (right - left) / (2 * dx), (down - up) / (2 * dy)
+    r[inner], t[inner] = (right - 2 * here + left) / dx**2, (down - 2 * here + up) / dy**2
+    s[inner] = (centre[2:, 2:] - centre[2:, :-2] - centre[:-2, 2:] + centre[:-2, :-2]) / (4 * dx * dy)
+    return p, q, r, s, t

@@ -5,6 +5,29 @@ import numpy as np
 from numba import njit
 
 
+def rolled(height, pitch_um, radius_um):
+    """Close a height field from above with a ball, taken as the paraboloid of its curvature.
+
+    It differs from the ball by less than two hundredths of what is bridged where gaps are narrower than half the radius.
+
+    Parameters
+    ----------
+    height : (rows, cols)
+        um, outwards; NaN where unknown: the ball may dip there.
+    pitch_um : (float, float)
+    radius_um : float
+
+    Returns
+    -------
+    (rows, cols)
+        um: the lowest that the ball reaches; NaN where ``height`` is.
+    """
+    rises = [p * p / (2 * radius_um) for p in pitch_um]
+    known = np.isfinite(height)
+    dilated = -_lowest(np.where(known, -height, np.inf), *rises)
+    return np.where(known, _lowest(dilated, *rises), np.nan)
+
+
 @njit(cache=True, nogil=True)
 def _lower(f, a, out, at, edge):
     """out[x] = min over y of f[y] + a (x - y)^2, the lower envelope of parabolas; inf counts for nothing."""
@@ -36,31 +59,15 @@ def _lower(f, a, out, at, edge):
 
 
 @njit(cache=True, nogil=True)
-def lowest(field, first, second):
-    """Minimum over all nodes of height plus a paraboloid.
-
-    Parameters
-    ----------
-    field : (rows, cols)
-        inf where there is nothing.
-    first, second : float
-        The paraboloid rises by first * i^2 + second * j^2 over i rows and j columns.
-
-    Returns
-    -------
-    (rows, cols)
-    """
+def _lowest(field, first, second):
+    """Minimum over all nodes of height plus a paraboloid that rises by first i^2 + second j^2; inf is nothing."""
     rows, cols = field.shape
     half = np.empty(field.shape)
-    out = np.empty(field.shape)
+    turned = np.empty((cols, rows))
     at, edge = np.empty(max(rows, cols), np.int64), np.empty(max(rows, cols))
     for i in range(rows):
         _lower(field[i], second, half[i], at, edge)
-    line, result = np.empty(rows), np.empty(rows)
+    lines = np.ascontiguousarray(half.T)
     for j in range(cols):
-        for i in range(rows):
-            line[i] = half[i, j]
-        _lower(line, first, result, at, edge)
-        for i in range(rows):
-            out[i, j] = result[i]
-    return out
+        _lower(lines[j], first, turned[j], at, edge)
+    return np.ascontiguousarray(turned.T)

@@ -1,0 +1,283 @@
+"""Masses: coat weight, grammage and apparent density, from lengths or absorption, densities and what was weighed.
+
+Densities and weighed masses are given by the user and never assumed. Their own error is common to a whole map and not
+part of its standard error.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from planish.core.errors import CannotMeasure
+from planish.core.options import Params, option
+from planish.measure.registry import SIDES, Measured, Sheet, Side, ray_property, sheet_property
+from planish.measure.topography import smoothed
+
+if TYPE_CHECKING:
+    from planish.measure.greys import Greys
+    from planish.measure.params import MeasureParams
+    from planish.measure.rays import Rays
+
+_BEYOND = 3.0  # blurs outside a face and inside an interface: 99.9 % of the light of a step
+_FWHM = float(np.sqrt(8 * np.log(2.0)))
+
+
+class Densities(Params):
+    """What is known of the sheet from elsewhere; all of it may be missing."""
+
+    coating_g_cm3: float | None = option(
+        None, gt=0, lt=1e4, cli="--coating-density", metavar="G/CM3",
+        help="Density of the coating with its voids, for coat weight; 1.6 is usual for ground calcium carbonate.",
+    )  # fmt: skip
+    base_g_cm3: float | None = option(
+        None, gt=0, lt=1e4, cli="--base-density", metavar="G/CM3",
+        help="Density of the base as it lies in the sheet, for grammage.",
+    )  # fmt: skip
+    filler_g_cm3: float | None = option(
+        None, gt=0, lt=1e4, cli=None, help="Density of the filler's grains without voids; calcium carbonate 2.7."
+    )
+    grammage_g_m2: float | None = option(
+        None, gt=0, lt=1e4, cli="--grammage", metavar="G/M2", help="Weighed mass of the sheet."
+    )
+    coat_weight_top_g_m2: float | None = option(
+        None, gt=0, lt=1e4, cli="--coat-weight-top", metavar="G/M2", help="Weighed mass of the top coating."
+    )
+    coat_weight_bottom_g_m2: float | None = option(
+        None, gt=0, lt=1e4, cli="--coat-weight-bottom", metavar="G/M2", help="Weighed mass of the bottom coating."
+    )
+
+    def coat_weight(self, side: Side) -> float | None:
+        """Weighed mass of the coating of one side."""
+        return self.coat_weight_top_g_m2 if side == "top" else self.coat_weight_bottom_g_m2
+
+    def need(self, what: str, *names: str) -> float:
+        """Return the first of ``names`` that is known.
+
+        Raises
+        ------
+        CannotMeasure
+            If none is.
+        """
+        for name in names:
+            value = getattr(self, name)
+            if value is not None:
+                return value
+        options = " or ".join(names)
+        raise CannotMeasure(
+            f"{what} in grams needs {options}, and none is known. Give {'one of them' if len(names) > 1 else 'it'} "
+            f"in [properties] of the study file, or leave {what.lower()} out."
+        )
+
+    def known(self) -> dict[str, float]:
+        """Return those that are known, for the attributes of a dataset."""
+        found = {name: getattr(self, name) for name in Densities.model_fields}
+        return {name: value for name, value in found.items() if value is not None}
+
+
+class Options(Params):
+    """Options of the masses."""
+
+    coat_weight_from: Literal["thickness", "attenuation"] = option(
+        "thickness", cli=None,
+        help="Thickness times density, or the grey that the coating adds to the base's: the second ignores the blur.",
+    )  # fmt: skip
+    density_support_um: float = option(
+        100.0, gt=0, cli=None,
+        help="Full width at half maximum of the Gaussian that grammage and thickness are averaged with.",
+    )  # fmt: skip
+
+
+def _in_grams(part: Measured, sheet: Sheet, what: str, weighed: float | None, density: str) -> Measured:
+    """Scale a map of lengths to the mean that was weighed, or by a density."""
+    if weighed is None:
+        return part.times(sheet.params.need(what, density))
+    mean = sheet.mean(part.values)
+    if not mean > 0:
+        raise CannotMeasure(
+            f"{what} is {mean:.3g} um in the mean; {weighed:g} g/m2 cannot be spread over it. Check the side, and the "
+            "surfaces and grey levels in the report."
+        )
+    return part.times(weighed / mean)
+
+
+def _coating_absorbs(_params: MeasureParams, greys: Greys, side: Side) -> None:
+    greys.need_coating(side, f"Coating by absorption, {side} side,")
+    greys.need_absorption(f"Coating by absorption, {side} side,")
+
+
+def _excess(rays: Rays, side: Side) -> Measured:
+    from planish.measure.uncertainty import layer_errors
+
+    greys = rays.greys
+    out = _BEYOND * greys.blur_um * rays.oblique
+    coat, base = greys.coating(side) - greys.air, greys.base - greys.air
+    if side == "top":
+        lower, upper = rays.interface_top - out, rays.top + out
+        under = rays.top - lower
+    else:
+        lower, upper = rays.bottom - out, rays.interface_bottom + out
+        under = upper - rays.bottom
+    integral = rays.integral(lower, upper) - base * under
+    face = rays.oblique * layer_errors((under - out) / rays.oblique, greys, rays.noise_um, side)[0]
+    se = np.hypot(rays.integral_se(upper - lower), base * face) / abs(coat - base)
+    return Measured(values=integral / (coat - base), se=se)
+
+
+@ray_property(
+    "coating_absorption_{side}", units="um", long_name="Coating by absorption, {side} side", check=_coating_absorbs
+)
+def coating_absorption(rays: Rays, side: Side) -> Measured:
+    """P-02: thickness of a layer of the coating's own grey that absorbs as much as this one.
+
+    The integral of the grey above the base's level, from three blurs outside the face to three blurs inside the
+    interface, over the contrast between coating and base; outside the face the air's level takes the base's place. A
+    blur moves grey along the ray but does not change its integral, so that thin layers count in full.
+
+    SE: sqrt(noise * L + ((base - air) SE_face)^2) / (coating - base), L the length of the integral.
+    """
+    return _excess(rays, side)
+
+
+def _weight_given(params: MeasureParams, greys: Greys, side: Side) -> bool:
+    return greys.coated(side) and bool(params.coating_g_cm3 or params.coat_weight(side))
+
+
+def _weight_check(params: MeasureParams, greys: Greys, side: Side) -> None:
+    greys.need_coating(side, f"Coat weight, {side} side,")
+    params.need(f"Coat weight, {side} side,", f"coat_weight_{side}_g_m2", "coating_g_cm3")
+    if params.coat_weight_from == "attenuation":
+        greys.need_absorption(f"Coat weight, {side} side,")
+
+
+def _layer(params: MeasureParams, _greys: Greys, side: Side) -> tuple[str, ...]:
+    return (f"coating_{side}" if params.coat_weight_from == "thickness" else f"coating_absorption_{side}",)
+
+
+@sheet_property(
+    "coat_weight_{side}", units="g/m2", long_name="Coat weight, {side} side", check=_weight_check, after=_layer,
+    when=_weight_given,
+)  # fmt: skip
+def coat_weight(sheet: Sheet, side: Side) -> Measured:
+    """P-02: w = w_mean t / t_mean where the coat weight was weighed, rho t where the density is known (A-23).
+
+    SE: the layer's, times the same factor.
+    """
+    layer = sheet.maps[_layer(sheet.params, sheet.frame.greys, side)[0]]
+    return _in_grams(layer, sheet, f"Coat weight, {side} side,", sheet.params.coat_weight(side), "coating_g_cm3")
+
+
+def _absorbs(_params: MeasureParams, greys: Greys) -> None:
+    greys.need_absorption("Absorption of the sheet")
+
+
+def _absorption(rays: Rays) -> Measured:
+    """Length of base that absorbs as much as the whole ray: the integral above the air over base - air.
+
+    From three blurs outside the one face to three outside the other. SE: sqrt(noise L) / (base - air).
+    """
+    out = _BEYOND * rays.greys.blur_um * rays.oblique
+    contrast = rays.greys.base - rays.greys.air
+    lower, upper = rays.bottom - out, rays.top + out
+    return Measured(values=rays.integral(lower, upper) / contrast, se=rays.integral_se(upper - lower) / abs(contrast))
+
+
+ray_property("absorption", units="um", long_name="Absorption of the sheet", check=_absorbs)(_absorption)
+
+
+@ray_property("absorption_base", units="um", long_name="Absorption of the base", check=_absorbs)
+def absorption_base(rays: Rays) -> Measured:
+    """Absorption without what the coatings add to or take from the base's level.
+
+    What the coated sides absorb is taken off as (coating's excess + base's level) over each layer; what remains is the
+    base. SE: sqrt(noise L) / (base - air) and those of the layers, as independent.
+    """
+    greys = rays.greys
+    whole = _absorption(rays)
+    values, variance = whole.values, whole.se**2
+    for side, thick in zip(
+        SIDES, (rays.top - rays.interface_top, rays.interface_bottom - rays.bottom), strict=True
+    ):  # fmt: skip
+        if greys.coated(side):
+            layer = _excess(rays, side)
+            share = (greys.coating(side) - greys.air) / (greys.base - greys.air) - 1
+            values = values - layer.values * share - thick
+            variance = variance + (layer.se * share) ** 2
+    return Measured(values=values, se=np.sqrt(variance))
+
+
+def _check(d: MeasureParams, greys: Greys) -> None:
+    greys.need_absorption("Grammage")
+    if d.grammage_g_m2 is not None:
+        return
+    d.need("Grammage", "grammage_g_m2", "base_g_cm3")
+    for side in SIDES:
+        if greys.coated(side):
+            d.need(f"Grammage with a coating on the {side} side", f"coat_weight_{side}_g_m2", "coating_g_cm3")
+
+
+def _given(d: MeasureParams, greys: Greys) -> bool:
+    coated = any(greys.coated(side) for side in SIDES)
+    return d.grammage_g_m2 is not None or (d.base_g_cm3 is not None and (not coated or d.coating_g_cm3 is not None))
+
+
+def _made_from(d: MeasureParams, greys: Greys) -> tuple[str, ...]:
+    sides: list[Side] = [side for side in SIDES if greys.coated(side)]
+    apart = all(d.coating_g_cm3 is not None or d.coat_weight(side) is not None for side in sides)
+    if not sides or (d.grammage_g_m2 is not None and not apart):
+        return ("absorption",)
+    return ("absorption_base", *(f"coating_absorption_{side}" for side in sides))
+
+
+@sheet_property("grammage", units="g/m2", long_name="Grammage", check=_check, after=_made_from, when=_given)
+def grammage(sheet: Sheet) -> Measured:
+    """P-08: absorption along the ray, scaled so that its mean is the weighed grammage.
+
+    Where coat weights or densities are known, each material is scaled on its own: coatings to their coat weight
+    (or density), the base to what remains of the grammage (or to its density). Without them one factor serves both,
+    although a coating absorbs more per gram than fibres do: local grammage then follows the coating too strongly.
+    SE: each part's times its factor, as independent.
+    """
+    d, greys, maps = sheet.params, sheet.frame.greys, sheet.maps
+    rest = d.grammage_g_m2
+    if "absorption" in _made_from(d, greys):
+        return _in_grams(maps["absorption"], sheet, "Grammage", rest, "base_g_cm3")
+    parts: list[Measured] = []
+    for side in SIDES:
+        if greys.coated(side):
+            what = f"Grammage with a coating on the {side} side"
+            layer = maps[f"coating_absorption_{side}"]
+            parts.append(_in_grams(layer, sheet, what, d.coat_weight(side), "coating_g_cm3"))
+    if rest is not None:
+        coats = sum(sheet.mean(p.values) for p in parts)
+        if not rest > coats:
+            raise CannotMeasure(
+                f"The coatings weigh {coats:.4g} g/m2 and the whole sheet {rest:g} g/m2: nothing is left for the base. "
+                "Check grammage_g_m2 and the coat weights."
+            )
+        rest -= coats
+    parts.append(_in_grams(maps["absorption_base"], sheet, "Grammage", rest, "base_g_cm3"))
+    values = np.sum([p.values for p in parts], axis=0)
+    return Measured(values=values, se=np.sqrt(np.sum([np.asarray(p.se) ** 2 for p in parts], axis=0)))
+
+
+@sheet_property(
+    "apparent_density", units="g/cm3", long_name="Apparent density", check=_check, after=("grammage", "thickness"),
+    support_um=lambda params: params.density_support_um, when=_given,
+)  # fmt: skip
+def apparent_density(sheet: Sheet) -> Measured:
+    """P-09: grammage over thickness, both averaged with the same Gaussian first.
+
+    SE: rho sqrt((SE_w / w)^2 + (SE_t / t)^2), each SE times pitch / (2 sqrt(pi) sigma) for the average over rays whose
+    noise is independent; noise that neighbours share makes it larger.
+    """
+    f = sheet.frame
+    sigma = f.params.density_support_um / _FWHM
+    left = min(1.0, float(np.sqrt(np.prod(f.pitch_um))) / (2 * np.sqrt(np.pi) * sigma))
+    mass, thick = sheet.maps["grammage"], sheet.maps["thickness"]
+    # Both means are of the same rays.
+    both = sheet.valid & np.isfinite(mass.values) & np.isfinite(thick.values)
+    w, t = (smoothed(np.where(both, m.values, np.nan), f.pitch_um, sigma) for m in (mass, thick))
+    relative = np.sqrt((mass.se / w) ** 2 + (thick.se / t) ** 2) * left
+    return Measured(values=np.where(both, w / t, np.nan), se=np.abs(w / t) * relative)

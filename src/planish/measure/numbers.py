@@ -1,0 +1,227 @@
+"""Numbers of a sheet that are no maps: thin coating, roughness, two-sidedness, and profiles in depth."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import CannotMeasure
+from planish.core.grid import pitch
+from planish.core.results import ProfileFacts, RoughnessFacts, SheetNumbers, ThinFacts, TwoSidesFacts
+from planish.core.tiles import Engine
+from planish.measure.params import MeasureParams
+from planish.measure.phases import depth_profiles
+from planish.measure.registry import SIDES, Side
+from planish.measure.topography import scale_limited
+
+Array = NDArray[np.float64]
+
+MARKED_UM = (0.0, 2.0, 5.0)  # uncovered, all but, and the outline of Fig. 6 in Hirn et al. (2009)
+_CURVE_UM = 0.25  # step of the curve
+
+
+def thin_fraction(
+    thickness: xr.DataArray, *, se: xr.DataArray | Array | None = None, marked_um: tuple[float, ...] = MARKED_UM
+) -> xr.Dataset:
+    """Share F(x) of the area whose coating is thinner than x (P-03).
+
+    Parameters
+    ----------
+    thickness : DataArray, in um
+        NaN is left out. ``support_um`` in its attributes is passed on.
+    se : array like it
+        Standard error of each value, um.
+    marked_um : tuple of float
+        Thicknesses for which the share is told apart; at 0 it is the share of no coating at all.
+
+    Returns
+    -------
+    Dataset
+        ``share`` along ``thickness`` (um), and for every marked thickness ``marked_share`` along ``marked``,
+        ``marked_se`` (sampling of n values that were independent, sqrt(F (1 - F) / n): a lower bound, because
+        neighbours are alike) and ``biased``: 1 where x lies below twice the median SE of the values around it, so that
+        noise alone puts ever more values below it. ``n`` and ``support_um`` in the attributes, and ``warning`` where
+        a marked share is biased: F depends on support and noise and must not be compared without them.
+
+    Raises
+    ------
+    CannotMeasure
+        If no value is known.
+    """
+    known = np.isfinite(thickness.values)
+    values = np.sort(thickness.values[known].astype(np.float64))
+    if values.size == 0:
+        raise CannotMeasure("There is no coating thickness to count: all values are missing. Look at 'status'.")
+    x = np.arange(0.0, float(values[-1]) + _CURVE_UM, _CURVE_UM)
+    marks = np.array(marked_um, dtype=np.float64)
+    # At 0 the values that are 0 count: nothing is thinner than no coating.
+    shares = np.where(
+        marks > 0, np.searchsorted(values, marks, side="left"), np.searchsorted(values, marks, side="right")
+    ) / values.size  # fmt: skip
+    errors = np.zeros(marks.size)
+    if se is not None:
+        every = np.asarray(se)[known].astype(np.float64)
+        at = thickness.values[known]
+        for k, mark in enumerate(marks):
+            near = every[np.abs(at - mark) <= max(2.0, 0.5 * mark)]
+            near = near[np.isfinite(near)]
+            errors[k] = float(np.median(near)) if near.size else 0.0
+    biased = (marks < 2 * errors).astype(np.uint8)
+    attrs: dict[str, object] = {"n": int(values.size), "mean_um": float(values.mean())}
+    if "support_um" in thickness.attrs:
+        attrs["support_um"] = float(thickness.attrs["support_um"])
+    if biased.any():
+        listed = ", ".join(f"{m:g}" for m in marks[biased > 0])
+        attrs["warning"] = (
+            f"The standard error of one value is {errors[biased > 0].max():.2g} um: the shares below {listed} um are "
+            "too large by what noise puts there. Average the map first, or compare larger thicknesses."
+        )
+    counts = np.searchsorted(values, x, side="left") / values.size
+    data = {
+        "share": ("thickness", counts, {"units": "1", "long_name": "Share of the area with a thinner coating"}),
+        "marked_share": ("marked", shares, {"units": "1", "long_name": "Share of the area with a thinner coating"}),
+        "marked_se": ("marked", np.sqrt(shares * (1 - shares) / values.size), {"units": "1"}),
+        "value_se": ("marked", errors, {"units": "um", "long_name": "Standard error of one value"}),
+        "biased": ("marked", biased, {"long_name": "Thickness below two standard errors of one value"}),
+    }
+    um = {"units": "um"}
+    return xr.Dataset(data, coords={"thickness": ("thickness", x, um), "marked": ("marked", marks, um)}, attrs=attrs)
+
+
+def roughness_numbers(
+    limited: Array, pitch_um: tuple[float, float], *, s_filter_um: float, l_filter_um: float
+) -> RoughnessFacts:
+    """Sa, Sq, Ssk, Sku, Sz and Sdq of what :func:`scale_limited` gives.
+
+    Raises
+    ------
+    CannotMeasure
+        If it is empty or flat.
+    """
+    known = np.isfinite(limited)
+    if np.count_nonzero(known) < 2:
+        raise CannotMeasure("No height is known between the filters. Look at 'status', and at l_filter_um.")
+    h = limited[known] - limited[known].mean()
+    sq = float(np.sqrt(np.mean(h**2)))
+    if sq == 0:
+        raise CannotMeasure("The surface is exactly flat: it has no skewness. Check that it was measured.")
+    slopes = [np.gradient(limited, p, axis=k) for k, p in enumerate(pitch_um)]
+    steep = slopes[0] ** 2 + slopes[1] ** 2
+    steep = steep[np.isfinite(steep)]
+    if not steep.size:
+        raise CannotMeasure(
+            f"Between the filters only {h.size} heights are known, none with neighbours on all sides: the field is too "
+            "small for an L-filter of this length. Give a shorter l_filter_um, and say so beside every number."
+        )
+    return RoughnessFacts(
+        sa=float(np.mean(np.abs(h))), sq=sq, ssk=float(np.mean(h**3)) / sq**3, sku=float(np.mean(h**4)) / sq**4,
+        sz=float(h.max() - h.min()), sdq=float(np.sqrt(np.mean(steep))), n=int(h.size), s_filter_um=s_filter_um,
+        l_filter_um=l_filter_um,
+    )  # fmt: skip
+
+
+def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
+    """Numbers of the two sides, from maps on the same rays: nothing has to be mirrored.
+
+    Parameters
+    ----------
+    maps : Dataset
+        With ``coating_top`` and ``coating_bottom``, or ``topography_top`` and ``topography_bottom``, or both pairs.
+
+    Returns
+    -------
+    dict
+        For each pair ``<pair>_difference_um`` (mean, top less bottom), ``<pair>_sd_ratio`` (top over bottom) and
+        ``<pair>_correlation`` (Pearson's r of top and bottom; outward heights correlate negatively where the sheet as a
+        whole bends, positively where it is thick and thin), ``<pair>_n``.
+
+    Raises
+    ------
+    CannotMeasure
+        If there is no pair.
+    """
+    out: dict[str, float] = {}
+    for pair in ("coating", "topography"):
+        if not (f"{pair}_top" in maps and f"{pair}_bottom" in maps):
+            continue
+        top, bottom = (maps[f"{pair}_{side}"].values.astype(np.float64) for side in ("top", "bottom"))
+        known = np.isfinite(top) & np.isfinite(bottom)
+        if np.count_nonzero(known) < 3:
+            continue
+        a: Array = top[known]
+        b: Array = bottom[known]
+        sd = float(a.std()), float(b.std())
+        out[f"{pair}_difference_um"] = float(a.mean() - b.mean())
+        out[f"{pair}_sd_ratio"] = sd[0] / sd[1] if sd[1] > 0 else float("nan")
+        out[f"{pair}_correlation"] = float(np.corrcoef(a, b)[0, 1]) if min(sd) > 0 else float("nan")
+        out[f"{pair}_n"] = int(a.size)
+    if not out:
+        raise CannotMeasure(
+            "Two-sidedness needs coating_top and coating_bottom, or topography_top and topography_bottom, known on the "
+            "same rays. Measure them."
+        )
+    return out
+
+
+def sheet_numbers(
+    measured: xr.Dataset,
+    *,
+    volume: xr.DataArray | None = None,
+    params: MeasureParams | None = None,
+    engine: Engine | None = None,
+) -> SheetNumbers:
+    """Describe a sheet in numbers: thin and bare shares, roughness, two-sidedness, and profiles in depth.
+
+    Parameters
+    ----------
+    measured : Dataset
+        From :func:`measure_properties`.
+    volume : DataArray
+        Needed for the profiles of porosity and filler, which are made where their maps were measured.
+    params, engine
+    """
+    params = params or MeasureParams()
+    profiled = [name for name in ("porosity", "filler") if name in measured]
+    profiles = None
+    if profiled and volume is not None:
+        found = depth_profiles(volume, measured, names=profiled, params=params, engine=engine)
+        values: dict[str, tuple[float | None, ...]] = {
+            name: tuple(float(v) for v in found[name].values) for name in profiled
+        }
+        profiles = ProfileFacts(depth=tuple(float(v) for v in found["depth"].values), values=values)
+    thin: dict[Side, ThinFacts] = {}
+    for side in SIDES:
+        if (facts := _thin(measured, side)) is not None:
+            thin[side] = facts
+    return SheetNumbers(
+        thin=thin,
+        roughness={side: _roughness(measured, params, side) for side in SIDES},
+        two_sides=TwoSidesFacts.model_validate(two_sidedness(measured)),
+        profiles=profiles,
+    )
+
+
+def _thin(measured: xr.Dataset, side: Side) -> ThinFacts | None:
+    """Shares of thin coating; None on a side without one."""
+    coating = measured[f"coating_{side}"]
+    if not np.isfinite(coating.values).any():
+        return None
+    support = float(np.sqrt(np.prod(pitch(measured))))
+    found = thin_fraction(coating.assign_attrs(support_um=support))
+    return ThinFacts(
+        thinner_than_um=tuple(float(v) for v in found["marked"].values),
+        share=tuple(float(v) for v in found["marked_share"].values),
+        support_um=support,
+        warning=found.attrs.get("warning"),
+    )
+
+
+def _roughness(measured: xr.Dataset, params: MeasureParams, side: Side) -> RoughnessFacts:
+    """Roughness numbers; a field smaller than the filters has none, which is reported and is no fault of the run."""
+    filters = {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um}
+    try:
+        limited = scale_limited(measured[f"topography_{side}"].values, pitch(measured), **filters)
+        return roughness_numbers(limited, pitch(measured), **filters)
+    except CannotMeasure as reason:
+        return RoughnessFacts(reason=str(reason))
