@@ -47,10 +47,10 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
     FileError
         If the file cannot be written, or no sheet was found, so that there is nothing to draw.
     """
-    record = corrected.record
-    if corrected.before is None or record.air is None or record.sheet is None:
+    record, sums = corrected.record, [s for s in (corrected.before, corrected.after) if s is not None]
+    if not sums or record.air is None or record.sheet is None:
         raise FileError(f"{path} was not drawn: no sheet stands out from the air.")
-    turning = corrected.turning
+    turning, air, contrast = corrected.turning, record.air, record.sheet - record.air
     pictures = _slices(corrected.volume, before, turning)
     rows, cols = (n * p for n, p in zip(turning.shape[1:], turning.pitch_um, strict=True))
     tall = rows > 0.7 * cols
@@ -60,11 +60,19 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
     with style.context("default"), style.context(_STYLE):
         figure = Figure(figsize=(_WIDTH, total), dpi=_DPI, facecolor="white")
         FigureCanvasAgg(figure)
-        _profiles(_axes(figure, total, 0.75, 0.35, _WIDTH - 1.1, 2.35), corrected)
+        _profiles(_axes(figure, total, 0.75, 0.35, _WIDTH - 1.1, 2.35), corrected, sums, air, contrast)
         titles = (f"Slice {turning.shape[0] // 2} across {turning.axis}, before", "after", "before minus after")
         for k, (title, picture) in enumerate(zip(titles, pictures, strict=True)):
             left, top = (0.15 + k * (width + 0.25), 3.55) if tall else (0.75, 3.5 + k * (height + 0.4))
-            _slice(_axes(figure, total, left, top, width, height), picture, title, k == 2, corrected, cols)
+            axes = _axes(figure, total, left, top, width, height)
+            if k == 2:
+                known = np.abs(picture[np.isfinite(picture)])
+                limit = max(float(np.percentile(known, 99.8)) if known.size else 0.0, 0.005 * contrast)
+                title += f": blue to red is -{limit:.3g} to {limit:.3g}, {100 * limit / contrast:.1f} % of the contrast"
+                _slice(axes, picture, title, cols, cmap="RdBu_r", vmin=-limit, vmax=limit)
+            else:
+                window = {"vmin": air - 0.25 * contrast, "vmax": record.sheet + 0.35 * contrast}
+                _slice(axes, picture, title, cols, cmap="gray", **window)
         out = io.BytesIO()
         figure.savefig(out, format="rgba")
         image = Image.frombytes("RGBA", figure.canvas.get_width_height(), out.getvalue()).convert("RGB")
@@ -89,20 +97,15 @@ def _slices(after: xr.DataArray, before: xr.DataArray, turning: Turning) -> tupl
     return a, b, a - b
 
 
-def _profiles(axes: Axes, corrected: Corrected) -> None:
+def _profiles(axes: Axes, corrected: Corrected, sums: list[Sums], air: float, contrast: float) -> None:
     record, turning = corrected.record, corrected.turning
-    assert corrected.before is not None
-    assert record.air is not None
-    assert record.sheet is not None
     radius = (np.arange(turning.bins) + 0.5) * turning.step_um
-    for sums, colour, name in ((corrected.before, _BEFORE, "before"), (corrected.after, _AFTER, "after")):
-        if sums is None:
-            continue
-        for m, values in enumerate(_means(sums)):
-            grey = record.air + (record.sheet - record.air) * values
+    for one, (colour, name) in zip(sums, ((_BEFORE, "before"), (_AFTER, "after")), strict=False):
+        for m, values in enumerate(_means(one)):
+            grey = air + contrast * values
             axes.plot(radius, grey, color=colour, lw=0.9, label=name if m == 0 else None)
             known = np.flatnonzero(np.isfinite(grey))
-            if known.size and sums is corrected.before:
+            if known.size and name == "before":
                 axes.annotate(
                     MATERIALS[m], (radius[known[-1]], grey[known[-1]]), xytext=(4, 0), textcoords="offset points",
                     va="center", color=_INK, fontsize=8,
@@ -124,23 +127,14 @@ def _means(sums: Sums) -> Array:
     return (level[:, None] + np.where(count >= _LEAST, total / np.maximum(count, 1), np.nan)) / UNIT
 
 
-def _slice(axes: Axes, picture: Array, title: str, difference: bool, corrected: Corrected, width_um: float) -> None:
-    record = corrected.record
-    assert record.air is not None
-    assert record.sheet is not None
-    contrast = record.sheet - record.air
-    if difference:
-        known = np.abs(picture[np.isfinite(picture)])
-        limit = max(float(np.percentile(known, 99.8)) if known.size else 0.0, 0.005 * contrast)
-        axes.imshow(picture, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest", aspect="auto")
-        title += f": blue to red is -{limit:.3g} to {limit:.3g}, {100 * limit / contrast:.1f} % of the contrast"
-    else:
-        low, high = record.air - 0.25 * contrast, record.sheet + 0.35 * contrast
-        axes.imshow(picture, cmap="gray", vmin=low, vmax=high, interpolation="nearest", aspect="auto")
+def _slice(axes: Axes, picture: Array, title: str, width_um: float, **shown: Any) -> None:
+    axes.imshow(picture, interpolation="nearest", aspect="auto", **shown)
     axes.set_title(title, loc="left", fontsize=8, color=_INK, pad=3)
     axes.set_xticks([])
     axes.set_yticks([])
-    length = _round_length(0.2 * width_um)
+    # The largest 1, 2 or 5 times a power of ten in a fifth of the width.
+    power = 10.0 ** np.floor(np.log10(0.2 * width_um))
+    length = float(max(k * power for k in (1, 2, 5) if k * power <= 0.2 * width_um))
     across, up = length / width_um, 0.06
     axes.plot([0.02, 0.02 + across], [up, up], color="white", lw=4.5, transform=axes.transAxes, solid_capstyle="butt")
     axes.plot([0.02, 0.02 + across], [up, up], color=_INK, lw=2.5, transform=axes.transAxes, solid_capstyle="butt")
@@ -148,9 +142,3 @@ def _slice(axes: Axes, picture: Array, title: str, difference: bool, corrected: 
         0.02, up + 0.05, f"{length:g} um", transform=axes.transAxes, fontsize=8, va="bottom", color=_INK,
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8},
     )  # fmt: skip
-
-
-def _round_length(about: float) -> float:
-    """The nearest 1, 2 or 5 times a power of ten below ``about``."""
-    power = 10.0 ** np.floor(np.log10(about))
-    return float(max(k * power for k in (1, 2, 5) if k * power <= about))

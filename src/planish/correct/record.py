@@ -65,7 +65,7 @@ class Cupping:
     percent, se : float
         Loss in the middle against the sheet's largest radius.
     powers : tuple of float
-        Factors on (radius / reach)², and on its square where they are two, relative to the middle.
+        One factor, on (radius / reach)², relative to the middle.
     reach_um : float
         Largest radius at which there is sheet; beyond it the factor stays.
     """
@@ -127,9 +127,7 @@ class Corrections:
 
     def to_json(self) -> dict[str, Any]:
         """Return it as plain lists, numbers and text; numbers have six digits, None where one is not known."""
-        plain = _plain(asdict(self))
-        assert isinstance(plain, dict)
-        return plain
+        return _plain(asdict(self))
 
 
 def _plain(value: Any) -> Any:

@@ -102,7 +102,9 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> Rings:
         ]
     for first, last in intervals:
         where = slice(first, last + 1)
-        if any(_missing(profile[where], p[where], e[where]) for p, e in materials):
+        heights = [_height(profile[where], p[where], e[where]) for p, e in materials]
+        # What a material clearly shows less than a part of is the structure of another one.
+        if any(power and factor + 3.0 / np.sqrt(power) < _SHOWN for factor, power in heights):
             continue
         shape = np.zeros(bins)
         shape[where] = profile[where]
@@ -112,17 +114,11 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> Rings:
         width = np.count_nonzero(np.abs(profile[where]) >= 0.5 * abs(height)) * turning.step_um
         shapes.append(shape)
         factors.append(factor)
-        found.append(
-            Ring(
-                radius_um=(crest + 0.5) * turning.step_um,
-                width_um=float(width),
-                height=height * contrast,
-                share=height,
-                share_se=float(error[crest]),
-                least=float(factor.min()),
-                most=float(factor.max()),
-            )
-        )
+        ring = Ring(
+            radius_um=(crest + 0.5) * turning.step_um, width_um=float(width), height=height * contrast, share=height,
+            share_se=float(error[crest]), least=float(factor.min()), most=float(factor.max()),
+        )  # fmt: skip
+        found.append(ring)
     return Rings(
         found=tuple(found), shapes=np.array(shapes).reshape(-1, bins), factors=np.array(factors).reshape(-1, blocks),
         profile=profile, error=error,
@@ -204,13 +200,8 @@ def _intervals(profile: Array, error: Array, share: float) -> list[tuple[int, in
     height = np.nan_to_num(profile)
     clarity = np.where(np.isfinite(error), np.abs(height) / np.nan_to_num(error, nan=1.0), 0.0)
     # What fills one bin only is no ring: its neighbours have to show it too.
-    clarity = np.minimum(
-        clarity,
-        ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3)
-        / np.where(clarity > 0, height, 1.0)
-        * clarity
-        * np.sqrt(3.0),
-    )
+    beside = ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3) / np.where(clarity > 0, height, 1.0)
+    clarity = np.minimum(clarity, beside * clarity * np.sqrt(3.0))
     clear = (clarity > _CLEAR) & (np.abs(height) > _LOWEST)
     highest = float(np.abs(height[clear]).max()) if clear.any() else 0.0
     seeds = np.flatnonzero(clear & (np.abs(height) >= share * highest))
@@ -229,25 +220,18 @@ def _intervals(profile: Array, error: Array, share: float) -> list[tuple[int, in
     return found
 
 
-def _missing(shape: Array, profile: Array, error: Array) -> bool:
-    """Whether a material clearly shows less than a part of a ring: then it is the structure of another material."""
-    known = np.isfinite(profile) & np.isfinite(error) & np.isfinite(shape)
-    if not known.any():
-        return False
+def _height(shape: Array, profile: Array, error: Array) -> tuple[float, float]:
+    """Factor on the height of a ring of a known shape, and one over its variance; 1 and 0 where nothing is known."""
+    known = np.isfinite(profile) & np.isfinite(error)
     w = shape[known] / error[known] ** 2
     power = float(np.sum(w * shape[known]))
-    return float(np.sum(w * profile[known])) / power + 3.0 / np.sqrt(power) < _SHOWN
+    return (float(np.sum(w * profile[known])) / power, power) if known.any() else (1.0, 0.0)
 
 
 def _along(shape: Array, parts: list[tuple[Array, Array]]) -> Array:
     """Factor on a ring's height in each block; 1 everywhere where the blocks differ by no more than their errors."""
-    factor, variance = np.ones(len(parts)), np.full(len(parts), np.inf)
-    for k, (profile, error) in enumerate(parts):
-        known = np.isfinite(profile) & np.isfinite(error)
-        if known.any():
-            w = shape[known] / error[known] ** 2
-            power = float(np.sum(w * shape[known]))
-            factor[k], variance[k] = float(np.sum(w * profile[known])) / power, 1.0 / power
+    factor, power = np.array([_height(shape, *part) for part in parts]).T
+    variance = np.divide(1.0, power, out=np.full(len(parts), np.inf), where=power > 0)
     known = np.isfinite(variance)
     n = int(np.count_nonzero(known))
     if n < 2:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -75,12 +76,6 @@ class Sums:
     slices: int
 
 
-def block_middles(length: int) -> NDArray[np.float64]:
-    """Middles of the blocks along an axis of so many slices."""
-    blocks = int(np.clip(length // _LEAST_BLOCK, 1, _BLOCKS))
-    return (np.arange(blocks) + 0.5) * length / blocks - 0.5
-
-
 def slices_of(
     volume: xr.DataArray, turning: Turning, *, most: int | None = None, memory_bytes: int
 ) -> Iterator[tuple[int, Slice]]:
@@ -98,14 +93,13 @@ def slices_of(
             yield number, np.ascontiguousarray(slab[k])
 
 
-def take_sums(
-    slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Levels, *, threads: int,
-) -> Sums:  # fmt: skip
+def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Levels, *, threads: int) -> Sums:
     """Add up all slices."""
-    length, rows, cols = turning.shape
-    middles = block_middles(length)
-    r, c = np.arange(rows), np.arange(cols)
-    radius, sectors = turning.radius_um(r, c), turning.sectors(r, c)
+    length = turning.shape[0]
+    blocks = int(np.clip(length // _LEAST_BLOCK, 1, _BLOCKS))
+    middles = (np.arange(blocks) + 0.5) * length / blocks - 0.5
+    places = [np.arange(n) for n in turning.shape[1:]]
+    radius, sectors = turning.radius_um(*places), turning.sectors(*places)
     bins = (radius / turning.step_um).astype(np.int64)
     coarse = np.minimum((radius / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
     count = np.zeros((middles.size, SECTORS, len(MATERIALS), turning.bins), np.int64)
@@ -119,7 +113,7 @@ def take_sums(
         return item[0], *_sorted(item[1], levels)
 
     with thread_pool(threads) as pool:
-        for group in _groups(slices):
+        while group := list(islice(slices, _GROUP)):
             for number, grey, kind, depth in pool.map(sort, group):
                 k = min(int(number * middles.size / length), middles.size - 1)
                 _add_to_rings(grey, kind, depth, bins, sectors, count[k], total[k], level)
@@ -155,17 +149,6 @@ def _add_to_rings(
     count += np.bincount(at, minlength=count.size).reshape(count.shape)
     more = np.bincount(at, (value - mean[layer])[enough], count.size)
     total += more.astype(np.int64).reshape(count.shape)
-
-
-def _groups(slices: Iterator[tuple[int, Slice]]) -> Iterator[list[tuple[int, Slice]]]:
-    group: list[tuple[int, Slice]] = []
-    for item in slices:
-        group.append(item)
-        if len(group) == _GROUP:
-            yield group
-            group = []
-    if group:
-        yield group
 
 
 def _sorted(values: Slice, levels: Levels) -> tuple[Counts, NDArray[np.uint8], Counts]:

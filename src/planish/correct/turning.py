@@ -26,15 +26,8 @@ _AXES: dict[Axis, tuple[Axis, Axis]] = {"z": ("y", "x"), "y": ("z", "x"), "x": (
 class Turning:
     """The axis of rotation.
 
-    Attributes
-    ----------
-    axis : {"z", "y", "x"}
-    centre_um : (float, float)
-        Where it stands along the two other axes, in array order.
-    pitch_um : (float, float)
-        Voxel along them.
-    shape : (int, int, int)
-        Voxels along the axis of rotation and along the two others.
+    ``centre_um`` and ``pitch_um`` are its place and the voxel size along the two other axes, in array order; ``shape``
+    are the voxels along the axis of rotation and along the two others.
     """
 
     axis: Axis

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,10 @@ from numpy.typing import NDArray
 from planish.core.errors import InputError
 from planish.core.lazy import LazyArray, Where, replaced
 from planish.core.threads import count_threads
-from planish.correct import _kernels
 from planish.correct.cupping import factor, find_cupping, middle_factor
 from planish.correct.levels import Levels, find_levels
 from planish.correct.params import CorrectParams
-from planish.correct.record import Corrections, Cupping, Trend
+from planish.correct.record import Corrections, Cupping
 from planish.correct.rings import Rings, find_rings, left_over
 from planish.correct.sums import Slice, Sums, slices_of, take_sums
 from planish.correct.turning import Turning, make_turning
@@ -32,16 +32,7 @@ _LOOK = 24  # slices of the first look
 class Change:
     """What is done to a voxel: grey taken off at its radius, then a factor on what is above air.
 
-    Attributes
-    ----------
-    turning : Turning
-    levels : Levels
-    rings : Rings or None
-    cupping : Cupping or None
-    blocks : (block,) float64
-        Middles of the blocks along the axis.
-    mean_factor : float
-        Of the cupping, over the sheet.
+    ``blocks`` are the middles of the blocks along the axis, ``mean_factor`` is that of the cupping over the sheet.
     """
 
     turning: Turning
@@ -55,32 +46,36 @@ class Change:
         self, values: NDArray[Any], along: NDArray[np.intp], rows: NDArray[np.intp], cols: NDArray[np.intp]
     ) -> tuple[NDArray[Any], int]:
         """Correct a block (along, rows, cols) with its places in the array; return it and how many were clipped."""
-        turning = self.turning
-        radius = turning.radius_um(rows, cols)
-        tables = np.zeros((along.size, turning.bins))
-        if self.rings is not None:
-            tables = self.levels.contrast * self.rings.tables(self.blocks, along)
+        radius = self.turning.radius_um(rows, cols)
         cup = np.ones(radius.shape)
         if self.cupping is not None:
             cup = factor(self.cupping.powers, radius / self.cupping.reach_um) / self.mean_factor
-        whole = values.dtype.kind in "ui"
+        last = self.turning.bins - 1
+        at = np.clip(radius / self.turning.step_um - 0.5, 0.0, last)
+        inner = np.minimum(at.astype(np.intp), last - 1)
+        tables = None
+        if self.rings is not None:
+            tables = self.levels.contrast * self.rings.tables(self.blocks, along)
+        whole, air = values.dtype.kind in "ui", self.levels.air
         limits = np.iinfo(values.dtype) if whole else np.finfo(values.dtype)
-        out = np.empty_like(values)
-        clipped = _kernels.corrected(
-            values, out, tables, radius / turning.step_um - 0.5, cup, self.levels.air, self.levels.padding,
-            float(limits.min), float(limits.max), whole,
-        )  # fmt: skip
+        out, clipped = np.empty_like(values), 0
+        for k, plane in enumerate(values):
+            grey = plane.astype(np.float64)
+            above = grey - air
+            if tables is not None:
+                ring = tables[k, inner] * (1.0 - (at - inner)) + tables[k, inner + 1] * (at - inner)
+                above = grey - ring - air
+            changed = air + above / cup
+            changed = np.rint(changed) if whole else changed
+            within = np.clip(changed, float(limits.min), float(limits.max))
+            kept = (grey == self.levels.padding) | ~np.isfinite(grey)
+            clipped += np.count_nonzero((within != changed) & ~kept)
+            out[k] = np.where(kept, plane, within)
         return out, int(clipped)
 
 
 class CorrectedArray(LazyArray):
-    """A volume whose parts are corrected when they are read; a voxel does not depend on the part.
-
-    Parameters
-    ----------
-    inner : DataArray, dims (z, y, x)
-    change : Change
-    """
+    """A volume whose parts are corrected when they are read; a voxel does not depend on the part."""
 
     def __init__(self, inner: xr.DataArray, change: Change) -> None:
         self.inner, self.change = inner.variable, change
@@ -166,29 +161,29 @@ def correct_volume(
         )
     turning = make_turning(volume, params.axis, params.centre_um)
     threads = count_threads(threads)
-    report = progress or _silent
     record = Corrections(axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=turning.shape[0])
-    look = [values for _, values in slices_of(volume, turning, most=_LOOK, memory_bytes=memory_bytes)]
     rows, cols = np.arange(turning.shape[1]), np.arange(turning.shape[2])
-    levels = find_levels(look, turning.radius_um(rows, cols))
+    slices = partial(slices_of, volume, turning, memory_bytes=memory_bytes)
+    levels = find_levels([values for _, values in slices(most=_LOOK)], turning.radius_um(rows, cols))
     if levels is None:
-        nothing = "No sheet stands out from the air: nothing was corrected."
-        return _finished(volume, turning, replace(record, sentences=(nothing,)))
+        record = replace(record, sentences=("No sheet stands out from the air: nothing was corrected.",))
+        return Corrected(volume=_noted(volume, record), record=record, turning=turning)
     record = replace(record, air=levels.air, sheet=levels.sheet)
 
     def sums(slices: Iterator[tuple[int, Slice]], what: str) -> Sums:
-        report(what, f"{turning.shape[0]} slices across {params.axis}")
+        if progress is not None:
+            progress(what, f"{turning.shape[0]} slices across {params.axis}")
         return take_sums(slices, turning, levels, threads=threads)
 
-    before = sums(slices_of(volume, turning, memory_bytes=memory_bytes), "rings and cupping")
+    before = sums(slices(), "rings and cupping")
     change, record = _decide(before, turning, levels, record)
     if not record.changes:
-        trends = tuple(replace(t, after=t.before) for t in record.trends)
-        return _finished(volume, turning, replace(record, trends=trends), before=before)
+        record = replace(record, trends=tuple(replace(t, after=t.before) for t in record.trends))
+        return Corrected(volume=_noted(volume, record), record=record, turning=turning, before=before)
     clipped = [0, 0]
 
     def changed() -> Iterator[tuple[int, Slice]]:
-        for number, values in slices_of(volume, turning, memory_bytes=memory_bytes):
+        for number, values in slices():
             out, n = change.apply(values[None], np.array([number]), rows, cols)
             clipped[0] += n
             clipped[1] += out.size
@@ -196,20 +191,24 @@ def correct_volume(
 
     after = sums(changed(), "what is left")
     rest = find_rings(after, turning, levels.contrast)
+    left = {t.material: t.before for t in find_cupping(after, turning, levels, rest.mean)[1]}
     record = replace(
         record,
         rings=() if change.rings is None else left_over(change.rings, rest),
-        trends=_after(record.trends, find_cupping(after, turning, levels, rest.mean)[1]),
+        trends=tuple(replace(t, after=left.get(t.material)) for t in record.trends),
         clipped=clipped[0] / clipped[1],
     )
-    return _finished(volume, turning, record, before=before, after=after, change=change)
+    corrected = _noted(replaced(volume, CorrectedArray(volume, change)), record)
+    return Corrected(volume=corrected, record=record, turning=turning, before=before, after=after, change=change)
+
+
+def _noted(volume: xr.DataArray, record: Corrections) -> xr.DataArray:
+    return volume.assign_attrs(corrections=record.to_json())
 
 
 def _decide(before: Sums, turning: Turning, levels: Levels, record: Corrections) -> tuple[Change, Corrections]:
     """Find what has to be changed."""
     sentences: list[str] = []
-    record = replace(record, slices=before.slices)
-    found, mean_factor = None, 1.0
     rings = find_rings(before, turning, levels.contrast)
     if "rings" in record.asked:
         if rings.found:
@@ -222,31 +221,11 @@ def _decide(before: Sums, turning: Turning, levels: Levels, record: Corrections)
     cupping, trends, sentence = find_cupping(before, turning, levels, rings.mean)
     if "cupping" in record.asked:
         sentences.append(sentence)
-        found = cupping
-        mean_factor = middle_factor(before, turning, cupping) if cupping is not None else 1.0
-    record = replace(record, cupping=found, trends=trends, sentences=tuple(sentences))
+    else:
+        cupping = None
+    record = replace(record, slices=before.slices, cupping=cupping, trends=trends, sentences=tuple(sentences))
     change = Change(
-        turning=turning, levels=levels, rings=rings if record.rings else None, cupping=found,
-        blocks=before.blocks, mean_factor=mean_factor,
+        turning=turning, levels=levels, rings=rings if record.rings else None, cupping=cupping, blocks=before.blocks,
+        mean_factor=1.0 if cupping is None else middle_factor(before, turning, cupping),
     )  # fmt: skip
     return change, record
-
-
-def _after(before: tuple[Trend, ...], after: tuple[Trend, ...]) -> tuple[Trend, ...]:
-    left = {t.material: t.before for t in after}
-    return tuple(replace(t, after=left.get(t.material)) for t in before)
-
-
-def _finished(
-    volume: xr.DataArray, turning: Turning, record: Corrections, *, before: Sums | None = None,
-    after: Sums | None = None, change: Change | None = None,
-) -> Corrected:  # fmt: skip
-    out = volume
-    if change is not None:
-        out = replaced(volume, CorrectedArray(volume, change))
-    out = out.assign_attrs(corrections=record.to_json())
-    return Corrected(volume=out, record=record, turning=turning, before=before, after=after, change=change)
-
-
-def _silent(_what: str, _how_far: str) -> None:
-    """Report nothing."""

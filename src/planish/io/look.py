@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -81,7 +80,7 @@ def inspect_values(
     values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]
 ) -> dict[str, Any]:
     """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
-    numbers = planes_to_read(values)
+    numbers = _planes_to_read(values)
     total = values.shape[0]
     share = len(numbers) / total
     stride = max(1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim)))
@@ -95,7 +94,10 @@ def inspect_values(
         warnings.append("There is no number in it, all values are missing.")
         percentiles: dict[str, float | None] = dict.fromkeys((str(p) for p in PERCENTILES), None)
     else:
-        sample = sorted_sample(found.sample, lambda: (np.asarray(values[number]) for number in numbers))
+        sample = np.sort(np.concatenate(found.sample))
+        if not sample.size:  # the grid met no number
+            planes = (np.asarray(values[number]) for number in numbers)
+            sample = np.sort(np.concatenate([plane[np.isfinite(plane)] for plane in planes]))
         levels = int(np.count_nonzero(np.diff(sample)) + 1)
         percentiles = {str(p): float(np.percentile(sample, p)) for p in PERCENTILES}
         if low == high:
@@ -109,8 +111,16 @@ def inspect_values(
             f"{100 * saturated_share:.3g} % of the values are at {full_scale}, the largest the file can store: "
             "grey levels were cut there."
         )
-    if low != high:
-        warnings.extend(wrong_slices(found))
+    if found.constant and low != high:
+        warnings.append(
+            f"{len(found.constant)} slices have one grey value only (black or empty), z {some(found.constant)}: the "
+            "scan ended there, or files were damaged."
+        )
+    if found.copies and low != high:
+        warnings.append(
+            f"{len(found.copies)} slices hold the same values as a slice before them, z {some(found.copies)}: were "
+            "they copied to fill gaps?"
+        )
     return {
         "dims": list(dims),
         "shape": list(values.shape),
@@ -125,35 +135,10 @@ def inspect_values(
     }
 
 
-def planes_to_read(values: Values) -> list[int]:
+def _planes_to_read(values: Values) -> list[int]:
     """Numbers of the planes to look at: all, or evenly spread ones where reading all would take long."""
     total = values.shape[0]
     if values.ndim < 3 or values.nbytes <= EAGER_BYTES:
         return list(range(total))
     count = max(LEAST_PLANES, SAMPLE_BYTES // (values.nbytes // total))
     return list(range(total)) if count >= total else [int(n) for n in np.linspace(0, total - 1, count).round()]
-
-
-def sorted_sample(sample: list[NDArray[Any]], again: Callable[[], Iterator[NDArray[Any]]]) -> NDArray[Any]:
-    """Values in a regular grid, sorted; all finite ones where the grid met none."""
-    joined = np.concatenate(sample)
-    if not joined.size:
-        joined = np.concatenate([plane[np.isfinite(plane)] for plane in again()])
-    return np.sort(joined)
-
-
-def wrong_slices(values: Statistics) -> list[str]:
-    """Sentences about slices of one grey and about slices that occur twice."""
-    found: list[str] = []
-    one, twice = values.constant, values.copies
-    if one:
-        found.append(
-            f"{len(one)} slices have one grey value only (black or empty), z {some(one)}: the scan ended there, or "
-            "files were damaged."
-        )
-    if twice:
-        found.append(
-            f"{len(twice)} slices hold the same values as a slice before them, z {some(twice)}: were they copied to "
-            "fill gaps?"
-        )
-    return found

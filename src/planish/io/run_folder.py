@@ -171,13 +171,13 @@ def _remove_work(work: Path) -> None:
         work.rmdir()
 
 
-def _remove(folder: Path, *, patience_s: float = 10.0) -> None:
+def _remove(folder: Path) -> None:
     """Remove a folder for good.
 
     zarr writes chunks from threads of its own. When one of them fails, the others still finish theirs and make
     folders anew for them, so the folder is removed again until it stays away.
     """
-    end = time.monotonic() + patience_s
+    end = time.monotonic() + 10.0
     while folder.exists() and time.monotonic() < end:
         shutil.rmtree(folder, ignore_errors=True)
         time.sleep(0.2)

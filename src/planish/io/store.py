@@ -13,7 +13,7 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +23,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
-from planish.core.errors import FileError, InputError, ResourceError
+from planish.core.errors import InputError, ResourceError
 from planish.core.threads import count_threads, limit_threads, thread_pool
 from planish.io.run_folder import as_planish, claim_folder, is_link, refuse_existing
 
@@ -45,12 +45,7 @@ Progress = Callable[[str, int, int], None]
 Where = tuple[slice, slice, slice]
 
 
-@dataclass(frozen=True, slots=True)
-class _Level:
-    """One resolution of a store."""
-
-    array: zarr.Array[Any]
-    shape: tuple[int, ...]
+Array = zarr.Array[Any]
 
 
 def write_store(
@@ -90,18 +85,17 @@ def write_store(
         If the memory does not hold one block, or the disk is full.
     """
     refuse_existing(path)
-    shape = tuple(int(n) for n in volume.shape)
     partial = path.with_name(f".{path.name}.partial")
     source = _identity(volume)
     try:
         claim_folder(partial, _SOURCE, json.dumps(source), for_what=path)
         _same_source(partial, source)
-        levels = _make_levels(partial, volume, shape, ome)
+        levels = _make_levels(partial, volume, ome)
         done = Journal(partial, ome)
         with limit_threads(threads):
-            _first_two(volume, levels, done, memory_bytes=memory_bytes, progress=progress or _silent)
-            for k in range(2, len(levels)):
-                _coarser(levels[k - 1], levels[k], done, k)
+            _first_two(volume, levels, done, memory_bytes=memory_bytes, progress=progress)
+            for fine, coarse in pairwise(levels[1:]):
+                _coarser(fine, coarse, done)
         done.settle()
         (partial / _SOURCE).unlink()
         partial.rename(path)
@@ -112,22 +106,6 @@ def write_store(
 def missing_shards(path: Path) -> list[str]:
     """Return the shards that the lists of checksums name and that are not there; empty where there is no list."""
     return [name for name in _listed(path) if not (path / name).is_file()]
-
-
-def verify_store(path: Path) -> list[str]:
-    """Read every byte of a store and return the shards that are lost or changed.
-
-    Raises
-    ------
-    FileError
-        If the store has no list of checksums.
-    """
-    listed = _listed(path)
-    if not listed:
-        raise FileError(
-            f"{path.name} has no list of checksums ({CHECKSUMS}). Only stores of 'planish import' have one."
-        )
-    return [name for name, sha in listed.items() if not (path / name).is_file() or _sha256(path / name) != sha]
 
 
 def store_fingerprint(path: Path) -> str:
@@ -146,29 +124,33 @@ class Journal:
 
     def __init__(self, folder: Path, ome: str) -> None:
         self.folder, self.prefix = folder, "c/" if ome == "0.5" else ""
-        self.names = set(_listed(folder))
+        self.listed = set(_listed(folder))
         self.lock = threading.Lock()
 
-    def has(self, level: int, starts: list[tuple[int, int, int]]) -> bool:
-        """Whether all these shards are listed."""
-        return all(f"{level}/{self._name(at)}" in self.names for at in starts)
+    def names(self, level: Array, where: Where) -> list[str]:
+        """Files of the shards of a block."""
+        edge = level.shards or level.chunks
+        z, y, x = (range(w.start // s, -(-w.stop // s)) for w, s in zip(where, edge, strict=True))
+        return [f"{level.basename}/{self.prefix}{a}/{b}/{c}" for a in z for b in y for c in x]
 
-    def add(self, level: int, shards: list[tuple[int, int, int]]) -> None:
-        """List shards that were written: only after their bytes are on the disk."""
-        home = self.folder / str(level)
+    def has(self, level: Array, where: Where) -> bool:
+        """Whether all shards of a block are listed."""
+        return self.listed.issuperset(self.names(level, where))
+
+    def add(self, level: Array, where: Where) -> None:
+        """List the shards of a block that was written: only after their bytes are on the disk."""
+        names = self.names(level, where)
         lines: list[str] = []
-        listed: list[str] = []
-        for at in shards:
-            name = self._name(at)
-            with (home / name).open("rb+") as file:
+        for name in names:
+            with (self.folder / name).open("rb+") as file:
                 os.fsync(file.fileno())
-                lines.append(f"{hashlib.file_digest(file, 'sha256').hexdigest()}  {name}\n")
-            listed.append(f"{level}/{name}")
-        with self.lock, (home / CHECKSUMS).open("a", encoding="utf-8", newline="\n") as file:
+                lines.append(f"{hashlib.file_digest(file, 'sha256').hexdigest()}  {name.partition('/')[2]}\n")
+        listing = self.folder / str(level.basename) / CHECKSUMS
+        with self.lock, listing.open("a", encoding="utf-8", newline="\n") as file:
             file.write("".join(lines))
             file.flush()
             os.fsync(file.fileno())
-            self.names.update(listed)
+            self.listed.update(names)
 
     def settle(self) -> None:
         """Sort the lists: they do not depend on the order in which blocks were written."""
@@ -178,58 +160,55 @@ class Journal:
             part.write_text("".join(lines), encoding="utf-8", newline="\n")
             part.replace(path)
 
-    def _name(self, at: tuple[int, int, int]) -> str:
-        return f"{self.prefix}{at[0]}/{at[1]}/{at[2]}"
-
 
 def _first_two(
-    volume: xr.DataArray, levels: list[_Level], done: Journal, *, memory_bytes: int, progress: Progress
+    volume: xr.DataArray, levels: list[Array], done: Journal, *, memory_bytes: int, progress: Progress | None
 ) -> None:
     """Write the volume and its half in one pass over the input."""
     shape, size = levels[0].shape, volume.dtype.itemsize
-    edge = levels[0].array.shards or levels[0].array.chunks
+    edge = levels[0].shards or levels[0].chunks
     units = [min(2 * s, -(-n // s) * s) for s, n in zip(edge, shape, strict=True)]
     # A block and its means, and what is compressed of it, for every one at work.
-    room = memory_bytes / (_AT_WORK * 1.6 * size * math.prod(units))
+    least = _AT_WORK * 1.6 * size * math.prod(units)
+    room = memory_bytes / least
     if room < 1:
         raise ResourceError(
-            f"The import needs at least {_AT_WORK * 1.6 * size * math.prod(units) / 1e9:.1f} GB for its blocks of "
-            "shards. Allow more with --memory."
+            f"The import needs at least {least / 1e9:.1f} GB for its blocks of shards. Allow more with --memory."
         )
     wide = min(int(room), -(-shape[2] // units[2]))
     high = min(max(int(room / wide), 1), -(-shape[1] // units[1]))
     wheres = list(_blocks(shape, (units[0], high * units[1], wide * units[2])))
 
     def block(where: Where) -> None:
-        if all(done.has(k, _shards(levels[k], _halved(where, k))) for k in range(min(len(levels), 2))):
+        if all(done.has(level, _halved(where, k)) for k, level in enumerate(levels[:2])):
             return
         values = np.ascontiguousarray(volume.isel(dict(zip("zyx", where, strict=True))).values)
-        _write(levels[0], where, values, done, 0)
+        _write(levels[0], where, values, done)
         if len(levels) > 1:
-            _write(levels[1], _halved(where, 1), halve(values), done, 1)
+            _write(levels[1], _halved(where, 1), halve(values), done)
 
     with thread_pool(min(_AT_WORK, count_threads())) as pool:
         try:
             for n, _ in enumerate(pool.map(block, wheres)):
-                progress("import", n + 1, len(wheres))
+                if progress is not None:
+                    progress("import", n + 1, len(wheres))
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
 
 
-def _coarser(fine: _Level, coarse: _Level, done: Journal, number: int) -> None:
+def _coarser(fine: Array, coarse: Array, done: Journal) -> None:
     """Write a level from the one before."""
-    edge = coarse.array.shards or coarse.array.chunks
-    for where in _blocks(coarse.shape, edge):
-        if not done.has(number, _shards(coarse, where)):
+    for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
+        if not done.has(coarse, where):
             source = tuple(slice(2 * w.start, min(2 * w.stop, n)) for w, n in zip(where, fine.shape, strict=True))
-            _write(coarse, where, halve(np.asarray(fine.array[source])), done, number)
+            _write(coarse, where, halve(np.asarray(fine[source])), done)
 
 
-def _write(level: _Level, where: Where, values: NDArray[Any], done: Journal, number: int) -> None:
+def _write(level: Array, where: Where, values: NDArray[Any], done: Journal) -> None:
     """Write one block and list its shards."""
-    level.array[where] = values
-    done.add(number, _shards(level, where))
+    level[where] = values
+    done.add(level, where)
 
 
 def halve(values: NDArray[Any]) -> NDArray[Any]:
@@ -252,16 +231,9 @@ def _halved(where: Where, times: int) -> Where:
     return z, y, x
 
 
-def _shards(level: _Level, where: Where) -> list[tuple[int, int, int]]:
-    """Numbers of the shards of a block."""
-    edge = level.array.shards or level.array.chunks
-    z, y, x = (range(w.start // s, -(-w.stop // s)) for w, s in zip(where, edge, strict=True))
-    return [(a, b, c) for a in z for b in y for c in x]
-
-
-def _make_levels(folder: Path, volume: xr.DataArray, shape: tuple[int, ...], ome: str) -> list[_Level]:
+def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     """Make or open the arrays of all levels, and write what is known of the volume."""
-    shapes = [shape]
+    shapes = [tuple(volume.shape)]
     while max(shapes[-1]) > _SMALLEST and min(shapes[-1]) >= 2 * _LEAST_DEPTH:
         shapes.append(tuple(-(-n // 2) for n in shapes[-1]))
     voxel = [float(v) for v in volume.attrs["voxel_um"]]
@@ -277,31 +249,29 @@ def _make_levels(folder: Path, volume: xr.DataArray, shape: tuple[int, ...], ome
     ]
     axes = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "zyx"]
     name = str(volume.attrs.get("file_name", "volume"))
-    scales = [{"version": ome, "name": name, "axes": axes, "datasets": datasets, "type": "mean of 2 x 2 x 2"}]
-    if ome == "0.5":
-        del scales[0]["version"]
-        attributes: dict[str, Any] = {"ome": {"version": "0.5", "multiscales": scales}}
-    else:
-        attributes = {"multiscales": scales}
+    scales = [{"name": name, "axes": axes, "datasets": datasets, "type": "mean of 2 x 2 x 2"}]
+    attributes: dict[str, Any] = {"ome": {"version": ome, "multiscales": scales}}
+    if ome == "0.4":
+        attributes = {"multiscales": [{"version": ome, **scales[0]}]}
     kept = ("full_scale", "voxel_um_source", "stored_dtype", "channel", "sections", "corrections")
     attributes["planish"] = {"source": name} | {k: volume.attrs[k] for k in kept if volume.attrs.get(k) is not None}
     group = zarr.open_group(folder, mode="a", zarr_format=3 if ome == "0.5" else 2)
     group.attrs.update(attributes)
-    levels: list[_Level] = []
+    levels: list[Array] = []
     for k, size in enumerate(shapes):
         if str(k) in group:
-            levels.append(_Level(group[str(k)], size))  # type: ignore[arg-type]
+            levels.append(group[str(k)])  # type: ignore[arg-type]
             continue
         shard = tuple(min(s, -(-n // c) * c) for s, n, c in zip(SHARD, size, CHUNK, strict=True))
+        how: dict[str, Any] = {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
         if ome == "0.5":
-            how: dict[str, Any] = {"shards": shard, "compressors": [ZstdCodec(level=1, checksum=True)]}
-        else:
-            how = {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
+            codec = ZstdCodec(level=1, checksum=True)
+            how = {"shards": shard, "compressors": [codec], "dimension_names": list("zyx")}
         array = group.create_array(
-            str(k), shape=size, dtype=volume.dtype, chunks=CHUNK, dimension_names=list("zyx") if ome == "0.5" else None,
-            fill_value=0, config={"write_empty_chunks": True}, **how,
+            str(k), shape=size, dtype=volume.dtype, chunks=CHUNK, fill_value=0, config={"write_empty_chunks": True},
+            **how,
         )  # fmt: skip
-        levels.append(_Level(array, size))
+        levels.append(array)
     return levels
 
 
@@ -345,7 +315,3 @@ def _listed(folder: Path) -> dict[str, str]:
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _silent(_what: str, _done: int, _all: int) -> None:
-    """Report nothing."""
