@@ -127,6 +127,7 @@ def cluster():
         yield made
 
 
+@pytest.mark.study
 def test_a_cluster_gives_the_same_bytes(store, whole, cluster, tmp_path):
     compute = Compute(scheduler=cluster.scheduler_address, memory_bytes=300 * 2**20)
     run_study(study(store), tmp_path / "run", compute=compute)
@@ -155,6 +156,7 @@ def test_a_worker_that_dies_costs_only_time(cluster):
     assert seen - workers or len(seen) >= 1
 
 
+@pytest.mark.study
 def test_no_scheduler_is_a_sentence():
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match="No scheduler answers"), engine(Compute(scheduler="tcp://127.0.0.1:1")):

@@ -125,6 +125,7 @@ def test_an_image_lies_on_another_image(specimen, other, image_pair):
     assert np.nanmax(layer["expected_error"].values) < 10.0
 
 
+@pytest.mark.study
 def test_a_chain_is_composed_and_its_error_adds_up(planish, linked_run, specimen_files, other_files, tmp_path):
     """Sheet to its own image to the other camera's image."""
     out = tmp_path / "run"

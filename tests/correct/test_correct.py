@@ -24,7 +24,7 @@ def cup(loss, shape=SHAPE, axis="y"):
     return 1 - loss * (1 - (r / r.max()) ** 2)
 
 
-@pytest.mark.parametrize(("noise", "tilt"), [(0.08, 0.0), (0.0, 0.0), (0.08, 5.0)])
+@pytest.mark.parametrize(("noise", "tilt"), [(0.08, 0.0), (0.0, 0.0), pytest.param(0.08, 5.0, marks=pytest.mark.study)])
 def test_known_rings_are_found_at_their_radius_and_with_their_height(noise, tilt):
     clean = sheet(tilt_deg=tilt)
     given = volume(clean, noise=noise, rings=both_rings())
@@ -110,6 +110,7 @@ def test_a_coating_that_is_denser_at_the_edge_is_the_sheets_own():
     assert found.record.cupping is None or found.record.cupping.percent < 1.0
 
 
+@pytest.mark.study
 def test_a_ring_that_fades_along_the_axis_is_followed():
     shape = (60, 240, 160)
     fade = np.linspace(0.0, 2.0, shape[1])[None, :, None]
@@ -122,7 +123,7 @@ def test_a_ring_that_fades_along_the_axis_is_followed():
     assert np.std(left) < 0.2 * np.std(ring(shape, 120.0, 0.05) * fade)
 
 
-@pytest.mark.parametrize("axis", ["z", "x"])
+@pytest.mark.parametrize("axis", ["z", pytest.param("x", marks=pytest.mark.study)])
 def test_the_axis_may_be_any_of_the_array(axis):
     """The same scan with its axes in another order: the same rings, the same voxels."""
     given = volume(sheet() * cup(0.05), rings=both_rings())

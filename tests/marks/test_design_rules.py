@@ -115,9 +115,10 @@ def symmetric(rng, kind):
 
 
 @pytest.mark.parametrize("kind", ["half", "quarter", "left-right", "up-down"])
-def test_symmetric_patterns_are_always_refused(kind):
+@pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 50), marks=pytest.mark.study)], ids=["few", "many"])
+def test_symmetric_patterns_are_always_refused(kind, seeds):
     rule = {"half": "half turn", "quarter": "quarter turn"}.get(kind, "mirror")
-    for seed in range(50):
+    for seed in seeds:
         rng = np.random.default_rng(seed)
         pattern = own_pattern(symmetric(rng, kind))
         values = {r.name: r for r in check_pattern(pattern)}

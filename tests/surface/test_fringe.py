@@ -28,7 +28,7 @@ def bytes_of(found):
     return b"".join(found[k].values.tobytes() for k in found)
 
 
-@pytest.mark.parametrize("size", [0.12, 0.3])
+@pytest.mark.parametrize("size", [0.12, pytest.param(0.3, marks=pytest.mark.study)])
 def test_a_known_fringe_is_learnt_and_coatings_are_right(size):
     """Taken for a blurred staircase alone it moves faces and interfaces by 0.1 to 0.2 um."""
     sheet = replace(COARSE, fringe=size)
@@ -44,6 +44,7 @@ def test_a_known_fringe_is_learnt_and_coatings_are_right(size):
     assert np.abs(biases(without, sheet)).max() > 0.07
 
 
+@pytest.mark.study
 def test_a_thin_coating_keeps_its_thickness():
     """4 um in voxels of 3 um: taken for a blurred staircase alone, the fringe makes them 5 um or more."""
     sheet = replace(COARSE, coats=(10.0, 4.0), fringe=0.3)
@@ -51,6 +52,7 @@ def test_a_thin_coating_keeps_its_thickness():
     assert biases(find_surfaces(sheet.volume(), params=OFF), sheet)[2] > 0.5
 
 
+@pytest.mark.study
 def test_the_tilt_widens_the_fringe_as_it_does_the_blur():
     sheet = replace(COARSE, fringe=0.2, tilt=(25.0, 0.0))
     found = find_surfaces(sheet.volume())

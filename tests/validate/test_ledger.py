@@ -266,6 +266,7 @@ def test_a_false_and_a_missed_hole():
     assert found["false_volume"] == 1.0
 
 
+@pytest.mark.study
 def test_columns_that_were_lost_count_and_rims_do_not():
     specimen, files, run = exact_run()
     status = run.groups["surfaces"]["status"].values
