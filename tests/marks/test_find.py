@@ -250,7 +250,9 @@ def test_impossible_requests():
         find_holes(np.ones((50, 50)), pixel_um=1.0, polarity="light")
 
 
-@pytest.mark.parametrize(("name", "pixel", "count"), [("02", 10.0, 1324), pytest.param("05", 20.0, 4414, marks=pytest.mark.study)])
+@pytest.mark.parametrize(
+    ("name", "pixel", "count"), [("02", 10.0, 1324), pytest.param("05", 20.0, 4414, marks=pytest.mark.study)]
+)
 def test_dots_of_real_calibration_targets(shared_data, name, pixel, count):
     """Photographs of dot targets, dots 16 and 7 pixels across, all of them found.
 
