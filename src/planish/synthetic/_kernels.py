@@ -178,11 +178,12 @@ def paint(
                 c, r = int(fx), int(fy)
                 fx -= c
                 fy -= r
-                for n in range(_SINGLE):
-                    at[n] = _bilinear(fields, r, c, fy, fx, n)
-                top, inner_top, inner_low, low = at[0], at[1], at[2], at[3]
+                top, low = _bilinear(fields, r, c, fy, fx, 0), _bilinear(fields, r, c, fy, fx, 3)
                 if s > top + soft_um or s < low - soft_um:
                     continue
+                for n in range(_SINGLE):
+                    at[n] = _bilinear(fields, r, c, fy, fx, n)
+                inner_top, inner_low = at[1], at[2]
                 through = min(max((top - s) / max(top - low, 1e-6), 0.0), 1.0)
                 rim = at[4] * (1 - through) + at[5] * through
                 solid = _ramp(rim / soft_um)

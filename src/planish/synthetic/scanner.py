@@ -18,7 +18,7 @@ from planish.synthetic.warp import Warp
 
 Array = NDArray[np.float64]
 
-TILE_ROWS = 24
+_TILE_VOXELS, _LEAST_ROWS = 1 << 23, 24  # of a tile; the rows around it are painted twice
 _FRINGE_PX = 1.5
 _FWHM = float(np.sqrt(8 * np.log(2.0)))
 _STREAK_ROWS, _STREAK_UM = 8, 1000.0  # a streak lasts so long across and along
@@ -40,7 +40,7 @@ class Scanner:
     shape: tuple[int, int, int]
     seed: int
 
-    def volume(self, *, threads: int | None = None, tile_rows: int = TILE_ROWS) -> NDArray[np.generic]:
+    def volume(self, *, threads: int | None = None, tile_rows: int | None = None) -> NDArray[np.generic]:
         """Return the volume (z, y, x)."""
         out = np.empty(self.shape, dtype=self.params.dtype)
         for start, tile in self.tiles(threads=threads, tile_rows=tile_rows):
@@ -48,10 +48,11 @@ class Scanner:
         return out
 
     def tiles(
-        self, *, threads: int | None = None, tile_rows: int = TILE_ROWS
+        self, *, threads: int | None = None, tile_rows: int | None = None
     ) -> Iterator[tuple[int, NDArray[np.generic]]]:
         """Give (first row, tile (rows, x, z)) one after the other; some ``2 * threads`` tiles are in memory."""
         _ = self.sheet.packed, self._plane, self._cups  # made once, before threads ask for them
+        tile_rows = tile_rows or max(_TILE_VOXELS // (self.shape[0] * self.shape[2]), _LEAST_ROWS)
         starts = list(range(0, self.shape[1], tile_rows))
         threads = count_threads(threads)
         with thread_pool(threads) as pool:
