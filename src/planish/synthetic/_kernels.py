@@ -165,14 +165,15 @@ def paint(
             u, v = under[i, j, 0], under[i, j, 1]
             k0 = max(int(floor((zc - half_um) / step)) - first, 0)
             k1 = min(int(floor((zc + half_um) / step)) + 1 - first, depth_voxels - 1)
-            du, dv = 0.0, 0.0
+            du, dv, ddu, ddv = 0.0, 0.0, 0.0, 0.0
             for k in range(k0, k1 + 1):
                 z = (first + k) * step
                 x = xs[j] + shift_x[i] - turn[i] * (z - middle[1])
-                # Up a column the material moves by the same step again and again: a guess that is nearly the answer.
-                u0, v0 = u, v
-                u, v, s = invert(w, curve, x, ys[i], z + lift, u + du, v + dv)
+                # Up a column the material moves by nearly the same step again and again: the guess needs one correction.
+                u0, v0, du0, dv0 = u, v, du, dv
+                u, v, s = invert(w, curve, x, ys[i], z + lift, u + du + ddu, v + dv + ddv)
                 du, dv = (u - u0, v - v0) if k > k0 else (0.0, 0.0)
+                ddu, ddv = (du - du0, dv - dv0) if k > k0 + 1 else (0.0, 0.0)
                 fx = min(max((u - origin[0]) / pitch, 0.0), last_col)
                 fy = min(max((v - origin[1]) / pitch, 0.0), last_row)
                 c, r = int(fx), int(fy)
