@@ -18,9 +18,10 @@ from planish.study import Study
 from planish.synthetic import make_specimen, write_instruments
 from planish.synthetic.nuisances import NUISANCES
 from planish.synthetic.params import SpecimenParams
-from planish.validate.ledger import make_ledger
+from planish.validate.certify import make_ledger
+from planish.validate.figures import Values
 from planish.validate.scenario import ALL, NONE, Scenario, read_scenario
-from planish.validate.truth import Comparison, Values
+from planish.validate.truth import Comparison
 
 _MODES = ("profile", "paper")
 _FACES = ("top", "interface_top", "interface_bottom", "bottom")
@@ -68,7 +69,7 @@ def measure(scenario: Scenario, params: SpecimenParams, seed: int) -> list[Value
             volume = {"path": str(made.volume), "through": made.through}
             try:
                 run = map_sheet(Study.model_validate({"volume": volume, "surface": {"method": mode}}))
-                found.append(make_ledger(Comparison.of(specimen, made, run)))
+                found.append(make_ledger(Comparison(specimen, made, run)))
             except PlanishError as error:
                 found.append(f"refused: {error}")
         return found

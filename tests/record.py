@@ -23,8 +23,9 @@ _FLOOR = {"um": 0.01, "%": 0.01, "deg": 0.01, "1": 0.002, "pitch": 1e-4, "s": 1.
 def record(certificate: Certificate) -> dict[str, Any]:
     """Mean and standard deviation over the seeds of every figure, ready for TOML."""
     figures = {
-        name: {"mean": float(f"{found.mean:.5g}"), "sd": float(f"{found.sd:.3g}")}
-        for name, found in certificate.summaries().items()
+        name: {"mean": float(f"{found.mean:.5g}"), "sd": float(f"{found.sd or 0.0:.3g}")}
+        for name, found in certificate.lines().items()
+        if found.mean is not None
     }
     return {
         "scenario": certificate.scenario.name,
@@ -54,7 +55,7 @@ def worse(certificate: Certificate, recorded: dict[str, Any]) -> list[str]:
     Only figures that say how good something is are compared: where smaller is better, their absolute value, and shares
     of what was found, which ought to be large.
     """
-    found = certificate.summaries()
+    found = {name: line.mean for name, line in certificate.lines().items() if line.mean is not None}
     faults: list[str] = []
     for name, old in recorded["figures"].items():
         figure = FIGURES.get(name)
@@ -65,7 +66,7 @@ def worse(certificate: Certificate, recorded: dict[str, Any]) -> list[str]:
         if name not in found:
             faults.append(f"{name}: {old['mean']:.4g} was recorded, now there is none")
             continue
-        now, then = found[name].mean, float(old["mean"])
+        now, then = found[name], float(old["mean"])
         allowed = max(_SPREADS * float(old["sd"]), _SHARE * abs(then), _FLOOR[figure.unit])
         by = abs(now) - abs(then) if figure.better == "small" else then - now
         if by > allowed:

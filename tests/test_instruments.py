@@ -18,7 +18,7 @@ from planish.synthetic import (
     make_specimen,
     write_instruments,
 )
-from planish.validate.ledger import make_ledger
+from planish.validate.certify import make_ledger
 from planish.validate.truth import Comparison
 
 PARAMS = SpecimenParams(
@@ -39,7 +39,7 @@ def _link(params, instrument, folder):
         {"volume": {"path": str(files.volume), "through": files.through}, "image": {"path": str(files.image)}}
     )
     run = run_study(study, folder / "run")
-    return specimen, files, run, make_ledger(Comparison.of(specimen, files, run))
+    return specimen, files, run, make_ledger(Comparison(specimen, files, run))
 
 
 @pytest.mark.study

@@ -22,7 +22,7 @@ from planish.register import RegistrationParams, fit_transform
 from planish.resample.maps import _with_angles
 from planish.study import LayerParams, Study, read_study, write_study
 from planish.synthetic import CameraParams, InstrumentFiles, ScannerParams, Warp, make_specimen, write_instruments
-from planish.validate.pair import pair_values
+from planish.validate.image_errors import pair_errors
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_two_volumes_show_the_same_material_at_the_same_pixel(specimen, other, o
     assert found.passed
     # Truth needs the run of either layer; the second one was mapped before.
     whole = replace(found, sheets=found.sheets | {"second": open_run(other_run).sheet()})
-    values = pair_values([(specimen, files), (other, other_files)], whole)
+    values = pair_errors([(specimen, files), (other, other_files)], whole)
     assert values["pair_median"] < 1.5
     assert values["pair_p95"] < 3.0
     assert values["pair_r"] > 0.97

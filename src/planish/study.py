@@ -130,11 +130,11 @@ def as_study(data: dict[str, Any]) -> Study:
     return Study.model_validate(_with_layers(data))
 
 
-def faults_of(error: ValidationError) -> str:
-    """Name every fault that a validation found, with its place."""
-    return "; ".join(
-        f"{'.'.join(map(str, e['loc']))}: {e['msg'].removeprefix('Value error, ')}" for e in error.errors()
-    )
+def faults_of(error: ValidationError, *, within: str = "") -> str:
+    """Name every fault that a validation found, with its place, which begins with ``within``."""
+    places = [f"{within}{'.'.join(map(str, e['loc']))}: " if e["loc"] else "" for e in error.errors()]
+    words = [e["msg"].removeprefix("Value error, ") for e in error.errors()]
+    return "; ".join(f"{place}{text}" for place, text in zip(places, words, strict=True))
 
 
 def _with_layers(data: dict[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import xarray as xr
 from planish.analyze import correlate, correlate_at
 from planish.core.results import CorrelationRow, Results
 from planish.report import write_report
-from planish.report.relation import block_means, draw_pair, largest, pair_of
+from planish.report.relation import block_means, draw_pair, largest
 from planish.report.summary import by_pair
 from planish.report.text import beside
 from report.pages import Page
@@ -177,8 +177,7 @@ def test_the_difference_is_given_where_both_are_the_same_quantity(page: str) -> 
 def test_difference_and_its_drawing_have_one_sign() -> None:
     given = layers()
     a, b = (given["groups"][f"layers/{name}"]["coating_top"] for name in ("before", "after"))
-    pair = pair_of(a, b, np.ones(a.shape, dtype=bool), names=("a", "b"))
-    first, second = block_means(pair, point_um=60.0)
+    first, second = block_means(a, b, point_um=60.0)
     row = largest(by_pair(Results.model_validate(given["results"]))[0])
     assert float((second - first).mean()) == pytest.approx(row.difference_mean, abs=0.1)
 
@@ -255,6 +254,6 @@ def test_a_pair_without_correlation_is_drawn() -> None:
     a = layers(blank=True)["groups"]["layers/before"]["coating_top"]
     row = CorrelationRow(a="a", a_map="m", b="b", b_map="m", point_um=60.0, n=0, r=None, r2=None, slope=None,
                          intercept=None, same_quantity=True, units="um")  # fmt: skip
-    drawn = draw_pair(pair_of(a, a, np.ones(a.shape, dtype=bool), names=("a", "b")), [row])
+    drawn = draw_pair(a, a, [row], names=("a", "b"))
     assert "no correlation" in drawn.svg
     assert "nan" not in drawn.svg

@@ -13,8 +13,14 @@ import xarray as xr
 from planish.analyze import Registration
 from planish.core.results import LagFacts, RegistrationFacts
 from planish.report.draw import FULL, HALF, levels_between
-from planish.report.registration import blank_ground, draw_expected_error, draw_lags, lag_places
-from planish.report.summary import lag_check, machine_direction
+from planish.report.registration import (
+    blank_ground,
+    draw_expected_error,
+    draw_lags,
+    lag_places,
+    machine_direction,
+)
+from planish.report.summary import lag_check
 from planish.report.text import REGISTERED, capital, typeset
 from report.pages import Page
 from report.runs import a_run, lag_of, page_of, registration_of
@@ -43,13 +49,13 @@ def a_lag(**values: Any) -> LagFacts:
     ],
 )
 def test_a_check_is_green_amber_or_grey_but_never_red(values: dict[str, Any], state: str, meaning: str) -> None:
-    check = lag_check(a_lag(**values), first="coating thickness", second="the image")
+    check = lag_check(a_lag(**values), first="coating thickness", second="the image", name="check")
     assert check is not None
     assert check.state == state
     assert meaning in check.meaning
     assert check.sentence.endswith(".")
     assert " um" not in check.sentence
-    assert lag_check(None, first="a", second="b") is None
+    assert lag_check(None, first="a", second="b", name="check") is None
 
 
 def test_words_of_the_registration_are_those_of_the_analysis() -> None:
@@ -60,7 +66,7 @@ def test_the_axis_given_for_the_image_comes_first() -> None:
     def found(**angles: float) -> tuple[float, str] | None:
         facts = registration_of("volume", "image")
         facts["orientation"] = facts["orientation"] | angles
-        return machine_direction(RegistrationFacts.model_validate(facts), moving="the volume", fixed="the image")
+        return machine_direction(RegistrationFacts.model_validate(facts), "volume")
 
     assert found(md_deg_fixed=10.0, md_deg_fixed_from_moving=12.0) == (10.0, "given for the image")
     assert found(md_deg_fixed_from_moving=12.0) == (12.0, "carried over from the volume")
@@ -87,16 +93,16 @@ def test_no_figure_of_lags_unless_one_is_distinct() -> None:
 def test_expected_error_states_its_range_and_needs_values() -> None:
     y, x = 5.0 * np.arange(40), 5.0 * np.arange(60)
     error = xr.DataArray(np.tile(np.linspace(1.0, 3.0, 60), (40, 1)), {"y": y, "x": x}, ("y", "x"))
-    drawn = draw_expected_error(error, None, hole_um=200.0, width=FULL)
+    drawn = draw_expected_error(error, None, hole_um=200.0, width=FULL, of="image", shown="volume")
     assert drawn is not None
     assert f"1.0{MICRO} to 3.0{MICRO}, median 2.0{MICRO}" in drawn.caption
     assert f"Contour lines every 0.2{MICRO}" in drawn.caption
     # The line of 2 um stands upright in the middle.
     assert re.search(r">2</text>", drawn.svg)
-    even = draw_expected_error(error * 0 + 1.5, None, hole_um=200.0, width=HALF)
+    even = draw_expected_error(error * 0 + 1.5, None, hole_um=200.0, width=HALF, of="image", shown="volume")
     assert even is not None
     assert "Contour" not in even.caption
-    assert draw_expected_error(error * np.nan, None, hole_um=200.0, width=HALF) is None
+    assert draw_expected_error(error * np.nan, None, hole_um=200.0, width=HALF, of="image", shown="volume") is None
 
 
 def test_levels_are_round_and_inside() -> None:

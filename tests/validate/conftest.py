@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from planish.pipeline import run_study
+from planish.report.draw import HALF, Canvas
 from planish.synthetic import make_specimen, write_instruments
-from planish.validate.certify import Certificate, Entry, Example, run_scenario, scenario_study
-from planish.validate.ledger import in_order
+from planish.validate.certify import Certificate, Entry, run_scenario
+from planish.validate.figures import in_order
 from planish.validate.scenario import read_scenario
 
 
@@ -22,19 +23,15 @@ def small():
 
 @pytest.fixture(scope="session")
 def certificate(small):
-    """A certificate of three specimens with the recorded figures, and made-up maps."""
+    """A certificate of three specimens with the recorded figures, and made-up pictures."""
     recorded = tomllib.loads(Path(__file__).with_name("recorded.toml").read_text())["figures"]
     entries = [
-        Entry(seed=seed, values=in_order({k: f["mean"] + off * f["sd"] for k, f in recorded.items()}), seconds=1.0)
+        Entry(seed=seed, values=in_order({k: f["mean"] + off * f["sd"] for k, f in recorded.items()}))
         for seed, off in enumerate((0.0, -1.0, 1.0))
     ]
-    y, x = np.mgrid[:40, :60] * 5.0
-    found = np.where(np.hypot(x - 150, y - 100) < 40, np.nan, 17.0 + np.sin(x / 30))
-    maps = Example(
-        seed=0, pixel_um=(5.0, 5.0), image=0.7 + 0.01 * np.sin(x / 30), away_um=0.01 * x + 0 * found,
-        name="coating_top", found_um=found, error_um=0.1 * np.cos(y / 40) + 0 * found,
-    )  # fmt: skip
-    return Certificate(scenario=small, entries=tuple(entries), example=maps)
+    canvas = Canvas(HALF, 300)
+    pictures = tuple(canvas.picture(title=f"Map {k}", caption="") for k in range(4))
+    return Certificate(scenario=small, entries=(replace(entries[0], pictures=pictures), *entries[1:]))
 
 
 @pytest.fixture(scope="session")
@@ -49,5 +46,5 @@ def measured(small, tmp_path_factory):
     folder = tmp_path_factory.mktemp("measured")
     specimen = make_specimen(small.params(1))
     made = write_instruments(specimen, folder / "specimen", volume="stack")
-    run = run_study(scenario_study(small, made), folder / "run")
+    run = run_study(small.study_of([(made.volume, made.through)], made.image), folder / "run")
     return specimen, made, run

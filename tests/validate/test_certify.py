@@ -19,7 +19,7 @@ from planish.validate.drawings import dots
 from planish.validate.figures import STAGES
 from planish.validate.page import render_page
 from planish.validate.scenario import Limit, read_scenario
-from planish.validate.table import as_json, lines, markdown, summary, terminal_rows, verdict
+from planish.validate.table import as_json, markdown, summary, terminal_rows, verdict
 
 RECORDED = Path(__file__).with_name("recorded.toml")
 
@@ -34,17 +34,17 @@ def test_no_figure_is_worse_than_recorded(whole_certificate):
 def test_the_small_scenario_meets_its_limits(whole_certificate):
     assert whole_certificate.passed, summary(whole_certificate)
     assert len(whole_certificate.entries) == 3
-    assert whole_certificate.example is not None
+    assert len(whole_certificate.entries[0].pictures) == 4
 
 
 def made_up(values, *, limits=None, **entry):
     scenario = read_scenario("small").model_copy(update={"limits": limits or {}})
-    entries = tuple(Entry(seed=k, values=v, seconds=1.0, **entry) for k, v in enumerate(values))
+    entries = tuple(Entry(seed=k, values=v, **entry) for k, v in enumerate(values))
     return Certificate(scenario=scenario, entries=entries)
 
 
 def test_mean_spread_and_worst():
-    found = made_up([{"tre_p95": 1.0, "top_bias": -0.3}, {"tre_p95": 3.0, "top_bias": 0.1}]).summaries()
+    found = made_up([{"tre_p95": 1.0, "top_bias": -0.3}, {"tre_p95": 3.0, "top_bias": 0.1}]).lines()
     assert found["tre_p95"].mean == 2.0
     assert found["tre_p95"].sd == pytest.approx(np.sqrt(2.0))
     assert found["tre_p95"].worst == 3.0
@@ -55,7 +55,7 @@ def test_mean_spread_and_worst():
 def test_the_worst_seed_has_to_meet_the_limit():
     limits = {"tre_p95": Limit(limit=2.5), "recall_image": Limit(least=0.9), "thin_dice": Limit(least=0.5)}
     found = made_up([{"tre_p95": 1.0, "recall_image": 1.0}, {"tre_p95": 3.0, "recall_image": 1.0}], limits=limits)
-    assert {check.name: check.met for check in found.checks()} == {
+    assert {name: line.met for name, line in found.lines().items()} == {
         "tre_p95": False,
         "recall_image": True,
         "thin_dice": False,  # what could not be measured is not met
@@ -70,22 +70,21 @@ def no_specimen(monkeypatch):
     files = SimpleNamespace(volume=Path("v.tif"), image=Path("i.tif"), through="z")
     monkeypatch.setattr(certify, "make_specimen", lambda _params: None)
     monkeypatch.setattr(certify, "write_instruments", lambda *_, **__: files)
-    monkeypatch.setattr(certify, "scenario_study", lambda *_: None)
 
 
 @pytest.mark.usefixtures("no_specimen")
 def test_every_seed_gives_an_entry_and_the_first_an_example(monkeypatch, small):
     """What the studies do with real runs, with the run and its ledger replaced."""
     gate = SimpleNamespace(name="marks", sentence="7 marks agree to 33.1 um only.", passed=False)
-    monkeypatch.setattr(certify, "run_study", lambda *_, **__: SimpleNamespace(gates=(gate,), groups={}))
-    monkeypatch.setattr(certify, "make_ledger", lambda _both, point_um: {"tre_p95": point_um})
-    monkeypatch.setattr(certify, "make_example", lambda _both, seed: f"maps of {seed}")
+    monkeypatch.setattr(certify, "run_study", lambda *_, **__: SimpleNamespace(gates=(gate,), groups={"linked": None}))
+    monkeypatch.setattr(certify, "make_ledger", lambda _both: {"tre_p95": 7.0})
+    monkeypatch.setattr(certify, "draw_example", lambda _both, seed: [f"maps of {seed}"])
     reports = []
     found = run_scenario(small, [4, 2], progress=lambda *words: reports.append(words))
     assert [entry.seed for entry in found.entries] == [4, 2]
-    assert found.entries[0].values == {"tre_p95": small.point_um}
+    assert found.entries[0].values == {"tre_p95": 7.0}
     assert found.entries[0].gates == ("marks: 7 marks agree to 33.1 um only.",)
-    assert found.example == "maps of 4"
+    assert [entry.pictures for entry in found.entries] == [("maps of 4",), ()]
     assert ("small", "seed 2, 2 of 2") in reports
 
 
@@ -128,7 +127,7 @@ def test_table_of_a_certificate(certificate):
     ]
     assert sum(row[-1] == "met" for row in rows) == len(certificate.scenario.limits)
     text = markdown(certificate)
-    assert text.count("\n| ") >= len(lines(certificate))
+    assert text.count("\n| ") >= len(certificate.lines())
     data = json.loads(json.dumps(as_json(certificate), allow_nan=False))
     assert data["passed"] is True
     assert data["figures"]["tre_median"]["n"] == 3
@@ -161,8 +160,8 @@ def test_the_page_needs_nothing_else(certificate):
 
 
 def test_a_row_of_dots():
-    assert dots((None, None), 1.0) == ""
-    text = dots((0.5, 1.0, None), 2.0)
+    assert dots((), 1.0) == ""
+    text = dots((0.5, 1.0), 2.0)
     assert text.count("<circle") == 2
     # zero at the left margin, the limit at the right one, 0.5 a quarter of the way
     assert 'cx="40.5"' in text

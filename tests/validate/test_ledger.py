@@ -11,11 +11,11 @@ import xarray as xr
 
 from planish.core.transform import Similarity
 from planish.register import fit_transform
-from planish.validate.figures import FACES, FIGURES, KEYS, STAGES
-from planish.validate.ledger import in_order
-from planish.validate.ledger import make_ledger as ledger_of
-from planish.validate.outlines import contour_points, dice, outline_lag
-from planish.validate.truth import Comparison
+from planish.validate.certify import make_ledger as ledger_of
+from planish.validate.drawings import draw_example
+from planish.validate.figures import FIGURES, KEYS, STAGES, in_order
+from planish.validate.image_errors import contour_points, dice, outline_lag
+from planish.validate.truth import FACES, Comparison
 
 ROWS, COLS, PITCH = 150, 200, 5.0  # columns of the volume
 PIXEL = 4.0
@@ -136,7 +136,7 @@ def exact_run(*, shift=(0.0, 0.0), lift=0.0, stretch=1.0, thicker=0.0):
     moving = stretch * HOLES + [100.0, -50.0]
     fixed = pose(HOLES)
     study = SimpleNamespace(
-        holes=SimpleNamespace(hole_um=(100.0, 300.0)), correlate=SimpleNamespace(thin_um=13.0)
+        holes=SimpleNamespace(hole_um=(100.0, 300.0)), correlate=SimpleNamespace(thin_um=13.0, point_um=100.0)
     )  # fmt: skip
     run = SimpleNamespace(
         groups={"surfaces": surfaces, "flat": flat, "linked": linked, "maps": maps}, study=study,
@@ -149,7 +149,7 @@ def exact_run(*, shift=(0.0, 0.0), lift=0.0, stretch=1.0, thicker=0.0):
 
 
 def make_ledger(specimen, files, run):
-    return ledger_of(Comparison.of(specimen, files, run))
+    return ledger_of(Comparison(specimen, files, run))
 
 
 def disc_image(centres, x, y, coating):
@@ -183,6 +183,17 @@ def test_an_exact_run_has_no_errors():
     assert found["fle_volume"] < 0.5
     # linear interpolation over 5 um columns of a wave of 400 um and 6 um height: (2 pi / 400)^2 5^2 / 8 of it
     assert found["resampling_rmse"] < 6.0 * (2 * np.pi / 400) ** 2 * PITCH**2 / 8
+
+
+def test_pictures_of_a_specimen_show_its_errors():
+    specimen, files, run = exact_run(shift=(3.0, 0.0), thicker=-0.4)
+    pictures = draw_example(Comparison(specimen, files, run), 7)
+    assert [picture.title for picture in pictures] == [
+        "The image of one specimen", "Measured coating thickness", "Error of place", "Error of the coating thickness"
+    ]  # fmt: skip
+    assert "Seed 7; pixels of 4" in pictures[0].caption
+    assert "below 3.00" in pictures[2].caption
+    assert "−0.400" in pictures[3].caption
 
 
 def test_a_shift_of_all_pixels_is_their_error():
@@ -298,7 +309,7 @@ def test_residual_poses_of_sections():
     files.to_physical = to_physical
     from planish.validate.volume_errors import section_errors
 
-    found = section_errors(Comparison(specimen=None, files=files, groups=run.groups))
+    found = section_errors(Comparison(None, files, run))
     # fitted straight lines take 2 of 150 degrees of freedom
     for name, k in (("sections_place_rms", 1), ("sections_z_rms", 2)):
         assert found[name] == pytest.approx(left[:, k].std(), rel=0.05)

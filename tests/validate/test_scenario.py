@@ -9,7 +9,6 @@ import pytest
 
 from planish.core.errors import FileError, InputError
 from planish.synthetic.nuisances import NUISANCES
-from planish.validate.certify import scenario_study
 from planish.validate.figures import FIGURES
 from planish.validate.scenario import Limit, read_scenario, scenario_names
 
@@ -59,8 +58,8 @@ def test_nuisances_all_none_and_some():
         ("[specimen.warp]\nslop = 1", "slop"),
         ('[specimen.warp]\nslope = "steep"', "specimen.warp.slope"),
         ("[specimen]\nwarp = 3", "specimen.warp: .* dictionary"),
-        ("[study.surfaces]\ncutoff_um = 100", "registration"),
-        ("[study.surface]\ncutoff = 100", "cutoff_um"),
+        ("[study.surfaces]\ncutoff_um = 100", "study.surfaces"),
+        ("[study.surface]\ncutoff = 100", r"surface\.cutoff: Extra"),
         ("seeds = 0", "seeds"),
     ],
 )
@@ -94,16 +93,12 @@ def test_limits():
 def test_the_study_of_a_scenario(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('name = "mine"\ntitle = "Mine"\n[study.holes]\nhole_um = [120, 250]\n')
-
-    class Made:
-        volume, image, through, voxel_um = tmp_path / "v", tmp_path / "i", "y", (3.0, 3.0, 3.0)
-
-    study = scenario_study(read_scenario(path), Made)
+    study = read_scenario(path).study_of([(tmp_path / "v", "y")], tmp_path / "i")
     assert study.holes.hole_um == (120.0, 250.0)
     assert study.layers[0].volume.through == "y"
     path.write_text('name = "mine"\ntitle = "Mine"\n[study.surface]\ncutoff_um = -1\n')
     with pytest.raises(InputError, match=r"surface\.cutoff_um"):
-        scenario_study(read_scenario(path), Made)
+        read_scenario(path)
 
 
 def test_every_nuisance_has_an_effect_on_the_parameters():

@@ -48,7 +48,7 @@ def fake(monkeypatch, effect):
 
         on = frozenset(nuisances_of(params, "scanner"))
         calls.append(on)
-        return Entry(seed=seed, seconds=0.0, **effect(on)), None
+        return Entry(seed=seed, **effect(on))
 
     monkeypatch.setattr(module, "run_specimen", run)
     return calls

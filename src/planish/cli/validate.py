@@ -120,7 +120,7 @@ def _show(certificate: Certificate, grown: Sensitivity | None) -> None:
             click.echo(tables.plain(sentence))
     click.echo(tables.plain(f"{tables.verdict(certificate)} {tables.summary(certificate)}"))
     faults = [f"seed {e.seed}: {fault}" for e in certificate.entries for fault in (e.refusal, *e.gates) if fault]
-    faults += [tables.plain(tables.check_sentence(check)) for check in certificate.checks() if not check.met]
+    faults += [tables.plain(tables.limit_sentence(line)) for line in certificate.lines().values() if line.met is False]
     for fault in faults:
         click.echo(f"planish: {fault}", err=True)
 

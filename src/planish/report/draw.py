@@ -8,14 +8,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from html import escape
-from typing import TypedDict, Unpack
+from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planish.core.area import area_mean
 from planish.report.colours import MISSING, Array, Scale, image_uri
-from planish.report.text import fixed, plain
+from planish.report.text import count, fixed, length, plain
 
 Extent = tuple[float, float, float, float]
 """Left, right, bottom and top in um, or in the units of a plot."""
@@ -80,6 +80,7 @@ class Axes:
 
     def __init__(self, left: float, top: float, width: float, height: float, extent: Extent) -> None:
         self.left, self.top, self.width, self.height, self.extent = left, top, width, height, extent
+        self.shown = Field(np.empty((0, 0)), extent)
         self._parts: list[str | Axes] = []
 
     def svg(self, more: str = "") -> str:
@@ -97,7 +98,7 @@ class Axes:
 
     def image(self, shown: Field, scale: Scale, *, missing: str = MISSING) -> None:
         """Draw a map within a thin frame; what is missing is neutral grey. The scale bar says how large things are."""
-        left, right, bottom, top = shown.extent
+        self.shown, (left, right, bottom, top) = shown, shown.extent
         (x0, y0), (x1, y1) = self.place([(left, top), (right, bottom)])
         self._parts.append(_image((x0, y0, x1 - x0, y1 - y0), shown.values, scale, missing))
         self._parts.append(f'<rect width="100%" height="100%" fill="none" stroke="{FAINT}"/>')
@@ -160,18 +161,18 @@ class Axes:
                 self._parts.append(_stroke(shafts, ink, width + extra))
                 self._parts.append(f'<path d="{heads}" fill="{ink}" stroke="{ink}" stroke-width="{_n(extra)}"/>')
 
-    def contours(self, shown: Field, levels: Array, *, labels: bool = False, avoid: Array | None = None) -> None:
-        """Draw contour lines of a field in white, with their values on request, away from some places."""
+    def contours(self, levels: Array, *, labels: bool = False, avoid: ArrayLike = ()) -> None:
+        """Draw contour lines of the map in white, with their values on request, away from some places."""
         from contourpy import LineType, contour_generator
 
-        (rows, cols), (left, right, bottom, top) = shown.values.shape, shown.extent
-        known = shown.values[np.isfinite(shown.values)]
+        shown, (left, right, bottom, top) = self.shown, self.shown.extent
+        (rows, cols), known = shown.values.shape, shown.values[np.isfinite(shown.values)]
         if min(rows, cols) < 2 or known.size == 0:
             return
         across = left + (np.arange(cols) + 0.5) * (right - left) / cols
         down = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
         found = contour_generator(across, down, np.ma.masked_invalid(shown.values), line_type=LineType.Separate)
-        taken = np.empty((0, 2)) if avoid is None else self.place(avoid)
+        taken = self.place(avoid)
         for level in levels[(levels > known.min()) & (levels < known.max())]:
             lines = [line for line in found.lines(float(level)) if isinstance(line, np.ndarray)]
             data = "".join(_path(self.place(line)) for line in lines)
@@ -222,7 +223,7 @@ class Canvas(Axes):
         label: str = "{}",
     ) -> None:  # fmt: skip
         """Draw a round length below axes that show ``um`` on so many pixels."""
-        bar = round_below(most * um)
+        bar = round_step(most * um)
         across = bar / um * width
         self.line([(left, top + 10), (left + across, top + 10)], colour=colour, width=3)
         self.text(left + across + 7, top + 14, label.format(plain(bar)), size=SMALL)
@@ -280,11 +281,14 @@ class Canvas(Axes):
 
 
 def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Field:
-    """Bring a map with its coordinates in um to the resolution of axes that are so many pixels wide, by area means."""
+    """Bring a map with its coordinates in um to the resolution of axes that are so many pixels wide, by area means.
+
+    Rows may also run upwards (heights).
+    """
     data = np.asarray(values, dtype=np.float64)
     steps = (pitch(rows), pitch(cols))
     finest = max(data.shape[1] * steps[1] / (width * _DENSITY), 1e-12)
-    factor = (max(1.0, finest / steps[0]), max(1.0, finest / steps[1]))
+    factor = (max(1.0, finest / abs(steps[0])), max(1.0, finest / steps[1]))
     if max(factor) > 1:
         data = area_mean(data, factor)
     down, across = (n * f * s for n, f, s in zip(data.shape, factor, steps, strict=True))
@@ -292,35 +296,11 @@ def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Fie
     return Field(data, (left, left + across, top + down, top))
 
 
-def pitch(coordinates: Array) -> float:
-    """Return the step of a regular axis; 1 for a single point."""
-    return float(coordinates[-1] - coordinates[0]) / (len(coordinates) - 1) if len(coordinates) > 1 else 1.0
-
-
-def round_below(value: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above ``value``."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(k for k in (1, 2, 5) if k * power <= value * (1 + 1e-9)))
-
-
-def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float]:
-    """Return round levels between two values, and their step; none where the two are next to the same."""
-    if not high - low > 1e-6 * max(abs(low), abs(high)):
-        return np.empty(0), 0.0
-    step = round_below((high - low) / steps)
-    return np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step, step
-
-
-def round_ticks(low: float, high: float, *, most: int) -> tuple[Array, float]:
-    """Return at most so many round values between two others, and their step."""
-    smallest = (high - low) / max(most, 2)
-    power = 10.0 ** math.floor(math.log10(smallest))
-    step = power * next(k for k in (1, 2, 5, 10) if k * power >= smallest * (1 - 1e-9))
-    return np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step, step
-
-
-def half_page(shown: Field, *, scale: Scale, label: str, width: float = HALF) -> tuple[Canvas, Axes]:
-    """Half a page, or as wide as given: a map, its colour bar to the right unless there is no label, its scale bar."""
+def draw_map(
+    values: Array, y: Array, x: Array, *, scale: Scale, label: str, width: float = HALF
+) -> tuple[Canvas, Axes]:  # fmt: skip
+    """Draw a map (y, x) on half a page, or as wide as given, with its scale bar and, where labelled, its colour bar."""
+    shown = reduced(values, y, x, width=width - BESIDE)
     box = shown.fit(width - BESIDE, _HIGHEST if width <= HALF else 640.0)
     canvas = Canvas(width, panel_height(box, label) + _TOP + 26)
     return canvas, canvas.panel(0.0, 0.0, shown, box, scale=scale, label=label)
@@ -331,14 +311,67 @@ def panel_height(box: tuple[float, float], label: str) -> float:
     return max(box[1], _LOWEST_BAR if label else 0.0)
 
 
+class Magnified(NamedTuple):
+    """How much arrows are magnified, the length of the longest in um, and both in words."""
+
+    times: float
+    longest: float
+    words: str
+
+
+def magnified(vectors: Array, length_um: float) -> Magnified:
+    """Return the round factor that makes the longest of some vectors (n, 2) at most so long."""
+    lengths = np.hypot(*vectors.T)
+    longest = float(lengths[np.isfinite(lengths)].max(initial=0.0))
+    times = round_step(length_um / longest) if longest > 1e-9 else 1.0
+    factor = count(round(times)) if times >= 1 else f"{times:g}"
+    return Magnified(times, longest, f"magnified {factor} times; the longest is {length(longest, 2)}")
+
+
+def pitch(coordinates: Array) -> float:
+    """Return the step of a regular axis; 1 for a single point."""
+    return float(coordinates[-1] - coordinates[0]) / (len(coordinates) - 1) if len(coordinates) > 1 else 1.0
+
+
+def pixel_of(*axes: Array) -> str:
+    """Write the pitch of one or more regular axes, in um."""
+    return " × ".join(plain(round(pitch(axis), 4)) for axis in axes)
+
+
+def n_of(values: Array) -> str:
+    """Write how many values of a map are known."""
+    return count(int(np.isfinite(values).sum()))
+
+
+def round_step(value: float, *, above: bool = False) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above ``value``, or the smallest not below."""
+    power = 10.0 ** math.floor(math.log10(value))
+    if above:
+        return power * next(k for k in (1, 2, 5, 10) if k * power >= value * (1 - 1e-9))
+    return power * max(k for k in (1, 2, 5) if k * power <= value * (1 + 1e-9))
+
+
+def multiples(low: float, high: float, step: float) -> Array:
+    """Return the multiples of a step between two values."""
+    return np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step
+
+
+def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float]:
+    """Return round levels between two values, and their step; none where the two are next to the same."""
+    if not high - low > 1e-6 * max(abs(low), abs(high)):
+        return np.empty(0), 0.0
+    step = round_step((high - low) / steps)
+    return multiples(low, high, step), step
+
+
 def _ticks(low: float, high: float, *, most: float, log: bool = False) -> list[tuple[float, str]]:
     """Return the places of ticks and what is written there; ``log``: the places are powers of ten."""
     if log:
         powers = np.arange(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1.0)
         return [(float(k), f"{10.0**k:g}") for k in powers[:: max(1, math.ceil(len(powers) / 6))]]
-    found, step = round_ticks(low, high, most=int(most))
+    step = round_step((high - low) / max(int(most), 2), above=True)
     places = max(0, -math.floor(math.log10(step) + 1e-9))
-    return [(float(value), fixed(float(value), places)) for value in found]
+    return [(float(value), fixed(float(value), places)) for value in multiples(low, high, step)]
 
 
 def _n(value: float) -> str:

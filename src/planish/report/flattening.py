@@ -5,23 +5,25 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from planish.core.results import CurvatureFacts
 from planish.report.colours import GEOMETRY, SIGNED, Array, limits
 from planish.report.draw import (
     ACCENT,
-    BESIDE,
     FAINT,
     FULL,
     HALF,
     INK,
     SOFT,
     Canvas,
-    Field,
     Picture,
-    half_page,
+    draw_map,
     levels_between,
+    magnified,
+    multiples,
+    n_of,
     pitch,
+    pixel_of,
     reduced,
-    round_below,
 )  # fmt: skip
 from planish.report.text import count, length, plain
 
@@ -29,54 +31,71 @@ _ARROWS = 22  # across the longer side
 _POINTS = 600  # of a line of the convergence
 
 
-def draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> list[Picture]:
-    """Draw the centre surface's height, and by how much flattening moved every column against its projection."""
-    up = 1.0 if surfaces.attrs["top_side"] == "high" else -1.0
-    height = up * surfaces["centre"].values
+def draw_flattening(
+    surfaces: xr.Dataset, flat: xr.Dataset, strain: xr.Dataset, curvature: CurvatureFacts
+) -> list[Picture]:  # fmt: skip
+    """Draw the warp, what flattening moved and strained, its convergence, and whether the surface can be paper."""
+    pictures = [_warp(surfaces, flat), _displacement(flat), _strain(strain, flat), _progress(strain)]
+    needed = 100 * _from_top(strain["needed_strain"].values, flat)
+    if np.isfinite(needed).any():
+        y, x = strain["y"].values, strain["x"].values
+        scale = limits(needed, GEOMETRY, percent=0.1, low=0.0)
+        canvas, _ = draw_map(needed, y, x, scale=scale, label="strain needed / %")
+        caption = (
+            f"Strain with which a patch of {length(2 * curvature.patch_um)} around each place would lie flat, from the "
+            f"Gaussian curvature; paper carries {100 * curvature.limit:g} %. n = {n_of(needed)} cells of "
+            f"{pixel_of(y, x)}; unit %; mask: cells with at least half of the patch on the sheet."
+        )
+        pictures.append(canvas.picture(title="Can it be paper?", caption=caption))
+    return pictures
+
+
+def _warp(surfaces: xr.Dataset, flat: xr.Dataset) -> Picture:
+    """Draw the height of the centre surface."""
+    y, x = surfaces["y"].values, surfaces["x"].values
+    height = (1.0 if surfaces.attrs["top_side"] == "high" else -1.0) * _from_top(surfaces["centre"].values, flat)
     height = height - np.nanmedian(height)
-    heights, size = _from_top(height, surfaces, flat)
-    canvas, axes = half_page(heights, scale=limits(height, GEOMETRY, percent=0.1), label="height above the median / µm")
+    scale = limits(height, GEOMETRY, percent=0.1)
+    canvas, axes = draw_map(height, y, x, scale=scale, label="height above the median / µm")
     low, high = np.nanpercentile(height, [0.1, 99.9])
     levels, step = levels_between(float(low), float(high), steps=6)
-    axes.contours(heights, levels)
+    axes.contours(levels)
     every = f"Contour lines every {plain(step)}. " if levels.size else ""
-    warp = canvas.picture(
+    return canvas.picture(
         title="Warp: height of the centre surface",
         caption=(
-            f"Seen from the top side. {every}n = {count(int(np.isfinite(height).sum()))} columns of {size}; mask: "
-            "columns with a sheet or a bridged hole, largest connected piece."
+            f"Seen from the top side. {every}n = {n_of(height)} columns of {pixel_of(y, x)}; mask: columns with a "
+            "sheet or a bridged hole, largest connected piece."
         ),
     )
-    return [warp, _displacement(flat)]
 
 
 def _displacement(flat: xr.Dataset) -> Picture:
+    """Draw by how much flattening moved every column against its projection."""
     y, x = flat["y"].values, flat["x"].values
-    du, dv = (flat[a].values - flat[b].values for a, b in (("u", "projected_u"), ("v", "projected_v")))
-    moved = np.hypot(du, dv)
-    shown, size = _from_top(moved, flat, flat)
-    canvas, axes = half_page(shown, scale=limits(moved, GEOMETRY, percent=0.1, low=0.0), label="displacement / µm")
-    stride = max(1, round(max(du.shape) / _ARROWS))
-    rows, cols = np.meshgrid(*(np.arange(stride // 2, n, stride) for n in du.shape), indexing="ij")
-    across = (x[0] + x[-1]) - x[cols] if flat.attrs.get("mirrored_view", 0) else x[cols]
-    longest = float(np.nanmax(moved)) if np.isfinite(moved).any() else 0.0
-    magnified = round_below(1.6 * stride * max(pitch(x), pitch(y)) / longest) if longest > 0 else 1.0
-    at = np.stack([across, y[rows]], axis=-1).reshape(-1, 2)
-    axes.arrows(
-        at, magnified * np.stack([du, dv], axis=-1)[rows, cols].reshape(-1, 2), colour="white", width=1.3, halo=INK
-    )
+    moves = [_from_top(flat[a].values - flat[f"projected_{a}"].values, flat) for a in ("u", "v")]
+    moved = np.hypot(*moves)
+    scale = limits(moved, GEOMETRY, percent=0.1, low=0.0)
+    canvas, axes = draw_map(moved, y, x, scale=scale, label="displacement / µm")
+    stride = max(1, round(max(moved.shape) / _ARROWS))
+    # The same columns from either side: those of the mirrored view count from its other end.
+    rows, cols = (np.arange(stride // 2, n, stride) for n in moved.shape)
+    cols = x.size - 1 - cols if flat.attrs.get("mirrored_view", 0) else cols
+    at = np.stack(np.meshgrid(x[cols], y[rows]), axis=-1).reshape(-1, 2)
+    vectors = np.stack([move[np.ix_(rows, cols)] for move in moves], axis=-1).reshape(-1, 2)
+    factor = magnified(np.stack(moves, axis=-1).reshape(-1, 2), 1.6 * stride * max(pitch(x), pitch(y)))
+    axes.arrows(at, factor.times * vectors, colour="white", width=1.3, halo=INK)
     return canvas.picture(
         title="Displacement by flattening",
         caption=(
             "From the place in the projection to the place in the flat sheet, seen from the top side. Arrows are "
-            f"magnified {magnified:g} times; the longest displacement is {length(longest)}. "
-            f"n = {count(int(np.isfinite(moved).sum()))} columns of {size}; mask: as for the warp, without "
-            "folded cells."
+            f"{factor.words}. n = {n_of(moved)} columns of {pixel_of(y, x)}; mask: as for the warp, without folded "
+            "cells."
         ),
     )
 
 
-def draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
+def _strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
     """Draw what flattening did to each cell of the mesh (row, col): change of area, shear, and the largest stretch."""
     largest = np.maximum(np.abs(strain["stretch_max"].values - 1), np.abs(strain["stretch_min"].values - 1))
     area = 100 * (strain["area_ratio"].values - 1)
@@ -88,7 +107,8 @@ def draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
     )
     gap = 25.0
     width = (FULL - 2 * gap) / 3
-    fields = [_from_top(values, strain, flat, width)[0] for _, values, _ in panels]
+    y, x = strain["y"].values, strain["x"].values
+    fields = [reduced(_from_top(values, flat), y, x, width=width) for _, values, _ in panels]
     box = fields[0].fit(width, 450.0)
     canvas = Canvas(FULL, box[1] + 90)
     for k, ((name, _, scale), shown) in enumerate(zip(panels, fields, strict=True)):
@@ -101,19 +121,16 @@ def draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> Picture:
         title="Strain of the flattening",
         caption=(
             "Strain that remains in the plane: zero for a sheet that can be developed. Shear is the change of the "
-            f"angle between rows and columns (1 % = 0.01 rad). n = {count(int(np.isfinite(area).sum()))} cells of "
-            f"{length(pitch(strain['x'].values))}; unit %; mask: cells with all four corners on the sheet. Colours end "
-            "at the 99th percentile."
+            f"angle between rows and columns (1 % = 0.01 rad). n = {n_of(area)} cells of {length(pitch(x))}; unit %; "
+            "mask: cells with all four corners on the sheet. Colours end at the 99th percentile."
         ),
     )
 
 
-def draw_progress(strain: xr.Dataset) -> Picture:
+def _progress(strain: xr.Dataset) -> Picture:
     """Draw the mean move of a node over the steps, mesh by mesh."""
     nodes, move = strain["step_nodes"].values, strain["step_move"].values
-    steps = np.arange(1.0, nodes.size + 1)
-    finest = float(nodes.max()) if nodes.size else 0.0
-    moved = move > 0
+    finest, moved = float(nodes.max(initial=0.0)), move > 0
     logs = np.log10(np.where(moved, move, 1.0))
     low, high = (float(logs[moved].min()), float(logs[moved].max())) if moved.any() else (0.0, 1.0)
     room = 0.05 * max(high - low, 1.0)
@@ -121,12 +138,12 @@ def draw_progress(strain: xr.Dataset) -> Picture:
     axes = canvas.axes(78, 15, HALF - 95, 215, (0.5, max(nodes.size, 1) + 0.5, low - room, high + room))
     for size in np.unique(nodes):
         here = np.flatnonzero((nodes == size) & moved)
-        at = np.stack([steps[here], logs[here]], axis=1)[:: max(1, here.size // _POINTS)]
+        at = np.stack([here + 1.0, logs[here]], axis=1)[:: max(1, here.size // _POINTS)]
         colour = ACCENT if size == finest else SOFT
         axes.line(at, colour=colour, width=1.6)
         if nodes.size <= 200:
             axes.dots(at, colour=colour, size=5)
-    for level in np.arange(np.ceil(low - room), np.floor(high + room) + 1):
+    for level in multiples(low - room, high + room, 1.0):
         axes.line([(axes.extent[0], level), (axes.extent[1], level)], colour=FAINT, width=0.5)
     canvas.ticks(axes, "step", "mean move of a node / µm", log=True)
     meshes = np.unique(nodes).size
@@ -140,26 +157,6 @@ def draw_progress(strain: xr.Dataset) -> Picture:
     )
 
 
-def draw_curvature(strain: xr.Dataset, flat: xr.Dataset, *, patch_um: float, limit: float) -> Picture | None:
-    """Draw the strain that a patch of paper around each place would need to be flat; None where nothing is known."""
-    values = 100 * strain["needed_strain"].values
-    if not np.isfinite(values).any():
-        return None
-    shown, size = _from_top(values, strain, flat)
-    canvas, _ = half_page(shown, scale=limits(values, GEOMETRY, percent=0.1, low=0.0), label="strain needed / %")
-    return canvas.picture(
-        title="Can it be paper?",
-        caption=(
-            f"Strain with which a patch of {length(2 * patch_um)} around each place would lie flat, from the Gaussian "
-            f"curvature; paper carries {100 * limit:g} %. n = {count(int(np.isfinite(values).sum()))} cells of {size}; "
-            "unit %; mask: cells with at least half of the patch on the sheet."
-        ),
-    )
-
-
-def _from_top(values: Array, grid: xr.Dataset, flat: xr.Dataset, width: float = HALF - BESIDE) -> tuple[Field, str]:
-    """Turn a map on the volume's grid to what is seen from the top side; with the size of its pixels."""
-    y, x = grid["y"].values, grid["x"].values
-    if flat.attrs.get("mirrored_view", 0):
-        values = values[:, ::-1]
-    return reduced(values, y, x, width=width), f"{plain(round(pitch(y), 4))} × {plain(round(pitch(x), 4))}"
+def _from_top(values: Array, flat: xr.Dataset) -> Array:
+    """Turn a map on the volume's grid to what is seen from the top side."""
+    return values[:, ::-1] if flat.attrs.get("mirrored_view", 0) else values

@@ -1,10 +1,11 @@
-"""Property maps of the flattened sheet, each with its distribution beside the colour bar, and two maps side by side."""
+"""Property maps with their distributions, two maps side by side, and thin regions outlined on the image."""
 
 from __future__ import annotations
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from planish.report.colours import CYCLIC, GREYS, PROPERTY, Array, Scale, limits
 from planish.report.draw import (
@@ -15,14 +16,20 @@ from planish.report.draw import (
     SOFT,
     Canvas,
     Picture,
+    draw_map,
+    n_of,
     panel_height,
-    pitch,
+    pixel_of,
     reduced,
 )  # fmt: skip
-from planish.report.text import count, in_words, label_of, number, plain, title_of, unit_of
+from planish.report.registration import ARROW, EDGE, ground_of
+from planish.report.text import in_words, label_of, length, number, percent, plain, title_of, unit_of
 
 _BESIDE = 162.0  # pixels for the distribution, the colour bar and its numbers
 _BINS = 80
+_HARDLY = 1e-3  # of the valid pixels: with fewer below the limit, the outlines would show next to nothing
+_THINNEST = 5.0  # per cent
+_SMALLEST = 12  # pixels of a region that is outlined
 
 
 def draw_maps(maps: xr.Dataset, names: list[str], *, headline: str | None, rim_um: float) -> list[Picture]:
@@ -52,9 +59,9 @@ def _draw(data: xr.DataArray, width: float, rim_um: float) -> Picture:
         title=title_of(data),
         caption=(
             f"{number(mean)} ± {number(sd)} {unit_of(data)} (mean ± standard deviation). "
-            f"n = {count(known.size)} map pixels of {plain(round(pitch(data['v'].values), 4))}; mask: columns "
-            f"with both faces found, without holes and a rim of {plain(rim_um)} around them (grey). Colours span "
-            "the 1st to the 99th percentile."
+            f"n = {n_of(known)} map pixels of {pixel_of(data['v'].values)}; mask: columns with both faces found, "
+            f"without holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the 99th "
+            "percentile."
         ),
     )
 
@@ -67,12 +74,9 @@ def colours_of(data: xr.DataArray, known: Array) -> Scale:
     return limits(known, GREYS if data.name == "image" else PROPERTY)
 
 
-def draw_beside(
-    maps: tuple[xr.DataArray, xr.DataArray], valid: tuple[NDArray[np.bool_], NDArray[np.bool_]], *,
-    names: tuple[str, str], shared: bool,
-) -> Picture:  # fmt: skip
-    """Draw two maps (y, x) on one grid side by side, where each is valid; ``shared``: they have one colour scale."""
-    shown = [np.where(use, m.values.astype(np.float64), np.nan) for m, use in zip(maps, valid, strict=True)]
+def draw_beside(maps: tuple[xr.DataArray, xr.DataArray], *, names: tuple[str, str], shared: bool) -> Picture:
+    """Draw two maps (y, x) on one grid side by side, NaN where not valid; ``shared``: they have one colour scale."""
+    shown = [m.values for m in maps]
     known = [values[np.isfinite(values)] for values in shown]
     y, x = maps[0]["y"].values, maps[0]["x"].values
     fields = [reduced(values, y, x, width=HALF - BESIDE) for values in shown]
@@ -82,15 +86,14 @@ def draw_beside(
         canvas.text(left + 2, 18, name, bold=True, size=13)
         scale = colours_of(data, np.concatenate(known) if shared else own)
         canvas.panel(left, 24, drawn, box, scale=scale, label=label_of(data))
-    titles = [f"{in_words(title_of(m))} of {n}" for m, n in zip(maps, names, strict=True)]
-    units = [unit_of(m) or "none" for m in maps]
+    titles, units = [in_words(title_of(m)) for m in maps], [unit_of(m) or "none" for m in maps]
     return canvas.picture(
         title=f"{names[0]} on the pixels of {names[1]}",
         caption=(
-            f"Left, {titles[0]}; right, {titles[1]}, at the same places. "
+            f"Left, {titles[0]} of {names[0]}; right, {titles[1]} of {names[1]}, at the same places. "
             f"{'Both have the same colour scale' if shared else 'Each has its own colour scale'}, from the 1st to the "
-            f"99th percentile. n = {count(known[0].size)} and {count(known[1].size)} pixels of "
-            f"{plain(round(pitch(x), 4))}; units: {units[0]} and {units[1]}; mask: measured, without holes and rims."
+            f"99th percentile. n = {n_of(known[0])} and {n_of(known[1])} pixels of {pixel_of(x)}; units: {units[0]} "
+            f"and {units[1]}; mask: measured, without holes and rims."
         ),
     )
 
@@ -109,3 +112,51 @@ def _distribution(
     at = 1.14 * most
     axes.line([(at, max(mean - sd, low)), (at, min(mean + sd, high))], colour=ACCENT, width=1.6)
     axes.dots([(at, min(max(mean, low), high))], colour=ACCENT, size=5)
+
+
+def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float) -> list[Picture]:
+    """Draw property and image side by side, and the image with thin regions outlined (Hirn et al. 2009, Fig. 6)."""
+    y, x, valid = linked["y"].values, linked["x"].values, linked["valid"].values.astype(bool)
+    ground = ground_of(linked["image"], of="image", valid=valid)
+    values = np.where(valid, linked[name].values.astype(np.float64), np.nan)
+    title, tail = title_of(linked[name]), f"n = {n_of(values)} pixels of {pixel_of(x)}; mask: measured, without"
+    left, _ = draw_map(values, y, x, scale=limits(values), label=label_of(linked[name]))
+    right, _ = draw_map(ground.values, y, x, scale=ground.scale, label="")
+    canvas, axes = ground.draw(FULL)
+    share = float(np.count_nonzero(values < thin_um)) / max(int(np.isfinite(values).sum()), 1)
+    limit, note = thin_um, f"Outlined: {in_words(title)} below {plain(thin_um)}, {percent(share)} of the valid pixels."
+    if share < _HARDLY:
+        limit = float(np.nanpercentile(values, _THINNEST)) if np.isfinite(values).any() else thin_um
+        few = "No valid pixel is" if share == 0 else f"Only {percent(share)} of the valid pixels are"
+        note = (
+            f"{few} below {plain(thin_um)}; too few to outline. Outlined instead: the thinnest "
+            f"{_THINNEST:g} %, {in_words(title)} below {length(limit)}."
+        )
+        if share > 0:
+            axes.outline(values < thin_um, y, x, colour=EDGE, width=1.6)
+            note = f"{note} In blue, what is below {plain(thin_um)}."
+    labels, _ = ndimage.label(values < limit, structure=np.ones((3, 3)))
+    drawn = (labels > 0) & (np.bincount(labels.ravel())[labels] >= _SMALLEST)
+    axes.outline(drawn, y, x, colour=ARROW, width=1.7)
+    note = f"{note} Regions under {_SMALLEST} pixels are not drawn. {_darkness(ground.values, drawn, valid)}"
+    return [
+        left.picture(
+            title=f"(a) {title}, on the image's pixels", caption=f"Unit {unit_of(linked[name])}. {tail} holes and rims."
+        ),
+        right.picture(
+            title="(b) The image, same region",
+            caption=f"Grey values between limits set by the valid pixels; n = {n_of(ground.values)} pixels of "
+            f"{pixel_of(x)}, no mask.",
+        ),
+        canvas.picture(title="(c) Thin regions on the image", caption=f"{note}{tail} holes and rims."),
+    ]
+
+
+def _darkness(image: Array, drawn: NDArray[np.bool_], valid: NDArray[np.bool_]) -> str:
+    """Compare the grey value inside the outlines with the rest."""
+    inside, outside, spread = image[drawn & valid], image[valid & ~drawn], float(np.std(image[valid]))
+    if inside.size == 0 or outside.size == 0 or spread == 0:
+        return ""
+    shift = float(inside.mean() - outside.mean()) / spread
+    word = "darker" if shift < 0 else "brighter"
+    return f"Inside, the image is on average {abs(shift):.2f} standard deviations {word} than elsewhere. "

@@ -13,7 +13,7 @@ from planish.report.colours import image_uri
 from planish.report.draw import pitch
 from planish.report.groups import Groups
 from planish.report.maps import colours_of
-from planish.report.summary import summarise
+from planish.report.summary import gate_summary, summarise
 from planish.report.text import label_of, number, typeset
 
 _WIDE, _HIGH = 300.0, 260.0  # CSS pixels of a small map
@@ -29,16 +29,16 @@ def results_html(results: Results, titles: Mapping[tuple[str, str], str] | None 
     titles : mapping of (layer, map) to str, optional
         Titles of the maps; their names are used without.
     """
-    found = summarise(results, titles or {})
+    sentence, tiles = summarise(results, titles or {})
     rows = "".join(
         f'<tr><th style="text-align:left">{escape(t.label)}</th><td style="text-align:left"><b>{escape(t.value)}</b> '
         f'{escape(t.unit)}</td><td style="text-align:left;{_FAINT}">{escape(t.note)}</td></tr>'
-        for t in found.tiles
+        for t in tiles
     )
     failed = "".join(f"<li>{escape(g.name)}: {escape(typeset(g.sentence))}</li>" for g in results.gates if not g.passed)
     return (
-        f'<div style="max-width:72ch"><p>{escape(found.sentence)}</p><table>{rows}</table>'
-        f"<p>{escape(found.gates)}</p>{f'<ul>{failed}</ul>' if failed else ''}</div>"
+        f'<div style="max-width:72ch"><p>{escape(sentence)}</p><table>{rows}</table>'
+        f"<p>{escape(gate_summary(results))}</p>{f'<ul>{failed}</ul>' if failed else ''}</div>"
     )
 
 

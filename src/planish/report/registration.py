@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.results import LagFacts
+from planish.core.results import LagFacts, RegistrationFacts
 from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
 from planish.report.draw import (
-    BESIDE,
     FULL,
     INK,
     Axes,
     Canvas,
-    Field,
+    Magnified,
     Picture,
-    half_page,
+    draw_map,
     levels_between,
+    magnified,
+    n_of,
     pitch,
+    pixel_of,
     reduced,
-    round_below,
 )  # fmt: skip
 from planish.report.text import capital, count, in_words, length, plain, the, title_of
 
@@ -42,40 +43,39 @@ class Ground:
     y: Array
     x: Array
     scale: Scale
-    edge: NDArray[np.bool_] | None
-    edge_of: str
     name: str
     caption: str
+    edge: NDArray[np.bool_] | None = None
+    edge_of: str = ""
+
+    def draw(self, width: float) -> tuple[Canvas, Axes]:
+        """Draw it with its scale bar, and the border where there is one; below it is room for another scale bar."""
+        shown = reduced(self.values, self.y, self.x, width=width)
+        box = shown.fit(width - 2, 760.0 if width == FULL else 480.0)
+        canvas = Canvas(width, box[1] + 34)
+        axes = canvas.axes((width - box[0]) / 2, 2, *box, shown.extent)
+        axes.image(shown, self.scale)
+        canvas.scale_bar(axes.left, box[1] + 4, width=box[0], um=shown.width, most=0.2)
+        return canvas, axes
 
 
-def image_ground(
-    image: xr.DataArray, *, valid: NDArray[np.bool_] | None, edge: NDArray[np.bool_] | None, edge_of: str
+def ground_of(
+    data: xr.DataArray, *, of: str, valid: NDArray[np.bool_] | None = None, edge: NDArray[np.bool_] | None = None,
+    edge_of: str = "",
 ) -> Ground:  # fmt: skip
-    """Return an image (y, x) as ground; ``valid`` pixels set the grey window, ``edge`` is where another layer lies."""
-    values, x = image.values.astype(np.float64), image["x"].values
-    return Ground(
-        values=values,
-        y=image["y"].values,
-        x=x,
-        scale=limits(values[valid] if valid is not None and valid.any() else values, GREYS, percent=0.2),
-        edge=edge,
-        edge_of=edge_of,
-        name="the image",
-        caption=f"Grey values of {count(int(np.isfinite(values).sum()))} pixels of "
-        f"{plain(round(pitch(x), 4))}, no mask.",
-    )
+    """Return a map or image (y, x) of the layer ``of`` as ground, in grey.
 
-
-def map_ground(data: xr.DataArray, *, of: str, edge: NDArray[np.bool_], edge_of: str) -> Ground:
-    """Return a map (y, x) of the layer ``of`` as ground, in grey; ``edge`` is where the other layer lies."""
-    ground = image_ground(data, valid=None, edge=edge, edge_of=edge_of)
-    known = count(int(np.isfinite(ground.values).sum()))
-    return replace(
-        ground,
-        name=f"the layer {of}",
-        caption=f"In grey, {in_words(title_of(data))} of {of}: {known} pixels of "
-        f"{plain(round(pitch(ground.x), 4))}; mask: where it is known.",
-    )
+    ``valid`` pixels set the grey window; ``edge`` is where the layer ``edge_of`` lies.
+    """
+    values, y, x = data.values.astype(np.float64), data["y"].values, data["x"].values
+    window = values[valid] if valid is not None and valid.any() else values
+    pixels = f"{n_of(values)} pixels of {pixel_of(x)}"
+    name, caption = "the image", f"Grey values of {pixels}, no mask."
+    if data.name != "image":
+        name = f"the layer {of}"
+        caption = f"In grey, {in_words(title_of(data))} of {of}: {pixels}; mask: where it is known."
+    scale = limits(window, GREYS, percent=0.2)
+    return Ground(values=values, y=y, x=x, scale=scale, name=name, caption=caption, edge=edge, edge_of=edge_of)
 
 
 def blank_ground(points: Array, *, of: str) -> Ground:
@@ -84,74 +84,59 @@ def blank_ground(points: Array, *, of: str) -> Ground:
     low, high = (known.min(axis=0), known.max(axis=0)) if known.size else (np.zeros(2), np.ones(2))
     room = 0.2 * max(float((high - low).max()), 1.0)
     x, y = (np.linspace(low[k] - room, high[k] + room, _BLANK) for k in (0, 1))
-    return Ground(
-        values=np.full((_BLANK, _BLANK), np.nan),
-        y=y,
-        x=x,
-        scale=Scale(0.0, 1.0, GREYS),
-        edge=None,
-        edge_of="",
-        name=f"the layer {of}",
-        caption=f"Places are in the coordinates of {of}, which is not resampled to this grid; no map is "
-        "shown, no mask.",
-    )
+    caption = f"Places are in the coordinates of {of}, which is not resampled to this grid; no map is shown, no mask."
+    values, scale = np.full((_BLANK, _BLANK), np.nan), Scale(0.0, 1.0, GREYS)
+    return Ground(values=values, y=y, x=x, scale=scale, name=f"the layer {of}", caption=caption)
 
 
-def draw_ground(ground: Ground, *, width: float) -> tuple[Canvas, Axes, Field]:
-    """Draw a ground with its scale bar; below it is room for another one beside it."""
-    shown = reduced(ground.values, ground.y, ground.x, width=width)
-    box = shown.fit(width - 2, 760.0 if width == FULL else 480.0)
-    canvas = Canvas(width, box[1] + 34)
-    axes = canvas.axes((width - box[0]) / 2, 2, *box, shown.extent)
-    axes.image(shown, ground.scale)
-    canvas.scale_bar(axes.left, box[1] + 4, width=box[0], um=shown.width, most=0.2)
-    return canvas, axes, shown
-
-
-def _second_bar(canvas: Canvas, axes: Axes, um: float, *, label: str, most: float) -> None:
-    """Draw the scale bar of the arrows beside that of the ground."""
-    left, top = axes.left + 0.45 * axes.width, axes.height + 4
-    canvas.scale_bar(left, top, width=axes.width, um=um, most=most, colour=ARROW, label=label)
+def _arrows(
+    canvas: Canvas, axes: Axes, at: Array, vectors: Array, *, share: float, most: float, label: str, width: float
+) -> Magnified:
+    """Draw vectors, the longest over a share of the width, with a scale bar of their own beside that of the ground."""
+    factor = magnified(vectors, share * axes.shown.width)
+    axes.arrows(at, factor.times * vectors, colour=ARROW, width=width)
+    if factor.longest > 1e-9:
+        canvas.scale_bar(
+            axes.left + 0.45 * axes.width, axes.height + 4, width=axes.width, um=axes.shown.width / factor.times,
+            most=most, colour=ARROW, label=label,
+        )  # fmt: skip
+    return factor
 
 
 def draw_registration(
-    ground: Ground, marks: xr.Dataset, *, hole_um: float, title: str = "Marks and their residuals",
-    source: str = "volume", axis: tuple[float, str] | None = None, width: float = FULL,
+    ground: Ground, marks: xr.Dataset, *, hole_um: float, title: str, source: str, axis: tuple[float, str] | None,
+    width: float,
 ) -> Picture:  # fmt: skip
     """Draw a ground with its marks (``fixed_*``), numbered, and the residual of each as an arrow.
 
     ``axis`` is the angle of the machine direction in degrees from x, clockwise on screen, and where it is known from;
     ``hole_um`` the diameter at which marks are drawn, ``source`` the layer of their partners.
     """
-    canvas, axes, shown = draw_ground(ground, width=width)
+    canvas, axes = ground.draw(width)
     if ground.edge is not None:
         axes.outline(ground.edge, ground.y, ground.x, colour=EDGE, width=1.6)
-    fixed, residual = points(marks, "fixed"), points(marks, "residual")
-    lengths = np.hypot(*residual.T)
-    longest = float(lengths[np.isfinite(lengths)].max(initial=0.0))
-    magnified = round_below(0.09 * shown.width / longest) if longest > 1e-9 else 1.0
-    draw_marks(axes, fixed, hole_um=hole_um, size=14 if width == FULL else 11)
+    fixed = points(marks, "fixed")
+    _draw_marks(axes, fixed, hole_um=hole_um, size=14 if width == FULL else 11)
     # A residual is the mark in the image minus the mark that was carried over: the arrow shows where that one falls.
-    axes.arrows(fixed, -magnified * residual, colour=ARROW, width=3.0 if width == FULL else 2.2)
-    if longest > 1e-9:
-        _second_bar(canvas, axes, shown.width / magnified, label="{} of residual", most=0.12)
-    words = ""
+    factor = _arrows(
+        canvas, axes, fixed, -points(marks, "residual"), share=0.09, most=0.12, label="{} of residual",
+        width=3.0 if width == FULL else 2.2,
+    )  # fmt: skip
+    words = f"Blue: edge of {the(ground.edge_of)}. " if ground.edge is not None else ""
     if axis is not None:
         _draw_axis(canvas, axes, axis[0], fixed)
-        words = f"MD: machine direction, {axis[0] % 180:.0f}° from x clockwise ({axis[1]}). "
-    edge = f"Blue: edge of {the(ground.edge_of)}. " if ground.edge is not None else ""
+        words += f"MD: machine direction, {axis[0] % 180:.0f}° from x clockwise ({axis[1]}). "
     return canvas.picture(
         title=title,
         caption=(
             f"{capital(ground.name)} with n = {len(fixed)} marks (orange circles of {plain(hole_um)}). Red arrows "
-            f"point from each mark to its transformed partner in {the(source)}, magnified "
-            f"{plain_factor(magnified)} times; "
-            f"the longest is {length(longest)}. {edge}{words}{ground.caption}"
+            f"point from each mark to its transformed partner in {the(source)}, {factor.words}. {words}"
+            f"{ground.caption}"
         ),
     )
 
 
-def draw_marks(axes: Axes, fixed: Array, *, hole_um: float, size: float) -> None:
+def _draw_marks(axes: Axes, fixed: Array, *, hole_um: float, size: float) -> None:
     """Draw marks as circles with their numbers."""
     for k, (x, y) in enumerate(fixed):
         axes.circle(x, y, hole_um, colour=_MARK)
@@ -160,15 +145,9 @@ def draw_marks(axes: Axes, fixed: Array, *, hole_um: float, size: float) -> None
         axes.text(left, top, str(k + 1), shift=(-2, -2), size=size, anchor="end", colour=_MARK, halo=INK, bold=True)
 
 
-def plain_factor(value: float) -> str:
-    """Write a magnification."""
-    return count(round(value)) if value >= 1 else f"{value:g}"
-
-
 def draw_expected_error(
-    error: xr.DataArray, marks: xr.Dataset | None, *, hole_um: float, width: float,
-    of: str = "image", shown: str = "volume",
-) -> Picture | None:  # fmt: skip
+    error: xr.DataArray, marks: xr.Dataset | None, *, hole_um: float, width: float, of: str, shown: str
+) -> Picture | None:
     """Draw the expected error of each place, with contour lines and the marks; None where nothing is known.
 
     ``of`` is the layer whose pixels they are, ``shown`` the one that was brought to them.
@@ -180,13 +159,11 @@ def draw_expected_error(
     least, mean, most = float(known.min()), float(known.mean()), float(known.max())
     even = not most - least > 0.02 * abs(mean)  # colours would show differences that nobody can use
     scale = Scale(0.0, 2 * mean or 1.0, GEOMETRY) if even else limits(known, GEOMETRY, percent=0.1)
-    drawn = reduced(error.values, y, x, width=width - BESIDE)
-    canvas, axes = half_page(drawn, scale=scale, label="expected error / µm", width=width)
+    canvas, axes = draw_map(error.values, y, x, scale=scale, label="expected error / µm", width=width)
     levels, step = (np.empty(0), 0.0) if even else levels_between(least, most, steps=_STEPS)
     places = points(marks, "fixed") if marks is not None else np.empty((0, 2))
-    axes.contours(drawn, levels, labels=True, avoid=places)
-    if marks is not None:
-        draw_marks(axes, places, hole_um=hole_um, size=14 if width == FULL else 11)
+    axes.contours(levels, labels=True, avoid=places)
+    _draw_marks(axes, places, hole_um=hole_um, size=14 if width == FULL else 11)
     lines = f"Contour lines every {length(step, 1)}. " if levels.size else ""
     numbered = "Orange: the marks, numbered as in the figure of their residuals. " if marks is not None else ""
     return canvas.picture(
@@ -194,8 +171,8 @@ def draw_expected_error(
         caption=(
             f"Expected error of the position in {the(of)} (rms, from the scatter of the marks): {length(least, 2)} to "
             f"{length(most, 2)}, median {length(float(np.median(known)), 2)}. {lines}{numbered}It grows away from the "
-            f"marks; an error that all marks share is not included. n = {count(known.size)} pixels of "
-            f"{plain(round(pitch(x), 4))}; unit µm; mask: where {the(shown)} is shown."
+            f"marks; an error that all marks share is not included. n = {n_of(known)} pixels of {pixel_of(x)}; unit "
+            f"µm; mask: where {the(shown)} is shown."
         ),
     )
 
@@ -207,26 +184,30 @@ def draw_lags(lag: LagFacts | None, ground: Ground, *, first: str, second: str, 
     at, lags, silent = lag_places(lag, ground)
     if not len(at):
         return None
-    longest = float(np.hypot(*lags.T).max())
-    canvas, axes, shown = draw_ground(ground, width=width)
-    magnified = round_below(0.11 * shown.width / longest) if longest > 1e-9 else 1.0
+    canvas, axes = ground.draw(width)
     axes.dots(silent, size=4, colour=_SILENT, halo="white")
     axes.dots(at, size=4, colour=ARROW, halo="white")
-    axes.arrows(at, magnified * lags, colour=ARROW, width=2.2)
-    if longest > 1e-9:
-        _second_bar(canvas, axes, shown.width / magnified, label="{} of lag", most=0.16)
+    factor = _arrows(canvas, axes, at, lags, share=0.11, most=0.16, label="{} of lag", width=2.2)
     doubt = " The check as a whole is inconclusive: read the arrows with caution." if lag.silence else ""
     side = f" of {plain(lag.tile_um)}" if lag.tile_um else ""
     return canvas.picture(
         title="Image-based check, tile by tile",
         caption=(
-            f"Arrows point from where the registration puts a piece of {first} to where {second} shows it, magnified "
-            f"{plain_factor(magnified)} times; the longest is {length(longest, 2)}. Parallel arrows are a shift; "
-            "arrows that turn or diverge are a rotation or a stretch; disordered arrows are chance. "
-            f"n = {count(len(at))} of {count(len(at) + len(silent))} overlapping tiles{side} with a distinct lag, grey "
-            f"dots the others.{doubt} {ground.caption}"
+            f"Arrows point from where the registration puts a piece of {first} to where {second} shows it, "
+            f"{factor.words}. Parallel arrows are a shift; arrows that turn or diverge are a rotation or a stretch; "
+            f"disordered arrows are chance. n = {count(len(at))} of {count(len(at) + len(silent))} overlapping "
+            f"tiles{side} with a distinct lag, grey dots the others.{doubt} {ground.caption}"
         ),
     )
+
+
+def machine_direction(r: RegistrationFacts, moving: str) -> tuple[float, str] | None:
+    """Return the machine direction in the fixed layer in degrees, and where it is known from; None where it is not."""
+    o = r.orientation
+    if o.md_deg_fixed is not None:
+        return o.md_deg_fixed, f"given for {the(r.to)}"
+    carried = o.md_deg_fixed_from_moving
+    return None if carried is None else (carried, f"carried over from {the(moving)}")
 
 
 def lag_places(lag: LagFacts, ground: Ground) -> tuple[Array, Array, Array]:
@@ -258,6 +239,5 @@ def _draw_axis(canvas: Canvas, axes: Axes, degrees: float, fixed: Array) -> None
     corner = canvas.axes(left, top, _AXIS, _AXIS, (-1, 1, 1, -1))
     along = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
     side = np.array([-along[1], along[0]])
-    for way in (1.0, -1.0):
-        corner.arrows([-0.22 * side], [0.92 * way * along], colour=INK, width=2.0, halo="")
+    corner.arrows([-0.22 * side] * 2, [0.92 * along, -0.92 * along], colour=INK, width=2.0, halo="")
     corner.text(0.36 * side[0], 0.36 * side[1], "MD", shift=(0, 4), anchor="middle", bold=True)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.area import area_mean
 from planish.core.results import CorrelationRow
@@ -21,72 +19,47 @@ _TOP, _HIGH, _WIDE = 62.0, 355.0, 400.0  # pixels of one pair of axes
 _LEFT, _RIGHT = 85.0, 635.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pair:
-    """Two maps on one grid, NaN unless both are valid; ``a`` is drawn across and ``b`` upwards."""
+def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float) -> tuple[Array, Array]:
+    """Average two maps (y, x) on one grid over points of ``point_um``, over the pixels that are known in both.
 
-    a: Array
-    b: Array
-    pixel_um: tuple[float, float]
-    names: tuple[str, str]
-    units: tuple[str, str]
-
-    @property
-    def labels(self) -> tuple[str, str]:
-        """Names with units."""
-        found = [f"{n} / {u}" if u else n for n, u in zip(self.names, self.units, strict=True)]
-        return found[0], found[1]
-
-
-def pair_of(a: xr.DataArray, b: xr.DataArray, valid: NDArray[np.bool_], *, names: tuple[str, str]) -> Pair:
-    """Return two maps (y, x) on one grid as a pair with names for readers."""
-    left, right = (m.values.astype(np.float64) for m in (a, b))
-    both = valid & np.isfinite(left) & np.isfinite(right)
-    return Pair(
-        a=np.where(both, left, np.nan),
-        b=np.where(both, right, np.nan),
-        pixel_um=(pitch(a["y"].values), pitch(a["x"].values)),
-        names=names,
-        units=(unit_of(a), unit_of(b)),
-    )
-
-
-def block_means(pair: Pair, *, point_um: float) -> tuple[Array, Array]:
-    """Average both maps over points of ``point_um``, over the pixels that are valid in both.
-
-    Points that are less than half valid do not count; there are none where they would be smaller than pixels.
+    Points that are less than half known do not count; there are none where they would be smaller than pixels.
     """
-    factor = (point_um / pair.pixel_um[0], point_um / pair.pixel_um[1])
-    if min(factor) < 1 - 1e-9:
+    factors = [point_um / pitch(a[axis].values) for axis in ("y", "x")]
+    if min(factors) < 1 - 1e-9:
         return np.empty(0), np.empty(0)
-    a, b = (area_mean(data, (max(factor[0], 1.0), max(factor[1], 1.0))) for data in (pair.a, pair.b))
-    both = np.isfinite(a) & np.isfinite(b)
-    return a[both], b[both]
+    down, across = (max(factor, 1.0) for factor in factors)
+    both = np.isfinite(a.values) & np.isfinite(b.values)
+    means = [area_mean(np.where(both, m.values.astype(np.float64), np.nan), (down, across)) for m in (a, b)]
+    known = np.isfinite(means[0]) & np.isfinite(means[1])
+    return means[0][known], means[1][known]
 
 
-def draw_pair(pair: Pair, rows: Sequence[CorrelationRow]) -> Picture:
+def draw_pair(a: xr.DataArray, b: xr.DataArray, rows: Sequence[CorrelationRow], *, names: tuple[str, str]) -> Picture:
     """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
 
-    The rows go from the pixel to the largest points. The difference of two maps of the same quantity is drawn over
-    their mean, with its mean and the limits that hold 95 % of normal differences (Bland and Altman 1986).
+    Both are (y, x) on one grid, NaN where they are not valid. The rows go from the pixel to the largest points. The
+    difference of two maps of the same quantity is drawn over their mean, with its mean and the limits that hold 95 % of
+    normal differences (Bland and Altman 1986).
     """
     fine, coarse = rows[0], largest(rows)
-    known = np.isfinite(pair.a)
-    pixels, points = (pair.a[known], pair.b[known]), block_means(pair, point_um=coarse.point_um)
-    same = coarse.same_quantity
+    same, units = coarse.same_quantity, (unit_of(a), unit_of(b))
+    labels = [f"{name} / {u}" if u else name for name, u in zip(names, units, strict=True)]
+    known = np.isfinite(a.values) & np.isfinite(b.values)
+    points = block_means(a, b, point_um=coarse.point_um)
     canvas = Canvas(FULL, 475)
-    left = _density(canvas, _LEFT, *pixels, what="pixels")
+    left = _density(canvas, _LEFT, *(m.values[known].astype(np.float64) for m in (a, b)), what="pixels")
     if same:
         span = min(left.extent[0], left.extent[2]), max(left.extent[1], left.extent[3])
         left.line([(v, v) for v in span], colour=SOFT, width=1.3, dash="6 4")
-    _finish(canvas, left, fine, pair)
-    _heading(canvas, _LEFT, f"Points of {plain(round(fine.point_um, 4))}", _numbers(fine, pair.units))
-    if same:
-        _differences(canvas, *points, coarse, pair)
-    else:
-        right = _points(canvas, *points)
-        _finish(canvas, right, coarse, pair)
-        _heading(canvas, _RIGHT, f"Points of {plain(round(coarse.point_um, 4))}", _numbers(coarse, pair.units))
+        _differences(canvas, *points, coarse, units[0])
+    drawn = [(_LEFT, left, fine)] if same else [(_LEFT, left, fine), (_RIGHT, _points(canvas, *points), coarse)]
+    for at, axes, row in drawn:
+        if row.slope is not None and row.intercept is not None:
+            line = [(x, row.intercept + row.slope * x) for x in axes.extent[:2]]
+            axes.line(line, colour="white", width=4)
+            axes.line(line, colour=ACCENT, width=2.2)
+        canvas.ticks(axes, *labels)
+        _heading(canvas, at, f"Points of {plain(round(row.point_um, 4))}", _numbers(row, units))
     second = (
         "right, the difference (upward map minus the map across) of points of "
         f"{plain(round(coarse.point_um, 4))} over the mean of the two, with its mean and the limits of 95 % of normal "
@@ -95,7 +68,7 @@ def draw_pair(pair: Pair, rows: Sequence[CorrelationRow]) -> Picture:
         else "right, area means over the valid pixels of each larger point. "
     )
     return canvas.picture(
-        title=f"{capital(in_words(pair.names[1]))} over {in_words(pair.names[0])}",
+        title=f"{capital(in_words(names[1]))} over {in_words(names[0])}",
         caption=(
             f"Left, number of pixels (logarithmic colours); {second}A point counts when half of its area is valid in "
             "both maps. Lines are least squares of the upward map on the map across. The left axes span the 0.05th to "
@@ -110,10 +83,10 @@ def largest(rows: Sequence[CorrelationRow]) -> CorrelationRow:
     return max([row for row in rows if row.n] or rows, key=lambda row: row.point_um)
 
 
-def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, pair: Pair) -> None:
+def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units: str) -> None:
     """Draw the difference over the mean of the two, with its mean and limits."""
     mean, apart = (a + b) / 2, b - a
-    units = unit(row.units or "") or pair.units[0]
+    units = unit(row.units or "") or units
     known = [v for v in (row.difference_mean, *(row.limits or ())) if v is not None]
     low, high = _limits(apart)
     room = 0.04 * (high - low)
@@ -127,13 +100,17 @@ def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, pair: 
         axes.line([(x, value) for x in across], colour=ACCENT, width=2, dash="7 4" if k else "")
     end = f" / {units}" if units else ""
     canvas.ticks(axes, f"mean of the two{end}", f"difference{end}")
-    sd, (lower, upper) = row.difference_sd, row.limits or (None, None)
+    mean, spread, lower, upper = written_difference(row)
     end = f" {units}" if units else ""
-    text = (
-        f"mean {beside(row.difference_mean, sd)}{end}\u2003s. d. {beside(sd, sd)}{end}\u2003"
-        f"limits {beside(lower, sd)} to {beside(upper, sd)}{end}"
-    )
+    text = f"mean {mean}{end}\u2003s. d. {spread}{end}\u2003limits {lower} to {upper}{end}"
     _heading(canvas, _RIGHT, f"Difference, points of {plain(round(row.point_um, 4))}", text)
+
+
+def written_difference(row: CorrelationRow) -> tuple[str, ...]:
+    """Return mean, standard deviation and limits of a difference, all to two digits of the standard deviation."""
+    return tuple(
+        beside(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *(row.limits or (None, None)))
+    )
 
 
 def _points(canvas: Canvas, a: Array, b: Array) -> Axes:
@@ -158,15 +135,6 @@ def _density(canvas: Canvas, left: float, a: Array, b: Array, *, what: str, wide
     canvas.colour_bar(left + wide + 8, _TOP, 10, _HIGH, scale, log=True)
     canvas.text(left + wide + 8, _TOP - 8, what, size=SMALL, colour=SOFT)
     return axes
-
-
-def _finish(canvas: Canvas, axes: Axes, row: CorrelationRow, pair: Pair) -> None:
-    """Draw the straight line of a correlation over what the axes span, and the axes."""
-    if row.slope is not None and row.intercept is not None:
-        line = [(x, row.intercept + row.slope * x) for x in axes.extent[:2]]
-        axes.line(line, colour="white", width=4)
-        axes.line(line, colour=ACCENT, width=2.2)
-    canvas.ticks(axes, *pair.labels)
 
 
 def _heading(canvas: Canvas, left: float, title: str, numbers: str) -> None:

@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.report.colours import GREYS, Array, Scale, limits
-from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Field, Picture, pitch, reduced
+from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Field, Picture, pitch, pixel_of, reduced
 from planish.report.text import count, length, number, plain
 
 # Colours that do not need red and green to be distinguished, and stand out from grey.
@@ -33,7 +33,7 @@ class Slice:
     """One slice: its grey values with the top side up, and the heights of the surfaces in it."""
 
     grey: Array
-    heights: Array  # ascending, top side up
+    heights: Array  # descending: the first row is the upper one
     x: Array
     lines: dict[str, Array]
     used: NDArray[np.bool_]  # columns that were measured
@@ -44,21 +44,22 @@ class Slice:
         inside = (self.x >= left) & (self.x <= right)
         found = np.concatenate([v[inside] for v in self.lines.values()])
         found = found[np.isfinite(found)]
-        low, high = float(self.heights[0]), float(self.heights[-1])
+        low, high = self.range
         if found.size:
             low, high = max(low, float(found.min()) - margin), min(high, float(found.max()) + margin)
         return left, right, low, high
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Lowest and highest height."""
+        return float(self.heights[-1]), float(self.heights[0])
 
     def cut(self, window: Window, width: float) -> Field:
         """Return the grey values of a window, for axes so many pixels wide."""
         left, right, low, high = window
         cols = (self.x >= left - 1e-6) & (self.x <= right + 1e-6)
         rows = (self.heights >= low - 1e-6) & (self.heights <= high + 1e-6)
-        # The first row of a picture is its upper one: heights run down, so that they are turned here.
-        grey, heights = self.grey[np.ix_(rows, cols)][::-1], self.heights[rows]
-        shown = reduced(grey, heights, self.x[cols], width=width)
-        top = float(heights[-1]) + pitch(heights) / 2
-        return Field(shown.values, (shown.extent[0], shown.extent[1], top - shown.height, top))
+        return reduced(self.grey[np.ix_(rows, cols)], self.heights[rows], self.x[cols], width=width)
 
 
 def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
@@ -91,7 +92,7 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
         title="Slices with the surfaces found",
         caption=(
             f"{len(cuts)} slices across {rows}; {through} runs through the sheet, the top side is up. Heights and "
-            f"widths have the same scale.{part} n = {count(cuts[0].x.size)} columns of {plain(pitch(cuts[0].x))} in "
+            f"widths have the same scale.{part} n = {count(cuts[0].x.size)} columns of {pixel_of(cuts[0].x)} in "
             "each slice; lines in µm; mask: faces are pale where the column is left out (rims), and missing where none "
             "was found."
         ),
@@ -103,9 +104,9 @@ def _draw(
     canvas: Canvas, cut: Slice, window: Window, at: tuple[float, float], zoom: float, scale: Scale, width: float
 ) -> Axes:
     """Draw a window of a slice with its surfaces."""
-    size = (window[1] - window[0]) * zoom, (window[3] - window[2]) * zoom
-    axes = canvas.axes(*at, *size, window)
-    axes.image(cut.cut(window, size[0]), scale)
+    wide, high = (window[1] - window[0]) * zoom, (window[3] - window[2]) * zoom
+    axes = canvas.axes(*at, wide, high, window)
+    axes.image(cut.cut(window, wide), scale)
     every = slice(None, None, max(1, cut.x.size // _POINTS))
     for name, _, colour, dash in LINES:
         line = np.stack([cut.x, cut.lines[name]], axis=1)
@@ -137,11 +138,11 @@ def _details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
         left = 14 + k * 205.0
         canvas.line([(left, high + 74), (left + 28, high + 74)], colour=colour, width=2.6, dash=dash)
         canvas.text(left + 36, high + 78, name, colour="white")
-    sampling = f"{plain(pitch(cuts[0].x))} × {plain(pitch(cuts[0].heights))}"
+    voxel = pixel_of(cuts[0].x, cuts[0].heights[::-1])
     return canvas.picture(
         title="The layers, close up",
         caption=(
-            f"The red windows, each {length(across)} wide; voxels of {sampling} as they are, lines in µm at sub-voxel "
+            f"The red windows, each {length(across)} wide; voxels of {voxel} as they are, lines in µm at sub-voxel "
             f"heights. n = {number(across / pitch(cuts[0].x), 3)} columns in each window; mask as above."
         ),
     )
@@ -154,17 +155,17 @@ def _windows(cuts: list[Slice], centres: list[float], margin: float) -> list[Win
     tall = max(high - low for _, _, low, high in found)
     out: list[Window] = []
     for cut, (left, right, low, high) in zip(cuts, found, strict=True):
-        floor, ceiling = float(cut.heights[0]), float(cut.heights[-1])
+        floor, ceiling = cut.range
         bottom = min(max((low + high - tall) / 2, floor), max(ceiling - tall, floor))
         out.append((max(left, float(cut.x[0])), min(right, float(cut.x[-1])), bottom, min(bottom + tall, ceiling)))
     return out
 
 
 def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
-    """Take one slice out, turned so that heights ascend towards the top side."""
+    """Take one slice out, turned so that the top side is up."""
     up = 1.0 if surfaces.attrs["top_side"] == "high" else -1.0
     heights = up * slices["height"].values.astype(np.float64)
-    order: NDArray[np.intp] = np.argsort(heights)
+    order: NDArray[np.intp] = np.argsort(-heights)
     row = int(slices["row"].values[k])
     x = slices["x"].values.astype(np.float64)
     # A column may be several voxels wide: each voxel shows the surfaces of its column.
@@ -188,9 +189,9 @@ def _span(cut: Slice, margin: float) -> Window:
     if (right - left) <= _FLATTEST * (whole[3] - whole[2]):
         return whole
     # A flat sheet: more air above and below first, then less of its length.
-    air = min((right - left) / _FLATTEST, float(cut.heights[-1] - cut.heights[0]))
-    extra = max(0.0, air - (whole[3] - whole[2])) / 2
-    low, high = max(whole[2] - extra, float(cut.heights[0])), min(whole[3] + extra, float(cut.heights[-1]))
+    floor, ceiling = cut.range
+    extra = max(0.0, min((right - left) / _FLATTEST, ceiling - floor) - (whole[3] - whole[2])) / 2
+    low, high = max(whole[2] - extra, floor), min(whole[3] + extra, ceiling)
     longest = 2 * _FLATTEST * (high - low)
     if right - left <= longest:
         return left, right, low, high

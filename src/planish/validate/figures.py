@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator
-from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple
 
 _KINDS = (("bias", "mean error", "mean"), ("rmse", "rms error", "root mean square"),
           ("p95", "95 % error", "95th percentile of the absolute value"))  # fmt: skip
+
+Values = dict[str, float | None]
+"""Figure name -> value; None where a run has no such thing."""
 
 
 class Figure(NamedTuple):
@@ -46,11 +49,15 @@ def _figures(stage: str, table: dict[str, Any]) -> Iterator[Figure]:
         yield Figure(name, stage, *row)
 
 
-_TABLES = tomllib.loads(files("planish.validate").joinpath("figures.toml").read_text(encoding="utf-8"))
+_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 STAGES: dict[str, str] = {stage: table["title"] for stage, table in _TABLES.items()}
 KEYS: dict[str, list[str]] = {stage: table["key"] for stage, table in _TABLES.items() if "key" in table}
 FIGURES: dict[str, Figure] = {
     figure.name: figure for stage, table in _TABLES.items() for figure in _figures(stage, table)
 }
-FACES = ("top", "interface_top", "interface_bottom", "bottom")
-THICKNESSES = ("coating_top", "base_thickness", "thickness")
+
+
+def in_order(values: Values) -> Values:
+    """Figures in the order of the line; what has no value is None, whole stages that are absent are left out."""
+    stages = {FIGURES[name].stage for name in values}
+    return {name: values.get(name) for name, figure in FIGURES.items() if figure.stage in stages}

@@ -1,6 +1,10 @@
-"""Errors of the stages that bring volume and image together: holes, registration, resampling, statistic."""
+"""Errors of what brings volume and image, or two volumes, together: holes, registration, resampling, statistic."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
@@ -10,11 +14,21 @@ from scipy.spatial import KDTree
 from planish.analyze import correlate, correlate_at
 from planish.core.grid import Grid, pitch, values_at
 from planish.marks import find_holes
+from planish.pipeline import Run
 from planish.register import FittedTransform, fit_transform
 from planish.resample import find_places, resample
-from planish.validate.figures import THICKNESSES
-from planish.validate.outlines import dice, outline_lag
-from planish.validate.truth import Comparison, Values, percentile, rms, three, true_thickness
+from planish.synthetic import InstrumentFiles, Specimen
+from planish.validate.figures import Values
+from planish.validate.scenario import PAIR
+from planish.validate.truth import (
+    THICKNESSES,
+    Comparison,
+    mean_of,
+    percentile,
+    rms,
+    three,
+    true_thickness,
+)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -22,6 +36,7 @@ Mask = NDArray[np.bool_]
 _SAME_HOLE_UM = 60.0  # a third of a hole: nearer than that it is the same one
 _MOST_COLUMNS = 1_500_000  # whose material is found one by one for the resampling
 _LEAST_THIN = 0.002  # of the valid pixels: with fewer, the thin region is some specks
+_PARTS = 4  # points on the stretch of an outline within one cell: so close that the nearest one is as good as the line
 _RING = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1)
 
 
@@ -33,7 +48,7 @@ def pixel_errors(both: Comparison) -> Values:
         values |= three(f"pixel_{name}", found - true)
         if name != "coating_top":
             continue
-        thin_um = both.study.correlate.thin_um
+        thin_um = both.run.study.correlate.thin_um
         known = np.isfinite(found) & np.isfinite(true)
         count = int(np.count_nonzero(known))
         if count and np.count_nonzero(true[known] < thin_um) >= _LEAST_THIN * count:
@@ -42,10 +57,38 @@ def pixel_errors(both: Comparison) -> Values:
     return values
 
 
+def dice(one: Mask, two: Mask) -> float | None:
+    """Twice the common area over the sum of both; None where both are empty."""
+    total = int(one.sum()) + int(two.sum())
+    return 2.0 * int((one & two).sum()) / total if total else None
+
+
+def outline_lag(one: Array, two: Array, level: float, pitch_um: tuple[float, float]) -> float | None:
+    """Median distance in um between the contour lines of two maps at ``level``, taken from both sides.
+
+    No line passes where a map is NaN; None where one of them has no contour. ``pitch_um`` is that of rows and columns.
+    """
+    a, b = (contour_points(m, level) * np.array(pitch_um) for m in (one, two))
+    if not len(a) or not len(b):
+        return None
+    away = np.concatenate([KDTree(b).query(a)[0], KDTree(a).query(b)[0]])
+    return float(np.median(away))
+
+
+def contour_points(values: Array, level: float) -> Array:
+    """Points (n, 2) as (row, col), in pixels, close together on the contour lines of a map."""
+    from contourpy import LineType, contour_generator
+
+    lines = contour_generator(z=np.ma.masked_invalid(values), line_type=LineType.Separate).lines(level)
+    share = (np.arange(_PARTS) + 0.5)[:, None] / _PARTS
+    points = [start + share * (end - start) for line in lines for start, end in pairwise(np.asarray(line))]
+    return np.concatenate(points)[:, ::-1] if points else np.empty((0, 2))
+
+
 def hole_errors(both: Comparison) -> Values:
     """What hole finding gives on either side, against the true holes; it is asked again as the run asks it."""
     linked, maps, specimen = both.linked, both.groups["maps"], both.specimen
-    hole_um = both.study.holes.hole_um
+    hole_um = both.run.study.holes.hole_um
     true = specimen.sheet.holes
     radius = 0.5 * float(np.mean(hole_um))
     y, x = linked["y"].values, linked["x"].values
@@ -113,9 +156,7 @@ def _true_scale(both: Comparison) -> float | None:
     if len(uv) < 3:
         return None
     uv = uv[:: max(1, len(uv) // 20_000)]
-    at = both.specimen.pose(uv)
-    turned = float(np.linalg.det((uv - uv.mean(axis=0)).T @ (at - at.mean(axis=0)))) < 0
-    return fit_transform(uv, at, mirrored=turned, robust=False).transform.scale
+    return fit_transform(uv, both.specimen.pose(uv), mirrored=None, robust=False).transform.scale
 
 
 def _projection_error(both: Comparison, fit: FittedTransform, scale: float | None) -> float | None:
@@ -151,21 +192,42 @@ def resampling_errors(both: Comparison) -> Values:
     return {"resampling_rmse": rms(errors), "resampling_p95": percentile(errors, 95)}
 
 
-def statistic_errors(both: Comparison, *, point_um: float) -> Values:
-    """Correlation with the image of the measured and of the true map, over the same pixels."""
+def statistic_errors(both: Comparison) -> Values:
+    """Correlation with the image of the measured and of the true map, over the same pixels and the run's points."""
     image, pixel = np.asarray(both.linked["image"].values, dtype=np.float64), pitch(both.linked)
     found = both.linked_values(both.headline)
     true = np.where(np.isfinite(found), both.pixel_thickness(both.headline, *both.true_uv), np.nan)
-    pairs = {
-        "pixel": [correlate(m, image, point_um=pixel[0]) for m in (found, true)],
-        "point": [correlate_at(m, image, pixel_um=pixel, point_um=point_um)[0] for m in (found, true)],
-    }
+    point_um = both.run.study.correlate.point_um
     values: Values = {}
-    for key, (one, two) in pairs.items():
-        known = np.isfinite(one.r) and np.isfinite(two.r)
-        values[f"r_{key}"] = one.r if known else None
-        values[f"r_true_{key}"] = two.r if known else None
-        values[f"r_difference_{key}"] = one.r - two.r if known else None
+    for key, (one, two) in {
+        "pixel": [correlate(m, image, point_um=pixel[0]).r for m in (found, true)],
+        "point": [correlate_at(m, image, pixel_um=pixel, point_um=point_um)[0].r for m in (found, true)],
+    }.items():
+        known = np.isfinite(one) and np.isfinite(two)
+        found_r = (one, two, one - two) if known else (None, None, None)
+        values |= dict(zip((f"r_{key}", f"r_true_{key}", f"r_difference_{key}"), found_r, strict=True))
+    return values
+
+
+def pair_errors(made: Sequence[tuple[Specimen, InstrumentFiles]], run: Run) -> Values:
+    """Errors of two linked volumes of one sheet; places and thicknesses against the truth of the sheet."""
+    maps = [run.groups[f"layers/{name}"] for name in PAIR]
+    valid = maps[0]["valid"].values & maps[1]["valid"].values
+    values: Values = {}
+    shown: list[Array] = []
+    for name, (specimen, files), data in zip(PAIR, made, maps, strict=True):
+        places = np.stack([data[f"volume_{axis}"].values[valid] for axis in ("x", "y", "z")], axis=-1)
+        both = Comparison(specimen, files, replace(run, groups=run.sheets[name].groups))
+        shown.append(both.material_at(places.astype(np.float64)))
+        true = true_thickness(specimen.sheet, "coating_top", shown[-1][..., 0], shown[-1][..., 1])
+        values[f"pair_coating_{name}_bias"] = mean_of(data["coating_top"].values[valid] - true)
+    off = np.hypot(*(shown[0] - shown[1])[..., :2].T)
+    values["pair_median"], values["pair_p95"], values["pair_rms"] = percentile(off, 50), percentile(off, 95), rms(off)
+    values["pair_predicted_rms"] = rms(maps[0]["expected_error"].values[valid].astype(np.float64))
+    rows = [row for row in run.results.correlations if row.a_map == "coating_top"]
+    if rows:
+        values["pair_r"], values["pair_r_point"] = rows[0].r, rows[1].r
+        values["pair_difference_sd"] = rows[0].difference_sd
     return values
 
 

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
-from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError
-from planish.flatten.params import FlattenParams
-from planish.io.params import ImageParams, VolumeParams
-from planish.marks.params import HoleParams
-from planish.measure.params import MeasureParams
-from planish.register.params import RegistrationParams
-from planish.surface.params import SurfaceParams
+from planish.study import Study, faults_of
 from planish.synthetic.draws import draw_params
-from planish.synthetic.nuisances import NUISANCES, nuisances_of, with_only, without
+from planish.synthetic.nuisances import NUISANCES, nuisances_of, with_only
 from planish.synthetic.params import SIZES_UM, SpecimenParams
 from planish.synthetic.presets import PRESETS, preset
 from planish.validate.figures import FIGURES
@@ -29,11 +32,14 @@ Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 ALL: Literal["all"] = "all"
 NONE: Literal["none"] = "none"
 
-# The groups of options that a scenario may change.
-_OPTIONS: dict[str, type[BaseModel]] = {
-    "volume": VolumeParams, "image": ImageParams, "surface": SurfaceParams, "properties": MeasureParams,
-    "flatten": FlattenParams, "holes": HoleParams, "registration": RegistrationParams, "correlate": CorrelateParams,
+PAIR = ("first", "second")
+"""Names of the two layers of a pair."""
+
+_FOLDER = Path(__file__).with_name("scenarios")
+_KNOWN: dict[str, tuple[Mapping[str, Any], str]] = {
+    "preset": (PRESETS, "paper"), "nuisances": (NUISANCES, "nuisance"), "limits": (FIGURES, "figure"),
 }  # fmt: skip
+"""Field -> the names that it may hold, and what they are."""
 
 
 class Table(BaseModel):
@@ -58,11 +64,14 @@ class Limit(Table):
             raise ValueError("give either limit or least")
         return self
 
+    @property
+    def bound(self) -> float:
+        """The number that is not to be passed."""
+        return (self.least or 0.0) if self.limit is None else self.limit
+
     def met(self, value: float | None) -> bool:
         """Whether a value keeps the limit; what could not be measured does not."""
-        if value is None:
-            return False
-        return abs(value) <= self.limit if self.limit is not None else value >= (self.least or 0.0)
+        return value is not None and (value >= self.bound if self.limit is None else abs(value) <= self.bound)
 
     def worst(self, values: list[float]) -> float:
         """The value that is nearest to missing the limit, or furthest beyond it."""
@@ -124,45 +133,44 @@ class Scenario(Table):
     study: dict[str, dict[str, Any]] = {}
     limits: dict[str, Limit] = {}
 
-    @field_validator("preset")
+    @field_validator(*_KNOWN)
     @classmethod
-    def _known_preset(cls, value: str) -> str:
-        return _one_of(value, PRESETS, "paper")
-
-    @field_validator("nuisances")
-    @classmethod
-    def _known_nuisances(cls, value: str | tuple[str, ...]) -> str | tuple[str, ...]:
-        if not isinstance(value, str):
-            for name in value:
-                _one_of(name, NUISANCES, "nuisance")
+    def _has_known_names(cls, value: Any, info: ValidationInfo) -> Any:
+        known, what = _KNOWN[str(info.field_name)]
+        for name in () if value in (ALL, NONE) else (value,) if isinstance(value, str) else value:
+            if name not in known:
+                raise ValueError(f"there is no {what} {name!r}; known are {', '.join(sorted(known))}")
         return value
-
-    @field_validator("limits")
-    @classmethod
-    def _known_figures(cls, value: dict[str, Limit]) -> dict[str, Limit]:
-        for name in value:
-            _one_of(name, FIGURES, "figure")
-        return value
-
-    @model_validator(mode="after")
-    def _two_for_a_pair(self) -> Self:
-        if (self.kind == "pair") != (self.second is not None):
-            raise ValueError("a pair, and nothing else, has a table [second]")
-        return self
 
     @model_validator(mode="after")
     def _can_be_made(self) -> Self:
+        if (self.kind == "pair") != (self.second is not None):
+            raise ValueError("a pair, and nothing else, has a table [second]")
         try:
-            self.params(0)
-            if self.second is not None:
-                self.second_params(0)
+            (self.params if self.second is None else self.second_params)(0)
         except ValidationError as error:
-            raise ValueError("; ".join(f"specimen.{place}: {fault}" for place, fault in faults_of(error))) from error
-        for table, changes in self.study.items():
-            _one_of(table, _OPTIONS, "group of options")
-            for key in changes:
-                _one_of(key, _OPTIONS[table].model_fields, f"key of [{table}]")
+            raise ValueError(faults_of(error, within="specimen.")) from error
+        try:
+            self.study_of([("volume", "z")] * (2 if self.second else 1), None if self.second else "image")
+        except ValidationError as error:
+            raise ValueError(faults_of(error, within="study.")) from error
         return self
+
+    def study_of(self, volumes: Sequence[tuple[Path | str, str]], image: Path | str | None) -> Study:
+        """Study of the files of a specimen: what a user would give on the command line.
+
+        ``volumes`` are paths with the axis that runs through the sheet; of a pair, that of the reference is the last.
+        All files state their voxel size, so that none is given.
+        """
+        tables = _merged({"correlate": {"point_um": self.point_um}}, self.study)
+        sheet = {name: tables.pop(name, {}) for name in ("volume", "surface", "properties", "flatten")}
+        layers: list[dict[str, Any]] = [
+            {"name": name} | _merged({"volume": {"path": str(path), "through": through}}, sheet)
+            for name, (path, through) in zip(PAIR if self.second else ("sheet",), volumes, strict=True)
+        ]
+        if image is not None:
+            layers.append({"name": "image", "image": {"path": str(image)} | tables.pop("image", {})})
+        return Study.model_validate({"layers": layers, **tables})
 
     def params(self, seed: int, nuisances: str | tuple[str, ...] | None = None) -> SpecimenParams:
         """Parameters of the specimen of ``seed``; ``nuisances`` replaces the scenario's own choice."""
@@ -172,9 +180,7 @@ class Scenario(Table):
         params = replace(params, seed=params.seed + seed)
         if self.drawn:
             params = draw_params(params)
-        if chosen == ALL:
-            return params
-        return without(params, NUISANCES) if isinstance(chosen, str) else with_only(params, chosen)
+        return params if chosen == ALL else with_only(params, () if chosen == NONE else chosen)
 
     def second_params(self, seed: int) -> SpecimenParams:
         """Parameters of the same sheet under the second instrument."""
@@ -185,24 +191,6 @@ class Scenario(Table):
     def active(self) -> list[str]:
         """Names of the nuisances that are on and that the instrument can see."""
         return nuisances_of(self.params(0), "sections" if self.instrument == "sections" else "scanner")
-
-
-def _one_of(value: str, known: Any, what: str) -> str:
-    if value not in known:
-        raise ValueError(f"there is no {what} {value!r}; known are {', '.join(sorted(known))}")
-    return value
-
-
-def faults_of(error: ValidationError) -> list[tuple[str, str]]:
-    """Place and sentence of every fault."""
-    unknown = "unexpected_keyword_argument"
-    return [
-        (
-            ".".join(map(str, e["loc"])),
-            "no such field" if e["type"] == unknown else e["msg"].removeprefix("Value error, "),
-        )
-        for e in error.errors()
-    ]
 
 
 def amended(params: SpecimenParams, changes: dict[str, Any]) -> SpecimenParams:
@@ -217,8 +205,7 @@ def _merged(old: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 def scenario_names() -> list[str]:
     """Names of the scenarios that come with planish."""
-    folder = files("planish.validate").joinpath("scenarios")
-    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+    return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
 def read_scenario(name_or_path: str | Path) -> Scenario:
@@ -232,25 +219,14 @@ def read_scenario(name_or_path: str | Path) -> Scenario:
         If a key is unknown or a value out of range; all faults are named.
     """
     name = str(name_or_path)
-    if name in scenario_names():
-        text = files("planish.validate").joinpath("scenarios", f"{name}.toml").read_text(encoding="utf-8")
-    else:
-        path = Path(name_or_path)
-        if not path.is_file():
-            raise FileError(
-                f"There is no scenario {name!r}. Give one of {', '.join(scenario_names())}, or the path of a TOML file."
-            )
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise FileError(f"{path} cannot be read: {error}. Give a scenario as a TOML file.") from error
+    path = _FOLDER / f"{name}.toml" if name in scenario_names() else Path(name_or_path)
+    if not path.is_file():
+        raise FileError(
+            f"There is no scenario {name!r}. Give one of {', '.join(scenario_names())}, or the path of a TOML file."
+        )
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise FileError(f"{name} is not a TOML file: {error}.") from error
-    try:
-        return Scenario.model_validate(data)
+        return Scenario.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except ValidationError as error:
-        found = faults_of(error)
-        faults = "; ".join(f"{place}: {fault}" if place else fault for place, fault in found)
-        raise InputError(f"The scenario {name} has {len(found)} faults: {faults}.") from error
+        raise InputError(f"The scenario {name} has {error.error_count()} faults: {faults_of(error)}.") from error
+    except (OSError, ValueError) as error:
+        raise FileError(f"{name} is not a TOML file that can be read: {error}.") from error

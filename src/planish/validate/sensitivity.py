@@ -11,11 +11,12 @@ from planish.compute import Progress, silent
 from planish.core.errors import InputError
 from planish.synthetic.nuisances import NUISANCES
 from planish.validate.certify import Entry, run_specimen, seed_numbers
-from planish.validate.figures import FIGURES, KEYS, STAGES
+from planish.validate.figures import FIGURES, KEYS, Values
 from planish.validate.scenario import ALL, NONE, Scenario
+from planish.validate.truth import rms
 
 # Of a baseline: growth against next to nothing is none. A quarter of it is noticed, that is 0.002 of an r.
-_FLOOR = {"um": 0.05, "1": 0.008}
+_FLOOR = {"um": 0.05, "%": 0.05, "deg": 0.05, "1": 0.008}
 _NOTICED = 0.25  # growth, in baselines, below which no stage is said to suffer
 _WORTH = 0.5  # of the baseline: what all together have to add for their sum to be worth naming
 _CARRIED = 0.5  # share of the largest growth with which an error is taken to have come in at an earlier stage
@@ -33,7 +34,7 @@ class Row:
     added : dict
         Stage to the error that the nuisance adds to the stage's key figure, in squares: sqrt(e^2 - e0^2).
     growth : dict
-        The same over the error without any nuisance.
+        The same over the error without any nuisance; without the stages that have none.
     suffers : str or None
         The first stage along the line that is hit; None where no stage notices.
     refusal : str or None
@@ -41,8 +42,8 @@ class Row:
     """
 
     nuisance: str
-    added: dict[str, float | None]
-    growth: dict[str, float | None]
+    added: Values
+    growth: dict[str, float]
     suffers: str | None
     refusal: str | None = None
 
@@ -68,9 +69,9 @@ class Sensitivity:
 
     keys: dict[str, str]
     quiet: dict[str, float]
-    loud: dict[str, float | None]
+    loud: Values
     rows: tuple[Row, ...]
-    ratio: dict[str, float | None]
+    ratio: Values
     together: dict[str, tuple[str, ...]]
     seeds: tuple[int, ...]
 
@@ -95,27 +96,25 @@ def sensitivity(
     if not names:
         raise InputError(f"No nuisance of the scenario {scenario.name} is on. Give one with nuisances, such as small.")
 
-    def measure(what: str, chosen: str | tuple[str, ...]) -> tuple[dict[str, float | None], str | None]:
+    def measure(what: str, chosen: str | tuple[str, ...]) -> tuple[Values, str | None]:
+        """Return the rms of each figure over the seeds, and the first refusal."""
         entries: list[Entry] = []
         for seed in numbers:
             progress("sensitivity", f"{what}, seed {seed}")
-            entries.append(run_specimen(scenario, scenario.params(seed, chosen), seed)[0])
-        refusals = [entry.refusal for entry in entries if entry.refusal is not None]
-        return _pooled(entries), refusals[0] if refusals else None
+            entries.append(run_specimen(scenario, scenario.params(seed, chosen), seed))
+        found = {
+            name: rms(np.array([entry.values.get(name) for entry in entries], dtype=np.float64))
+            for name in {name for entry in entries for name in entry.values}
+        }
+        return found, next((entry.refusal for entry in entries if entry.refusal is not None), None)
 
     base, refusal = measure("no nuisance", NONE)
     if refusal is not None:
         raise InputError(f"The scenario {scenario.name} does not even come through without nuisances: {refusal}")
-    keys = {
-        stage: next(name for name in KEYS[stage] if base.get(name) is not None)
-        for stage in STAGES
-        if any(base.get(name) is not None for name in KEYS.get(stage, ()))
-    }
-    quiet = {stage: _value(base, name) for stage, name in keys.items()}
-    rows: list[Row] = []
-    for name in names:
-        found, refusal = measure(f"{NUISANCES[name].title} alone", (name,))
-        rows.append(make_row(name, keys, quiet, found, refusal))
+    known = {stage: [name for name in names if base.get(name) is not None] for stage, names in KEYS.items()}
+    keys = {stage: names[0] for stage, names in known.items() if names}
+    quiet = {stage: value for stage, name in keys.items() if (value := base[name]) is not None}
+    rows = [make_row(name, keys, quiet, *measure(f"{NUISANCES[name].title} alone", (name,))) for name in names]
     # All that are on: scenario.nuisances may be a list.
     found, _ = measure("all together", scenario.nuisances if scenario.nuisances != NONE else ALL)
     loud = {stage: found.get(name) for stage, name in keys.items()}
@@ -123,36 +122,31 @@ def sensitivity(
     off = [stage for stage, value in ratio.items() if value is not None and not 1 / _AGREES <= value <= _AGREES]
     together: dict[str, tuple[str, ...]] = {}
     if off and len(names) > 1:
-        less: dict[str, dict[str, float | None]] = {}
-        for name in names:
-            rest = tuple(other for other in names if other != name)
-            less[name] = measure(f"all but {NUISANCES[name].title}", rest)[0]
-        for stage in off:
-            together[stage] = _interaction(keys[stage], loud[stage], less)
+        less = {
+            name: measure(f"all but {NUISANCES[name].title}", tuple(other for other in names if other != name))[0]
+            for name in names
+        }
+        together = {stage: _interaction(keys[stage], loud[stage], less) for stage in off}
     return Sensitivity(
         keys=keys, quiet=quiet, loud=loud, rows=tuple(rows), ratio=ratio, together=together, seeds=tuple(numbers)
     )
 
 
-def make_row(
-    name: str, keys: dict[str, str], quiet: dict[str, float], found: dict[str, float | None], refusal: str | None
-) -> Row:
+def make_row(name: str, keys: dict[str, str], quiet: dict[str, float], found: Values, refusal: str | None) -> Row:
     """What a nuisance adds to every stage, and the stage where it comes in.
 
     Errors are carried along the line: the stage that suffers is the first one that grows at least half as much,
     relative to its own baseline, as the one that grows most.
     """
     added = {stage: added_error(found.get(key), quiet[stage]) for stage, key in keys.items()}
-    growth: dict[str, float | None] = {}
-    for stage, value in added.items():
-        floor = _FLOOR.get(FIGURES[keys[stage]].unit, 0.05)
-        growth[stage] = None if value is None else value / max(quiet[stage], floor)
-    known = {stage: value for stage, value in growth.items() if value is not None}
+    known = {
+        stage: value / max(quiet[stage], _FLOOR[FIGURES[keys[stage]].unit])
+        for stage, value in added.items()
+        if value is not None
+    }
     most = max(known.values(), default=0.0)
     suffers = next((stage for stage, value in known.items() if value >= _CARRIED * most), None)
-    return Row(
-        nuisance=name, added=added, growth=growth, suffers=suffers if most >= _NOTICED else None, refusal=refusal
-    )
+    return Row(nuisance=name, added=added, growth=known, suffers=suffers if most >= _NOTICED else None, refusal=refusal)
 
 
 def added_error(error: float | None, base: float) -> float | None:
@@ -160,37 +154,21 @@ def added_error(error: float | None, base: float) -> float | None:
     return None if error is None else float(np.sqrt(max(0.0, error**2 - base**2)))
 
 
-def _pooled(entries: Sequence[Entry]) -> dict[str, float | None]:
-    """Root mean square of each figure over the seeds."""
-    found: dict[str, float | None] = {}
-    for name in {name for entry in entries for name in entry.values}:
-        values = [v for entry in entries if (v := entry.values.get(name)) is not None]
-        found[name] = float(np.sqrt(np.mean(np.square(values)))) if values else None
-    return found
-
-
-def _value(base: dict[str, float | None], name: str) -> float:
-    value = base.get(name)
-    assert value is not None
-    return value
-
-
 def _ratio(
-    stage: str, keys: dict[str, str], quiet: dict[str, float], loud: dict[str, float | None], rows: Sequence[Row]
+    stage: str, keys: dict[str, str], quiet: dict[str, float], loud: Values, rows: Sequence[Row]
 ) -> float | None:
     """Sum of squares over the whole; None where both stay below the floor or half of the baseline."""
     whole = added_error(loud[stage], quiet[stage])
     summed = float(np.sqrt(sum((row.added[stage] or 0.0) ** 2 for row in rows)))
-    least = max(_FLOOR.get(FIGURES[keys[stage]].unit, 0.05), _WORTH * quiet[stage])
+    least = max(_FLOOR[FIGURES[keys[stage]].unit], _WORTH * quiet[stage])
     if whole is None or max(whole, summed) < least:
         return None
     return summed / whole if whole > 0 else float("inf")
 
 
-def _interaction(key: str, loud: float | None, less: dict[str, dict[str, float | None]]) -> tuple[str, ...]:
+def _interaction(key: str, loud: float | None, less: dict[str, Values]) -> tuple[str, ...]:
     """The two nuisances whose leaving out changes a figure most."""
     if loud is None:
         return ()
-    changes = {name: abs(loud**2 - (value if (value := found.get(key)) is not None else loud) ** 2)
-               for name, found in less.items()}  # fmt: skip
-    return tuple(sorted(changes, key=lambda name: -changes[name])[:2])
+    kept = {name: loud if (value := found.get(key)) is None else value for name, found in less.items()}
+    return tuple(sorted(kept, key=lambda name: -abs(loud**2 - kept[name] ** 2))[:2])

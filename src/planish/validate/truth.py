@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -15,21 +15,21 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.pipeline import Run
 from planish.register import FittedTransform
-from planish.study import Study
 from planish.synthetic import InstrumentFiles, Sheet, Specimen
+from planish.validate.figures import Values
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
-Values = dict[str, float | None]
 
-FACE_ORDER = ("top", "interface_top", "interface_bottom", "bottom")
-_BETWEEN = {"coating_top": (0, 1), "coating_bottom": (2, 3), "base_thickness": (1, 2), "thickness": (0, 3)}
+FACES = ("top", "interface_top", "interface_bottom", "bottom")
+THICKNESSES = {"coating_top": (0, 1), "base_thickness": (1, 2), "thickness": (0, 3)}
+"""Thickness -> its outer and inner face."""
 _MOST_COLUMNS = 400_000  # more columns do not make a percentile any surer
 _FINEST_UM = 4.0  # of a pixel that counts as a point: the sheet holds little below
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Comparison:
     """One run, the files that it read, and the specimen of which they were made.
 
@@ -39,13 +39,12 @@ class Comparison:
 
     specimen: Specimen
     files: InstrumentFiles
-    groups: dict[str, xr.Dataset]
-    run: Run | None = None
+    run: Run
 
-    @classmethod
-    def of(cls, specimen: Specimen, files: InstrumentFiles, run: Run) -> Self:
-        """Compare a run of one volume, with or without an image."""
-        return cls(specimen=specimen, files=files, groups=run.groups, run=run)
+    @property
+    def groups(self) -> dict[str, xr.Dataset]:
+        """Datasets of the run."""
+        return self.run.groups
 
     @cached_property
     def columns(self) -> tuple[Index, Index]:
@@ -90,11 +89,7 @@ class Comparison:
     def physical_at(self, places: Array) -> Array:
         """Places (..., 3) in space of places in the file."""
         sections = self.groups.get("sections")
-
-        def physical(known: Array) -> Array:
-            return self.files.to_physical(known, sections)
-
-        return _where_known(physical, places)
+        return _where_known(lambda known: self.files.to_physical(known, sections), places)
 
     def material_at(self, places: Array) -> Array:
         """Material of places (..., 3) in the file."""
@@ -103,19 +98,11 @@ class Comparison:
     @property
     def headline(self) -> str:
         """Property that the run puts first: the coating, or the sheet's thickness where there is none."""
-        assert self.run is not None
         return next(layer.headline for layer in self.run.results.layers if layer.sheet is not None)
-
-    @property
-    def study(self) -> Study:
-        """Parameters of the run."""
-        assert self.run is not None
-        return self.run.study
 
     @property
     def fit(self) -> FittedTransform:
         """The registration of the run."""
-        assert self.run is not None
         return next(iter(self.run.registrations.values())).fit
 
     @property
@@ -181,14 +168,9 @@ def _where_known(function: Callable[[Array], Array], points: Array) -> Array:
     return found
 
 
-def true_face(sheet: Sheet, face: str, u: Array, v: Array) -> Array:
-    """Signed distance of a face from the true centre surface, in um; NaN where (u, v) is."""
-    return field_at(sheet, sheet.faces[FACE_ORDER.index(face)], u, v)
-
-
 def true_thickness(sheet: Sheet, name: str, u: Array, v: Array) -> Array:
     """True thickness in um at material (u, v); ``name`` as the run calls it. NaN where (u, v) is."""
-    outer, inner = _BETWEEN[name]
+    outer, inner = THICKNESSES[name]
     return field_at(sheet, sheet.faces[outer] - sheet.faces[inner], u, v)
 
 
@@ -212,8 +194,12 @@ def percentile(errors: Array, percent: float) -> float | None:
     return float(np.percentile(known, percent)) if known.size else None
 
 
+def mean_of(errors: Array) -> float | None:
+    """Mean of what is finite; None where nothing is."""
+    known = errors[np.isfinite(errors)]
+    return float(known.mean()) if known.size else None
+
+
 def three(stem: str, errors: Array) -> Values:
     """``stem_bias``, ``stem_rmse`` and ``stem_p95`` of what is finite."""
-    known = errors[np.isfinite(errors)]
-    bias = float(known.mean()) if known.size else None
-    return {f"{stem}_bias": bias, f"{stem}_rmse": rms(errors), f"{stem}_p95": percentile(errors, 95)}
+    return {f"{stem}_bias": mean_of(errors), f"{stem}_rmse": rms(errors), f"{stem}_p95": percentile(errors, 95)}

@@ -10,8 +10,18 @@ from planish.core.grid import pitch
 from planish.core.status import Status
 from planish.register import fit_transform
 from planish.sections.trend import quick_part
-from planish.validate.figures import FACES, THICKNESSES
-from planish.validate.truth import Comparison, Values, field_at, percentile, rms, three, true_face, true_thickness
+from planish.validate.figures import Values
+from planish.validate.truth import (
+    FACES,
+    THICKNESSES,
+    Comparison,
+    field_at,
+    mean_of,
+    percentile,
+    rms,
+    three,
+    true_thickness,
+)
 
 Array = NDArray[np.float64]
 
@@ -25,21 +35,17 @@ def section_errors(both: Comparison) -> Values:
 
     A shift and a shear of the whole stack are no error of the sheet's structure: they are taken away.
     """
-    if "sections" not in both.groups:
+    sections, surfaces = both.groups.get("sections"), both.groups["surfaces"]
+    frame, across = Frame.of(surfaces), np.asarray(surfaces["y"].values, dtype=np.float64)
+    # Through z, a section shows the sheet from above, and its pose has other axes.
+    if sections is None or frame.through == "z" or across.size < _LEAST_SECTIONS:
         return {}
-    sections, surfaces = both.groups["sections"], both.groups["surfaces"]
-    frame = Frame.of(surfaces)
-    if frame.through == "z":
-        return {}  # a section then shows the sheet from above, and its pose has other axes
-    across = np.asarray(surfaces["y"].values, dtype=np.float64)
     middle = {
         frame.cols: float(surfaces["x"].values.mean()),
         frame.through: float(np.nanmean(surfaces["centre"].values)),
         frame.rows: across,
     }
     points = np.stack([np.broadcast_to(middle[axis], across.shape) for axis in ("x", "y", "z")], axis=-1)
-    if across.size < _LEAST_SECTIONS:
-        return {}
     moved = both.files.to_physical(points, sections) - points
     line = np.polynomial.polynomial.polyfit(across, moved, 1)
     left = moved - np.polynomial.polynomial.polyval(across, line).T
@@ -61,10 +67,10 @@ def surface_errors(both: Comparison) -> Values:
     surfaces, sheet = both.groups["surfaces"], both.specimen.sheet
     values: Values = {}
     pool: list[Array] = []
-    for face in FACES:
+    for face, field in zip(FACES, sheet.faces, strict=True):
         heights = np.where(both.measured, both.take(surfaces[face].values), np.nan)
         u, v, s = np.moveaxis(both.material_at(both.places(heights, *both.columns)), -1, 0)
-        errors = s - true_face(sheet, face, u, v)
+        errors = s - field_at(sheet, field, u, v)
         values |= three(face, errors)
         pool.append(errors[np.isfinite(errors)])
     values["surfaces_rmse"] = rms(np.concatenate(pool))
@@ -82,12 +88,10 @@ def surface_errors(both: Comparison) -> Values:
 def centre_errors(both: Comparison) -> Values:
     """Height of the found centre surface over the true one, and the angle between their normals."""
     u, v, s = np.moveaxis(np.where(both.measured[..., None], both.material, np.nan), -1, 0)
-    known = s[np.isfinite(s)]
-    mean = float(known.mean()) if known.size else None
-    angle = _angles(both, u, v)
+    mean, angle = mean_of(s), _angles(both, u, v)
     return {
         "centre_mean": mean,
-        "centre_rms": rms(s - mean) if mean is not None else None,
+        "centre_rms": None if mean is None else rms(s - mean),
         "angle_rms": rms(angle),
         "angle_p95": percentile(angle, 95),
     }
@@ -136,17 +140,18 @@ def flattening_errors(both: Comparison) -> Values:
     known = np.isfinite(flat).all(axis=-1) & np.isfinite(true).all(axis=-1)
     if np.count_nonzero(known) < 3:
         return {}
-    mirrored = _turned_over(flat[known], true[known])
-    rigid = fit_transform(flat[known], true[known], model="rigid", mirrored=mirrored, robust=False)
-    similar = fit_transform(flat[known], true[known], model="similarity", mirrored=mirrored, robust=False)
-    away = np.hypot(rigid.residuals_um[:, 0], rigid.residuals_um[:, 1])
+    rigid, similar = (
+        fit_transform(flat[known], true[known], model=model, mirrored=None, robust=False)
+        for model in ("rigid", "similarity")
+    )
+    away = np.hypot(*rigid.residuals_um.T)
     strains: list[Array] = []
     for axis, step in enumerate(both.pitch_um):
         n = max(1, round(_EDGE_UM / step))
-        edges = [np.linalg.norm(_apart(places, n, axis), axis=-1) for places in (flat, true)]
+        along = [np.moveaxis(places, axis, 0) for places in (flat, true)]
+        edges = [np.linalg.norm(places[n:] - places[:-n], axis=-1) for places in along]
         with np.errstate(invalid="ignore", divide="ignore"):
-            strain = edges[0] / edges[1] - 1.0
-        strains.append(strain[np.isfinite(strain)])
+            strains.append((edges[0] / edges[1] - 1.0).ravel())
     strain = rms(np.concatenate(strains))
     return {
         "node_rms": rms(away),
@@ -155,13 +160,3 @@ def flattening_errors(both: Comparison) -> Values:
         "flat_scale": 100.0 * (1.0 / similar.transform.scale - 1.0),
         "strain_rms": None if strain is None else 100.0 * strain,
     }
-
-
-def _apart(places: Array, n: int, axis: int) -> Array:
-    return places[n:] - places[:-n] if axis == 0 else places[:, n:] - places[:, :-n]
-
-
-def _turned_over(source: Array, target: Array) -> bool:
-    """Whether the best linear map from one set of points to the other changes their handedness."""
-    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
-    return bool(np.linalg.det(a.T @ b) < 0)
