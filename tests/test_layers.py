@@ -14,7 +14,8 @@ from scipy import ndimage
 
 from planish.core.transform import Similarity
 from planish.io.params import ImageParams, VolumeParams
-from planish.marks import cut_holes, find_holes, read_marks, write_marks
+from planish.marks import cut_holes, find_holes, write_marks
+from planish.marks.files import read_any
 from planish.pipeline import link, map_sheet, open_run
 from planish.pipeline.compare import likeness
 from planish.pipeline.gates import same_sheet_gates
@@ -274,7 +275,7 @@ def test_the_design_names_the_holes(planish, specimen, linked_run, specimen_file
 
 def test_a_refined_link_stands_beside_that_of_the_marks(planish, linked_run, specimen_files, tmp_path):
     """Marks that somebody has clicked, 4 um off: the maps bring them nearer to where they belong."""
-    marks = read_marks(linked_run / "marks.csv")
+    marks = read_any(linked_run / "marks.csv")
     rng = np.random.default_rng(3)
     clicked = marks.assign({f"fixed_{a}": marks[f"fixed_{a}"] + rng.normal(0, 4, marks.sizes["mark"]) for a in "xy"})
     write_marks(clicked, tmp_path / "clicked.csv")

@@ -11,7 +11,7 @@ import pytest
 import tifffile
 import xarray as xr
 
-from planish.marks import read_marks
+from planish.marks.files import read_any
 from planish.pipeline.compare import WAYS
 from planish.register import fit_transform
 
@@ -138,7 +138,7 @@ def test_given_marks_replace_the_search(planish, linked_run, specimen_files, tmp
     found = json.loads(out)["layers"][0]["registration"]
     assert found["source"] == "csv"
     # Pairs from a file say nothing of their errors: all weigh the same.
-    marks = read_marks(linked_run / "marks.csv")
+    marks = read_any(linked_run / "marks.csv")
     moving, fixed = (np.stack([marks[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed"))
     plain = fit_transform(moving, fixed, model="auto", mirrored=False, lowest="similarity")
     assert found["scale"] == pytest.approx(plain.transform.scale, rel=1e-12)

@@ -4,11 +4,16 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planish.core.errors import FileError, MarkError
-from planish.marks import read_marks, write_marks
+from planish.core.errors import FileError, MarkError, PlanishError
+from planish.marks import write_marks
+from planish.marks.files import read_any, used_pairs
 
 FLAT = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n"
 lengths = st.floats(-1e6, 1e6, allow_nan=False)
+
+
+def read_marks(path):
+    return used_pairs(read_any(path), least=1)
 
 
 def read(tmp_path, text):
@@ -79,10 +84,10 @@ def test_results_are_written_beside_the_pairs(tmp_path):
 
 @pytest.mark.parametrize(("text", "message"), [
     ("", "empty"),
-    ("# nothing\n", "empty"),
+    ("# nothing\n", "no known format"),
     (FLAT, "no pair"),
     ("label,moving_x_um,fixed_x_um\nA,1,2\n", "columns missing: moving_y_um, fixed_y_um"),
-    ("a,b\n1,2\n", "columns missing: moving_x_um"),
+    ("a,b\n1,2\n", "no known format"),
     ("moving_x_um,moving_y_um,volume_x_um,fixed_x_um,fixed_y_um\n1,2,3,4,5\n", "both moving and volume"),
     ("moving_x_um,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n1,1,2,3,4\n", "given twice: moving_x_um"),
     (FLAT + "A,1,2,3,4\nB,1,2,3\n", "row 3 has 4 columns, the header 5"),
@@ -90,13 +95,13 @@ def test_results_are_written_beside_the_pairs(tmp_path):
     (FLAT + "A,1,2,nan,4\n", "row 2: fixed_x_um 'nan'"),
     (FLAT + "A,1,2,inf,4\n", "row 2"),
     (FLAT + "A,1,2,,4\n", "row 2: fixed_x_um ''"),
-    (FLAT + "A,1,2,3,4\nA,5,6,7,8\n", "rows 2 and 3 have the same label"),
-    (FLAT + "A,1,2,3,4\nB,1,2,7,8\n", "rows 2 and 3 have the same first position"),
-    (FLAT + "A,1,2,3,4\nB,5,6,3,4\n", "rows 2 and 3 have the same fixed position"),
+    (FLAT + "A,1,2,3,4\nA,5,6,7,8\n", "label .A. is there 2 times"),
+    (FLAT + "A,1,2,3,4\nB,1,2,7,8\n", "A and B have the same position in moving"),
+    (FLAT + "A,1,2,3,4\nB,5,6,3,4\n", "A and B have the same position in fixed"),
     (FLAT + "".join(f"{k},x,2,3,4\n" for k in range(20)), "and 12 more"),
 ])  # fmt: skip
 def test_faults_are_named_with_their_rows(tmp_path, text, message):
-    with pytest.raises(MarkError, match=message):
+    with pytest.raises(PlanishError, match=message):
         read(tmp_path, text)
 
 

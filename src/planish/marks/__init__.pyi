@@ -2,6 +2,7 @@ from .design import Pattern as Pattern
 from .design import check_pattern as check_pattern
 from .design import design_pattern as design_pattern
 from .design import own_pattern as own_pattern
+from .files.csv_marks import write_marks as write_marks
 from .find import Polarity as Polarity
 from .find import find_holes as find_holes
 from .hole_files import holes_from_json as holes_from_json
@@ -14,5 +15,3 @@ from .params import HoleParams as HoleParams
 from .sheet_holes import Side as Side
 from .sheet_holes import find_sheet_holes as find_sheet_holes
 from .sheet_holes import hole_tilt as hole_tilt
-from .table import read_marks as read_marks
-from .table import write_marks as write_marks

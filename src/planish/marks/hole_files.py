@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,12 +12,12 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from planish.core.errors import FileError, MarkError
-from planish.core.tables import raise_faults, read_table, read_text, table_text
+from planish.core.tables import model_faults, raise_faults, read_table, read_text
+from planish.marks.files.content import json_text, read_object, write_new
+from planish.marks.files.csv_marks import holes_text
 
 FORMAT, VERSION = "planish-holes", 1
 _REMEDY = "Find the holes again, or correct these parts."
-_TABLE = ("x", "y", "diameter")
-
 
 Types = Literal["float64", "int64", "uint8", "bool", "str"]
 
@@ -118,8 +117,7 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
             where = ("variables", key, "values")
             TypeAdapter(_VALUES[variable.type]).validate_python(variable.values)
     except ValidationError as error:
-        faults = [f"{'.'.join(map(str, (*where, *e['loc'])))}: {e['msg']}" for e in error.errors(include_url=False)]
-        raise_faults(name, faults, _REMEDY, error=MarkError)
+        raise_faults(name, model_faults(error, where), _REMEDY, error=MarkError)
         raise
     counts = sorted({len(variable.values) for variable in file.variables.values()})
     faults = [f"no {key}" for key in "xy" if key not in file.variables]
@@ -152,25 +150,14 @@ def write_holes(holes: xr.Dataset, path: str | Path) -> None:
     """
     place = Path(path)
     if _suffix(place) == ".csv":
-        columns = [name for name in _TABLE if name in holes]
-        rows = zip(*(holes[name].values for name in columns), strict=True)
-        labelled = [(f"hole {k}", *row) for k, row in enumerate(rows, 1)]
-        text = table_text(["label", *(f"{name}_um" for name in columns)], labelled)
+        text = holes_text(holes, [f"hole {k + 1}" for k in range(holes.sizes["mark"])])
     else:
         content = holes_to_json(holes)
         variables = content.pop("variables")
-        parts = [f" {json.dumps(k)}: {json.dumps(v, ensure_ascii=False, allow_nan=False)}" for k, v in content.items()]
-        listed = [
-            f"  {json.dumps(k)}: {json.dumps(v, ensure_ascii=False, allow_nan=False)}" for k, v in variables.items()
-        ]
-        text = "{\n" + ",\n".join([*parts, ' "variables": {\n' + ",\n".join(listed) + "\n }"]) + "\n}\n"
-    try:
-        with place.open("x", encoding="utf-8", newline="") as file:
-            file.write(text)
-    except FileExistsError as error:
-        raise FileError(f"{place} is already there; nothing is overwritten. Choose another name.") from error
-    except OSError as error:
-        raise FileError(f"{place} cannot be written: {error.strerror or error}. Choose another place.") from error
+        top = "".join(f' "{key}": {json_text(value)},\n' for key, value in content.items())
+        listed = ",\n".join(f"  {json_text(key)}: {json_text(value)}" for key, value in variables.items())
+        text = f'{{\n{top} "variables": {{\n{listed}\n }}\n}}\n'
+    write_new(place, text.encode())
 
 
 def read_holes(path: str | Path) -> xr.Dataset:
@@ -192,19 +179,13 @@ def read_holes(path: str | Path) -> xr.Dataset:
     place = Path(path)
     if _suffix(place) == ".csv":
         table = read_table(place, needed=("x_um", "y_um"), error=MarkError, what="table of holes")
-        columns = [name for name in _TABLE if f"{name}_um" in table.header]
+        columns = [name for name in ("x", "y", "diameter") if f"{name}_um" in table.header]
         data = table.numbers([f"{name}_um" for name in columns])
         table.check()
         if not len(data):
             raise MarkError(f"{place.name} has a header and no hole. One row for each is needed.")
         return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(columns, data.T, strict=True)})
-    try:
-        content: object = json.loads(read_text(place, what="file of holes"))
-    except (ValueError, RecursionError) as error:
-        raise FileError(f"{place.name} is damaged JSON: {error}. Find the holes again.") from error
-    if not isinstance(content, dict):
-        raise MarkError(f"{place.name} holds no '{FORMAT}'. Give a file of 'planish holes'.")
-    return holes_from_json(content, place.name)
+    return holes_from_json(read_object(read_text(place, what="file of holes"), place.name), place.name)
 
 
 def _suffix(place: Path) -> str:

@@ -17,7 +17,7 @@ from planish.core.results import HoleTiltFacts, Side
 from planish.marks import hole_tilt
 from planish.marks.design import Pattern, read_pattern
 from planish.marks.files import LayerPixels, Places, make_marks, pair_of_layers, read_any, write_any
-from planish.marks.files.model import EXTRAS, RESULTS
+from planish.marks.files.model import RESULTS
 from planish.pipeline.layers import Layer
 from planish.register import (
     DesignedHoles,
@@ -171,18 +171,12 @@ def _all_marks(moving: xr.Dataset, fixed: xr.Dataset, pairs: NDArray[np.intp], l
         "fixed": np.concatenate([pairs[:, 1], nowhere[0], alone[1]]),
     }
     names = [*labels, *(f"moving {k + 1}" for k in alone[0]), *(f"fixed {k + 1}" for k in alone[1])]
-    layers = {side: _places(h, rows[side]) for side, h in (("moving", moving), ("fixed", fixed))}
+    layers = {
+        side: Places.of_holes(h, rows[side], h.attrs.get("source", "detected"))
+        for side, h in (("moving", moving), ("fixed", fixed))
+    }
     about = {side: _about(h) for side, h in (("moving", moving), ("fixed", fixed))}
     return make_marks(names, layers, about=about)
-
-
-def _places(holes: xr.Dataset, rows: NDArray[np.intp]) -> Places:
-    def taken(name: str) -> Array:
-        return np.where(rows >= 0, np.append(holes[name].values.astype(np.float64), np.nan)[rows], np.nan)
-
-    extras = {name: taken(name) for name in EXTRAS if name in holes}
-    source = holes.attrs.get("source", "detected")
-    return Places(um=np.stack([taken("x"), taken("y")], axis=1), source=source, extras=extras)
 
 
 def _about(holes: xr.Dataset) -> dict[str, Any]:

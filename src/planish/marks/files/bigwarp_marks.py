@@ -10,18 +10,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from planish.core.errors import MarkError
 from planish.core.tables import finite, table_text
-from planish.marks.files.content import Content, check_count, refuse
-from planish.marks.files.formats import Outgoing
+from planish.marks.files.content import Content, refuse
 from planish.marks.files.lists import PointList
 from planish.marks.files.model import Floats, labels_of, used_of
 
-COLUMNS = {6: 2, 8: 3}
-"""Columns of a file, and the axes that they stand for."""
-
 _NEEDED = "name, active, moving x, y, target x, y (6 columns), or with z (8 columns)"
+_AGAIN = "Save the landmarks in BigWarp again."
 
 
 def looks_like(content: Content) -> bool:
@@ -33,104 +31,72 @@ def looks_like(content: Content) -> bool:
 
 def read(content: Content) -> list[PointList]:
     """Moving and target points."""
+    name = content.name
+    rows: list[tuple[int, list[Any]]] = [*content.rows.rows]
     if content.json is not None:
-        return _read_json(content.json, content.name)
-    name, rows = content.name, content.rows
-    axes = COLUMNS.get(len(content.header))
-    if axes is None:
-        raise MarkError(
-            f"{name}, row {rows.rows[0].line} has {len(content.header)} columns. BigWarp writes {_NEEDED}. Save the "
-            "landmarks in BigWarp again."
-        )
-    width = 2 * axes + 2
+        rows = list(enumerate(_json_rows(content.json, name), 1))
+    first, width = rows[0][0], len(rows[0][1])
+    if width not in (6, 8):
+        raise MarkError(f"{name}, row {first} has {width} columns. BigWarp writes {_NEEDED}. {_AGAIN}")
     labels: list[str] = []
     used: list[bool] = []
     points: list[list[float]] = []
-    faults = list(rows.faults)
-    for number, row in rows.rows:
+    faults = list(content.rows.faults)
+    for number, row in rows:
         if len(row) != width:
             faults.append(f"row {number} has {len(row)} columns, the first {width}")
             continue
-        active = row[1].lower()
+        active = str(row[1]).lower()
         if active not in ("true", "false"):
             faults.append(f"row {number}: active is {row[1]!r}, not true or false")
-        values = [_coordinate(cell) for cell in row[2:]]
+        values = [np.inf if str(cell).lstrip("+-").lower() in ("infinity", "inf") else finite(cell) for cell in row[2:]]
         if None in values:
             faults.append(f"row {number}: {row[2 + values.index(None)]!r} is no number")
-        labels.append(row[0] or f"row {number}")
+        labels.append(str(row[0]) or f"row {number}")
         used.append(active == "true")
         points.append([np.nan if value is None else value for value in values])
     refuse(name, faults, f"BigWarp writes {_NEEDED}.")
-    table = np.array(points, dtype=np.float64)
-    return _lists(labels, used, table[:, :axes], table[:, axes:])
+    # One coordinate that is not set leaves the point without a position.
+    sides = np.array(points, dtype=np.float64).reshape(len(points), 2, -1)
+    sides = np.where(np.isfinite(sides).all(axis=2, keepdims=True), sides, np.nan)
+    return [
+        PointList(title=title, labels=labels, points=sides[:, k], used=used, unit="um", stated=False)
+        for k, title in enumerate(("moving", "target"))
+    ]
 
 
-def write(out: Outgoing) -> dict[str, bytes]:
+def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     """Write a CSV file. A point without one of its positions is not active, as BigWarp has it."""
-    axes = max(points.shape[1] for points in out.points.values())
-    sides = [np.pad(side, ((0, 0), (0, axes - side.shape[1]))) for side in out.points.values()]
-    used = used_of(out.marks)
+    axes = max(side.shape[1] for side in points.values())
+    sides = [np.pad(side, ((0, 0), (0, axes - side.shape[1]))) for side in points.values()]
+    used = used_of(marks)
     rows: list[list[str]] = []
-    for k, label in enumerate(labels_of(out.marks)):
+    for k, label in enumerate(labels_of(marks)):
         there = [bool(np.isfinite(side[k]).all()) for side in sides]
         cells = [repr(float(v)) if ok else "Infinity" for side, ok in zip(sides, there, strict=True) for v in side[k]]
         rows.append([label, "true" if used[k] and all(there) else "false", *cells])
     return {"": table_text([], rows, quote_all=True).encode()}
 
 
-def _read_json(content: Mapping[str, Any], name: str) -> list[PointList]:
-    """Points of the JSON, alone or in a project (``landmarks``)."""
+def _json_rows(content: Mapping[str, Any], name: str) -> list[list[Any]]:
+    """Rows of the JSON, alone or in a project (``landmarks``), as those of the CSV."""
     inner: object = content.get("landmarks", content)
     marks: Mapping[str, Any] = inner if isinstance(inner, Mapping) else {}
-    axes: Any = marks.get("numDimensions")
-    sides: list[list[list[float]]] = []
-    for key in ("movingPoints", "fixedPoints"):
-        rows: object = marks.get(key)
-        check_count(name, len(rows) if isinstance(rows, list) else 0)
-        found = [_position(row, axes) for row in rows] if isinstance(rows, list) else [None]
-        if axes not in (2, 3) or None in found:
+    axes = marks.get("numDimensions")
+    found: list[list[Any]] = []
+    for key in ("movingPoints", "fixedPoints", "names", "active"):
+        column: Any = marks.get(key)
+        found.append(column if isinstance(column, list) else [])
+        good = isinstance(column, list) and all(isinstance(row, list) and len(row) == axes for row in column)
+        if key.endswith("Points") and not (good and axes in (2, 3)):
             raise MarkError(
                 f"{name}: {key} is no list of positions with numDimensions ({axes!r}) numbers each; 2 or 3 are needed. "
-                "Save the landmarks in BigWarp again."
+                f"{_AGAIN}"
             )
-        sides.append([row for row in found if row is not None])
-    moving, fixed = sides
-    names: object = marks.get("names")
-    active: object = marks.get("active")
-    labels = [str(v) for v in names] if isinstance(names, list) else []
-    used = [v is True for v in active] if isinstance(active, list) else []
-    counts = (len(moving), len(fixed), len(labels), len(used))
-    if len(set(counts)) > 1 or not moving:
+    counts = [len(column) for column in found]
+    if len(set(counts)) > 1 or not counts[0]:
         raise MarkError(
             f"{name} holds {counts[0]} moving points, {counts[1]} fixed points, {counts[2]} names and {counts[3]} of "
-            "active; as many of each are needed. Save the landmarks in BigWarp again."
+            f"active; as many of each are needed. {_AGAIN}"
         )
-    return _lists(labels, used, np.array(moving), np.array(fixed))
-
-
-def _lists(labels: list[str], used: list[bool], moving: Floats, fixed: Floats) -> list[PointList]:
-    return [
-        PointList(title=title, labels=labels, points=_unset(points), used=used, unit="um", stated=False)
-        for title, points in (("moving", moving), ("target", fixed))
-    ]
-
-
-def _unset(points: Floats) -> Floats:
-    """Positions, with NaN in all axes where BigWarp has none."""
-    return np.where(np.isfinite(points).all(axis=1, keepdims=True), points, np.nan)
-
-
-def _coordinate(cell: object) -> float | None:
-    """Number of a cell, infinite where no position is set; None where it is none."""
-    if isinstance(cell, str) and cell.lstrip("+-").lower() in ("infinity", "inf"):
-        return float("inf")
-    if isinstance(cell, float) and cell in (float("inf"), float("-inf")):
-        return float("inf")
-    return finite(cell)
-
-
-def _position(row: object, axes: object) -> list[float] | None:
-    if not isinstance(row, list) or len(row) != axes:
-        return None
-    values = [_coordinate(cell) for cell in row]
-    return None if None in values else [value for value in values if value is not None]
+    return [[label, active, *moving, *fixed] for moving, fixed, label, active in zip(*found, strict=True)]

@@ -58,7 +58,7 @@ def read_content(path: str | Path) -> Content:
     if not text.strip():
         raise FileError(f"{name} is empty. Give a file of marks: {known_formats()}.")
     if text.lstrip()[:1] in "{[":
-        return Content(name=name, data=data, text=text, json=_object(text, name))
+        return Content(name=name, data=data, text=text, json=read_object(text, name))
     rows = split_rows(text)
     check_count(name, len(rows.rows) - 1)
     return Content(name=name, data=data, text=text, rows=rows)
@@ -75,7 +75,25 @@ def refuse(name: str, faults: Sequence[str], remedy: str) -> None:
     raise_faults(name, faults, remedy, error=MarkError)
 
 
-def _object(text: str, name: str) -> Mapping[str, Any]:
+def write_new(place: Path, data: bytes) -> None:
+    """Write a file that is not there yet."""
+    try:
+        with place.open("xb") as file:
+            file.write(data)
+    except FileExistsError as error:
+        raise FileError(f"{place} is already there; nothing is overwritten. Choose another name.") from error
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise FileError(f"{place} cannot be written: {why}. Choose another place.") from error
+
+
+def json_text(value: object) -> str:
+    """JSON in one line."""
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def read_object(text: str, name: str) -> Mapping[str, Any]:
+    """Object of a JSON file of marks or holes."""
     try:
         content: object = json.loads(text, object_pairs_hook=_once)
     except RecursionError as error:

@@ -4,25 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from planish.core.errors import FileError, MarkError, SizeError
-from planish.marks.files.content import Content, read_content
-from planish.marks.files.formats import FORMATS, MarkFormat, Outgoing, Unit, known_formats, module_of, target_of
-from planish.marks.files.lists import LayerPixels, PointList, join_lists, scale_of
-from planish.marks.files.model import (
-    Floats,
-    about_layer,
-    labels_of,
-    layer_names,
-    pair_of_layers,
-    places_of,
-    points_of,
-    used_of,
-)
+from planish.marks.files import model
+from planish.marks.files.content import Content, read_content, write_new
+from planish.marks.files.formats import FORMATS, MarkFormat, Unit, known_formats, module_of, target_of
+from planish.marks.files.lists import LayerPixels, PointList, join_lists
+from planish.marks.files.model import Floats, about_layer, layer_names
 from planish.marks.files.plausible import check_marks, check_plausible
 
 _NOTHING = LayerPixels()
@@ -162,22 +153,17 @@ def write_any(
     if unit is not None and not form.free_unit:
         free = " and ".join(other.title for other in FORMATS.values() if other.free_unit)
         raise SizeError(f"A file for {form.title} has its own unit; only those for {free} are written in --out-unit.")
-    out = Outgoing(marks=marks, layers={}, points={})
+    points: dict[str, Floats] = {}
     if form.unit is not None:
-        out = _outgoing(marks, form, (moving, fixed), unit or form.unit, swap)
-    parts = module_of(name).write(out)
-    files = [place.with_name(f"{place.stem}{end}{place.suffix}") if end else place for end in parts]
+        marks, points = _outgoing(marks, form, (moving, fixed), unit or form.unit, swap)
+    parts: dict[str, bytes] = module_of(name).write(marks, points)
+    files = {place.with_name(f"{place.stem}{end}{place.suffix}") if end else place: parts[end] for end in parts}
     for file in files:
         if file.exists():
             raise FileError(f"{file} is already there; nothing is overwritten. Choose another name.")
-    for file, data in zip(files, parts.values(), strict=True):
-        try:
-            with file.open("xb") as made:
-                made.write(data)
-        except (OSError, ValueError) as error:
-            why = getattr(error, "strerror", None) or error
-            raise FileError(f"{file} cannot be written: {why}. Choose another place.") from error
-    return files
+    for file, data in files.items():
+        write_new(file, data)
+    return list(files)
 
 
 def _read(place: Path) -> tuple[str, xr.Dataset | list[PointList]]:
@@ -225,47 +211,36 @@ def _single_list(marks: xr.Dataset, name: str) -> PointList:
         raise MarkError(
             f"{name} already holds the layers {', '.join(names)}. Give it alone, or two files with one each."
         )
-    places = places_of(marks, names[0])
+    places = model.places_of(marks, names[0])
     return PointList(
-        title=name, labels=labels_of(marks), points=places.um, used=[bool(v) for v in used_of(marks)], unit="um",
+        title=name, labels=model.labels_of(marks), points=places.um, used=model.used_of(marks).tolist(), unit="um",
         stated=True, placed=True, extras=places.extras, source=places.source, about=about_layer(marks, names[0]),
     )  # fmt: skip
 
 
 def _outgoing(
     marks: xr.Dataset, form: MarkFormat, facts: Sequence[LayerPixels], unit: Unit, swap: bool
-) -> Outgoing:  # fmt: skip
-    """Marks as another program expects them."""
+) -> tuple[xr.Dataset, dict[str, Floats]]:
+    """Marks as another program expects them, and their positions by role, or by the name of the only layer."""
     names = layer_names(marks)
     single = len(names) == 1 and form.single
-    sides = names if single else list(pair_of_layers(marks, name="This set of marks"))
+    sides = names if single else list(model.pair_of_layers(marks, name="This set of marks"))
     if form.pairs_only:
-        keep = used_of(marks)
+        keep = model.used_of(marks)
         for side in sides:
-            keep &= np.isfinite(points_of(marks, side)).all(axis=1)
+            keep &= np.isfinite(model.points_of(marks, side)).all(axis=1)
         if not keep.any():
             raise MarkError(f"No mark is used and lies in {' and '.join(sides)}. Use at least one.")
         marks = marks.isel(mark=np.flatnonzero(keep))
-    pixels = [one.pixel_um for one in facts]
     if single:
-        pixels = [pixels[0] or pixels[1]]
-    roles: list[str] = ["moving", "fixed"]
-    layers = dict(zip(roles, sides, strict=False))
-    values = [
-        _values(marks, layer, role, pixel, unit, form)
-        for (role, layer), pixel in zip(layers.items(), pixels, strict=True)
-    ]
-    points = dict(zip(layers, values[::-1] if swap else values, strict=True))
-    return Outgoing(marks=marks, layers=layers if single else {}, points=points)
-
-
-def _values(
-    marks: xr.Dataset, layer: str, role: str, pixel: tuple[float, ...] | None, unit: Unit, form: MarkFormat
-) -> Floats:
-    """Positions of one layer in the unit of the file, from the centre of the first pixel."""
-    about: dict[str, Any] = about_layer(marks, layer)
-    points = points_of(marks, layer)
-    factor = scale_of(unit, pixel or about.get("pixel_um"), points.shape[1], f"The file for {form.title}", role)
-    origin = np.zeros(points.shape[1])
-    origin[:2] = [about.get("origin_um", {}).get(axis, 0.0) for axis in "xy"]
-    return (points - origin) / factor + form.first
+        facts = [facts[0] if facts[0].pixel_um else facts[1]]
+    values: list[Floats] = []
+    for layer, known, role in zip(sides, facts, ("moving", "fixed"), strict=False):
+        about, points = about_layer(marks, layer), model.points_of(marks, layer)
+        pixel, first = about.get("pixel_um"), about.get("origin_um", {})
+        own = LayerPixels(
+            known.pixel_um or (pixel and (pixel["y"], pixel["x"])), (first.get("x", 0.0), first.get("y", 0.0))
+        )
+        origin, factor = own.frame(unit, points.shape[1], f"The file for {form.title}", role)
+        values.append((points - origin) / factor)
+    return marks, dict(zip(names if single else ("moving", "fixed"), values[::-1] if swap else values, strict=True))

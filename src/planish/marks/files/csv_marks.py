@@ -1,65 +1,129 @@
-"""planish's own tables: pairs of marks (see :mod:`planish.marks.table`), and holes of one layer."""
+"""planish's own tables, lengths in um: pairs of marks, and holes of one layer.
+
+The first side of a pair is given in one of two frames, which the header names: ``moving_x_um, moving_y_um`` on the
+flattened map, or ``volume_x_um, volume_y_um, volume_z_um`` in the volume. The second side, ``fixed_x_um, fixed_y_um``,
+is the image. Rows whose ``used`` is 0 or false are left out.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
-from planish.core.tables import parse_table, table_text
-from planish.marks.files.content import Content, check_count
-from planish.marks.files.formats import Outgoing
+from planish.core.tables import Table, parse_table, table_text
+from planish.marks.files.content import Content
 from planish.marks.files.lists import PointList
-from planish.marks.files.model import Places, holes_of, labels_of, layer_names, make_marks, used_pairs
-from planish.marks.table import FIXED, MOVING, VOLUME, pairs_of_text, pairs_text
+from planish.marks.files.model import Floats, Places, holes_of, labels_of, layer_names, make_marks, used_pairs
 
+_SIDES = {
+    "moving": ("moving_x_um", "moving_y_um"),
+    "volume": ("volume_x_um", "volume_y_um", "volume_z_um"),
+    "fixed": ("fixed_x_um", "fixed_y_um"),
+}
 _HOLE_COLUMNS = ("x_um", "y_um")
+_RESULTS = ("residual_um", "leave_one_out_um", "weight", "used")
 
 
 def looks_like(content: Content) -> bool:
     """Whether the header names a column of pairs or of holes."""
-    return any(name.lower() in (*MOVING, *VOLUME, *FIXED, *_HOLE_COLUMNS) for name in content.header)
+    return any(name.lower() in names for name in content.header for names in (*_SIDES.values(), _HOLE_COLUMNS))
 
 
 def read(content: Content) -> xr.Dataset | list[PointList]:
     """Read pairs as marks, or the holes of one layer."""
     names = [name.lower() for name in content.header]
-    if not any(name in names for name in (*MOVING, *VOLUME, *FIXED)):
+    there = [side for side, columns in _SIDES.items() if any(column in names for column in columns)]
+    if not there:
         return [read_points(content, _HOLE_COLUMNS, stated=True, source="imported")]
-    pairs = pairs_of_text(content.text, content.name)
-    sides = {
-        side: Places(um=np.stack([pairs[f"{side}_{axis}"].values for axis in axes], axis=1))
-        for side, axes in (("moving", "xy"), ("volume", "xyz"), ("fixed", "xy"))
-        if f"{side}_x" in pairs
-    }
-    return make_marks([str(v) for v in pairs["label"].values], sides)
+    first = "volume" if "volume" in there and "moving" not in there else "moving"
+    *choices, fixed = (", ".join(columns) for columns in _SIDES.values())
+    advice = f"Needed: label, then {' or '.join(choices)}, then {fixed}, all in um."
+    needed = (*_SIDES[first], *_SIDES["fixed"])
+    table = parse_table(content.text, content.name, needed=needed, error=MarkError, advice=advice)
+    if {"moving", "volume"} <= set(there):
+        table.faults.append("both moving and volume columns are there; keep one kind")
+    table.rows[:] = [row for row in table.rows if table.text(row, "used").lower() not in ("0", "0.0", "false", "no")]
+    places = {side: Places(um=table.numbers(_SIDES[side])) for side in (first, "fixed")}
+    table.check()
+    if not table.rows:
+        raise MarkError(f"{content.name} has a header and no pair of marks. At least 3 rows are needed.")
+    return make_marks(_labels(table), places)
 
 
-def write(out: Outgoing) -> dict[str, bytes]:
+def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     """Write pairs in use, or the holes of the only layer."""
-    names = layer_names(out.marks)
+    names = layer_names(marks)
     if len(names) != 1:
-        return {"": pairs_text(used_pairs(out.marks, least=1, name="This set of marks")).encode()}
-    holes = holes_of(out.marks, names[0])
+        return {"": pairs_text(used_pairs(marks, least=1, name="This set of marks")).encode()}
+    holes = holes_of(marks, names[0])
+    return {"": holes_text(holes, labels_of(holes)).encode()}
+
+
+def holes_text(holes: xr.Dataset, labels: Sequence[str]) -> str:
+    """Text of the table of holes."""
     columns = [name for name in ("x", "y", "diameter") if name in holes]
-    rows = zip(labels_of(holes), *(holes[name].values for name in columns), strict=True)
-    return {"": table_text(["label", *(f"{name}_um" for name in columns)], list(rows)).encode()}
+    rows = zip(labels, *(holes[name].values for name in columns), strict=True)
+    return table_text(["label", *(f"{name}_um" for name in columns)], list(rows))
+
+
+def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
+    """Write pairs of marks as a CSV file that `read_any` reads back to the same numbers.
+
+    Parameters
+    ----------
+    dataset : Dataset, dims (mark), in um
+        ``moving_x, moving_y`` (or ``volume_x, volume_y, volume_z``), ``fixed_x, fixed_y``; optionally ``label``,
+        ``residual``, ``leave_one_out``, ``weight`` and ``used``, under these names or with ``_um`` at the end.
+    path : str or Path
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    MarkError
+        If a variable is missing.
+    """
+    Path(path).write_text(pairs_text(dataset), encoding="utf-8", newline="\n")
+
+
+def pairs_text(dataset: xr.Dataset) -> str:
+    """Text of the table of pairs; see :func:`write_marks`."""
+    held = {str(name).removesuffix("_um"): variable for name, variable in dataset.variables.items()}
+    whole = [side for side, names in _SIDES.items() if all(name.removesuffix("_um") in held for name in names)]
+    if len(whole) < 2 or whole[-1] != "fixed":
+        raise MarkError(
+            f"The marks hold {', '.join(sorted(held)) or 'nothing'}; fixed_x, fixed_y and either moving_x, moving_y or "
+            "volume_x, volume_y, volume_z are needed."
+        )
+    results = [name for name in _RESULTS if name.removesuffix("_um") in held]
+    names = ["label", *_SIDES[whole[0]], *_SIDES["fixed"], *results]
+    made = {"label": str, "used": int}
+    numbers = range(1, dataset.sizes.get("mark", 0) + 1)
+    keys = [name.removesuffix("_um") for name in names]
+    rows = zip(*(map(made.get(key, float), held[key].values if key in held else numbers) for key in keys), strict=True)
+    return table_text(names, list(rows))
 
 
 def read_points(content: Content, columns: tuple[str, str], *, stated: bool, source: str) -> PointList:
     """Read the points of a table with a header; lengths in um where it states so."""
     advice = f"Give a table with the columns {' and '.join(columns)} and one row for each mark."
     table = parse_table(content.text, content.name, needed=columns, error=MarkError, advice=advice)
-    check_count(content.name, len(table.rows))
     points = table.numbers(columns)
     diameters = [table.text(row, "diameter_um") and table.number(row, "diameter_um") for row in table.rows]
     table.check()
     if not len(points):
         raise MarkError(f"{content.name} has a header and no mark. One row for each is needed.")
-    named = "label" in table.header and stated
     return PointList(
         title=content.name, points=points, unit="um", stated=stated, placed=stated, source=source,
-        used=[True] * len(points),
-        labels=[(table.text(row, "label") if named else "") or str(k) for k, row in enumerate(table.rows, 1)],
+        labels=_labels(table) if stated else (),
         extras={"diameter": np.array([v or np.nan for v in diameters], dtype=np.float64)},
     )  # fmt: skip
+
+
+def _labels(table: Table) -> list[str]:
+    """Labels of the rows; their numbers where they have none."""
+    return [table.text(row, "label", str(k)) for k, row in enumerate(table.rows, 1)]

@@ -10,12 +10,13 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import xarray as xr
 
 from planish.core.errors import MarkError
 from planish.core.tables import finite
-from planish.marks.files.content import Content, check_count, refuse
-from planish.marks.files.formats import Outgoing
+from planish.marks.files.content import Content, refuse
 from planish.marks.files.lists import PointList
+from planish.marks.files.model import Floats
 
 _HEAD = re.compile(r"\s*(?:(point|index)(?:\s+|$))?(\S*)\s*?(?:\n|$)")
 _NEEDED = "'point' or 'index', the number of points, and one point a line, two or three numbers with spaces between"
@@ -31,7 +32,6 @@ def looks_like(content: Content) -> bool:
 def read(content: Content) -> list[PointList]:
     """Points of one file, as one list."""
     name, text = content.name, content.text
-    check_count(name, text.count("\n") - 2)
     # Word and count may stand in one line or in two.
     head = _HEAD.match(text)
     word, count = (head[1], head[2]) if head else ("", "")
@@ -56,23 +56,17 @@ def read(content: Content) -> list[PointList]:
             faults.append(f"point {k}: {cells[values.index(None)]!r} is no finite number")
         points.append([v for v in values if v is not None])
     refuse(name, faults, f"elastix reads {_NEEDED}.")
-    numbers = [str(k + 1) for k in range(len(points))]
-    in_space = word == "point"
-    return [
-        PointList(
-            title=name, labels=numbers, points=np.array(points, dtype=np.float64), used=[True] * len(points),
-            unit="mm" if in_space else "pixel", stated=not in_space,
-        )
-    ]  # fmt: skip
+    unit, stated = ("mm", False) if word == "point" else ("pixel", True)
+    return [PointList(title=name, points=np.array(points, dtype=np.float64), unit=unit, stated=stated)]
 
 
-def write(out: Outgoing) -> dict[str, bytes]:
+def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     """Write one file for each layer."""
     files: dict[str, bytes] = {}
-    for role, points in out.points.items():
-        lines = [" ".join(repr(float(v)) for v in row) for row in points]
+    for role, places in points.items():
+        lines = [" ".join(map(repr, row)) for row in places.tolist()]
         text = "\n".join(["point", str(len(lines)), *lines]) + "\n"
-        files["" if len(out.points) == 1 else f"-{role}"] = text.encode()
+        files["" if len(points) == 1 else f"-{role}"] = text.encode()
     return files
 
 

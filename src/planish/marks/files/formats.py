@@ -1,8 +1,16 @@
 """The formats of marks: one entry in one table, and one module that reads, writes and recognises it.
 
-The module of a format ``x`` is ``x_marks.py`` with the functions ``looks_like(content)``, ``read(content)`` and, where
-it is written, ``write(out)``; see `FormatModule`. The command line, the documents and all readers and writers are made
-from the table, so that a new format is an entry and a module.
+The module of a format ``x`` is ``x_marks.py`` with the functions
+
+- ``looks_like(content)``: whether a file is of this format;
+- ``read(content)``: marks in um, or one or two lists of points in the unit of the file;
+- ``write(marks, points)``, where it is written: bytes of the files, by what is put before the suffix of their name.
+  ``points``, empty for planish's own formats, holds positions (n, 2) or (n, 3) by role, ``moving`` and ``fixed`` of the
+  other program, or by the name of the only layer: in the unit of the file, from the centre of the first pixel, NaN
+  where a mark is not in the layer.
+
+The command line, the documents and all readers and writers are made from the table, so that a new format is an entry
+and a module.
 """
 
 from __future__ import annotations
@@ -10,53 +18,11 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
+from typing import Any, Literal
 
 from planish.core.errors import FileError
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from planish.marks.files.content import Content
-    from planish.marks.files.lists import PointList
-    from planish.marks.files.model import Floats
-
 Unit = Literal["um", "mm", "pixel"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outgoing:
-    """Marks on their way into a file.
-
-    Attributes
-    ----------
-    marks : Dataset, dims (mark)
-    layers : dict
-        Names of the layers that take the roles ``moving`` and ``fixed``; empty for planish's own formats.
-    points : dict
-        Positions (n, 2) or (n, 3) by role, in the unit of the file from the centre of the first pixel; NaN where a mark
-        is not in the layer. The roles are those of the other program.
-    """
-
-    marks: xr.Dataset
-    layers: dict[str, str]
-    points: dict[str, Floats]
-
-
-class FormatModule(Protocol):
-    """What a module of a format offers."""
-
-    def looks_like(self, content: Content) -> bool:
-        """Whether a file is of this format."""
-        ...
-
-    def read(self, content: Content) -> xr.Dataset | list[PointList]:
-        """Marks in um, or one or two lists of points in the unit of the file."""
-        ...
-
-    def write(self, out: Outgoing) -> dict[str, bytes]:
-        """Bytes of the files, by what is put before the suffix of their name."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,8 +44,6 @@ class MarkFormat:
         Unit in which it is written; None for planish's own, which keep the layer's origin.
     free_unit : bool
         Whether the user may choose another.
-    first : float
-        Coordinate of the centre of the first pixel.
     pairs_only : bool
         Whether it holds only marks that are used and lie in both layers.
     single : bool
@@ -93,7 +57,6 @@ class MarkFormat:
     suffixes: tuple[str, ...] = ()
     unit: Unit | None = None
     free_unit: bool = False
-    first: float = 0.0
     pairs_only: bool = False
     single: bool = False
     writable: bool = True
@@ -103,7 +66,7 @@ class MarkFormat:
 FORMATS: dict[str, MarkFormat] = {
     "matlab": MarkFormat(
         title="MATLAB", known_by="MATLAB .mat with movingPoints and fixedPoints", suffixes=(".mat",), unit="pixel",
-        first=1.0, pairs_only=True,
+        pairs_only=True,
         row=("MATLAB (`.mat`)", "`movingPoints`, `fixedPoints`", "pixels", "**1**", "by name",
              "pairs in use, in order"),
     ),
@@ -145,10 +108,9 @@ FORMATS: dict[str, MarkFormat] = {
 TARGETS = tuple(name for name, form in FORMATS.items() if form.writable)
 
 
-def module_of(name: str) -> FormatModule:
+def module_of(name: str) -> Any:
     """Import the module of a format."""
-    module: Any = importlib.import_module(f"planish.marks.files.{name}_marks")
-    return cast("FormatModule", module)
+    return importlib.import_module(f"planish.marks.files.{name}_marks")
 
 
 def target_of(path: str | Path) -> str:

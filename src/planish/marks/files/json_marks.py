@@ -6,7 +6,7 @@ an error, because a misspelt one would be lost in silence.
 
 from __future__ import annotations
 
-import json
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -14,25 +14,15 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from planish.core.errors import MarkError
-from planish.core.tables import MOST_FAULTS
-from planish.marks.files.content import MOST_MARKS, Content, check_count, refuse
-from planish.marks.files.formats import Outgoing
-from planish.marks.files.model import (
-    EXTRAS,
-    RESIDUAL,
-    RESULTS,
-    Places,
-    about_layer,
-    labels_of,
-    layer_names,
-    make_marks,
-    places_of,
-    used_of,
-)
+from planish.core.tables import MOST_FAULTS, model_faults
+from planish.marks.files import model
+from planish.marks.files.content import MOST_MARKS, Content, check_count, json_text, refuse
+from planish.marks.files.model import RESIDUAL, RESULTS, Floats, Places
 from planish.marks.files.plausible import check_marks
 
 FORMAT = "planish-marks"
 VERSION = 1
+_PAGE = "docs/marks-files.md describes the format."
 
 _POSITION = {"diameter": "diameter_um", "axis_ratio": "axis_ratio", "arc_coverage": "arc_coverage"}
 
@@ -125,77 +115,65 @@ def read(file: Content) -> xr.Dataset:
             "or write the marks again with the older one."
         )
     marks: object = content.get("marks")
-    if isinstance(marks, list):
-        check_count(name, len(marks))
+    check_count(name, len(marks) if isinstance(marks, list) else 0)
     try:
         held = _File.model_validate(dict(content))
     except ValidationError as error:
-        raise MarkError(f"{name}: {_faults(error)}. docs/marks-files.md describes the format.") from error
+        refuse(name, model_faults(error), _PAGE)
+        raise
     names = [layer.name for layer in held.layers]
-    faults = _own_faults(held, names)
-    refuse(name, faults, "docs/marks-files.md describes the format.")
-    found = make_marks(
+    refuse(name, _own_faults(held, names), _PAGE)
+    results = {key: _column(held.marks, f"{key}_um") for key in RESULTS}
+    found = model.make_marks(
         [mark.label for mark in held.marks],
-        {layer: _places(held, layer) for layer in names},
+        {layer: _places([mark.at.get(layer) for mark in held.marks]) for layer in names},
         used=[mark.used for mark in held.marks],
-        about={layer.name: layer.model_dump(exclude={"name"}, exclude_none=True) for layer in held.layers},
-        results={
-            key: values
-            for key in RESULTS
-            if np.isfinite(values := np.array([_or_nan(getattr(mark, f"{key}_um")) for mark in held.marks])).any()
-        },
+        about={layer.name: layer.model_dump(exclude_none=True, exclude={"name"}) for layer in held.layers},
+        results={key: values for key, values in results.items() if np.isfinite(values).any()},
     )
     check_marks(found, name)
     return found if held.registration is None else found.assign_attrs(registration=held.registration)
 
 
-def write(out: Outgoing) -> dict[str, bytes]:
+def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     """Write a JSON file, from which `read` gives the same numbers back."""
-    marks = out.marks
-    layers = layer_names(marks)
-    places = {layer: places_of(marks, layer) for layer in layers}
-    labels, used = labels_of(marks), used_of(marks)
+    layers = model.layer_names(marks)
+    places = {layer: model.places_of(marks, layer) for layer in layers}
     rows: list[dict[str, Any]] = []
-    for k, label in enumerate(labels):
-        row: dict[str, Any] = {"label": label, "used": bool(used[k])}
-        row["at"] = {layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()}
-        for key in RESULTS:
-            if key in marks and np.isfinite(marks[key].values[k]):
-                row[f"{key}_um"] = float(marks[key].values[k])
-        rows.append(row)
+    for k, (label, used) in enumerate(zip(model.labels_of(marks), model.used_of(marks).tolist(), strict=True)):
+        at = {layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()}
+        there = [key for key in RESULTS if key in marks and np.isfinite(marks[key].values[k])]
+        results = {f"{key}_um": float(marks[key].values[k]) for key in there}
+        rows.append({"label": label, "used": used, "at": at} | results)
     head: dict[str, Any] = {"format": FORMAT, "version": VERSION, "units": "um", "axes": {"x": "right", "y": "down"}}
-    head["layers"] = [{"name": layer, **about_layer(marks, layer)} for layer in layers]
+    head["layers"] = [{"name": layer, **model.about_layer(marks, layer)} for layer in layers]
     if "registration" in marks.attrs:
         head["registration"] = marks.attrs["registration"]
     try:
         _File.model_validate(head | {"marks": rows})
     except ValidationError as error:
-        raise MarkError(f"The marks cannot be written: {_faults(error)}.") from error
-
-    def line(value: object) -> str:
-        return json.dumps(value, ensure_ascii=False, allow_nan=False)
-
-    top = "".join(f' "{key}": {line(value)},\n' for key, value in head.items())
-    text = f'{{\n{top} "marks": [\n' + ",\n".join(f"  {line(row)}" for row in rows) + "\n ]\n}\n"
+        faults = "; ".join(model_faults(error)[:MOST_FAULTS])
+        raise MarkError(f"The marks cannot be written: {faults}.") from error
+    top = "".join(f' "{key}": {json_text(value)},\n' for key, value in head.items())
+    text = f'{{\n{top} "marks": [\n' + ",\n".join(f"  {json_text(row)}" for row in rows) + "\n ]\n}\n"
     return {"": text.encode()}
 
 
-def _places(file: _File, layer: str) -> Places:
-    there = [mark.at.get(layer) for mark in file.marks]
-    axes = "xyz" if any(place is not None and place.z is not None for place in there) else "xy"
-    points = [[_or_nan(None if p is None else getattr(p, axis)) for axis in axes] for p in there]
-    columns: dict[str, list[float]] = {name: [] for name in EXTRAS}
-    for place in there:
-        for name, key in _POSITION.items():
-            columns[name].append(_or_nan(None if place is None else getattr(place, key)))
-        cov = None if place is None else place.covariance_um2
-        (xx, xy), (_, yy) = cov or [[np.nan, np.nan], [np.nan, np.nan]]
-        for name, value in (("cov_xx", xx), ("cov_xy", xy), ("cov_yy", yy)):
-            columns[name].append(value)
+def _column(parts: Sequence[_Part | None], key: str) -> Floats:
+    """Numbers of one field; NaN where it is not there."""
+    values = [getattr(part, key, None) for part in parts]
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def _places(there: Sequence[_Place | None]) -> Places:
+    um = np.stack([_column(there, axis) for axis in "xyz"], axis=1)
+    unknown = [[np.nan, np.nan], [np.nan, np.nan]]
+    spread = np.array([(place and place.covariance_um2) or unknown for place in there]).reshape(-1, 2, 2)
     return Places(
-        um=np.array(points, dtype=np.float64).reshape(len(there), len(axes)),
-        source=["imported" if p is None else p.source for p in there],
-        extras={name: np.array(values) for name, values in columns.items()},
+        um=um if np.isfinite(um[:, 2]).any() else um[:, :2],
+        source=["imported" if place is None else place.source for place in there],
+        extras={"cov_xx": spread[:, 0, 0], "cov_xy": spread[:, 0, 1], "cov_yy": spread[:, 1, 1]}
+        | {name: _column(there, key) for name, key in _POSITION.items()},
     )
 
 
@@ -234,14 +212,3 @@ def _is_covariance(cov: list[list[float]]) -> bool:
     (xx, xy), (yx, yy) = cov
     # Rounding may leave a determinant of a little less than zero.
     return xx >= 0 and yy >= 0 and xy == yx and xy * xy <= xx * yy * (1 + 1e-9)
-
-
-def _faults(error: ValidationError) -> str:
-    listed = error.errors(include_url=False, include_input=False)
-    texts = [f"{'.'.join(str(part) for part in e['loc']) or 'the file'}: {e['msg']}" for e in listed[:MOST_FAULTS]]
-    more = f"; and {len(listed) - MOST_FAULTS} more" if len(listed) > MOST_FAULTS else ""
-    return "; ".join(texts) + more
-
-
-def _or_nan(value: float | None) -> float:
-    return float("nan") if value is None else float(value)

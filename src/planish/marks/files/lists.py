@@ -28,16 +28,14 @@ class PointList:
     ----------
     title : str
         What the file calls them.
-    labels : sequence of str, length n
     points : ndarray, shape (n, 2) or (n, 3), in ``unit``
         NaN where a point is not set.
-    used : sequence of bool, length n
     unit : {"um", "mm", "pixel"}
-        What the file states, or what is usual for it.
+        What the file states, or what is usual for it; pixels count from 0.
     stated : bool
         Whether the file states the unit itself.
-    first : float
-        Coordinate of the centre of the first pixel, where the unit is the pixel: 0, or 1 in MATLAB.
+    labels, used : sequence, length n
+        Empty where the points have numbers only, and where all are used.
     placed : bool
         Whether the positions are those of the layer already; otherwise they count from the centre of its first pixel.
     extras : mapping of str to ndarray, shape (n,)
@@ -47,16 +45,20 @@ class PointList:
     """
 
     title: str
-    labels: Sequence[str]
     points: Floats
-    used: Sequence[bool]
     unit: Unit
     stated: bool
-    first: float = 0.0
+    labels: Sequence[str] = ()
+    used: Sequence[bool] = ()
     placed: bool = False
     extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
     source: str | Sequence[str] = "imported"
     about: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    @property
+    def names(self) -> list[str]:
+        """Labels, or numbers from 1."""
+        return list(self.labels) or [str(k + 1) for k in range(len(self.points))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,39 +108,29 @@ class LayerPixels:
             out["size_px"] = {"x": int(self.shape[1]), "y": int(self.shape[0])}
         return out
 
-
-def scale_of(
-    unit: Unit, pixel: Mapping[str, float] | Sequence[float] | None, axes: int, name: str, side: str
-) -> Floats:
-    """Length of one unit along x, y (and z), shape (axes,), in um."""
-    if unit != "pixel":
-        return np.full(axes, UNITS[unit])
-    option = side if side in ("moving", "fixed") else "moving"
-    if pixel is None:
-        raise SizeError(
-            f"{name} gives positions in pixels, and the pixel size of the {side} layer is not known. Give it in um to "
-            f"planish marks convert with --{option}-pixel-um."
-        )
-    listed = [pixel["y"], pixel["x"]] if isinstance(pixel, Mapping) else pixel
-    sizes = tuple(float(v) for v in listed)
-    if axes == 3 and len(sizes) == 2:
-        raise SizeError(
-            f"{name} holds points of a volume in voxels; the sizes z, y, x (or one for all) are needed in "
-            f"--{option}-pixel-um."
-        )
-    whole = np.array(sizes[::-1] if len(sizes) > 1 else sizes * 3)
-    return whole[:axes]
+    def frame(self, unit: Unit, axes: int, name: str, side: str) -> tuple[Floats, Floats]:
+        """Place of the first pixel, and length of one unit, along x, y (and z) in um."""
+        origin = np.zeros(axes)
+        origin[:2] = self.origin_um or (0.0, 0.0)
+        if unit != "pixel":
+            return origin, np.full(axes, UNITS[unit])
+        option = side if side in ("moving", "fixed") else "moving"
+        if self.pixel_um is None:
+            raise SizeError(
+                f"{name} gives positions in pixels, and the pixel size of the {side} layer is not known. Give it in um "
+                f"to planish marks convert with --{option}-pixel-um."
+            )
+        if axes == 3 and len(self.pixel_um) == 2:
+            raise SizeError(
+                f"{name} holds points of a volume in voxels; the sizes z, y, x (or one for all) are needed in "
+                f"--{option}-pixel-um."
+            )
+        return origin, np.array(self.pixel_um[::-1] if len(self.pixel_um) > 1 else self.pixel_um * 3)[:axes]
 
 
 def join_lists(
-    lists: Sequence[PointList],
-    *,
-    name: str,
-    moving: LayerPixels,
-    fixed: LayerPixels,
-    unit: Unit | None,
-    swap: bool,
-) -> xr.Dataset:
+    lists: Sequence[PointList], *, name: str, moving: LayerPixels, fixed: LayerPixels, unit: Unit | None, swap: bool
+) -> xr.Dataset:  # fmt: skip
     """Marks in um from one list, or from two whose points belong together in their order.
 
     Parameters
@@ -159,53 +151,38 @@ def join_lists(
         Layers ``moving`` (``volume`` where its z varies) and ``fixed``; ``marks`` where there is one list only.
     """
     for found in lists:
-        check_count(name, len(found.labels))
+        check_count(name, len(found.points))
         if unit is not None and found.stated and unit != found.unit:
             raise SizeError(
                 f"{name} states its unit, {found.unit}, and --unit says {unit}. Leave --unit out, or correct the file."
             )
-    if len(lists) == 1:
-        facts = moving if moving.pixel_um or moving.origin_um else fixed
-        return _single(lists[0], name=name, facts=facts, unit=unit)
-    if len(lists) != 2:
-        what = ", ".join(f"{found.title} ({len(found.labels)})" for found in lists[:8])
+    if len(lists) > 2:
+        what = ", ".join(f"{found.title} ({len(found.points)})" for found in lists[:8])
         raise MarkError(f"{name} holds {len(lists)} lists of points: {what}. Two are needed; save those two alone.")
-    first, second = lists
-    if _is_named(first.title, _SECOND_NAMES) and _is_named(second.title, _FIRST_NAMES):
-        first, second = second, first
-    if swap:
-        first, second = second, first
-    labels = _common_labels(first, second, name)
-    a, a_extras = _points(first, "moving", moving, unit, name)
-    b, b_extras = _points(second, "fixed", fixed, unit, name)
-    side = "moving"
-    if b.shape[1] == 3:
+    first, last = lists[0], lists[-1]
+    layers = {"marks": (first, moving if moving.pixel_um or moving.origin_um else fixed)}
+    if len(lists) == 2:
+        named = [found.title.strip().lower() for found in lists]
+        if swap != (named[0] in _SECOND_NAMES and named[1] in _FIRST_NAMES):
+            first, last = last, first
+        _check_together(first, last, name)
+        layers = {"moving": (first, moving), "fixed": (last, fixed)}
+    places = {layer: _places(found, layer, facts, unit, name) for layer, (found, facts) in layers.items()}
+    about = {layer: dict(found.about) | facts.about() for layer, (found, facts) in layers.items()}
+    if "fixed" in places and places["fixed"].um.shape[1] == 3:
         raise MarkError(
-            f"{name}: the points of the fixed side ({second.title}) differ in z. That side has to be a flat "
+            f"{name}: the points of the fixed side ({last.title}) differ in z. That side has to be a flat "
             "image; where the volume was the fixed or target one, give --swap."
         )
-    if a.shape[1] == 3:
-        side = "volume"
-    used = [p and q for p, q in zip(first.used, second.used, strict=True)]
-    return make_marks(
-        labels,
-        {side: Places(um=a, source=first.source, extras=a_extras),
-         "fixed": Places(um=b, source=second.source, extras=b_extras)},
-        used=used,
-        about={side: dict(first.about) | moving.about(), "fixed": dict(second.about) | fixed.about()},
-    )  # fmt: skip
+    if "moving" in places and places["moving"].um.shape[1] == 3:
+        places = {"volume": places["moving"], "fixed": places["fixed"]}
+        about = {"volume": about["moving"], "fixed": about["fixed"]}
+    every = np.ones(len(first.points), bool)
+    used = (np.asarray(one.used, bool) if one.used else every for one in (first, last))
+    return make_marks(first.names, places, used=np.logical_and(*used).tolist(), about=about)
 
 
-def _single(found: PointList, *, name: str, facts: LayerPixels, unit: Unit | None) -> xr.Dataset:
-    points, extras = _points(found, "marks", facts, unit, name)
-    places = Places(um=points, source=found.source, extras=extras)
-    about = {"marks": dict(found.about) | facts.about()}
-    return make_marks(list(found.labels), {"marks": places}, used=found.used, about=about)
-
-
-def _points(
-    found: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str
-) -> tuple[Floats, dict[str, Floats]]:
+def _places(found: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str) -> Places:
     """Positions in um, shape (n, 2), or (n, 3) where z says something; and what else is known, in um too."""
     values = np.asarray(found.points, dtype=np.float64)
     if values.shape[1] == 3:
@@ -213,20 +190,16 @@ def _points(
         # A picture opened as a volume of one slice has z = 0; for the fixed side any one plane is a picture.
         if not z.any() or (side == "fixed" and np.ptp(z) == 0):
             values = values[:, :2]
-    factor = scale_of(unit or found.unit, facts.pixel_um, values.shape[1], name, side)
-    shift = np.zeros(values.shape[1])
-    if not found.placed:
-        shift[:2] = facts.origin_um or (0.0, 0.0)
-    first = found.first if (unit or found.unit) == "pixel" else 0.0
+    origin, factor = facts.frame(unit or found.unit, values.shape[1], name, side)
     powers = {"um": 1, "um2": 2}
     extras = {k: v * factor[0] ** powers.get(EXTRAS[k][0], 0) for k, v in found.extras.items()}
     with np.errstate(over="ignore", invalid="ignore"):  # check_marks refuses what is too far away
-        return shift + (values - first) * factor, extras
+        return Places(um=(0.0 if found.placed else origin) + values * factor, source=found.source, extras=extras)
 
 
-def _common_labels(first: PointList, second: PointList, name: str) -> list[str]:
-    """Labels of the pairs: those of the first list, where the second does not contradict."""
-    a, b = list(first.labels), list(second.labels)
+def _check_together(first: PointList, second: PointList, name: str) -> None:
+    """Refuse lists whose points cannot belong together in their order."""
+    a, b = first.names, second.names
     if len(a) != len(b):
         raise MarkError(
             f"{name}: {len(a)} moving points ({first.title}) and {len(b)} fixed points ({second.title}). Points belong "
@@ -238,8 +211,3 @@ def _common_labels(first: PointList, second: PointList, name: str) -> list[str]:
             f"{name}: both lists have the same labels in another order: {a[k]} and {b[k]} are both number {k + 1}. "
             "Points belong together in their order: sort one list, or rename its points."
         )
-    return a
-
-
-def _is_named(title: str, words: Sequence[str]) -> bool:
-    return title.strip().lower() in words

@@ -10,11 +10,11 @@ import warnings
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from planish.core import matlab
 from planish.core.errors import FileError, MarkError
 from planish.marks.files.content import Content
-from planish.marks.files.formats import Outgoing
 from planish.marks.files.lists import PointList
 from planish.marks.files.model import Floats
 
@@ -52,20 +52,17 @@ def read(content: Content) -> list[PointList]:
         )
     if not len(points[0]):
         raise MarkError(f"{name} holds no point. {_SAVE}")
-    labels = [str(k + 1) for k in range(len(points[0]))]
     return [
-        PointList(
-            title=title, labels=labels, points=values, used=[True] * len(labels), unit="pixel", stated=True, first=1.0
-        )
+        PointList(title=title, points=values - 1.0, unit="pixel", stated=True)
         for title, values in zip(("moving", "fixed"), points, strict=True)
     ]
 
 
-def write(out: Outgoing) -> dict[str, bytes]:
+def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     """Write a file of version 5."""
     from scipy.io import savemat
 
-    moving, fixed = out.points.values()
+    moving, fixed = (side + 1.0 for side in points.values())
     if moving.shape[1] == 3:
         raise MarkError(
             "These marks lie in a volume; MATLAB's control points are flat. Use slicer, elastix or bigwarp."

@@ -36,7 +36,6 @@ RESIDUAL = "residual"
 """No layer: a run's marks hold ``residual_x`` and ``residual_y``."""
 
 _TITLES = {"moving": "on the flattened map", "volume": "in the volume", "fixed": "in the image"}
-_REQUIRED_SIDES = (("moving", "fixed"), ("volume", "fixed"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,6 +55,12 @@ class Places:
     um: Floats
     source: str | Sequence[str] = "imported"
     extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
+
+    @classmethod
+    def of_holes(cls, holes: xr.Dataset, rows: NDArray[np.intp], source: str = "detected") -> Places:
+        """Places of some holes of `find_holes`, ``x``, ``y`` and any of `EXTRAS`; NaN where the row is -1."""
+        values = {name: np.append(holes[name].values, np.nan)[rows] for name in ("x", "y", *EXTRAS) if name in holes}
+        return cls(um=np.stack([values.pop("x"), values.pop("y")], axis=1), source=source, extras=values)
 
 
 def make_marks(
@@ -92,13 +97,10 @@ def make_marks(
     MarkError
         If a layer's name cannot be used.
     """
+    kept = np.ones(len(labels), bool) if used is None else np.array(list(used), dtype=bool)
     variables: dict[str, Any] = {
         "label": ("mark", np.array(list(labels), dtype=np.str_), {"long_name": "Name of the mark"}),
-        "used": (
-            "mark",
-            np.ones(len(labels), bool) if used is None else np.array(list(used), dtype=bool),
-            {"long_name": "Takes part in the fit"},
-        ),
+        "used": ("mark", kept, {"long_name": "Takes part in the fit"}),
     }
     for layer, places in layers.items():
         if not NAME.fullmatch(layer) or layer == RESIDUAL:
@@ -159,12 +161,7 @@ def used_of(marks: xr.Dataset) -> NDArray[np.bool_]:
     return np.ones(marks.sizes.get("mark", 0), dtype=bool)
 
 
-def marks_of_holes(
-    holes: xr.Dataset,
-    *,
-    layer: str,
-    about: Mapping[str, Any] | None = None,
-) -> xr.Dataset:
+def marks_of_holes(holes: xr.Dataset, *, layer: str, about: Mapping[str, Any] | None = None) -> xr.Dataset:
     """Marks with one layer from holes as :func:`planish.marks.find_holes` and `read_holes` give them.
 
     Parameters
@@ -175,11 +172,9 @@ def marks_of_holes(
     about : mapping, optional
         As for `make_marks`.
     """
-    points = np.stack([np.asarray(holes[axis].values, dtype=np.float64) for axis in "xy"], axis=1)
-    extras = {name: np.asarray(holes[name].values, dtype=np.float64) for name in EXTRAS if name in holes}
-    names = [f"hole {k + 1}" for k in range(len(points))]
-    places = Places(um=points, source="detected", extras=extras)
-    return make_marks(names, {layer: places}, about={layer: about or {}})
+    rows = np.arange(holes.sizes["mark"])
+    names = [f"hole {k + 1}" for k in rows]
+    return make_marks(names, {layer: Places.of_holes(holes, rows)}, about={layer: about or {}})
 
 
 def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
@@ -201,7 +196,7 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
 def used_pairs(
     marks: xr.Dataset, *, moving: str | None = None, fixed: str | None = None, least: int = 3, name: str = "The file"
 ) -> xr.Dataset:
-    """Marks that are used and lie in both layers, as :func:`planish.marks.read_marks` gives them.
+    """Marks that are used and lie in both layers.
 
     Parameters
     ----------
@@ -247,10 +242,10 @@ def pair_of_layers(
     for wanted in (moving, fixed):
         if wanted is not None:
             _check_layer(marks, wanted)
-    if moving is None and fixed is None:
-        for pair in _REQUIRED_SIDES:
-            if all(side in names for side in pair):
-                return pair
+    if moving is None and fixed is None and "fixed" in names:
+        for side in ("moving", "volume"):
+            if side in names:
+                return side, "fixed"
     if len(names) < 2:
         raise MarkError(
             f"{name} holds marks of one layer only ({', '.join(names) or 'none'}); pairs of a moving and a fixed layer "

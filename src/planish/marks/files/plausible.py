@@ -6,7 +6,7 @@ recognised by it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -30,18 +30,17 @@ def check_marks(marks: xr.Dataset, name: str) -> None:
     labels, used = labels_of(marks), used_of(marks)
     if not labels:
         raise MarkError(f"{name} holds no mark. Set marks in both layers and save them again.")
-    faults = [f"the label {label!r} is there {count} times" for label, count in _repeated(labels)]
+    faults = [f"the label {label!r} is there {count} times" for label, count in Counter(labels).items() if count > 1]
     for layer in layer_names(marks):
         points = points_of(marks, layer)
         missing = np.isnan(points)
         wrong = (np.abs(points) > FARTHEST_UM).any(axis=1) | (missing.any(axis=1) & ~missing.all(axis=1))
         faults += [f"{labels[k]} has no position within a kilometre in {layer}" for k in np.flatnonzero(wrong)]
-        first: dict[tuple[float, ...], str] = {}
-        for k in np.flatnonzero(used & np.isfinite(points).all(axis=1)):
-            place = tuple(float(v) for v in points[k])
-            if place in first:
-                faults.append(f"{first[place]} and {labels[k]} have the same position in {layer}")
-            first.setdefault(place, labels[k])
+        first: dict[tuple[float, ...], int] = {}
+        for k in np.flatnonzero(used & np.isfinite(points).all(axis=1)).tolist():
+            other = first.setdefault(tuple(points[k].tolist()), k)
+            if other != k:
+                faults.append(f"{labels[other]} and {labels[k]} have the same position in {layer}")
     refuse(name, faults, "Give each mark a label and a place of its own.")
 
 
@@ -54,53 +53,50 @@ def check_plausible(marks: xr.Dataset, name: str) -> None:
     name : str
         What they were read from, for messages.
     """
+    stated = marks.attrs.get("read_from", {}).get("stated", True)
     for layer in layer_names(marks):
         about = about_layer(marks, layer)
-        if "pixel_um" not in about or "size_px" not in about:
-            continue
         points = points_of(marks, layer)[:, :2]
         points = points[np.isfinite(points).all(axis=1)]
-        if len(points) >= LEAST_MARKS:
-            _check_layer(points, layer, about, name, stated=marks.attrs.get("read_from", {}).get("stated", True))
+        if len(points) < LEAST_MARKS or not {"pixel_um", "size_px"} <= about.keys():
+            continue
+        what = _misfit(points, about, stated=stated)
+        if what:
+            raise MarkError(f"{name}: the marks in {layer} span {what}")
 
 
-def _check_layer(points: Floats, layer: str, about: dict[str, Any], name: str, *, stated: bool) -> None:
-    pixel = np.array([about["pixel_um"][axis] for axis in "xy"], dtype=np.float64)
-    count = np.array([about["size_px"][axis] for axis in "xy"], dtype=np.float64)
-    origin = np.array([about.get("origin_um", {}).get(axis, 0.0) for axis in "xy"], dtype=np.float64)
+def _misfit(points: Floats, about: dict[str, Any], *, stated: bool) -> str:
+    """Say why marks cannot be um in their layer; empty where they can."""
+    known = {"origin_um": {"x": 0.0, "y": 0.0}} | about
+    pixel, count, origin = (
+        np.array([known[key][axis] for axis in "xy"], dtype=np.float64) for key in ("pixel_um", "size_px", "origin_um")
+    )
     size = pixel * count
     placed = points - origin
-    spans = f"the marks in {layer} span {_size(np.ptp(points, axis=0))}, the layer {_size(size)}"
+    spans = f"{_size(np.ptp(points, axis=0))}, the layer {_size(size)}"
     inside = _within(placed, size)
     halves = bool(np.all(points * 2 == np.round(points * 2)))
     # Places clicked on pixels and then turned into um are multiples of the pixel.
     stepped = bool(np.all(np.abs(placed / pixel - np.round(placed / pixel)) < 1e-6))
     if halves and not stepped and pixel.max() > _LEAST_FACTOR and _within(points, count):
-        raise MarkError(
-            f"{name}: {spans}, and all positions are whole or half numbers: they look like pixels. "
+        return (
+            f"{spans}, and all positions are whole or half numbers: they look like pixels. "
             f"{_remedy('pixel', stated)} If they are um, write them with decimals."
         )
     if inside and (_within(points * 1000, size) and np.ptp(points, axis=0).max() < _MM_SPAN * size.max()):
-        raise MarkError(f"{name}: {spans}: they look like mm. {_remedy('mm', stated)}")
+        return f"{spans}: they look like mm. {_remedy('mm', stated)}"
     if inside:
-        return
+        return ""
+    spans += f" from ({origin[0]:g}, {origin[1]:g}) um"
     if _within(points, count):
-        what = f"they look like pixels. {_remedy('pixel', stated)}"
-    elif _within(placed[:, ::-1], size):
-        what = "they would fit with x and y exchanged. Exchange the columns: x runs to the right, y down"
-    else:
-        far = int(np.count_nonzero(~_inside(placed, size)))
-        what = (
-            f"{far} of {len(points)} lie outside it. Check the unit, the pixel size, and that they belong to this image"
-        )
-    raise MarkError(f"{name}: {spans} from ({origin[0]:g}, {origin[1]:g}) um: {what}")
-
-
-def _repeated(labels: Sequence[str]) -> list[tuple[str, int]]:
-    counts: dict[str, int] = {}
-    for label in labels:
-        counts[label] = counts.get(label, 0) + 1
-    return [(label, count) for label, count in counts.items() if count > 1]
+        return f"{spans}: they look like pixels. {_remedy('pixel', stated)}"
+    if _within(placed[:, ::-1], size):
+        return f"{spans}: they would fit with x and y exchanged. Exchange the columns: x runs to the right, y down"
+    far = int(np.count_nonzero(~_inside(placed, size)))
+    return (
+        f"{spans}: {far} of {len(points)} lie outside it. Check the unit, the pixel size, and that they belong to this "
+        "image"
+    )
 
 
 def _remedy(unit: str, stated: bool) -> str:

@@ -12,13 +12,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from planish.core.errors import MarkError
 from planish.core.tables import finite
-from planish.marks.files.content import Content, check_count, refuse
-from planish.marks.files.formats import Outgoing, Unit
+from planish.marks.files.content import Content, refuse
 from planish.marks.files.lists import PointList
-from planish.marks.files.model import labels_of, used_of
+from planish.marks.files.model import Floats, labels_of, used_of
 
 SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
@@ -50,15 +50,15 @@ def read(content: Content) -> list[PointList]:
     return [_list(markup, k, name) for k, markup in enumerate(points)]
 
 
-def write(out: Outgoing) -> dict[str, bytes]:
+def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     """Write one list for each layer, in mm."""
-    labels, used = labels_of(out.marks), [bool(v) for v in used_of(out.marks)]
+    labels, used = labels_of(marks), used_of(marks).tolist()
     markups: list[dict[str, Any]] = []
-    for role, points in out.points.items():
+    for role, places in points.items():
         controls: list[dict[str, Any]] = []
         for k, label in enumerate(labels):
-            there = bool(np.isfinite(points[k]).all())
-            position = [*(float(v) for v in points[k]), 0.0][:3] if there else [0.0, 0.0, 0.0]
+            there = bool(np.isfinite(places[k]).all())
+            position = [*places[k].tolist(), 0.0][:3] if there else [0.0, 0.0, 0.0]
             controls.append(
                 {
                     "id": str(k + 1), "label": label, "description": "", "associatedNodeID": "",
@@ -68,7 +68,7 @@ def write(out: Outgoing) -> dict[str, bytes]:
             )  # fmt: skip
         markups.append(
             {
-                "type": "Fiducial", "name": out.layers.get(role, role), "coordinateSystem": "LPS",
+                "type": "Fiducial", "name": role, "coordinateSystem": "LPS",
                 "coordinateUnits": "mm", "locked": False,
                 "fixedNumberOfControlPoints": False, "labelFormat": "%N-%d", "lastUsedControlPointNumber": len(labels),
                 "controlPoints": controls,
@@ -83,48 +83,33 @@ def _list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
     system: object = markup.get("coordinateSystem", "LPS")
     if not isinstance(system, str) or system not in SIGNS:
         raise MarkError(f"{name}: {title} is in {system!r}; LPS or RAS is needed. Save it so in Slicer.")
-    signs = SIGNS[system]
-    unit = _unit(markup.get("coordinateUnits", "mm"), name, title)
+    code: Any = markup.get("coordinateUnits", "mm")
+    unit = code[0] if isinstance(code, list) and code else code
+    if unit not in ("mm", "um"):
+        raise MarkError(f"{name}: {title} is in {unit!r}; mm or um is needed. Save it so in Slicer.")
     listed: Any = markup["controlPoints"]
-    check_count(name, len(listed) if isinstance(listed, list) else 0)
-    controls: list[Any] = listed if isinstance(listed, list) else [None]
     faults: list[str] = []
     labels: list[str] = []
     used: list[bool] = []
     points: list[list[float]] = []
+    controls: list[Any] = listed if isinstance(listed, list) else [None]
     for number, control in enumerate(controls, 1):
         if not isinstance(control, Mapping):
             faults.append(f"point {number} of {title} is malformed")
             continue
         state: Any = control.get("positionStatus", "defined")
         position: Any = control.get("position")
-        values = _position(position)
+        good = isinstance(position, list) and len(position) == 3
+        values = [None if isinstance(v, str) else finite(v) for v in position] if good else [None]
         if state not in _STATES:
             faults.append(f"point {number} of {title} has the status {str(state)[:40]!r}")
-        if state == "defined" and values is None:
+        if state == "defined" and None in values:
             faults.append(f"point {number} of {title} has the position {str(position)[:40]}, not three finite numbers")
-        there = values if state == "defined" and values is not None else [np.nan] * 3
+        there = [v for v in values if v is not None] if state == "defined" and None not in values else [np.nan] * 3
         labels.append(str(control.get("label") or f"{title} {number}"))
         used.append(control.get("selected", True) is not False)
-        points.append([sign * v for sign, v in zip(signs, there, strict=True)])
+        points.append([sign * v for sign, v in zip(SIGNS[system], there, strict=True)])
     refuse(name, faults, "Save the list in Slicer again.")
     return PointList(
         title=title, labels=labels, points=np.array(points, dtype=np.float64), used=used, unit=unit, stated=True
     )
-
-
-def _position(value: Any) -> list[float] | None:
-    """Three finite numbers; None where they are not."""
-    if not isinstance(value, list) or len(value) != 3 or any(isinstance(v, str) for v in value):
-        return None
-    numbers = [finite(v) for v in value]
-    return None if None in numbers else [v for v in numbers if v is not None]
-
-
-def _unit(value: object, name: str, title: str) -> Unit:
-    code: object = value[0] if isinstance(value, list) and value else value
-    if code == "mm":
-        return "mm"
-    if code == "um":
-        return "um"
-    raise MarkError(f"{name}: {title} is in {code!r}; mm or um is needed. Save it so in Slicer.")
