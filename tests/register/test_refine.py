@@ -53,12 +53,12 @@ def test_an_affine_displacement_is_found(metric):
     true = (places() - (500, 400)) @ linear.T + (7.0, -5.0)
     linked, image, valid = maps(true, 1)
     found = refine(linked, image, valid, pixel_um=(PIXEL, PIXEL), fit=marks_fit(), options=RefineOptions(metric=metric))
-    error = np.linalg.norm(found.displacement_um(places()) - true, axis=-1)
+    error = np.linalg.norm(found(places()) - places() - true, axis=-1)
     print(f"{metric}: error {np.sqrt(np.mean(error**2)):.2f} um rms of {np.linalg.norm(true, axis=-1).max():.1f} um")
     assert np.sqrt(np.mean(error**2)) < 1.5  # 0.15 pixels
     # The displacement itself, not its opposite, and the sentence says what was done.
-    assert found.displacement_um([500.0, 400.0]) == pytest.approx((7.0, -5.0), abs=1.5)
-    assert found.jacobian([[0.0, 0.0]])[0] - np.eye(2) == pytest.approx(linear, abs=0.003)
+    assert found([500.0, 400.0]) == pytest.approx((507.0, 395.0), abs=1.5)
+    assert found.transform.jacobian([[0.0, 0.0]])[0] - np.eye(2) == pytest.approx(linear, abs=0.003)
     assert found.sentence.startswith(f"Refined on the maps (affine, {metric}): points moved by")
     assert 0 < found.share < 3
 
@@ -73,7 +73,7 @@ def test_a_bend_is_found_by_the_spline_and_every_run_is_the_same():
         "options": RefineOptions(model="bspline", grid_um=1200.0),
     }
     found = refine(linked, image, valid, **settings)
-    error = np.linalg.norm(found.displacement_um(places()) - true, axis=-1)
+    error = np.linalg.norm(found(places()) - places() - true, axis=-1)
     print(f"error {np.sqrt(np.mean(error**2)):.2f} um rms of {np.linalg.norm(true, axis=-1).max():.1f} um")
     assert np.sqrt(np.mean(error**2)) < 1.5
     assert 0.9 < found.area[0] < 1 < found.area[1] < 1.1

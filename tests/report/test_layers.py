@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,7 @@ def rows_of(maps: dict[str, xr.Dataset], a: str, a_map: str, b: str, b_map: str)
     coarse, *means = correlate_at(p, q, pixel_um=(6.0, 6.0), point_um=60.0)
     rows: list[Given] = []
     for row, (u, v) in ((correlate(p, q, point_um=6.0), (p, q)), (coarse, means)):
-        rows.append({"a": a, "a_map": a_map, "b": b, "b_map": b_map, **row.to_dict(), "same_quantity": a_map == b_map})
+        rows.append({"a": a, "a_map": a_map, "b": b, "b_map": b_map, **asdict(row), "same_quantity": a_map == b_map})
         off = (v - u)[np.isfinite(u) & np.isfinite(v)]
         if a_map == b_map and off.size > 1:
             mean, sd = float(off.mean()), float(off.std(ddof=1))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,15 +32,11 @@ class Correlation:
     """
 
     n: int
-    r: float
-    r2: float
-    slope: float
-    intercept: float
+    r: float = math.nan
+    r2: float = math.nan
+    slope: float = math.nan
+    intercept: float = math.nan
     point_um: float
-
-    def to_dict(self) -> dict[str, float | int | None]:
-        """Return the numbers with None for NaN, for JSON."""
-        return {k: (None if isinstance(v, float) and not np.isfinite(v) else v) for k, v in asdict(self).items()}
 
 
 def correlate(x: Array, y: Array, *, point_um: float) -> Correlation:
@@ -58,26 +55,21 @@ def correlate(x: Array, y: Array, *, point_um: float) -> Correlation:
     """
     both = np.isfinite(x) & np.isfinite(y)
     n = int(np.count_nonzero(both))
-    nan = float("nan")
     if n < _LEAST:
-        return Correlation(n=n, r=nan, r2=nan, slope=nan, intercept=nan, point_um=point_um)
+        return Correlation(n=n, point_um=point_um)
     a, b = x[both].astype(np.float64), y[both].astype(np.float64)
     mean_a, mean_b = a.mean(), b.mean()
     a, b = a - mean_a, b - mean_b
     saa, sbb, sab = float(a @ a), float(b @ b), float(a @ b)
     # A map that is constant up to rounding has no correlation.
     if saa <= n * (1e-12 * max(abs(mean_a), 1e-300)) ** 2 or sbb <= n * (1e-12 * max(abs(mean_b), 1e-300)) ** 2:
-        return Correlation(n=n, r=nan, r2=nan, slope=nan, intercept=nan, point_um=point_um)
+        return Correlation(n=n, point_um=point_um)
     r = sab / np.sqrt(saa * sbb)
     slope = sab / saa
     return Correlation(
-        n=n,
-        r=float(r),
-        r2=float(r * r),
-        slope=float(slope),
-        intercept=float(mean_b - slope * mean_a),
+        n=n, r=float(r), r2=float(r * r), slope=float(slope), intercept=float(mean_b - slope * mean_a),
         point_um=point_um,
-    )
+    )  # fmt: skip
 
 
 def correlate_at(

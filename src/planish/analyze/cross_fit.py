@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.analyze.ncc import MaskedNcc, pearson
+from planish.analyze.correlation import correlate
+from planish.analyze.ncc import MaskedNcc
 from planish.analyze.peak import find_peak, within
 from planish.analyze.surrogates import Unrelated, correlation_length_um, without_plane
 from planish.core.errors import CannotMeasure
@@ -164,13 +165,13 @@ def cross_fitted(
         )
     sides = [6 * guard, 4 * guard] if tile_um is None else [tile_um]
     for side in sides:
-        colour = _checkerboard(a.shape, pixel_um, side)
-        looks = [known & (colour == k) for k in (0, 1)]
-        reported = [looks[1 - k] & _away(looks[k], pixel_um, guard) for k in (0, 1)]
-        if (
-            min(_tiles(m, pixel_um, side) for m in reported) >= _LEAST_TILES
-            and min(map(np.sum, reported)) >= _LEAST_PIXELS
-        ):
+        tile = _tile_numbers(a.shape, pixel_um, side)
+        looks = [known & ((tile[0] + tile[1]) % 2 == k) for k in (0, 1)]
+        reported = [
+            looks[1 - k] & (ndimage.distance_transform_edt(~looks[k], sampling=pixel_um) > guard) for k in (0, 1)
+        ]
+        tiles = [np.unique(np.broadcast_to(tile[0] * a.shape[1] + tile[1], a.shape)[m]).size for m in reported]
+        if min(tiles) >= _LEAST_TILES and min(map(np.sum, reported)) >= _LEAST_PIXELS:
             break
     else:
         raise CannotMeasure(
@@ -186,7 +187,7 @@ def cross_fitted(
         use = report & np.isfinite(placed)
         x, y = a[use] - a[use].mean(), placed[use] - placed[use].mean()
         sums += (x @ x, y @ y, x @ y)
-        halves.append(pearson(a[use], placed[use]))
+        halves.append(correlate(a[use], placed[use], point_um=math.nan).r)
         n += int(use.sum())
     spread = math.sqrt(sums[0] * sums[1])
     return CrossFitted(
@@ -200,9 +201,7 @@ def cross_fitted(
     )
 
 
-def searched_null(
-    a: Array, tune: Tune, *, valid: Mask | None = None, surrogates: int = 99, seed: int = _SEED
-) -> SearchedNull:
+def searched_null(a: Array, tune: Tune, *, valid: Mask | None = None, surrogates: int = 99) -> SearchedNull:
     """Tune the registration on all of the map, and on maps with its texture that are related to nothing.
 
     Parameters
@@ -214,8 +213,6 @@ def searched_null(
     valid : ndarray of bool, shape (rows, cols), or None
     surrogates : int
         Unrelated maps; 19 or more.
-    seed : int
-        Of their phases.
 
     Returns
     -------
@@ -230,19 +227,15 @@ def searched_null(
         raise CannotMeasure(f"{surrogates} unrelated maps give no 95 % band; 19 are needed, 99 are better.")
     known = np.isfinite(a) & (True if valid is None else valid)
     flat = without_plane(a, known)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(_SEED)
 
     def searched(given: Array) -> float:
-        placed = tune(given, known)
-        use = known & np.isfinite(placed)
-        return pearson(given[use], placed[use])
+        placed = tune(np.where(known, given, np.nan), known)
+        return correlate(np.where(known, given, np.nan), placed, point_um=math.nan).r
 
-    r = searched(np.where(known, flat, np.nan))
-    null: list[float] = []
+    r = searched(flat)
     unrelated = Unrelated(flat, known)
-    for _ in range(surrogates):
-        other = unrelated.draw(rng)
-        null.append(abs(searched(np.where(known, other, np.nan))))
+    null = [abs(searched(unrelated.draw(rng))) for _ in range(surrogates)]
     reached = sum(v >= abs(r) for v in null)
     return SearchedNull(
         r=r,
@@ -275,40 +268,17 @@ def by_shift(b: Array, *, pixel_um: tuple[float, float], reach_um: float, sign: 
         r = MaskedNcc(np.where(use, a, 0.0), a_valid=use, b_valid=known, reach=reach)(values)
         peak = find_peak(r, within(reach, 0), sign)
         down, across = (0, 0) if peak is None else peak.pixel
-        out = np.full(b.shape, np.nan)
-        rows, cols = b.shape
-        out[max(-down, 0) : rows - max(down, 0), max(-across, 0) : cols - max(across, 0)] = b[
-            max(down, 0) : rows - max(-down, 0), max(across, 0) : cols - max(-across, 0)
-        ]
-        return out
+        return ndimage.shift(b, (-down, -across), order=0, cval=np.nan)
 
     return tune
 
 
-def _checkerboard(shape: tuple[int, ...], pixel_um: tuple[float, float], side_um: float) -> NDArray[np.int64]:
-    rows, cols = _indices(shape, pixel_um, side_um)
-    return (rows[:, None] + cols[None, :]) % 2
-
-
-def _indices(
+def _tile_numbers(
     shape: tuple[int, ...], pixel_um: tuple[float, float], side_um: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Number of the tile of every row and column; a rest at the border goes half to either side."""
-    out: list[NDArray[np.int64]] = []
+    """Number of the tile of every row (rows, 1) and column (cols,); a rest at the border goes half to either side."""
+    numbers: list[NDArray[np.int64]] = []
     for n, pixel in zip(shape, pixel_um, strict=True):
-        extent = n * pixel
-        first = 0.5 * (extent - max(int(extent / side_um), 1) * side_um)
-        out.append(np.floor(((np.arange(n) + 0.5) * pixel - first) / side_um).astype(np.int64))
-    return out[0], out[1]
-
-
-def _away(used: Mask, pixel_um: tuple[float, float], guard_um: float) -> Mask:
-    """Pixels further than the guard from all that were used."""
-    distance = ndimage.distance_transform_edt(~used, sampling=pixel_um)
-    return np.asarray(distance, dtype=np.float64) > guard_um
-
-
-def _tiles(reported: Mask, pixel_um: tuple[float, float], side_um: float) -> int:
-    rows, cols = _indices(reported.shape, pixel_um, side_um)
-    y, x = np.nonzero(reported)
-    return len(set(zip(rows[y].tolist(), cols[x].tolist(), strict=True)))
+        first = 0.5 * (n * pixel - max(int(n * pixel / side_um), 1) * side_um)
+        numbers.append(np.floor(((np.arange(n) + 0.5) * pixel - first) / side_um).astype(np.int64))
+    return numbers[0][:, None], numbers[1]

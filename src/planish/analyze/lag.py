@@ -209,51 +209,36 @@ def masked_lag(
     if band_um is not None:
         _check_band(band_um, pixel_um)
         maps = maps.in_band(band_um)
-    found = _search(maps, reach, surrogates)
-    silence, split, halves = found.silence, math.nan, (_NOWHERE, _NOWHERE)
-    if found.silence is None and found.peak is not None:
+    found, peak = _search(maps, reach, reach_um, surrogates)
+    sign = 0 if peak is None or not found.distinct else int(np.sign(peak.r))
+    if peak is not None and found.distinct:
         # For a Gaussian texture of length l the curvature of r is r / l^2, and most of its waves are 2 pi l long.
-        square = abs(found.peak.r) / math.sqrt(float(np.linalg.det(found.peak.curvature))) * pixel_um[0] * pixel_um[1]
+        square = abs(peak.r) / math.sqrt(float(np.linalg.det(peak.curvature))) * pixel_um[0] * pixel_um[1]
         split = max(2 * math.pi * math.sqrt(square), 4 * max(pixel_um))
-        fine, coarse = (_search(maps.in_band(band), reach, surrogates) for band in ((None, split), (split, None)))
-        halves = (fine.lag_um, coarse.lag_um)
-        if fine.silence is None and coarse.silence is None:
-            # Filters at borders and interpolation move the lags of bands a little, even without noise.
-            own = (_FLOOR_PIXELS * max(pixel_um)) ** 2 + (_FLOOR_WAVES * split) ** 2
-            spread = fine.covariance_um2 + coarse.covariance_um2 + own * np.eye(2)
-            apart = np.array(halves[1]) - halves[0]
-            square = float(apart @ np.linalg.solve(spread, apart))
-            if square > _DIFFERENT and math.hypot(*halves[1]) > math.hypot(*halves[0]):
-                silence = "oblique"
-    tiles = None
-    if tiles_um is not None:
-        sign = 0 if found.peak is None or found.silence is not None else int(np.sign(found.peak.r))
-        rng, unrelated = np.random.default_rng(_SEED), Unrelated(maps.b, maps.known_b)
-        tiles = lag_field(
-            maps, reach=reach, tile_um=tiles_um, sign=sign, unrelated=[unrelated.draw(rng) for _ in range(19)]
-        )  # fmt: skip
-    lag = Lag(
-        reach_um=reach_um, pixel_um=pixel_um, n=n, silence=silence, r_at_zero=found.r_at_zero, null_95=found.null[0],
-        null_99=found.null[1], rival_r=found.rival_r, split_um=split, lags_of_bands_um=halves, field=tiles,
-        r=math.nan if found.peak is None else found.peak.r,
-    )  # fmt: skip
-    return lag if silence is not None else replace(lag, lag_um=found.lag_um, covariance_um2=found.covariance_um2)
+        fine, coarse = (
+            _search(maps.in_band(band), reach, reach_um, surrogates)[0] for band in ((None, split), (split, None))
+        )
+        found = replace(found, split_um=split, lags_of_bands_um=(fine.lag_um, coarse.lag_um))
+        # Filters at borders and interpolation move the lags of bands a little, even without noise.
+        own = (_FLOOR_PIXELS * max(pixel_um)) ** 2 + (_FLOOR_WAVES * split) ** 2
+        spread = fine.covariance_um2 + coarse.covariance_um2 + own * np.eye(2)
+        apart = np.array(coarse.lag_um) - fine.lag_um
+        if (
+            fine.distinct
+            and coarse.distinct
+            and float(apart @ np.linalg.solve(spread, apart)) > _DIFFERENT
+            and coarse.length_um > fine.length_um
+        ):
+            found = replace(found, silence="oblique", lag_um=_NOWHERE, covariance_um2=np.full((2, 2), np.nan))
+    if tiles_um is None:
+        return found
+    rng, unrelated = np.random.default_rng(_SEED), Unrelated(maps.b, maps.known_b)
+    draws = [unrelated.draw(rng) for _ in range(19)]
+    return replace(found, field=lag_field(maps, reach=reach, tile_um=tiles_um, sign=sign, unrelated=draws))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Found:
-    """One search: its peak, whether that is distinct, and then its place and covariance in um, (x, y)."""
-
-    peak: Peak | None
-    null: tuple[float, float]
-    rival_r: float
-    r_at_zero: float
-    silence: Silence | None
-    lag_um: tuple[float, float]
-    covariance_um2: Array
-
-
-def _search(maps: MapPair, reach: tuple[int, int], surrogates: int) -> _Found:
+def _search(maps: MapPair, reach: tuple[int, int], reach_um: float, surrogates: int) -> tuple[Lag, Peak | None]:
+    """One search, and its peak."""
     known_a, known_b, pixel_um = maps.known_a, maps.known_b, maps.pixel_um
     a, b = without_plane(maps.a, known_a), without_plane(maps.b, known_b)
     wide = (reach[0] + MARGIN, reach[1] + MARGIN)
@@ -276,15 +261,12 @@ def _search(maps: MapPair, reach: tuple[int, int], surrogates: int) -> _Found:
         step = np.array([pixel_um[1], pixel_um[0]])
         spread = covariance_of(peak, a, b, known_a, known_b)[::-1, ::-1] * np.outer(step, step)
         lag = (float(peak.at[1] * step[0]), float(peak.at[0] * step[1]))
-    return _Found(
-        peak=peak,
-        null=null,
-        rival_r=rival,
-        r_at_zero=float(r[wide]),
-        silence=silence,
-        lag_um=lag,
-        covariance_um2=spread,
-    )
+    found = Lag(
+        reach_um=reach_um, pixel_um=pixel_um, n=int((known_a & known_b).sum()), silence=silence, lag_um=lag,
+        covariance_um2=spread, r=math.nan if peak is None else peak.r, r_at_zero=float(r[wide]), null_95=null[0],
+        null_99=null[1], rival_r=rival,
+    )  # fmt: skip
+    return found, peak
 
 
 def _gumbel_99(highest: Array) -> float:

@@ -83,15 +83,6 @@ def cropped(circular: Array, reach: tuple[int, int]) -> Array:
     return circular[np.ix_(rows % circular.shape[0], cols % circular.shape[1])]
 
 
-def pearson(a: Array, b: Array) -> float:
-    """Pearson's r of two sets of values, all known; NaN for a constant one."""
-    if a.size < 3:
-        return float("nan")
-    x, y = a - a.mean(), b - b.mean()
-    spread = float(np.sqrt((x @ x) * (y @ y)))
-    return float(np.clip((x @ y) / spread, -1.0, 1.0)) if spread > 0 else float("nan")
-
-
 def _mean_and_sd(values: Array, valid: Mask) -> tuple[float, float]:
     known = values[valid]
     if known.size == 0:

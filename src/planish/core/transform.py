@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -82,12 +83,10 @@ class Similarity:
     def inverse(self) -> Similarity:
         """The transformation back."""
         linear = np.linalg.inv(self.matrix())
-        flip = -1.0 if self.mirrored else 1.0
         # The inverse is a similarity of the same handedness; its rotation is read off the y column, which M
         # leaves alone.
         rotation = float(np.arctan2(-linear[0, 1], linear[1, 1]))
         shift = -linear @ np.asarray(self.shift_um)
-        assert np.sign(np.linalg.det(linear)) == flip
         return Similarity(
             scale=1.0 / self.scale,
             rotation_rad=rotation,
@@ -116,15 +115,29 @@ def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Simila
     )
 
 
-class NearSimilarity:
-    """What every transformation that is close to a similarity can say of itself: the similarity at one point."""
+class NearSimilarity(ABC):
+    """A transformation that is close to a similarity at ``source``, by custom the middle of the marks."""
 
     __slots__ = ()
+    source: Pair
+
+    @abstractmethod
+    def __call__(self, points: ArrayLike, /) -> Floats:
+        """Transform points of shape ``(..., 2)``, in um."""
+
+    @abstractmethod
+    def jacobian(self, points: ArrayLike, /) -> Floats:
+        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
+
+    def matrix(self) -> Floats:
+        """Return the 2 x 2 derivatives at the middle of the marks."""
+        return self.jacobian(np.array(self.source))
 
     @property
     def similarity(self) -> Similarity:
         """The similarity that is closest at the middle of the marks."""
-        raise NotImplementedError
+        middle = np.array(self.source)
+        return nearest_similarity(self.matrix(), middle, self(middle))
 
     @property
     def scale(self) -> float:
@@ -145,10 +158,6 @@ class NearSimilarity:
     def mirrored(self) -> bool:
         """Whether the transformation changes handedness."""
         return self.similarity.mirrored
-
-    def matrix(self) -> Floats:
-        """Return the 2 x 2 derivatives at the middle of the marks."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,16 +191,8 @@ class Affine(NearSimilarity):
     @property
     def inverse(self) -> Affine:
         """The transformation back."""
-        return Affine(
-            linear=_rows(np.asarray(np.linalg.inv(self.matrix()), dtype=np.float64)),
-            source=self.target,
-            target=self.source,
-        )
-
-    @property
-    def similarity(self) -> Similarity:
-        """The closest similarity."""
-        return nearest_similarity(self.matrix(), np.array(self.source), np.array(self.target))
+        (a, b), (c, d) = np.linalg.inv(self.matrix()).tolist()
+        return Affine(linear=((a, b), (c, d)), source=self.target, target=self.source)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -246,26 +247,8 @@ class Projective(NearSimilarity):
         back *= np.sign(back[2] @ (a / c, b / c, 1.0))
         return Projective(
             homography=tuple((float(r[0]), float(r[1]), float(r[2])) for r in back),  # pyright: ignore[reportArgumentType]
-            source=self.target,
-            target=self.source,
-            source_size=self.target_size,
-            target_size=self.source_size,
-        )
-
-    def matrix(self) -> Floats:
-        """Return the 2 x 2 derivatives at the middle of the marks."""
-        return self.jacobian(np.array(self.source))
-
-    @property
-    def similarity(self) -> Similarity:
-        """The similarity that is closest at the middle of the marks."""
-        middle = np.array(self.source)
-        return nearest_similarity(self.jacobian(middle), middle, self(middle))
-
-
-def _rows(linear: Floats) -> tuple[Pair, Pair]:
-    (a, b), (c, d) = linear.tolist()
-    return (float(a), float(b)), (float(c), float(d))
+            source=self.target, target=self.source, source_size=self.target_size, target_size=self.source_size,
+        )  # fmt: skip
 
 
 def _everywhere(matrix: Floats, points: ArrayLike) -> Floats:

@@ -339,8 +339,8 @@ def _fitted(source: Floats, target: Floats, mirrored: bool) -> tuple[Similarity,
 def _refuse_scale(sides: str, found: Choice, scale: float, tolerance: float) -> None:
     if abs(scale - 1.0) > tolerance:
         raise CannotRegister(
-            f"{sides}: {len(found.pairs)} match, but at a scale of {scale:.4f}, which is {100 * abs(scale - 1.0):.1f} % "
-            f"off the calibration; {100 * tolerance:.3g} % are allowed. Check the pixel and voxel sizes."
+            f"{sides}: {len(found.pairs)} match, but at a scale of {scale:.4f}, which is {100 * abs(scale - 1.0):.1f} "
+            f"% off the calibration; {100 * tolerance:.3g} % are allowed. Check the pixel and voxel sizes."
         )
 
 

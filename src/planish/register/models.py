@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from planish.core.errors import MarkError
-from planish.register.affine import AffineModel
 from planish.register.model import Model
 from planish.register.projective import ProjectiveModel
-from planish.register.similarity import RigidModel, SimilarityModel
+from planish.register.similarity import AffineModel, RigidModel, SimilarityModel
 from planish.register.spline import SplineModel
 
 MODELS: dict[str, Model] = {

@@ -74,14 +74,6 @@ class Refined:
         """Transform points ``(..., 2)``, in um; NaN stays NaN."""
         return self.transform(points)
 
-    def displacement_um(self, points: ArrayLike) -> Floats:
-        """How far points ``(..., 2)`` are moved along x and y, in um."""
-        return self(points) - np.asarray(points, dtype=np.float64)
-
-    def jacobian(self, points: ArrayLike) -> Floats:
-        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
-        return self.transform.jacobian(points)
-
     def image_at(self, image: Floats, pixel_um: Pair) -> Floats:
         """Return the image on the pixels of the linked map: what each pixel of the marks' fit shows once refined.
 
@@ -135,16 +127,6 @@ class RefineOptions:
 _DEFAULT = RefineOptions()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Prepared:
-    """Both maps, averaged and filled with their means, their masks, and where their pixels lie."""
-
-    maps: tuple[Floats, Floats]
-    known: tuple[Mask, Mask]
-    pixel_um: Pair
-    first_um: Pair  # (x, y) of the middle of the first pixel
-
-
 def refine(
     linked: Floats,
     image: Floats,
@@ -191,14 +173,22 @@ def refine(
     ----------
     Mattes et al. (2003), IEEE Trans. Med. Imaging 22, 120, doi:10.1109/TMI.2003.809072.
     """
-    itk = _library()
-    given = _prepared(linked, image, valid, pixel_um, options.grid_um)
-    transform = _searched(itk, given, options)
-    both = given.known[0] & given.known[1]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            itk = importlib.import_module("SimpleITK")
+    except ImportError as error:
+        raise CannotRegister(
+            "Refining on the maps needs the library SimpleITK, which is not installed. Run: "
+            'pip install "planish[refine]". Or keep the marks only.'
+        ) from error
+    maps, known, pixel_um, first_um = _prepared(linked, image, valid, pixel_um, options.grid_um)
+    transform = _searched(itk, maps, known, pixel_um, first_um, options)
+    both = known[0] & known[1]
     rows, cols = (np.unique(np.linspace(0, n - 1, min(n, _PLACES)).round().astype(np.int64)) for n in both.shape)
     y, x = np.meshgrid(rows, cols, indexing="ij")
     use = both[y, x]
-    points = np.stack([x[use], y[use]], axis=-1) * np.array(given.pixel_um)[::-1] + given.first_um
+    points = np.stack([x[use], y[use]], axis=-1) * np.array(pixel_um)[::-1] + first_um
     return _judged(transform, points, fit, options)
 
 
@@ -255,13 +245,15 @@ def _judged(
     )
 
 
-def _searched(itk: Any, given: _Prepared, options: RefineOptions) -> Affine | FreeForm:
+def _searched(
+    itk: Any, maps: list[Floats], known: list[Mask], pixel_um: Pair, first_um: Pair, options: RefineOptions
+) -> Affine | FreeForm:
     """Climb from the identity. The library works in pixels (of the columns' axis), so its steps are pixels too."""
-    unit = given.pixel_um[1]
+    unit = pixel_um[1]
     images: list[Any] = []
-    for values in (*given.maps, *given.known):
+    for values in (*maps, *known):
         made = itk.GetImageFromArray(values.astype(np.uint8) if values.dtype == np.bool_ else values)
-        made.SetSpacing((1.0, given.pixel_um[0] / unit))
+        made.SetSpacing((1.0, pixel_um[0] / unit))
         images.append(made)
     search = itk.ImageRegistrationMethod()
     search.SetNumberOfThreads(1)
@@ -274,11 +266,11 @@ def _searched(itk: Any, given: _Prepared, options: RefineOptions) -> Affine | Fr
     search.SetMetricSamplingStrategy(search.NONE)
     # A linear interpolation blurs between pixels, and less noise looks like agreement.
     search.SetInterpolator(itk.sitkBSpline3)
-    rows, cols = given.known[0].shape
-    sides = cols * given.pixel_um[1], rows * given.pixel_um[0]
+    rows, cols = known[0].shape
+    sides = cols * pixel_um[1], rows * pixel_um[0]
     if options.model == "affine":
         start = itk.AffineTransform(2)
-        start.SetCenter((0.5 * (cols - 1), 0.5 * (rows - 1) * given.pixel_um[0] / unit))
+        start.SetCenter((0.5 * (cols - 1), 0.5 * (rows - 1) * pixel_um[0] / unit))
         search.SetOptimizerAsRegularStepGradientDescent(
             learningRate=1.0, minStep=1e-3, numberOfIterations=_STEPS, relaxationFactor=0.5
         )
@@ -302,14 +294,11 @@ def _searched(itk: Any, given: _Prepared, options: RefineOptions) -> Affine | Fr
         matrix = np.array(start.GetMatrix()).reshape(2, 2)
         middle = np.array(start.GetCenter())
         target = middle + np.array(start.GetTranslation())
-        source, target = middle * unit + given.first_um, target * unit + given.first_um
-        return Affine(
-            linear=((float(matrix[0, 0]), float(matrix[0, 1])), (float(matrix[1, 0]), float(matrix[1, 1]))),
-            source=(float(source[0]), float(source[1])),
-            target=(float(target[0]), float(target[1])),
-        )
+        (a, b), (c, d) = matrix.tolist()
+        source, target = ((float(x), float(y)) for x, y in (middle * unit + first_um, target * unit + first_um))
+        return Affine(linear=((a, b), (c, d)), source=source, target=target)
     nodes = start.GetCoefficientImages()
-    first = np.array(nodes[0].GetOrigin()) * unit + given.first_um
+    first = np.array(nodes[0].GetOrigin()) * unit + first_um
     step = np.array(nodes[0].GetSpacing()) * unit
     return FreeForm(
         coefficients_um=np.stack([itk.GetArrayFromImage(c).astype(np.float64) * unit for c in nodes]),
@@ -318,7 +307,10 @@ def _searched(itk: Any, given: _Prepared, options: RefineOptions) -> Affine | Fr
     )
 
 
-def _prepared(linked: Floats, image: Floats, valid: Mask | None, pixel_um: Pair, grid_um: float) -> _Prepared:
+def _prepared(
+    linked: Floats, image: Floats, valid: Mask | None, pixel_um: Pair, grid_um: float
+) -> tuple[list[Floats], list[Mask], Pair, Pair]:
+    """Both maps, averaged and filled with their means, their masks, the pixel, and (x, y) of the first one's middle."""
     if linked.ndim != 2 or linked.shape != image.shape or (valid is not None and valid.shape != linked.shape):
         raise CannotRegister(
             f"The maps have the shapes {linked.shape} and {image.shape}. A refinement needs two maps and a mask on one "
@@ -341,21 +333,4 @@ def _prepared(linked: Floats, image: Floats, valid: Mask | None, pixel_um: Pair,
     if any(float(m[k].std()) == 0 for m, k in zip(maps, known, strict=True)):
         raise CannotRegister("One of the maps is constant: nothing can be refined on it. Keep the marks only.")
     filled = [np.where(k, (m - m[k].mean()) / m[k].std(), 0.0) for m, k in zip(maps, known, strict=True)]
-    return _Prepared(
-        maps=(filled[0], filled[1]),
-        known=(known[0], known[1]),
-        pixel_um=(factor * pixel_um[0], factor * pixel_um[1]),
-        first_um=first,
-    )
-
-
-def _library() -> Any:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return importlib.import_module("SimpleITK")
-    except ImportError as error:
-        raise CannotRegister(
-            "Refining on the maps needs the library SimpleITK, which is not installed. Run: "
-            'pip install "planish[refine]". Or keep the marks only.'
-        ) from error
+    return filled, known, (factor * pixel_um[0], factor * pixel_um[1]), first

@@ -13,7 +13,6 @@ single guess of length or noise has to be right.
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -75,39 +74,6 @@ class SplineModel(Model):
         return keep.astype(np.float64)
 
 
-class SplineErrors:
-    """Errors of a spline; its smoothing stays as it is where marks are left out."""
-
-    def __init__(self, pairs: Pairs, transform: ThinPlate) -> None:
-        self._pairs, self._transform = pairs, transform
-        self._smoothing = transform.smoothing_um2
-
-    @cached_property
-    def _system(self) -> Smoothing:
-        return Smoothing(self._pairs.take(self._pairs.weights > 0))
-
-    @property
-    def mark_variance(self) -> float:
-        """Mean over the bendings of the variance of a coordinate of a mark with information 1."""
-        return self._system.bendings.mark_variance
-
-    def left_out(self) -> Floats:
-        """Vector by which the fit to all other marks misses each mark."""
-        used = self._pairs.weights > 0
-        missed = self._pairs.fixed - self._transform(self._pairs.moving)
-        errors, _ = self._system.missed(self._smoothing)
-        missed[used] = np.linalg.solve(self._system.whitening, errors[..., None])[..., 0]
-        return missed
-
-    def residual_freedom(self) -> tuple[float, float]:
-        """Sum of squares of the whitened residuals, and its degrees of freedom."""
-        return self._system.residual_freedom(self._smoothing)
-
-    def expected_square(self, points: Floats) -> Floats:
-        """Noise of the marks and bending that they do not show."""
-        return self._system.expected_square(self._smoothing, points)
-
-
 def _kernel(squares: Floats, length: float) -> Floats:
     """Covariance of the bending at squared distances, in scaled coordinates."""
     return np.exp(-0.5 * squares / length**2) if length > 0 else bending(squares)
@@ -146,7 +112,7 @@ class Smoothing:
         self.middle, self.size = pairs.frame()
         self.nodes = (pairs.moving - self.middle) / self.size
         self.whitening = pairs.whitening()
-        self.kernel = self._covariance(bending(np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)))
+        self.kernel = self.covariance(bending(np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)))
         affine = self._whitened(_both(np.column_stack([np.ones(n), self.nodes])))
         full, triangle = qr(affine)
         self.span, self.rest, self.triangle = full[:, :6], full[:, 6:], triangle[:6]
@@ -163,7 +129,7 @@ class Smoothing:
         """Multiply the 2 x 2 blocks of the whitening to rows (2n, k)."""
         return (self.whitening @ rows.reshape(len(self.pairs), 2, -1)).reshape(rows.shape)
 
-    def _covariance(self, values: Floats) -> Floats:
+    def covariance(self, values: Floats) -> Floats:
         """Whitened covariance (2n, 2n) of both coordinates from that of one, (n, n)."""
         return self._whitened(self._whitened(_both(values)).T)
 
@@ -223,11 +189,8 @@ class Smoothing:
         from scipy.linalg import solve_triangular
 
         n = len(self.pairs)
-        if np.isinf(smoothing_um2):
-            dual, bend = np.zeros(2 * n), np.zeros((n, 2))
-        else:
-            dual = self.vectors @ (self.z / (self.values + self.scaled(smoothing_um2)))
-            bend = (self.whitening.swapaxes(1, 2) @ dual.reshape(n, 2, 1))[..., 0]
+        dual = self.vectors @ (self.z / (self.values + self.scaled(smoothing_um2)))
+        bend = (self.whitening.swapaxes(1, 2) @ dual.reshape(n, 2, 1))[..., 0] + 0.0  # no negative zero
         affine = solve_triangular(self.triangle, self.span.T @ (self.y - self.kernel @ dual)).reshape(3, 2)
         affine[0] += self.target
         return ThinPlate(
@@ -235,105 +198,101 @@ class Smoothing:
             bend=bend, smoothing_um2=float(smoothing_um2),
         )  # fmt: skip
 
-    @cached_property
-    def _kernels(self) -> list[Floats]:
-        """Whitened covariances between the marks, one for each of the lengths."""
-        squares = np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)
-        return [self._covariance(_kernel(squares, length)) for length in _LENGTHS]
-
-    @cached_property
-    def bendings(self) -> Bendings:
-        """Bendings that the marks make likely, and what they leave to the error of a mark."""
-        return Bendings(self._kernels, np.asarray(self.rest, dtype=np.float64), self.y)
-
-    def residual_freedom(self, smoothing_um2: float) -> tuple[float, float]:
-        """Sum of squares of the whitened residuals, and its degrees of freedom."""
-        if np.isinf(smoothing_um2):
-            return float(np.sum(self.z**2)), float(self.freedom)
-        share = self.scaled(smoothing_um2) / (self.values + self.scaled(smoothing_um2))
-        return float(np.sum((share * self.z) ** 2)), float(np.sum(share**2))
-
-    def expected_square(self, smoothing_um2: float, points: Floats) -> Floats:
-        """Mean square of the distance between fitted and true image, at points (k, 2) in um: shape (k,), um**2.
-
-        With the whitened weights ``s`` that the spline gives the marks at a point, noise of the marks ``|s|**2``, and
-        bending that they do not show or the smoothing takes away, ``s' K s - 2 s' k + k(0)`` for each of `Bendings`.
-        """
-        out = np.zeros(len(points))
-        step = max(1, (1 << 18) // len(self.pairs))
-        for start in range(0, len(points), step):
-            at = (points[start : start + step] - self.middle) / self.size
-            away = np.sum((at[:, None] - self.nodes) ** 2, axis=-1)
-            total = np.zeros(len(at))
-            for axis in (0, 1):
-                unit = np.eye(2)[axis]
-                turned = (self.whitening @ unit).reshape(-1, 1)
-                between_marks = [turned * np.repeat(_kernel(away, length).T, 2, axis=0) for length in _LENGTHS]
-                shares = self._shares(smoothing_um2, at, unit, between_marks[0])
-                total += self.bendings.mark_variance * np.sum(shares**2, axis=0)
-                for between, here, length, variance in zip(
-                    self._kernels, between_marks, _LENGTHS, self.bendings.variances, strict=True
-                ):
-                    own = 1.0 if length > 0 else 0.0
-                    total += variance * (np.sum(shares * (between @ shares - 2 * here), axis=0) + own)
-            out[start : start + step] = np.maximum(total, 0.0)
-        return out
-
-    def _shares(self, smoothing_um2: float, at: Floats, unit: Floats, here: Floats) -> Floats:
-        """Weights of the whitened marks in one coordinate of the image of points (k, 2): shape (2n, k)."""
-        from scipy.linalg import solve_triangular
-
-        plane = np.kron(np.column_stack([np.ones(len(at)), at]), unit).T
-        shares = self.span @ solve_triangular(self.triangle, plane, trans="T")
-        if np.isinf(smoothing_um2):
-            return shares
-        left = self.values[:, None] + self.scaled(smoothing_um2)
-        return shares + self.vectors @ (self.vectors.T @ (here - self.kernel @ shares) / left)
-
 
 def _both(rows: Floats) -> Floats:
     """Equations of one coordinate, repeated for both."""
     return np.asarray(np.kron(rows, np.eye(2)), dtype=np.float64)
 
 
-class Bendings:
-    """Bendings and their weights.
+class SplineErrors:
+    """Errors of a spline; its smoothing stays as it is where marks are left out."""
 
-    Parameters
-    ----------
-    kernels : list of ndarray, shape (2n, 2n)
-        Whitened covariances between the marks, one for each of `_LENGTHS`.
-    rest : ndarray, shape (2n, 2n - 6)
-        Orthonormal basis of what the affine part cannot describe.
-    y : ndarray, shape (2n,)
-        Whitened fixed marks.
+    def __init__(self, pairs: Pairs, transform: ThinPlate) -> None:
+        self._pairs, self._transform = pairs, transform
+        self._system = system = Smoothing(pairs.take(pairs.weights > 0))
+        self._scaled = system.scaled(transform.smoothing_um2)
+        squares = np.sum((system.nodes[:, None] - system.nodes) ** 2, axis=-1)
+        self._kernels = [system.covariance(_kernel(squares, length)) for length in _LENGTHS]
+        self.mark_variance, self._variances = _likely_bendings(
+            self._kernels, np.asarray(system.rest, dtype=np.float64), system.y
+        )
 
-    Attributes
-    ----------
-    mark_variance : float
-        Mean variance of a coordinate of a mark with information 1, in um**2.
-    variances : ndarray, shape (len(_LENGTHS),)
-        Mean variance of each bending times its weight, in um**2.
+    def left_out(self) -> Floats:
+        """Vector by which the fit to all other marks misses each mark."""
+        used = self._pairs.weights > 0
+        missed = self._pairs.fixed - self._transform(self._pairs.moving)
+        errors, _ = self._system.missed(self._transform.smoothing_um2)
+        missed[used] = np.linalg.solve(self._system.whitening, errors[..., None])[..., 0]
+        return missed
+
+    def residual_freedom(self) -> tuple[float, float]:
+        """Sum of squares of the whitened residuals, and its degrees of freedom."""
+        system = self._system
+        share = np.ones(system.freedom)
+        if np.isfinite(self._scaled):
+            share = self._scaled / (system.values + self._scaled)
+        return float(np.sum((share * system.z) ** 2)), float(np.sum(share**2))
+
+    def expected_square(self, points: Floats) -> Floats:
+        """Mean square of the distance between fitted and true image, at points (k, 2) in um: shape (k,), um**2.
+
+        With the whitened weights ``s`` that the spline gives the marks at a point, noise of the marks ``|s|**2``, and
+        bending that they do not show or the smoothing takes away, ``s' K s - 2 s' k + k(0)`` for each likely bending.
+        """
+        system = self._system
+        out = np.zeros(len(points))
+        step = max(1, (1 << 18) // len(system.pairs))
+        for start in range(0, len(points), step):
+            at = (points[start : start + step] - system.middle) / system.size
+            away = np.sum((at[:, None] - system.nodes) ** 2, axis=-1)
+            total = np.zeros(len(at))
+            for unit in np.eye(2):
+                turned = (system.whitening @ unit).reshape(-1, 1)
+                between_marks = [turned * np.repeat(_kernel(away, length).T, 2, axis=0) for length in _LENGTHS]
+                shares = self._shares(at, unit, between_marks[0])
+                total += self.mark_variance * np.sum(shares**2, axis=0)
+                for between, here, length, variance in zip(
+                    self._kernels, between_marks, _LENGTHS, self._variances, strict=True
+                ):
+                    own = 1.0 if length > 0 else 0.0
+                    total += variance * (np.sum(shares * (between @ shares - 2 * here), axis=0) + own)
+            out[start : start + step] = np.maximum(total, 0.0)
+        return out
+
+    def _shares(self, at: Floats, unit: Floats, here: Floats) -> Floats:
+        """Weights of the whitened marks in one coordinate of the image of points (k, 2): shape (2n, k)."""
+        from scipy.linalg import solve_triangular
+
+        system = self._system
+        plane = np.kron(np.column_stack([np.ones(len(at)), at]), unit).T
+        shares = system.span @ solve_triangular(system.triangle, plane, trans="T")
+        left = system.values[:, None] + self._scaled
+        return shares + system.vectors @ (system.vectors.T @ (here - system.kernel @ shares) / left)
+
+
+def _likely_bendings(kernels: list[Floats], rest: Floats, y: Floats) -> tuple[float, Floats]:
+    """Bendings that the marks make likely: mean variance of a mark's coordinate, and of each bending, in um**2.
+
+    ``kernels`` are the whitened covariances (2n, 2n) between the marks, one for each of `_LENGTHS`; ``rest``
+    (2n, 2n - 6) is a basis of what the affine part cannot describe, ``y`` (2n,) the whitened fixed marks. The variances
+    of the bendings are multiplied by their weights.
     """
+    from scipy.linalg import eigh
 
-    def __init__(self, kernels: list[Floats], rest: Floats, y: Floats) -> None:
-        from scipy.linalg import eigh
-
-        logs: list[Floats] = []
-        marks: list[Floats] = []
-        bent: list[Floats] = []
-        for values in kernels:
-            inner = rest.T @ values @ rest
-            eigenvalues, vectors = eigh(0.5 * (inner + inner.T))
-            squares = (vectors.T @ (rest.T @ y)) ** 2
-            ratios = _RATIOS * max(float(eigenvalues[-1]), 1e-300)
-            spread = np.maximum(eigenvalues, 0.0) + ratios[:, None]
-            total = np.maximum(np.sum(squares / spread, axis=1), 1e-300)
-            n = len(squares)
-            logs.append(-0.5 * np.sum(np.log(spread), axis=1) - 0.5 * n * np.log(total))
-            marks.append(ratios * total / n)
-            bent.append(total / n)
-        weights = np.exp(np.array(logs) - np.max(logs))
-        weights /= np.sum(weights)
-        self.mark_variance = float(np.sum(weights * np.array(marks)))
-        self.variances = np.sum(weights * np.array(bent), axis=1)
+    logs: list[Floats] = []
+    marks: list[Floats] = []
+    bent: list[Floats] = []
+    for values in kernels:
+        inner = rest.T @ values @ rest
+        eigenvalues, vectors = eigh(0.5 * (inner + inner.T))
+        squares = (vectors.T @ (rest.T @ y)) ** 2
+        ratios = _RATIOS * max(float(eigenvalues[-1]), 1e-300)
+        spread = np.maximum(eigenvalues, 0.0) + ratios[:, None]
+        total = np.maximum(np.sum(squares / spread, axis=1), 1e-300)
+        n = len(squares)
+        logs.append(-0.5 * np.sum(np.log(spread), axis=1) - 0.5 * n * np.log(total))
+        marks.append(ratios * total / n)
+        bent.append(total / n)
+    weights = np.exp(np.array(logs) - np.max(logs))
+    weights /= np.sum(weights)
+    return float(np.sum(weights * np.array(marks))), np.sum(weights * np.array(bent), axis=1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planish.core.transform import NearSimilarity, Pair, Similarity, nearest_similarity
+from planish.core.transform import NearSimilarity, Pair
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.uint8]
@@ -103,16 +103,6 @@ class ThinPlate(NearSimilarity):
         """The transformation back, found by search."""
         return ThinPlateInverse(forward=self)
 
-    def matrix(self) -> Floats:
-        """Return the 2 x 2 derivatives at the middle of the marks."""
-        return self.jacobian(np.array(self.source))
-
-    @property
-    def similarity(self) -> Similarity:
-        """The similarity that is closest at the middle of the marks."""
-        middle = np.array(self.source)
-        return nearest_similarity(self.jacobian(middle), middle, self(middle))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ThinPlateInverse:
@@ -129,15 +119,6 @@ class ThinPlateInverse:
     def __call__(self, points: ArrayLike) -> Floats:
         """Points of the moving map, shape ``(..., 2)`` in um, that the spline takes to ``points``; NaN where none."""
         return self.search(points)[0]
-
-    @property
-    def inverse(self) -> ThinPlate:
-        """The spline itself."""
-        return self.forward
-
-    def jacobian(self, points: ArrayLike) -> Floats:
-        """Derivatives of the inverse at points ``(..., 2)`` of the fixed map: ``(..., 2, 2)``."""
-        return np.asarray(np.linalg.inv(self.forward.jacobian(self(points))), dtype=np.float64)
 
     def search(self, points: ArrayLike) -> tuple[Floats, Codes]:
         """Return the points and a code for each, shape ``(...)``, explained by `REASONS`."""

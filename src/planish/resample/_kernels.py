@@ -4,8 +4,8 @@
 A quad with the corners 0 = (0, 0), 1 = (0, 1), 2 = (1, 1), 3 = (1, 0) in (row, column) is cut along 0-2 into the
 triangles 0-1-2 and 0-2-3. Triangle t of the quad whose first corner is node n of the mesh has the number 2 n + t.
 
-The kernels of triangles work on the rows ``begin`` to ``end`` of their output and on nothing else of it, so that several
-may run at the same time; no result depends on how the rows are shared out.
+The kernels of triangles work on the rows ``begin`` to ``end`` of their output and on nothing else of it, so that
+several may run at the same time; no result depends on how the rows are shared out.
 """
 
 import numpy as np
