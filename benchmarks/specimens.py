@@ -21,7 +21,6 @@ from planish.synthetic import (
     SpecimenParams,
     Warp,
     make_specimen,
-    preset,
 )
 
 mpl.use("Agg")
@@ -44,7 +43,7 @@ def draw(name: str, seed: int, path: Path) -> None:
     """Draw one preset."""
     params = SpecimenParams(
         size_um=_SIZE_UM,
-        paper=preset(name),
+        paper=PRESETS[name][1],
         holes=HoleParams(pattern="irregular", count=3),
         warp=Warp(slope=0.25, wavelength_um=1800.0),
         scanner=replace(MICRO_CT, voxel_um=1.37),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import fft, ndimage, special, stats
 
-from planish.synthetic import PRESETS, HoleParams, PaperParams, SpecimenParams, make_specimen, preset
+from planish.synthetic import PRESETS, HoleParams, PaperParams, SpecimenParams, make_specimen
 from planish.synthetic.draws import generator
 from planish.synthetic.fields import PITCH_UM, fibres, lowpass, noise, streaks
 from planish.synthetic.holes import hole_pattern
@@ -141,7 +141,7 @@ def test_density_of_the_coating(wfc):
 
 
 def test_calendering_presses_the_outer_faces_and_leaves_the_coating():
-    before, after = (_sheet(preset(name), high=QUARTER) for name in ("wfc135", "wfc135-calendered"))
+    before, after = (_sheet(PRESETS[name][1], high=QUARTER) for name in ("wfc135", "wfc135-calendered"))
     assert after.faces[0].std() == pytest.approx(0.5 * before.faces[0].std(), rel=0.1)
     means = [[layer.mean() for layer in _layers(sheet)[:2]] for sheet in (before, after)]
     np.testing.assert_allclose(means, [[17.4, 59.5], [16.6, 50.5]], atol=0.6)
@@ -149,8 +149,8 @@ def test_calendering_presses_the_outer_faces_and_leaves_the_coating():
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_is_a_sheet(name):
-    sheet = _sheet(preset(name), seed=2, high=QUARTER)
-    paper = preset(name)
+    sheet = _sheet(PRESETS[name][1], seed=2, high=QUARTER)
+    paper = PRESETS[name][1]
     top, base, bottom = _layers(sheet)
     assert base.mean() == pytest.approx(paper.base_um, rel=0.03)
     assert base.min() > 0.2 * paper.base_um

@@ -21,9 +21,7 @@ from .presets import DEMO as DEMO
 from .presets import MICRO_CT as MICRO_CT
 from .presets import PRESETS as PRESETS
 from .presets import SpecimenOptions as SpecimenOptions
-from .presets import preset as preset
 from .sheet import Sheet as Sheet
 from .specimen import Specimen as Specimen
 from .specimen import make_specimen as make_specimen
 from .warp import Warp as Warp
-from .warp import slope_for as slope_for

@@ -126,25 +126,8 @@ def columns(w, curve, ys, xs):
 
 @njit(cache=True, nogil=True)
 def paint(
-    slab,
-    w,
-    curve,
-    ys,
-    xs,
-    first,
-    step,
-    shift_x,
-    shift_z,
-    turn,
-    middle,
-    under,
-    half_um,
-    fields,
-    origin,
-    pitch,
-    grey,
-    soft_um,
-):
+    slab, w, curve, ys, xs, first, step, shift_x, shift_z, turn, middle, under, half_um, fields, origin, pitch, grey
+):  # fmt: skip
     """Fill slab (rows, cols, depth) with what the unblurred sheet adds to the grey of air, and nothing around it.
 
     With ``z = (first + k) * step`` and x', z' counted from ``middle`` (x, z), the voxel (i, j, k) shows the point
@@ -152,7 +135,7 @@ def paint(
     ``fields`` (fr, fc, n): s_T, s_TI, s_BI, s_B, the distances to the rim at both faces, the coating's burn and
     density, then the base's density through its depth; ``origin`` (u, v) of their first node; ``under``
     (rows, cols, 3): material below each column, a first guess; ``grey`` of base and coating, less that of air.
-    Each boundary is averaged over ``soft_um`` along the normal, the width of a voxel.
+    Each boundary is averaged over ``step`` along the normal, the width of a voxel.
     """
     depth_voxels = slab.shape[2]
     last_row, last_col = fields.shape[0] - 1.000001, fields.shape[1] - 1.000001
@@ -180,16 +163,16 @@ def paint(
                 fx -= c
                 fy -= r
                 top, low = _bilinear(fields, r, c, fy, fx, 0), _bilinear(fields, r, c, fy, fx, 3)
-                if s > top + soft_um or s < low - soft_um:
+                if s > top + step or s < low - step:
                     continue
                 for n in range(_SINGLE):
                     at[n] = _bilinear(fields, r, c, fy, fx, n)
                 inner_top, inner_low = at[1], at[2]
                 through = min(max((top - s) / max(top - low, 1e-6), 0.0), 1.0)
                 rim = at[4] * (1 - through) + at[5] * through
-                solid = _ramp(rim / soft_um)
-                in_sheet = _ramp((top - s) / soft_um) * _ramp((s - low) / soft_um)
-                in_base = _ramp((inner_top - s) / soft_um) * _ramp((s - inner_low) / soft_um)
+                solid = _ramp(rim / step)
+                in_sheet = _ramp((top - s) / step) * _ramp((s - low) / step)
+                in_base = _ramp((inner_top - s) / step) * _ramp((s - inner_low) / step)
                 depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (layers - 1)
                 layer = min(int(depth), layers - 2)
                 f = depth - layer

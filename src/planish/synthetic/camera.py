@@ -6,9 +6,6 @@ two images made with the same seed, one of them printed, show the same paper wit
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
@@ -36,18 +33,6 @@ _BLOCK = 128  # rows of the image at a time
 _CELL_SAMPLES = 7  # per side of a print's cell, for the coating under its dot
 
 
-@dataclass(frozen=True, slots=True)
-class _Scene:
-    """What each pixel of the image shows; (rows, cols), float32 but for the coordinates."""
-
-    u: Array
-    v: Array
-    top_um: Field
-    coating_um: Field
-    rim_um: Field
-    reflectance: Field  # of the paper: no holes, no nuisance
-
-
 def photograph(
     sheet: Sheet,
     pose: CameraPose,
@@ -59,49 +44,46 @@ def photograph(
 ) -> Field:
     """Reflectance (y, x) of the sheet's top side, 0 to 1 in steps of ``camera.bits``.
 
-    Parameters
-    ----------
-    sheet : Sheet
-        The specimen.
-    pose : CameraPose
-        From (u, v) to the image.
-    camera : CameraParams
-        Sizes of all that acts on the image; what is 0 is off and changes nothing else.
-    shape : (int, int)
-        Rows and columns.
-    seed : SeedSequence
-        Not changed: the same seed gives the same image, as often as it is asked for.
-    printed : bool
-        Whether the sheet carries ``camera.screen``, or the usual screen where that is None.
-
-    Raises
-    ------
-    ValueError
-        If ``camera.oracle_r2`` is out of reach.
+    What is 0 in ``camera`` is off and changes nothing else; with ``printed`` the sheet carries ``camera.screen``, or
+    the usual screen where that is None. ``seed`` is not changed: the same one gives the same image. ValueError if
+    ``camera.oracle_r2`` is out of reach.
     """
     for_scatter, for_nuisance, for_tone, for_plain, for_print = (_child(seed, k) for k in range(5))
     pixel = camera.pixel_um
-    scene = _look(sheet, pose, camera, shape, _BASE_S_SD_M2_PER_KG * _coarse(sheet, _PAPER_UM, for_scatter))
-    nuisance = _coarse(sheet, _PAPER_UM, for_nuisance)
-    if camera.oracle_r2 is None:
-        gain = camera.nuisance_sd
-    else:
-        gain = _oracle_gain(scene, _sampled(sheet, nuisance, scene.u, scene.v), pixel, camera.oracle_r2)
-    tone = _coarse(sheet, _TONE_UM, for_tone)
-    dots = _Screen.of(sheet, camera.screen or PrintParams(), tone) if printed else None
-
-    image, hole, solid = (np.empty(shape, dtype=np.float32) for _ in range(3))
+    scatter = _BASE_S_SD_M2_PER_KG * _coarse(sheet, _PAPER_UM, for_scatter)
+    u, v = image_material(pose, shape, pixel)
+    top, coating, rim, hole, image = (np.empty(shape, dtype=np.float32) for _ in range(5))
     for rows in _blocks(shape[0]):
-        u, v = scene.u[rows], scene.v[rows]
-        paper = scene.reflectance[rows] + gain * _sampled(sheet, nuisance, u, v)
-        if dots is not None:
-            cover = dots.cover(u, v, pixel)
-            paper = paper * (1 - cover) + dots.ink * cover  # Murray and Davies
-        paper = paper * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, u, v)))
-        solid[rows] = np.clip(scene.rim_um[rows] / pixel + 0.5, 0, 1)
-        below = np.clip(sheet.at(sheet.rim_um[1], u, v) / pixel + 0.5, 0, 1)
+        at = (u[rows], v[rows])
+        faces = [sheet.at(face, *at) for face in sheet.faces]
+        top[rows] = faces[0]
+        coating[rows] = np.maximum(faces[0] - faces[1], 0)
+        rim[rows] = sheet.at(sheet.rim_um[0], *at)
+        below = np.clip(sheet.at(sheet.rim_um[1], *at) / pixel + 0.5, 0, 1)
         hole[rows] = _HOLE + (_CHAR_GREY - _HOLE) * below
-        image[rows] = paper
+        image[rows] = sheet_reflectance(
+            sheet.params,
+            camera.backing,
+            coating_top_um=coating[rows],
+            coating_bottom_um=np.maximum(faces[2] - faces[3], 0),
+            coating_density=sheet.at(sheet.coating_density, *at),
+            base_mass=sheet.at(sheet.base_mass, *at),
+            base_s_m2_per_kg=np.maximum(BASE_S_M2_PER_KG + _sampled(sheet, scatter, *at), 0),
+        )
+    nuisance, gain = _coarse(sheet, _PAPER_UM, for_nuisance), camera.nuisance_sd
+    if camera.oracle_r2 is not None:
+        away = rim > _AWAY_UM
+        gain = _oracle_gain((coating, image, _sampled(sheet, nuisance, u, v)), away, pixel, camera.oracle_r2)
+    tone, screen = _coarse(sheet, _TONE_UM, for_tone), camera.screen or PrintParams()
+    first, radius_um = _dots(sheet, screen, tone) if printed else ((0, 0), np.empty(0))
+    for rows in _blocks(shape[0]):
+        at = (u[rows], v[rows])
+        paper = image[rows] + gain * _sampled(sheet, nuisance, *at)
+        if printed:
+            cover = _inked(*at, screen, first, radius_um, pixel)
+            paper = paper * (1 - cover) + screen.ink * cover  # Murray and Davies
+        image[rows] = paper * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *at)))
+    solid = np.clip(rim / pixel + 0.5, 0, 1)
     image = _pierced(image, hole, solid)
 
     if camera.lateral_um > 0:
@@ -109,12 +91,14 @@ def photograph(
         image = _pierced(_scattered(image, camera.lateral_um, pixel), hole, solid)
     if camera.shading > 0:
         # The light stands on the left: what rises to the right faces it.
-        slope = np.gradient(scene.top_um, pixel, axis=1)
+        slope: Field = np.gradient(top, pixel, axis=1)
         image *= 1 + camera.shading / 0.1 * slope * solid
     if camera.lens_um > 0:
         image = ndimage.gaussian_filter(image, camera.lens_um / pixel, mode="nearest")
     if camera.vignetting > 0:
-        image *= 1 - camera.vignetting * _radius_square(shape)
+        y, x = (np.linspace(-1, 1, n) * n for n in shape)
+        corner = (y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)  # 1 in the corners
+        image *= 1 - camera.vignetting * corner.astype(np.float32)
     rng = for_print if printed else for_plain
     image += np.float32(camera.noise) * rng.standard_normal(shape, dtype=np.float32)
     steps = 2**camera.bits - 1
@@ -134,46 +118,22 @@ def image_material(pose: CameraPose, shape: tuple[int, int], pixel_um: float) ->
     return u, v
 
 
-def _look(sheet: Sheet, pose: CameraPose, camera: CameraParams, shape: tuple[int, int], scatter: Array) -> _Scene:
-    u, v = image_material(pose, shape, camera.pixel_um)
-    top, coating, rim, reflectance = (np.empty(shape, dtype=np.float32) for _ in range(4))
-    for rows in _blocks(shape[0]):
-        at = (u[rows], v[rows])
-        faces = [sheet.at(face, *at) for face in sheet.faces]
-        top[rows] = faces[0]
-        coating[rows] = np.maximum(faces[0] - faces[1], 0)
-        rim[rows] = sheet.at(sheet.rim_um[0], *at)
-        reflectance[rows] = sheet_reflectance(
-            sheet.params,
-            camera.backing,
-            coating_top_um=coating[rows],
-            coating_bottom_um=np.maximum(faces[2] - faces[3], 0),
-            coating_density=sheet.at(sheet.coating_density, *at),
-            base_mass=sheet.at(sheet.base_mass, *at),
-            base_s_m2_per_kg=np.maximum(BASE_S_M2_PER_KG + _sampled(sheet, scatter, *at), 0),
-        )
-    return _Scene(u, v, top, coating, rim, reflectance)
-
-
-def _oracle_gain(scene: _Scene, nuisance: Array, pixel_um: float, target: float) -> float:
-    """Size of the nuisance that brings r2 of coating thickness and reflectance, both true, to ``target``.
+def _oracle_gain(maps: tuple[Field, Field, Array], away: NDArray[np.bool_], pixel_um: float, target: float) -> float:
+    """Size of the nuisance, the third map, that brings r2 of thickness and reflectance, both true, to ``target``.
 
     Over points of 100 um away from the holes, the covariances of ``R + g N`` with the thickness and with itself are
     polynomials in ``g``, so ``r2 = target`` is a quadratic equation.
     """
     side = (_ORACLE_UM / pixel_um, _ORACLE_UM / pixel_um)
-    away = scene.rim_um > _AWAY_UM
-    maps = [
-        area_mean(np.where(away, m, np.nan), side, least=1.0) for m in (scene.coating_um, scene.reflectance, nuisance)
-    ]
-    known = np.isfinite(maps[0])
+    means = [area_mean(np.where(away, m, np.nan), side, least=1.0) for m in maps]
+    known = np.isfinite(means[0])
     count = int(known.sum())
     if count < _FEWEST:
         raise ValueError(
             f"oracle_r2 asks for {_FEWEST} points of {_ORACLE_UM:g} um away from the holes and the image has {count}; "
             "take a larger image or fewer holes, or set nuisance_sd instead."
         )
-    (tt, tr, tn), (_, rr, rn), (_, _, nn) = np.cov([m[known] for m in maps])
+    (tt, tr, tn), (_, rr, rn), (_, _, nn) = np.cov([m[known] for m in means])
     now = float(tr * tr / (tt * rr)) if tt > 0 and tr > 0 else 0.0
     if not 0 < target <= now:
         raise ValueError(
@@ -191,53 +151,45 @@ def _oracle_gain(scene: _Scene, nuisance: Array, pixel_um: float, target: float)
     return float(min(gains))
 
 
-@dataclass(frozen=True, slots=True)
-class _Screen:
-    """Round dots on a turned square grid, one tone to each: (rows, cols) of cells from ``first`` on."""
-
-    pitch_um: float
-    angle_rad: float
-    ink: float
-    first: tuple[int, int]
-    radius_um: Array
-
-    @classmethod
-    def of(cls, sheet: Sheet, screen: PrintParams, tone: Array) -> _Screen:
-        """Draw the dots of the whole sheet, whatever part of it an image shows."""
-        pitch, angle = 1e4 / screen.screen_per_cm, float(np.deg2rad(screen.angle_deg))
-        rows, cols = sheet.char.shape
-        u = sheet.origin[0] + PITCH_UM * np.array([0, cols - 1, 0, cols - 1])
-        v = sheet.origin[1] + PITCH_UM * np.array([0, 0, rows - 1, rows - 1])
-        a, b = _turned(u, v, pitch, angle)
-        first = (int(np.floor(b.min())), int(np.floor(a.min())))
-        count = (int(np.floor(b.max())) - first[0] + 1, int(np.floor(a.max())) - first[1] + 1)
-        inside = (np.arange(_CELL_SAMPLES) + 0.5) / _CELL_SAMPLES
-        b, a = np.meshgrid(
-            (first[0] + np.arange(count[0])[:, None] + inside).ravel(),
-            (first[1] + np.arange(count[1])[:, None] + inside).ravel(),
-            indexing="ij",
-        )
-        u, v = pitch * (a * np.cos(angle) - b * np.sin(angle)), pitch * (a * np.sin(angle) + b * np.cos(angle))
-        coating = np.maximum(sheet.at(sheet.faces[0], u, v) - sheet.at(sheet.faces[1], u, v), 0)
-        mean = float(np.mean(sheet.faces[0] - sheet.faces[1], dtype=np.float64))
-        change = screen.gain_sd * _sampled(sheet, tone, u, v) - screen.gain_per_um * (coating - mean)
-        cells = change.reshape(count[0], _CELL_SAMPLES, count[1], _CELL_SAMPLES).mean(axis=(1, 3))
-        # A larger dot would touch its neighbours: then the tone is no longer pi r^2.
-        area = np.clip(screen.tone + cells, 0.0, 0.25 * np.pi)
-        return cls(pitch, angle, screen.ink, first, pitch * np.sqrt(area / np.pi))
-
-    def cover(self, u: Array, v: Array, pixel_um: float) -> Array:
-        """Share of each pixel that is inked; the edge of a dot is one pixel wide."""
-        a, b = _turned(u, v, self.pitch_um, self.angle_rad)
-        col, row = np.floor(a), np.floor(b)
-        distance = self.pitch_um * np.hypot(a - col - 0.5, b - row - 0.5)
-        i = np.clip(row.astype(int) - self.first[0], 0, self.radius_um.shape[0] - 1)
-        j = np.clip(col.astype(int) - self.first[1], 0, self.radius_um.shape[1] - 1)
-        return np.clip((self.radius_um[i, j] - distance) / pixel_um + 0.5, 0, 1)
+def _dots(sheet: Sheet, screen: PrintParams, tone: Array) -> tuple[tuple[int, int], Array]:
+    """Radii of the dots of the whole sheet, one to each cell of the turned screen, and the (row, col) of the first."""
+    rows, cols = sheet.char.shape
+    u = sheet.origin[0] + PITCH_UM * np.array([0, cols - 1, 0, cols - 1])
+    v = sheet.origin[1] + PITCH_UM * np.array([0, 0, rows - 1, rows - 1])
+    a, b = _turned(u, v, screen)
+    first = (int(np.floor(b.min())), int(np.floor(a.min())))
+    count = (int(np.floor(b.max())) - first[0] + 1, int(np.floor(a.max())) - first[1] + 1)
+    inside = (np.arange(_CELL_SAMPLES) + 0.5) / _CELL_SAMPLES
+    b, a = np.meshgrid(
+        *((k + np.arange(n)[:, None] + inside).ravel() for k, n in zip(first, count, strict=True)), indexing="ij"
+    )
+    pitch, angle = 1e4 / screen.screen_per_cm, np.deg2rad(screen.angle_deg)
+    u, v = pitch * (a * np.cos(angle) - b * np.sin(angle)), pitch * (a * np.sin(angle) + b * np.cos(angle))
+    coating = np.maximum(sheet.at(sheet.faces[0], u, v) - sheet.at(sheet.faces[1], u, v), 0)
+    mean = float(np.mean(sheet.faces[0] - sheet.faces[1], dtype=np.float64))
+    change = screen.gain_sd * _sampled(sheet, tone, u, v) - screen.gain_per_um * (coating - mean)
+    cells = change.reshape(count[0], _CELL_SAMPLES, count[1], _CELL_SAMPLES).mean(axis=(1, 3))
+    # A larger dot would touch its neighbours: then the tone is no longer pi r^2.
+    area = np.clip(screen.tone + cells, 0.0, 0.25 * np.pi)
+    return first, pitch * np.sqrt(area / np.pi)
 
 
-def _turned(u: Array, v: Array, pitch_um: float, angle_rad: float) -> tuple[Array, Array]:
-    cos, sin = np.cos(angle_rad) / pitch_um, np.sin(angle_rad) / pitch_um
+def _inked(
+    u: Array, v: Array, screen: PrintParams, first: tuple[int, int], radius_um: Array, pixel_um: float
+) -> Array:  # fmt: skip
+    """Share of each pixel that is inked; the edge of a dot is one pixel wide."""
+    a, b = _turned(u, v, screen)
+    col, row = np.floor(a), np.floor(b)
+    distance = 1e4 / screen.screen_per_cm * np.hypot(a - col - 0.5, b - row - 0.5)
+    i = np.clip(row.astype(int) - first[0], 0, radius_um.shape[0] - 1)
+    j = np.clip(col.astype(int) - first[1], 0, radius_um.shape[1] - 1)
+    return np.clip((radius_um[i, j] - distance) / pixel_um + 0.5, 0, 1)
+
+
+def _turned(u: Array, v: Array, screen: PrintParams) -> tuple[Array, Array]:
+    """Places along the rows and across them, in pitches of the screen."""
+    pitch, angle = 1e4 / screen.screen_per_cm, np.deg2rad(screen.angle_deg)
+    cos, sin = np.cos(angle) / pitch, np.sin(angle) / pitch
     return u * cos + v * sin, v * cos - u * sin
 
 
@@ -260,12 +212,6 @@ def _scattered(image: Field, half_um: float, pixel_um: float) -> Field:
     return np.asarray(fft.idctn(fft.dctn(image) * transfer), dtype=np.float32)
 
 
-def _radius_square(shape: tuple[int, int]) -> Field:
-    """Squared distance from the frame's middle; 1 in the corners."""
-    y, x = (np.linspace(-1, 1, n) * n for n in shape)
-    return ((y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)).astype(np.float32)
-
-
 def _coarse(sheet: Sheet, correlation_um: float, rng: np.random.Generator) -> Array:
     """Random field of unit standard deviation over the sheet, on every 4th node of its grid and a little beyond."""
     rows, cols = sheet.char.shape
@@ -284,6 +230,5 @@ def _child(seed: np.random.SeedSequence, k: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)))
 
 
-def _blocks(rows: int) -> Iterator[slice]:
-    for start in range(0, rows, _BLOCK):
-        yield slice(start, min(start + _BLOCK, rows))
+def _blocks(rows: int) -> list[slice]:
+    return [slice(start, min(start + _BLOCK, rows)) for start in range(0, rows, _BLOCK)]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -41,10 +40,10 @@ class InstrumentFiles:
     """
 
     volume: Path
-    image: Path | None
     voxel_um: tuple[float, float, float]
     through: Literal["z", "y"]
     to_physical: Callable[..., Array]
+    image: Path | None = None
 
 
 def write_instruments(
@@ -58,17 +57,12 @@ def write_instruments(
     """
     folder.mkdir(parents=True, exist_ok=True)
     write = {"stack": _write_stack, "scanner": _write_scan, "sections": _write_sections}[volume]
-    path, voxel, through, to_physical = write(specimen, folder)
-    picture = write_image(specimen, folder / "image.tif") if image else None
-    return InstrumentFiles(volume=path, image=picture, voxel_um=voxel, through=through, to_physical=to_physical)
+    files = write(specimen, folder)
+    return replace(files, image=write_image(specimen, folder / "image.tif")) if image else files
 
 
-_Written = tuple[Path, tuple[float, float, float], Literal["z", "y"], Callable[..., Array]]
-
-
-def _write_stack(specimen: Specimen, folder: Path) -> _Written:
-    voxel = specimen.params.scanner.voxel_um
-    path = folder / "volume.tif"
+def _write_stack(specimen: Specimen, folder: Path) -> InstrumentFiles:
+    voxel, path = specimen.params.scanner.voxel_um, folder / "volume.tif"
     size = (1 / voxel, 1 / voxel)
     metadata = {"spacing": voxel, "unit": "um", "axes": "ZYX"}
     tifffile.imwrite(path, specimen.volume.values, imagej=True, resolution=size, metadata=metadata)
@@ -76,10 +70,10 @@ def _write_stack(specimen: Specimen, folder: Path) -> _Written:
     def to_physical(points: Array, _sections: xr.Dataset | None = None) -> Array:
         return points
 
-    return path, (voxel, voxel, voxel), "z", to_physical
+    return InstrumentFiles(volume=path, voxel_um=(voxel, voxel, voxel), through="z", to_physical=to_physical)
 
 
-def _write_scan(specimen: Specimen, folder: Path) -> _Written:
+def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
     scanner, voxel = specimen.scanner, specimen.params.scanner.voxel_um
     place = folder / "scan"
     place.mkdir()
@@ -95,7 +89,7 @@ def _write_scan(specimen: Specimen, folder: Path) -> _Written:
     def to_physical(points: Array, _sections: xr.Dataset | None = None) -> Array:
         return np.stack([points[:, 0], last - points[:, 2], points[:, 1]], axis=1)
 
-    return place, (voxel, voxel, voxel), "y", to_physical
+    return InstrumentFiles(volume=place, voxel_um=(voxel, voxel, voxel), through="y", to_physical=to_physical)
 
 
 def _rec_log(specimen: Specimen) -> str:
@@ -132,7 +126,7 @@ def _rec_log(specimen: Specimen) -> str:
     return "".join(lines)
 
 
-def _write_sections(specimen: Specimen, folder: Path) -> _Written:
+def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
     p, poses, microtome = specimen.params.sections, specimen.poses, specimen.microtome
     place = folder / "sections"
     place.mkdir()
@@ -160,7 +154,8 @@ def _write_sections(specimen: Specimen, folder: Path) -> _Written:
         true_z = z + np.interp(at, poses.counter_um, poses.shift_z_um) + turn * (x - middle[0])
         return np.stack([true_x, np.interp(at, poses.counter_um, poses.y_um), true_z], axis=1)
 
-    return place, (p.section_um, p.pixel_um, p.pixel_um), "y", to_physical
+    voxel = (p.section_um, p.pixel_um, p.pixel_um)
+    return InstrumentFiles(volume=place, voxel_um=voxel, through="y", to_physical=to_physical)
 
 
 def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Path:
@@ -218,17 +213,14 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
         )  # fmt: skip
     holes = specimen.sheet.holes
     at, place = specimen.pose(holes), specimen.warp.points(holes[:, 0], holes[:, 1])
-    _table(folder / "holes.csv", ("u_um", "v_um", "image_x_um", "image_y_um", "x_um", "y_um", "z_um"),
-           np.concatenate([holes, at, place], axis=1))  # fmt: skip
+    names = ("u_um", "v_um", "image_x_um", "image_y_um", "x_um", "y_um", "z_um")
+    _table(folder / "holes.csv", names, np.concatenate([holes, at, place], axis=1))
     poses = specimen.poses
     names = ("counter_um", "y_um", "shift_x_um", "shift_z_um", "turn_rad")
     _table(folder / "sections.csv", names, np.stack([getattr(poses, n) for n in names], axis=1))
-    data = {"parameters": asdict(specimen.params), "warp": asdict(specimen.warp), "camera": specimen.pose.as_dict()}
+    data = {"parameters": asdict(specimen.params), "warp": asdict(specimen.warp), "camera": asdict(specimen.pose)}
     (folder / "parameters.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
 
 
 def _table(path: Path, names: tuple[str, ...], rows: Array) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        writer.writerows([f"{value:.6f}" for value in row] for row in rows)
+    np.savetxt(path, rows, "%.6f", ",", header=",".join(names), comments="")

@@ -23,10 +23,7 @@ _ORDERS = np.arange(2, 25)  # waves around the rim; order 1 would move the centr
 def hole_pattern(params: HoleParams, low: Array, high: Array, seed: int) -> Array:
     """Centres (n, 2) in um, in the flat rectangle from ``low`` to ``high`` (u, v), with the error of the laser's stage.
 
-    Raises
-    ------
-    ValueError
-        If the field is too small for the pattern.
+    ValueError if the field is too small for the pattern.
     """
     if params.count == 0:
         return np.zeros((0, 2))
@@ -37,13 +34,12 @@ def hole_pattern(params: HoleParams, low: Array, high: Array, seed: int) -> Arra
 def _coded(params: HoleParams, low: Array, high: Array) -> Array:
     """Three lines: along the lower edge, and up the left and the right one."""
     per_line = -(-params.count // 3)
-    starts = ((_BORDER_UM, _BORDER_UM), (_BORDER_UM, _BORDER_UM + _CORNER_UM), (-_BORDER_UM, _BORDER_UM + _CORNER_UM))
-    directions = ((1.0, 0.0), (0.0, 1.0), (0.0, 1.0))
+    left, rise = low + _BORDER_UM, low[1] + (_BORDER_UM + _CORNER_UM)
+    starts = (left, (left[0], rise), (high[0] - _BORDER_UM, rise))
     found: list[Array] = []
-    for pitches, start, direction in zip(_PITCHES_UM, starts, directions, strict=True):
-        corner = np.array([low[0] if start[0] > 0 else high[0], low[1]])
-        along = np.concatenate([[0.0], np.cumsum(pitches)])[:per_line]
-        line = corner + np.array(start) + along[:, None] * np.array(direction)
+    for pitches, start, direction in zip(_PITCHES_UM, starts, (0, 1, 1), strict=True):
+        line = np.tile(start, (per_line, 1))
+        line[:, direction] += np.concatenate([[0.0], np.cumsum(pitches)])[:per_line]
         found.append(line[np.all(line <= high - _BORDER_UM + 1e-6, axis=1)])
     holes = np.concatenate(found)[: params.count]
     if len(holes) < 4:
@@ -75,15 +71,7 @@ def _scattered(params: HoleParams, low: Array, high: Array, seed: int) -> Array:
 def burn(
     params: HoleParams, holes: Array, shape: tuple[int, int], low: tuple[float, float], depth_um: float, seed: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Burn the holes into a sheet of the mean thickness ``depth_um``.
-
-    Returns
-    -------
-    rim : (2, rows, cols) float32
-        Signed distance to the nearest rim, at the top and at the bottom face; negative inside; in um.
-    char : (rows, cols) float32
-        Factor on the coating's grey, 1 where it is untouched.
-    """
+    """Burn the holes into a sheet of the mean thickness ``depth_um``: ``rim_um`` and ``char`` of a :class:`Sheet`."""
     rim = np.full((2, *shape), 1e4, dtype=np.float32)
     char = np.ones(shape, dtype=np.float32)
     reach = 2.0 * params.diameter_um + 4 * params.char_um

@@ -29,15 +29,9 @@ _RESIN_PX = 24
 class Poses:
     """Where each section that was kept truly lies; all (n,).
 
-    Attributes
-    ----------
-    counter_um : ndarray
-        Position along the cut as the counter of the microtome says; increasing.
-    y_um : ndarray
-        True position in space; the cut runs towards smaller y.
-    shift_x_um, shift_z_um, turn_rad : ndarray
-        A pixel at (x, z) of the picture shows the point ``(x + shift_x - turn z', z + shift_z + turn x')``; x', z' are
-        counted from the picture's middle.
+    ``counter_um`` is the position along the cut that the microtome counts, ``y_um`` the true one in space; the cut runs
+    towards smaller y. A pixel at (x, z) of the picture shows the point
+    ``(x + shift_x - turn z', z + shift_z + turn x')``; x', z' are counted from the picture's middle.
     """
 
     index: NDArray[np.int64]
@@ -87,13 +81,7 @@ def _lost(params: SectionsParams, count: int, rng: np.random.Generator) -> NDArr
 
 @dataclass(frozen=True, kw_only=True)
 class Microtome:
-    """Renders the picture of each section for itself.
-
-    Attributes
-    ----------
-    shape : (int, int)
-        Pixels of a picture: rows along z, columns along x.
-    """
+    """Renders the picture of each section for itself; ``shape``: its rows along z, its columns along x."""
 
     sheet: Sheet
     warp: Warp
@@ -102,14 +90,13 @@ class Microtome:
     shape: tuple[int, int]
     seed: int
 
-    def pictures(self, *, threads: int | None = None) -> Iterator[NDArray[np.uint8]]:
+    def pictures(self) -> Iterator[NDArray[np.uint8]]:
         """Give the pictures (rows, cols) or (rows, cols, 3), one after the other."""
         _ = self.sheet.packed
-        count = self.poses.index.size
-        threads = count_threads(threads)
-        with thread_pool(threads) as pool:
-            for at in range(0, count, 8 * threads):
-                yield from pool.map(self.picture, range(at, min(at + 8 * threads, count)))
+        count, step = self.poses.index.size, 8 * count_threads()
+        with thread_pool() as pool:
+            for at in range(0, count, step):
+                yield from pool.map(self.picture, range(at, min(at + step, count)))
 
     def picture(self, k: int) -> NDArray[np.uint8]:
         """Render the k-th picture that was kept."""
@@ -135,13 +122,12 @@ class Microtome:
             sheet=self.sheet, warp=self.warp, shape=(self.shape[1], self.shape[0]), step_um=p.pixel_um,
             grey=(grey[0], grey[1], grey[2]),
         )  # fmt: skip
-        one = slice(k, k + 1)
         poses = self.poses
+        y, shift_x, shift_z, turn = (
+            v[k : k + 1] for v in (poses.y_um, poses.shift_x_um, poses.shift_z_um, poses.turn_rad)
+        )
         picture = np.zeros((self.shape[1], self.shape[0]), dtype=np.float32)
-        for col, depth, block in painter.blocks(
-            poses.y_um[one], halo=taps.size - 1, shift_x=poses.shift_x_um[one], shift_z=poses.shift_z_um[one],
-            turn=poses.turn_rad[one],
-        ):  # fmt: skip
+        for col, depth, block in painter.blocks(y, halo=taps.size - 1, shift_x=shift_x, shift_z=shift_z, turn=turn):
             blurred = smooth(block, taps, (1, 2))[0]
             picture[col : col + blurred.shape[0], depth : depth + blurred.shape[1]] = blurred
         grain = rng.standard_normal(self.shape, dtype=np.float32)

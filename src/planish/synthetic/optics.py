@@ -36,14 +36,7 @@ def layer_over(
     multiplied by ``tanh(b s W) / b``: then nothing is divided by ``s``, ``k`` or ``W``, which may be 0, and nothing
     overflows where the layer is thick.
 
-    Parameters
-    ----------
-    backing
-        Reflectance of what lies below, 0 to 1.
-    s_m2_per_kg, k_m2_per_kg
-        Scattering and absorption coefficient, not negative.
-    weight_kg_per_m2
-        Mass per area, finite and not negative; :func:`infinite_stack` is the limit.
+    Scattering and absorption coefficient are not negative, the mass per area is finite.
     """
     below, s, k, weight = (
         np.asarray(a, dtype=np.float64) for a in (backing, s_m2_per_kg, k_m2_per_kg, weight_kg_per_m2)
@@ -57,12 +50,6 @@ def layer_over(
     return (below + s * reach - below * loss) / (1 + loss - below * s * reach)
 
 
-def infinite_stack(s_m2_per_kg: ArrayLike, k_m2_per_kg: ArrayLike) -> Array:
-    """Reflectance of a layer that nothing shines through: ``a - b``, as ``1 / (a + b)``; 1 without absorption."""
-    s, k = np.asarray(s_m2_per_kg, dtype=np.float64), np.asarray(k_m2_per_kg, dtype=np.float64)
-    return s / (s + k + np.sqrt(k * (k + 2 * s)))
-
-
 def base_weight(paper: PaperParams, base_mass: ArrayLike = 1.0) -> Array:
     """Grammage of the base in kg/m2: mean thickness by density, times the relative grammage of the place."""
     return paper.base_um * paper.base_g_per_cm3 * _KG_PER_M2 * np.asarray(base_mass, dtype=np.float64)
@@ -71,17 +58,7 @@ def base_weight(paper: PaperParams, base_mass: ArrayLike = 1.0) -> Array:
 def coated(
     below: ArrayLike, coating_um: ArrayLike, density: ArrayLike, paper: PaperParams, *, outwards: bool = True
 ) -> Array:
-    """Reflectance of the triple coating over what lies below it, which is the base unless ``outwards`` is false.
-
-    Parameters
-    ----------
-    below
-        Reflectance of what lies below.
-    coating_um
-        Thickness of the whole coating.
-    density
-        Relative density of the coating, 1 in the mean.
-    """
+    """Reflectance of the triple coating over what lies below it, which is the base unless ``outwards`` is false."""
     weight = paper.coating_g_per_cm3 * _KG_PER_M2 * np.asarray(coating_um, float) * np.asarray(density, float)
     layers = list(zip(COATING_S_M2_PER_KG, COATING_SHARES, strict=True))
     result = np.asarray(below, dtype=np.float64)
@@ -102,18 +79,8 @@ def sheet_reflectance(
 ) -> Array:
     """Reflectance of the sheet's top side: bottom coating, base and top coating over a backing.
 
-    Parameters
-    ----------
-    paper : PaperParams
-        Densities, and the mean thicknesses of the sheets in a pile.
-    backing : {"pile", "black"}
-        A pile of the same paper, or a black hollow.
-    coating_top_um, coating_bottom_um
-        Local thickness of the coatings.
-    coating_density, base_mass
-        Local density of the coatings and grammage of the base, relative, 1 in the mean.
-    base_s_m2_per_kg
-        Local scattering coefficient of the base.
+    The backing is a pile of the same paper or a black hollow. Density of the coatings and grammage of the base are
+    relative, 1 in the mean.
     """
     below = pile_reflectance(paper) if backing == "pile" else 0.0
     below = coated(below, coating_bottom_um, coating_density, paper, outwards=False)

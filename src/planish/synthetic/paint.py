@@ -19,16 +19,10 @@ _BLOCK = 192  # columns painted together: the sheet then fills much of the box a
 
 @dataclass(frozen=True, kw_only=True)
 class Painter:
-    """Paints rows of voxels, in blocks as deep as the sheet needs there.
+    """Paints rows of ``shape`` (x, z) voxels of ``step_um``, in blocks as deep as the sheet needs there.
 
-    Attributes
-    ----------
-    shape : (int, int)
-        Voxels along x and z.
-    step_um : float
-        Size of a voxel along x and z.
-    grey : (float, float, float)
-        Air, base, coating; painted is what the sheet adds to the air, so that air stays an exact 0 under any filter.
+    Painted is what the sheet adds to the ``grey`` of air (before those of base and coating), so that air stays an exact
+    0 under any filter.
     """
 
     sheet: Sheet
@@ -45,13 +39,10 @@ class Painter:
     def blocks(
         self, ys_um: Array, *, halo: int, shift_x: Array, shift_z: Array, turn: Array
     ) -> list[tuple[int, int, Slab]]:
-        """Paint the planes at ``ys_um``, each moved by its shift and turn.
+        """Paint the planes at ``ys_um``, each moved by its shift and turn, as (first column, first depth, block).
 
-        Returns
-        -------
-        list of (first column, first depth, block)
-            Blocks (rows, cols + 2 halo, depth + 2 halo); column and depth are those of the block's first voxel inside
-            the halo. Around them there is only air.
+        Blocks are (rows, cols + 2 halo, depth + 2 halo); column and depth are those of the block's first voxel inside
+        the halo. Around them there is only air.
         """
         w, curve = self.warp.packed()
         thick = self.sheet.reach_um + 2 * self.step_um
@@ -72,7 +63,7 @@ class Painter:
             _kernels.paint(
                 block, w, curve, ys_um, xs, first - halo, self.step_um, shift_x, shift_z, turn,
                 np.array(self.middle_um), under, half, self.sheet.packed, np.array(self.sheet.origin), PITCH_UM,
-                np.array([self.grey[1] - self.grey[0], self.grey[2] - self.grey[0]]), self.step_um,
+                np.array([self.grey[1] - self.grey[0], self.grey[2] - self.grey[0]]),
             )  # fmt: skip
             done.append((start, first, block))
         return done

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,20 +70,6 @@ class CameraPose:
         stretched = self.similarity.inverse(off + centre)
         return middle + (stretched - middle) / self._strain()
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers, lists and truth values for a file; angles in degrees."""
-        return {
-            "rotation_deg": float(np.rad2deg(self.similarity.rotation_rad)),
-            "scale": float(self.similarity.scale),
-            "shift_um": [float(s) for s in self.similarity.shift_um],
-            "mirrored": bool(self.similarity.mirrored),
-            "stretch": float(self.stretch),
-            "middle_um": [float(m) for m in self.middle_um],
-            "radial": float(self.radial),
-            "centre_um": [float(c) for c in self.centre_um],
-            "half_diagonal_um": float(self.half_diagonal_um),
-        }
-
     def _strain(self) -> Array:
         return np.array([1 + self.stretch, 1 - self.stretch])
 
@@ -109,21 +94,8 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
 
     Every number is drawn whatever its size, in a fixed order: one that is switched off does not move the others.
 
-    Parameters
-    ----------
-    camera : CameraParams
-        Sizes of what is drawn.
-    spread : (4,)
-        Material (u0, v0, u1, v1) in um that the volume shows.
-    rng : Generator
-        Five numbers are taken from it.
-
-    Returns
-    -------
-    shape : (int, int)
-        Rows and columns of the image.
-    pose : CameraPose
-        At least 85 % of the field lies in the frame; the drawn shift is shortened as far as that needs.
+    ``spread`` is the material (u0, v0, u1, v1) in um that the volume shows. At least 85 % of it lies in the frame: the
+    drawn shift is shortened as far as that needs. Gives rows and columns of the image, and the pose.
     """
     turn, shift_x, shift_y, scale, stretch = rng.uniform(-1.0, 1.0, 5)
     field = np.asarray(spread, dtype=np.float64)
@@ -134,27 +106,22 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
     grid = np.stack(np.meshgrid(*np.linspace(field[:2], field[2:], 101).T), axis=-1)
 
     def posed(shape: tuple[int, int], shift: Array) -> CameraPose:
-        ends = camera.pixel_um * np.array([shape[1] - 1.0, shape[0] - 1.0])
+        centre = 0.5 * camera.pixel_um * (np.array(shape[::-1]) - 1.0)
         linear = Similarity(scale=size, rotation_rad=rotation, mirrored=camera.mirrored)
-        offset = 0.5 * ends + shift - linear(middle)
+        x, y = centre + shift - linear(middle)
         return CameraPose(
-            similarity=Similarity(
-                scale=size,
-                rotation_rad=rotation,
-                shift_um=(float(offset[0]), float(offset[1])),
-                mirrored=camera.mirrored,
-            ),
+            similarity=replace(linear, shift_um=(float(x), float(y))),
             stretch=float(camera.stretch * stretch),
             middle_um=(float(middle[0]), float(middle[1])),
             radial=camera.radial,
-            centre_um=(float(0.5 * ends[0]), float(0.5 * ends[1])),
-            half_diagonal_um=float(0.5 * np.hypot(ends[0], ends[1])),
+            centre_um=(float(centre[0]), float(centre[1])),
+            half_diagonal_um=float(np.hypot(*centre)),
         )
 
     def in_view(shape: tuple[int, int], shift: Array) -> float:
-        points = posed(shape, shift)(grid)
-        ends = camera.pixel_um * np.array([shape[1] - 1.0, shape[0] - 1.0])
-        return float(np.mean(np.all((points >= 0) & (points <= ends), axis=-1)))
+        pose = posed(shape, shift)
+        points = pose(grid)
+        return float(np.mean(np.all((points >= 0) & (points <= 2 * np.array(pose.centre_um)), axis=-1)))
 
     centred = np.zeros(2)
     shape = (max(int(_TALL * tall / camera.pixel_um), 2), max(int(_WIDE * wide / camera.pixel_um), 2))

@@ -6,9 +6,9 @@ Also the specimen of the demo, and what a user orders by ``planish specimen``.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import field_validator
+from pydantic import ValidationInfo, field_validator
 
 from planish.core.options import Params, option
 from planish.synthetic.nuisances import NUISANCES, with_only
@@ -81,25 +81,16 @@ class SpecimenOptions(Params):
         None, metavar="NAME", help="Only these are on; repeatable. 'none': no nuisance. All are on where not given."
     )
 
-    @field_validator("preset")
+    @field_validator("preset", "instrument", "nuisance")
     @classmethod
-    def _known_paper(cls, value: str) -> str:
-        if value not in PRESETS:
-            raise ValueError(f"there is no paper {value!r}; there are {', '.join(PRESETS)}")
-        return value
-
-    @field_validator("instrument")
-    @classmethod
-    def _known_instruments(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        if unknown := [name for name in value if name not in INSTRUMENTS]:
-            raise ValueError(f"there is no instrument {', '.join(unknown)}; there are {', '.join(INSTRUMENTS)}")
-        return value
-
-    @field_validator("nuisance")
-    @classmethod
-    def _known_nuisances(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
-        if unknown := [name for name in value or () if name not in NUISANCES and name != "none"]:
-            raise ValueError(f"there is no nuisance {', '.join(unknown)}; --list names them all")
+    def _known(cls, value: Any, info: ValidationInfo) -> Any:
+        what, names = {
+            "preset": ("paper", (*PRESETS,)),
+            "instrument": ("instrument", INSTRUMENTS),
+            "nuisance": ("nuisance", (*NUISANCES, "none")),
+        }[str(info.field_name)]
+        if unknown := [name for name in ([value] if isinstance(value, str) else value or ()) if name not in names]:
+            raise ValueError(f"there is no {what} {', '.join(unknown)}; there are {', '.join(names)}")
         return value
 
     def params(self) -> SpecimenParams:
@@ -111,8 +102,3 @@ class SpecimenOptions(Params):
             scanner=replace(MICRO_CT, voxel_um=self.voxel_um), seed=self.seed,
         )  # fmt: skip
         return params if self.nuisance is None else with_only(params, set(self.nuisance) - {"none"})
-
-
-def preset(name: str) -> PaperParams:
-    """Return the paper of that name; KeyError where there is none."""
-    return PRESETS[name][1]

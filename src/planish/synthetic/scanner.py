@@ -40,22 +40,19 @@ class Scanner:
     shape: tuple[int, int, int]
     seed: int
 
-    def volume(self, *, threads: int | None = None, tile_rows: int | None = None) -> NDArray[np.generic]:
+    def volume(self, *, tile_rows: int | None = None) -> NDArray[np.generic]:
         """Return the volume (z, y, x)."""
         out = np.empty(self.shape, dtype=self.params.dtype)
-        for start, tile in self.tiles(threads=threads, tile_rows=tile_rows):
+        for start, tile in self.tiles(tile_rows=tile_rows):
             out[:, start : start + tile.shape[0]] = tile.transpose(2, 0, 1)
         return out
 
-    def tiles(
-        self, *, threads: int | None = None, tile_rows: int | None = None
-    ) -> Iterator[tuple[int, NDArray[np.generic]]]:
+    def tiles(self, *, tile_rows: int | None = None) -> Iterator[tuple[int, NDArray[np.generic]]]:
         """Give (first row, tile (rows, x, z)) one after the other; some ``2 * threads`` tiles are in memory."""
         _ = self.sheet.packed, self._plane, self._cups  # made once, before threads ask for them
         tile_rows = tile_rows or max(_TILE_VOXELS // (self.shape[0] * self.shape[2]), _LEAST_ROWS)
-        starts = list(range(0, self.shape[1], tile_rows))
-        threads = count_threads(threads)
-        with thread_pool(threads) as pool:
+        starts, threads = range(0, self.shape[1], tile_rows), count_threads()
+        with thread_pool() as pool:
             for at in range(0, len(starts), threads):
                 part = starts[at : at + threads]
                 stops = [min(start + tile_rows, self.shape[1]) for start in part]
@@ -95,9 +92,8 @@ class Scanner:
         for col, depth, block in painter.blocks(ys, halo=halo, shift_x=still, shift_z=still, turn=still):
             blurred = trimmed(smooth(block, psf, axes), halo - psf.size + 1, axes)
             if p.fringe:
-                blurred = blurred - np.float32(p.fringe) * trimmed(
-                    _laplacian(smooth(block, ring, axes)), halo - ring.size, axes
-                )
+                fringe = trimmed(_laplacian(smooth(block, ring, axes)), halo - ring.size, axes)
+                blurred = blurred - np.float32(p.fringe) * fringe
             slab[:, col : col + blurred.shape[1], depth : depth + blurred.shape[2]] = blurred
         return slab
 
@@ -105,14 +101,9 @@ class Scanner:
         """White or correlated noise of unit standard deviation; every row has random numbers of its own."""
         taps = gaussian_taps(0.5 * self.params.noise_px)
         halo = taps.size - 1
-        white = np.stack(
-            [
-                generator(self.seed, "scan", str(row)).standard_normal(
-                    (self.shape[2] + 2 * halo, self.shape[0] + 2 * halo), dtype=np.float32
-                )
-                for row in range(start - halo, stop + halo)
-            ]
-        )
+        plane = (self.shape[2] + 2 * halo, self.shape[0] + 2 * halo)
+        rngs = (generator(self.seed, "scan", str(row)) for row in range(start - halo, stop + halo))
+        white = np.stack([rng.standard_normal(plane, dtype=np.float32) for rng in rngs])
         gain = float(np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))) ** 3
         return smooth(white, taps, (0, 1, 2)) / np.float32(gain)
 

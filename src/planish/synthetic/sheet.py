@@ -89,8 +89,7 @@ class Sheet:
     @cached_property
     def packed(self) -> Field:
         """All that a renderer needs of a node side by side, (rows, cols, 8 + LAYERS)."""
-        single = [*self.faces, *self.rim_um, self.char, self.coating_density, *self.texture]
-        return np.stack(single, axis=-1)
+        return np.stack([*self.faces, *self.rim_um, self.char, self.coating_density, *self.texture], axis=-1)
 
 
 def make_sheet(
@@ -137,10 +136,8 @@ def _base(p: PaperParams, shape: tuple[int, int], seed: int) -> tuple[Array, Arr
     if left <= 0:
         return thickness, np.zeros(shape)
     # Few fibres lie on top of the others; they stand up and are what a coating leaves bare.
-    top, bottom = (
-        fibrous(shape, p.anisotropy, generator(seed, "face", side), per_mm2=_LOOSE_PER_MM2)
-        for side in ("top", "bottom")
-    )
+    rngs = (generator(seed, "face", side) for side in ("top", "bottom"))
+    top, bottom = (fibrous(shape, p.anisotropy, rng, per_mm2=_LOOSE_PER_MM2) for rng in rngs)
     return thickness, float(np.sqrt(0.5 * left)) * (top - bottom)
 
 

@@ -135,9 +135,7 @@ class Specimen:
         values = {
             "u": u,
             "v": v,
-            "volume_x": points[..., 0],
-            "volume_y": points[..., 1],
-            "volume_z": points[..., 2],
+            **{f"volume_{axis}": points[..., k] for k, axis in enumerate("xyz")},
             "coating_top": top - inner_top,
             "coating_bottom": inner_bottom - bottom,
             "base_thickness": inner_top - inner_bottom,
@@ -150,14 +148,10 @@ class Specimen:
     @cached_property
     def columns(self) -> xr.Dataset:
         """``u, v, centre`` of the centre surface at each column (y, x) of the scanned volume, in um."""
-        _, rows, cols = self.scanner.shape
-        voxel = self.params.scanner.voxel_um
-        y, x = (np.arange(n, dtype=np.float64) * voxel for n in (rows, cols))
-        under = self.warp.columns(y, x)
-        names = {"u": 0, "v": 1, "centre": 2}
-        return xr.Dataset(
-            {k: (("y", "x"), under[..., i], {"units": "um"}) for k, i in names.items()}, coords={"y": y, "x": x}
-        )
+        y, x = (np.arange(n, dtype=np.float64) * self.params.scanner.voxel_um for n in self.scanner.shape[1:])
+        under = np.moveaxis(self.warp.columns(y, x), -1, 0)
+        values = {k: (("y", "x"), field, {"units": "um"}) for k, field in zip(("u", "v", "centre"), under, strict=True)}
+        return xr.Dataset(values, coords={"y": y, "x": x})
 
 
 def _labelled(values: NDArray[Any], dims: tuple[str, ...], pitch_um: float, **attrs: Any) -> xr.DataArray:
@@ -213,11 +207,10 @@ def make_specimen(
     air = (0.5 * thickness + 20.0) * float(np.hypot(1.0, warp.steepest)) + _MARGIN_UM
     low_z, high_z = float(under[..., 2].min()) - air, float(under[..., 2].max()) + air
     warp = replace(warp, shift_um=(width / 2, height / 2, -low_z))
-    spread = np.array([under[..., 0].min(), under[..., 1].min(), under[..., 0].max(), under[..., 1].max()])
+    spread = np.concatenate([under[..., :2].min(axis=(0, 1)), under[..., :2].max(axis=(0, 1))])
     image_shape, pose = draw_pose(params.camera, spread, generator(params.seed, "pose"))
-    pixel = params.camera.pixel_um
-    frame = np.array([[x, y] for x in (0, image_shape[1] * pixel) for y in (0, image_shape[0] * pixel)])
-    corners = pose.inverse(frame)
+    rows, cols = np.multiply(image_shape, params.camera.pixel_um)
+    corners = pose.inverse([[x, y] for x in (0.0, cols) for y in (0.0, rows)])
     low = np.minimum(spread[:2], corners.min(axis=0)) - _BEYOND_UM
     high = np.maximum(spread[2:], corners.max(axis=0)) + _BEYOND_UM
     if sheet is None:

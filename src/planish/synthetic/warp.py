@@ -105,20 +105,5 @@ def _packed(warp: Warp) -> tuple[Array, Array]:
     turn = tilt + psi * np.sin(k * (p0 + _STEP_UM * np.arange(count)) + warp.phase_rad)
     curve = np.concatenate([curve, np.cos(turn)[:, None], np.sin(turn)[:, None]], axis=1)
     parameters = [np.cos(angle), np.sin(angle), psi, k, warp.phase_rad, p0, _STEP_UM, *warp.shift_um]
-    parameters += [warp.bump_um, warp.bump_u_um, warp.bump_v_um, warp.bump_radius_um]
-    parameters += [tilt]
+    parameters += [warp.bump_um, warp.bump_u_um, warp.bump_v_um, warp.bump_radius_um, tilt]
     return np.array(parameters, dtype=np.float64), curve
-
-
-def slope_for(expansion_um: float, field_um: float) -> float:
-    """Slope of a wave that makes a sheet longer than its projection ``field_um`` by ``expansion_um``.
-
-    Whole waves along the profile; solved by bisection on the mean of ``1 / cos(psi)`` over the projection.
-    """
-    p = (np.arange(4096) + 0.5) / 4096 * 2 * np.pi
-    psi, low, high = 0.0, 0.0, 1.2
-    for _ in range(60):
-        psi = 0.5 * (low + high)
-        longer = field_um / float(np.mean(np.cos(psi * np.sin(p)))) - field_um
-        low, high = (psi, high) if longer < expansion_um else (low, psi)
-    return float(np.tan(psi))

@@ -24,7 +24,7 @@ from planish.study import Study, faults_of
 from planish.synthetic.draws import draw_params
 from planish.synthetic.nuisances import NUISANCES, nuisances_of, with_only
 from planish.synthetic.params import SIZES_UM, SpecimenParams
-from planish.synthetic.presets import PRESETS, preset
+from planish.synthetic.presets import PRESETS
 from planish.validate.figures import FIGURES
 
 Instrument = Literal["stack", "scanner", "sections"]
@@ -176,7 +176,7 @@ class Scenario(Table):
         """Parameters of the specimen of ``seed``; ``nuisances`` replaces the scenario's own choice."""
         chosen = self.nuisances if nuisances is None else nuisances
         size = SIZES_UM[self.size] if isinstance(self.size, str) else self.size
-        params = amended(SpecimenParams(size_um=size, paper=preset(self.preset)), self.specimen)
+        params = amended(SpecimenParams(size_um=size, paper=PRESETS[self.preset][1]), self.specimen)
         params = replace(params, seed=params.seed + seed)
         if self.drawn:
             params = draw_params(params)
