@@ -313,9 +313,19 @@ def lay_down(xy, cos, sin, shift_u, shift_v, scale, n, r0, r1):
 
 
 @njit(**_INNER)
-def _least_area(side, ax, ay, bx, by, cx, cy, dx, dy):
-    """Smaller of the doubled areas of the triangles (a, b, c) and (a, c, d), with the sign of ``side``."""
-    px, py, qx, qy, sx, sy = bx - ax, by - ay, cx - ax, cy - ay, dx - ax, dy - ay
+def _moved(xy, move, share, by, i, j):
+    step = by * share[i, j]
+    return xy[0, i, j] + step * move[0, i, j], xy[1, i, j] + step * move[1, i, j]
+
+
+@njit(**_INNER)
+def _least_area(side, xy, move, share, by, i, j):
+    """Smaller of the doubled areas of the triangles of a moved cell, with the sign of ``side``."""
+    ax, ay = _moved(xy, move, share, by, i, j)
+    bx, by_ = _moved(xy, move, share, by, i, j + 1)
+    cx, cy = _moved(xy, move, share, by, i + 1, j + 1)
+    dx, dy = _moved(xy, move, share, by, i + 1, j)
+    px, py, qx, qy, sx, sy = bx - ax, by_ - ay, cx - ax, cy - ay, dx - ax, dy - ay
     return min(side * (px * qy - py * qx), side * (qx * sy - qy * sx))
 
 
@@ -326,31 +336,17 @@ def hold_open(xy, rest, move, share, floor, side, n, r0, r1):
     A cell closes if a triangle's doubled area falls below ``floor`` times the product of the cell's rest lengths and
     below what it was. Serial over the rows of cells given, because neighbours share nodes.
     """
-    x, y = xy[0], xy[1]
-    u, v = move[0], move[1]
     found = 0
     for i in range(r0, r1):
         for j in range(1, n):
             if not (rest[2, i, j] > 0.0 and rest[3, i, j] > 0.0):
                 continue
-            least = _least_area(
-                side,
-                x[i, j] + share[i, j] * u[i, j], y[i, j] + share[i, j] * v[i, j],
-                x[i, j + 1] + share[i, j + 1] * u[i, j + 1], y[i, j + 1] + share[i, j + 1] * v[i, j + 1],
-                x[i + 1, j + 1] + share[i + 1, j + 1] * u[i + 1, j + 1],
-                y[i + 1, j + 1] + share[i + 1, j + 1] * v[i + 1, j + 1],
-                x[i + 1, j] + share[i + 1, j] * u[i + 1, j], y[i + 1, j] + share[i + 1, j] * v[i + 1, j],
-            )  # fmt: skip
-            limit = floor * 0.5 * rest[2, i, j] * rest[3, i, j]
-            if least >= limit:
+            least = _least_area(side, xy, move, share, np.float32(1.0), i, j)
+            if least >= floor * 0.5 * rest[2, i, j] * rest[3, i, j]:
                 continue
-            before = _least_area(side, x[i, j], y[i, j], x[i, j + 1], y[i, j + 1], x[i + 1, j + 1], y[i + 1, j + 1],
-                                        x[i + 1, j], y[i + 1, j])  # fmt: skip
-            if least >= before:
-                continue
-            found += 1
-            share[i, j] *= 0.5
-            share[i, j + 1] *= 0.5
-            share[i + 1, j + 1] *= 0.5
-            share[i + 1, j] *= 0.5
+            if least < _least_area(side, xy, move, share, np.float32(0.0), i, j):
+                found += 1
+                for k in range(i, i + 2):
+                    share[k, j] *= 0.5
+                    share[k, j + 1] *= 0.5
     return found

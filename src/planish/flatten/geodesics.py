@@ -20,15 +20,7 @@ _LONGEST = 20  # times rows + cols: no line crosses so many triangles unless it 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Places:
-    """Places on a mesh.
-
-    Attributes
-    ----------
-    row, col, half : (n,)
-        Triangle: the cell and its half, 0 above the first diagonal and 1 below it.
-    weights : (n, 3)
-        Shares of the triangle's corners; they add up to 1.
-    """
+    """Places (n,) on a mesh: cell, its half (0 above the first diagonal, 1 below), shares (n, 3) of its corners."""
 
     row: Index
     col: Index
@@ -140,22 +132,10 @@ def random_places(whole: NDArray[np.bool_], count: int, rng: np.random.Generator
 
 
 def trace_lines(points: Array, uv: Array, start: Places, end: Places) -> tuple[Array, Array]:
-    """Trace straight lines of the plane through the triangles of the mesh.
+    """Trace straight lines of the plane through the triangles of the mesh, from inside of one to inside of another.
 
-    Parameters
-    ----------
-    points : (rows, cols, 3)
-    uv : (rows, cols, 2)
-    start, end : Places
-        n each, inside triangles (not at their corners) of cells whose four corners are known.
+    Gives the lengths (n,) in the plane and on the surface, um; the latter is NaN where a line leaves the sheet.
 
-    Returns
-    -------
-    (n,), (n,)
-        Length in the plane and length on the surface, um; the latter is NaN where the line leaves the sheet.
-
-    Notes
-    -----
     All lines walk at the same time, a triangle a step. Each corner lies to the left of the line or not, and a line
     leaves a triangle by the one edge that runs from its right to its left (the other way round where it starts in a
     triangle that is turned over); no intersection is ever searched, and corners on the line do no harm. In folded cells

@@ -24,21 +24,12 @@ _WORTH = 100_000
 """Nodes above which a second thread pays for being woken."""
 
 
-class Team:
+class Team(ThreadPoolExecutor):
     """Threads that share the rows of a pass; what a pass writes does not depend on their number."""
 
     def __init__(self, threads: int) -> None:
+        super().__init__(max(threads - 1, 1))
         self.threads = threads
-        self._pool: ThreadPoolExecutor | None = None
-
-    def __enter__(self) -> Team:
-        """Use as a context: the threads end with it."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End the threads."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=True)
 
     def parts(self, rows: int, cols: int) -> list[tuple[int, int]]:
         """Shares of the padded rows 1 ... rows."""
@@ -55,12 +46,7 @@ class Team:
 
     def each(self, kernel: Callable[..., Any], calls: list[tuple[Any, ...]]) -> None:
         """Call ``kernel`` once with each list of arguments, and wait for all of them."""
-        if self.threads == 1 or len(calls) == 1:
-            for call in calls:
-                kernel(*call)
-            return
-        self._pool = self._pool or ThreadPoolExecutor(self.threads - 1)
-        running = [self._pool.submit(kernel, *call) for call in calls[1:]]
+        running = [self.submit(kernel, *call) for call in calls[1:]]
         try:
             kernel(*calls[0])
         finally:
@@ -70,19 +56,14 @@ class Team:
             done.result()
 
 
-def _shape(components: int, rows: int, cols: int) -> tuple[int, int, int]:
-    """With a ring of padding; rows start on a multiple of 64 bytes."""
-    return components, rows + 2, (cols + 3 + 15) // 16 * 16
-
-
-def padded(components: int, rows: int, cols: int, dtype: type) -> NDArray[Any]:
-    """Zeros (components, rows + 2, width)."""
-    return np.zeros(_shape(components, rows, cols), dtype)
+def padded(components: int, rows: int, cols: int, dtype: type, make: Callable[..., Any] = np.zeros) -> NDArray[Any]:
+    """Zeros (components, rows + 2, width), with a ring of padding; rows start on a multiple of 64 bytes."""
+    return make((components, rows + 2, (cols + 3 + 15) // 16 * 16), dtype)
 
 
 def bordered(rows: int, cols: int, dtype: type) -> NDArray[Any]:
     """Array (2, rows + 2, width) with FAR in the padding and no values yet inside."""
-    out = np.empty(_shape(2, rows, cols), dtype)
+    out = padded(2, rows, cols, dtype, np.empty)
     out[:, [0, rows + 1]] = FAR
     out[:, :, 0] = FAR
     out[:, :, cols + 1 :] = FAR
@@ -145,6 +126,15 @@ class Level:
         gone = ~self.nodes
         for places in (self.xy, self.near):
             places[:, 1 : self.rows + 1, 1 : self.cols + 1][:, gone] = FAR
+
+
+def of_springs(nodes: NDArray[Any], pair: Callable[..., Any], out: NDArray[Any]) -> NDArray[Any]:
+    """Set ``out`` (4, rows, cols) to ``pair`` of the two ends of each spring."""
+    out[0, :, :-1] = pair(nodes[:, :-1], nodes[:, 1:])
+    out[1, :-1] = pair(nodes[:-1], nodes[1:])
+    out[2, :-1, :-1] = pair(nodes[:-1, :-1], nodes[1:, 1:])
+    out[3, :-1, :-1] = pair(nodes[:-1, 1:], nodes[1:, :-1])
+    return out
 
 
 def halve(level: Level, team: Team) -> Level:

@@ -83,25 +83,20 @@ def _dot(a: Single, b: Single) -> float:
     return float(np.sum(a * b, dtype=np.float64))
 
 
-class _Conjugate:
-    """Directions of the conjugate gradient method (Polak and Ribiere), for moves that come from a multigrid cycle.
+_Direction = tuple[Single, Single, float]
+"""Forces, move and their product at a step."""
 
-    A cycle deals badly with a few movements only: of parts that hang together by a strip, or near many holes. These are
-    what the method collects.
+
+def _conjugate(level: Level, last: _Direction | None) -> _Direction:
+    """Add the share of the ``last`` direction to the move by the conjugate gradient method (Polak and Ribiere).
+
+    A multigrid cycle deals badly with a few movements only: of parts that hang together by a strip, or near many holes.
+    These are what the method collects.
     """
-
-    def __init__(self) -> None:
-        self._force: Single | None = None
-        self._direction: Single | None = None
-        self._work = 0.0
-
-    def turn(self, level: Level) -> None:
-        """Add the share of the previous direction to the move of ``level``."""
-        work = _dot(level.force, level.move)
-        if self._force is not None and self._direction is not None and self._work > 0:
-            change = work - _dot(self._force, level.move)
-            level.move += np.float32(max(change / self._work, 0.0)) * self._direction
-        self._force, self._direction, self._work = level.force.copy(), level.move.copy(), work
+    work = _dot(level.force, level.move)
+    if last is not None and last[2] > 0:
+        level.move += np.float32(max((work - _dot(last[0], level.move)) / last[2], 0.0)) * last[1]
+    return level.force.copy(), level.move.copy(), work
 
 
 class Multigrid:
@@ -160,7 +155,7 @@ class Multigrid:
         count = level.rows * level.cols
         gains: list[float] = []
         slow = 0
-        search = _Conjugate()
+        last: _Direction | None = None
         for step in range(most):
             energy = self.balance(level)
             short = k == 0 and step == 0 and self._rough
@@ -176,7 +171,7 @@ class Multigrid:
             if self.guarded:
                 wanted = self._guard(level, energy)
             elif slow:
-                search.turn(level)
+                last = _conjugate(level, last)
             gain, square = self.advance(level)
             if slow and not self.guarded:
                 gain, square = self._reach(level, gain, square)

@@ -12,6 +12,7 @@ from planish.core.errors import CannotFlatten
 from planish.core.outcome import Outcome
 from planish.flatten._relaxation_kernels import mix, set_force
 from planish.flatten.geodesics import folded_cells, triangle_areas
+from planish.flatten.levels import of_springs
 
 Array = NDArray[np.float64]
 
@@ -167,7 +168,7 @@ def relax_dynamically(
             f"are (rows, cols, 2) and twice (4, rows, cols). Make all of them from one mesh."
         )
     known: NDArray[np.bool_] = np.asarray(np.isfinite(start).all(axis=-1))
-    tied = _ties(known) & np.isfinite(rest) & np.isfinite(stiff)
+    tied = of_springs(known, np.logical_and, np.zeros(rest.shape, dtype=bool)) & np.isfinite(rest) & np.isfinite(stiff)
     unit = float(np.max(stiff, where=tied, initial=0.0)) or 1.0
     x = _framed(np.where(known[..., None], start, 0.0).transpose(2, 0, 1))
     springs = _framed(np.where(tied, rest, 0.0)), _framed(np.where(tied, stiff / unit, 0.0))
@@ -254,16 +255,6 @@ def _runge_kutta(
         new_x, new_v = new_x + weight * speed, new_v + weight * rate
         place, speed = x + reach * speed, v + reach * rate
     return new_x, new_v
-
-
-def _ties(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tell for each of the (4, rows, cols) springs whether both of its ends exist."""
-    both = np.zeros((4, *known.shape), dtype=bool)
-    both[0, :, :-1] = known[:, :-1] & known[:, 1:]
-    both[1, :-1] = known[:-1] & known[1:]
-    both[2, :-1, :-1] = known[:-1, :-1] & known[1:, 1:]
-    both[3, :-1, :-1] = known[:-1, 1:] & known[1:, :-1]
-    return both
 
 
 def _framed(values: Array) -> Array:

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
 from planish.flatten._mesh_kernels import rest_lengths
-from planish.flatten.levels import Level, Team, padded
+from planish.flatten.levels import Level, Team, of_springs, padded
 
 Array = NDArray[np.float64]
 
@@ -40,14 +40,8 @@ def mean_pitch(points: Array) -> float:
 def make_springs(points: Array, pitch: float, rest: Literal["arc", "chord"], team: Team) -> tuple[Level, int, float]:
     """Tie the nodes of ``points`` (rows, cols, 3) to their neighbours; each spring is stored once.
 
-    Returns
-    -------
-    Level
-        With rest lengths in pitches and stiffness 1.
-    int
-        Number of springs.
-    float
-        Share of the springs that kept their chord although the surface bends there, NaN for ``rest="chord"``.
+    Gives a level with rest lengths in pitches and stiffness 1, the number of springs, and the share of them that kept
+    their chord although the surface bends there, NaN for ``rest="chord"``.
     """
     rows, cols = points.shape[:2]
     parts = team.parts(rows, cols)
@@ -63,12 +57,7 @@ def make_springs(points: Array, pitch: float, rest: Literal["arc", "chord"], tea
 def stiffen(level: Level, weights: Array) -> None:
     """Give every spring the weight of its less certain end."""
     stiff = padded(4, level.rows, level.cols, np.float32)
-    inside = stiff[:, 1 : level.rows + 1, 1 : level.cols + 1]
-    w = weights.astype(np.float32)
-    inside[0, :, :-1] = np.minimum(w[:, :-1], w[:, 1:])
-    inside[1, :-1] = np.minimum(w[:-1], w[1:])
-    inside[2, :-1, :-1] = np.minimum(w[:-1, :-1], w[1:, 1:])
-    inside[3, :-1, :-1] = np.minimum(w[:-1, 1:], w[1:, :-1])
+    of_springs(weights.astype(np.float32), np.minimum, stiff[:, 1 : level.rows + 1, 1 : level.cols + 1])
     stiff[level.rest == 0] = 0.0
     level.stiff = stiff
 
@@ -77,14 +66,7 @@ def loose_nodes(known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np
     """Find the nodes whose place the springs do not settle: what hangs on the sheet by a single node or spring.
 
     A cell with three corners is stiff, and so are cells that share an edge; everything else can turn freely. The
-    largest stiff part is the sheet.
-
-    Returns
-    -------
-    (rows, cols) bool
-        Known nodes outside of the largest stiff part.
-    (parts,)
-        Cells of the stiff parts.
+    largest stiff part is the sheet. Gives the known nodes outside of it, and the number of cells of every stiff part.
     """
     corners = sum(known[i : i + known.shape[0] - 1, j : j + known.shape[1] - 1].astype(np.int8)
                   for i in (0, 1) for j in (0, 1))  # fmt: skip

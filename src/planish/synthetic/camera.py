@@ -91,7 +91,7 @@ def photograph(
         image = _pierced(_scattered(image, camera.lateral_um, pixel), hole, solid)
     if camera.shading > 0:
         # The light stands on the left: what rises to the right faces it.
-        slope: Field = np.gradient(top, pixel, axis=1)
+        slope = np.asarray(np.gradient(top, pixel, axis=1))
         image *= 1 + camera.shading / 0.1 * slope * solid
     if camera.lens_um > 0:
         image = ndimage.gaussian_filter(image, camera.lens_um / pixel, mode="nearest")
