@@ -152,7 +152,7 @@ def paint(
             for k in range(k0, k1 + 1):
                 z = (first + k) * step
                 x = xs[j] + shift_x[i] - turn[i] * (z - middle[1])
-                # Up a column the material moves by nearly the same step again and again: the guess needs one correction.
+                # Up a column the material moves by nearly the same step again and again: one correction is enough.
                 u0, v0, du0, dv0 = u, v, du, dv
                 u, v, s = invert(w, curve, x, ys[i], z + lift, u + du + ddu, v + dv + ddv)
                 du, dv = (u - u0, v - v0) if k > k0 else (0.0, 0.0)
