@@ -48,7 +48,7 @@ MUTANTS = [
     Mutant("io/sizes.py", "um = length / per_unit", "um = length * per_unit", "io/test_sizes.py"),
     Mutant("io/sizes.py", "TOLERANCE * min(first, second)", "100 * TOLERANCE * min(first, second)", "io/test_sizes.py"),
     Mutant("io/sizes.py", "abs(25400.0 / um - dpi) <= 1.0", "abs(25400.0 / um - dpi) <= 0.0001", "io/test_sizes.py"),
-    Mutant("io/nrecon.py", "count != (last - first) / step + 1", "count != (last - first) / step", "io/test_nrecon.py io/test_formats.py"),
+    Mutant("io/slices.py", "count != (last - first) / step + 1", "count != (last - first) / step", "io/test_nrecon.py io/test_formats.py"),
     Mutant("io/sections.py", "if len(kinds) > 1:", "if len(kinds) > 2:", "io/test_sections.py"),
     # surface
     Mutant("surface/assemble.py", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_bottom), (top, inner_top)", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_top), (top, inner_bottom)", "surface/test_any_sheet.py surface/test_find.py"),

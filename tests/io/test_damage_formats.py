@@ -38,7 +38,7 @@ from planish.io import describe, fingerprint, read_topography, read_volume
 
 for line in formats.FORMATS:
     formats.loader(line)
-with formats.quiet():
+with formats.quiet:
     import SimpleITK, SurfaceTopography
 def memory_kib(name):
     lines = Path("/proc/self/status").read_text().splitlines()
@@ -222,7 +222,7 @@ def absurd(folder: Path) -> Iterator[tuple[str, str, str]]:
 
 def topographies(folder: Path) -> Iterator[tuple[str, str, str]]:
     """Damaged height maps."""
-    with quiet():
+    with quiet:
         from SurfaceTopography import Topography
         from SurfaceTopography.IO.X3P import write_x3p
 

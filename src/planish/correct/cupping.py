@@ -56,21 +56,10 @@ def factor(powers: tuple[float, ...], share: Array) -> Array:
 def find_cupping(
     sums: Sums, turning: Turning, levels: Levels, rings: Array
 ) -> tuple[Cupping | None, tuple[Trend, ...], str]:
-    """Find the factor that base and coating share.
+    """Find the factor that base and coating share, the trend of each material, and what to say of it.
 
-    Parameters
-    ----------
-    sums, turning, levels
-    rings : (bin,)
-        Rings that are still in the volume, as a share of the contrast: no part of the trend.
-
-    Returns
-    -------
-    cupping : Cupping or None
-        None where it is not beyond its error, or the materials contradict each other.
-    trends : tuple of Trend
-        Of each material, whether it was used or not.
-    sentence : str
+    ``rings`` (bin,) are still in the volume, as a share of the contrast: no part of the trend. The factor is None where
+    it is not beyond its error, or the materials contradict each other.
     """
     # Blocks along the axis, and quarters of the turn: (group, radius, depth, grey).
     groups = sums.histogram.reshape(-1, *sums.histogram.shape[2:])
@@ -121,7 +110,6 @@ def _mean_rings(sums: Sums, turning: Turning, rings: Array) -> Array:
 
 
 def _fit(groups: Counts, material: int, levels: Levels, share: Array, offset: Array) -> _Fit | None:
-    """Fit a material, and it again with each group left out."""
     if material == BRIGHT and not np.isfinite(levels.middle):
         return None
     # In contrasts above air.
@@ -217,7 +205,6 @@ def _between(running: Array, low: Array, high: Array) -> Array:
 
 
 def _shared(fits: list[_Fit]) -> tuple[_Fit, bool]:
-    """What the materials share, and whether they agree at all."""
     if len(fits) == 1:
         return fits[0], True
     a, b = fits

@@ -12,9 +12,7 @@ from scipy import ndimage
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SMOOTHING_PX = 1.5
-"""Gaussian in a slice after which a single voxel shows its material in spite of the noise."""
-
+SMOOTHING_PX = 1.5  # gaussian in a slice after which a single voxel shows its material in spite of the noise
 _BINS = 160
 _WINDOW = 9
 _SPIKE = 0.01  # of all voxels: so much padding at least
@@ -24,28 +22,14 @@ _CLEAR = 6.0  # the sheet stands out from air by so many scatters of the smoothe
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """Greys of a volume.
-
-    Attributes
-    ----------
-    air, sheet : float
-        Grey of the air, and of the brightest material that is common: coating where there is one, or base.
-    split : float
-        Between air and sheet.
-    middle : float
-        Between base and coating; infinite where there is one material only.
-    padding : float
-        Value of voxels that hold nothing; NaN for none.
-    air_cut : bool
-        Whether the export has cut off the air's noise, so that its mean is biased.
-    """
+    """Greys of a volume."""
 
     air: float
-    sheet: float
-    split: float
-    middle: float
-    padding: float
-    air_cut: bool
+    sheet: float  # of the brightest material that is common: coating where there is one, or base
+    split: float  # between air and sheet
+    middle: float  # between base and coating; infinite where there is one material only
+    padding: float  # of voxels that hold nothing; NaN for none
+    air_cut: bool  # whether the export has cut off the air's noise, so that its mean is biased
 
     @property
     def contrast(self) -> float:

@@ -36,24 +36,13 @@ _MOST_BINS = 40  # width of a ring; what is wider is left alone
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rings:
-    """Rings and how their heights vary along the axis.
-
-    Attributes
-    ----------
-    found : tuple of Ring
-    shapes : (ring, bin)
-        Height at each radius, as a share of the contrast.
-    factors : (ring, block)
-        On the height, at the middle of each block.
-    profile, error : (bin,)
-        Mean over all parts and its standard error, NaN where it is not known.
-    """
+    """Rings and how their heights vary along the axis."""
 
     found: tuple[Ring, ...]
-    shapes: Array
-    factors: Array
-    profile: Array
-    error: Array
+    shapes: Array  # (ring, bin): height at each radius, as a share of the contrast
+    factors: Array  # (ring, block): on the height, at the middle of each block
+    profile: Array  # (bin,): mean over all parts, NaN where it is not known
+    error: Array  # (bin,): its standard error
 
     @property
     def limit(self) -> float:

@@ -25,18 +25,11 @@ Slice = NDArray[Any]
 AIR, BASE, BRIGHT = 0, 1, 2
 MATERIALS = ("air", "base", "coating")
 
-UNIT = 1024
-"""Whole numbers to the contrast between air and sheet."""
+UNIT = 1024  # whole numbers to the contrast between air and sheet
+GREYS = np.linspace(-0.5, 2.5, 301)  # borders of the histogram's greys, in contrasts above air
+COARSE = 48  # radii of the histogram
 
-GREYS = np.linspace(-0.5, 2.5, 301)
-"""Borders of the histogram's greys, in contrasts above air."""
-
-COARSE = 48
-"""Radii of the histogram."""
-
-QUARTERS = 4
-"""Parts of the turn of the histogram."""
-
+QUARTERS = 4  # parts of the turn of the histogram
 DEPTHS = np.array([0, 5, 6, 7, 8, 10, 13, 18])
 """Depths below a face in voxels, from which on each class of the histogram begins."""
 
@@ -51,29 +44,14 @@ _GROUP = 16  # slices that are worked on together
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sums:
-    """What one pass found.
+    """What one pass found; greys are in units of contrast / :data:`UNIT`."""
 
-    Attributes
-    ----------
-    count, total : (block, sector, material, bin) int64
-        Voxels on each part of a circle, and the sum of their grey, less the mean grey of their material and depth
-        in the same slice, in units of contrast / :data:`UNIT`.
-    histogram : (block, quarter of the turn, COARSE, depth, grey) int64
-        Voxels inside the sheet.
-    level : (material, 2) int64
-        Number of voxels, and the sum of their grey above air in the same units.
-    blocks : (block,) float64
-        Middle of each block along the axis, in slices.
-    slices : int
-        Slices that were looked at.
-    """
-
-    count: Counts
-    total: Counts
-    histogram: Counts
-    level: Counts
-    blocks: NDArray[np.float64]
-    slices: int
+    count: Counts  # (block, sector, material, bin): voxels on each part of a circle
+    total: Counts  # and the sum of their grey, less the mean grey of their material and depth in the same slice
+    histogram: Counts  # (block, quarter of the turn, COARSE, depth, grey): voxels inside the sheet
+    level: Counts  # (material, 2): number of voxels, and the sum of their grey above air
+    blocks: NDArray[np.float64]  # (block,): middle of each block along the axis, in slices
+    slices: int  # that were looked at
 
 
 def slices_of(

@@ -14,8 +14,7 @@ from planish.correct.params import Axis
 
 Array = NDArray[np.float64]
 
-SECTORS = 16
-"""Parts of a full turn that are compared: a ring shows in all of them, a structure of the sheet does not."""
+SECTORS = 16  # parts of a full turn that are compared: a ring shows in all of them, a structure of the sheet does not
 
 _LEAST_PLANE, _LEAST_LENGTH = 24, 8
 _FAR = 0.5  # of the field's width; an axis further outside is taken for a mistake

@@ -207,7 +207,6 @@ def _noted(volume: xr.DataArray, record: Corrections) -> xr.DataArray:
 
 
 def _decide(before: Sums, turning: Turning, levels: Levels, record: Corrections) -> tuple[Change, Corrections]:
-    """Find what has to be changed."""
     sentences: list[str] = []
     rings = find_rings(before, turning, levels.contrast)
     if "rings" in record.asked:

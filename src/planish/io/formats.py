@@ -1,8 +1,8 @@
-"""Which module reads which file: the one table, and the part of a path that chooses inside a file.
+"""Which module reads which file: the one table, the part of a path that chooses inside a file, and what a reader gives.
 
 A format is one line here and one module with the function
 ``load(place, channel, memory_bytes) -> LoadedVolume``. ``channel`` is None or one of
-:data:`planish.io.colour.CHANNELS`, for formats in colour; ``memory_bytes`` is the largest decoded size, three quarters
+:data:`CHANNELS`, for formats in colour; ``memory_bytes`` is the largest decoded size, three quarters
 of the memory available where it is None. Values that stay in their file are given unread. It raises FileError for a
 file that is damaged or of another format, VolumeError for what is not one grey volume, SizeError, InputError for a
 channel that is not there, and ResourceError for what does not fit into the memory.
@@ -11,38 +11,39 @@ channel that is not there, and ResourceError for what does not fit into the memo
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from planish.core.errors import FileError
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.errors import FileError, InputError, VolumeError
 from planish.io.guard import quiet
-from planish.io.loaded import LoadedVolume
+from planish.io.lazy import FileArray, settle
+from planish.io.sizes import Stated
+from planish.io.tiff import size_words
+
+ADVICE = "Save one grey volume alone, as a stack of slices."
+
+MOST_VOXELS = 2**50  # no scan has more; a larger number is damage
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue, Rec. ITU-R BT.709
+COLOURS = {"red": 0, "green": 1, "blue": 2}
+CHANNELS = ("luminance", *COLOURS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
-    """A format of volumes.
-
-    Attributes
-    ----------
-    name, module : str
-        The module is one of this package.
-    suffixes : tuple of str
-        Ends of the names of its files or folders, in small letters.
-    members : tuple of str
-        Names of files that mark a folder of this format, whatever its own name.
-    parts : bool
-        Whether ``path:part`` chooses one volume of several.
-    """
+    """A format of volumes."""
 
     name: str
-    module: str
-    suffixes: tuple[str, ...]
-    members: tuple[str, ...] = ()
-    parts: bool = False
+    module: str  # of this package
+    suffixes: tuple[str, ...]  # ends of the names of its files or folders, in small letters
+    members: tuple[str, ...] = ()  # names of files that mark a folder of this format, whatever its own name
+    parts: bool = False  # whether ``path:part`` chooses one volume of several
 
 
 ZARR_MEMBERS = ("zarr.json", ".zgroup", ".zarray")
@@ -133,9 +134,137 @@ def loader(found: Format) -> Callable[..., LoadedVolume]:
 def extra(module: str, path: Path) -> ModuleType:
     """Import a library that only some installations have."""
     try:
-        with quiet():
+        with quiet:
             return importlib.import_module(module)
     except ImportError as error:
         raise FileError(
             f'{path.name} needs the library {module}, which is not installed. Run: pip install "planish[formats]"'
         ) from error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadedVolume:
+    """Values of a volume and what its files say about them."""
+
+    values: NDArray[Any] | FileArray  # dims (z, y, x)
+    stated: Sequence[Stated]  # voxel size along z, y, x in the metadata
+    files: Sequence[Path]  # all that it is made of
+    bits: int = 64  # of a whole number, where the file uses fewer than its type has
+    attrs: Mapping[str, Any] = field(default_factory=dict[str, Any])  # further ones of the volume, plain values
+    notes: Sequence[str] = ()  # sentences about what looks wrong in the files
+
+    @property
+    def file_bytes(self) -> int:
+        """Size of all files."""
+        return sum(file.stat().st_size for file in dict.fromkeys(self.files))
+
+    @property
+    def full_scale(self) -> int | None:
+        """Largest value the file can store; None for floating point."""
+        return full_scale(self.values.dtype, self.bits)
+
+
+def full_scale(dtype: np.dtype[Any], bits: int) -> int | None:
+    """Largest value that can be stored, None for floating point."""
+    if dtype.kind == "f":
+        return None
+    return 1 if dtype.kind == "b" else min(int(np.iinfo(dtype).max), 2**bits - 1)
+
+
+def settled(volume: LoadedVolume, path: Path, *, memory_bytes: int | None) -> LoadedVolume:
+    """Check shape and type, and read what is small."""
+    shape = volume.values.shape
+    if 0 in shape or math.prod(shape) > MOST_VOXELS:
+        raise FileError(
+            f"{path.name} declares {size_words(shape)} voxels, which no volume has. It is damaged: copy or export it "
+            "again."
+        )
+    if len(shape) != 3 or min(shape) == 1:
+        raise VolumeError(f"{path.name} is no volume but {size_words(shape)} voxels (z, y, x). {ADVICE}")
+    check_type(volume.values.dtype, path)
+    return replace(volume, values=settle(volume.values, memory_bytes=memory_bytes))
+
+
+def check_type(dtype: np.dtype[Any], path: Path) -> None:
+    """Refuse values that are no grey values."""
+    if dtype.kind == "b":
+        raise VolumeError(f"{path.name} has black and white only (1 bit). Give the grey values it was made from.")
+    if dtype.kind not in "uif" or dtype.itemsize > 8:
+        raise VolumeError(f"{path.name} has {dtype} values. Needed are integers or real numbers up to 64 bits.")
+
+
+def inside(folder: Path, name: str, path: Path, *, base: Path | None = None) -> Path:
+    """Path of a file that another file names, which has to lie in the same folder or below."""
+    target = (base or folder) / name
+    try:
+        within = "\0" not in name and target.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError):
+        within = False
+    if not within:
+        raise FileError(
+            f"{path.name} takes data from {name!r}, outside its folder, which planish does not open. "
+            "Put the files into one folder and name them without a path."
+        )
+    if not target.is_file():
+        raise FileError(f"{path.name} takes data from {name!r}, which does not exist. Put it beside {path.name}.")
+    return target
+
+
+def check_channel(channel: str | None) -> str | None:
+    """Return the name of a channel in small letters."""
+    word = None if channel is None else channel.strip().casefold()
+    if word not in (None, *CHANNELS):
+        raise InputError(
+            f"{channel!r} is no channel of a volume. Choose one of {', '.join(CHANNELS)} with --volume-channel."
+        )
+    return word
+
+
+def grey_of(colour: NDArray[Any], *, channel: str | None) -> NDArray[Any]:
+    """Turn the last axis, red, green and blue, into grey; luminance, where none is chosen, is rounded in integers."""
+    if channel not in (None, "luminance"):
+        return colour[..., COLOURS[channel]]
+    # In double precision 16-bit values come out exact, so that grey stored as colour stays what it was.
+    grey = colour[..., :3].astype(np.float64) @ np.array(LUMINANCE)
+    return (np.rint(grey) if colour.dtype.kind in "ui" else grey).astype(colour.dtype)
+
+
+def colour_attrs(channel: str | None, path: Path, *, in_colour: bool) -> dict[str, str]:
+    """Attributes of a volume whose files are in colour; a choice of colours is refused where they are not."""
+    if not in_colour:
+        if channel not in (None, "luminance"):
+            raise InputError(f"{path.name} is grey, so it has no {channel}. Leave --volume-channel out.")
+        return {}
+    chosen = "no channel was chosen, so luminance is" if channel is None else f"the channel chosen is {channel}"
+    return {"channel": channel or "luminance", "colour": f"The files are in colour; {chosen}."}
+
+
+def check_chunks(
+    present: Iterable[tuple[int, ...]], shape: tuple[int, ...], chunk: tuple[int, ...], *, name: str
+) -> tuple[str, ...]:
+    """Compare the chunks of an array with those it should have.
+
+    Writers leave out chunks that hold nothing but the fill value, so a few that are missing may be the air around a
+    sample. A whole layer of the array without any is a copy that was cut off, or a wrong shape.
+    """
+    grid = tuple(-(-n // c) for n, c in zip(shape, chunk, strict=True))
+    stored = [p for p in present if len(p) == len(grid) and all(0 <= i < n for i, n in zip(p, grid, strict=True))]
+    lost, total = math.prod(grid) - len(stored), math.prod(grid)
+    remedy = "It is cut off, or its shape is wrong: copy or export it again."
+    if not stored:
+        raise FileError(f"{name} has no values: none of its {total} chunks is stored. {remedy}")
+    names = "tczyx"[-len(grid) :] if len(grid) <= 5 else range(len(grid))
+    for axis, (found, n, c) in enumerate(zip(zip(*stored, strict=True), grid, chunk, strict=True)):
+        places = set(found)
+        missing = next((p for p in range(n) if p not in places), None)
+        if missing is not None:
+            raise FileError(
+                f"{name} has no values for {names[axis]} from {missing * c} to "
+                f"{min((missing + 1) * c, shape[axis]) - 1}: {lost} of its {total} chunks are not stored. {remedy}"
+            )
+    if not lost:
+        return ()
+    return (
+        f"{lost} of its {total} chunks are not stored and read as one constant: either they are empty, or "
+        "they were lost when it was copied.",
+    )

@@ -12,12 +12,8 @@ from pathlib import Path
 
 from planish.core.errors import FileError, PlanishError, ResourceError
 
-MEMORY_SHARE = 0.75
-"""Part of the available memory that one file may fill; the rest is for the work on it."""
-
-MEMORY_UNKNOWN_BYTES = 8 * 2**30
-"""What is assumed where the system does not report it."""
-
+MEMORY_SHARE = 0.75  # part of the available memory that one file may fill; the rest is for the work on it
+MEMORY_UNKNOWN_BYTES = 8 * 2**30  # what is assumed where the system does not report it
 BLOWN_UP_RATIO = 2000
 """Decoded over stored bytes. Deflate ends at 1032, LZW at about 1400, and scans, which are noisy, far below."""
 
@@ -26,7 +22,7 @@ BLOWN_UP_FROM_BYTES = 16 * 2**20
 
 
 class _Quiet:
-    """Keeps the decoders quiet while any thread is reading.
+    """Keeps log lines and warnings of other libraries away from the user while any thread is reading.
 
     Filters of warnings and switches of loggers belong to the whole process. Threads that set and reset them in turn
     would leave them as another thread had found them, so the first one in sets them and the last one out resets them.
@@ -39,8 +35,7 @@ class _Quiet:
         self._inside = 0
         self._undo = ExitStack()
 
-    def enter(self) -> None:
-        """Silence log lines and warnings."""
+    def __enter__(self) -> None:
         with self._lock:
             self._inside += 1
             if self._inside > 1:
@@ -52,33 +47,22 @@ class _Quiet:
                 self._undo.callback(setattr, log, "disabled", log.disabled)
                 log.disabled = True
 
-    def leave(self) -> None:
-        """Restore them after the last reader has left."""
+    def __exit__(self, *_raised: object) -> None:
         with self._lock:
             self._inside -= 1
             if self._inside == 0:
                 self._undo.close()
 
 
-_quiet = _Quiet()
-
-
-@contextmanager
-def quiet() -> Generator[None]:
-    """Keep log lines and warnings of other libraries away from the user."""
-    _quiet.enter()
-    try:
-        yield
-    finally:
-        _quiet.leave()
+quiet = _Quiet()
 
 
 @contextmanager
 def reading(path: Path) -> Generator[None]:
     """Turn whatever a decoder raises into one FileError, and keep its log lines and warnings quiet."""
-    _quiet.enter()
     try:
-        yield
+        with quiet:
+            yield
     except PlanishError:
         raise
     except MemoryError as error:
@@ -92,8 +76,6 @@ def reading(path: Path) -> Generator[None]:
         raise FileError(
             f"{path.name} cannot be decoded ({reason}). It is damaged or of a rare kind: copy or export it again."
         ) from error
-    finally:
-        _quiet.leave()
 
 
 def size_of_file(path: Path) -> int:
@@ -130,10 +112,10 @@ def check_memory(path: Path, *, needed_bytes: int, limit_bytes: int | None) -> N
 
 def default_memory_limit() -> int:
     """Bytes that one file may fill: three quarters of the memory that is available now."""
-    return int(MEMORY_SHARE * min(available_memory_bytes(), control_group_limit_bytes()))
+    return int(MEMORY_SHARE * min(_available_memory_bytes(), _control_group_limit_bytes()))
 
 
-def available_memory_bytes() -> int:
+def _available_memory_bytes() -> int:
     """Physical memory that is free or can be freed, or a cautious number where the system does not report it."""
     table = Path("/proc/meminfo")
     if table.is_file():
@@ -146,12 +128,11 @@ def available_memory_bytes() -> int:
         return MEMORY_UNKNOWN_BYTES
 
 
-def control_group_limit_bytes() -> int:
+def _control_group_limit_bytes() -> int:
     """Memory limit of the container the process runs in; a huge number where there is none."""
     for name in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
         limit = Path(name)
-        if limit.is_file():
-            text = limit.read_text(encoding="ascii", errors="replace").strip()
-            if text.isdigit():
-                return int(text)
+        text = limit.read_text(encoding="ascii", errors="replace").strip() if limit.is_file() else ""
+        if text.isdigit():
+            return int(text)
     return 2**62

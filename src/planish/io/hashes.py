@@ -8,10 +8,9 @@ from pathlib import Path
 
 from planish.io.formats import SLICES, TIFF, find_place, format_of, loader
 from planish.io.guard import reading, size_of_file
-from planish.io.nrecon import read_scan
 from planish.io.sections import COUNTER, is_section_folder
 from planish.io.slice_volume import slice_files
-from planish.io.slices import is_slice_name
+from planish.io.slices import is_slice_name, read_scan
 from planish.io.store import store_fingerprint
 
 

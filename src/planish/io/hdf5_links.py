@@ -17,13 +17,11 @@ from typing import Any, NamedTuple
 import h5py  # pyright: ignore[reportMissingTypeStubs]
 
 from planish.core.errors import FileError, VolumeError
+from planish.io.formats import inside
 from planish.io.guard import reading, size_of_file
-from planish.io.loaded import inside
 from planish.io.tiff import size_words
 
-MOST_LINKS = 32
-"""Links that one path may pass; more is a circle."""
-
+MOST_LINKS = 32  # links that one path may pass; more is a circle
 MOST_OBJECTS = 20_000
 
 
@@ -59,12 +57,6 @@ def link_of(group: Any, name: str) -> Link | None:
     if kind == h5py.h5l.TYPE_SOFT:  # pyright: ignore[reportAttributeAccessIssue]
         return Link(hard=False, target=os.fsdecode(value))
     return Link(hard=False, target=os.fsdecode(value[1]), file=os.fsdecode(value[0]))
-
-
-def is_hard(group: Any, name: str) -> bool:
-    """Whether a member of a group is the thing itself."""
-    link = link_of(group, name)
-    return link is not None and link.hard
 
 
 def find_dataset(path: Path, name: str) -> tuple[Path, str]:

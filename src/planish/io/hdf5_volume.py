@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.chunks import check_chunks
-from planish.io.formats import Place
-from planish.io.hdf5_links import check_storage, find_dataset, is_hard, link_of, listed, opened, volumes_in
+from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks
+from planish.io.hdf5_links import check_storage, find_dataset, link_of, listed, opened, volumes_in
 from planish.io.lazy import FileArray, turned
-from planish.io.loaded import ADVICE, LoadedVolume
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import size_words
 
@@ -29,8 +27,7 @@ SIZE_NAMES = ("voxel_size", "element_size", "pixel_size", "spacing", "resolution
 """Attributes in which programs write the voxel size, with ``_um`` or another unit at the end, or the unit beside."""
 
 LONGEST_AXIS = 10_000_000
-EVEN = 0.01
-"""Share by which the steps of an axis may differ."""
+EVEN = 0.01  # share by which the steps of an axis may differ
 
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
@@ -142,7 +139,8 @@ def _default_group(group: Any, kind: str) -> Any:
 
 def _child(group: Any, name: str) -> Any:
     """Member of a group that is no link; None where there is none."""
-    return group[name] if is_hard(group, name) else None
+    link = link_of(group, name)
+    return group[name] if link is not None and link.hard else None
 
 
 def _axis_names(dataset: Any) -> list[str]:
@@ -164,7 +162,10 @@ def _stated_by_nexus(dataset: Any, names: Sequence[str], order: Sequence[int]) -
     notes: list[str] = []
     for axis in order if names else ():
         values: Any = _child(dataset.parent, names[axis])
-        if not _is_scale(values, dataset.shape[axis]):
+        n = dataset.shape[axis]
+        if not isinstance(values, h5py.Dataset) or values.shape != (n,) or n > LONGEST_AXIS:
+            continue
+        if values.dtype.kind not in "uif" or values.is_virtual or values.external:
             continue
         differences = np.abs(np.diff(np.asarray(values[()], np.float64)))
         step = float(np.median(differences))
@@ -176,18 +177,6 @@ def _stated_by_nexus(dataset: Any, names: Sequence[str], order: Sequence[int]) -
         return []
     found = stated_in("the NeXus axes", steps, units, order)
     return [Stated(source=found.source, um=found.um, note=", ".join([*notes, found.note] if found.note else notes))]
-
-
-def _is_scale(item: Any, length: int) -> bool:
-    """Whether something holds one number for each place along an axis."""
-    return (
-        isinstance(item, h5py.Dataset)
-        and item.shape == (length,)
-        and length <= LONGEST_AXIS
-        and item.dtype.kind in "uif"
-        and not item.is_virtual
-        and not item.external
-    )
 
 
 def _stated_by_attributes(dataset: Any) -> list[Stated]:

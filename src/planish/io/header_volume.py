@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.formats import Place, extra
+from planish.io.formats import ADVICE, LoadedVolume, Place, extra, inside
 from planish.io.guard import check_blown_up, default_memory_limit, reading, size_of_file
 from planish.io.lazy import FileArray, WholeArray, mapped
-from planish.io.loaded import ADVICE, LoadedVolume, inside
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged, size_words
 
@@ -32,29 +31,18 @@ LARGEST_HEADER = 2**20
 READ_BYTES = 4 * 2**20
 UNPACKED_BYTES = 64 * 2**20
 
-NRRD_TYPES = {
-    "int8": "signed char, int8, int8_t",
-    "uint8": "uchar, unsigned char, uint8, uint8_t",
-    "int16": "short, short int, signed short, signed short int, int16, int16_t",
-    "uint16": "ushort, unsigned short, unsigned short int, uint16, uint16_t",
-    "int32": "int, signed int, int32, int32_t",
-    "uint32": "uint, unsigned int, uint32, uint32_t",
-    "int64": "longlong, long long, long long int, signed long long, signed long long int, int64, int64_t",
-    "uint64": "ulonglong, unsigned long long, unsigned long long int, uint64, uint64_t",
-    "float32": "float",
-    "float64": "double",
-}
-META_TYPES = {
-    "int8": "MET_CHAR",
-    "uint8": "MET_UCHAR",
-    "int16": "MET_SHORT",
-    "uint16": "MET_USHORT",
-    "int32": "MET_INT, MET_LONG",
-    "uint32": "MET_UINT, MET_ULONG",
-    "int64": "MET_LONG_LONG",
-    "uint64": "MET_ULONG_LONG",
-    "float32": "MET_FLOAT",
-    "float64": "MET_DOUBLE",
+TYPES = {
+    "int8": "signed char, int8, int8_t, MET_CHAR",
+    "uint8": "uchar, unsigned char, uint8, uint8_t, MET_UCHAR",
+    "int16": "short, short int, signed short, signed short int, int16, int16_t, MET_SHORT",
+    "uint16": "ushort, unsigned short, unsigned short int, uint16, uint16_t, MET_USHORT",
+    "int32": "int, signed int, int32, int32_t, MET_INT, MET_LONG",
+    "uint32": "uint, unsigned int, uint32, uint32_t, MET_UINT, MET_ULONG",
+    "int64": "longlong, long long, long long int, signed long long, signed long long int, int64, int64_t"
+    ", MET_LONG_LONG",
+    "uint64": "ulonglong, unsigned long long, unsigned long long int, uint64, uint64_t, MET_ULONG_LONG",
+    "float32": "float, MET_FLOAT",
+    "float64": "double, MET_DOUBLE",
 }
 PACKINGS = {"raw": "", "gzip": "deflate", "gz": "deflate", "bzip2": "bzip2", "bz2": "bzip2"}
 SPATIAL = frozenset({"domain", "space", "???", "none", ""})
@@ -62,35 +50,14 @@ SPATIAL = frozenset({"domain", "space", "???", "none", ""})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Header:
-    """What a header says.
+    """What a header says."""
 
-    Attributes
-    ----------
-    sizes : tuple of int
-        Of all axes, the fastest first.
-    order : tuple of int
-        Which of these axes are z, y, x.
-    stored : dtype
-    data : Path
-        File with the values.
-    offset : int
-        Byte at which they begin; -1 where they end with the file.
-    packing : {"", "deflate", "bzip2"}
-    stated : list of Stated
-    """
-
-    sizes: tuple[int, ...]
-    order: tuple[int, ...]
+    shape: tuple[int, ...]  # z, y, x
     stored: np.dtype[Any]
-    data: Path
-    offset: int
-    packing: str
+    data: Path  # file with the values
+    offset: int  # byte at which they begin; -1 where they end with the file
+    packing: str  # "", "deflate" or "bzip2"
     stated: list[Stated]
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Voxels along z, y, x."""
-        return tuple(self.sizes[axis] for axis in self.order)
 
     @property
     def needed_bytes(self) -> int:
@@ -184,15 +151,14 @@ def _axes(sizes: tuple[int, ...], several: str, path: Path) -> tuple[int, ...]:
     return long[::-1]
 
 
-def _type_of(word: str, types: Mapping[str, str], path: Path) -> np.dtype[Any]:
-    for name, words in types.items():
+def _type_of(word: str, path: Path) -> np.dtype[Any]:
+    for name, words in TYPES.items():
         if word in words.split(", "):
             return np.dtype(name)
     raise VolumeError(f"{path.name} has values of the type {word!r}. Export it with integer or real values.")
 
 
 def _data_file(name: str, path: Path) -> Path:
-    """File with the values that a header names."""
     if name.split()[:1] == ["LIST"] or "%" in name:
         raise FileError(f"{path.name} takes its slices from several files. Save it as one file.")
     return inside(path.parent, name, path)
@@ -219,7 +185,7 @@ def _nrrd(head: bytes, path: Path) -> Header:
         raise damaged(path, f"its sizes are {keys.get('sizes')}, its dimension is {keys.get('dimension')}")
     several = [f"{n} of kind {kind!r}" for n, kind in zip(sizes, kinds, strict=True) if n > 1 and kind not in SPATIAL]
     order = _axes(sizes, f"{' and '.join(several)} in each voxel" if several else "", path)
-    dtype = _type_of(str(keys.get("type", "")).strip(), NRRD_TYPES, path)
+    dtype = _type_of(str(keys.get("type", "")).strip(), path)
     if dtype.itemsize > 1 and keys.get("endian") not in ("little", "big"):
         raise damaged(path, "its header does not state the byte order (endian)")
     encoding = str(keys.get("encoding", "")).casefold()
@@ -229,8 +195,7 @@ def _nrrd(head: bytes, path: Path) -> Header:
         raise FileError(f"{path.name} has the encoding {encoding!r}. Save it with the encoding raw or gzip.")
     name = keys.get("data file", keys.get("datafile"))
     return Header(
-        sizes=sizes,
-        order=order,
+        shape=tuple(sizes[axis] for axis in order),
         stored=dtype.newbyteorder(">" if keys.get("endian") == "big" else "<"),
         data=path if name is None else _data_file(str(name), path),
         offset=-1 if byte_skip == -1 else byte_skip + (end if name is None else 0),
@@ -285,7 +250,7 @@ def _meta(head: bytes, path: Path) -> Header:
     sizes = tuple(int(word) for word in words)
     channels = keys.get("elementnumberofchannels", "1")
     order = _axes(sizes, f"{channels} channels" if channels != "1" else "", path)
-    dtype = _type_of(keys.get("elementtype", ""), META_TYPES, path)
+    dtype = _type_of(keys.get("elementtype", ""), path)
     if not switched("binarydata", "True"):
         raise FileError(f"{path.name} has its values written as text. Save it with binary values.")
     local, skip = name.casefold() == "local", keys.get("headersize", "0")
@@ -294,31 +259,21 @@ def _meta(head: bytes, path: Path) -> Header:
     packed = switched("compresseddata", "False")
     big = switched("binarydatabyteordermsb", keys.get("elementbyteordermsb", "False"))
     unit = keys.get("distanceunits", "")
+    stated: list[Stated] = []
+    for key in ("ElementSpacing", "ElementSize"):
+        words = keys.get(key.casefold(), "").split()
+        if words:
+            source = f"the MetaImage {key} ({unit or 'no unit written; mm, as ITK has it'})"
+            with reading(path):
+                stated.append(stated_in(source, [float(w) for w in words], [unit or "mm"] * len(sizes), order))
     return Header(
-        sizes=sizes,
-        order=order,
+        shape=tuple(sizes[axis] for axis in order),
         stored=dtype.newbyteorder(">" if big else "<"),
         data=path if local else _data_file(name, path),
         offset=-1 if skip == "-1" and not packed else end if local else 0,
         packing="deflate" if packed else "",
-        stated=[
-            stated_in(
-                f"the MetaImage {key} ({unit or 'no unit written; mm, as ITK has it'})",
-                _lengths(keys[key.casefold()]),
-                [unit or "mm"] * len(sizes),
-                order,
-            )
-            for key in ("ElementSpacing", "ElementSize")
-            if key.casefold() in keys
-        ],
+        stated=stated,
     )
-
-
-def _lengths(text: str) -> list[float]:
-    try:
-        return [float(word) for word in text.split()]
-    except ValueError:
-        return []
 
 
 class MetaArray(FileArray):

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, InputError
 from planish.core.lazy import labelled
+from planish.io.formats import COLOURS, LUMINANCE
 from planish.io.guard import check_memory, size_of_file
-from planish.io.loaded import COLOURS, LUMINANCE
 from planish.io.picture import Picture, load_picture
 from planish.io.sizes import PIXEL, Stated, agreed_size
 
@@ -107,16 +107,16 @@ def pick_channel(picture: Picture, channel: str, *, file_name: str) -> tuple[NDA
                 f"{file_name} has {samples} channel{'s' if samples > 1 else ''}, number {word} is not among them. "
                 f"Choose 0{f' to {samples - 1}' if samples > 1 else ''} with --channel."
             )
-        picked, long_name = as_float32(values[..., int(word)]), f"Channel {int(word)}"
+        picked, long_name = _as_float32(values[..., int(word)]), f"Channel {int(word)}"
     elif word in COLOURS and picture.colour == "rgb":
-        picked, long_name = as_float32(values[..., COLOURS[word]]), word.capitalize()
+        picked, long_name = _as_float32(values[..., COLOURS[word]]), word.capitalize()
     elif word == "luminance" and picture.colour == "rgb":
         picked = np.zeros(values.shape[:2], np.float32)
         for sample, weight in enumerate(LUMINANCE):
-            picked += np.float32(weight) * as_float32(values[..., sample])
+            picked += np.float32(weight) * _as_float32(values[..., sample])
         long_name = "Luminance"
     elif word == "luminance" and picture.colour == "grey":
-        picked, long_name = as_float32(values[..., 0]), "Grey value"
+        picked, long_name = _as_float32(values[..., 0]), "Grey value"
     elif word == "luminance" or word in COLOURS:
         what = (
             "is a grey image" if picture.colour == "grey" else f"has {samples} channels that are not red, green, blue"
@@ -130,7 +130,7 @@ def pick_channel(picture: Picture, channel: str, *, file_name: str) -> tuple[NDA
     return picked, long_name
 
 
-def as_float32(values: NDArray[Any]) -> NDArray[np.float32]:
+def _as_float32(values: NDArray[Any]) -> NDArray[np.float32]:
     """Convert to a new float32 array in which everything that is no finite number is NaN."""
     with np.errstate(over="ignore"):
         result = np.array(values, dtype=np.float32)

@@ -26,18 +26,12 @@ from planish.io.volume import load_volume
 USUAL_VOXEL_UM = (0.3, 20.0)
 """Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred."""
 
-MOST_UNEQUAL = 5.0
-"""Longest over shortest edge of a voxel; beyond, one of them is probably wrong."""
+MOST_UNEQUAL = 5.0  # longest over shortest edge of a voxel; beyond, one of them is probably wrong
+# What ``planish map`` needs for each column through the sheet and in any case, on two busy cores.
+COLUMN_BYTES, BASE_BYTES = 520, 530 * 10**6
+COLUMN_SECONDS, BASE_SECONDS = 35e-6, 15.0
 
-COLUMN_BYTES = 520
-BASE_BYTES = 530 * 10**6
-COLUMN_SECONDS = 35e-6
-BASE_SECONDS = 15.0
-"""What ``planish map`` needs for each column through the sheet and in any case, on two busy cores."""
-
-
-Size = Callable[[], tuple[tuple[float, ...], str]]
-"""Finds the size and its source, or raises SizeError."""
+Size = Callable[[], tuple[tuple[float, ...], str]]  # finds the size and its source, or raises SizeError
 
 
 def describe(

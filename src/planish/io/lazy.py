@@ -18,32 +18,17 @@ from numpy.typing import NDArray
 from planish.core.lazy import LazyArray, Where
 from planish.io.guard import check_memory, default_memory_limit, reading
 
-EAGER_BYTES = 2**30
-"""Up to this size what can be read in parts is read at once: it then never waits for the disk again."""
-
-CACHE_BYTES = 256 * 2**20
-"""Decoded slices that are kept, because the next part often lies in the same ones."""
+EAGER_BYTES = 2**30  # up to this size what can be read in parts is read at once: it then never waits for the disk again
+CACHE_BYTES = 256 * 2**20  # decoded slices that are kept, because the next part often lies in the same ones
 
 
 class FileArray(LazyArray):
-    """An array in a file.
+    """An array in a file."""
 
-    Attributes
-    ----------
-    path : Path
-        For the messages.
-    piece_bytes : int
-        What is decoded at least, however small the part.
-    whole_slices : bool
-        Whether a few rows of a slice cost as much as all of them.
-    chunks : tuple of int or None
-        What is decoded together, where the file is chunked.
-    """
-
-    path: Path
-    piece_bytes: int = 0
-    whole_slices: bool = False
-    chunks: tuple[int, ...] | None = None
+    path: Path  # for the messages
+    piece_bytes: int = 0  # what is decoded at least, however small the part
+    whole_slices: bool = False  # whether a few rows of a slice cost as much as all of them
+    chunks: tuple[int, ...] | None = None  # what is decoded together, where the file is chunked
 
     def guarded(self) -> AbstractContextManager[None]:
         """Turn what a decoder raises into a FileError."""
@@ -122,15 +107,9 @@ class WholeArray(FileArray):
 
 
 class ChangedArray(FileArray):
-    """An array whose parts pass a function that changes each value for itself.
+    """An array whose parts pass a function, which can be pickled and changes each value for itself.
 
-    Parameters
-    ----------
-    inner : FileArray
-        May have a further last axis, the samples of a pixel, which `change` takes away.
-    change : callable
-        From a part of `inner` to that part of the array; can be pickled.
-    dtype : dtype
+    ``inner`` may have a further last axis, the samples of a pixel, which ``change`` takes away.
     """
 
     def __init__(self, inner: FileArray, change: Callable[[NDArray[Any]], NDArray[Any]], dtype: np.dtype[Any]) -> None:

@@ -15,21 +15,15 @@ from planish.io.slices import some
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
-SAMPLE_VALUES = 4_000_000
-"""Values from which percentiles are taken where counting every grey level is not possible."""
-
-SAMPLE_BYTES = 256 * 2**20
-"""What is read of a volume that is too large to be read for a look."""
+SAMPLE_VALUES = 4_000_000  # values from which percentiles are taken where counting every grey level is not possible
+SAMPLE_BYTES = 256 * 2**20  # what is read of a volume that is too large to be read for a look
 
 LEAST_PLANES = 8
 
-SATURATED_SHARE = 0.001
-"""Above this share of values at the end of the range, grey levels were lost."""
-
+SATURATED_SHARE = 0.001  # above this share of values at the end of the range, grey levels were lost
 FEW_LEVELS = 16
 
-TELLING_PIXELS = 1000
-"""Slices with fewer pixels may well be alike, or of one grey."""
+TELLING_PIXELS = 1000  # slices with fewer pixels may well be alike, or of one grey
 
 Values = NDArray[Any] | FileArray
 

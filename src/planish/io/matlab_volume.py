@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from planish.core import matlab
 from planish.core.errors import FileError, VolumeError
-from planish.io.formats import Place
+from planish.io.formats import LoadedVolume, Place
 from planish.io.guard import check_blown_up, reading, size_of_file
 from planish.io.lazy import FileArray, WholeArray, turned
-from planish.io.loaded import LoadedVolume
 from planish.io.sizes import stated_in
 from planish.io.tiff import size_words
 
@@ -80,7 +79,6 @@ def _damaged(path: Path, error: matlab.Damaged) -> FileError:
 
 
 def _choose(variables: list[matlab.Variable], place: Place) -> matlab.Variable:
-    """Variable with the name that was given, or the only volume."""
     name, wanted = place.path.name, place.part.strip("/")
     volumes = [v for v in variables if sum(n > 1 for n in v.shape) == 3]
     there = ", ".join(f"{v.name} ({size_words(v.shape)} {v.kind})" for v in volumes[:8])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -15,17 +13,13 @@ import imagecodecs
 import numpy as np
 from numpy.typing import NDArray
 from PIL import BmpImagePlugin, ImageFile, JpegImagePlugin, PngImagePlugin
-from tifffile import TiffPage, TiffPageSeries
+from tifffile import PHOTOMETRIC, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError
+from planish.io.formats import full_scale
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
-from planish.io.loaded import full_scale
 from planish.io.sizes import Stated, from_density
 from planish.io.tiff import (
-    BLACK_IS_ZERO,
-    PALETTE,
-    WHITE_IS_ZERO,
-    damaged,
     has_rgb,
     is_tiff,
     long_axes,
@@ -48,27 +42,13 @@ Colour = Literal["grey", "rgb", "other"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """A decoded picture.
+    """A decoded picture."""
 
-    Attributes
-    ----------
-    values : ndarray, dims (y, x) or (y, x, sample)
-        As stored; palettes are looked up.
-    colour : {"grey", "rgb", "other"}
-        Meaning of the samples: the first is grey, the first three are red, green, blue, or neither.
-    bits : int
-        Of a sample, if it is a whole number.
-    stated : tuple of Stated
-        Size along z (which a slice of a stack may know), y, x in the metadata.
-    orientation : int
-        The orientation tag, 1 to 8. Values stay as stored, whatever it says.
-    """
-
-    values: NDArray[Any]
-    colour: Colour
-    bits: int
-    stated: tuple[Stated, ...]
-    orientation: int
+    values: NDArray[Any]  # dims (y, x) or (y, x, sample), as stored; palettes are looked up
+    colour: Colour  # meaning of the samples: the first is grey, the first three are red, green, blue, or neither
+    bits: int  # of a sample, if it is a whole number
+    stated: tuple[Stated, ...]  # size along z (which a slice of a stack may know), y, x in the metadata
+    orientation: int  # the tag, 1 to 8; values stay as stored, whatever it says
 
     @property
     def full_scale(self) -> int | None:
@@ -112,7 +92,7 @@ def load_picture(path: Path, *, memory_bytes: int | None = None) -> Picture:
         colour: Colour = "grey" if len(axes) == 2 else _sample_meaning(page, samples=values.shape[-1], axes=axes)
         bits = int(page.bitspersample)
         with reading(path):
-            if page.photometric == PALETTE and len(axes) == 2:
+            if page.photometric == PHOTOMETRIC.PALETTE and len(axes) == 2:
                 values, bits, colour = _look_up(values, np.asarray(page.colormap))
             orientation = page.tags.valueof(274, default=1)
         stated = stated_by_tiff(tif, page, path)
@@ -137,10 +117,9 @@ def is_picture(series: TiffPageSeries) -> bool:
 
 
 def _sample_meaning(page: TiffPage, *, samples: int, axes: str) -> Colour:
-    """What the samples of a page with several mean."""
     if has_rgb(page):
         return "rgb" if samples >= 3 and "S" in axes else "other"
-    grey = page.photometric in {WHITE_IS_ZERO, BLACK_IS_ZERO} and samples == 2 and "S" in axes
+    grey = page.photometric in {PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.MINISBLACK} and samples == 2 and "S" in axes
     return "grey" if grey else "other"
 
 
@@ -164,8 +143,8 @@ def _load_raster(path: Path, *, memory_bytes: int | None) -> Picture:
     kind = kind_of(path)
     with reading(path):
         data = path.read_bytes()
-        if kind == "png":
-            _check_png_chunks(data, path)
+        if kind == "png":  # the checksum of every part; decoders pass over some of them
+            PLUGINS[kind](BytesIO(data)).verify()
         image = PLUGINS[kind](BytesIO(data))
     deep = kind == "png" and data[24] == 16 and data[25] in (2, 4, 6)
     bands = len(image.getbands())
@@ -189,19 +168,6 @@ def _load_raster(path: Path, *, memory_bytes: int | None) -> Picture:
         colour = "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
     bits = 16 if image.mode == "I" else 8 * values.dtype.itemsize
     return _picture(values, colour, bits, [_stated_by_dpi(dpi, source=f"the {kind.upper()} resolution")], orientation)
-
-
-def _check_png_chunks(data: bytes, path: Path) -> None:
-    """Check the checksum of every part of a PNG file, up to its end mark; decoders pass over some of them."""
-    at, name = 8, b""
-    while name != b"IEND":
-        if at + 12 > len(data):
-            raise damaged(path, f"its end mark is missing after {len(data)} bytes")
-        length, name = struct.unpack_from(">I4s", data, at)
-        end = at + 8 + length
-        if end + 4 > len(data) or zlib.crc32(data[at + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
-            raise damaged(path, f"the checksum of its part {name.decode('latin-1')!r} at byte {at} is wrong")
-        at = end + 4
 
 
 def _stated_by_dpi(dpi: Any, *, source: str) -> Stated:

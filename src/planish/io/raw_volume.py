@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 
 from planish.core.errors import FileError
-from planish.io.formats import Place
+from planish.io.formats import LoadedVolume, Place, inside
 from planish.io.guard import reading, size_of_file
 from planish.io.header_volume import raw_values
-from planish.io.loaded import LoadedVolume, inside
 from planish.io.sizes import Stated
 
 TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")
@@ -41,25 +40,20 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         raise FileError(
             f"{path.name} has raw values and no header. Write {header.name} beside it, with lines such as: {EXAMPLE}."
         )
-    keys = read_header(header)
+    if size_of_file(header) > LARGEST_HEADER:
+        raise FileError(
+            f"{header.name} is larger than {LARGEST_HEADER // 1000} kB and no header. Give lines such as: {EXAMPLE}."
+        )
+    with reading(header), header.open("rb") as file:
+        keys = tomllib.load(file)
     data = inside(header.parent, str(keys.get("file", header.name[: -len(".toml")])), header)
-    shape, stored, offset, voxel = checked(keys, header)
+    shape, stored, offset, voxel = _checked(keys, header)
     values = raw_values(header, data, shape, stored, offset=offset)
     stated = Stated(source="the TOML header", um=voxel, note="" if None not in voxel else "it has no voxel_um")
     return LoadedVolume(values=values, stated=[stated], files=[header, data])
 
 
-def read_header(path: Path) -> dict[str, Any]:
-    """Read the TOML file."""
-    if size_of_file(path) > LARGEST_HEADER:
-        raise FileError(
-            f"{path.name} is larger than {LARGEST_HEADER // 1000} kB and no header. Give lines such as: {EXAMPLE}."
-        )
-    with reading(path), path.open("rb") as file:
-        return tomllib.load(file)
-
-
-def checked(
+def _checked(
     keys: dict[str, Any], path: Path
 ) -> tuple[tuple[int, ...], np.dtype[Any], int, tuple[float | None, float | None, float | None]]:
     """Shape, stored type, offset and voxel size of a header; every fault is named at once."""

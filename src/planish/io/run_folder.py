@@ -24,9 +24,7 @@ from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError, ResourceError
 
-WORK_MARKER = "planish-work-folder"
-"""File that marks a folder as one that planish made and may remove."""
-
+WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
 _WORK_TEXT = "Results of single tiles of a run that planish is working on. It removes this folder at the end.\n"
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
@@ -46,20 +44,16 @@ def new_folder(path: Path, *, inside: Path | None = None) -> Generator[Path]:
         If the disk is full.
     """
     refuse_existing(path)
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=inside or path.parent))
-    except OSError as error:
-        raise as_planish(error, path) from error
-    try:
-        yield partial
-        refuse_existing(path)
-        partial.chmod(0o755)
-        partial.rename(path)
-    except OSError as error:
-        raise as_planish(error, path) from error
-    finally:
-        _remove(partial)
+        try:
+            yield partial
+            refuse_existing(path)
+            partial.chmod(0o755)
+            partial.rename(path)
+        finally:
+            _remove(partial)
 
 
 @contextmanager
@@ -76,31 +70,28 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
         planish's has its name: a link, a file, or a folder without the marker. Nothing is touched then.
     """
     work = path.with_name(f".{path.name}.work")
-    try:
+    with writing(path):
         claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
         _check_work_folder(work, path)
         lock = FileLock(work / "lock")
-        lock.acquire(timeout=0)
-    except Timeout as error:
-        raise FileError(
-            f"Another planish is writing {path} at this moment. Wait for it, or give another name."
-        ) from error
-    except OSError as error:
-        raise as_planish(error, path) from error
-    try:
-        (work / WORK_MARKER).write_text(_WORK_TEXT, encoding="utf-8", newline="\n")
-        note = work / "key"
-        if not (note.is_file() and note.read_text(encoding="utf-8") == key):
-            shutil.rmtree(work / "tiles", ignore_errors=True)
-            note.write_text(key, encoding="utf-8")
-        for half in work.glob(".*.partial"):
-            shutil.rmtree(half, ignore_errors=True)
-        yield work
-    except OSError as error:
-        raise as_planish(error, path) from error
-    finally:
-        lock.release()
-        _remove_work(work)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout as error:
+            raise FileError(
+                f"Another planish is writing {path} at this moment. Wait for it, or give another name."
+            ) from error
+        try:
+            (work / WORK_MARKER).write_text(_WORK_TEXT, encoding="utf-8", newline="\n")
+            note = work / "key"
+            if not (note.is_file() and note.read_text(encoding="utf-8") == key):
+                shutil.rmtree(work / "tiles", ignore_errors=True)
+                note.write_text(key, encoding="utf-8")
+            for half in work.glob(".*.partial"):
+                shutil.rmtree(half, ignore_errors=True)
+            yield work
+        finally:
+            lock.release()
+            _remove_work(work)
 
 
 def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> None:
@@ -228,8 +219,17 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
 
 
-def as_planish(error: OSError, path: Path) -> FileError | ResourceError:
+@contextmanager
+def writing(path: Path) -> Generator[None]:
     """Turn a failed write into the error that says what to do about it."""
+    try:
+        yield
+    except OSError as error:
+        raise as_planish(error, path) from error
+
+
+def as_planish(error: OSError, path: Path) -> FileError | ResourceError:
+    """The error that says what to do about a failed write."""
     if error.errno in _FULL:
         free = shutil.disk_usage(path.parent if path.parent.exists() else Path.cwd()).free
         return ResourceError(

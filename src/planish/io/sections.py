@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.tables import Table, parse_table, read_text
+from planish.io.formats import check_channel, colour_attrs, full_scale
 from planish.io.guard import size_of_file
 from planish.io.lazy import FileArray
-from planish.io.loaded import check_channel, colour_attrs, full_scale
 from planish.io.picture import Picture
 from planish.io.sizes import VOXEL, Stated, agree, agreed_size, as_given
 from planish.io.slice_volume import load_pictures
@@ -34,26 +34,16 @@ KINDS = ("block-face", "cut")
 class SectionStack:
     """Sections as photographed: neither aligned nor evenly spaced.
 
-    Attributes
-    ----------
-    values : ndarray or FileArray, dims (section, row, col)
-        In the type of the files, float16 as float32; colour as luminance, rounded in integers. Photographs that do
-        not fit into the memory stay in their files: ``values[i]`` decodes one.
-    positions_um : ndarray (sections,)
-        Along the cut, increasing; missing sections are gaps.
-    pixel_um : tuple of float
-        Along (row, col).
-    kind : {"block-face", "cut", ""}
-        What was photographed; empty where the counter does not say.
-    attrs : dict
-        ``voxel_um`` (z, y, x) with the median step of the counter as z, ``voxel_um_source``, ``full_scale``,
-        ``file_name``, ``file_bytes``, ``section_kind``; ``channel`` and ``colour`` where the files are in colour.
+    The values, dims (section, row, col), are in the type of the files, float16 as float32; colour as luminance, rounded
+    in integers. Photographs that do not fit into the memory stay in their files: ``values[i]`` decodes one. Attributes:
+    ``voxel_um`` (z, y, x) with the median step of the counter as z, ``voxel_um_source``, ``full_scale``, ``file_name``,
+    ``file_bytes``, ``section_kind``; ``channel`` and ``colour`` where the files are in colour.
     """
 
     values: NDArray[Any] | FileArray
-    positions_um: NDArray[np.float64]
-    pixel_um: tuple[float, float]
-    kind: str
+    positions_um: NDArray[np.float64]  # along the cut, increasing; missing sections are gaps
+    pixel_um: tuple[float, float]  # (row, col)
+    kind: str  # "block-face", "cut", or empty where the counter does not say
     attrs: dict[str, Any]
 
 
@@ -79,12 +69,8 @@ def read_section_stack(
     voxel_um : float or (z, y, x), optional
         One number is the pixel size in um; of three, z has to be the median step of the counter. Not needed where the
         metadata state the pixel size.
-    channel : {"luminance", "red", "green", "blue"}, optional
-        What is taken of sections in colour; luminance where not given.
-    override_size : bool
-        Whether the pixel size is taken although the metadata state another. The counter cannot be overridden.
-    memory_bytes : int, optional
-        Largest decoded size of all of them; default: three quarters of the memory available. More stay in their files.
+    channel, override_size, memory_bytes
+        As in :func:`planish.io.read_volume`. The counter cannot be overridden; more than fits stays in the files.
 
     Returns
     -------
@@ -214,7 +200,6 @@ def _kind_of_sections(table: Table) -> str:
 
 
 def _check_pictures(folder: Path, names: list[str]) -> None:
-    """Refuse a folder whose pictures are not those of the counter."""
     missing = [name for name in names if not (folder / name).is_file()]
     if missing:
         raise VolumeError(

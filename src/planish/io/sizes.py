@@ -24,32 +24,18 @@ UNITS_UM = {
 }  # fmt: skip
 """Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu."""
 
-TOLERANCE = 0.01
-"""Sizes that differ by more than this share are different sizes; less is rounding in the metadata."""
-
-WEB_DPI = (72.0, 96.0)
-"""What programs write when they do not know the resolution."""
-
+TOLERANCE = 0.01  # sizes that differ by more than this share are different sizes; less is rounding in the metadata
+WEB_DPI = (72.0, 96.0)  # what programs write when they do not know the resolution
 OVERRIDE = "--override-size"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stated:
-    """What one kind of metadata states about the size.
+    """What one kind of metadata states about the size."""
 
-    Attributes
-    ----------
-    source : str
-        For example "ImageJ metadata".
-    um : tuple of float or None
-        One entry an axis, slowest axis first; None where the metadata are silent.
-    note : str
-        Why it is silent, if there is something to say.
-    """
-
-    source: str
-    um: tuple[float | None, ...]
-    note: str = ""
+    source: str  # for example "ImageJ metadata"
+    um: tuple[float | None, ...]  # one entry an axis, slowest axis first; None where the metadata are silent
+    note: str = ""  # why, if there is something to say
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,27 +110,9 @@ def agreed_size(
     asked: Asked,
     override: bool = False,
 ) -> tuple[tuple[float, ...], str]:
-    """Find the one size that metadata and user agree on.
+    """Find the one size, in um along each axis, that metadata and user agree on, and where it comes from.
 
-    Parameters
-    ----------
-    stated : sequence of Stated
-        What the metadata state.
-    given : float, sequence of float, or None
-        What the user says: one value for all axes or one each.
-    file_name : str
-        For the messages.
-    asked : Asked
-        :data:`VOXEL` or :data:`PIXEL`.
-    override : bool
-        Whether the given size is taken even if the metadata state another.
-
-    Returns
-    -------
-    size : tuple of float
-        In um, one an axis.
-    source : str
-        Where it comes from.
+    What is `given`, one value for all axes or one each, is taken with `override` whatever the metadata state.
 
     Raises
     ------

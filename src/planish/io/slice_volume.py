@@ -7,17 +7,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tifffile import PHOTOMETRIC
 
 from planish.core.errors import FileError, SizeError, VolumeError
-from planish.io.formats import Place
+from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, default_memory_limit, reading
 from planish.io.lazy import EAGER_BYTES, PagedArray, supported_type
-from planish.io.loaded import LoadedVolume, check_type, colour_attrs, grey_of
-from planish.io.nrecon import Scan, check_extent, named_slices, read_scan
 from planish.io.picture import ADVICE, PLUGINS, Picture, kind_of, load_picture
 from planish.io.sizes import agree
-from planish.io.slices import list_slices
-from planish.io.tiff import BLACK_IS_ZERO, open_series, size_words, stored_rows
+from planish.io.slices import Scan, list_slices, named_slices, read_scan
+from planish.io.tiff import open_series, size_words, stored_rows
 
 
 def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
@@ -28,7 +27,11 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
     attrs: dict[str, Any] = colour_attrs(channel, place.path, in_colour=first.in_colour)
     stated = first.stated
     if scan is not None:
-        check_extent(scan, files[0], *values.shape[1:])
+        if any(wanted not in (None, n) for wanted, n in zip(scan.extent, values.shape[1:], strict=True)):
+            raise VolumeError(
+                f"{files[0].name} is {size_words(values.shape[1:])} pixels, {scan.log.name} states {scan.extent[0]} x "
+                f"{scan.extent[1]}. If the slices were cropped, move the log elsewhere and give --voxel-um."
+            )
         attrs |= {"nrecon": scan.kept} | ({} if scan.window is None else {"attenuation_window": list(scan.window)})
         stated = (scan.stated, *stated)
     return LoadedVolume(values=values, stated=stated, files=files, bits=first.bits, attrs=attrs)
@@ -86,17 +89,8 @@ def load_pictures(
 class SliceFiles(PagedArray):
     """Slices as the pages of a volume: rows are read where they lie in the files as they are, others decoded whole.
 
-    Parameters
-    ----------
-    files : list of Path
-    offsets : list of int
-        Where the values lie in each file as they are; in place only if there is one for every file.
-    stored : dtype
-        Their type there.
-    channel : str or None
-    extent : (int, int)
-        Rows and columns.
-    dtype : dtype
+    ``offsets`` are where the values of the type ``stored`` lie in the files as they are; slices are read in place if
+    there is one for every file.
     """
 
     def __init__(
@@ -144,7 +138,7 @@ def _head(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | None]:
         resolution = tuple(page.tags.valueof(code) for code in (282, 283, 296))
         meta = (page.photometric, page.bitspersample, page.compression, resolution)
         kind = (name, series.shape, series.axes, str(series.dtype), *meta)
-        offset = series.dataoffset if page.photometric == BLACK_IS_ZERO else None
+        offset = series.dataoffset if page.photometric == PHOTOMETRIC.MINISBLACK else None
         return kind, series.dtype.newbyteorder(tif.byteorder), offset
 
 
@@ -164,24 +158,16 @@ def _grey_values(picture: Picture, file: Path, channel: str | None) -> NDArray[A
 
 
 def _check_same(picture: Picture, first: Picture, *, file: Path, first_file: Path) -> None:
-    """Refuse a picture that differs from the first in colour, size, type or pixel size."""
     check_type(picture.values.dtype, file)
-    if picture.colour != first.colour:
-        raise VolumeError(
-            f"{file.name} is {picture.colour}, {first_file.name} is {first.colour}. All of them need the same: export "
-            "them again."
-        )
-    if picture.values.shape[:2] != first.values.shape[:2]:
-        raise VolumeError(
-            f"{file.name} is {size_words(picture.values.shape[:2])} pixels, {first_file.name} is "
-            f"{size_words(first.values.shape[:2])}. All slices need the same size: export them again or remove the odd "
-            "one."
-        )
-    if picture.values.dtype != first.values.dtype:
-        raise VolumeError(
-            f"{file.name} has {picture.values.dtype} values, {first_file.name} has {first.values.dtype}. "
-            "All slices need the same type: export them again or remove the odd one."
-        )
+    facts = [
+        (p.colour, f"{size_words(p.values.shape[:2])} pixels", f"{p.values.dtype} values") for p in (picture, first)
+    ]
+    for verb, what, a, b in zip(("is", "is", "has"), ("colour", "size", "type"), *facts, strict=True):
+        if a != b:
+            raise VolumeError(
+                f"{file.name} {verb} {a}, {first_file.name} {verb} {b}. All slices need the same {what}: export them "
+                "again or remove the odd one."
+            )
     for one, other in zip(picture.stated, first.stated, strict=False):
         for a, b in zip(one.um, other.um, strict=True):
             if a is not None and b is not None and not agree(a, b):

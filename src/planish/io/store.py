@@ -25,14 +25,12 @@ from zarr.codecs import ZstdCodec
 
 from planish.core.errors import InputError, ResourceError
 from planish.core.threads import count_threads, limit_threads, thread_pool
-from planish.io.run_folder import as_planish, claim_folder, is_link, refuse_existing
+from planish.io.run_folder import claim_folder, is_link, refuse_existing, writing
 
 CHUNK = (64, 96, 96)
 """Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to 4 voxels."""
 
-SHARD = (64, 384, 384)
-"""Voxels that lie in one file."""
-
+SHARD = (64, 384, 384)  # voxels that lie in one file
 CHECKSUMS = "checksums.sha256"
 """List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it."""
 
@@ -87,7 +85,7 @@ def write_store(
     refuse_existing(path)
     partial = path.with_name(f".{path.name}.partial")
     source = _identity(volume)
-    try:
+    with writing(path):
         claim_folder(partial, _SOURCE, json.dumps(source), for_what=path)
         _same_source(partial, source)
         levels = _make_levels(partial, volume, ome)
@@ -99,8 +97,6 @@ def write_store(
         done.settle()
         (partial / _SOURCE).unlink()
         partial.rename(path)
-    except OSError as error:
-        raise as_planish(error, path) from error
 
 
 def missing_shards(path: Path) -> list[str]:
@@ -198,7 +194,6 @@ def _first_two(
 
 
 def _coarser(fine: Array, coarse: Array, done: Journal) -> None:
-    """Write a level from the one before."""
     for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
         if not done.has(coarse, where):
             source = tuple(slice(2 * w.start, min(2 * w.stop, n)) for w, n in zip(where, fine.shape, strict=True))
@@ -206,7 +201,6 @@ def _coarser(fine: Array, coarse: Array, done: Journal) -> None:
 
 
 def _write(level: Array, where: Where, values: NDArray[Any], done: Journal) -> None:
-    """Write one block and list its shards."""
     level[where] = values
     done.add(level, where)
 

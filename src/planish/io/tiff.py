@@ -16,16 +16,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
-from tifffile import TiffFile, TiffFrame, TiffPage, TiffPageSeries
+from tifffile import PHOTOMETRIC, TiffFile, TiffFrame, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError, InputError
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
-
-WHITE_IS_ZERO = 0
-BLACK_IS_ZERO = 1
-RGB = 2
-PALETTE = 3
-YCBCR = 6
 
 JPEG_COMPRESSIONS = frozenset({6, 7, 34892, 33007})
 
@@ -35,9 +29,7 @@ LAYOUT_NUMBERS = (
 )  # fmt: skip
 """Attributes of a page on which the position and meaning of every pixel depend."""
 
-MOST_PAGES = 100_000
-"""No scan has more slices; a chain this long is damage."""
-
+MOST_PAGES = 100_000  # no scan has more slices; a chain this long is damage
 MOST_TAGS = 4096
 
 TYPE_BYTES = {
@@ -60,7 +52,20 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
             found = len(tif.pages)
         if found != pages:
             raise damaged(path, f"{pages} pages are chained, {found} can be read")
-        series = _only_series(tif, path, error=error, advice=advice)
+        with reading(path):
+            every = list(tif.series)
+            _check_declared_images(tif, path)
+        full = [s for s in every if not s.keyframe.is_reduced] or every
+        if not full:
+            raise damaged(path, "it holds no image")
+        series = full[0]
+        if len(full) > 1:
+            with reading(path):
+                odd = next((page.index + 1 for page in full[1] if page is not None), 0)
+            raise error(
+                f"{path.name} holds {len(full)} different images: {shape_words(series)} from page 1 on, "
+                f"{shape_words(full[1])} at page {odd}. {advice}"
+            )
         _check_data(series, path)
         yield tif, series
     finally:
@@ -73,7 +78,6 @@ def is_tiff(head: bytes) -> bool:
 
 
 def _count_pages(path: Path) -> int:
-    """Walk the chain of pages from the first to the last."""
     size = size_of_file(path)
     seen: set[int] = set()
     with reading(path), path.open("rb") as file:
@@ -109,7 +113,6 @@ def _count_pages(path: Path) -> int:
 
 
 def _check_table(table: bytes, tag: struct.Struct, at: struct.Struct, page: str, path: Path, size: int) -> None:
-    """Check that the values of the tags of a page lie in the file."""
     for start in range(0, len(table) - at.size, tag.size + at.size):
         code, kind, count = tag.unpack_from(table, start)
         if code not in NEEDED_TAGS:
@@ -125,24 +128,6 @@ def _check_table(table: bytes, tag: struct.Struct, at: struct.Struct, page: str,
 def damaged(path: Path, what: str) -> FileError:
     """One message for all kinds of damage: found, and what to do."""
     return FileError(f"{path.name} is cut off or damaged: {what}. Copy or export it again.")
-
-
-def _only_series(tif: TiffFile, path: Path, *, error: type[InputError], advice: str) -> TiffPageSeries:
-    with reading(path):
-        every = list(tif.series)
-        _check_declared_images(tif, path)
-    full = [s for s in every if not s.keyframe.is_reduced] or every
-    if not full:
-        raise damaged(path, "it holds no image")
-    if len(full) > 1:
-        first, other = full[0], full[1]
-        with reading(path):
-            odd = next((page.index + 1 for page in other if page is not None), 0)
-        raise error(
-            f"{path.name} holds {len(full)} different images: {shape_words(first)} from page 1 on, "
-            f"{shape_words(other)} at page {odd}. {advice}"
-        )
-    return full[0]
 
 
 def _check_declared_images(tif: TiffFile, path: Path) -> None:
@@ -225,7 +210,7 @@ def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | Non
     """Return the values of a checked series, mapped from the file where they lie there as they are."""
     with reading(path):
         offset = series.dataoffset
-        turned = series.keyframe.photometric == WHITE_IS_ZERO
+        turned = series.keyframe.photometric == PHOTOMETRIC.MINISWHITE
         native = series.dtype.newbyteorder(series.keyframe.parent.byteorder) == series.dtype.newbyteorder("=")
         if offset is not None and native and not turned:
             return np.memmap(path, dtype=series.dtype, mode="r", offset=offset, shape=series.shape)
@@ -261,7 +246,9 @@ def stored_rows(file: BinaryIO, path: Path, offset: int, shape: tuple[int, ...],
 
 def has_rgb(page: TiffPage) -> bool:
     """Whether the first samples of a page are red, green and blue."""
-    return page.photometric == RGB or (page.photometric == YCBCR and page.compression in JPEG_COMPRESSIONS)
+    return page.photometric == PHOTOMETRIC.RGB or (
+        page.photometric == PHOTOMETRIC.YCBCR and page.compression in JPEG_COMPRESSIONS
+    )
 
 
 def long_axes(series: TiffPageSeries) -> str:

@@ -12,7 +12,7 @@ from tifffile import TiffFile, TiffPage
 
 from planish.core.errors import FileError
 from planish.io.guard import reading
-from planish.io.sizes import Stated, from_density, unit_um
+from planish.io.sizes import Stated, from_density, stated_in, unit_um
 
 RESOLUTION_UNITS = {2: "inch", 3: "cm"}
 
@@ -24,42 +24,31 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
     with reading(path):
         ome = tif.ome_metadata
         imagej: Mapping[str, Any] | None = tif.imagej_metadata
-    stated: list[Stated] = []
-    if ome is not None:
-        stated.append(stated_by_ome(ome, path))
-    with reading(path):
-        density = densities(page)
-    if imagej is not None and str(imagej.get("unit", "")).strip():
-        stated.append(stated_by_imagej(imagej, density))
-    else:
-        with reading(path):
-            stated.append(stated_by_tags(page, density))
-    return tuple(stated)
+        density = _rational(page, 283), _rational(page, 282)
+        stated = [] if ome is None else [_stated_by_ome(ome, path)]
+        if imagej is not None and str(imagej.get("unit", "")).strip():
+            return (*stated, _stated_by_imagej(imagej, density))
+        # The resolution tags, with their unit, never state z.
+        code: Any = page.tags.valueof(296)
+        unit = RESOLUTION_UNITS.get(code, "") if isinstance(code, int) else ""
+        across = [from_density(per_unit, unit) for per_unit in density]
+        return *stated, Stated(
+            source="the TIFF resolution", um=(None, *across), note=UNKNOWN_NOTE if None in across else ""
+        )
 
 
-def stated_by_ome(xml: str, path: Path) -> Stated:
+def _stated_by_ome(xml: str, path: Path) -> Stated:
     """Read PhysicalSizeX, Y and Z of the first image; the unit is um where none is written, as OME has it."""
     if "<!ENTITY" in xml or "<!DOCTYPE" in xml:
         raise FileError(f"{path.name}: its OME metadata define entities, which OME never does. Export it again.")
-    with reading(path):
-        root = ElementTree.fromstring(xml)
-    found: dict[str, float | None] = {}
-    notes: list[str] = []
-    for element in root.iter():
-        if element.tag.rpartition("}")[2] != "Pixels":
-            continue
-        for axis in "ZYX":
-            value = number(element.get(f"PhysicalSize{axis}"))
-            unit = element.get(f"PhysicalSize{axis}Unit", "um")
-            length = unit_um(unit)
-            if value is not None and length is None:
-                notes.append(f"{unit!r} is no unit of length")
-            found[axis] = None if value is None or length is None else value * length
-        break
-    return Stated(source="OME metadata", um=tuple(found.get(a) for a in "ZYX"), note=", ".join(sorted(set(notes))))
+    pixels = (e for e in ElementTree.fromstring(xml).iter() if e.tag.rpartition("}")[2] == "Pixels")
+    first = next(pixels, None)
+    keys: Mapping[str, str] = {} if first is None else first.attrib
+    sizes = [_number(keys.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
+    return stated_in("OME metadata", sizes, [keys.get(f"PhysicalSize{axis}Unit", "um") for axis in "ZYX"])
 
 
-def stated_by_imagej(meta: Mapping[str, Any], density: tuple[float | None, float | None]) -> Stated:
+def _stated_by_imagej(meta: Mapping[str, Any], density: tuple[float | None, float | None]) -> Stated:
     """Read `unit` (`yunit`, `zunit`), `spacing`, and pixels per unit from the resolution tags."""
     unit = str(meta.get("unit", ""))
     if unit_um(unit) is None:
@@ -72,37 +61,22 @@ def stated_by_imagej(meta: Mapping[str, Any], density: tuple[float | None, float
             across.append(from_density(per_unit, its_unit))
         else:
             across.append(None if per_unit is None or length is None else length / per_unit)
-    spacing = number(meta.get("spacing"))
-    length = unit_um(unit_z)
+    spacing, length = _number(meta.get("spacing")), unit_um(unit_z)
     z = None if spacing is None or length is None else spacing * length
     note = "" if z is not None else "it has no slice spacing (ImageJ leaves out a spacing of exactly 1)"
     return Stated(source="ImageJ metadata", um=(z, *across), note=note)
 
 
-def stated_by_tags(page: TiffPage, density: tuple[float | None, float | None]) -> Stated:
-    """Read the resolution tags with their unit, inch or cm; they never state z."""
-    code: Any = page.tags.valueof(296)
-    unit = RESOLUTION_UNITS.get(code, "") if isinstance(code, int) else ""
-    across = [from_density(per_unit, unit) for per_unit in density]
-    note = "" if all(v is not None for v in across) else UNKNOWN_NOTE
-    return Stated(source="the TIFF resolution", um=(None, *across), note=note)
-
-
-def densities(page: TiffPage) -> tuple[float | None, float | None]:
-    """Pixels per unit along y and x, None where the tag is missing or no positive number."""
-    return rational(page, 283), rational(page, 282)
-
-
-def rational(page: TiffPage, code: int) -> float | None:
-    """Value of a tag that holds a fraction."""
+def _rational(page: TiffPage, code: int) -> float | None:
+    """Value of a tag that holds a fraction; None where it is no positive number."""
     value: Any = page.tags.valueof(code)
     if not isinstance(value, tuple) or len(value) != 2:  # pyright: ignore[reportUnknownArgumentType]
         return None
-    top, bottom = number(value[0]), number(value[1])
+    top, bottom = _number(value[0]), _number(value[1])
     return None if top is None or bottom is None else top / bottom
 
 
-def number(value: Any) -> float | None:
+def _number(value: Any) -> float | None:
     """Read a positive finite number, or None."""
     try:
         result = float(value)

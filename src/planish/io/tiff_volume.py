@@ -1,38 +1,39 @@
-"""Volumes in one TIFF file: classic, BigTIFF, ImageJ, OME; mapped where they lie there as they are."""
+"""Volumes in one TIFF file: classic, BigTIFF, ImageJ, OME; mapped where they lie there as they are.
+
+Otherwise rows of pages are decoded strip by strip or tile by tile, while the file is otherwise closed.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
-from tifffile import TiffPageSeries
+from tifffile import PHOTOMETRIC, TiffFrame, TiffPage, TiffPageSeries
 
-from planish.core.errors import VolumeError
-from planish.io.formats import Place
+from planish.core.errors import FileError, VolumeError
+from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, reading
-from planish.io.lazy import ChangedArray, FileArray, MappedArray, is_small, mapped, turned
-from planish.io.loaded import ADVICE, LoadedVolume, check_type, colour_attrs, grey_of
+from planish.io.lazy import ChangedArray, FileArray, MappedArray, PagedArray, is_small, mapped, turned
 from planish.io.picture import kind_of
 from planish.io.tiff import (
-    PALETTE,
-    WHITE_IS_ZERO,
+    JPEG_COMPRESSIONS,
+    damaged,
     has_rgb,
     long_axes,
     map_or_decode,
     open_series,
     shape_words,
+    stored_rows,
     turn_white,
 )
-from planish.io.tiff_pages import TiffPages, can_page
 from planish.io.tiff_sizes import stated_by_tiff
 
-SLICE_AXES = "ZIQ"
-"""Letters for an axis of slices: declared as such, or pages without a declared meaning."""
-
+SLICE_AXES = "ZIQ"  # letters for an axis of slices: declared as such, or pages without a declared meaning
 MANY_CHANNELS = 16
 MEANINGS = {"C": "channels", "T": "time points", "S": "colour samples"}
 
@@ -49,7 +50,7 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
         axes = _volume_axes(series, path)
         page = series.keyframe
         check_type(series.dtype, path)
-        if page.photometric == PALETTE and not tif.is_imagej and not _is_grey_ramp(page.colormap):
+        if page.photometric == PHOTOMETRIC.PALETTE and not tif.is_imagej and not _is_grey_ramp(page.colormap):
             raise VolumeError(f"{path.name} has a colour palette. {ADVICE}")
         return LoadedVolume(
             attrs=colour_attrs(channel, path, in_colour="S" in axes),
@@ -67,11 +68,11 @@ def _stack(
     key = series.keyframe
     shape = tuple(n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes)
     colour = partial(grey_of, channel=channel) if "S" in axes else None
-    white = key.photometric == WHITE_IS_ZERO
+    white = key.photometric == PHOTOMETRIC.MINISWHITE
     with reading(path):
         offset = series.dataoffset
         stored = series.dtype.newbyteorder(key.parent.byteorder)
-        paged = offset is None and can_page(series, shape[0])
+        paged = offset is None and _can_page(series, shape[0])
     if offset is not None and colour is None and not white:
         return mapped(path, shape, stored, offset=offset)
     if offset is not None and colour is not None:
@@ -129,3 +130,85 @@ def _is_grey_ramp(colormap: NDArray[Any] | None) -> bool:
         return False
     red, green, blue = np.asarray(colormap).astype(np.int64)
     return bool(np.array_equal(red, green) and np.array_equal(red, blue) and np.all(np.diff(red) > 0))
+
+
+class TiffPages(PagedArray):
+    """Pages of one series that was checked and is still open, each with one plane of pixels.
+
+    ``change`` turns the pixels of some rows, with their samples, into grey.
+    """
+
+    def __init__(
+        self, path: Path, series: TiffPageSeries, change: Callable[[NDArray[Any]], NDArray[Any]] | None = None
+    ) -> None:
+        key = series.keyframe
+        pages = [page for page in series if page is not None]
+        jpeg = key.compression in JPEG_COMPRESSIONS
+        tables = ({"jpegtables": page.jpegtables, "jpegheader": key.jpegheader} if jpeg else {} for page in pages)
+        self._segments = [(p.dataoffsets, p.databytecounts, t) for p, t in zip(pages, tables, strict=True)]
+        self._decode: Any = key.decode
+        self._change, self._samples, self._bits = change, key.samplesperpixel, key.bitspersample
+        own = np.dtype(key.dtype)
+        self._stored = own.newbyteorder(key.parent.byteorder)
+        self._white = key.photometric == PHOTOMETRIC.MINISWHITE
+        self._strip_rows = key.tilelength if key.is_tiled else min(key.rowsperstrip, key.imagelength)
+        self._across = -(-key.imagewidth // key.tilewidth) if key.is_tiled else 1
+        self._plain = (
+            key.compression == 1
+            and not key.is_tiled
+            and key.predictor == 1
+            and key.fillorder == 1
+            and key.bitspersample == 8 * own.itemsize
+            and not key.is_subsampled
+        )
+        shape = (len(pages), key.imagelength, key.imagewidth)
+        super().__init__(path, shape, own.newbyteorder("="), 1 if self._plain else self._strip_rows)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Open the file again in another process."""
+        return _open_pages, (self.path, self._change)
+
+    def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
+        """Decode rows of a page, dims (y, x)."""
+        values = np.empty((stop - start, self.shape[2], self._samples), self.dtype)
+        fill = self._fill_plain if self._plain else self._fill_coded
+        with self.path.open("rb") as file:
+            fill(file, page, start, values)
+        values = turn_white(values, path=self.path, bits=self._bits, out=values) if self._white else values
+        return self._change(values) if self._change is not None else values[..., 0]
+
+    def _fill_plain(self, file: BinaryIO, page: int, start: int, values: NDArray[Any]) -> None:
+        row_bytes = values[0].size * self._stored.itemsize
+        row = 0
+        while row < len(values):
+            strip, inside = divmod(start + row, self._strip_rows)
+            part = values[row : row + self._strip_rows - inside]
+            offset = self._segments[page][0][strip] + inside * row_bytes
+            part[...] = stored_rows(file, self.path, offset, part.shape, self._stored)
+            row += len(part)
+
+    def _fill_coded(self, file: BinaryIO, page: int, start: int, values: NDArray[Any]) -> None:
+        offsets, counts, tables = self._segments[page]
+        stop = start + len(values)
+        for index in range(start // self._strip_rows * self._across, -(-stop // self._strip_rows) * self._across):
+            file.seek(offsets[index])
+            data = file.read(counts[index])
+            if len(data) < counts[index]:
+                raise damaged(self.path, f"data of page {page + 1} are missing")
+            part, (_, _, y, x, _), (_, height, width, _) = self._decode(data, index, _fullsize=False, **tables)
+            if part is None:
+                raise damaged(self.path, f"a strip or tile of page {page + 1} is empty")
+            height, width = min(height, stop - y), min(width, self.shape[2] - x)
+            values[y - start : y - start + height, x : x + width] = part[0, :height, :width]
+
+
+def _open_pages(path: Path, change: Callable[[NDArray[Any]], NDArray[Any]] | None) -> TiffPages:
+    with open_series(path, error=FileError, advice="Copy it again.") as (_, series), reading(path):
+        return TiffPages(path, series, change)
+
+
+def _can_page(series: TiffPageSeries, pages: int) -> bool:
+    """Whether a series has one page for each slice, and one plane in each page."""
+    key = series.keyframe
+    simple = key.imagedepth == 1 and not key.is_subsampled and (key.planarconfig == 1 or key.samplesperpixel == 1)
+    return simple and len(series) == pages and all(type(p) in (TiffPage, TiffFrame) for p in series)

@@ -57,7 +57,7 @@ def read_topography(
     path = Path(path)
     file_bytes = size_of_file(path)
     library: Any = extra("SurfaceTopography", path)
-    with quiet(), ExitStack() as stack:
+    with quiet, ExitStack() as stack:
         with reading(path):
             reader: Any = library.open_topography(str(path))
             if hasattr(reader, "__exit__"):
@@ -88,7 +88,7 @@ def read_topography(
         with reading(path):
             heights = np.ma.filled(np.ma.asarray(reader.topography(**given).heights()).astype(np.float64), np.nan)
             file_format = str(reader.format() if callable(getattr(reader, "format", None)) else "")
-    with quiet():
+    with quiet:
         # Some readers map the file and complain when they are thrown away, which would be at any time later.
         del reader, channel
         gc.collect()

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planish.core.lazy import labelled
-from planish.io.formats import Place, find_place, format_of, loader
+from planish.io.formats import LoadedVolume, Place, check_channel, find_place, format_of, loader, settled
 from planish.io.lazy import FileArray
-from planish.io.loaded import LoadedVolume, check_channel, settled
 from planish.io.sizes import VOXEL, agreed_size
 
 if TYPE_CHECKING:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import struct
+from collections.abc import Iterator, Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +16,15 @@ from zarr.storage import LocalStore
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.chunks import METADATA, check_blosc, check_chunks, packed_by_blosc, stored_chunks
-from planish.io.formats import Place
+from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, check_type
 from planish.io.guard import reading
 from planish.io.lazy import FileArray, turned
-from planish.io.loaded import ADVICE, LoadedVolume, check_type
 from planish.io.sizes import Stated, stated_in
 from planish.io.store import missing_shards
 from planish.io.tiff import size_words
+
+METADATA = frozenset({"zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata"})
+"""Files of a zarr store that are no chunks."""
 
 LARGEST_METADATA = 50_000_000
 
@@ -38,8 +41,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     if not isinstance(array, zarr.Array):
         raise VolumeError(f"{path.name}: {name or 'the store'} is no array. Choose one as {path.name}:NAME.")
     shape = tuple(int(n) for n in array.shape)
-    axes = _axis_list(multiscale, len(shape), path)
-    order = _check_axes(axes, shape, multiscale, path)
+    units, order = _axes(multiscale, shape, path)
     # A store that planish wrote lists its shards, also those that hold one constant.
     lost = [shard for shard in missing_shards(path) if shard.startswith(f"{name}/")]
     if lost:
@@ -49,12 +51,12 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         )
     with reading(path):
         chunk = tuple(int(n) for n in (array.shards or array.chunks))
-        notes = check_chunks(stored_chunks(path / name), shape, chunk, name=path.name)
+        notes = check_chunks(_stored_chunks(path / name), shape, chunk, name=path.name)
         check_type(np.dtype(array.dtype), path)
         lazy = ZarrArray(path, name, shape, np.dtype(array.dtype), tuple(int(n) for n in array.chunks))
     return LoadedVolume(
         values=turned(lazy, order),
-        stated=[] if multiscale is None else [_stated_by_scale(multiscale, level, axes, order)],
+        stated=[] if multiscale is None else [_stated_by_scale(multiscale, level, units, order)],
         files=[file for file in (path / name).rglob("*") if file.is_file()],
         attrs={"dataset": name or "/"},
         notes=notes,
@@ -75,13 +77,13 @@ class ZarrArray(FileArray):
         array = _open_node(self.path, self.name)
         if tuple(array.shape) != self.shape:
             raise FileError(f"{self.path.name} was changed while planish read it. Start again.")
-        if packed_by_blosc(array):
-            check_blosc(array, where, self.path / self.name, self.path)
+        # In shards, a checksum guards the chunks.
+        if array.shards is None and any("blosc" in type(codec).__name__.casefold() for codec in array.compressors):
+            _check_blosc(array, where, self.path / self.name, self.path)
         return np.asarray(array[where], self.dtype)
 
 
 def _part_of(path: Path, part: str) -> str:
-    """Path inside the store."""
     pieces = [piece for piece in part.replace("\\", "/").split("/") if piece not in ("", ".")]
     if ".." in pieces or not (path / "/".join(pieces)).resolve().is_relative_to(path.resolve()):
         raise FileError(
@@ -91,7 +93,6 @@ def _part_of(path: Path, part: str) -> str:
 
 
 def _open_node(path: Path, name: str) -> Any:
-    """Open a group or an array for reading."""
     place = path / name
     there = [file for file in METADATA if (place / file).is_file()]
     if not there:
@@ -146,53 +147,75 @@ def _multiscale_of(group: Any, path: Path) -> Keys | None:
     return {**image, "omero": ome.get("omero")}
 
 
-def _axis_list(multiscale: Keys | None, count: int, path: Path) -> list[dict[str, str]]:
-    """Axes of an array: name, type and unit, where the metadata state them."""
+def _axes(multiscale: Keys | None, shape: tuple[int, ...], path: Path) -> tuple[list[str], list[int]]:
+    """Units of the axes, and which of them are z, y and x; all others have to be of length 1."""
     named: Any = None if multiscale is None else multiscale.get("axes")
     if named is None:
-        return [{"name": name} for name in "tczyx"[5 - count :]] if count <= 5 else [{"name": "?"}] * count
+        named = "tczyx"[5 - len(shape) :] if len(shape) <= 5 else "?" * len(shape)
     axes = [
-        {str(k): str(v) for k, v in axis.items()} if isinstance(axis, dict) else {"name": str(axis)}
-        for axis in (named if isinstance(named, list) else [])
+        axis if isinstance(axis, dict) else {"name": axis} for axis in (named if isinstance(named, (list, str)) else [])
     ]
-    if len(axes) != count:
-        raise FileError(f"{path.name} names {len(axes)} axes, its array has {count}. Export it again as OME-Zarr.")
-    return axes
-
-
-def _check_axes(
-    axes: list[dict[str, str]], shape: tuple[int, ...], multiscale: Keys | None, path: Path
-) -> tuple[int, ...]:
-    """Return which axes are z, y and x; all others have to be of length 1."""
-    names = [axis.get("name", "").casefold() for axis in axes]
-    named = f"{size_words(shape)} ({', '.join(names)}). {ADVICE}"
+    if len(axes) != len(shape):
+        raise FileError(f"{path.name} names {len(axes)} axes, its array has {len(shape)}. Export it again as OME-Zarr.")
+    names = [str(axis.get("name", "")).casefold() for axis in axes]
+    found = f"{size_words(shape)} ({', '.join(names)}). {ADVICE}"
     for name, n in zip(names, shape, strict=True):
         if name not in ("z", "y", "x") and n > 1:
             what = {"c": "channels", "t": "time points"}.get(name, f"places along {name!r}")
             omero: Any = multiscale.get("omero") if multiscale is not None and name == "c" else None
             channels: Any = omero.get("channels") if isinstance(omero, dict) else None
             labels = ", ".join(str(c.get("label")) for c in channels or () if isinstance(c, dict))
-            raise VolumeError(f"{path.name} has {n} {what}{f' ({labels})' if labels else ''}: {named}")
+            raise VolumeError(f"{path.name} has {n} {what}{f' ({labels})' if labels else ''}: {found}")
     if any(names.count(letter) != 1 for letter in "zyx"):
-        raise VolumeError(f"{path.name} is no volume: its axes are {', '.join(names)}: {named}")
-    return tuple(names.index(letter) for letter in "zyx")
+        raise VolumeError(f"{path.name} is no volume: its axes are {', '.join(names)}: {found}")
+    return [str(axis.get("unit", "")) for axis in axes], [names.index(letter) for letter in "zyx"]
 
 
-def _stated_by_scale(multiscale: Keys, level: int, axes: list[dict[str, str]], order: tuple[int, ...]) -> Stated:
+def _stated_by_scale(multiscale: Keys, level: int, units: list[str], order: list[int]) -> Stated:
     """Voxel size along z, y, x from the scale transformations of the level and of the whole image."""
     source = "the OME-Zarr scale"
-    own, whole = _scale_of(multiscale["datasets"][level], len(axes)), _scale_of(multiscale, len(axes))
+    own, whole = _scale_of(multiscale["datasets"][level], len(units)), _scale_of(multiscale, len(units))
     if own is None:
         return Stated(source=source, um=(None, None, None), note="the level has no scale transformation")
-    values = [a * b for a, b in zip(own, whole or [1.0] * len(axes), strict=True)]
-    return stated_in(source, values, [axis.get("unit", "") for axis in axes], order)
+    values = [a * b for a, b in zip(own, whole or [1.0] * len(units), strict=True)]
+    return stated_in(source, values, units, order)
 
 
 def _scale_of(owner: Keys, count: int) -> list[float] | None:
-    """Factors of the scale transformation of a level or an image."""
     transformations: Any = owner.get("coordinateTransformations")
     for one in transformations if isinstance(transformations, list) else []:
         values: Any = one.get("scale") if isinstance(one, dict) and one.get("type") == "scale" else None
         if isinstance(values, list) and len(values) == count and all(type(v) in (int, float) for v in values):
             return [float(v) for v in values]
     return None
+
+
+def _stored_chunks(folder: Path) -> Iterator[tuple[int, ...]]:
+    """Positions of the chunks, or shards, that lie in the folder of an array."""
+    for file in folder.rglob("*"):
+        if file.name in METADATA or file.name.startswith(".") or not file.is_file():
+            continue
+        words = ".".join(file.relative_to(folder).parts).split(".")
+        numbers = words[1:] if words[0] == "c" else words
+        if all(number.isdecimal() for number in numbers):
+            yield tuple(int(number) for number in numbers)
+
+
+def _check_blosc(array: Any, where: Where, folder: Path, path: Path) -> None:
+    """Compare the chunks of a part with the sizes in their first bytes; Blosc itself would read on behind their end."""
+    needed = math.prod(array.chunks) * array.dtype.itemsize
+    spans = [range(s.start // c, (s.stop - 1) // c + 1) for s, c in zip(where, array.chunks, strict=True)]
+    for position in product(*spans):
+        chunk = folder / array.metadata.encode_chunk_key(position)
+        if not chunk.is_file():
+            continue
+        with chunk.open("rb") as file:
+            head = file.read(16)
+        there = chunk.stat().st_size
+        unpacked, packed = struct.unpack_from("<4xIxxxxI", head) if len(head) == 16 else (0, 0)
+        if (unpacked, packed) != (needed, there):
+            raise FileError(
+                f"{path.name}: its chunk {chunk.relative_to(path).as_posix()} is cut off or damaged: it has "
+                f"{there} bytes of {packed}, for {unpacked} bytes of values, where {needed} are needed. Copy it "
+                "again."
+            )
