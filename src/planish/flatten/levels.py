@@ -72,17 +72,9 @@ def bordered(rows: int, cols: int, dtype: type) -> NDArray[Any]:
 
 @dataclass(slots=True)
 class Level:
-    """One mesh.
+    """One mesh: the arrays of ``_kernels``, sums by rows, and the rows of each thread.
 
-    Attributes
-    ----------
-    rows, cols : int
-    rest, stiff, xy, near, ease, move, force
-        As described in ``_kernels``.
-    sums, alone
-        Sums by rows, and the empty rows above and below a mesh that one thread smooths.
-    parts : list of (int, int)
-        Rows of each thread.
+    ``alone`` are the empty rows above and below a mesh that one thread smooths.
     """
 
     rows: int

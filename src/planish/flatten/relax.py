@@ -15,11 +15,10 @@ from planish.core.threads import count_threads
 from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments
 from planish.flatten.geodesics import folded_cells
-from planish.flatten.infill import make_up
 from planish.flatten.levels import Level, Team, hierarchy
 from planish.flatten.multigrid import OPEN, Multigrid, Step, count_folds
 from planish.flatten.relaxation import RelaxationParams, relax_dynamically
-from planish.flatten.springs import TRUSTED, loose_nodes, make_springs, mean_pitch, stiffen
+from planish.flatten.springs import TRUSTED, loose_nodes, make_springs, make_up, mean_pitch, stiffen
 
 Array = NDArray[np.float64]
 Method = Literal["multigrid", "relaxation"]
@@ -115,39 +114,41 @@ def relax_grid(
     made_up = np.zeros(points.shape[:2], dtype=bool)
     if weights is not None:
         points, weights, made_up = _weigh(points, np.asarray(weights, dtype=np.float64))
-    start = None if start is None else np.ascontiguousarray(start, dtype=np.float64)
     pitch = mean_pitch(points)
     with Team(count_threads()) as team:
         level, springs, straight = make_springs(points, pitch, rest, team)
-        gaps = springs < _all_springs(level.rows, level.cols)
+        gaps = springs < 4 * level.rows * level.cols - 3 * (level.rows + level.cols) + 2
         if gaps:
             known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
-            loose = _check_whole(known)
-            if loose.any():
+            if (loose := _check_whole(known)).any():
                 braces = ~known & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
                 points, weights = make_up(points, weights, known, braces)
                 level = make_springs(points, pitch, rest, team)[0]
         if weights is not None:
             stiffen(level, weights)
+        target = points if start is None else np.ascontiguousarray(start, dtype=np.float64)
+        side = _handedness(target)
         energy, down = 0.0, 0
         if method == "multigrid":
-            steps, outcome, history, energy, down = _multigrid(level, points, start, team, tolerance, gaps=gaps)
+            steps, outcome, history, energy, down = _multigrid(level, side, team, tolerance, gaps=gaps)
         else:
-            params = RelaxationParams() if method == "relaxation" else method
-            steps, outcome, history = _relaxation(level, points, start, pitch, params)
+            first = np.where(np.isfinite(points).all(axis=-1, keepdims=True), target[..., :2] / pitch, np.nan)
+            steps, outcome, history = _relaxation(
+                level, first, RelaxationParams() if method == "relaxation" else method
+            )
         if braces is not None:
             stiffen(level, np.where(braces, 0.0, np.ones(braces.shape) if weights is None else weights))
         if braces is not None or method != "multigrid":
-            energy, down = count_folds(level, team, _handedness(points, start))
+            energy, down = count_folds(level, team, side)
         level.drop_springs()
-        uv = _laid_down(level, points, start, pitch, team)
+        uv = _laid_down(level, target, pitch, team)
     if braces is not None:
         uv[braces] = np.nan
     # Cells that the step rule held open are as good as folded.
     floor = 1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0
     folded = np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
     if down or floor:
-        folded = folded_cells(points, uv, side=_handedness(points, start), floor=floor)
+        folded = folded_cells(points, uv, side=side, floor=floor)
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
     return Relaxed(uv=uv, energy=float(energy) * pitch * pitch, springs=springs, outcome=outcome, steps=steps,
@@ -190,25 +191,16 @@ def _check_whole(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     pieces = np.bincount(ndimage.label(known, structure=np.ones((3, 3)))[0].ravel())[1:]
     loose, stiff = loose_nodes(known)
     stiff = stiff[stiff > 0.02 * stiff.sum()]
-    for sizes, of, unknown in (
-        (pieces, "unconnected pieces of {} nodes", "their distance in the plane"),
-        (
-            stiff,
-            "pieces of {} cells that hang together by single nodes at most",
-            "how they are turned against each other",
-        ),
-    ):
+    apart = "unconnected pieces of {} nodes. Flatten each piece apart: their distance in the plane is not known."
+    hinged = (
+        "pieces of {} cells that hang together by single nodes at most. Flatten each piece apart: how they are turned "
+        "against each other is not known."
+    )
+    for sizes, words in ((pieces, apart), (stiff, hinged)):
         if sizes.size != 1:
             listed = ", ".join(map(str, np.sort(sizes)[:-7:-1])) + (" ..." if sizes.size > 6 else "")
-            raise CannotFlatten(
-                f"The sheet falls into {sizes.size} {of.format(listed)}. Flatten each piece apart: {unknown} is not "
-                f"known."
-            )
+            raise CannotFlatten(f"The sheet falls into {sizes.size} {words.format(listed)}")
     return loose
-
-
-def _all_springs(rows: int, cols: int) -> int:
-    return rows * (cols - 1) + (rows - 1) * cols + 2 * (rows - 1) * (cols - 1)
 
 
 def _weigh(points: Array, weights: Array) -> tuple[Array, Array | None, NDArray[np.bool_]]:
@@ -228,19 +220,19 @@ def _weigh(points: Array, weights: Array) -> tuple[Array, Array | None, NDArray[
     return points, None if even else np.where(known, weights, 0.0), doubted
 
 
-def _handedness(points: Array, start: Array | None) -> float:
+def _handedness(target: Array) -> float:
     """1 where columns and rows of the grid run like u and v, -1 where they run in the opposite sense, as a whole."""
-    rows, cols = (max(1, (n - 1) // 20) for n in points.shape[:2])
-    flat = (points if start is None else start)[::rows, ::cols, :2]
+    rows, cols = (max(1, (n - 1) // 20) for n in target.shape[:2])
+    flat = target[::rows, ::cols, :2]
     across, down = np.diff(flat, axis=1)[:-1], np.diff(flat, axis=0)[:, :-1]
     area = np.nansum(across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0])
     return -1.0 if area < 0 else 1.0
 
 
 def _multigrid(
-    level: Level, points: Array, start: Array | None, team: Team, tolerance: float, *, gaps: bool
+    level: Level, side: float, team: Team, tolerance: float, *, gaps: bool
 ) -> tuple[int, Outcome, tuple[Step, ...], float, int]:
-    side, finest = _handedness(points, start), level.rows * level.cols
+    finest = level.rows * level.cols
     history: tuple[Step, ...] = ()
     outcome, energy, down = Outcome.NOT_FINITE, np.nan, 0
     for guarded in (False, True):
@@ -253,28 +245,22 @@ def _multigrid(
     return sum(step.nodes == finest for step in history), outcome, history, energy, down
 
 
-def _relaxation(
-    level: Level, points: Array, start: Array | None, pitch: float, params: RelaxationParams
-) -> tuple[int, Outcome, tuple[Step, ...]]:
+def _relaxation(level: Level, first: Array, params: RelaxationParams) -> tuple[int, Outcome, tuple[Step, ...]]:
     rows, cols = level.rows, level.cols
     rest = np.where(level.rest > 0, level.rest, np.nan)[:, 1 : rows + 1, 1 : cols + 1]
     stiff = np.broadcast_to(level.stiff, level.rest.shape)[:, 1 : rows + 1, 1 : cols + 1].astype(np.float64)
-    first = (points[..., :2] if start is None else start) / pitch
-    first = np.where(np.isfinite(points).all(axis=-1, keepdims=True), first, np.nan)
     done = relax_dynamically(first, rest, stiffness=stiff, params=params)
     level.open()
     level.xy[:, 1 : rows + 1, 1 : cols + 1] = np.where(np.isfinite(done.uv), done.uv, 10 * GONE).transpose(2, 0, 1)
     count, log = int(np.isfinite(done.uv[..., 0]).sum()), done.history
-    history = (
-        Step(count, energy, np.nan, move) for energy, move in zip(log.energy, log.mean_speed * log.dt, strict=True)
-    )
-    return done.steps, done.outcome, tuple(history)
+    moves = zip(log.energy, log.mean_speed * log.dt, strict=True)
+    return done.steps, done.outcome, tuple(Step(count, energy, np.nan, move) for energy, move in moves)
 
 
-def _laid_down(level: Level, points: Array, start: Array | None, pitch: float, team: Team) -> Array:
-    """Turn and shift the places to lie on the start: least squares without scale and without reflection."""
+def _laid_down(level: Level, target: Array, pitch: float, team: Team) -> Array:
+    """Turn and shift the places to lie on the target: least squares without scale and without reflection."""
     sums = np.zeros((level.rows + 2, 7))
-    team.run(moments, level.parts, points if start is None else start, 1 / pitch, level.xy, sums)
+    team.run(moments, level.parts, target, 1 / pitch, level.xy, sums)
     count, u, v, p, q, dot, cross = sums.sum(axis=0)
     angle = np.arctan2(cross - (u * q - v * p) / count, dot - (u * p + v * q) / count) if count else 0.0
     cos, sin = float(np.cos(angle)), float(np.sin(angle))

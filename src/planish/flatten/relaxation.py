@@ -100,17 +100,9 @@ class History(NamedTuple):
 class Relaxation:
     """A relaxed mesh and how it got there.
 
-    Attributes
-    ----------
-    uv : (rows, cols, 2)
-        Flat coordinates in pitches, as the motion left them: not turned or shifted back. NaN where there is no node.
-    energy : float
-        Sum over springs of k (l - L)^2 in pitches squared (Eq. 1).
-    outcome : Outcome
-    steps : int
-    history : History
-    inverted : int
-        Cells with a triangle that is empty or does not turn as the start does as a whole.
+    ``uv`` (rows, cols, 2) in pitches is as the motion left it, not turned or shifted back, NaN where there is no node;
+    ``energy`` the sum of k (l - L)^2 in pitches squared (Eq. 1); ``inverted`` the number of cells with a triangle that
+    is empty or does not turn as the start does as a whole.
     """
 
     uv: Array
@@ -137,15 +129,6 @@ def relax_dynamically(
         Spring constants, 1 where not given. They are divided by the largest, which changes the unit of time and leaves
         the state of rest as it is: the limits on the time step hold for a constant of 1.
     params : RelaxationParams, optional
-
-    Returns
-    -------
-    Relaxation
-
-    Raises
-    ------
-    CannotFlatten
-        If the arrays do not fit together.
 
     Notes
     -----

@@ -108,12 +108,9 @@ def photograph(
 def image_material(pose: CameraPose, shape: tuple[int, int], pixel_um: float) -> tuple[Array, Array]:
     """Material coordinates (u, v) in um shown by each pixel of an image of ``shape`` (rows, cols)."""
     u, v = np.empty(shape), np.empty(shape)
-    x = np.arange(shape[1]) * pixel_um
+    y, x = (np.arange(n) * pixel_um for n in shape)
     for rows in _blocks(shape[0]):
-        y = np.arange(rows.start, rows.stop) * pixel_um
-        points = np.empty((y.size, x.size, 2))
-        points[..., 0], points[..., 1] = x, y[:, None]
-        back = pose.inverse(points)
+        back = pose.inverse(np.stack(np.meshgrid(x, y[rows]), axis=-1))
         u[rows], v[rows] = back[..., 0], back[..., 1]
     return u, v
 
