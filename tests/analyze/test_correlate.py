@@ -58,6 +58,17 @@ def test_points_are_means_over_pixels_valid_in_both():
     assert np.array_equal(np.isnan(x), np.isnan(y))
 
 
+def test_a_pixel_missing_in_either_map_counts_in_neither():
+    rng = np.random.default_rng(4)
+    a, b = rng.normal(size=(2, 40, 60))
+    missing = rng.random(a.shape) < 0.2
+    for one, other in ((a, np.where(missing, np.nan, b)), (np.where(missing, np.nan, a), b)):
+        _, x, y = correlate_at(one, other, pixel_um=(5.0, 5.0), point_um=50.0)
+        block = np.s_[10:20, 20:30]
+        assert x[1, 2] == pytest.approx(a[block][~missing[block]].mean())
+        assert y[1, 2] == pytest.approx(b[block][~missing[block]].mean())
+
+
 def test_a_point_smaller_than_a_pixel_is_no_point():
     found, _, _ = correlate_at(np.ones((5, 5)), np.ones((5, 5)), pixel_um=(200.0, 200.0), point_um=100.0)
     assert found.n == 0

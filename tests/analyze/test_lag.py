@@ -4,6 +4,7 @@ from scipy import fft, ndimage
 
 from planish.analyze import Registration, by_shift, cross_fitted, in_band, masked_lag, searched_null
 from planish.analyze.ncc import MaskedNcc
+from planish.analyze.peak import MARGIN, find_peak, within
 from planish.core.errors import CannotMeasure, SizeError
 
 PAD = 16
@@ -78,6 +79,16 @@ def test_the_standard_error_is_what_the_lags_scatter_by():
     ratio = np.sqrt(np.mean((errors / expected) ** 2))
     print(f"scatter over standard error {ratio:.2f}, standard error {expected.mean():.2f} pixels")
     assert 0.7 < ratio < 1.25
+
+
+def test_the_peak_of_the_sign_that_is_asked_for_is_found():
+    reach = (12, 12)
+    y, x = np.mgrid[-12 - MARGIN : 13 + MARGIN, -12 - MARGIN : 13 + MARGIN]
+    r = 0.5 * np.exp(-((y - 3) ** 2 + x**2) / 8) - 0.8 * np.exp(-((y + 5) ** 2 + (x - 4) ** 2) / 8)
+    for sign, at, height in ((1, (0.0, 3.0), 0.5), (-1, (4.0, -5.0), -0.8), (0, (4.0, -5.0), -0.8)):
+        peak = find_peak(r, within(reach), sign)
+        assert sorted(peak.at) == pytest.approx(sorted(at), abs=0.05)
+        assert peak.r == pytest.approx(height, abs=0.01)
 
 
 def test_unrelated_maps_give_no_lag():

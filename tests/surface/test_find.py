@@ -86,6 +86,20 @@ def test_a_hole_is_missing_in_the_faces_and_bridged_by_the_centre():
     assert found["presence"].values[70, 70] < 0.1 < 0.9 < found["presence"].values[20, 20]
 
 
+def test_a_burr_around_a_hole_does_not_bend_the_centre_surface():
+    grey, middle, _ = slab(shape=(70, 140, 140), noise=2.0)
+    y, x = np.mgrid[0:140, 0:140] * VOXEL
+    from_hole = np.hypot(x - 210, y - 210) - 80
+    for k in range(8):  # 24 um on the top face, a voxel at a time
+        burr = (from_hole < 45) & (from_hole > 0)
+        face = np.floor((middle[0] + 44.5) / VOXEL).astype(int)
+        grey[face[burr] + k, y[burr].astype(int) // 3, x[burr].astype(int) // 3] = 200.0
+    grey = np.where(from_hole < 0, 40.0, grey) + np.random.default_rng(1).normal(0, 1, grey.shape)
+    found = find_surfaces(volume(grey))
+    assert found["top"].values[70, 102] > middle[0, 70, 102] + 55
+    assert np.abs(found["centre"].values - middle[0]).max() < 0.5
+
+
 def test_missing_voxels_are_not_guessed():
     grey, *_ = slab()
     grey[:, 30:34, 40:44] = np.nan
