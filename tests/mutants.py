@@ -55,7 +55,7 @@ MUTANTS = [
     Mutant("surface/assemble.py", "np.where(sheet & ~rim & seen, 0.5 * (top + bottom), np.nan)", "np.where(sheet & seen, 0.5 * (top + bottom), np.nan)", "surface/test_find.py surface/test_centre.py surface/test_presence.py"),
     Mutant("surface/assemble.py", "[Status.NO_SHEET, Status.RIM, Status.MEASURED]", "[Status.NO_SHEET, Status.MEASURED, Status.MEASURED]", "surface/test_find.py surface/test_presence.py"),
     Mutant("surface/centre.py", "coarse += regression(", "coarse -= regression(", "surface/test_centre.py"),
-    Mutant("surface/envelope.py", "** 2 / (2 * radius_um)", "** 2 / radius_um", "surface/test_disturbed.py"),
+    Mutant("core/_envelope_kernels.py", "p * p / (2 * radius_um)", "p * p / radius_um", "surface/test_disturbed.py measure/test_maps_of_the_sheet.py"),
     Mutant("surface/_fit_kernels.py", "return _TABLE[i] + share * rise", "return _TABLE[i] - share * rise", "surface/test_fit.py"),
     Mutant("surface/_fit_kernels.py", "face, inside, coat, base = p[0], p[0] + p[1], p[2], p[3]", "face, inside, coat, base = p[0], p[0] - p[1], p[2], p[3]", "surface/test_fit.py"),
     # measure

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from planish.core._envelope_kernels import rolled
 from planish.surface import SurfaceParams, find_surfaces
-from planish.surface.envelope import rolling_ball
-from planish.surface.holes import all_holes, half_closed
+from planish.surface.regions import all_holes, half_closed
 from surface.sheets import Sheet
 
 SHEET = Sheet(lateral=(100, 110), thickness=60.0, margin=30.0)
@@ -97,7 +97,7 @@ def test_a_hole_that_is_half_closed_is_named(fill):
 def test_a_ball_rolls_over_a_gap_as_deep_as_its_sagitta():
     height = np.zeros((81, 81))
     height[:, 31:50] = -40.0
-    out = rolling_ball(height, (1.0, 1.0), 100.0)
+    out = rolled(height, (1.0, 1.0), 100.0)
     # sphere: r - sqrt(r^2 - 10^2) = 0.501
     assert out[40, 40] == pytest.approx(-(100 - np.sqrt(100**2 - 10**2)), abs=0.02)
     np.testing.assert_allclose(out[:, :30], 0.0, atol=1e-12)

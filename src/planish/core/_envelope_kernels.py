@@ -8,7 +8,7 @@ from numba import njit
 def rolled(height, pitch_um, radius_um):
     """Close a height field from above with a ball, taken as the paraboloid of its curvature.
 
-    It differs from the ball by less than two hundredths of what is bridged where gaps are narrower than half the radius.
+    Where gaps are narrower than half the radius it differs from the ball by less than 2 % of what is bridged.
 
     Parameters
     ----------

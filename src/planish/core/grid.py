@@ -90,6 +90,17 @@ def check_same_grid(first: xr.Dataset, second: xr.Dataset) -> None:
             )
 
 
+def filled(field: Array) -> Array:
+    """Return a field with the nearest known value in place of every NaN; one of NaN only as it is."""
+    from scipy import ndimage
+
+    known = np.isfinite(field)
+    if not known.any():
+        return field.copy()
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return field[tuple(nearest)]
+
+
 def bilinear(field: NDArray[Any], row: Array, col: Array) -> Array:
     """Values of a field (rows, cols) at fractional rows and columns; NaN outside the middles of its outer pixels."""
     rows, cols = field.shape

@@ -154,7 +154,7 @@ def resample_rays(block, corner, first, wide, depth, step_r, step_c, step_d, wan
 
 @njit(cache=True, nogil=True)
 def _piece(g, x0, x1, least, most):
-    """Integral of one profile between two places in samples, length on which least <= g <= most, its ends on the way."""
+    """Between two places in samples: integral of a profile, length on which least <= g <= most, ends on the way."""
     if not (x0 >= 0 and x1 <= g.size - 1):
         return np.nan, np.nan, 0
     total = length = 0.0

@@ -72,30 +72,22 @@ def _depths(rays: Rays) -> tuple[Array, NDArray[np.uint8]]:
     return rays.once("ink", work)
 
 
-def _measured(rays: Rays, which: int) -> Measured:
-    """SE: the face's and one crossing's with the contrast of half the ink's range."""
-    assert rays.params.ink_grey is not None
-    depth, reason = _depths(rays)
-    low, high = rays.params.ink_grey
-    se = np.where(np.isfinite(depth[which]), np.sqrt(2.0) * rays.crossing_se(0.5 * (high - low)), np.nan)
-    return Measured(values=depth[which], se=se, reason=reason)
+for _which, (_share, _title) in enumerate(
+    {50: "Depth of half the ink", 90: "Depth of 90 % of the ink", 95: "Depth of 95 % of the ink"}.items()
+):
 
-
-def _register(which: int, share: int, title: str) -> None:
-    def depth(rays: Rays) -> Measured:
+    @ray_property(f"ink_depth_{_share}", units="um", long_name=_title, reasons=REASONS, check=_check,
+                  when=lambda params, _greys: params.ink_grey is not None)  # fmt: skip
+    def depth(rays: Rays, which: int = _which) -> Measured:
         """P-12: depth below the top face that holds 50, 90 or 95 % of the length of ink on the ray.
 
         Ink is what lies in the grey range ``ink_grey``, from the face down to ``ink_reach_um``. Missing values are
         censored, not zero: where there is no ink (less than a voxel), and where ink reaches the limit of the search.
-        Colour that bleeds below a cut surface and dye taken up by the resin look like ink.
+        Colour that bleeds below a cut surface and dye taken up by the resin look like ink. SE: the face's and one
+        crossing's with the contrast of half the ink's range.
         """
-        return _measured(rays, which)
-
-    ray_property(f"ink_depth_{share}", units="um", long_name=title, reasons=REASONS, check=_check,
-                 when=lambda params, _greys: params.ink_grey is not None)(depth)  # fmt: skip
-
-
-for _which, (_share, _title) in enumerate(
-    {50: "Depth of half the ink", 90: "Depth of 90 % of the ink", 95: "Depth of 95 % of the ink"}.items()
-):
-    _register(_which, _share, _title)
+        assert rays.params.ink_grey is not None
+        depths, reason = _depths(rays)
+        low, high = rays.params.ink_grey
+        se = np.where(np.isfinite(depths[which]), np.sqrt(2.0) * rays.crossing_se(0.5 * (high - low)), np.nan)
+        return Measured(values=depths[which], se=se, reason=reason)

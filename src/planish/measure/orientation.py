@@ -193,7 +193,7 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
             ("angle", "deg", "Fibre angle", _angle), ("anisotropy", "1", "Fibre anisotropy", _anisotropy),
         ):  # fmt: skip
             made.append(
-                Property(name=f"fibre_{name}_layer_{k + 1}", units=units, long_name=f"{title}, layer {k + 1} of {count}",
-                         kind="rays", function=partial(function, **depth), halo_um=_halo, support_um=_width)
+                Property(name=f"fibre_{name}_layer_{k + 1}", units=units, kind="rays", halo_um=_halo, support_um=_width,
+                         long_name=f"{title}, layer {k + 1} of {count}", function=partial(function, **depth))
             )  # fmt: skip
     return tuple(made)

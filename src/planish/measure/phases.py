@@ -1,4 +1,4 @@
-"""Void and filler in the base: their share on the ray between the interfaces, a mass, and profiles through the depth."""
+"""Void and filler in the base: their share on the ray between the interfaces, mass, and profiles through the depth."""
 
 from __future__ import annotations
 

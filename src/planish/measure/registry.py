@@ -155,7 +155,7 @@ def _registers(kind: Literal["rays", "sheet"]):
         name: str, *, units: str, long_name: str, support_um: Length | None = None, check: Check | None = None,
         when: When | None = None, halo_um: Length = 0.0, **more: Any,
     ) -> Callable[[Answer], Property]:  # fmt: skip
-        """Register a function of rays, or of whole maps, as a property; :class:`Property` explains these words and more.
+        """Register a function of rays, or of whole maps, as a property; :class:`Property` explains the arguments.
 
         Raises
         ------

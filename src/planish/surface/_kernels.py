@@ -1,12 +1,10 @@
 # pyright: standard
-"""Compiled inner loops of the surface search beside the fit: following a sheet, presence, means, boundaries."""
+"""Compiled inner loops of the surface search beside the fit: following a sheet, presence, means."""
 
 from math import floor, isfinite
 
 import numpy as np
 from numba import njit
-
-from planish.surface._fit_kernels import outermost
 
 _ABREAST = 16  # columns whose means are worked out together
 
@@ -71,15 +69,15 @@ def follow(inside, row, col, start, stop, most, low, high, merged):
                 low[i, j] = high[i, j] = -1
 
 
-@njit(cache=True, nogil=True)
-def trilinear(slab, first, deep, r, c, d, fr, fc):
-    """Value of slab (rows, cols, depth) at the indices r + fr, c + fc and d - first; NaN outside.
+@njit(cache=True, nogil=True, error_model="numpy")
+def trilinear(flat, shape, first, deep, r, c, d, fr, fc):
+    """Value of a flat slab of shape (rows, cols, depth) at the indices r + fr, c + fc and d - first; NaN outside.
 
     The slab holds a part of columns that are ``deep`` voxels long.
 
     r and c are whole; shares of a voxel come apart from them, because the place in a tile must not round them.
     """
-    rows, cols, depth = slab.shape
+    rows, cols, depth = shape
     step_r, step_c = floor(fr), floor(fc)
     i, j = r + int(step_r), c + int(step_c)
     fr, fc = fr - step_r, fc - step_c
@@ -94,22 +92,9 @@ def trilinear(slab, first, deep, r, c, d, fr, fc):
     k -= first
     if not 0 <= k < depth - 1:
         return np.nan
-    a = (slab[i, j, k] * (1 - fd) + slab[i, j, k + 1] * fd) * (1 - fc)
-    a += (slab[i, j + 1, k] * (1 - fd) + slab[i, j + 1, k + 1] * fd) * fc
-    b = (slab[i + 1, j, k] * (1 - fd) + slab[i + 1, j, k + 1] * fd) * (1 - fc)
-    b += (slab[i + 1, j + 1, k] * (1 - fd) + slab[i + 1, j + 1, k + 1] * fd) * fc
-    return a * (1 - fr) + b * fr
-
-
-@njit(cache=True, nogil=True)
-def within(flat, at, row, col, fr, fc, fd):
-    """Value between the eight voxels from index ``at`` of a flat slab on; ``row`` and ``col`` lead to the next ones.
-
-    The same sum as in :func:`trilinear`, to the last bit.
-    """
     # Unsigned, numba does not look for indices that count from the end.
-    p, q, one = np.uint64(at), np.uint64(at + row), np.uint64(1)
-    right = np.uint64(col)
+    p, right, one = np.uint64((i * cols + j) * depth + k), np.uint64(depth), np.uint64(1)
+    q = p + np.uint64(cols * depth)
     a = (flat[p] * (1 - fd) + flat[p + one] * fd) * (1 - fc)
     a += (flat[p + right] * (1 - fd) + flat[p + right + one] * fd) * fc
     b = (flat[q] * (1 - fd) + flat[q + one] * fd) * (1 - fc)
@@ -137,31 +122,17 @@ def presence(slab, first, deep, lead_r, lead_c, centre, normal_r, normal_c, norm
         Set; NaN where the normal leaves the slab.
     """
     rows, cols = centre.shape
-    high, wide, depth = slab.shape
     flat = slab.reshape(-1)
-    far = np.max(np.abs(offsets))
     share = np.empty(offsets.size)
     for i in range(rows):
         for j in range(cols):
             c, nr, nc, nd = centre[i, j], normal_r[i, j], normal_c[i, j], normal_d[i, j]
-            r, s = lead_r + i, lead_c + j
-            out_d, out_r, out_c = far * abs(nd), far * abs(nr), far * abs(nc)
-            # Where the normal stays inside, which is nearly everywhere, no place along it has to be asked.
-            inside = (
-                first <= c - out_d
-                and c + out_d < min(first + depth, deep) - 1
-                and out_r <= r < high - 1 - out_r
-                and out_c <= s < wide - 1 - out_c
-            )
             for n in range(offsets.size):
-                d, fr, fc = c + offsets[n] * nd, offsets[n] * nr, offsets[n] * nc
+                d = c + offsets[n] * nd
                 g = np.nan
-                if inside:
-                    step_r, step_c, k = int(floor(fr)), int(floor(fc)), int(d)
-                    at = ((r + step_r) * wide + s + step_c) * depth + k - first
-                    g = within(flat, at, wide * depth, depth, fr - step_r, fc - step_c, d - k)
-                elif isfinite(d):
-                    g = trilinear(slab, first, deep, r, s, d, fr, fc)
+                if isfinite(d):
+                    fr, fc = offsets[n] * nr, offsets[n] * nc
+                    g = trilinear(flat, slab.shape, first, deep, lead_r + i, lead_c + j, d, fr, fc)
                 share[n] = min(max((g - air) / (base - air), 0.0), 1.0) if isfinite(g) else np.nan
             for m in range(layers.shape[0]):
                 total, count = 0.0, 0
@@ -219,99 +190,3 @@ def mean_columns(voxels, step, slope_r, slope_c, missing, out):
             for n in range(count):
                 for d in range(depth):
                     out[i, first + n, d] = total[d, n] * share
-
-
-@njit(cache=True, nogil=True)
-def dilate_rows(height, drop, sign, out):
-    """Largest of ``height`` minus ``drop`` of the distance along each row; the smallest plus it where sign is -1."""
-    rows, cols = height.shape
-    half = drop.size - 1
-    for i in range(rows):
-        for j in range(cols):
-            best = sign * height[i, j]
-            for k in range(max(j - half, 0), min(j + half, cols - 1) + 1):
-                best = max(best, sign * height[i, k] - drop[abs(k - j)])
-            out[i, j] = sign * best
-
-
-@njit(cache=True, nogil=True)
-def crossing(a, b, level):
-    """Share of the way from a to b at which level is passed."""
-    return min(max((level - a) / (b - a), 0.0), 1.0) if b != a else 0.5
-
-
-@njit(cache=True, nogil=True)
-def outer_boundaries(grey, expected, other, search, paper, coating, face, thickness):
-    """Outermost boundary of the sheet, and thickness of the outermost run of coating, in the columns of one slice.
-
-    Parameters
-    ----------
-    grey : (cols, depth) float32
-        Read from outside to inside.
-    expected, other, search : (cols,)
-        Where the face and the opposite one are expected, and how far outside the search starts, in voxels.
-    paper, coating : float
-        Thresholds; an infinite one for a side without a coating.
-    face, thickness : (cols,)
-        Set; left as they are where nothing is found.
-    """
-    cols, depth = grey.shape
-    for j in range(cols):
-        if not isfinite(expected[j]):
-            continue
-        g = grey[j]
-        middle = int(0.5 * (expected[j] + other[j]))
-        start = max(int(floor(expected[j] - search[j])), 1)
-        d = outermost(g, start, min(middle, depth - 3), paper)
-        if d < 1:
-            continue
-        # The smoothed grey passes up to a voxel beside the grey itself.
-        while d > 1 and g[d - 1] > paper:
-            d -= 1
-        while d < depth - 2 and not g[d] > paper:
-            d += 1
-        face[j] = d - 1 + crossing(g[d - 1], g[d], paper)
-        thickness[j] = 0.0
-        if not isfinite(coating):
-            continue
-        first = d
-        while first < middle and first - d < 4 and not g[first] > coating:
-            first += 1
-        if not g[first] > coating:
-            continue
-        last = first
-        while last < min(middle, depth - 2) and g[last + 1] > coating:
-            last += 1
-        thickness[j] = max(last + crossing(g[last], g[last + 1], coating) - face[j], 0.0)
-
-
-@njit(cache=True, nogil=True)
-def label_boundaries(codes, expected, other, search, face, thickness):
-    """Outermost boundary of base or coating, and thickness of the outermost run of coating, of every column.
-
-    Parameters
-    ----------
-    codes : (rows, cols, depth) uint8
-        0 air, 1 base, 2 void, 3 coating; read from outside to inside.
-    expected, other, search : (rows, cols)
-        Where the face and the opposite one are expected, and how far outside the search starts, in voxels.
-    face, thickness : (rows, cols)
-        Set; left as they are where nothing is found.
-    """
-    rows, cols, depth = codes.shape
-    for i in range(rows):
-        for j in range(cols):
-            if not isfinite(expected[i, j]) or not isfinite(other[i, j]):
-                continue
-            c = codes[i, j]
-            stop = min(int(0.5 * (expected[i, j] + other[i, j])), depth - 2)
-            d = max(int(floor(expected[i, j] - search[i, j])), 0)
-            while d <= stop and (c[d] == 0 or c[d] == 2):
-                d += 1
-            if d > stop or d == 0:
-                continue
-            face[i, j] = d - 0.5
-            n = d
-            while n < depth and c[n] == 3:
-                n += 1
-            thickness[i, j] = float(n - d)

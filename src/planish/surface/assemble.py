@@ -2,62 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core._envelope_kernels import rolled
 from planish.core.errors import VolumeError
-from planish.core.frame import Frame
+from planish.core.grid import filled
 from planish.core.status import Status, status_flags
+from planish.core.tiles import Engine
 from planish.surface.centre import gaussian_regression, slice_smoothed
 from planish.surface.columns import Columns, voxel_pitch
-from planish.surface.envelope import rolling_ball
 from planish.surface.faces import Faces
-from planish.surface.holes import half_closed
 from planish.surface.params import SurfaceParams
-from planish.surface.presence import LAYERS, TITLES
-from planish.surface.regions import regions
+from planish.surface.presence import LAYERS, TITLES, find_presence
+from planish.surface.regions import half_closed, regions
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
-    """What was found in the columns.
+def assemble(
+    columns: Columns, params: SurfaceParams, faces: Faces, doubt: tuple[Mask, Mask], levels: tuple[float, float],
+    engine: Engine,
+) -> xr.Dataset:  # fmt: skip
+    """Build the result of :func:`planish.surface.find_surfaces` but for the grey levels in its attributes.
 
-    Attributes
-    ----------
-    faces : Faces
-    touching : (rows, cols)
-        Columns in which the sheet touches another or itself.
-    runs_out : (rows, cols)
-        Columns in which it may run out of the volume.
-    presence : callable
-        Given the centre surface, the sheet's thickness and the direction of its top, the share of material in each
-        layer.
+    ``doubt``: columns in which the sheet touches another or itself, and in which it may run out of the volume;
+    ``levels``: grey of air and base.
     """
-
-    faces: Faces
-    touching: Mask
-    runs_out: Mask
-    presence: Callable[[Array, float, float], Mapping[str, Array]]
-
-
-def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found) -> xr.Dataset:
-    """Build the result of :func:`planish.surface.find_surfaces` but for the grey levels in its attributes."""
-    pitch, faces = columns.pitch, found.faces
+    pitch, frame = columns.pitch, columns.frame
     top, inner_top = faces.high, faces.interface_high
     bottom, inner_bottom = faces.low, faces.interface_low
     if frame.top == "low":
         (top, inner_top), (bottom, inner_bottom) = (bottom, inner_bottom), (top, inner_top)
     up = frame.sign
     seen = np.isfinite(top) & np.isfinite(bottom) & (up * (top - bottom) > 0)
-    runs_out = found.runs_out & ~seen
-    touching = found.touching & ~runs_out
+    runs_out = doubt[1] & ~seen
+    touching = doubt[0] & ~runs_out
     seen &= ~touching
     top, bottom, inner_top, inner_bottom = (np.where(seen, f, np.nan) for f in (top, bottom, inner_top, inner_bottom))
     thickness = float(np.nanmedian(up * (top - bottom))) if seen.any() else float("nan")
@@ -84,7 +66,7 @@ def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found
     status[touching & sheet] = Status.TOUCHING
     status[runs_out & (status > 0)] = Status.LEAVES_VOLUME
     bridged = cutoff_used > params.cutoff_um
-    present = found.presence(centre, thickness, up)
+    present = find_presence(columns, centre, thickness, up, levels, engine)
     heights = {
         "top": (top, "Top face"),
         "bottom": (bottom, "Bottom face"),
@@ -95,7 +77,7 @@ def assemble(columns: Columns, frame: Frame, params: SurfaceParams, found: Found
     if params.envelope_um is not None:
         radius = params.envelope_um
         for name, face, outward in (("top", top, up), ("bottom", bottom, -up)):
-            envelope = outward * rolling_ball(outward * face, pitch[:2], radius)
+            envelope = outward * np.where(seen, rolled(filled(outward * face), pitch[:2], radius), np.nan)
             heights[f"{name}_envelope"] = (envelope, f"{name.capitalize()} face below a ball of {radius:g} um")
     data: dict[str, tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]] = {
         name: (("y", "x"), values, {"units": "um", "long_name": title}) for name, (values, title) in heights.items()

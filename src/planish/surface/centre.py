@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.grid import filled
+
 Array = NDArray[np.float64]
 
 # Gaussian weight exp(-pi (x / (GAMMA lambda))^2). With 0.7309 the second-order filter H passes lambda by half (ISO
@@ -60,9 +62,8 @@ def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_
     known = np.isfinite(coarse)
     if not known.any():
         return np.full(height.shape, np.nan)
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     grid = np.meshgrid(*where, indexing="ij")
-    fine = ndimage.map_coordinates(coarse[tuple(nearest)], grid, order=3, mode="nearest")
+    fine = ndimage.map_coordinates(filled(coarse), grid, order=3, mode="nearest")
     seen = ndimage.map_coordinates(known.astype(np.uint8), grid, order=0, mode="nearest")
     return np.where(seen > 0, fine, np.nan)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import VolumeError
+from planish.core.grid import filled
 from planish.surface import _kernels
 
 Array = NDArray[np.float64]
@@ -193,11 +194,9 @@ def to_columns(field: Array, block: int, shape: tuple[int, int]) -> Array:
     known = np.isfinite(field)
     if not known.any():
         return np.full(shape, np.nan)
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    filled = field[tuple(nearest)]
     r, c = ((np.arange(n) - 0.5 * (block - 1)) / block for n in shape)
     grid = np.meshgrid(np.clip(r, 0, field.shape[0] - 1), np.clip(c, 0, field.shape[1] - 1), indexing="ij")
-    values = ndimage.map_coordinates(filled, grid, order=1, mode="nearest")
+    values = ndimage.map_coordinates(filled(field), grid, order=1, mode="nearest")
     seen = ndimage.map_coordinates(known.astype(np.uint8), grid, order=0, mode="nearest")
     return np.where(seen > 0, values, np.nan)
 

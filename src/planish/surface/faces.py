@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.grid import filled
 from planish.core.tiles import Engine, Tile
 from planish.surface import _fit_kernels
-from planish.surface.columns import Columns
+from planish.surface.columns import Columns, Guide, oriented
 from planish.surface.learnt import Learnt
 from planish.surface.levels import spread
-from planish.surface.oriented import Guide, oriented
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class Faces:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Fit:
+class Fit:
     """What a tile's fit needs: the guide of the tile with its halo."""
 
     columns: Columns
@@ -56,13 +56,15 @@ def find_faces(columns: Columns, guide: Guide, learnt: Learnt, engine: Engine, p
     shape = columns.shape[:2]
     found = np.empty((4, *shape))
 
-    def job(tile: Tile) -> _Fit:
-        return _Fit(columns=columns, guide=guide.part(learnt.scale.grown(tile, shape)), learnt=learnt)
+    def job(tile: Tile) -> Fit:
+        return Fit(columns=columns, guide=guide.part(learnt.scale.grown(tile, shape)), learnt=learnt)
 
     for tile, part in engine.map("faces", _fit_tile, job, columns.tiles(engine)):
         found[:, tile.rows, tile.cols] = part
     particles += _below_particles(found, fit_job=job, columns=columns, guide=guide, learnt=learnt, engine=engine)
-    return placed(found, columns, (learnt.high.coated, learnt.low.coated), cleaned=True, particles=particles)
+    return placed(
+        found, columns, (learnt.sides[True].coated, learnt.sides[False].coated), cleaned=True, particles=particles
+    )
 
 
 def placed(
@@ -103,7 +105,7 @@ def placed(
 
 
 def _below_particles(
-    found: Array, *, fit_job: Callable[[Tile], _Fit], columns: Columns, guide: Guide, learnt: Learnt, engine: Engine
+    found: Array, *, fit_job: Callable[[Tile], Fit], columns: Columns, guide: Guide, learnt: Learnt, engine: Engine
 ) -> int:
     """Look again, below it, where the face was found on something that floats above the sheet.
 
@@ -130,7 +132,7 @@ def _below_particles(
             floating[k] = (expected[k] - found[2 * k] > _FLOATS / guide.tilt) | (plate > 0)
     tiles = [t for t in columns.tiles(engine) if floating[:, t.rows, t.cols].any()]
 
-    def job(tile: Tile) -> _Fit:
+    def job(tile: Tile) -> Fit:
         return replace(fit_job(tile), again=np.where(floating, expected, np.nan)[:, tile.rows, tile.cols])
 
     below = np.full((4, *shape), np.nan)
@@ -156,11 +158,10 @@ def _plates(outward: Array, pitch: tuple[float, float, float]) -> tuple[NDArray[
     known = np.isfinite(outward)
     if not known.any():
         return np.zeros(outward.shape, np.int32), outward
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    filled = outward[tuple(nearest)]
+    whole = filled(outward)
     size = int(_PLATE_UM / pitch[0]) + 2, int(_PLATE_UM / pitch[1]) + 2
-    opened = _opened(filled, size)
-    hat = filled - opened
+    opened = _opened(whole, size)
+    hat = whole - opened
     labels, count = ndimage.label(known & (hat > max(_FLOATS - 0.5, 8.0 * spread(hat[known]))))
     if not count:
         return np.asarray(labels, np.int32), opened
@@ -188,7 +189,7 @@ def _share(mask: NDArray[np.bool_], labels: NDArray[np.integer], count: int = 0)
     return np.bincount(flat, weights=mask.ravel(), minlength=count + 1)[1:] / np.maximum(number, 1)
 
 
-def _fit_tile(fit: _Fit, tile: Tile) -> Array:
+def _fit_tile(fit: Fit, tile: Tile) -> Array:
     """Face and coating thickness seen from the high end, then from the low end, in voxels, (4, rows, cols)."""
     columns, learnt = fit.columns, fit.learnt
     edge = learnt.edge
@@ -200,7 +201,7 @@ def _fit_tile(fit: _Fit, tile: Tile) -> Array:
     result = np.empty((5, *tile.shape))
     for k, high in enumerate((True, False)):
         outer, other = (np.ascontiguousarray(a) for a in guide.faces(grey.shape[2], high=high))
-        side = learnt.side(high=high)
+        side = learnt.sides[high]
         amid = learnt.amid
         if fit.again is not None:
             outer, amid = np.ascontiguousarray(fit.again[k]), 0.5 * learnt.base
@@ -217,8 +218,7 @@ def _without_spikes(height: Array, step: float) -> Array:
     known = np.isfinite(height)
     if not known.any():
         return height
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    around = ndimage.median_filter(height[tuple(nearest)], size=5, mode="nearest")
+    around = ndimage.median_filter(filled(height), size=5, mode="nearest")
     off = np.abs(height - around)
     limit = max(8.0 * spread(off[known]) + 1.0, _SPIKE_UM / step, 3.0)
     return np.where(known & (off <= limit), height, np.nan)
@@ -229,9 +229,8 @@ def _narrow(outward: Array, pitch: tuple[float, float, float]) -> NDArray[np.boo
     known = np.isfinite(outward)
     if not known.any():
         return np.zeros(outward.shape, dtype=bool)
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    filled = outward[tuple(nearest)]
+    whole = filled(outward)
     size = max(int(_NARROW_UM / pitch[0]), 1) + 1, max(int(_NARROW_UM / pitch[1]), 1) + 1
-    hat = filled - _opened(filled, size)
+    hat = whole - _opened(whole, size)
     limit = max(8.0 * spread(hat[known]) + 1.0, _PROUD_UM / pitch[2], 3.0)
     return known & (hat > limit)

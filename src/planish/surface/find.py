@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -11,15 +9,12 @@ from numpy.typing import NDArray
 from planish.core.errors import InputError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
-from planish.surface.assemble import Found, assemble
-from planish.surface.columns import Columns
+from planish.surface.assemble import assemble
+from planish.surface.columns import Columns, make_guide
 from planish.surface.faces import find_faces
 from planish.surface.labels import surfaces_from_labels
 from planish.surface.learn import learn
-from planish.surface.levels import GreyLevels
-from planish.surface.oriented import make_guide
 from planish.surface.params import SurfaceParams
-from planish.surface.presence import find_presence
 from planish.surface.regions import doubtful
 from planish.surface.slices import find_faces_by_slice
 from planish.surface.survey import Survey, take_survey
@@ -91,37 +86,20 @@ def find_surfaces(
     columns = columns.padded(survey.padding)
     guide = make_guide(survey.coarse, columns)
     learnt = learn(columns, guide, survey, params)
-    levels = learnt.levels(columns.pitch[2])
-    if frame.top == "low":
-        levels = _swapped(levels)
-    touching, runs_out = doubtful(guide, survey.coarse, learnt.edge.width, columns.shape[2])
-
-    def presence(centre: Array, thickness: float, up: float) -> dict[str, Array]:
-        base = learnt.scale.polarity * learnt.base + learnt.scale.air
-        return find_presence(columns, centre, thickness, up, (learnt.scale.air, base), engine)
-
+    air = learnt.scale.air
     search = find_faces if params.method == "profile" else find_faces_by_slice
-    found = Found(
-        faces=search(columns, guide, learnt, engine, survey.coarse.specks),
-        touching=touching,
-        runs_out=runs_out,
-        presence=presence,
-    )
-    surfaces = assemble(columns, frame, params, found)
-    surfaces.attrs |= {
-        f"grey_{k}" if k in ("air", "base", "coating_top", "coating_bottom", "noise") else k: v
-        for k, v in asdict(levels).items()
-    }
+    surfaces = assemble(
+        columns, params, search(columns, guide, learnt, engine, survey.coarse.specks),
+        doubtful(guide, survey.coarse, learnt.edge.width, columns.shape[2]),
+        (air, learnt.scale.polarity * learnt.base + air), engine,
+    )  # fmt: skip
+    surfaces.attrs |= learnt.attrs(columns.pitch[2], frame)
     top, bottom = surfaces["top"].values, surfaces["bottom"].values
     surfaces.attrs["saturated_share"] = _saturated(survey, columns.depth_um, top, bottom)
     surfaces.attrs["missing_share"] = survey.missing_share
     if survey.padding is not None:
         surfaces.attrs["padding"] = survey.padding
     return surfaces
-
-
-def _swapped(levels: GreyLevels) -> GreyLevels:
-    return replace(levels, coating_top=levels.coating_bottom, coating_bottom=levels.coating_top)
 
 
 def _saturated(survey: Survey, depth_um: Array, top: Array, bottom: Array) -> float:

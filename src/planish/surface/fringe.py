@@ -1,10 +1,13 @@
-"""The phase-contrast fringe beside an edge: whether the air shows one, how large and how wide it is.
+"""What the shape of many profiles shows: a phase-contrast fringe, and the grey of a coating nowhere thick.
 
 A staircase that is only blurred is nowhere darker than the air; a fringe makes the air beside the face darker than the
 air farther away. Where that is not seen none is taken: an edge steeper than a Gaussian's may have other reasons.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +28,9 @@ _FEW, _ROWS = 8, 5  # columns of a row, and rows, that must show the air
 _SMALLEST = 0.005  # fringe
 _WINDOW = 1.3  # widths of the blur: the blur that is found may be wider than the one without a fringe
 _LOOSE = 0.35  # logarithm of the fringe's width over the usual: where it shows little it is the usual
-_TRIALS = 90
+_TRIALS, _THIN_TRIALS = 90, 80  # of the searches
 _SHARES = (0.0, 0.2, 0.45)  # logarithm of a thin coating's grey over the brightest that was seen
+_THIN_SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)  # the same where there is no fringe
 
 
 def undershoots(sampler: Sampler, samples: dict[bool, Sample], sides: dict[bool, Side], edge: Edge) -> bool:
@@ -96,40 +100,88 @@ def with_fringe(
     The edge is returned as it came where the best has no fringe.
     """
     few = {high: sample.thinned(3 if thin else 4) for high, sample in samples.items()}
-    size = max(sum(s.outer.size for s in few.values()), 1)
-    window = _WINDOW * max(edge.width, 1.0)
-    most = {high: most_cost(sampler.fit(sample, sides[high], edge, window)[4]) for high, sample in few.items()}
+    misfit = _misfit(sampler, few, sides, edge, _WINDOW * max(edge.width, 1.0))
 
     def put(at: Array) -> tuple[Edge, dict[bool, Side]]:
         tried = Edge(
             width=edge.width * float(np.exp(at[0])), fringe=max(float(at[1]), 0.0),
             fringe_width=FRINGE_PX * float(np.exp(at[2])),
         )  # fmt: skip
-        put_to = dict(sides)
-        for high, share in zip(thin, at[3:], strict=True):
-            put_to[high] = sides[high].brighter(float(np.exp(share)))
-        return tried, put_to
+        return tried, _brighter(sides, thin, at[3:])
 
     def cost(at: Array) -> float:
-        tried, put_to = put(at)
+        loose = (float(at[2]) / _LOOSE) ** 2 + float(np.sum(at[3:] ** 2))
+        return misfit(*put(at)) + 1e-4 * loose + max(-float(at[1]), 0.0)
+
+    steps = np.diag([0.1, 0.08, 0.25] + [0.1] * len(thin))
+    starts = [np.array([0.1, 0.1, 0.0] + [share] * len(thin)) for share in (_SHARES if thin else (0.0,))]
+    best = min((_simplex(cost, start, steps, _TRIALS) for start in starts), key=lambda found: found[0])[1]
+    found, put_to = put(best)
+    return (found, put_to) if found.fringe > _SMALLEST else (edge, sides)
+
+
+def thin_levels(
+    sampler: Sampler, samples: dict[bool, Sample], sides: dict[bool, Side], edge: Edge, thin: list[bool]
+) -> tuple[Edge, dict[bool, Side]]:
+    """Blur, and greys of coatings that are nowhere thick, with which the staircase fits the sample best.
+
+    Grey and thickness of one thin layer can hardly be separated; the shape of many profiles helps a little.
+    """
+    few = {high: sample.thinned(3) for high, sample in samples.items()}
+    misfit = _misfit(sampler, few, sides, edge, _WINDOW * edge.width)
+
+    def put(at: Array) -> tuple[Edge, dict[bool, Side]]:
+        return replace(edge, width=edge.width * float(np.exp(at[0]))), _brighter(sides, thin, at[1:])
+
+    def cost(at: Array) -> float:
+        # A layer's grey is seldom far from the brightest that was seen of it.
+        return misfit(*put(at)) + 1e-4 * float(np.sum(at**2))
+
+    def with_width(share: float) -> tuple[float, Array]:
+        """Best width for coatings that are so much brighter."""
+
+        def of(log_width: float) -> float:
+            return cost(np.array([log_width, *[share] * len(thin)]))
+
+        best = optimize.minimize_scalar(of, bounds=(-0.2, 0.6), method="bounded", options={"xatol": 0.01})
+        return float(best.fun), np.array([float(best.x), *[share] * len(thin)])
+
+    # Brighter layers with a wider blur look nearly the same: the search goes along that valley first.
+    _, start = min((with_width(share) for share in _THIN_SHARES), key=lambda found: found[0])
+    along = np.array([0.03, *[0.08] * len(thin)])
+    steps = np.vstack([along, np.diag(np.where(np.arange(along.size) > 0, 0.08, 0.03))[1:]])
+    return put(_simplex(cost, start, steps, _THIN_TRIALS)[1])
+
+
+def _misfit(
+    sampler: Sampler, few: dict[bool, Sample], sides: dict[bool, Side], edge: Edge, window: float
+) -> Callable[[Edge, dict[bool, Side]], float]:
+    """Return the cost of a column, in the mean of both sides, as a function of the edge and the sides."""
+    size = max(sum(s.outer.size for s in few.values()), 1)
+    most = {high: most_cost(sampler.fit(sample, sides[high], edge, window)[4]) for high, sample in few.items()}
+
+    def misfit(tried: Edge, put_to: dict[bool, Side]) -> float:
         total = 0.0
         for high, sample in few.items():
             found = sampler.fit(sample, put_to[high], tried, window)[4]
             total += float(np.sum(np.where(np.isfinite(found), np.minimum(found, most[high]), most[high])))
-        loose = (float(at[2]) / _LOOSE) ** 2 + float(np.sum(at[3:] ** 2))
-        return total / size + 1e-4 * loose + max(-float(at[1]), 0.0)
+        return total / size
 
-    steps = np.diag([0.1, 0.08, 0.25] + [0.1] * len(thin))
+    return misfit
 
-    def search(share: float) -> tuple[float, Array]:
-        start = np.array([0.1, 0.1, 0.0] + [share] * len(thin))
-        found = optimize.minimize(
-            cost, start, method="Nelder-Mead",
-            options={"initial_simplex": np.vstack([start, start + steps]), "xatol": 2e-3, "fatol": 1e-7,
-                     "maxfev": _TRIALS},
-        )  # fmt: skip
-        return float(found.fun), np.asarray(found.x, dtype=np.float64)
 
-    best = min((search(share) for share in (_SHARES if thin else (0.0,))), key=lambda found: found[0])[1]
-    found, put_to = put(best)
-    return (found, put_to) if found.fringe > _SMALLEST else (edge, sides)
+def _brighter(sides: dict[bool, Side], thin: list[bool], shares: Array) -> dict[bool, Side]:
+    """Return the sides with the greys of thin coatings multiplied by exp(share)."""
+    found = dict(sides)
+    for high, share in zip(thin, shares, strict=True):
+        found[high] = sides[high].brighter(float(np.exp(share)))
+    return found
+
+
+def _simplex(cost: Callable[[Array], float], start: Array, steps: Array, trials: int) -> tuple[float, Array]:
+    """Lowest cost that Nelder and Mead's method finds, and where."""
+    found = optimize.minimize(
+        cost, start, method="Nelder-Mead",
+        options={"initial_simplex": np.vstack([start, start + steps]), "xatol": 2e-3, "fatol": 1e-7, "maxfev": trials},
+    )  # fmt: skip
+    return float(found.fun), np.asarray(found.x, dtype=np.float64)

@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine, Tile
-from planish.surface import _kernels
-from planish.surface.assemble import Found, assemble
-from planish.surface.columns import Columns
+from planish.surface.assemble import assemble
+from planish.surface.columns import Columns, Guide, make_guide
 from planish.surface.faces import placed
-from planish.surface.oriented import Guide, make_guide
 from planish.surface.params import LabelParams, SurfaceParams
-from planish.surface.presence import find_presence
 from planish.surface.regions import doubtful
+from planish.surface.slices import first_where
 from planish.surface.survey import survey_labels
 
 Array = NDArray[np.float64]
@@ -58,13 +56,6 @@ class LabelColumns(Columns):
         return (out > 0).astype(np.uint8) if self.sheet else out
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Job:
-    columns: LabelColumns
-    guide: Guide
-    reach: float
-
-
 def surfaces_from_labels(
     labels: xr.DataArray, frame: Frame, meaning: LabelParams, params: SurfaceParams, engine: Engine
 ) -> xr.Dataset:
@@ -81,25 +72,15 @@ def surfaces_from_labels(
     found = np.empty((4, *shape))
     reach = 2.0 + 1.5 * coarse.block * max(columns.pitch[:2]) / columns.pitch[2]
 
-    def job(tile: Tile) -> _Job:
-        return _Job(columns=coded, guide=guide.part(tile), reach=reach)
-
-    for tile, part in engine.map("labels", _boundaries, job, columns.tiles(engine)):
+    tiles = columns.tiles(engine)
+    for tile, part in engine.map("labels", _boundaries, lambda tile: (coded, guide.part(tile), reach), tiles):
         found[:, tile.rows, tile.cols] = part
     share = [float(np.mean(thickness[np.isfinite(thickness)] > 0)) if np.isfinite(thickness).any() else 0.0
              for thickness in (found[1], found[3])]  # fmt: skip
     coated = share[0] > _COATED_SHARE, share[1] > _COATED_SHARE
-    touching, runs_out = doubtful(guide, coarse, 0.0, columns.shape[2])
-
-    def presence(centre: Array, thickness: float, up: float) -> dict[str, Array]:
-        return find_presence(columns, centre, thickness, up, (0.0, 1.0), engine)
-
     surfaces = assemble(
-        columns, frame, params,
-        Found(
-            faces=placed(found, columns, coated, particles=coarse.specks), touching=touching, runs_out=runs_out,
-            presence=presence,
-        ),
+        columns, params, placed(found, columns, coated, particles=coarse.specks),
+        doubtful(guide, coarse, 0.0, columns.shape[2]), (0.0, 1.0), engine,
     )  # fmt: skip
     surfaces.attrs["from_labels"] = " ".join(f"{label}:{code}" for label, code in columns.codes)
     return surfaces
@@ -116,14 +97,20 @@ def _codes(meaning: LabelParams) -> tuple[tuple[int, int], ...]:
     return tuple(sorted(codes.items()))
 
 
-def _boundaries(job: _Job, tile: Tile) -> Array:
+def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Array:
     """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
-    codes = np.ascontiguousarray(job.columns.voxels(tile))
+    columns, guide, reach = job
+    codes = columns.voxels(tile)
     out = np.full((4, *tile.shape), np.nan)
+    last = codes.shape[2] - 1
     for k, high in enumerate((True, False)):
-        outer, other = (np.ascontiguousarray(a) for a in job.guide.faces(codes.shape[2], high=high))
-        _kernels.label_boundaries(
-            np.ascontiguousarray(codes[:, :, ::-1]) if high else codes, outer, other, job.reach / job.guide.tilt,
-            out[2 * k], out[2 * k + 1],
-        )  # fmt: skip
+        outer, other = guide.faces(last + 1, high=high)
+        known = np.isfinite(outer) & np.isfinite(other)
+        middle, start = (np.where(known, a, -1.0) for a in (0.5 * (outer + other), outer - reach / guide.tilt))
+        part = codes[:, :, ::-1] if high else codes
+        # The outermost boundary of base or coating, and the outermost run of coating.
+        face = first_where((part == _CODES["base"]) | (part == _CODES["coating"]), np.floor(start))
+        end = first_where(part != _CODES["coating"], face)
+        found = known & (face > 0) & (face <= np.minimum(middle.astype(int), last - 1))
+        out[2 * k][found], out[2 * k + 1][found] = face[found] - 0.5, (end - face)[found]
     return out

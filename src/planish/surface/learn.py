@@ -8,15 +8,13 @@ from numpy.typing import NDArray
 from planish.core.errors import VolumeError
 from planish.surface import _fit_kernels
 from planish.surface.coarse import CORE
-from planish.surface.columns import Columns
-from planish.surface.fringe import undershoots, with_fringe
+from planish.surface.columns import Columns, Guide
+from planish.surface.fringe import thin_levels, undershoots, with_fringe
 from planish.surface.learnt import Edge, Learnt, Side
-from planish.surface.levels import is_coating, spread
-from planish.surface.oriented import Guide
+from planish.surface.levels import spread
 from planish.surface.params import SurfaceParams
 from planish.surface.sample import Sample, Sampler, most_cost
 from planish.surface.survey import Survey
-from planish.surface.thin import thin_levels
 
 Array = NDArray[np.float64]
 
@@ -24,6 +22,7 @@ _WIDTHS = np.geomspace(0.35, 3.2, 14)  # blur along a column that is tried, in v
 _THICK = 3.0  # widths of the blur: a thicker layer shows its own grey
 _PLAIN, _PLAIN_SHARE = 5.5, 0.05  # widths of the blur, and share of columns: such a layer shows it beyond doubt
 _TRACE = 0.15  # widths of the blur: a coating that is thinner in half of the columns is none
+_COATING_RATIO = 1.25  # a layer is a coating when it stands out from the base by more than a quarter
 _FEW = 50  # columns that show it
 
 
@@ -57,17 +56,14 @@ class _Learner:
         thin = [high for high in samples if self._is_thin(samples[high], sides[high], edge)]
         if thin:
             quiet = sampler.quiet(samples, edge.width)
-            if seen:
-                edge, sides = with_fringe(sampler, quiet, sides, edge, thin)
-            else:
-                edge, sides = thin_levels(sampler, quiet, sides, edge, thin)
+            edge, sides = (with_fringe if seen else thin_levels)(sampler, quiet, sides, edge, thin)
         told = params.coating_grey is not None
         sides = {high: self._narrowed(samples[high], sides[high], edge, told or high in thin) for high in samples}
         if told:
             sides = {high: self._told_side(samples[high], side, edge, base) for high, side in sides.items()}
         return Learnt(
             scale=sampler.scale, noise=sampler.noise, scatter=sampler.scatter, base=base, edge=edge,
-            reach=sampler.reach, amid=sampler.amid, high=sides[True], low=sides[False],
+            reach=sampler.reach, amid=sampler.amid, sides=sides,
         )  # fmt: skip
 
     def _base(self, sample: Sample) -> tuple[float, float]:
@@ -120,7 +116,7 @@ class _Learner:
         peak = float(profile[: max(2, int(0.8 * half))].max())
         solid = base + 1.28 * min(base_sd, 0.3 * base)
         told = self.params.sheet_grey is not None or self.survey.amid
-        coated = is_coating(peak, 0.0, 1.2 * solid if told else solid)
+        coated = peak > _COATING_RATIO * (1.2 * solid if told else solid)
         # Without a coating the third level is what lies outside: the air, unless the sheet was told from other
         # material.
         outside = (1.0 if amid else 0.5) * base if told else -1.0

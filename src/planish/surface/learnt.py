@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.surface.levels import GreyLevels
-from planish.surface.oriented import Scale
+from planish.core.frame import Frame
+from planish.surface.columns import Scale
 
 Array = NDArray[np.float64]
 
@@ -83,8 +83,8 @@ class Learnt:
         How far outside the expected face the search starts, in voxels.
     amid : float
         Grey at which a sheet amid other material was told from it; 0 where air lies beside the sheet.
-    high, low : Side
-        The side at the high and at the low end of the columns.
+    sides : dict of Side
+        By whether the side lies at the high end of the columns.
     """
 
     scale: Scale
@@ -94,21 +94,19 @@ class Learnt:
     edge: Edge
     reach: float
     amid: float
-    high: Side
-    low: Side
+    sides: dict[bool, Side]
 
-    def side(self, *, high: bool) -> Side:
-        """Return the side at one end of the columns."""
-        return self.high if high else self.low
-
-    def levels(self, pitch_um: float) -> GreyLevels:
-        """Return the levels as grey values of the volume."""
-        air, polarity = self.scale.air, self.scale.polarity
+    def attrs(self, pitch_um: float, frame: Frame) -> dict[str, float]:
+        """Return grey levels (NaN for a coating that is not there), noise, blur and fringe as surfaces carry them."""
+        air, polarity, edge = self.scale.air, self.scale.polarity, self.edge
         high, low = (
-            float(polarity * side.level[2] + air) if side.coated else float("nan") for side in (self.high, self.low)
+            float(polarity * side.level[2] + air) if side.coated else float("nan")
+            for side in (self.sides[True], self.sides[False])
         )
-        return GreyLevels(
-            air=air, base=polarity * self.base + air, coating_top=high, coating_bottom=low, noise=self.noise,
-            polarity=polarity, blur_um=self.edge.width * pitch_um, fringe=self.edge.fringe,
-            fringe_um=self.edge.fringe_width * pitch_um if self.edge.fringe else 0.0,
-        )  # fmt: skip
+        top, bottom = (high, low) if frame.top == "high" else (low, high)
+        return {
+            "grey_air": air, "grey_base": polarity * self.base + air, "grey_coating_top": top,
+            "grey_coating_bottom": bottom, "grey_noise": self.noise, "polarity": polarity,
+            "blur_um": edge.width * pitch_um, "fringe": edge.fringe,
+            "fringe_um": edge.fringe_width * pitch_um if edge.fringe else 0.0,
+        }  # fmt: skip

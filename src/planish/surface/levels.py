@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,40 +11,6 @@ Array = NDArray[np.float64]
 
 _SIGMAS = 6.0  # a block is material when it differs from the air by so many standard deviations
 _FEWER_SIGMAS = 4.5  # where that is not enough to see the base of a sheet
-_COATING_RATIO = 1.25  # a layer is a coating when it stands out from the base by more than a quarter
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GreyLevels:
-    """What the voxels mean.
-
-    Attributes
-    ----------
-    air, base : float
-        Grey levels.
-    coating_top, coating_bottom : float
-        NaN where that side has no coating.
-    noise : float
-        Standard deviation of one voxel.
-    polarity : float
-        +1 where the sheet is brighter than the air, -1 where it is darker.
-    blur_um : float
-        Standard deviation of the blur, across the faces of the sheet.
-    fringe : float
-        Size of the phase-contrast fringe beside every edge, as a share of the edge's step.
-    fringe_um : float
-        Its distance from the edge; 0 where there is none.
-    """
-
-    air: float
-    base: float
-    coating_top: float
-    coating_bottom: float
-    noise: float
-    polarity: float
-    blur_um: float
-    fringe: float
-    fringe_um: float
 
 
 def mode(values: Array) -> float:
@@ -151,8 +115,3 @@ def material(blocks: NDArray[np.float32], air: float, known: float | None = None
     ends = np.concatenate([blocks[..., :3].ravel(), blocks[..., -3:].ravel()]).astype(np.float64)
     least = max(_FEWER_SIGMAS * spread(ends), 0.08 * typical)
     return polarity, max(_SIGMAS * scatter, 0.35 * typical), least
-
-
-def is_coating(level: float, air: float, solid_base: float) -> bool:
-    """Whether a layer of grey ``level`` is a coating on a base whose solid parts have grey ``solid_base``."""
-    return level - air > _COATING_RATIO * (solid_base - air)

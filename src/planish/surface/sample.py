@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from planish.core.errors import VolumeError
 from planish.core.tiles import Tile
 from planish.surface import _fit_kernels
-from planish.surface.columns import Columns
+from planish.surface.columns import Columns, Guide, Scale, oriented
 from planish.surface.learnt import Edge, Side
 from planish.surface.levels import spread
-from planish.surface.oriented import Guide, Scale, oriented
 from planish.surface.params import SurfaceParams
 from planish.surface.survey import Survey
 

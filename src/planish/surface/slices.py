@@ -7,30 +7,21 @@ has a coating, paper and coating. A coating thinner than the blur comes out as t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.tiles import Engine, Tile, tiles_of
-from planish.surface import _kernels
-from planish.surface.columns import Columns
-from planish.surface.faces import Faces, placed
+from planish.surface.columns import Columns, Guide, oriented
+from planish.surface.faces import Faces, Fit, placed
 from planish.surface.learnt import Learnt
-from planish.surface.oriented import Guide, oriented
 
 Array = NDArray[np.float64]
 
 _BINS = 128
 _AIR_UM = 20.0  # of air beside the sheet that counts in the histogram
 _BYTES = 16  # that a voxel of a slab takes
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Slices:
-    columns: Columns
-    guide: Guide
-    learnt: Learnt
 
 
 def find_faces_by_slice(columns: Columns, guide: Guide, learnt: Learnt, engine: Engine, particles: int = 0) -> Faces:
@@ -40,22 +31,23 @@ def find_faces_by_slice(columns: Columns, guide: Guide, learnt: Learnt, engine: 
     # Whole rows: a threshold belongs to a slice.
     high = max(int(engine.memory_bytes / (engine.at_once + 1) / (cols * columns.step**2 * depth * _BYTES)), 1)
 
-    def job(tile: Tile) -> _Slices:
-        return _Slices(columns=columns, guide=guide.part(learnt.scale.grown(tile, (rows, cols))), learnt=learnt)
+    def job(tile: Tile) -> Fit:
+        return Fit(columns=columns, guide=guide.part(learnt.scale.grown(tile, (rows, cols))), learnt=learnt)
 
     for tile, part in engine.map("slices", _fit, job, tiles_of((rows, cols), (high, cols))):
         found[:, tile.rows] = part
-    return placed(found, columns, (learnt.high.coated, learnt.low.coated), particles=particles)
+    return placed(found, columns, (learnt.sides[True].coated, learnt.sides[False].coated), particles=particles)
 
 
-def _fit(job: _Slices, tile: Tile) -> Array:
+def _fit(job: Fit, tile: Tile) -> Array:
     """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
     columns, learnt = job.columns, job.learnt
     grey = oriented(columns, tile, job.guide, learnt.scale)
     guide = job.guide.part(tile.within(learnt.scale.grown(tile, columns.shape[:2])))
-    coated = learnt.high.coated or learnt.low.coated
+    coated = learnt.sides[True].coated or learnt.sides[False].coated
     beside = _AIR_UM / columns.pitch[2]
     out = np.full((4, *tile.shape), np.nan)
+    reach = learnt.reach / guide.tilt
     depth = np.arange(grey.shape[2])
     for i in range(tile.shape[0]):
         low, high = guide.low[i][:, None], guide.high[i][:, None]
@@ -66,14 +58,67 @@ def _fit(job: _Slices, tile: Tile) -> Array:
             continue
         paper, coating = otsu(values.astype(np.float64), 3 if coated else 2)
         for k, end in enumerate((True, False)):
-            side = learnt.side(high=end)
-            column = np.ascontiguousarray(grey[i, :, ::-1] if end else grey[i])
-            outer, other = (np.ascontiguousarray(a[i]) for a in guide.faces(grey.shape[2], high=end))
-            _kernels.outer_boundaries(
-                column, outer, other, learnt.reach / guide.tilt[i], paper, coating if side.coated else np.inf,
-                out[2 * k, i], out[2 * k + 1, i],
+            side = learnt.sides[end]
+            column = grey[i, :, ::-1] if end else grey[i]
+            outer, other = (a[i] for a in guide.faces(grey.shape[2], high=end))
+            out[2 * k : 2 * k + 2, i] = _outer_boundaries(
+                column.astype(np.float64), outer, other, outer - reach[i], paper, coating if side.coated else np.inf
             )  # fmt: skip
     return out
+
+
+def first_where(mask: NDArray[np.bool_], start: NDArray[Any]) -> NDArray[np.intp]:
+    """First index from ``start`` (...) on at which ``mask`` (..., depth) is set; the depth where there is none."""
+    held = mask & (np.arange(mask.shape[-1]) >= start[..., None])
+    return np.where(held.any(axis=-1), held.argmax(axis=-1), mask.shape[-1])
+
+
+def _outer_boundaries(
+    grey: Array, expected: Array, other: Array, start: Array, paper: float, coating: float
+) -> tuple[Array, Array]:
+    """Outermost boundary of the sheet, and thickness of the outermost run of coating, in the columns of one slice.
+
+    Parameters
+    ----------
+    grey : (cols, depth)
+        Read from outside to inside.
+    expected, other, start : (cols,)
+        Where the face and the opposite one are expected, and where the search starts.
+    paper, coating : float
+        Thresholds; an infinite one for a side without a coating.
+
+    Returns
+    -------
+    face, thickness : (cols,)
+        NaN where nothing is found.
+    """
+    cols, depth = grey.shape
+    known = np.isfinite(expected) & np.isfinite(other)
+    middle = np.where(known, 0.5 * (expected + other), -1.0).astype(int)
+    above, bright = grey > paper, grey > coating
+    clear = 0.25 * grey[:, :-2] + 0.5 * grey[:, 1:-1] + 0.25 * grey[:, 2:] > paper
+    entered = np.zeros(grey.shape, dtype=bool)
+    entered[:, 1:-2] = clear[:, :-1] & clear[:, 1:]
+    d = first_where(entered & (np.arange(depth) <= middle[:, None]), np.maximum(np.floor(start), 1))
+    found = d < depth
+    # The smoothed grey passes up to a voxel beside the grey itself.
+    outside = ~above & (np.arange(depth) < d[:, None])
+    d = np.where(outside.any(axis=1), depth - outside[:, ::-1].argmax(axis=1), 1)
+    d = np.minimum(first_where(above, d), depth - 2)
+    face = d - 1 + _crossing(grey, d - 1, paper)
+    first = np.minimum(first_where(bright, d), np.maximum(np.minimum(middle, d + 4), d))
+    last = np.minimum(first_where(~bright, first) - 1, np.maximum(np.minimum(middle, depth - 2), first))
+    coated = bright[np.arange(cols), first]
+    thickness = np.where(coated, np.maximum(last + _crossing(grey, last, coating) - face, 0.0), 0.0)
+    return np.where(found, face, np.nan), np.where(found, thickness, np.nan)
+
+
+def _crossing(grey: Array, at: NDArray[np.intp], level: float) -> Array:
+    """Share of the way from one sample to the next at which level is passed."""
+    index = np.arange(at.size)
+    a, b = grey[index, at], grey[index, np.minimum(at + 1, grey.shape[1] - 1)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(b != a, np.clip((level - a) / (b - a), 0.0, 1.0), 0.5)
 
 
 def otsu(values: Array, classes: int) -> tuple[float, float]:

@@ -61,14 +61,6 @@ class Survey:
     amid: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Look:
-    """What all tiles of the first look share."""
-
-    columns: Columns
-    block: int
-
-
 def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Survey:
     """Find the sheet roughly.
 
@@ -171,8 +163,7 @@ def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.fl
         for t in columns.tiles(engine, multiple=block)
         if (t.r0 <= max(rows - block, 0)) and (t.c0 <= max(cols - block, 0))
     ]
-    look = _Look(columns=columns, block=block)
-    for tile, found in engine.map("survey", _look, lambda _tile: look, tiles):
+    for tile, found in engine.map("survey", _look, lambda _tile: (columns, block), tiles):
         r, c = tile.r0 // block, tile.c0 // block
         part = found[..., :-1]
         out[r : r + part.shape[0], c : c + part.shape[1]] = part
@@ -185,9 +176,9 @@ def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.fl
     return smooth, out, bad / (rows * cols * depth * columns.step**2)
 
 
-def _look(look: _Look, tile: Tile) -> NDArray[np.float32]:
+def _look(look: tuple[Columns, int], tile: Tile) -> NDArray[np.float32]:
     """Block means of a tile, (block rows, block cols, depth + 1); the last number counts the missing voxels."""
-    columns, block = look.columns, look.block
+    columns, block = look
     voxels = columns.voxels(tile)
     wide = block * columns.step
     edges_r, edges_c = (np.arange(0, max(n - n % wide, 1), wide) for n in voxels.shape[:2])
