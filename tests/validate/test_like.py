@@ -32,9 +32,9 @@ def test_a_run_of_a_known_specimen(specimen, linked_run):
 
 def test_it_says_what_was_taken_and_what_assumed(linked_run):
     found = like_run(linked_run)
-    assert any("Voxels of 4 um" in sentence for sentence in found.taken)
-    assert any("fringe" in sentence.lower() for sentence in found.assumed)
-    assert all(sentence.endswith(".") for sentence in (*found.taken, *found.assumed))
+    assert "Taken: Voxels of 4 um." in found.notes
+    assert any(note.startswith("Assumed: Fringe") for note in found.notes)
+    assert all(note.endswith(".") for note in found.notes)
     assert "path" not in json.dumps(found.study)
 
 

@@ -103,10 +103,9 @@ def _like(run: Path, scenarios: list[Scenario]) -> tuple[list[Scenario], tuple[s
     if any(scenario.kind != "line" for scenario in scenarios):
         raise click.UsageError("--like is for scenarios that run the whole line, not for a mesh or a pair.")
     found = like_run(run)
-    notes = (*(f"Taken: {s}" for s in found.taken), *(f"Assumed: {s}" for s in found.assumed))
-    for note in notes:
+    for note in found.notes:
         click.echo(note, err=True)
-    return [found.scenario(scenario) for scenario in scenarios], notes
+    return [found.scenario(scenario) for scenario in scenarios], found.notes
 
 
 def _show(certificate: Certificate, grown: Sensitivity | None) -> None:

@@ -137,12 +137,6 @@ class Axes:
             f'<text x="{left}" y="{top}" font-size="{size:g}" fill="{colour}"{more}>{escape(text)}</text>'
         )
 
-    def circle(self, x: float, y: float, diameter: float, *, colour: str) -> None:
-        """Draw a circle around a place, as large as so many units across."""
-        turn = np.linspace(0, 2 * np.pi, 49)
-        ring = np.stack([x + diameter / 2 * np.cos(turn), y + diameter / 2 * np.sin(turn)], axis=1)
-        self.line(ring, colour=colour, width=1.9)
-
     def arrows(self, points: ArrayLike, vectors: ArrayLike, *, colour: str, width: float, halo: str = "white") -> None:
         """Draw arrows that start at points and are as long as vectors (both (n, 2), in the units of the data)."""
         shafts, heads = "", ""

@@ -22,8 +22,7 @@ _HOLE_UM = (100.0, 300.0)
 _THIN_UM = 5.0
 _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
 _FILTERS: dict[str, Any] = {"length_um": text.length} | {
-    name: getattr(text, name)
-    for name in ("capital", "count", "fixed", "number", "percent", "size", "the", "typeset", "unit")
+    name: getattr(text, name) for name in ("capital", "count", "fixed", "number", "percent", "the", "typeset", "unit")
 }
 """How templates write numbers and words."""
 

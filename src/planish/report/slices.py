@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from string import ascii_uppercase
 
 import numpy as np
 import xarray as xr
@@ -78,12 +79,12 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
     canvas = Canvas(FULL, sum(heights) + 32 * len(cuts) + 30)
     top = 0.0
     for k, (cut, span, high, window) in enumerate(zip(cuts, spans, heights, windows, strict=True)):
-        canvas.text(1, top + 18, f"Slice {_letter(k)}", bold=True)
+        canvas.text(1, top + 18, f"Slice {ascii_uppercase[k]}", bold=True)
         canvas.text(62, top + 18, f"{rows} = {plain(cut.at)}", colour=SOFT)
         axes = _draw(canvas, cut, span, (1, top + 26), zoom, scale, 1.1)
         left, right, low, up = window
         axes.line([(left, low), (left, up), (right, up), (right, low), (left, low)], colour=_MARKED, width=1.4)
-        axes.text(left, up, _letter(k), shift=(3, -4), size=SMALL, colour=_MARKED, halo="black", bold=True)
+        axes.text(left, up, ascii_uppercase[k], shift=(3, -4), size=SMALL, colour=_MARKED, halo="black", bold=True)
         top += high + 32
     canvas.scale_bar(1, top - 2, width=FULL, um=FULL / zoom)
     whole = all(s[1] - s[0] >= float(c.x[-1] - c.x[0]) - 1e-6 for s, c in zip(spans, cuts, strict=True))
@@ -129,7 +130,7 @@ def _details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
     canvas = Canvas(FULL, high + 92)
     for k, (cut, window) in enumerate(zip(cuts, windows, strict=True)):
         left = k * (width + gap) + 1
-        canvas.text(left, 18, f"Detail of slice {_letter(k)}", bold=True)
+        canvas.text(left, 18, f"Detail of slice {ascii_uppercase[k]}", bold=True)
         _draw(canvas, cut, window, (left, 26), zoom, scale, 2.0)
     canvas.scale_bar(1, 28 + high, width=width, um=width / zoom)
     drawn = [line for line in LINES if any(np.isfinite(cut.lines[line[0]]).any() for cut in cuts)]
@@ -210,7 +211,3 @@ def _clear_place(cut: Slice, span: Window) -> float:
         return (span[0] + span[1]) / 2
     distance = np.abs(middles - (span[0] + span[1]) / 2) / max(span[1] - span[0], step)
     return float(middles[int(np.argmax(np.where(inside, np.round(share, 1) - distance, -np.inf)))])
-
-
-def _letter(k: int) -> str:
-    return chr(ord("A") + k)

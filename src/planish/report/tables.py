@@ -9,7 +9,7 @@ from planish.core.results import ComparisonRow, CorrelationRow, Results, Surface
 from planish.core.status import Status
 from planish.report.relation import largest, written_difference
 from planish.report.summary import Titles, by_pair, headline_pair
-from planish.report.text import NONE, capital, fixed, in_words, number, percent, plain, unit
+from planish.report.text import NONE, capital, fixed, in_words, number, plain, unit
 
 Facts = list[tuple[str, str]]
 
@@ -30,30 +30,21 @@ _COLOURS = {"measured": "measured", "rim": "rim", "no_sheet": "none", "leaves_vo
 """Status of columns -> class of the style; all others are lost."""
 
 
-def columns(surfaces: SurfaceFacts) -> list[dict[str, str]]:
-    """Return the status of the volume's columns, as shares of all."""
+def columns(surfaces: SurfaceFacts) -> list[tuple[str, float, str]]:
+    """Return the status of the volume's columns: class of the style, share of all columns, and what it means."""
     names = {status.label: status.sentence for status in Status}
-    order = [*_COLOURS, *(name for name in surfaces.shares if name not in _COLOURS)]
-    return [
-        {"share": f"{100 * v:.3f}", "text": names.get(name, name), "percent": percent(v),
-         "kind": _COLOURS.get(name, "lost")}
-        for name in order
-        if (v := surfaces.shares.get(name))
-    ]  # fmt: skip
+    shares = {name: surfaces.shares.get(name) for name in (*_COLOURS, *surfaces.shares)}
+    return [(_COLOURS.get(name, "lost"), v, names.get(name, name)) for name, v in shares.items() if v]
 
 
 def comparison(results: Results) -> list[PairLine]:
     """Return the registrations that the paper compares, with both point sizes in one line each."""
-    rows = results.comparison
+    groups: dict[str, list[ComparisonRow]] = {}
+    for row in results.comparison:
+        groups.setdefault(row.registration, []).append(row)
     return [
-        PairLine(
-            name=capital(name),
-            rows=found,
-            before=(number(found[0].marks_rms_um, 3),),
-            best=name.startswith("flattened"),
-        )
-        for name in dict.fromkeys(row.registration for row in rows)
-        if (found := [row for row in rows if row.registration == name])
+        PairLine(capital(name), rows, before=(number(rows[0].marks_rms_um, 3),), best=name.startswith("flattened"))
+        for name, rows in groups.items()
     ]
 
 

@@ -91,14 +91,6 @@ def plain(value_um: float) -> str:
     return f"{value:.6g}{_SPACE}{name}"
 
 
-def size(count_bytes: int) -> str:
-    """Write a number of bytes in decimal multiples."""
-    for name, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if count_bytes >= factor:
-            return f"{count_bytes / factor:.1f}{_SPACE}{name}"
-    return f"{count_bytes}{_SPACE}bytes"
-
-
 def in_words(title: str) -> str:
     """Put a title into a sentence: what follows a comma goes into brackets.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from planish.core.errors import InputError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.results import LayerFacts, SheetFacts
 from planish.marks import find_holes
 from planish.pipeline import Run, open_run
 from planish.synthetic import SIZES_UM, SpecimenParams
@@ -24,39 +23,6 @@ _FWHM = 2.3548  # of a Gaussian, in standard deviations: 2 sqrt(2 ln 2)
 _LEAST_UM = (1200.0, 900.0)  # lateral extent that holds enough holes
 _LEAST_HOLES, _BORDER_UM, _HOLE_UM2 = 5, 260.0, 75_000.0  # holes, their distance from the border, area for each
 _SPECK_UM = 300.0  # the slopes of the warp are those of the centre surface over such lengths
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Like:
-    """Parameters of specimens like a real run, and where each of them comes from.
-
-    Attributes
-    ----------
-    params : SpecimenParams
-    study : dict
-        Options of the run that do not belong to its files, for the runs on the specimens.
-    taken, assumed : tuple of str
-        Sentences.
-    """
-
-    params: SpecimenParams
-    study: dict[str, dict[str, Any]]
-    taken: tuple[str, ...]
-    assumed: tuple[str, ...]
-
-    def scenario(self, base: Scenario) -> Scenario:
-        """The scenario with this paper and these instruments in place of its own; limits and seeds stay."""
-        sections = ("paper", "holes", "warp", "scanner", "camera")
-        changes = {
-            "name": f"{base.name}-like",
-            "title": "Specimens like the given run",
-            "instrument": "stack",
-            "size": self.params.size_um,
-            "specimen": {name: asdict(getattr(self.params, name)) for name in sections},
-            "study": self.study,
-            "kind": "line",
-        }
-        return base.model_copy(update=changes)
 
 
 def like_run(folder: Path) -> Like:
@@ -82,30 +48,48 @@ def like_run(folder: Path) -> Like:
     volumes = [layer for layer in run.study.layers if layer.kind == "volume"]
     if len(volumes) != 1 or "surfaces" not in run.groups:
         raise InputError(f"{folder} does not hold the map of one volume. Give a run of planish map, or of one volume.")
-    reader = _Reader(run)
-    reader.scan()
-    reader.paper()
-    reader.warp()
-    reader.camera()
-    reader.holes()
-    reader.assumed.append("Fringes, cupping, rings and streaks of a scanner cannot be read from a run: they are off.")
     tables = {"surface": volumes[0].surface, "flatten": volumes[0].flatten, "holes": run.study.holes}
     tables |= {"registration": run.study.registration, "correlate": run.study.correlate}
     own = {"marks", "design", "sheet_grey", "seed_um", "labels"}
-    study = {name: model.model_dump(mode="json", exclude_none=True, exclude=own) for name, model in tables.items()}
-    return Like(params=reader.params, study=study, taken=tuple(reader.taken), assumed=tuple(reader.assumed))
+    found = Like(run)
+    found.study = {k: model.model_dump(mode="json", exclude_none=True, exclude=own) for k, model in tables.items()}
+    for read in (found.scan, found.paper, found.warp, found.camera, found.holes):
+        read()
+    found.assumed.append("Fringes, cupping, rings and streaks of a scanner cannot be read from a run: they are off.")
+    return found
 
 
-class _Reader:
-    """Goes through a run; collects parameters and the sentences on where they come from."""
+class Like:
+    """Specimens like a real run: parameters, and where each of them comes from.
+
+    Attributes
+    ----------
+    params : SpecimenParams
+    study : dict
+        Options of the run that do not belong to its files, for the runs on the specimens.
+    taken, assumed : list of str
+        Sentences.
+    """
 
     def __init__(self, run: Run) -> None:
         self.run, self.params = run, SpecimenParams()
+        self.study: dict[str, dict[str, Any]] = {}
         self.taken: list[str] = []
         self.assumed: list[str] = []
-        self.layer: LayerFacts = next(layer for layer in run.results.layers if layer.sheet is not None)
-        assert self.layer.sheet is not None
-        self.sheet: SheetFacts = self.layer.sheet
+        self.layer, self.sheet = next((layer, layer.sheet) for layer in run.results.layers if layer.sheet is not None)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was taken from the run, and what was assumed."""
+        return (*(f"Taken: {note}" for note in self.taken), *(f"Assumed: {note}" for note in self.assumed))
+
+    def scenario(self, base: Scenario) -> Scenario:
+        """The scenario with this paper and these instruments in place of its own; limits and seeds stay."""
+        sections = ("paper", "holes", "warp", "scanner", "camera")
+        specimen = {name: asdict(getattr(self.params, name)) for name in sections}
+        changes = {"instrument": "stack", "size": self.params.size_um, "specimen": specimen, "study": self.study}
+        name, title = f"{base.name}-like", "Specimens like the given run"
+        return base.model_copy(update=changes | {"name": name, "title": title})
 
     def change(self, section: str, **values: Any) -> None:
         """Replace fields of one section of the parameters."""
@@ -132,13 +116,11 @@ class _Reader:
         self.change("scanner", voxel_um=size)
         if surfaces.blur_um:
             self.change("scanner", fwhm_um=_FWHM * surfaces.blur_um)
-            self.taken.append(
-                f"Blur of {surfaces.blur_um:.2g} um (standard deviation), as the surface search learnt it."
-            )
-        air, base, noise = surfaces.grey_air, surfaces.grey_base, surfaces.grey_noise
-        coating = surfaces.grey_coating_top if surfaces.grey_coating_top is not None else surfaces.grey_coating_bottom
+            self.taken.append(f"Blur of {surfaces.blur_um:.2g} um (standard deviation), learnt by the surface search.")
+        air, base, noise, coating = (getattr(surfaces, f"grey_{k}") for k in ("air", "base", "noise", "coating_top"))
+        coating = surfaces.grey_coating_bottom if coating is None else coating
         bright = base if coating is None else coating
-        if air is None or base is None or bright is None or noise is None or bright == air:
+        if None in (air, base, noise) or bright == air:
             return
         self.change("scanner", noise=noise / abs(bright - air))
         self.taken.append(f"Noise of {100 * self.params.scanner.noise:.2g} % of the contrast to air.")

@@ -126,7 +126,12 @@ def sensitivity(
             name: measure(f"all but {NUISANCES[name].title}", tuple(other for other in names if other != name))[0]
             for name in names
         }
-        together = {stage: _interaction(keys[stage], loud[stage], less) for stage in off}
+        for stage in off:
+            whole, name = loud[stage] or 0.0, keys[stage]
+            # A figure that is missing then changes nothing.
+            errors = {left_out: values.get(name) for left_out, values in less.items()}
+            changes = {k: 0.0 if v is None else abs(whole**2 - v**2) for k, v in errors.items()}
+            together[stage] = tuple(sorted(changes, key=lambda k: -changes[k])[:2])
     return Sensitivity(
         keys=keys, quiet=quiet, loud=loud, rows=tuple(rows), ratio=ratio, together=together, seeds=tuple(numbers)
     )
@@ -164,11 +169,3 @@ def _ratio(
     if whole is None or max(whole, summed) < least:
         return None
     return summed / whole if whole > 0 else float("inf")
-
-
-def _interaction(key: str, loud: float | None, less: dict[str, Values]) -> tuple[str, ...]:
-    """The two nuisances whose leaving out changes a figure most."""
-    if loud is None:
-        return ()
-    kept = {name: loud if (value := found.get(key)) is None else value for name, found in less.items()}
-    return tuple(sorted(kept, key=lambda name: -abs(loud**2 - kept[name] ** 2))[:2])

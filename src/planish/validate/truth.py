@@ -73,7 +73,7 @@ class Comparison:
     @cached_property
     def measured(self) -> Mask:
         """Whether the run measured the column."""
-        return self.groups["surfaces"]["status"].values[np.ix_(*self.columns)] == 0
+        return self.take(self.groups["surfaces"]["status"].values) == 0
 
     def places(self, heights: Array, rows: Index, cols: Index) -> Array:
         """Places (m, n, 3) as x, y, z of the file, in um, of heights (m, n) over the columns ``rows`` and ``cols``."""

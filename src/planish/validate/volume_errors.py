@@ -10,18 +10,8 @@ from planish.core.grid import pitch
 from planish.core.status import Status
 from planish.register import fit_transform
 from planish.sections.trend import quick_part
+from planish.validate import truth
 from planish.validate.figures import Values
-from planish.validate.truth import (
-    FACES,
-    THICKNESSES,
-    Comparison,
-    field_at,
-    mean_of,
-    percentile,
-    rms,
-    three,
-    true_thickness,
-)
 
 Array = NDArray[np.float64]
 
@@ -30,7 +20,7 @@ _WIDE_UM = 20.0  # of a difference that gives a normal where neighbouring sectio
 _LEAST_SECTIONS = 4
 
 
-def section_errors(both: Comparison) -> Values:
+def section_errors(both: truth.Comparison) -> Values:
     """How far aligned sections are from their true places, about the best straight line through them.
 
     A shift and a shear of the whole stack are no error of the sheet's structure: they are taken away.
@@ -54,29 +44,29 @@ def section_errors(both: Comparison) -> Values:
     # The rest is jitter that should be gone.
     jitter = [quick_part(across, left[:, k], cutoff_um=float(sections.attrs["cutoff_um"])) for k in (0, 2)]
     return {
-        "sections_x_rms": rms(left[:, 0]),
-        "sections_z_rms": rms(left[:, 2]),
-        "sections_x_jitter": rms(jitter[0]),
-        "sections_z_jitter": rms(jitter[1]),
-        "sections_place_rms": rms(left[:, 1]),
+        "sections_x_rms": truth.rms(left[:, 0]),
+        "sections_z_rms": truth.rms(left[:, 2]),
+        "sections_x_jitter": truth.rms(jitter[0]),
+        "sections_z_jitter": truth.rms(jitter[1]),
+        "sections_place_rms": truth.rms(left[:, 1]),
     }
 
 
-def surface_errors(both: Comparison) -> Values:
+def surface_errors(both: truth.Comparison) -> Values:
     """Heights of the four faces at the measured columns, along the true normals."""
     surfaces, sheet = both.groups["surfaces"], both.specimen.sheet
     values: Values = {}
     pool: list[Array] = []
-    for face, field in zip(FACES, sheet.faces, strict=True):
+    for face, field in zip(truth.FACES, sheet.faces, strict=True):
         heights = np.where(both.measured, both.take(surfaces[face].values), np.nan)
         u, v, s = np.moveaxis(both.material_at(both.places(heights, *both.columns)), -1, 0)
-        errors = s - field_at(sheet, field, u, v)
-        values |= three(face, errors)
+        errors = s - truth.field_at(sheet, field, u, v)
+        values |= truth.three(face, errors)
         pool.append(errors[np.isfinite(errors)])
-    values["surfaces_rmse"] = rms(np.concatenate(pool))
+    values["surfaces_rmse"] = truth.rms(np.concatenate(pool))
     # Columns that have a sheet: away from the true holes, and from the rims that are left out on purpose.
     u, v, _ = np.moveaxis(both.material, -1, 0)
-    outside = np.fmin(*(field_at(sheet, field, u, v) for field in sheet.rim_um)) > 0
+    outside = np.fmin(*(truth.field_at(sheet, field, u, v) for field in sheet.rim_um)) > 0
     status = both.take(surfaces["status"].values)
     has = outside & (status != Status.RIM)
     found = (status == 0) | (status == Status.NORMAL_LEAVES_SHEET)
@@ -85,19 +75,19 @@ def surface_errors(both: Comparison) -> Values:
     return values
 
 
-def centre_errors(both: Comparison) -> Values:
+def centre_errors(both: truth.Comparison) -> Values:
     """Height of the found centre surface over the true one, and the angle between their normals."""
     u, v, s = np.moveaxis(np.where(both.measured[..., None], both.material, np.nan), -1, 0)
-    mean, angle = mean_of(s), _angles(both, u, v)
+    mean, angle = truth.mean_of(s), _angles(both, u, v)
     return {
         "centre_mean": mean,
-        "centre_rms": None if mean is None else rms(s - mean),
-        "angle_rms": rms(angle),
-        "angle_p95": percentile(angle, 95),
+        "centre_rms": None if mean is None else truth.rms(s - mean),
+        "angle_rms": truth.rms(angle),
+        "angle_p95": truth.percentile(angle, 95),
     }
 
 
-def _angles(both: Comparison, u: Array, v: Array) -> Array:
+def _angles(both: truth.Comparison, u: Array, v: Array) -> Array:
     """Angles in degrees between found and true normals; NaN where a neighbour is missing."""
     surfaces = both.groups["surfaces"]
     centre = surfaces["centre"].values
@@ -122,17 +112,17 @@ def _angles(both: Comparison, u: Array, v: Array) -> Array:
     return angle
 
 
-def thickness_errors(both: Comparison) -> Values:
+def thickness_errors(both: truth.Comparison) -> Values:
     """Measured thicknesses of the columns against those of the material that they show."""
     u, v = both.material[..., 0], both.material[..., 1]
     values: Values = {}
-    for name in THICKNESSES:
+    for name in truth.THICKNESSES:
         found = both.take(both.groups["surfaces"][name].values)
-        values |= three(f"column_{name}", found - true_thickness(both.specimen.sheet, name, u, v))
+        values |= truth.three(f"column_{name}", found - truth.true_thickness(both.specimen.sheet, name, u, v))
     return values
 
 
-def flattening_errors(both: Comparison) -> Values:
+def flattening_errors(both: truth.Comparison) -> Values:
     """Flat places of the measured columns against their true ones, after the best turn and shift."""
     flat = np.stack([both.take(both.groups["flat"][name].values) for name in ("u", "v")], axis=-1)
     flat[~both.measured] = np.nan
@@ -152,10 +142,10 @@ def flattening_errors(both: Comparison) -> Values:
         edges = [np.linalg.norm(places[n:] - places[:-n], axis=-1) for places in along]
         with np.errstate(invalid="ignore", divide="ignore"):
             strains.append((edges[0] / edges[1] - 1.0).ravel())
-    strain = rms(np.concatenate(strains))
+    strain = truth.rms(np.concatenate(strains))
     return {
-        "node_rms": rms(away),
-        "node_p95": percentile(away, 95),
+        "node_rms": truth.rms(away),
+        "node_p95": truth.percentile(away, 95),
         # The flat map is the source of the fit: it is too large where the fit has to shrink it.
         "flat_scale": 100.0 * (1.0 / similar.transform.scale - 1.0),
         "strain_rms": None if strain is None else 100.0 * strain,
