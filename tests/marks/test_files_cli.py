@@ -50,7 +50,7 @@ def test_convert_asks_for_what_it_needs(planish, tmp_path):
     assert "--moving-pixel-um" in err
     assert not (tmp_path / "m.json").exists()
     code, _, err = planish("marks", "convert", tmp_path / "m.mat", tmp_path / "m.json", "--moving-pixel-um", "2;3")
-    assert (code, "SIZE, Y,X or Z,Y,X" in err) == (2, True)
+    assert (code, "SIZE|Y,X|Z,Y,X" in err) == (2, True)
     code, _, err = planish("marks", "convert", tmp_path / "m.mat")
     assert (code, "IN and OUT" in err) == (2, True)
     (tmp_path / "fp.txt").write_text(elastix(FIXED))

@@ -9,28 +9,22 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from planish.cli.options import existing, given, json_option, options, out_option, verb
+from planish.cli.options import existing, json_option, made, options, out_option, verb
+from planish.compute import Compute
+from planish.correct.params import CorrectParams
+from planish.io.params import VolumeParams
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
-def import_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options of import, from the models of volumes and corrections."""
-    from planish.compute import Compute
-    from planish.correct.params import CorrectParams
-    from planish.io.params import VolumeParams
-
-    wanted = ("voxel_um", "override_size", "through", "channel", "fixed_rows", "fixed_cols")
-    function = options(Compute, "compute", "Resources", only=("memory_bytes",))(function)
-    function = options(CorrectParams, "correct", "Corrections")(function)
-    return options(VolumeParams, "volume", "Volume", only=wanted)(function)
+_OF_IMPORT = ("voxel_um", "override_size", "through", "channel", "fixed_rows", "fixed_cols")
 
 
 @verb("planish info volume.tif", "planish info run --json", name="info")
 @existing("path")
 @json_option
-def info(path: Path, as_json: bool) -> int:
+def info(path: Path, as_json: bool) -> None:
     """Say what PATH holds: shape, type, voxel or pixel size and its source, grey values, what looks wrong."""
     from planish.cli.show import fact_lines, run_facts, run_lines
 
@@ -42,12 +36,7 @@ def info(path: Path, as_json: bool) -> int:
         lines = fact_lines(facts)
     else:
         facts, lines = run, run_lines(run)
-    if as_json:
-        click.echo(json.dumps(facts, indent=2, allow_nan=False))
-        return 0
-    for line in lines:
-        click.echo(line)
-    return 0
+    click.echo(json.dumps(facts, indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
 @verb(
@@ -57,7 +46,9 @@ def info(path: Path, as_json: bool) -> int:
 )
 @existing("volume")
 @out_option("Store to make, such as sheet.zarr; it must not exist.")
-@import_options
+@options(VolumeParams, "volume", "Volume", only=_OF_IMPORT)
+@options(CorrectParams, "correct", "Corrections")
+@options(Compute, "compute", "Resources", only=("memory_bytes",))
 @click.option("--ome", type=click.Choice(["0.5", "0.4"]), default="0.5", show_default=True, help="Version of OME-Zarr.")
 def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) -> None:
     """Bring VOLUME into a working store: chunked, in several resolutions, with checksums.
@@ -67,19 +58,17 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
     same command is given again.
     """
     from planish.cli.show import stages
-    from planish.compute import Compute
-    from planish.io.params import VolumeParams
     from planish.io.run_folder import refuse_existing
     from planish.io.store import write_store
     from planish.pipeline import read_whole
 
     refuse_existing(out)
-    compute = Compute(**given(values, "compute"))
-    params = VolumeParams(path=str(volume.absolute()), **given(values, "volume"))
+    compute = made(Compute, values, "compute")
+    params = made(VolumeParams, values, "volume", path=str(volume.absolute()))
     with stages(2) as progress:
         data = read_whole(params, compute, progress)
         data, write_record = _corrected(
-            data, out, given(values, "correct"), memory_bytes=compute.volume_bytes, progress=progress
+            data, out, made(CorrectParams, values, "correct"), memory_bytes=compute.volume_bytes, progress=progress
         )
         write_store(
             data, out, memory_bytes=compute.volume_bytes, ome=ome,
@@ -90,15 +79,13 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
 
 
 def _corrected(
-    data: xr.DataArray, out: Path, wanted: dict[str, Any], *, memory_bytes: int, progress: Callable[[str, str], None]
+    data: xr.DataArray, out: Path, params: CorrectParams, *, memory_bytes: int, progress: Callable[[str, str], None]
 ) -> tuple[xr.DataArray, Callable[[], None]]:
     """Correct a volume on its way into a store; what is returned second writes the record when the store is whole."""
     from planish.core.errors import FileError
-    from planish.correct.params import CorrectParams
 
-    params = CorrectParams(**wanted)
     if not params.asked:
-        if wanted:
+        if params != CorrectParams():
             raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
         return data, lambda: None
     from planish.correct import correct_volume, write_picture

@@ -20,10 +20,10 @@ from planish import __version__
 from planish.core.errors import PlanishError, ResourceError
 
 _MODULES = {
-    "link": "link", "map": "map", "demo": "demo", "run": "run", "info": "files", "import": "files",
+    "link": "runs", "map": "runs", "demo": "runs", "run": "runs", "info": "files", "import": "files",
     "properties": "files", "surface": "stages", "measure": "stages", "flatten": "stages", "resample": "stages",
     "holes": "stages", "register": "stages", "correlate": "stages", "report": "stages", "marks": "marks",
-    "specimen": "specimen", "validate": "validate",
+    "specimen": "validate", "validate": "validate",
 }  # fmt: skip
 """Verb -> module of this package that holds it, as ``verb``, ``verb_`` where the name is taken."""
 

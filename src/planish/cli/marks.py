@@ -1,69 +1,32 @@
-"""``planish marks``: laser holes before they are burnt. Each command of the group is a function of its own."""
+"""``planish marks``: laser holes before they are burnt, and files of marks of one program into those of another."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
-from pydantic import ValidationError
+from pydantic import Field
 
-from planish.cli.marks_convert import convert
-from planish.cli.options import Numbers, existing, json_option, out_option
+from planish.cli.options import Option, Value, Verb, existing, json_option, made, options, out_option
 from planish.cli.show import table
-from planish.core.options import Params, options_of
 from planish.marks.design.params import DesignParams, ImagingParams, StageParams
+from planish.marks.files.formats import FORMATS, TARGETS, target_of
 
 if TYPE_CHECKING:
     from planish.marks.design import DryRun, Pattern, Rule
 
-P = TypeVar("P", bound=Params)
-
 _POSITIVE = click.FloatRange(min=0, min_open=True)
+_UNITS = click.Choice(["um", "mm", "pixel"])
+_TWO = tuple[float, float]
+_SIZES = Value(Annotated[tuple[float, ...], Field(min_length=1, max_length=3)], "SIZE|Y,X|Z,Y,X")
+_ORIGIN = Value(_TWO, "X,Y")
+_BY_NAME = ", ".join(
+    f"{' or '.join(FORMATS[name].suffixes)} {FORMATS[name].title}" for name in TARGETS if FORMATS[name].suffixes
+)
 _PICTURES = ("png", "svg", "pdf")
 _SAME_UM = 0.001  # a program states positions to 0.0005 um
-
-
-def _options(model: type[Params], *names: str) -> Callable[[Any], Any]:
-    """Options of the fields of a model, of some names where they are given."""
-
-    def decorate(command: Any) -> Any:
-        for name, field, shown in reversed(list(options_of(model))):
-            if names and name not in names:
-                continue
-            parts = [part for part in get_args(field.annotation) if part is not type(None)]
-            kind: Any = field.annotation
-            if "tuple" in str(kind):
-                kind = Numbers(len(parts), repeat=shown.repeat, metavar=shown.metavar or "")
-            elif "Literal" in str(kind):
-                kind = click.Choice(parts)
-            elif parts:
-                kind = parts[0]
-            value: dict[str, Any] = {"required": True}
-            if not field.is_required():
-                value = {"default": field.default, "show_default": field.default is not None}
-                if isinstance(field.default, tuple):
-                    numbers = dict.fromkeys(field.default) if shown.repeat else field.default
-                    value["default"] = ",".join(f"{v:g}" for v in numbers)
-            command = click.option(*shown.flags, name, type=kind, help=field.description, **value)(command)
-        return command
-
-    return decorate
-
-
-def _checked(model: type[P], options: dict[str, Any]) -> P:
-    """Take the model's options out of all, checked."""
-    flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
-    try:
-        return model.model_validate({name: options[name] for name in flags if name in options})
-    except ValidationError as error:
-        faults = [
-            f"{flags[str(e['loc'][0])] + ': ' if e['loc'] else ''}{e['msg'].removeprefix('Value error, ')}"
-            for e in error.errors(include_url=False)
-        ]
-        raise click.UsageError("; ".join(faults)) from error
 
 
 @click.group()
@@ -71,17 +34,16 @@ def marks() -> None:
     """Plan the laser holes that mark a specimen, and convert files of marks."""
 
 
-marks.add_command(convert)
-
-
-@marks.command()
-@_options(DesignParams)
-@click.option("--holes-per-cm2", type=_POSITIVE, help="Number of holes per area of the field.")
-@_options(StageParams)
-@_options(ImagingParams)
+@marks.command(cls=Verb)
+@options(DesignParams, "design", "Pattern")
+@click.option(
+    "--holes-per-cm2", type=_POSITIVE, cls=Option, group="Pattern", help="Number of holes per area of the field."
+)
+@options(StageParams, "stage", "Stage program")
+@options(ImagingParams, "imaging", "Predicted error")
 @out_option("Folder to make; it must not exist.")
 @json_option
-def design(out: Path, as_json: bool, holes_per_cm2: float | None, **options: Any) -> None:
+def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any) -> None:
     """Plan laser holes around a field: pattern, drawings, tables, DXF and a program for the stage.
 
     DIR gets pattern.json, holes.csv (stage, y up), holes_as_imaged.csv (y down), pattern.dxf, program.gcode,
@@ -92,12 +54,12 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **options: Any
     from planish.marks.design import design_pattern, write_design
 
     if holes_per_cm2 is not None:
-        if options["holes"] is not None:
+        if values["design__holes"] is not None:
             raise click.UsageError("Give --holes or --holes-per-cm2, not both.")
-        width, height = options["field_um"]
-        options["holes"] = max(1, round(holes_per_cm2 * width * height / 1e8))
-    params, stage = _checked(DesignParams, options), _checked(StageParams, options)
-    imaging = _checked(ImagingParams, options)
+        width, height = values["design__field_um"]
+        values["design__holes"] = max(1, round(holes_per_cm2 * width * height / 1e8))
+    params, stage = made(DesignParams, values, "design"), made(StageParams, values, "stage")
+    imaging = made(ImagingParams, values, "imaging")
     refuse_existing(out)
     pattern, rules = design_pattern(params)
     with new_folder(out) as folder:
@@ -119,7 +81,7 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **options: Any
 
 @marks.command()
 @existing("pattern")
-@click.option("--field-um", type=Numbers(2, metavar="W,H"), help="Field in the middle of a table's holes.")
+@click.option("--field-um", type=Value(_TWO, "W,H"), help="Field in the middle of a table's holes.")
 @click.option("--diameter-um", type=_POSITIVE, help="Diameter of a table's holes.")
 @json_option
 def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: float | None, as_json: bool) -> int:
@@ -147,19 +109,14 @@ def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: floa
 
 @marks.command()
 @existing("program")
-@_options(StageParams, "range_um")
+@options(StageParams, "stage", "Options", only=("range_um",))
 @click.option("--pulse-most-s", type=_POSITIVE, default=0.05, show_default=True, help="Longest pulse allowed.")
 @click.option("--pattern", type=click.Path(path_type=Path), help="Compare the shots with this pattern.json or table.")
 @click.option("--out", "-o", type=click.Path(path_type=Path), help="Picture of the path to make: .png, .svg or .pdf.")
 @json_option
 def simulate(
-    program: Path,
-    range_um: tuple[float, float, float, float],
-    pulse_most_s: float,
-    pattern: Path | None,
-    out: Path | None,
-    as_json: bool,
-) -> int:
+    program: Path, pulse_most_s: float, pattern: Path | None, out: Path | None, as_json: bool, **values: Any
+) -> int:  # fmt: skip
     """Run a stage PROGRAM dry: what it fires and how long it takes; refuse what is not safe.
 
     Ends with 4 when the shots are not those of --pattern.
@@ -169,12 +126,12 @@ def simulate(
     from planish.marks.design import dry_run, read_pattern
     from planish.marks.design.write import path_picture
 
-    checked = _checked(StageParams, {"range_um": range_um})
+    stage = made(StageParams, values, "stage")
     if out is not None:
         if out.suffix.lower().lstrip(".") not in _PICTURES:
             raise click.UsageError(f"--out: {out.name} is no .png, .svg or .pdf.")
         refuse_existing(out)
-    run = dry_run(read_text(program, what="stage program"), checked, pulse_s=pulse_most_s)
+    run = dry_run(read_text(program, what="stage program"), stage, pulse_s=pulse_most_s)
     difference = None if pattern is None else _compared(run, read_pattern(pattern))
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -210,13 +167,8 @@ def _compared(run: DryRun, pattern: Pattern) -> str | None:
 
 def _show(pattern: Pattern, rules: tuple[Rule, ...]) -> None:
     rows = [
-        (
-            rule.name,
-            f"{rule.value:.4g}{' ' + rule.unit if rule.unit else ''}",
-            f"{rule.sense} {rule.limit:g}",
-            "kept" if rule.passed else "BROKEN",
-        )
-        for rule in rules
+        (r.name, f"{r.value:.4g} {r.unit}".strip(), f"{r.sense} {r.limit:g}", "kept" if r.passed else "BROKEN")
+        for r in rules
     ]
     title = f"{pattern.name}: {len(pattern.holes)} holes of {pattern.diameter_um:g} um"
     table(title, ("rule", "measured", "limit", ""), rows)
@@ -225,3 +177,70 @@ def _show(pattern: Pattern, rules: tuple[Rule, ...]) -> None:
 def _rules_data(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
     names = ("name", "value", "sense", "limit", "unit", "passed", "meaning")
     return {"rules": [{name: getattr(rule, name) for name in names} for rule in rules]}
+
+
+@marks.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="IN [IN2] OUT")
+@click.option("--to", type=click.Choice(TARGETS), help=f"Format of OUT; where not given, by its name: {_BY_NAME}.")
+@click.option("--moving-pixel-um", type=_SIZES, help="Pixel size of the moving layer, where a file counts in pixels.")
+@click.option("--fixed-pixel-um", type=_SIZES, help="The same for the fixed layer.")
+@click.option(
+    "--moving-origin-um",
+    type=_ORIGIN,
+    help="Place of the moving layer's first pixel, from which other programs count; 0,0 where not given.",
+)
+@click.option("--fixed-origin-um", type=_ORIGIN, help="The same for the fixed layer.")
+@click.option(
+    "--unit", type=_UNITS, help="Unit of IN where it states none: BigWarp and ImageJ um, elastix mm if not given."
+)
+@click.option("--out-unit", type=_UNITS, help="Unit of OUT for BigWarp (um if not given) and elastix (mm).")
+@click.option("--swap", is_flag=True, help="The moving image of IN is the fixed one here.")
+@click.option("--swap-out", is_flag=True, help="The fixed layer is to be the moving image of OUT.")
+@json_option
+def convert(
+    files: tuple[Path, ...],
+    to: str | None,
+    unit: Literal["um", "mm", "pixel"] | None,
+    out_unit: Literal["um", "mm", "pixel"] | None,
+    swap: bool,
+    swap_out: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Convert marks from one program's file into another's.
+
+    IN is a file of planish, BigWarp, elastix, 3D Slicer, MATLAB or ImageJ, recognised by its content. Where it
+    holds one layer only, IN is the moving and IN2 the fixed one, and marks belong together in their order. For elastix,
+    OUT becomes two files, for -mp and -fp.
+    """
+    from planish.marks.files import LayerPixels, about_layer, layer_names, read_any, write_any
+
+    if not 2 <= len(files) <= 3:
+        raise click.UsageError("Give IN and OUT, or IN, IN2 and OUT.")
+    *sources, out = files
+    kind = to or target_of(out)
+    facts = {k: LayerPixels(options[f"{k}_pixel_um"], options[f"{k}_origin_um"]) for k in ("moving", "fixed")}
+    marks = read_any(*sources, **facts, unit=unit, swap=swap)
+    made = write_any(marks, out, to=kind, **facts, unit=out_unit, swap=swap_out)
+    layers, read = layer_names(marks), marks.attrs["read_from"]
+    used = int(marks["used"].values.sum())
+    if as_json:
+        counts = {"read": read, "marks": marks.sizes["mark"], "used": used}
+        listed = {"layers": layers, "format": kind, "files": [str(path) for path in made]}
+        click.echo(json.dumps(counts | listed, indent=2))
+        return
+    names = ", ".join(str(path) for path in made)
+    click.echo(f"{names}: {marks.sizes['mark']} marks ({used} used) in {', '.join(layers)}")
+    if not read["stated"] and unit is None:
+        title = FORMATS[read["format"]].title
+        click.echo(f"{title} states no unit; the positions were taken as {read['unit']} (--unit).", err=True)
+    for layer in layers if FORMATS[kind].unit is not None else ():
+        origin = about_layer(marks, layer).get("origin_um", {"x": 0.0, "y": 0.0})
+        if any(origin.values()):
+            click.echo(
+                f"{layer}: positions count from its first pixel, at {origin['x']:g},{origin['y']:g} um; give that as "
+                "its origin when they are read again.",
+                err=True,
+            )
+    if kind == "elastix":
+        click.echo("elastix: -mp the moving, -fp the fixed points; its transforms take fixed to moving.", err=True)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import click
 from pydantic import TypeAdapter, ValidationError
@@ -16,6 +15,7 @@ from pydantic_core import PydanticUndefined
 from planish.core.options import Params, Shown, options_of
 
 Command = Callable[..., Any]
+P = TypeVar("P", bound=Params)
 
 
 class Verb(click.Command):
@@ -56,25 +56,20 @@ class Option(click.Option):
 
 
 class Value(click.ParamType[Any]):
-    """A value of a model's field, checked by the field's own type and limits.
+    """A value of a field's own type, checked by its limits.
 
     Several numbers are separated by commas; one stands for all of them where ``repeat`` is set.
     """
 
     name = "value"
 
-    def __init__(self, annotation: Any, metadata: Iterable[Any] = (), shown: Shown | None = None) -> None:
-        extra = tuple(metadata)
-        self.adapter: TypeAdapter[Any] = TypeAdapter(
-            Annotated.__class_getitem__((annotation, *extra)) if extra else annotation  # pyright: ignore
-        )
-        parts = _alternatives(annotation)
+    def __init__(self, kind: Any, metavar: str | None = None, *, repeat: bool = False) -> None:
+        self.adapter, self.repeat = TypeAdapter[Any](kind), repeat
+        parts = _alternatives(kind)
         self.count = next((len(get_args(p)) for p in parts if get_origin(p) is tuple), 0)
-        self.whole = int in parts and float not in parts
-        self.shown = shown or Shown(flags=())
         words = [str(w) for p in parts if get_origin(p) is Literal for w in get_args(p)]
-        numbers = ["N,..." if self.count else "INTEGER" if self.whole else "NUMBER" if float in parts else ""]
-        self.metavar = self.shown.metavar or "|".join([*words, *(n for n in numbers if n)]) or "TEXT"
+        number = "N,..." if self.count else "NUMBER" if float in parts else "INTEGER" if int in parts else ""
+        self.metavar = metavar or "|".join([*words, *filter(None, [number])]) or "TEXT"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
         """Show what is expected in the help."""
@@ -85,21 +80,13 @@ class Value(click.ParamType[Any]):
         if not isinstance(value, str):
             return value
         given: Any = [part.strip() for part in value.split(",")] if self.count else value
-        if self.shown.repeat and len(given) == 1:
+        if self.repeat and len(given) == 1:
             given = given * self.count
         try:
             return self.adapter.validate_python(given)
         except ValidationError as error:
             reasons = "; ".join(dict.fromkeys(e["msg"].removeprefix("Value error, ") for e in error.errors()))
             self.fail(f"{value!r} is not {self.metavar}: {reasons}.", param, ctx)
-
-
-class Numbers(Value):
-    """Some numbers, separated by commas; one stands for all where ``repeat`` is set."""
-
-    def __init__(self, count: int, *, repeat: bool = False, metavar: str = "NUMBERS") -> None:
-        annotation = tuple[(float,) * count]  # type: ignore[reportInvalidTypeForm]
-        super().__init__(annotation, (), Shown(flags=(), metavar=metavar, repeat=repeat))
 
 
 def _alternatives(annotation: Any) -> list[Any]:
@@ -131,11 +118,10 @@ def options(
     """
     made: list[Command] = []
     for name, field, shown in options_of(model):
-        if name in without or (only and name not in only):
-            continue
-        made.append(_option(f"{section}__{name}", field, shown, group))
-        if (inner := _inner(field)) is not None:
-            made.append(options(inner, f"{section}__{name}", group))
+        if name not in without and (not only or name in only):
+            made.append(_option(f"{section}__{name}", field, shown, group))
+            if (inner := _inner(field)) is not None:
+                made.append(options(inner, f"{section}__{name}", group))
     return stack(*made)
 
 
@@ -147,19 +133,17 @@ def _inner(field: FieldInfo) -> type[Params] | None:
 
 def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
     kinds = _alternatives(field.annotation)
-    how: dict[str, Any] = {"help": field.description, "cls": Option, "group": group, "default": None}
+    how: dict[str, Any] = {"help": field.description, "cls": Option, "group": group, "required": field.is_required()}
     if kinds == [bool] or _inner(field) is not None:
-        return click.option(*shown.flags, name, is_flag=True, **how)
+        return click.option(*shown.flags, name, is_flag=True, default=None, **how)
     how["help"] += _default(field.get_default())
+    if kinds == [tuple[str, ...]]:
+        return click.option(*shown.flags, name, multiple=True, metavar=shown.metavar, **how)
     if len(kinds) == 1 and get_origin(kinds[0]) is Literal:
         return click.option(*shown.flags, name, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
-    if len(kinds) == 1 and kinds[0] == tuple[str, ...]:
-        how["default"] = ()
-        return click.option(*shown.flags, name, multiple=True, metavar=shown.metavar, **how)
-    unit = next((u for ending, u in _UNITS.items() if name.endswith(ending)), None)
-    if shown.metavar is None and unit is not None and kinds == [float]:
-        shown = replace(shown, metavar=unit)
-    return click.option(*shown.flags, name, type=Value(field.annotation, field.metadata, shown), **how)
+    unit = next((u for ending, u in _UNITS.items() if name.endswith(ending)), None) if kinds == [float] else None
+    kind = Annotated.__class_getitem__((field.annotation, *field.metadata)) if field.metadata else field.annotation  # pyright: ignore
+    return click.option(*shown.flags, name, type=Value(kind, shown.metavar or unit, repeat=shown.repeat), **how)
 
 
 def _default(value: Any) -> str:
@@ -167,7 +151,7 @@ def _default(value: Any) -> str:
     if value in (None, (), ...) or value is PydanticUndefined:
         return ""
     values: tuple[Any, ...] = value if isinstance(value, tuple) else (value,)
-    return f"  [default: {','.join(f'{v:g}' if isinstance(v, float) else str(v) for v in values)}]"
+    return f"  [default: {','.join(f'{v:.7g}' if isinstance(v, float) else str(v) for v in values)}]"
 
 
 _UNITS = {"_um": "UM", "_deg": "DEG", "_g_cm3": "G/CM3", "_g_m2": "G/M2", "_s": "S"}
@@ -176,17 +160,29 @@ _UNITS = {"_um": "UM", "_deg": "DEG", "_g_cm3": "G/CM3", "_g_m2": "G/M2", "_s": 
 def given(values: dict[str, Any], section: str) -> dict[str, Any]:
     """What was said on the command line for a section, as its model takes it."""
     mark = f"{section}__"
-    found = {k.removeprefix(mark): v for k, v in values.items() if k.startswith(mark) and v not in (None, (), False)}
-    inner = {k: v for k, v in found.items() if "__" in k}
-    for name in {k.partition("__")[0] for k in inner}:
-        if name not in found:
-            flags = ", ".join(f"--{k.partition('__')[2].replace('_', '-')}" for k in inner)
-            raise click.UsageError(f"Options of --{name} without it ({flags}): give --{name} as well.")
-    models = {
-        k.removeprefix(mark).partition("__")[0] for k in values if k.startswith(mark) and "__" in k.removeprefix(mark)
-    }
-    nested = {k: given(values, f"{mark}{k}") for k in models if k in found}
-    return {k: v for k, v in found.items() if "__" not in k} | nested
+    own = {k.removeprefix(mark): v for k, v in values.items() if k.startswith(mark)}
+    said = {k: v for k, v in own.items() if v not in (None, (), False)}
+    found: dict[str, Any] = {k: v for k, v in said.items() if "__" not in k}
+    for name, sign, inner in (k.partition("__") for k in own):
+        if sign and name in found:
+            found[name] = given(own, name)
+        elif f"{name}{sign}{inner}" in said and sign:
+            raise click.UsageError(f"--{inner.replace('_', '-')} is an option of --{name}: give --{name} as well.")
+    return found
+
+
+def made(model: type[P], values: dict[str, Any], section: str, **more: Any) -> P:
+    """The model of a section, of what was said on the command line and ``more``; what is wrong is wrong usage."""
+    flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
+    try:
+        return model.model_validate(given(values, section) | more)
+    except ValidationError as error:
+        faults = [
+            "".join(f"{flags.get(str(place), place)}: " for place in e["loc"][:1])
+            + e["msg"].removeprefix("Value error, ")
+            for e in error.errors()
+        ]
+        raise click.UsageError("; ".join(faults)) from error
 
 
 def stack(*parts: Command) -> Command:

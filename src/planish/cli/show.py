@@ -16,7 +16,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from planish.compute import Progress as Tell
-    from planish.core.results import LayerFacts, Results, SheetFacts
+    from planish.core.results import ComparisonRow, CorrelationRow, LayerFacts, Results, SheetFacts
     from planish.pipeline import Run
 
 
@@ -72,7 +72,8 @@ def finish(run: Run, out: Path, *, as_json: bool) -> int:
         if results.comparison:
             _comparison(results)
         elif results.correlations:
-            _correlations(results)
+            pairs = [(f"{r.a} {r.a_map} / {r.b} {r.b_map}", r) for r in results.correlations if r.n]
+            correlations("Layers against each other", pairs)
         click.echo(f"report: {out / 'report.html'}")
     failed = [gate for gate in results.gates if not gate.passed]
     for gate in failed:
@@ -106,30 +107,21 @@ def _registration(layer: LayerFacts) -> None:
 
 
 def _comparison(results: Results) -> None:
-    rows = [
-        (
-            r.registration, f"{r.point_um:g}", str(r.n), number(r.r), number(r.r2), number(r.slope, 4),
-            number(r.marks_rms_um, 1),
-        )
-        for r in results.comparison
-        if r.n
-    ]  # fmt: skip
     if any(not r.n for r in results.comparison):
         click.echo("Points that are larger than what both show have no correlation and are left out.")
     title = f"{results.reference.name} against {results.comparison[0].property}"
-    table(title, ("registration", "point um", "n", "r", "r2", "slope", "marks um"), rows)
+    correlations(title, [(r.registration, r) for r in results.comparison if r.n])
 
 
-def _correlations(results: Results) -> None:
-    rows = [
-        (
-            f"{r.a} {r.a_map} / {r.b} {r.b_map}", f"{r.point_um:g}", str(r.n), number(r.r), number(r.r2),
-            number(r.slope, 4),
-        )
-        for r in results.correlations
-        if r.n
-    ]  # fmt: skip
-    table("Layers against each other", ("", "point um", "n", "r", "r2", "slope"), rows)
+def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | ComparisonRow]]) -> None:
+    """Print correlations, each under its name."""
+    marks = [getattr(r, "marks_rms_um", None) for _, r in rows]
+    cells = [
+        (name, f"{r.point_um:g}", str(r.n), number(r.r), number(r.r2), number(r.slope, 4), number(rms_um, 1))
+        for (name, r), rms_um in zip(rows, marks, strict=True)
+    ]
+    shown = 7 if any(marks) else 6
+    table(title, ("", "point um", "n", "r", "r2", "slope", "marks um")[:shown], [row[:shown] for row in cells])
 
 
 def run_facts(path: Path) -> dict[str, Any] | None:

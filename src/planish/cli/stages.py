@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planish.cli.options import Option, existing, given, json_option, options, out_option, verb
-from planish.cli.sections import (
+from planish.analyze.params import CorrelateParams
+from planish.cli.options import Option, existing, given, json_option, made, options, out_option, verb
+from planish.cli.runs import (
     compute_options,
     correlate_options,
     hole_options,
@@ -21,9 +22,14 @@ from planish.cli.sections import (
     surface_options,
     volume_options,
 )
+from planish.compute import Compute, silent
 from planish.core.results import Side
 from planish.flatten.params import FlattenParams
+from planish.io.params import VolumeParams
+from planish.marks.params import HoleParams
+from planish.measure.params import MeasureParams
 from planish.register.params import RegistrationParams
+from planish.surface.params import SurfaceParams
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -54,15 +60,19 @@ def _read(path: Path, group: str, needed: str) -> xr.Dataset:
     return groups[group]
 
 
-def _volume(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, Any]:
-    """A volume of any kind, and how it lies."""
-    from planish.cli.sections import compute_from
-    from planish.compute import silent
-    from planish.io.params import VolumeParams
+def _volume(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, VolumeParams, Compute]:
+    """A volume of any kind, how it lies, and what may be used."""
     from planish.pipeline.volume import read_sheet_volume
 
-    params = VolumeParams(path=str(path.absolute()), **given(values, "volume"))
-    return read_sheet_volume(params, compute_from(values), silent)[0], params
+    params, compute = made(VolumeParams, values, "volume", path=str(path.absolute())), made(Compute, values, "compute")
+    return read_sheet_volume(params, compute, silent)[0], params, compute
+
+
+def _image(path: Path, values: dict[str, Any]) -> xr.DataArray:
+    from planish.io import read_image
+
+    said = given(values, "image")
+    return read_image(path, **{k: said[k] for k in ("pixel_um", "channel", "override_size") if k in said})
 
 
 @verb("planish surface volume.tif -o surfaces.zarr", "planish surface scan/ -o s.zarr --through y --voxel-um 1.37",
@@ -74,18 +84,17 @@ def _volume(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, Any]:
 @compute_options
 def surface(volume: Path, out: Path, **values: Any) -> None:
     """Find the faces, interfaces and centre surface of the sheet in VOLUME."""
-    from planish.cli.sections import compute_from
     from planish.compute import column_step, engine
     from planish.core.frame import Frame
     from planish.io.run_folder import refuse_existing
-    from planish.surface import SurfaceParams, find_surfaces
+    from planish.surface import find_surfaces
 
     refuse_existing(out)
-    data, params = _volume(volume, values)
-    frame, compute = Frame(through=params.through, top=params.top), compute_from(values)
+    data, params, compute = _volume(volume, values)
+    frame = Frame(through=params.through, top=params.top)
     step = column_step(data, frame, params.column_um, compute)
     with engine(compute) as tiles:
-        how = SurfaceParams(**given(values, "surface"))
+        how = made(SurfaceParams, values, "surface")
         found = find_surfaces(data, frame=frame, params=how, step=step, engine=tiles)
     share = float((found["status"].values == 0).mean())
     summary = f"sheet of {found.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns measured"
@@ -107,7 +116,7 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
     """Measure all properties along the normals of SURFACES."""
     from planish.core.errors import FileError
     from planish.io.run_folder import refuse_existing
-    from planish.measure import MeasureParams, measure_properties
+    from planish.measure import measure_properties
 
     refuse_existing(out)
     data = _read(surfaces, "surfaces", "'planish surface'")
@@ -119,7 +128,7 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
             raise FileError(f"The volume of {surfaces}, {path}, is not there any more. Give its place with --volume.")
     found = measure_properties(
         data, volume=None if path is None else _volume(path, values)[0],
-        params=MeasureParams(**given(values, "properties")),
+        params=made(MeasureParams, values, "properties"),
     )  # fmt: skip
     mean = float(found["thickness"].mean())
     _write(out, {"surfaces": found}, f"mean thickness {mean:.2f} um along the normals")
@@ -132,10 +141,10 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
 @options(FlattenParams, "flatten", "Flattening", without=("map_um",))
 def flatten(surfaces: Path, out: Path, **values: Any) -> int:
     """Develop the centre surface of SURFACES into the plane."""
-    from planish.flatten import FlattenParams, flatten_sheet
+    from planish.flatten import flatten_sheet
 
     found = flatten_sheet(
-        _read(surfaces, "surfaces", "'planish surface'"), params=FlattenParams(**given(values, "flatten"))
+        _read(surfaces, "surfaces", "'planish surface'"), params=made(FlattenParams, values, "flatten")
     )
     summary = (
         f"{found.outcome.value} Edge strain {100 * found.edge_strain_p95:.3f} % (p95), "
@@ -159,7 +168,6 @@ def resample(
     measured: Path, flat: Path, out: Path, onto: Path | None, registration: Path | None, **values: Any
 ) -> None:  # fmt: skip
     """Bring the MEASURED properties onto a regular grid of the FLAT sheet, or onto the pixels of an image."""
-    from planish.io import read_image
     from planish.io.run_folder import refuse_existing
     from planish.pipeline import Registration, resample_maps
 
@@ -173,10 +181,7 @@ def resample(
         maps = resample_maps(data, coordinates, map_um=map_um)
         _write(out, {"maps": maps}, f"{maps.sizes['u']} x {maps.sizes['v']} pixels")
         return
-    size = {k: v for k, v in given(values, "image").items() if k in ("pixel_um", "channel", "override_size")}
-    linked = resample_maps(
-        data, coordinates, onto=read_image(onto, **size), registration=Registration.read(registration)
-    )
+    linked = resample_maps(data, coordinates, onto=_image(onto, values), registration=Registration.read(registration))
     share = float(linked["valid"].values.mean())
     _write(out, {"linked": linked}, f"{linked.sizes['x']} x {linked.sizes['y']} pixels, {100 * share:.0f} % valid")
 
@@ -189,19 +194,16 @@ def resample(
 @hole_options
 def holes(image: Path, out: Path, **values: Any) -> None:
     """Find the laser holes in IMAGE: a picture, or the flat maps of a sheet."""
-    from planish.io import read_image
     from planish.io.run_folder import refuse_existing
-    from planish.marks import HoleParams, write_holes
+    from planish.marks import write_holes
     from planish.pipeline import find_holes
 
     files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
     for path in files:
         refuse_existing(path)
-    asked = given(values, "image")
-    side: Side = asked.get("side", "top")
-    size = {k: v for k, v in asked.items() if k in ("pixel_um", "channel", "override_size")}
-    shown = _read(image, "maps", "'planish resample'") if image.is_dir() else read_image(image, **size)
-    found = find_holes(shown, params=HoleParams(**given(values, "holes")), side=side)
+    side: Side = given(values, "image").get("side", "top")
+    shown = _read(image, "maps", "'planish resample'") if image.is_dir() else _image(image, values)
+    found = find_holes(shown, params=made(HoleParams, values, "holes"), side=side)
     for path in files:
         write_holes(found, path)
     click.echo(f"{out}: {found.sizes['mark']} holes")
@@ -223,7 +225,7 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     for path in (out, table):
         refuse_existing(path)
     found = register_marks(
-        read_holes(moving), read_holes(fixed), params=RegistrationParams(**given(values, "registration"))
+        read_holes(moving), read_holes(fixed), params=made(RegistrationParams, values, "registration")
     )
     found.save(out)
     write_marks(found.pairs(), table)
@@ -241,21 +243,19 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
 @json_option
 def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any) -> None:
     """Correlate the image with the properties, point by point, in LINKED maps."""
-    from planish.analyze import CorrelateParams
-    from planish.cli.show import number, table
+    from planish.cli.show import correlations
     from planish.core.errors import InputError
     from planish.pipeline import correlate_maps
 
     data = _read(linked, "linked", "'planish resample --onto' or 'planish link'")
     if missing := [name for name in names if name not in data]:
         raise InputError(f"{linked} has no map {missing[0]!r}; it holds {', '.join(map(str, data.data_vars))}.")
-    found = correlate_maps(data, params=CorrelateParams(**given(values, "correlate")))
+    found = correlate_maps(data, params=made(CorrelateParams, values, "correlate"))
     rows = [row for row in found if not names or row.a_map in names]
     if as_json:
         click.echo(json.dumps([row.model_dump() for row in rows], indent=2))
         return
-    lines = [(r.a_map, f"{r.point_um:g}", str(r.n), number(r.r), number(r.r2), number(r.slope, 4)) for r in rows]
-    table("Image against properties", ("", "point um", "n", "r", "r2", "slope"), lines)
+    correlations("Image against properties", [(row.a_map, row) for row in rows])
 
 
 @verb("planish report run --out page.html", name="report")

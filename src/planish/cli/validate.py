@@ -1,15 +1,16 @@
-"""The command that calibrates the program itself: synthetic specimens with known answers, and an error ledger."""
+"""Commands with known answers: specimens as files, and the calibration of the program itself on such specimens."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from planish.cli.options import json_option
+from planish.cli.options import json_option, made, options, verb
 from planish.cli.show import table
+from planish.synthetic.presets import SpecimenOptions
 
 if TYPE_CHECKING:
     from planish.validate.certify import Certificate
@@ -17,6 +18,40 @@ if TYPE_CHECKING:
     from planish.validate.sensitivity import Sensitivity
 
 _DEFAULT = "small"
+
+
+@verb(
+    "planish specimen --preset wfc135 --size T0 --seed 7 --out sheet",
+    "planish specimen --instrument stack --instrument image --nuisance none --out plain",
+    name="specimen",
+)
+@options(SpecimenOptions, "specimen", "Specimen")
+@click.option("--out", "-o", type=click.Path(path_type=Path), help="Folder to make; it must not exist.")
+@click.option("--list", "listed", is_flag=True, help="Name papers and nuisances and end.")
+def specimen(out: Path | None, listed: bool, **values: Any) -> int:
+    """Make a specimen with known answers: files as instruments write them, and the truth apart from them.
+
+    DIR gets scan/ (slices with the log file of NRecon), sections/ (photographs with the cut counter), image.ome.tif,
+    printed.ome.tif, and truth/: maps on the pixels of the image, holes, poses, parameters. In scan/ and sections/ the
+    sheet's normal runs along the rows: give --through y to link them.
+    """
+    if listed:
+        from planish.synthetic import NUISANCES, PRESETS
+
+        table("Papers", ("name", "what it is"), [(name, title) for name, (title, _) in PRESETS.items()])
+        table("Nuisances", ("name", "what it is"), [(name, n.title) for name, n in NUISANCES.items()])
+        return 0
+    if out is None:
+        raise click.UsageError("Missing option '--out' / '-o': the folder to make.")
+    ordered = made(SpecimenOptions, values, "specimen")
+    from planish.io.run_folder import new_folder, refuse_existing
+    from planish.synthetic import write_specimen
+
+    refuse_existing(out)
+    with new_folder(out) as folder:
+        write_specimen(ordered, folder, progress=lambda name: click.echo(f"write: {name}", err=True))
+    click.echo(f"specimen: {out}", err=True)
+    return 0
 
 
 @click.command()

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    import xarray as xr
+from xarray.backends import BackendArray
+from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 Where = tuple[slice, ...]
 """One slice an axis, with a start and stop inside the array and a step above 0."""
@@ -86,8 +85,6 @@ def labelled(
 
     A :class:`LazyArray` stays one: ``isel`` moves the borders of the part, and ``values`` reads it.
     """
-    import xarray as xr
-
     coords = {
         axis: (axis, np.arange(n) * um, {"units": "um"})
         for axis, n, um in zip(dims, values.shape, size_um, strict=True)
@@ -99,8 +96,6 @@ def labelled(
 
 def replaced(volume: xr.DataArray, values: LazyArray) -> xr.DataArray:
     """Give the same volume with other values."""
-    import xarray as xr
-
     variable = xr.Variable(volume.dims, _held(values), volume.attrs)
     held = xr.DataArray(variable, coords=volume.coords, name=volume.name)
     held.encoding.update(volume.encoding)
@@ -108,10 +103,15 @@ def replaced(volume: xr.DataArray, values: LazyArray) -> xr.DataArray:
 
 
 def _held(values: NDArray[Any] | LazyArray) -> Any:
-    if not isinstance(values, LazyArray):
-        return values
-    from xarray.core.indexing import LazilyIndexedArray
+    return LazilyIndexedArray(_Backend(values)) if isinstance(values, LazyArray) else values
 
-    from planish.core._backend import Backend
 
-    return LazilyIndexedArray(Backend(values))
+class _Backend(BackendArray):
+    """A lazy array, as xarray indexes it."""
+
+    def __init__(self, inner: LazyArray) -> None:
+        self.inner, self.shape, self.dtype = inner, inner.shape, inner.dtype
+
+    def __getitem__(self, key: ExplicitIndexer) -> Any:
+        """Read a part."""
+        return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self.inner.__getitem__)

@@ -1,8 +1,8 @@
-"""MATLAB files of every version: their variables, and the values of one, with every length checked before it is used.
+"""MATLAB files of every version: their variables, and the values of one.
 
 Version 4 is a list of matrices, versions 5 to 7 a list of elements that may be compressed, version 7.3 an HDF5 file in
-which MATLAB stores the axes in reverse. scipy reads versions 4 to 7 too, but trusts what a file declares: a damaged one
-can end the whole process there.
+which MATLAB stores the axes in reverse. scipy reads the values of versions 4 to 7, but trusts what versions 5 to 7
+declare: a damaged file can end the whole process there, so that every length and type is checked here first.
 """
 
 from __future__ import annotations
@@ -10,10 +10,9 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,7 @@ _HEAD = 2048  # bytes in which flags, shape, name and the tag of the values of a
 _MOST_AXES, _LONGEST_NAME = 32, 512
 _COMPRESSED, _MATRIX, _UINT32, _INT32, _INT8 = 15, 14, 6, 5, 1
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-_TYPES_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
+_SIZES_4 = (8, 4, 4, 2, 2, 1)
 _CLASSES = (
     "cell", "struct", "object", "char", "sparse", "double", "single", "int8", "uint8", "int16", "uint16", "int32",
     "uint32", "int64", "uint64", "function", "opaque",
@@ -35,7 +34,6 @@ NUMBERS = {
 """Classes of real numbers and their types."""
 
 _COMPLEX, _LOGICAL = 0x08, 0x02
-_CHUNK = 4 * 2**20
 
 
 class Damaged(ValueError):
@@ -53,21 +51,14 @@ class Variable:
         In the order of MATLAB: rows, columns, ...
     kind : str
         Class, as MATLAB names it; ``"complex"`` and ``"logical"`` for numbers of these kinds.
-    stored : dtype or None
-        Type of the values in the file; None for what is no full real array.
-    start, size : int
-        Bytes of the values, or of the compressed variable.
-    inside : int
-        Where the values begin in the uncompressed variable; -1 where it is not compressed.
+    real : bool
+        Whether it is a full real array, whose values can be read.
     """
 
     name: str
     shape: tuple[int, ...]
     kind: str
-    stored: np.dtype[Any] | None = None
-    start: int = 0
-    size: int = 0
-    inside: int = -1
+    real: bool = False
 
     @property
     def count(self) -> int:
@@ -85,15 +76,6 @@ def is_version_5(head: bytes) -> bool:
     return head[126:128] in (b"IM", b"MI") and 0 not in head[:4]
 
 
-@contextmanager
-def new_file(file: BinaryIO) -> Generator[Any]:
-    """Open a file of version 7.3."""
-    import h5py  # pyright: ignore[reportMissingTypeStubs]
-
-    with h5py.File(file, "r") as opened:
-        yield opened
-
-
 def variables(file: BinaryIO) -> list[Variable]:
     """List the variables of a file of any version, without their values.
 
@@ -105,83 +87,61 @@ def variables(file: BinaryIO) -> list[Variable]:
     file.seek(0)
     head = file.read(520)
     if is_new(head):
-        with new_file(file) as opened:
-            return list(_variables_new(opened))
+        return list(_variables_new(file))
     try:
         return list(_variables_5(file, head[126:128]) if is_version_5(head) else _variables_4(file))
-    except (struct.error, zlib.error, ValueError, IndexError, OverflowError, MemoryError) as error:
+    except (struct.error, zlib.error, ValueError, TypeError, IndexError, OverflowError, MemoryError) as error:
         raise Damaged(str(error) or type(error).__name__) from error
 
 
 def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
-    """Read the values of a variable that is a full real array, in the type of its class and the order of MATLAB.
+    """Read the values of a full real array that :func:`variables` listed, in its class and the order of MATLAB.
 
     Raises
     ------
     Damaged
         If the values are not there.
     """
-    if variable.stored is None:
+    if not variable.real:
         raise ValueError(f"{variable.name} is no full real array")
     file.seek(0)
     if is_new(file.read(520)):
-        with new_file(file) as opened:
-            return np.asarray(opened[variable.name][()]).T
-    found = np.empty(variable.count, variable.stored)
-    into = found.view(np.uint8)
-    if variable.inside < 0:
-        file.seek(variable.start)
-        filled = file.readinto(into.data)  # type: ignore[attr-defined]
-    else:
-        filled = 0
-        for part in _unpacked(file, variable, into.size):
-            into[filled : filled + len(part)] = np.frombuffer(part, np.uint8)
-            filled += len(part)
-    if filled != into.size:
-        raise Damaged(f"the values of {variable.name} end after {filled} of {into.size} bytes")
-    return found.astype(NUMBERS[variable.kind], copy=False).reshape(variable.shape, order="F")
+        import h5py  # pyright: ignore[reportMissingTypeStubs]
+
+        with h5py.File(file, "r") as held:
+            whole: Any = held[variable.name]
+            return np.asarray(whole[()]).T
+    from scipy.io import loadmat
+
+    file.seek(0)
+    try:
+        found: NDArray[Any] = loadmat(cast("Any", file), variable_names=[variable.name])[variable.name]
+    except (OSError, zlib.error, ValueError, TypeError, KeyError, OverflowError) as error:
+        raise Damaged(f"the values of {variable.name} cannot be read: {error}") from error
+    if found.shape != variable.shape:
+        raise Damaged(f"the values of {variable.name} are not those of its heading")
+    return found.astype(NUMBERS[variable.kind], copy=False)
 
 
-def _unpacked(file: BinaryIO, variable: Variable, needed: int) -> Iterator[bytes]:
-    """Uncompressed bytes of the values, and no more."""
-    file.seek(variable.start)
-    unpacker, left, skip, packed = zlib.decompressobj(), variable.size, variable.inside, b""
-    while needed and not unpacker.eof:
-        if not packed:
-            packed = file.read(min(_CHUNK, left))
-            left -= len(packed)
-            if not packed:
-                return
-        try:
-            part = unpacker.decompress(packed, _CHUNK)
-        except zlib.error as error:
-            raise Damaged(str(error)) from error
-        packed = unpacker.unconsumed_tail
-        skipped = min(skip, len(part))
-        skip -= skipped
-        part = part[skipped : skipped + needed]
-        needed -= len(part)
-        if part:
-            yield part
-
-
-def _variables_new(file: Any) -> Iterator[Variable]:
+def _variables_new(file: BinaryIO) -> Iterator[Variable]:
     import h5py  # pyright: ignore[reportMissingTypeStubs]
 
-    for key in file:
-        # A link, external storage or a virtual data set could lead to any file of the machine.
-        if not isinstance(file.get(key, getlink=True), h5py.HardLink):
-            continue
-        item: Any = file[key]
-        if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual or item.shape is None:
-            yield Variable(name=str(key), shape=(), kind="struct" if isinstance(item, h5py.Group) else "opaque")
-            continue
-        word: Any = item.attrs.get("MATLAB_class", b"")
-        kind = word.decode(errors="replace") if isinstance(word, bytes) else str(word)
-        kind = kind or next((name for name, dtype in NUMBERS.items() if dtype == item.dtype), str(item.dtype))
-        real = item.dtype.kind in "uif" and kind in NUMBERS
-        shape = tuple(int(n) for n in item.shape[::-1])
-        yield Variable(name=str(key), shape=shape, kind=kind, stored=item.dtype if real else None)
+    with h5py.File(file, "r") as held:
+        opened: Any = held
+        for key in opened:
+            # A link, external storage or a virtual data set could lead to any file of the machine.
+            if not isinstance(opened.get(key, getlink=True), h5py.HardLink):
+                continue
+            item: Any = opened[key]
+            if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual or item.shape is None:
+                yield Variable(name=str(key), shape=(), kind="struct" if isinstance(item, h5py.Group) else "opaque")
+                continue
+            word: Any = item.attrs.get("MATLAB_class", b"")
+            kind = word.decode(errors="replace") if isinstance(word, bytes) else str(word)
+            kind = kind or next((name for name, dtype in NUMBERS.items() if dtype == item.dtype), str(item.dtype))
+            real = item.dtype.kind in "uif" and kind in NUMBERS
+            shape = tuple(int(n) for n in item.shape[::-1])
+            yield Variable(name=str(key), shape=shape, kind=kind, real=real)
 
 
 def _variables_5(file: BinaryIO, mark: bytes) -> Iterator[Variable]:
@@ -203,24 +163,12 @@ def _variables_5(file: BinaryIO, mark: bytes) -> Iterator[Variable]:
             raise Damaged(f"it holds an element of type {kind} where a variable should be")
         found = _variable_5(head, order)
         if found is not None:
-            name, shape, word, stored, inside, length = found
-            start, length = (at + 8, size) if packed else (at + inside, length)
-            yield Variable(
-                name=name,
-                shape=shape,
-                kind=word,
-                stored=stored,
-                start=start,
-                size=length,
-                inside=inside if packed else -1,
-            )
+            yield found
         at += 8 + size
 
 
-def _variable_5(
-    head: bytes, order: str
-) -> tuple[str, tuple[int, ...], str, np.dtype[Any] | None, int, int] | None:  # fmt: skip
-    """Name, shape, class, stored type, and first byte and size of the values; None for an empty element."""
+def _variable_5(head: bytes, order: str) -> Variable | None:
+    """A variable that begins with these bytes; None for an empty element."""
     kind, whole = struct.unpack_from(f"{order}II", head)
     if kind != _MATRIX:
         raise Damaged("what was compressed is no variable")
@@ -246,15 +194,15 @@ def _variable_5(
         raise Damaged("a variable has no name")
     name = head[start : start + size].decode("utf-8", "replace")
     if word not in NUMBERS or not math.prod(shape):
-        return name, shape, word, NUMBERS.get(word), 0, 0
-    kind, start, size, _ = _element(head, at, order)
+        return Variable(name=name, shape=shape, kind=word, real=word in NUMBERS)
+    kind, _, size, _ = _element(head, at, order)
     if kind not in _TYPES or size != math.prod(shape) * np.dtype(_TYPES[kind]).itemsize:
         raise Damaged(f"a variable of shape {shape} holds {size} bytes of type {kind}")
     if size > whole:
         raise Damaged("the values of a variable are longer than the variable")
-    if (flags >> 8) & (_COMPLEX | _LOGICAL):
-        return name, shape, "complex" if (flags >> 8) & _COMPLEX else "logical", None, start, size
-    return name, shape, word, np.dtype(order + _TYPES[kind]), start, size
+    marks = (flags >> 8) & (_COMPLEX | _LOGICAL)
+    word = word if not marks else "complex" if marks & _COMPLEX else "logical"
+    return Variable(name=name, shape=shape, kind=word, real=not marks)
 
 
 def _element(head: bytes, at: int, order: str) -> tuple[int, int, int, int]:
@@ -269,10 +217,9 @@ def _element(head: bytes, at: int, order: str) -> tuple[int, int, int, int]:
 
 
 def _variables_4(file: BinaryIO) -> Iterator[Variable]:
-    end = file.seek(0, 2)
+    end, at = file.seek(0, 2), 0
     if not end:
         raise Damaged("it is empty")
-    at = 0
     while at < end:
         file.seek(at)
         head = file.read(20)
@@ -283,17 +230,8 @@ def _variables_4(file: BinaryIO) -> Iterator[Variable]:
         if wrong or min(rows, columns) < 0 or imaginary not in (0, 1) or not 0 < length < 1000:
             raise Damaged("it does not begin as a MATLAB file")
         name = file.read(length).rstrip(b"\0").decode("ascii", "replace")
-        stored = np.dtype(order + _TYPES_4[precision])
-        size = rows * columns * stored.itemsize
-        start, at = at + 20 + length, at + 20 + length + size * (1 + imaginary)
+        at += 20 + length + rows * columns * _SIZES_4[precision] * (1 + imaginary)
         if at > end:
             raise Damaged("it ends early")
         word = ("double", "char", "sparse")[what] if not imaginary else "complex"
-        yield Variable(
-            name=name,
-            shape=(rows, columns),
-            kind=word,
-            stored=stored if word == "double" else None,
-            start=start,
-            size=size,
-        )
+        yield Variable(name=name, shape=(rows, columns), kind=word, real=word == "double")

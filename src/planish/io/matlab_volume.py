@@ -37,7 +37,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         try:
             variables = matlab.variables(file)
             chosen = _choose(variables, place)
-            small = next((v for v in variables if v.name == SIZE_VARIABLE and v.stored and v.count in (1, 3)), None)
+            small = next((v for v in variables if v.name == SIZE_VARIABLE and v.real and v.count in (1, 3)), None)
             sizes = [] if small is None else np.broadcast_to(np.ravel(matlab.values(file, small)), 3).tolist()
         except matlab.Damaged as error:
             raise _damaged(path, error) from error

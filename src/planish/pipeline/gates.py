@@ -5,40 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from planish.core.results import (
-    FlattenFacts,
-    Gate,
-    LinkedArea,
-    OrientationFacts,
-    RegistrationFacts,
-    SectionFacts,
-    SheetFacts,
-    SurfaceFacts,
-)
+from planish.core.results import Gate, LinkedArea, RegistrationFacts, SheetFacts
 
 _MD_LIMIT_DEG = 10.0
 _LEAST_LIKE, _MOST_CROSSWISE = 0.3, 0.2  # r
 
 
 def _at_least(name: str, value: float, limit: float, *, good: str, bad: str) -> Gate:
-    passed = value >= limit
-    return Gate(name=name, value=float(value), limit=limit, passed=bool(passed), sentence=good if passed else bad)
+    passed = bool(value >= limit)
+    return Gate(name=name, value=float(value), limit=limit, passed=passed, sentence=good if passed else bad)
 
 
 def _at_most(name: str, value: float, limit: float, *, good: str, bad: str) -> Gate:
-    passed = value <= limit
-    return Gate(name=name, value=float(value), limit=limit, passed=bool(passed), sentence=good if passed else bad)
+    passed = bool(value <= limit)
+    return Gate(name=name, value=float(value), limit=limit, passed=passed, sentence=good if passed else bad)
 
 
 def sheet_gates(sheet: SheetFacts) -> Iterator[Gate]:
     """Gates of one mapped sheet."""
-    yield from _surface_gates(sheet.surfaces)
-    yield _fold_gate(sheet.flatten)
-    if sheet.sections is not None:
-        yield _section_gate(sheet.sections)
-
-
-def _surface_gates(s: SurfaceFacts) -> Iterator[Gate]:
+    s, folded, sections = sheet.surfaces, sheet.flatten.folded_cells, sheet.sections
     # Rims of holes are left out on purpose; what counts is how much of the rest was measured.
     share = s.shares["measured"] / max(1.0 - s.shares["rim"], 1e-9)
     text = f"{100 * share:.0f} % of the columns away from rims are measured"
@@ -61,24 +46,18 @@ def _surface_gates(s: SurfaceFacts) -> Iterator[Gate]:
             good=f"{text} NaN.",
             bad=f"{text} NaN or infinite; columns with such voxels near a face are not measured.",
         )  # fmt: skip
-
-
-def _fold_gate(f: FlattenFacts) -> Gate:
-    return _at_most(
-        "fold-over", f.folded_cells, 0,
+    yield _at_most(
+        "fold-over", folded, 0,
         good="No cell of the flattened mesh is folded.",
-        bad=f"{f.folded_cells} cells of the flattened mesh are folded; they are marked invalid.",
+        bad=f"{folded} cells of the flattened mesh are folded; they are marked invalid.",
     )  # fmt: skip
-
-
-def _section_gate(s: SectionFacts) -> Gate:
-    """Too many sections that fit none of their neighbours."""
-    return _at_most(
-        "alignment", s.not_aligned / s.count, 0.05,
-        good=f"{s.count - s.not_aligned} of {s.count} sections fit their neighbours.",
-        bad=f"{s.not_aligned} of {s.count} sections fit none of their neighbours: torn, blurred, or not of this "
-        "sheet. They count as missing. Look at them, and at the order of the files.",
-    )  # fmt: skip
+    if sections is not None:  # those that fit none of their neighbours
+        yield _at_most(
+            "alignment", sections.not_aligned / sections.count, 0.05,
+            good=f"{sections.count - sections.not_aligned} of {sections.count} sections fit their neighbours.",
+            bad=f"{sections.not_aligned} of {sections.count} sections fit none of their neighbours: torn, blurred, or "
+            "not of this sheet. They count as missing. Look at them, and at the order of the files.",
+        )  # fmt: skip
 
 
 def registration_gates(registration: RegistrationFacts, layer: str) -> Iterator[Gate]:
@@ -96,15 +75,12 @@ def registration_gates(registration: RegistrationFacts, layer: str) -> Iterator[
         good=f"The marks ask for a scale of {m.scale:.4f}.",
         bad=f"The marks ask for a scale of {m.scale:.4f}: the calibrations do not agree.",
     )  # fmt: skip
-    yield from _direction_gates(m.orientation, f"{layer} and {m.to}")
-
-
-def _direction_gates(o: OrientationFacts, between: str) -> Iterator[Gate]:
-    """The machine direction where it is given twice: as the marks carry it over, and for the image itself."""
+    o = m.orientation
     if o.md_deg_fixed is None or o.md_deg_fixed_from_moving is None:
         return
+    # The machine direction is given twice: as the marks carry it over, and for the image itself.
     off = abs((o.md_deg_fixed - o.md_deg_fixed_from_moving + 90.0) % 180.0 - 90.0)
-    text = f"The machine directions of {between} differ by {off:.1f}°"
+    text = f"The machine directions of {layer} and {m.to} differ by {off:.1f}°"
     yield _at_most(
         "machine direction", off, _MD_LIMIT_DEG,
         good=f"{text}.",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planish.core.errors import MarkError
 from planish.core.frame import Frame
 from planish.core.grid import values_at
-from planish.core.results import HoleTiltFacts, Side
+from planish.core.results import HoleTiltFacts
 from planish.marks import hole_tilt
 from planish.marks.design import Pattern, read_pattern
 from planish.marks.files import LayerPixels, Places, make_marks, pair_of_layers, read_any, write_any
@@ -171,17 +171,13 @@ def _all_marks(moving: xr.Dataset, fixed: xr.Dataset, pairs: NDArray[np.intp], l
         "fixed": np.concatenate([pairs[:, 1], nowhere[0], alone[1]]),
     }
     names = [*labels, *(f"moving {k + 1}" for k in alone[0]), *(f"fixed {k + 1}" for k in alone[1])]
-    layers = {
-        side: Places.of_holes(h, rows[side], h.attrs.get("source", "detected"))
-        for side, h in (("moving", moving), ("fixed", fixed))
+    sides = (("moving", moving), ("fixed", fixed))
+    layers = {side: Places.of_holes(h, rows[side], h.attrs.get("source", "detected")) for side, h in sides}
+    about = {
+        side: {k: h.attrs[name] for k, name in (("title", "layer"), ("side", "seen_from")) if name in h.attrs}
+        for side, h in sides
     }
-    about = {side: _about(h) for side, h in (("moving", moving), ("fixed", fixed))}
     return make_marks(names, layers, about=about)
-
-
-def _about(holes: xr.Dataset) -> dict[str, Any]:
-    about = {"title": holes.attrs.get("layer"), "side": holes.attrs.get("seen_from")}
-    return {k: v for k, v in about.items() if v is not None}
 
 
 def paired(marks: xr.Dataset) -> NDArray[np.bool_]:
@@ -200,45 +196,40 @@ def _with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
     return marks
 
 
+# --- marks of two layers ---------------------------------------------------------------------------------------------
+
+
 def register_layers(layer: Layer, to: Layer, study: Study) -> Registration:
     """Register one layer to another one by the marks that the study names, or by the holes of both."""
     r, params = study.registration, study.holes
-    # A sheet is always seen from its top; its holes are searched in the face that the image shows.
-    face: dict[str, Side] = {
-        "moving": to.side if to.kind == "image" else "top", "fixed": layer.side if layer.kind == "image" else "top"
-    }  # fmt: skip
+
+    def holes(of: Layer, other: Layer) -> xr.Dataset:
+        # A sheet is always seen from its top; its holes are searched in the face that the image shows.
+        return of.holes(params, other.side if other.kind == "image" else "top")
+
     path = layer.params.marks or r.marks
     if path is None:
-        moving, fixed = layer.holes(params, face["moving"]), to.holes(params, face["fixed"])
-        return register_marks(moving, fixed, params=r, hole_um=params.hole_um)
-    given = read_given(path, layer, to)
-    holes = {
-        side: None if knows_diameters(given, side) else one.holes(params, face[side])
-        for side, one in (("moving", layer), ("fixed", to))
-    }
-    return register_given(
-        given, holes["moving"], holes["fixed"], params=r, facing=layer.side != to.side, hole_um=params.hole_um
-    )
-
-
-# --- marks that are given --------------------------------------------------------------------------------------------
+        return register_marks(holes(layer, to), holes(to, layer), params=r, hole_um=params.hole_um)
+    marks = read_given(path, layer, to)
+    used = paired(marks)
+    sides = {"moving": "bottom" if layer.side != to.side else "top", "fixed": "top"}
+    both = [_marked(marks, side, used).assign_attrs(seen_from=seen) for side, seen in sides.items()]
+    fit = match_and_fit(*both, params=r, pairs=np.stack([np.flatnonzero(used)] * 2, axis=1)).fit
+    for side, one, other in (("moving", layer, to), ("fixed", to, layer)):
+        there = np.isfinite(marks[f"{side}_x"].values)
+        if f"{side}_diameter" not in marks or not np.isfinite(marks[f"{side}_diameter"].values[there]).all():
+            marks = _with_diameters(marks, side, holes(one, other), float(np.mean(params.hole_um)))
+    source = str(marks.attrs.get("read_from", {}).get("format", "file"))
+    return Registration(fit=fit, marks=_with_residuals(marks, fit), source=source)
 
 
 def read_given(path: str, moving: Layer, fixed: Layer) -> xr.Dataset:
-    """Read marks from a file of any known format and put them into the planes of two layers.
-
-    Raises
-    ------
-    FileError, MarkError, SizeError
-        If the file cannot be read or its marks cannot lie in the layers.
-    """
-    about = {
-        side: LayerPixels(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
-        if layer.image is not None
-        else LayerPixels()
-        for side, layer in (("moving", moving), ("fixed", fixed))
-    }
-    marks = read_any(path, moving=about["moving"], fixed=about["fixed"])
+    """Read marks from a file of any known format and put them into the planes of two layers."""
+    about = [
+        LayerPixels() if layer.image is None else LayerPixels(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
+        for layer in (moving, fixed)
+    ]
+    marks = read_any(path, moving=about[0], fixed=about[1])
     pair_of_layers(marks, name=Path(path).name)  # one layer alone is refused
     if "volume_x" in marks:
         marks = _volume_to_map(marks, moving)
@@ -267,41 +258,9 @@ def _volume_to_map(marks: xr.Dataset, layer: Layer) -> xr.Dataset:
         raise MarkError(
             f"The marks {', '.join(lost)} do not lie on the sheet. Check the axes and the unit (um) of the table."
         )
-    names = {str(n): f"moving{str(n).removeprefix('volume')}" for n in marks.variables if str(n).startswith("volume_")}
-    moved = marks.drop_vars("volume_z").rename({k: v for k, v in names.items() if k != "volume_z"})
+    moved = marks.drop_vars("volume_z")
+    moved = moved.rename({n: str(n).replace("volume_", "moving_") for n in moved if str(n).startswith("volume_")})
     return moved.assign(moving_x=("mark", uv[:, 0]), moving_y=("mark", uv[:, 1]))
-
-
-def register_given(
-    given: xr.Dataset, moving: xr.Dataset | None, fixed: xr.Dataset | None, *, params: RegistrationParams,
-    facing: bool, hole_um: tuple[float, float],
-) -> Registration:  # fmt: skip
-    """Fit the transformation to marks that were given.
-
-    Parameters
-    ----------
-    given : Dataset (mark)
-        Of :func:`read_given`.
-    moving, fixed : Dataset (mark) or None
-        Holes that were found in the layers, which give the marks their diameters and are masked; None where the file
-        knows the diameters of all marks of the layer.
-    params : RegistrationParams
-    facing : bool
-        Whether the layers show opposite sides of the sheet.
-    hole_um : (float, float)
-        Its mean is the diameter of a mark at which no hole was found.
-    """
-    used = paired(given)
-    rows = np.stack([np.flatnonzero(used)] * 2, axis=1)
-    sides: dict[str, Side] = {"moving": "bottom" if facing else "top", "fixed": "top"}
-    layers = [_marked(given, side, used).assign_attrs(seen_from=seen) for side, seen in sides.items()]
-    fit = match_and_fit(*layers, params=params, pairs=rows).fit
-    marks = given
-    for side, holes in (("moving", moving), ("fixed", fixed)):
-        if holes is not None:
-            marks = _with_diameters(marks, side, holes, float(np.mean(hole_um)))
-    source = str(given.attrs.get("read_from", {}).get("format", "file"))
-    return Registration(fit=fit, marks=_with_residuals(marks, fit), source=source)
 
 
 def _marked(marks: xr.Dataset, side: str, used: NDArray[np.bool_]) -> xr.Dataset:
@@ -311,12 +270,6 @@ def _marked(marks: xr.Dataset, side: str, used: NDArray[np.bool_]) -> xr.Dataset
     if all(f"{side}_{k}" in marks and np.isfinite(marks[f"{side}_{k}"].values[used]).all() for k in spread):
         names += spread
     return xr.Dataset({name: ("mark", marks[f"{side}_{name}"].values) for name in names})
-
-
-def knows_diameters(marks: xr.Dataset, side: str) -> bool:
-    """Whether every mark of a layer has a diameter, so that its holes need not be searched for."""
-    there = np.isfinite(marks[f"{side}_x"].values)
-    return f"{side}_diameter" in marks and bool(np.isfinite(marks[f"{side}_diameter"].values[there]).all())
 
 
 def _with_diameters(marks: xr.Dataset, side: str, holes: xr.Dataset, usual_um: float) -> xr.Dataset:

@@ -79,7 +79,7 @@ def _arrays(data: bytes) -> dict[str, Floats | None]:
     file = io.BytesIO(data)
     found: dict[str, Floats | None] = {}
     for variable in matlab.variables(file):
-        small = variable.stored is not None and len(variable.shape) == 2 and variable.count <= LARGEST_MATRIX
+        small = variable.real and len(variable.shape) == 2 and variable.count <= LARGEST_MATRIX
         wanted = any(variable.name in pair for pair in NAMES)
         found[variable.name] = matlab.values(file, variable).astype(np.float64) if small and wanted else None
     return found

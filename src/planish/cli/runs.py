@@ -1,0 +1,168 @@
+"""Commands that make a run: link, map, run, demo; the groups of its options, and how they become a study."""
+
+from __future__ import annotations
+
+import filecmp
+from pathlib import Path
+from typing import Any
+
+import click
+
+from planish.analyze.params import CorrelateParams
+from planish.cli.options import Option, existing, given, json_option, made, options, out_option, stack, verb
+from planish.cli.show import finish, free_path, run_facts, stages
+from planish.compute import Compute
+from planish.core.errors import StudyError
+from planish.flatten.params import FlattenParams
+from planish.io.params import ImageParams, VolumeParams
+from planish.marks.params import HoleParams
+from planish.measure.params import MeasureParams
+from planish.register.params import RegistrationParams
+from planish.study import Study
+from planish.surface.params import SurfaceParams
+
+OUT = "Folder to make for the results; it must not exist."
+
+volume_options = options(VolumeParams, "volume", "Volume")
+image_options = options(ImageParams, "image", "Image")
+surface_options = options(SurfaceParams, "surface", "Surface search")
+property_options = options(MeasureParams, "properties", "Properties")
+hole_options = options(HoleParams, "holes", "Marks and registration")
+correlate_options = options(CorrelateParams, "correlate", "Correlation")
+compute_options = options(Compute, "compute", "Resources")
+sheet_options = stack(
+    volume_options, surface_options, property_options, options(FlattenParams, "flatten", "Flattening")
+)  # fmt: skip
+link_options = stack(
+    image_options, hole_options, options(RegistrationParams, "registration", "Marks and registration"),
+    correlate_options,
+)  # fmt: skip
+_folder_option = click.option(
+    "--out", "-o", type=click.Path(path_type=Path), help="Folder to make; a new one where not given."
+)
+
+_SECTIONS = ("volume", "image", "surface", "properties", "flatten", "holes", "registration", "correlate")
+
+
+def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain: bool = False) -> Study:
+    """Build a study from the command line; what is wrong with it is wrong usage."""
+    from planish.pipeline.build import study_of
+
+    sections = {name: found for name in _SECTIONS if (found := given(values, name))}
+    for name in ("marks", "design"):
+        if path := sections.get("registration", {}).get(name):
+            sections["registration"][name] = str(Path(path).absolute())
+    try:
+        return study_of(layers, sections, chain=chain)
+    except StudyError as error:
+        raise click.UsageError(str(error)) from error
+
+
+def _run_and_show(study: Study, out: Path, values: dict[str, Any], *, as_json: bool) -> int:
+    """Do what a study says, show it, and return the exit code."""
+    from planish.pipeline import run_study
+
+    with stages(8 + 3 * len(study.layers)) as progress:
+        run = run_study(study, out, progress=progress, compute=made(Compute, values, "compute"))
+    return finish(run, out, as_json=as_json)
+
+
+@verb(
+    "planish link volume.tif image.tif --out run",
+    "planish link run bottom.tif --out run-bottom --image-side bottom --pixel-um 2.6",
+    name="link",
+)
+@click.argument("layers", nargs=-1, required=True, metavar="LAYER... REFERENCE")
+@out_option(OUT)
+@link_options
+@click.option(
+    "--chain", is_flag=True, cls=Option, group="Marks and registration",
+    help="Register each layer to the next one, and carry it on from there.",
+)  # fmt: skip
+@sheet_options
+@compute_options
+@json_option
+def link(layers: tuple[str, ...], out: Path, chain: bool, as_json: bool, **values: Any) -> int:
+    """Link layers of one specimen to the last of them: all maps on its pixels, correlation, report.
+
+    A layer is a volume (TIFF stack, folder of slices or sections, store), the folder of a run that planish made of one,
+    or an image (TIFF, PNG, JPEG); NAME=PATH gives it a name. All show the same specimen, marked with laser holes.
+
+    'planish link VOLUME IMAGE --out RUN' is the usual case: all 3D properties on the image's own pixels. RUN gets
+    maps.zarr, marks.json, results.json, report.html and run.toml. With two volumes, two images or more than two layers,
+    the flattened maps and images are laid onto the last layer (docs/linking.md). Options of volumes hold for all of
+    them; where two need different ones, map each first with 'planish map' and give the runs.
+    """
+    if len(layers) < 2:
+        raise click.UsageError("Something to link it to is missing: give two layers or more, the reference last.")
+    return _run_and_show(study_from(layers, values, chain=chain), out, values, as_json=as_json)
+
+
+@verb(
+    "planish map volume.tif --out run",
+    "planish map scan/ --out run --voxel-um 1.37 --through y --memory 4GB",
+    name="map",
+)
+@existing("volume")
+@out_option(OUT)
+@sheet_options
+@compute_options
+@json_option
+def map_(volume: Path, out: Path, as_json: bool, **values: Any) -> int:
+    """Map VOLUME: flattened maps of all properties, without an image."""
+    return _run_and_show(study_from((volume,), values), out, values, as_json=as_json)
+
+
+@verb("planish run run/run.toml", "planish run run/run.toml --out again --threads 2", name="run")
+@existing("study")
+@_folder_option
+@compute_options
+@json_option
+def run(study: Path, out: Path | None, as_json: bool, **values: Any) -> int:
+    """Repeat the run described by STUDY, the run.toml of a run folder.
+
+    The result has the same bytes; files that differ from those beside STUDY are named.
+    """
+    from planish.study import read_study
+
+    if study.is_dir():
+        study = study / "run.toml"
+    checked = read_study(study)
+    old = study.absolute().parent
+    target = out or free_path(old.with_name(f"{old.name}-again"))
+    code = _run_and_show(checked, target, values, as_json=as_json)
+    before = run_facts(old)
+    if before is not None and before["warning"]:
+        click.echo(f"{old.name} was {before['warning']}", err=True)
+    elif (old / "results.json").is_file():
+        different = _different(old, target)
+        text = "same bytes as" if not different else f"{', '.join(different)} differ from"
+        click.echo(f"{target}: {text} {old}", err=True)
+    return code
+
+
+def _different(old: Path, new: Path) -> list[str]:
+    """Name the files of either folder that are not the same in both."""
+    files = {p.relative_to(root).as_posix() for root in (old, new) for p in root.rglob("*") if p.is_file()}
+    _, other, missing = filecmp.cmpfiles(old, new, files, shallow=False)
+    return sorted([*other, *missing])
+
+
+@verb("planish demo", "planish demo --out try --seed 2", name="demo")
+@_folder_option
+@click.option("--seed", default=1, show_default=True, help="Another number gives another specimen.")
+@json_option
+def demo(out: Path | None, seed: int, as_json: bool) -> int:
+    """Make a synthetic specimen with laser holes, link it, and show what comes out."""
+    from dataclasses import replace
+
+    from planish.io.run_folder import refuse_existing
+    from planish.synthetic import DEMO, make_specimen, write_instruments
+
+    folder = out or free_path(Path("planish-demo"))
+    refuse_existing(folder)
+    width, height = (um / 1000 for um in DEMO.size_um)
+    click.echo(f"specimen: a warped sheet of {width:g} x {height:g} mm, seed {seed}", err=True)
+    files = write_instruments(make_specimen(replace(DEMO, seed=seed)), folder / "specimen")
+    assert files.image is not None
+    return _run_and_show(study_from((files.volume, files.image), {}), folder / "run", {}, as_json=as_json)
