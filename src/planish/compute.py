@@ -92,15 +92,7 @@ class Compute(Params):
 
 
 def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, compute: Compute) -> int:
-    """Width of the measured columns in voxels.
-
-    Parameters
-    ----------
-    volume : DataArray, dims (z, y, x)
-    frame : Frame
-    column_um : float or None
-        What was asked for; otherwise single columns of voxels, or as wide as the memory demands.
-    compute : Compute
+    """Width of the measured columns in voxels: ``column_um``, or single voxels, or as wide as the memory demands.
 
     Raises
     ------
@@ -129,13 +121,7 @@ def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, com
 
 @contextmanager
 def engine(compute: Compute, *, kept: Path | None = None) -> Generator[Engine]:
-    """Give the engine that works on tiles.
-
-    Raises
-    ------
-    InputError
-        If the scheduler cannot be reached, or the library for it is missing.
-    """
+    """Give the engine that works on tiles; InputError where a scheduler or its library is missing."""
     memory = int((1 - _MAPS) * compute.memory)
     if compute.scheduler is None:
         yield Engine(threads=compute.threads, memory_bytes=memory, kept=kept)

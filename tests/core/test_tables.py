@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from planish.core.errors import FileError, MarkError
-from planish.core.tables import LARGEST_FILE, finite, parse_table, read_table, read_text, split_rows, table_text
+from planish.core.tables import LARGEST_FILE, finite, parse_table, read_text, split_rows, table_text
 
 
 def read(folder, text, *, encoding="utf-8", needed=("x_um", "y_um")):
     (folder / "t.csv").write_bytes(text.encode(encoding))
-    table = read_table(folder / "t.csv", needed=needed, error=MarkError)
+    table = parse_table(read_text(folder / "t.csv"), "t.csv", needed=needed, error=MarkError)
     found = table.numbers(needed)
     table.check()
     return found

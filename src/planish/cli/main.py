@@ -69,33 +69,29 @@ def main(args: list[str] | None = None) -> None:
     except (click.Abort, KeyboardInterrupt):
         click.echo("planish: interrupted; nothing was written.", err=True)
         code = 130
-    except PlanishError as error:
-        code = _fail(str(error), error.exit_code, "--json" in arguments)
-    except MemoryError:
-        text = "The memory is used up. Use a smaller or coarser volume, or a machine with more memory."
-        code = _fail(text, ResourceError.exit_code, "--json" in arguments)
-    except OSError as error:
-        from planish.io.run_folder import as_planish
-
-        known = as_planish(error, Path(error.filename or "the results"))
-        code = _fail(str(known), known.exit_code, "--json" in arguments)
-    except Exception as error:  # noqa: BLE001  the last resort: a user gets a sentence and a log, never a traceback
-        code = _fail(_logged(error), PlanishError.exit_code, "--json" in arguments)
+    except Exception as error:  # noqa: BLE001  a user gets a sentence, and a log of our own faults, never a traceback
+        known = _known(error)
+        code = known.exit_code
+        click.echo(f"planish: {known}", err=True)
+        if "--json" in arguments:
+            click.echo(json.dumps({"error": str(known), "exit_code": code}))
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _fail(text: str, code: int, as_json: bool) -> int:
-    click.echo(f"planish: {text}", err=True)
-    if as_json:
-        click.echo(json.dumps({"error": text, "exit_code": code}))
-    return code
+def _known(error: Exception) -> PlanishError:
+    if isinstance(error, PlanishError):
+        return error
+    if isinstance(error, MemoryError):
+        text = "The memory is used up. Use a smaller or coarser volume, or a machine with more memory."
+        return ResourceError(text)
+    if isinstance(error, OSError):
+        from planish.io.run_folder import as_planish
 
-
-def _logged(error: Exception) -> str:
+        return as_planish(error, Path(error.filename or "the results"))
     with tempfile.NamedTemporaryFile("w", prefix="planish-", suffix=".log", delete=False, encoding="utf-8") as log:
         log.write(f"planish {__version__}\n")
         log.write("".join(traceback.format_exception(error)))
-    return (
+    return PlanishError(
         f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. "
         f"The details are in {Path(log.name)}; please report them."
     )

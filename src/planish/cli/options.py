@@ -19,13 +19,7 @@ P = TypeVar("P", bound=Params)
 
 
 class Verb(click.Command):
-    """A command whose help shows its options in groups and ends with examples.
-
-    Parameters
-    ----------
-    examples : sequence of str
-        Command lines that can be copied.
-    """
+    """A command whose help shows its options in groups and ends with examples."""
 
     def __init__(self, *args: Any, examples: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -106,15 +100,8 @@ def options(
 ) -> Command:
     """Give a command all options of a model, or some; :func:`given` collects what was said.
 
-    Parameters
-    ----------
-    model : type of Params
-    section : str
-        Keeps fields of the same name in two models apart.
-    group : str
-        Heading in the help.
-    only, without : sequence of str
-        Names of fields.
+    ``section`` keeps fields of the same name in two models apart; ``group`` is the heading in the help; ``only`` and
+    ``without`` are names of fields.
     """
     made: list[Command] = []
     for name, field, shown in options_of(model):

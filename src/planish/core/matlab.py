@@ -44,15 +44,8 @@ class Damaged(ValueError):
 class Variable:
     """A variable of a file.
 
-    Attributes
-    ----------
-    name : str
-    shape : tuple of int
-        In the order of MATLAB: rows, columns, ...
-    kind : str
-        Class, as MATLAB names it; ``"complex"`` and ``"logical"`` for numbers of these kinds.
-    real : bool
-        Whether it is a full real array, whose values can be read.
+    ``shape`` is in the order of MATLAB; ``kind`` the class as MATLAB names it, and ``complex`` or ``logical`` for
+    numbers of these kinds; ``real`` marks a full real array, whose values can be read.
     """
 
     name: str

@@ -29,14 +29,8 @@ class Params(BaseModel):
 class Shown:
     """How the command line shows a field.
 
-    Attributes
-    ----------
-    flags : tuple of str
-        Such as ``("--cutoff-um",)``.
-    metavar : str or None
-        Placeholder of the value in the help, where the type does not say it.
-    repeat : bool
-        Whether one number stands for all of a tuple.
+    ``flags`` such as ``("--cutoff-um",)``; ``metavar``, the placeholder of the value, where the type does not say it;
+    ``repeat``, whether one number stands for all of a tuple.
     """
 
     flags: tuple[str, ...]

@@ -47,24 +47,12 @@ class Rows(NamedTuple):
 
 
 def read_text(path: str | Path, *, what: str = "table") -> str:
-    """Read a small text file; see :func:`read_bytes` and :func:`decode_text`."""
+    """Read a small text file; ``what`` it should be is for the messages."""
     return decode_text(read_bytes(path, what=what), Path(path).name, what=what)
 
 
 def read_bytes(path: str | Path, *, what: str = "table") -> bytes:
-    """Read a small file.
-
-    Parameters
-    ----------
-    path : path
-    what : str
-        What the file should be, for the messages.
-
-    Raises
-    ------
-    FileError
-        If it cannot be read or has more than 10 MB.
-    """
+    """Read a small file; FileError if it cannot be read or has more than 10 MB."""
     place = Path(path)
     try:
         if place.exists() and not place.is_file():
@@ -83,13 +71,7 @@ def read_bytes(path: str | Path, *, what: str = "table") -> bytes:
 
 
 def decode_text(data: bytes, name: str, *, what: str = "table") -> str:
-    """Text of the bytes of a file, without byte order mark.
-
-    Raises
-    ------
-    FileError
-        If they are no text.
-    """
+    """Text of the bytes of a file, without byte order mark; FileError if they are no text."""
     utf_16 = data[:2] in (b"\xff\xfe", b"\xfe\xff")
     try:
         text = data.decode("utf-16" if utf_16 else "utf-8-sig")
@@ -125,10 +107,9 @@ def finite(value: object, *, decimal_comma: bool = False) -> float | None:
     if decimal_comma and isinstance(value, str) and value.count(",") == 1 and "." not in value:
         value = value.replace(",", ".")
     try:
-        number = float(value)
+        return float(value) if math.isfinite(float(value)) else None
     except (ValueError, OverflowError):
         return None
-    return number if math.isfinite(number) else None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -146,8 +127,6 @@ class Table:
     comments : list of str
     error : type
         Class of the error that names the faults.
-    advice : str
-        What the table has to look like; ends the messages about its header.
     faults : list of str
     """
 
@@ -156,7 +135,6 @@ class Table:
     rows: list[Row]
     comments: list[str] = field(default_factory=list[str])
     error: type[PlanishError] = InputError
-    advice: str = ""
     decimal_comma: bool = False
     faults: list[str] = field(default_factory=list[str])
 
@@ -188,20 +166,19 @@ class Table:
         raise_faults(self.name, self.faults, remedy, error=self.error)
 
 
-def read_table(
-    path: str | Path, *, needed: Sequence[str], error: type[PlanishError], what: str = "table", advice: str = ""
-) -> Table:
-    """Read a table with a header.
+def parse_table(
+    text: str, name: str, *, needed: Sequence[str], error: type[PlanishError], advice: str = ""
+) -> Table:  # fmt: skip
+    """Make a table of a text with a header.
 
     Parameters
     ----------
-    path : path
+    text, name : str
+        Of :func:`read_text`, and the name of the file.
     needed : sequence of str
         Columns that have to be there; others may be.
     error : type
-        Class of the error for a file that can be read and is no such table.
-    what : str
-        What the file should be, for the messages.
+        Class of the error for what is no such table.
     advice : str
         What the table has to look like, one sentence; made of `needed` where not given.
 
@@ -212,19 +189,9 @@ def read_table(
 
     Raises
     ------
-    FileError
-        If the file cannot be read or is no text.
     PlanishError
         Of the class `error`, if the table is empty.
     """
-    place = Path(path)
-    return parse_table(read_text(place, what=what), place.name, needed=needed, error=error, advice=advice)
-
-
-def parse_table(
-    text: str, name: str, *, needed: Sequence[str], error: type[PlanishError], advice: str = ""
-) -> Table:  # fmt: skip
-    """Make a table of a text that was read already; see :func:`read_table`."""
     advice = advice or f"The first row has to name the columns {', '.join(needed)}."
     found = split_rows(text)
     if not found.rows:
@@ -245,19 +212,13 @@ def parse_table(
         faults[-1] += " (decimal commas need semicolons between the columns)"
     rows = [row for row in others if len(row.cells) == len(header)]
     return Table(
-        name=name, header=header, rows=rows, comments=found.comments, error=error, advice=advice,
+        name=name, header=header, rows=rows, comments=found.comments, error=error,
         decimal_comma=found.delimiter != ",", faults=faults,
     )  # fmt: skip
 
 
 def raise_faults(name: str, faults: Sequence[str], remedy: str, *, error: type[PlanishError]) -> None:
-    """Raise all faults as one message; nothing where there is none.
-
-    Raises
-    ------
-    PlanishError
-        Of the class `error`, if there is a fault.
-    """
+    """Raise all faults as one message; nothing where there is none."""
     if faults:
         more = f"; and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
         raise error(f"{name}: {'; '.join(faults[:MOST_FAULTS])}{more}. {remedy}")

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -80,8 +80,6 @@ class Engine:
         Tiles that this executor works on at a time.
     kept : Path or None
         Folder for the results of single tiles. A run that finds one there does not work it out again.
-    tell : callable
-        Called with what is done, the number of tiles done, and their number.
     """
 
     threads: int | None = None
@@ -89,7 +87,6 @@ class Engine:
     executor: Executor | None = None
     workers: int | None = None
     kept: Path | None = None
-    tell: Callable[[str, int, int], None] = field(default=lambda _what, _done, _all: None)
 
     @property
     def at_once(self) -> int:
@@ -106,7 +103,7 @@ class Engine:
         Parameters
         ----------
         what : str
-            Name of the work; names the results that are kept.
+            Names the results that are kept.
         work : callable
             A function of a module; it gets the job of a tile and the tile, and returns one array.
         job : callable
@@ -114,7 +111,6 @@ class Engine:
         tiles : sequence of Tile
         """
         waiting: deque[tuple[Tile, Future[Result] | Result]] = deque()
-        done = 0
 
         def take() -> tuple[Tile, Result]:
             tile, future = waiting.popleft()
@@ -131,12 +127,8 @@ class Engine:
                     waiting.append((tile, pool.submit(work, job(tile), tile) if found is None else found))
                     if len(waiting) >= self.at_once + _AHEAD:
                         yield take()
-                        done += 1
-                        self.tell(what, done, len(tiles))
                 while waiting:
                     yield take()
-                    done += 1
-                    self.tell(what, done, len(tiles))
             finally:
                 for _, future in waiting:
                     if not isinstance(future, np.ndarray):

@@ -12,7 +12,7 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from planish.core.errors import FileError, MarkError
-from planish.core.tables import model_faults, raise_faults, read_table, read_text
+from planish.core.tables import model_faults, parse_table, raise_faults, read_text
 from planish.marks.files.content import json_text, read_object, write_new
 from planish.marks.files.csv_marks import holes_text
 
@@ -178,7 +178,8 @@ def read_holes(path: str | Path) -> xr.Dataset:
     """
     place = Path(path)
     if _suffix(place) == ".csv":
-        table = read_table(place, needed=("x_um", "y_um"), error=MarkError, what="table of holes")
+        text = read_text(place, what="table of holes")
+        table = parse_table(text, place.name, needed=("x_um", "y_um"), error=MarkError)
         columns = [name for name in ("x", "y", "diameter") if f"{name}_um" in table.header]
         data = table.numbers([f"{name}_um" for name in columns])
         table.check()

@@ -22,6 +22,7 @@ from planish.study import Kind, LayerParams, Study
 Section = Mapping[str, Any] | Params
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
 _OF_A_VOLUME = ("surface", "properties", "flatten")
+_NO_OPTION = ("layers", "volume", "image")
 _OF_THE_LINK = ("holes", "registration", "correlate")
 
 
@@ -58,8 +59,7 @@ def map_sheet(
     --------
     ``run = pl.map_sheet("volume.tif", out="run", volume={"voxel_um": (3, 3, 3)})``
     """
-    study = study_of([path], sections)
-    return run_study(study, _path(out), compute=compute, progress=progress)
+    return run_study(study_of([path], sections), out, compute=compute, progress=progress)
 
 
 def link(
@@ -98,7 +98,7 @@ def link(
     """
     if len(layers) < 2:
         raise StudyError("Something to link it to is missing: give two layers or more, the reference last.")
-    return run_study(study_of(layers, sections, chain=chain), _path(out), compute=compute, progress=progress)
+    return run_study(study_of(layers, sections, chain=chain), out, compute=compute, progress=progress)
 
 
 def study_of(layers: Sequence[str | Path], sections: Mapping[str, Section], *, chain: bool = False) -> Study:
@@ -114,11 +114,15 @@ def study_of(layers: Sequence[str | Path], sections: Mapping[str, Section], *, c
     if unknown := sorted(set(options) - set(known)):
         raise StudyError(f"There is no group of options called {', '.join(unknown)}; there are {', '.join(known)}.")
     parts = [_named(str(text)) for text in layers]
-    kinds: list[Kind] = [kind_of(path) if len(parts) > 1 else "volume" for _, path in parts]
+    kinds: list[Kind] = [_kind_of(path) if len(parts) > 1 else "volume" for _, path in parts]
     names = _all_names(parts, kinds)
-    if "volume" not in kinds and (unused := _only_of_volumes(options)):
+    # What is given and means nothing without a volume.
+    unused = [name for group in _OF_A_VOLUME for name in options.get(group, {})]
+    unused += [name for name in options.get("volume", {}) if name not in ("override_size", "md_deg")]
+    if "volume" not in kinds and unused:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
         raise StudyError(
-            f"{', '.join(unused)}: for volumes only, and {', '.join(p.name for _, p in parts)} is none. A run keeps "
+            f"{flags}: for volumes only, and {', '.join(p.name for _, p in parts)} is none. A run keeps "
             "the options that it was made with; map the volume again to change them."
         )
     if len(kinds) > 2 and options.get("registration", {}).get("marks"):
@@ -130,15 +134,12 @@ def study_of(layers: Sequence[str | Path], sections: Mapping[str, Section], *, c
         more = {k: options[k] for k in _OF_THE_LINK if k in options}
         return Study.model_validate({"layers": found, "chain": chain, **more})
     except ValidationError as error:
-        faults = "; ".join(f"{_place(e['loc'])}{e['msg'].removeprefix('Value error, ')}" for e in error.errors())
-        raise StudyError(faults) from error
-
-
-def _only_of_volumes(options: Mapping[str, dict[str, Any]]) -> list[str]:
-    """Options that are given and mean nothing without a volume, as the command line spells them."""
-    names = [name for group in _OF_A_VOLUME for name in options.get(group, {})]
-    names += [name for name in options.get("volume", {}) if name not in ("override_size", "md_deg")]
-    return [f"--{name.replace('_', '-')}" for name in names]
+        faults: list[str] = []
+        for fault in error.errors():
+            words = [str(part) for part in fault["loc"] if not isinstance(part, int)]
+            flag = f"--{words[-1].replace('_', '-')}: " if words and words[-1] not in _NO_OPTION else ""
+            faults.append(flag + fault["msg"].removeprefix("Value error, "))
+        raise StudyError("; ".join(faults)) from error
 
 
 def _layer(name: str, kind: Kind, path: Path, options: Mapping[str, dict[str, Any]]) -> LayerParams:
@@ -153,18 +154,8 @@ def _layer(name: str, kind: Kind, path: Path, options: Mapping[str, dict[str, An
     return LayerParams.model_validate({"name": name, "volume": volume | {"path": place}, **mapping})
 
 
-def _place(loc: tuple[Any, ...]) -> str:
-    """The option that a fault belongs to, as the command line spells it."""
-    words = [str(part) for part in loc if not isinstance(part, int)]
-    return f"--{words[-1].replace('_', '-')}: " if words and words[-1] not in ("layers", "volume", "image") else ""
-
-
-def _path(out: str | Path | None) -> Path | None:
-    return None if out is None else Path(out)
-
-
-def kind_of(path: Path) -> Kind:
-    """Whether a path is a run, an image or a volume; what is wrong with it is said by its own reader."""
+def _kind_of(path: Path) -> Kind:
+    """Whether a path is a run, an image or a volume; its own reader names its faults."""
     if is_run(path):
         return "run"
     place = find_place(path)

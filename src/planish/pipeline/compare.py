@@ -153,14 +153,7 @@ def lag_of(a: xr.Dataset, b: xr.Dataset, side: Side) -> LagFacts | None:
 def lag_facts(lag: Lag, *, expected_um: float | None, name: str) -> LagFacts:
     """What two maps say of their registration by their own texture.
 
-    Parameters
-    ----------
-    lag : Lag
-        Of the second map against the first.
-    expected_um : float or None
-        Expected error of the registration over the map, rms.
-    name : str
-        The property of the first map.
+    ``expected_um`` is the expected error of the registration over the map, rms; ``name`` the property of the first map.
     """
     expected = expected_um if expected_um is not None and math.isfinite(expected_um) else None
     field = lag.field

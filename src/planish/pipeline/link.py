@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish import __version__
-from planish.compute import Compute, Progress, silent
+from planish.compute import Compute, Progress
 from planish.core.results import Gate, LayerFacts, Results
 from planish.io import read_image
 from planish.pipeline.compare import comparison_rows, correlate_layers, likeness
@@ -37,25 +37,11 @@ Array = NDArray[np.float64]
 _RIM_UM = 100.0  # around holes of images, where no sheet says otherwise
 
 
-def link_study(
-    study: Study, *, compute: Compute | None = None, progress: Progress = silent, kept: Path | None = None
-) -> Run:
+def link_study(study: Study, *, compute: Compute, progress: Progress, kept: Path | None = None) -> Run:
     """Register layers to the last one, bring all onto its pixels, and correlate them in pairs.
 
-    Parameters
-    ----------
-    study : Study
-        With two layers or more.
-    compute, progress
-    kept : Path, optional
-        Folder for the results of single tiles of volumes that are mapped.
-
-    Raises
-    ------
-    PlanishError
-        Any of the tree in :mod:`planish.core.errors`.
+    ``kept`` is the folder for the results of single tiles of volumes that are mapped.
     """
-    compute = compute or Compute()
     read_design(study.registration)  # what is wrong with it should not cost the time of a volume
     layers = _open_layers(study, compute=compute, progress=progress, kept=kept)
     links = _registered(layers, study, progress)

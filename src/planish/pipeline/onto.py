@@ -32,23 +32,8 @@ def on_reference(
 ) -> tuple[dict[str, xr.Dataset], Mask]:  # fmt: skip
     """Bring sheets and images onto a grid and mark what is valid there.
 
-    Parameters
-    ----------
-    parts : mapping of name to (image or groups, chain)
-        The reference itself has no chain.
-    circles : iterable of ndarray, shape (n, 3): x, y, radius in um
-        Holes on the reference, with their burnt rims; see :func:`hole_circles`.
-    grid : Grid
-        Pixels of the reference.
-    memory_bytes : int, optional
-        What warping an image may take.
-
-    Returns
-    -------
-    maps : dict of Dataset (y, x)
-        All maps of each sheet, or ``image``; ``valid``, and ``expected_error`` of what was moved.
-    away : ndarray of bool (y, x)
-        Away from all holes.
+    ``circles`` (n, 3: x, y, radius in um) are the holes on the reference with their burnt rims. Returned are all maps
+    of each sheet, or ``image``, with ``valid``, and ``expected_error`` of what was moved; and what is away from holes.
     """
     away = np.ones(grid.shape, dtype=bool)
     for found in circles:
@@ -83,17 +68,8 @@ def hole_circles(
 ) -> Array:
     """Circles (n, 3: x, y, radius in um) around all holes of one layer, on the reference.
 
-    Parameters
-    ----------
-    marks : Dataset (mark)
-        All marks of a registration.
-    side : {"moving", "fixed"}
-    rim_um : float
-        Burnt rim around a hole.
-    chain : Chain, optional
-        From the layer to the reference, where it is another one.
-    image : DataArray, optional
-        The layer's image; holes that its border cuts are then included.
+    ``chain`` leads from the layer to the reference where it is another one; of the layer's own ``image``, the holes
+    that its border cuts are included.
     """
     holes = holes_of(marks, side)
     found = _circles(holes)

@@ -23,7 +23,7 @@ from planish.study import Study, to_dict, write_study
 
 
 def run_study(
-    study: Study, out: Path | None = None, *, compute: Compute | None = None, progress: Progress = silent
+    study: Study, out: str | Path | None = None, *, compute: Compute | None = None, progress: Progress = silent
 ) -> Run:
     """Do what a study says, and write the run folder ``out`` where it is given.
 
@@ -48,6 +48,7 @@ def run_study(
     with limit_threads(compute.threads):
         if out is None:
             return _done(study, compute=compute, progress=progress, kept=None)
+        out = Path(out)
         refuse_existing(out)
         key = run_key(to_dict(study), [_hash(layer.path) for layer in study.layers])
         with work_folder(out, key) as work:

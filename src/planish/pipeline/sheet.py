@@ -36,13 +36,7 @@ def map_layer(
 ) -> Layer:  # fmt: skip
     """Go from a volume to flattened maps of its properties.
 
-    Parameters
-    ----------
-    layer : LayerParams
-        With a volume.
-    compute, progress
-    kept : Path, optional
-        Folder for the results of single tiles, where a run that was killed finds them again.
+    ``kept`` is the folder for the results of single tiles, where a run that was killed finds them again.
     """
     v = layer.volume
     assert v is not None
