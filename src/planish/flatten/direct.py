@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,8 @@ from planish.flatten.levels import Level
 
 Array = NDArray[np.float64]
 
+# Weak tie of every node to its place, in spring constants: the sheet as a whole is free to shift and turn.
 _TIE = 1e-10
-"""Weak tie of every node to its place, in spring constants: the sheet as a whole is free to shift and turn."""
-
 # Ends of the four families of springs, as steps in row and column from the place where the spring is stored.
 _ENDS = (((0, 0), (0, 1)), ((0, 0), (1, 0)), ((0, 0), (1, 1)), ((0, 1), (1, 0)))
 
@@ -71,23 +69,15 @@ class Network:
         that of compressed ones would make the matrix indefinite.
         """
         d, bend = self._directions(uv, exact)
-        rows: list[Any] = []
-        cols: list[Any] = []
-        values: list[Any] = []
-        for a in (0, 1):
-            for b in (0, 1):
-                block = self.stiff * (d[:, a] * d[:, b] * (1 - bend) + (bend if a == b else 0.0))
-                for i, j, sign in (
-                    (self.first, self.first, 1.0),
-                    (self.second, self.second, 1.0),
-                    (self.first, self.second, -1.0),
-                    (self.second, self.first, -1.0),
-                ):
-                    rows.append(2 * i + a)
-                    cols.append(2 * j + b)
-                    values.append(sign * block)
+        block = self.stiff * (d.T[:, None] * d.T * (1 - bend) + np.eye(2)[..., None] * bend)
+        # For both axes of either end, the four pairs of ends: (2, 2, 4, springs).
+        values = block[:, :, None] * np.array([1.0, 1.0, -1.0, -1.0])[:, None]
+        ends = np.stack([self.first, self.second, self.first, self.second])
+        others = np.stack([self.first, self.second, self.second, self.first])
+        row, col = 2 * ends + np.arange(2)[:, None, None, None], 2 * others + np.arange(2)[:, None, None]
+        places = (np.broadcast_to(k, values.shape).ravel() for k in (row, col))
         size = 2 * len(uv)
-        whole = sparse.coo_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(cols))), (size, size))
+        whole = sparse.coo_array((values.ravel(), tuple(places)), (size, size))
         return (whole + _TIE * sparse.eye_array(size)).tocsc()
 
     def full_matrix(self, uv: Array, *, exact: bool) -> Array:
@@ -113,8 +103,7 @@ class Network:
 
 
 _NEWTON_STEPS = 60
-_FEW = 200
-"""Nodes up to which a full matrix is quicker than a sparse one."""
+_FEW = 200  # nodes up to which a full matrix is quicker than a sparse one
 
 
 class Exact:

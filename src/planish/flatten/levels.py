@@ -17,11 +17,8 @@ from planish.flatten._mesh_kernels import coarsen
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-_LEAST = 5
-"""Meshes of fewer rows or columns are not halved any more."""
-
-_WORTH = 100_000
-"""Nodes above which a second thread pays for being woken."""
+_LEAST = 5  # meshes of fewer rows or columns are not halved any more
+_WORTH = 100_000  # nodes above which a second thread pays for being woken
 
 
 class Team(ThreadPoolExecutor):

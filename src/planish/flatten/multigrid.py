@@ -41,30 +41,16 @@ def _weights(steps: int, low: float) -> tuple[np.float32, ...]:
 _TWICE = _weights(2, _LOW)
 _FOUR = _weights(4, 0.15)
 
-_STILL = 3e-6
-"""Mean error of places, in pitches, below which a mesh is at rest whatever its energy."""
-
-_RATE = 0.1
-"""Share of the excess energy that a cycle is expected to leave, before one has been observed."""
-
-_ROUGHLY = 0.1
-"""Tolerance on the coarser levels: one step, as a rule."""
-
+_STILL = 3e-6  # mean error of places, in pitches, below which a mesh is at rest whatever its energy
+_RATE = 0.1  # share of the excess energy that a cycle is expected to leave, before one has been observed
+_ROUGHLY = 0.1  # tolerance on the coarser levels: one step, as a rule
+# Levels handed to ``descend``, the last one repeated: another number would be compiled anew. No mesh has more that are
+# the work of one thread.
 _CHAIN = 8
-"""Levels handed to ``descend``, the last one repeated: another number would be compiled anew. No mesh has more that are
-the work of one thread."""
-
 _STEPS = 300
-
-_ROUGH = 0.02
-"""Share of the energy that the first step on a level gains, above which the next finer one is expected to be rough."""
-
-_SLOW = 0.25
-"""Share of the gain of the step before above which the directions of the steps are made conjugate."""
-
-OPEN = 0.02
-"""Share of its area at rest down to which a step may close a cell."""
-
+_ROUGH = 0.02  # share of the energy gained by a level's first step above which the next finer one is taken as rough
+_SLOW = 0.25  # share of the gain of the step before above which the directions of the steps are made conjugate
+OPEN = 0.02  # share of its area at rest down to which a step may close a cell
 _HALVINGS = 40  # of a step that would close a cell, or raise the energy
 
 
@@ -83,8 +69,7 @@ def _dot(a: Single, b: Single) -> float:
     return float(np.sum(a * b, dtype=np.float64))
 
 
-_Direction = tuple[Single, Single, float]
-"""Forces, move and their product at a step."""
+_Direction = tuple[Single, Single, float]  # forces, move and their product at a step
 
 
 def _conjugate(level: Level, last: _Direction | None) -> _Direction:
@@ -264,18 +249,12 @@ class Multigrid:
     def _chain(self, k: int) -> tuple[Any, ...]:
         """Arrays of the levels from ``k`` on, as ``descend`` wants them."""
         if k not in self._chains:
-            part = self.levels[k:]
-            last = len(part) - 1
-            part = [*part, *part[-1:] * (_CHAIN - len(part))]
+            last = len(self.levels) - 1 - k
+            part = [*self.levels[k:], *self.levels[-1:] * (_CHAIN - 1 - last)]
             names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
-            row, col = (1 + index for index in np.nonzero(self._network.mask))
-            self._chains[k] = (
-                *(tuple(getattr(v, name) for v in part) for name in names),
-                last,
-                self._exact.inverse,
-                row,
-                col,
-            )
+            arrays = (tuple(getattr(level, name) for level in part) for name in names)
+            nodes = (1 + index for index in np.nonzero(self._network.mask))
+            self._chains[k] = (*arrays, last, self._exact.inverse, *nodes)
         return self._chains[k]
 
     def _smooth(self, kind: int, level: Level, coarse: Level, first: np.float32, weight: np.float32) -> None:

@@ -20,11 +20,10 @@ from planish.flatten.relax import Relaxed, relax_grid
 
 Array = NDArray[np.float64]
 
-
 _MOST_NODES = 4_000_000  # of the mesh: half a second and half a gigabyte
+# Weight of the centre surface where it was bridged over holes and gaps, against 1 where both faces were found: it holds
+# the sheet together there and leaves its shape to what was measured.
 _DOUBT = 0.2
-"""Weight of the centre surface where it was bridged over holes and gaps, against 1 where both faces were found: it
-holds the sheet together there and leaves its shape to what was measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

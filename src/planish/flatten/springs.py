@@ -15,11 +15,8 @@ from planish.flatten.levels import Level, Team, of_springs, padded
 
 Array = NDArray[np.float64]
 
-TRUSTED = 0.1
-"""Share of the median weight below which a node does not count in the flattening."""
-
-_BRACE = 0.01
-"""Stiffness of springs to nodes that were made up: enough to hold a loose corner, too little to steer the sheet."""
+TRUSTED = 0.1  # share of the median weight below which a node does not count in the flattening
+_BRACE = 0.01  # stiffness of springs to made-up nodes: enough to hold a loose corner, too little to steer the sheet
 
 
 def mean_pitch(points: Array) -> float:

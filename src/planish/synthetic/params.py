@@ -140,13 +140,7 @@ class CameraParams(Strict):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpecimenParams(Strict):
-    """One specimen; the same seed is the same sheet under every instrument.
-
-    Attributes
-    ----------
-    size_um : (float, float)
-        Lateral extent (x, y) of the volume.
-    """
+    """One specimen, ``size_um`` (x, y) wide; the same seed is the same sheet under every instrument."""
 
     size_um: tuple[float, float] = SIZES_UM["T1"]
     paper: PaperParams = field(default_factory=PaperParams)

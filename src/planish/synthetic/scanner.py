@@ -28,10 +28,7 @@ _STREAK_ROWS, _STREAK_UM = 8, 1000.0  # a streak lasts so long across and along
 class Scanner:
     """Renders rows of a volume, each of them for itself: the bytes do not depend on tiles or threads.
 
-    Attributes
-    ----------
-    shape : (int, int, int)
-        Voxels along z, y, x. The axis of rotation stands along y, in the middle of x and z.
+    ``shape`` counts voxels along z, y, x. The axis of rotation stands along y, in the middle of x and z.
     """
 
     sheet: Sheet
