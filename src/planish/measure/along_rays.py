@@ -109,24 +109,10 @@ def each_tile(
     volume: xr.DataArray, frame: RayFrame, work: Callable[[Rays, slice, slice], T], *, halo: int = 0,
     rows: int | None = None, engine: Engine | None,
 ) -> list[T]:  # fmt: skip
-    """Straighten the sheet tile by tile and call ``work`` on threads.
+    """Straighten the sheet tile by tile and call ``work`` on threads; return what it gave, in the order of the rows.
 
-    Parameters
-    ----------
-    work : callable
-        Called with the rays of a tile and its halo, the tile's rows within them, and its rows in the sheet.
-    halo : int
-        Rows on both sides that the work sees beside its own.
-
-    Returns
-    -------
-    list
-        What ``work`` gave, in the order of the rows.
-
-    Raises
-    ------
-    ResourceError
-        If a single row with its halo does not fit into the memory.
+    ``work`` is called with the rays of a tile and of ``halo`` rows on both sides, the tile's rows within them, and its
+    rows in the sheet. ResourceError if a single row with its halo does not fit into the memory.
     """
     engine = engine or Engine()
     count = frame.status.shape[0]

@@ -43,13 +43,7 @@ class Greys:
 
     @classmethod
     def of(cls, surfaces: xr.Dataset) -> Greys:
-        """Read the levels from the surfaces' attributes.
-
-        Raises
-        ------
-        SurfaceError
-            If they are not there.
-        """
+        """Read the levels from the surfaces' attributes; SurfaceError if they are not there."""
         attrs = surfaces.attrs
         named = {name: f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")}
         named |= {"polarity": "polarity", "blur_um": "blur_um"}
@@ -68,26 +62,14 @@ class Greys:
         return bool(np.isfinite(self.coating(side)))
 
     def need_coating(self, side: str, what: str) -> float:
-        """Level of the coating.
-
-        Raises
-        ------
-        CannotMeasure
-            If that side has none.
-        """
+        """Level of the coating; CannotMeasure if that side has none."""
         level = self.coating(side)
         if not np.isfinite(level):
             raise CannotMeasure(f"{what} needs a coating on the {side} side, and none was seen there. Leave it out.")
         return level
 
     def need_absorption(self, what: str) -> None:
-        """Refuse grey values that are not X-ray absorption.
-
-        Raises
-        ------
-        CannotMeasure
-            If the sheet is darker than what surrounds it, as in photographs of sections.
-        """
+        """Refuse grey values that are no X-ray absorption: those of a sheet darker than what surrounds it."""
         if self.polarity < 0:
             raise CannotMeasure(
                 f"{what} is read from X-ray absorption, and this sheet is darker than what surrounds it, as in "

@@ -76,15 +76,8 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
 class RayFrame:
     """Where the rays of a whole sheet lie and meet its faces; what a tile needs to be cut out of the volume.
 
-    Attributes
-    ----------
-    heights, faces : dict
-        As :class:`Met` has them.
-    status : (rows, cols) uint8
-    low, high : int
-        First and last sample; sample k lies at k * step_um.
-    wide : int
-        Voxels along the edge of a column of the surfaces.
+    ``heights`` and ``faces`` are as in :class:`Met`. ``low``, ``high``: first and last sample; sample k lies at
+    k * step_um. ``wide``: voxels along the edge of a column of the surfaces.
     """
 
     frame: Frame
@@ -104,12 +97,7 @@ class RayFrame:
 
     @classmethod
     def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
-        """Find where every ray meets the faces; of the volume only size and coordinates are looked at.
-
-        Raises
-        ------
-        SurfaceError, SizeError, CannotMeasure
-        """
+        """Find where every ray meets the faces; of the volume only size and coordinates are looked at."""
         met = meet(surfaces, params.rays)
         voxel_um, wide = _column(volume, surfaces)
         step = 0.5 * voxel_um  # a longer step loses what the voxels show

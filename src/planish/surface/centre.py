@@ -27,21 +27,9 @@ _LEAST_WEIGHT = 0.04  # of a full neighbourhood: below it the surface would be e
 
 
 def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_um: float) -> Array:
-    """Smooth ``height`` (rows, cols) in um and carry it across missing values.
+    """Smooth ``height`` (rows, cols) in um and carry it across missing values where the neighbourhood holds enough.
 
-    Parameters
-    ----------
-    height : (rows, cols)
-        NaN where unknown.
-    pitch_um : (float, float)
-        Distance of rows and of columns.
-    cutoff_um : float
-        Wavelength that passes by half.
-
-    Returns
-    -------
-    (rows, cols)
-        NaN where nothing is known and the neighbourhood holds too little.
+    ``cutoff_um``: wavelength that passes by half; ``pitch_um``: distance of rows and of columns.
     """
     # The result has no wavelengths below the cut-off, so blocks of a 25th of it lose nothing.
     # A field that is hardly wider than that is cut into four all the same.
@@ -69,21 +57,9 @@ def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_
 
 
 def slice_smoothed(height: Array, pitch_um: float, *, cutoff_um: float) -> Array:
-    """Smooth every row by itself with a Gaussian, and carry it across what is missing in the row.
+    """Smooth every row by itself with a Gaussian, and carry it across what is missing in it; NaN in empty rows.
 
-    Parameters
-    ----------
-    height : (rows, cols)
-        um; NaN where unknown.
-    pitch_um : float
-        Distance of the columns.
-    cutoff_um : float
-        Wavelength that passes by half; 400 um is a Gaussian of 75 um.
-
-    Returns
-    -------
-    (rows, cols)
-        NaN in rows where nothing is known.
+    ``cutoff_um``: wavelength that passes by half; 400 um is a Gaussian of 75 um. ``pitch_um``: distance of the columns.
     """
     sigma = cutoff_um * float(np.sqrt(2 * np.log(2))) / (2 * np.pi) / pitch_um
     known = np.isfinite(height)

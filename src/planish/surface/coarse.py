@@ -126,13 +126,9 @@ def coarse_sheet(
             f"{100 * gappy:.0f} % between their first and last voxel, so several sheets lie behind each "
             f"other. {_CHOOSE}"
         )
-    low = np.where(some, first.astype(float), np.nan)
-    high = np.where(some, last.astype(float), np.nan)
-    # A sheet that touches the end of its column is cut there: its face is not in the volume.
-    low[some & (first == 0)] = np.nan
-    high[some & (last == mask.shape[-1] - 1)] = np.nan
+    low, high = _extent(blocks, np.where(some, first, -1), np.where(some, last, -1), threshold)
     return CoarseSheet(
-        low=_subvoxel(blocks, low, -1, threshold), high=_subvoxel(blocks, high, +1, threshold), block=block,
+        low=low, high=high, block=block,
         leaves=mask[..., 0] | mask[..., -1], threshold=threshold, touching=np.zeros(some.shape, bool),
         specks=int(np.count_nonzero(np.bincount(labels.ravel())[1:] >= _SPECK)) - 1,
     )  # fmt: skip
@@ -176,10 +172,9 @@ def followed_sheet(
             f"The object at the seed point {choice.named((row, col, depth))} um (z, y, x) reaches an end of the axis "
             f"through the sheet in {100 * np.mean(leaves[some]):.0f} % of its columns. Check --through and --seed-um."
         )
-    first_at, last_at = (np.where(some & (k != end), k.astype(float), np.nan) for k, end in ((low, 0), (high, last)))
+    first_at, last_at = _extent(blocks, low, high, threshold)
     return CoarseSheet(
-        low=_subvoxel(blocks, first_at, -1, threshold), high=_subvoxel(blocks, last_at, +1, threshold), block=block,
-        leaves=leaves, threshold=threshold, touching=merged,
+        low=first_at, high=last_at, block=block, leaves=leaves, threshold=threshold, touching=merged
     )  # fmt: skip
 
 
@@ -235,12 +230,18 @@ def _cover(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
     return cover[1:]
 
 
-def _subvoxel(blocks: NDArray[np.float32], index: Array, outward: int, threshold: float) -> Array:
-    """Move each boundary index outwards to where the grey crosses the threshold."""
-    known = np.isfinite(index)
-    here = np.where(known, index, 0).astype(int)
-    there = np.clip(here + outward, 0, blocks.shape[-1] - 1)
-    a = np.take_along_axis(blocks, here[..., None], axis=-1)[..., 0].astype(float)
-    b = np.take_along_axis(blocks, there[..., None], axis=-1)[..., 0].astype(float)
-    share = np.clip((a - threshold) / np.where(np.abs(a - b) > 1e-12, a - b, 1.0), 0.0, 1.0)
-    return np.where(known, index + outward * share, np.nan)
+def _extent(
+    blocks: NDArray[np.float32], low: NDArray[np.int64], high: NDArray[np.int64], threshold: float
+) -> tuple[Array, Array]:
+    """Move first and last index (-1: none) outwards to where the grey crosses the threshold.
+
+    A sheet that touches the end of its column is cut there: its face is not in the volume.
+    """
+    found: list[Array] = []
+    last = blocks.shape[-1] - 1
+    for index, outward, end in ((low, -1, 0), (high, 1, last)):
+        places = (np.clip(index + step, 0, last)[..., None] for step in (0, outward))
+        a, b = (np.take_along_axis(blocks, at, axis=-1)[..., 0].astype(float) for at in places)
+        share = np.clip((a - threshold) / np.where(np.abs(a - b) > 1e-12, a - b, 1.0), 0.0, 1.0)
+        found.append(np.where((index >= 0) & (index != end), index + outward * share, np.nan))
+    return found[0], found[1]

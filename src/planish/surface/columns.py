@@ -6,7 +6,7 @@ For the fit columns are oriented: the air at 0, the sheet above it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -139,8 +139,7 @@ def voxel_pitch(volume: xr.DataArray, axis: str) -> float:
     return float(values[1] - values[0]) if values.size > 1 else 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Guide:
+class Guide(NamedTuple):
     """Where the coarse search saw the sheet, for every column of a grid.
 
     Attributes
@@ -161,10 +160,7 @@ class Guide:
 
     def part(self, tile: Tile) -> Guide:
         """Return the guide of a tile."""
-        at = tile.rows, tile.cols
-        return Guide(
-            low=self.low[at], high=self.high[at], slope_r=self.slope_r[at], slope_c=self.slope_c[at], tilt=self.tilt[at]
-        )
+        return Guide(*(part[tile.rows, tile.cols] for part in self))
 
     def faces(self, depth: int, *, high: bool) -> tuple[Array, Array]:
         """Depth of the outer and of the opposite face, counted from the end that is read from."""

@@ -70,18 +70,11 @@ def find_faces(columns: Columns, guide: Guide, learnt: Learnt, engine: Engine, p
 def placed(
     found: Array, columns: Columns, coated: tuple[bool, bool], *, cleaned: bool = False, particles: int = 0
 ) -> Faces:
-    """Turn depths from the two ends into heights.
+    """Turn depths into heights.
 
-    Parameters
-    ----------
-    found : (4, rows, cols)
-        Depth of the face and thickness of the coating, counted from the high end, then from the low end, in voxels.
-    columns : Columns
-    coated : of the high and of the low side
-    cleaned : bool
-        Take off spikes and attached particles.
-    particles : int
-        That were removed before.
+    ``found`` (4, rows, cols): depth of the face and thickness of the coating, counted from the high end, then from the
+    low end, in voxels; ``coated`` in the same order. ``cleaned``: take off spikes and attached particles;
+    ``particles`` were removed before.
     """
     shape, depth_um, step = columns.shape[:2], columns.depth_um, columns.pitch[2]
     first, last = float(depth_um[0]), columns.shape[2] - 1
@@ -110,12 +103,8 @@ def _below_particles(
     """Look again, below it, where the face was found on something that floats above the sheet.
 
     The coarse sheet is one connected object; what is found far outside it hangs on nothing. Where the gap is so narrow
-    that the coarse search saw one object, a plate with a step all around is tried too.
-
-    Returns
-    -------
-    int
-        Number of such plates; what floats farther away was counted by the coarse search.
+    that the coarse search saw one object, a plate with a step all around is tried too. Such plates are counted here;
+    what floats farther away was counted by the coarse search.
     """
     if learnt.amid:
         return 0

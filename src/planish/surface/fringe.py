@@ -36,12 +36,7 @@ _THIN_SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)  # the same where there is no f
 def undershoots(sampler: Sampler, samples: dict[bool, Sample], sides: dict[bool, Side], edge: Edge) -> bool:
     """Whether the air beside the faces is darker than the air farther away.
 
-    Parameters
-    ----------
-    sampler : Sampler
-    samples, sides : by whether it is the high side
-    edge : Edge
-        Blur with which the faces are found; it need not be more than roughly right.
+    The blur with which the faces are found need not be more than roughly right.
     """
     if sampler.amid:
         return False  # what lies beside is no air

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,16 +28,7 @@ TITLES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Look:
-    """What a tile needs: depth of the centre and normals in voxels, of its own columns."""
-
-    columns: Columns
-    depth: Array
-    normals: tuple[Array, Array, Array]
-    thickness: float
-    low: float
-    high: float
+_Look = tuple[Columns, list[Array], float, tuple[float, float]]  # depth and normals are those of the tile, in voxels
 
 
 def find_presence(
@@ -47,43 +36,19 @@ def find_presence(
 ) -> dict[str, Array]:
     """Share of material in three layers of the sheet, along the true normals, of every column; 0 to 1.
 
-    Parameters
-    ----------
-    columns : Columns
-    centre : (rows, cols)
-        Height of the centre surface, um.
-    thickness : float
-        Of the sheet, um.
-    up : float
-        +1 where heights grow towards the top.
-    levels : (float, float)
-        Grey of the air and of the base.
-    engine : Engine
-
-    Returns
-    -------
-    dict of (rows, cols)
-        One map for each of ``LAYERS``: ``presence`` below the top face, ``presence_centre`` and ``presence_bottom``.
-        NaN where there is no centre surface or the normal leaves the volume.
-
-    Notes
-    -----
-    The voxels are read once for all layers. The bottom's layer mirrors the top's: with the other side on top, the two
-    maps change places to the last bit.
+    ``centre``: height of the centre surface, um; ``up``: +1 where heights grow towards the top; ``levels``: grey of air
+    and base. Returns a map (rows, cols) for each of ``LAYERS``; NaN where there is no centre surface or the normal
+    leaves the volume. The voxels are read once for all layers. The bottom's layer mirrors the top's: with the other
+    side on top, the two maps change places to the last bit.
     """
     shape, pitch = columns.shape[:2], columns.pitch
     slope = [np.gradient(centre, p, axis=i) for i, p in enumerate(pitch[:2])]
     length = np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
     normals = (-up * slope[0] / length / pitch[0], -up * slope[1] / length / pitch[1], up / length / pitch[2])
     depth = (centre - float(columns.depth_um[0])) / pitch[2]
-    air, base = levels
 
     def job(tile: Tile) -> _Look:
-        at = tile.rows, tile.cols
-        return _Look(
-            columns=columns, depth=depth[at], normals=(normals[0][at], normals[1][at], normals[2][at]),
-            thickness=thickness, low=air, high=base,
-        )  # fmt: skip
+        return columns, [field[tile.rows, tile.cols] for field in (depth, *normals)], thickness, levels
 
     out = np.full((len(LAYERS), *shape), np.nan)
     for tile, part in engine.map("layers", _look, job, columns.tiles(engine)):
@@ -103,14 +68,15 @@ def _places() -> tuple[Array, NDArray[np.int64]]:
 
 
 def _look(look: _Look, tile: Tile) -> Array:
-    whole = look.columns.shape
+    columns, fields, thickness, levels = look
+    whole = columns.shape
     out = np.full((len(LAYERS), *tile.shape), np.nan)
-    depth, rows, cols, along = (np.ascontiguousarray(a) for a in (look.depth, *look.normals))
+    depth, rows, cols, along = (np.ascontiguousarray(a) for a in fields)
     known = np.isfinite(depth) & np.isfinite(along)
     if not known.any():
         return out
     places, layers = _places()
-    offsets = places * look.thickness
+    offsets = places * thickness
     # Only what the normals pass through is read.
     ends = [depth[known] + s * along[known] for s in (offsets.min(), offsets.max())]
     low, high = min(float(e.min()) for e in ends), max(float(e.max()) for e in ends)
@@ -122,8 +88,8 @@ def _look(look: _Look, tile: Tile) -> Array:
     lead = [int(np.ceil(farthest * float(np.abs(n[known]).max()))) + 1 for n in (rows, cols)]
     outside = tile.grown(lead[0], lead[1], whole[:2])
     inner = tile.within(outside)
-    grey = look.columns.grey(outside, depth=part)
+    grey = columns.grey(outside, depth=part)
     _kernels.presence(
-        grey, first, whole[2], inner.r0, inner.c0, depth, rows, cols, along, offsets, layers, look.low, look.high, out
+        grey, first, whole[2], inner.r0, inner.c0, depth, rows, cols, along, offsets, layers, *levels, out
     )
     return out

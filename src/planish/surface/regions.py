@@ -97,16 +97,8 @@ def half_closed(seen: NDArray[np.bool_], runs_out: NDArray[np.bool_], pitch: tup
     """Find the holes of which less than 70 % is open.
 
     A hole is compared with its own ellipse, and where there are three or more, with the usual ellipse of all: what has
-    half closed with a straight edge is a smaller ellipse of its own.
-
-    Parameters
-    ----------
-    seen : (rows, cols)
-        Columns with a sheet.
-    runs_out : (rows, cols)
-        Columns in which the sheet goes on beyond the volume.
-    pitch : (float, float)
-        Distance of rows and of columns, um.
+    half closed with a straight edge is a smaller ellipse of its own. ``seen``: columns with a sheet; ``runs_out``:
+    columns in which it goes on beyond the volume.
     """
     holes = all_holes(seen | runs_out, pitch)
     usual = float(np.median([h.ellipse_um2 for h in holes])) if len(holes) >= 3 else 0.0

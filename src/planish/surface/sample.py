@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,7 @@ _ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts f
 _USUAL = 4.0  # times the usual cost: the same where most columns cost so much
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sample:
+class Sample(NamedTuple):
     """Columns read from one end, as one row: (1, n, depth), with (1, n) expected faces, tilt and number of the row."""
 
     grey: NDArray[np.float32]
@@ -45,10 +45,7 @@ class Sample:
 
     def thinned(self, every: int) -> Sample:
         """Return every so-many-th column."""
-        return Sample(
-            grey=self.grey[:, ::every], outer=self.outer[:, ::every], other=self.other[:, ::every],
-            tilt=self.tilt[:, ::every], row=self.row[:, ::every],
-        )  # fmt: skip
+        return Sample._make(part[:, ::every] for part in self)
 
 
 class Sampler:
@@ -112,7 +109,7 @@ class Sampler:
             If no column shows both faces.
         """
         per_row = max(1, _COLUMNS // len(self.rows))
-        parts: list[tuple[NDArray[np.float32], Array, Array, Array, NDArray[np.intp]]] = []
+        parts: list[Sample] = []
         for number, tile in enumerate(self.rows):
             guide = self.guide.part(tile)
             outer, other = (a[0] for a in guide.faces(self.depth, high=high))
@@ -120,11 +117,11 @@ class Sampler:
             good = good[np.unique(np.linspace(0, good.size - 1, min(good.size, per_row)).astype(int))]
             if good.size:
                 row = np.full(good.size, number)
-                parts.append((self._read(tile, high=high)[good], outer[good], other[good], guide.tilt[0, good], row))
+                grey = self._read(tile, high=high)[good]
+                parts.append(Sample(grey, outer[good], other[good], guide.tilt[0, good], row))
         if not parts:
             raise VolumeError("No column of the volume shows both faces of the sheet. Check --through.")
-        grey, outer, other, tilt, row = (np.concatenate([p[n] for p in parts])[None] for n in range(5))
-        return Sample(grey=grey, outer=outer, other=other, tilt=tilt, row=row)  # type: ignore[arg-type]
+        return Sample(*(np.concatenate(part)[None] for part in zip(*parts, strict=True)))
 
     def calm(self, base: float) -> None:
         """Choose how far columns are averaged with their neighbours, and what noise and scatter that leaves."""

@@ -76,21 +76,11 @@ def first_where(mask: NDArray[np.bool_], start: NDArray[Any]) -> NDArray[np.intp
 def _outer_boundaries(
     grey: Array, expected: Array, other: Array, start: Array, paper: float, coating: float
 ) -> tuple[Array, Array]:
-    """Outermost boundary of the sheet, and thickness of the outermost run of coating, in the columns of one slice.
+    """Outermost boundary of the sheet, and thickness of the outermost run of coating, (cols,); NaN where there is none.
 
-    Parameters
-    ----------
-    grey : (cols, depth)
-        Read from outside to inside.
-    expected, other, start : (cols,)
-        Where the face and the opposite one are expected, and where the search starts.
-    paper, coating : float
-        Thresholds; an infinite one for a side without a coating.
-
-    Returns
-    -------
-    face, thickness : (cols,)
-        NaN where nothing is found.
+    ``grey`` (cols, depth) is read from outside to inside; ``expected`` and ``other`` are where this face and the
+    opposite one should lie, ``start`` is where the search begins. ``paper`` and ``coating`` are thresholds; that of a
+    side without a coating is infinite.
     """
     cols, depth = grey.shape
     known = np.isfinite(expected) & np.isfinite(other)
