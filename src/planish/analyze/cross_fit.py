@@ -71,11 +71,7 @@ class CrossFitted:
     tile_um: float
     guard_um: float
     length_um: float
-
-    @property
-    def registration(self) -> Registration:
-        """Always cross-fitted."""
-        return Registration.CROSS_FITTED
+    registration: Registration = Registration.CROSS_FITTED
 
     @property
     def sentence(self) -> str:
@@ -103,11 +99,7 @@ class SearchedNull:
     null_95: float
     p: float
     surrogates: int
-
-    @property
-    def registration(self) -> Registration:
-        """Always with a searched null."""
-        return Registration.SEARCHED_NULL
+    registration: Registration = Registration.SEARCHED_NULL
 
     @property
     def sentence(self) -> str:

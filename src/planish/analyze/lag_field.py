@@ -93,24 +93,11 @@ class LagField:
 def lag_field(
     maps: MapPair, *, reach: tuple[int, int], tile_um: float, sign: int, unrelated: list[Array]
 ) -> LagField:  # fmt: skip
-    """Find the lag of every tile of a within b; tiles overlap by half.
+    """Find the lag of every tile of a within b; tiles overlap by half, the maps are without trend.
 
-    Parameters
-    ----------
-    maps : MapPair
-        Without trend.
-    reach : (int, int)
-        Largest lag along rows and columns, in pixels.
-    tile_um : float
-    sign : {-1, 0, 1}
-        Sign of the correlation looked for; 0 takes either.
-    unrelated : list of ndarray, shape (rows, cols)
-        Maps with the texture of b. Their peaks in all tiles together are the null, each put to the tile's size.
-
-    Raises
-    ------
-    SizeError
-        If a tile is no larger than twice the reach, or larger than the map.
+    ``sign`` is that of the correlation looked for; 0 takes either. The peaks of the unrelated maps, of the texture of
+    b, in all tiles together are the null, each put to the tile's size. Tiles that are no larger than twice the reach,
+    or larger than the map, are refused.
     """
     a, b, a_valid, b_valid, pixel_um = maps.a, maps.b, maps.known_a, maps.known_b, maps.pixel_um
     side = [round(tile_um / p) for p in pixel_um]

@@ -53,12 +53,7 @@ class MaskedNcc:
         self._var_a = self._lags(np.conj(self._transform(standard**2)) * mask_b) - self._sum_a**2 / self._n
 
     def __call__(self, b: Array) -> Array:
-        """Return r at all lags, ``(2 reach + 1, 2 reach + 1)``, lag 0 in the middle; NaN where too few pairs are left.
-
-        Parameters
-        ----------
-        b : ndarray, shape (rows, cols)
-        """
+        """Return r at all lags, ``(2 reach + 1, 2 reach + 1)``, lag 0 in the middle; NaN where few pairs are left."""
         mean, sd = _mean_and_sd(b, self._b_valid)
         standard = np.where(self._b_valid, (b - mean) / sd, 0.0)
         b_hat = self._transform(standard)

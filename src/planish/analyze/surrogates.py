@@ -19,12 +19,7 @@ _LEAST = 3  # pixels that fix a plane
 class Unrelated:
     """Maps with the power spectrum of a map, random phases and no trend: of its texture, but unrelated to anything.
 
-    Parameters
-    ----------
-    values : ndarray, shape (rows, cols)
-        A map without trend.
-    valid : ndarray of bool, shape (rows, cols)
-        Where it is known; elsewhere its mean is taken.
+    The map (rows, cols) is one without trend; where it is not valid, its mean is taken.
 
     References
     ----------
@@ -62,20 +57,9 @@ def unrelated_peaks(
 ) -> Array:
     """Largest ``|r|`` within reach of map a and of each of many maps with the texture of b, shape (count,).
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (rows, cols)
-    known : (ndarray of bool, ndarray of bool)
-        Where either is known.
-    pairs : ndarray, shape (2 n + 1, 2 m + 1)
-        Pairs that are known at every lag, lag 0 in the middle.
-    reach : (int, int)
-        Half axes of the ellipse of lags, along rows and columns; at most n and m.
-    count, seed : int
-        Number of maps, and the seed of their phases.
+    ``pairs`` (2 n + 1, 2 m + 1) are the pairs that are known at every lag, lag 0 in the middle; ``reach`` are the half
+    axes of the ellipse of lags, at most n and m.
 
-    Notes
-    -----
     A map of random phases continues itself periodically, so one inverse transform gives its products with ``a`` at all
     lags. ``a`` without the plane through the pixels known in both is orthogonal to every plane, wherever it is moved:
     mean and plane of the other map drop out of the products, and are taken off its variance at lag 0. Where a lag
@@ -211,16 +195,7 @@ def _low(values: Array, valid: Mask, pixel_um: tuple[float, float], half_um: flo
 def correlation_length_um(values: Array, valid: Mask, pixel_um: tuple[float, float]) -> float:
     """Distance at which the autocorrelation of a map, averaged over directions, falls below 1/e.
 
-    Parameters
-    ----------
-    values, valid : ndarray, shape (rows, cols)
-    pixel_um : (float, float)
-        Along y and x.
-
-    Returns
-    -------
-    float, in um
-        Infinite where it stays above 1/e up to a quarter of the map.
+    Infinite where it stays above 1/e up to a quarter of the map.
     """
     reach = (max(values.shape[0] // 4, 1), max(values.shape[1] // 4, 1))
     r = MaskedNcc(values, a_valid=valid, b_valid=valid, reach=reach)(values)

@@ -5,43 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Pair = tuple[float, float]
-
-
-class Transform(Protocol):
-    """What every fitted transformation offers; scale, rotation, shift and hand are those of the closest similarity."""
-
-    @property
-    def scale(self) -> float: ...  # noqa: D102
-    @property
-    def rotation_rad(self) -> float: ...  # noqa: D102
-    @property
-    def shift_um(self) -> Pair: ...  # noqa: D102
-    @property
-    def mirrored(self) -> bool: ...  # noqa: D102
-
-    def __call__(self, points: ArrayLike, /) -> Floats:
-        """Transform points of shape ``(..., 2)``, in um."""
-        ...
-
-    def jacobian(self, points: ArrayLike, /) -> Floats:
-        """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``."""
-        ...
-
-    def matrix(self) -> Floats:
-        """Return the 2 x 2 derivatives at the middle of the marks."""
-        ...
-
-    @property
-    def inverse(self) -> Callable[[ArrayLike], Floats]:
-        """The transformation back."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,15 +65,7 @@ class Similarity:
 
 
 def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Similarity:
-    """Return the similarity that changes areas and turns as a linear map does, and takes one point to another.
-
-    Parameters
-    ----------
-    linear : ndarray, shape (2, 2)
-        Derivatives of a transformation at ``source``.
-    source, target : ndarray, shape (2,), in um
-        A point and its image.
-    """
+    """Return the similarity that changes areas and turns as a linear map (2, 2) does, and takes source to target."""
     det = float(np.linalg.det(linear))
     plain = linear @ np.diag([-1.0, 1.0]) if det < 0 else linear
     rotation = float(np.arctan2(plain[1, 0] - plain[0, 1], plain[0, 0] + plain[1, 1]))
@@ -116,7 +77,10 @@ def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Simila
 
 
 class NearSimilarity(ABC):
-    """A transformation that is close to a similarity at ``source``, by custom the middle of the marks."""
+    """A transformation that is close to a similarity at ``source``, by custom the middle of the marks.
+
+    Its scale, rotation, shift and hand are those of that similarity.
+    """
 
     __slots__ = ()
     source: Pair
@@ -128,6 +92,11 @@ class NearSimilarity(ABC):
     @abstractmethod
     def jacobian(self, points: ArrayLike, /) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
+
+    @property
+    @abstractmethod
+    def inverse(self) -> Callable[[ArrayLike], Floats]:
+        """The transformation back."""
 
     def matrix(self) -> Floats:
         """Return the 2 x 2 derivatives at the middle of the marks."""
@@ -249,6 +218,10 @@ class Projective(NearSimilarity):
             homography=tuple((float(r[0]), float(r[1]), float(r[2])) for r in back),  # pyright: ignore[reportArgumentType]
             source=self.target, target=self.source, source_size=self.target_size, target_size=self.source_size,
         )  # fmt: skip
+
+
+Transform = Similarity | NearSimilarity
+"""What every fitted transformation is."""
 
 
 def _everywhere(matrix: Floats, points: ArrayLike) -> Floats:

@@ -21,23 +21,11 @@ _OUTLYING = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Choice:
-    """The best arrangement of two sides, whichever of them is larger.
+    """The best arrangement, in row ``best`` of all that were found, of two sides, whichever of them is larger.
 
-    Attributes
-    ----------
-    found : Arrangements
-        All of them, from the smaller side to the larger.
-    best : int
-        Row of the best.
-    swapped : bool
-        Whether the smaller side is the second one.
-    small, large : ndarray of complex, in um
-    pairs : ndarray of int, shape (k, 2)
-        Row of the first side, row of the second; sorted by the first.
-    log_chance, second_log_chance : float
-        log10 of how many such arrangements chance would offer; the second is the best different match.
-    second_best : int
-        Marks that agree in it; 0 where there is none.
+    ``swapped`` says that the smaller side is the second one; ``pairs`` (k, 2) hold the row of the first side and of the
+    second, sorted by the first; ``log_chance`` is log10 of how many such arrangements chance would offer,
+    ``second_log_chance`` that of the best different match, in which ``second_best`` marks agree.
     """
 
     found: Arrangements
@@ -78,13 +66,7 @@ class Choice:
 def choose(
     source: Floats, target: Floats, scale_tolerance: float, tolerance_um: float, *, hands: tuple[bool, ...]
 ) -> Choice | None:
-    """Return the best arrangement and its rival, or None where no three marks agree.
-
-    Parameters
-    ----------
-    source, target : ndarray, shape (n, 2) and (m, 2), in um
-        At least three marks each.
-    """
+    """Return the best arrangement of three or more marks a side, (n, 2) and (m, 2) in um; None where none agree."""
     swapped = len(source) > len(target)
     a, b = (as_complex(p, False) for p in ((target, source) if swapped else (source, target)))
     found = search(a, b, scale_tolerance, tolerance_um, hands=hands)

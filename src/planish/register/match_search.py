@@ -92,26 +92,11 @@ def search(
     least_share: float | None = None,
     most_tried: int = _MOST_TRIED,
 ) -> Arrangements | None:
-    """Try every two-point hypothesis and refine those at which most marks agree.
+    """Try every two-point hypothesis and refine those at which most marks agree; None where no three do.
 
-    Parameters
-    ----------
-    a, b : ndarray of complex, shape (n,) and (m,), in um
-        Marks; ``n <= m``.
-    scale_tolerance : float
-        The scale lies within 1 and this, or :data:`SCALE_SPARE` more.
-    tolerance_um : float
-    hands : sequence of bool
-        Whether x of ``a`` is reversed; all are tried.
-    least_share : float, optional
-        Only hypotheses with at least this share of ``a`` are refined, instead of 60 % of the best count.
-    most_tried : int
-        Beyond it, pairs of ``a`` are thinned out evenly by length.
-
-    Returns
-    -------
-    Arrangements or None
-        Different ones only, in no particular order; none where no three marks agree.
+    ``a`` is the smaller set; of the ``hands`` True reverses its x. The scale may be :data:`SCALE_SPARE` outside of its
+    tolerance. With ``least_share`` only hypotheses with that share of ``a`` are refined, instead of 60 % of the best
+    count; beyond ``most_tried``, pairs of ``a`` are thinned out evenly by length.
     """
     from planish.register import _kernels
 

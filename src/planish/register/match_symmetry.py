@@ -34,14 +34,10 @@ _MOST_TRIED = 25_000
 
 
 def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: float, mirror: bool) -> str | None:
-    """Return how a pattern may repeat itself, as the beginning of a sentence, or None if it can be ruled out.
+    """Return how a pattern may repeat itself, as part of a sentence, or None if it can be ruled out.
 
-    Parameters
-    ----------
-    points : ndarray of complex, shape (u,), in um
-        All marks found on either side, in one frame, each once; those found on both come first.
-    alone : (int, int)
-        How many of them were found on one side only: lost on the other, or no marks.
+    ``points`` (u,) in um are all marks found on either side, in one frame, each once; those found on both come first,
+    then those ``alone`` on either side: lost on the other, or no marks.
     """
     count, singles = len(points), sum(alone)
     sure = count - singles

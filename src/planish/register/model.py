@@ -6,7 +6,7 @@ Models of a fixed number of parameters share everything but the fit itself and t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,27 +25,6 @@ _RANK = 1e-8
 # The furthest of n right marks is taken for a wrong one in this share of sets of marks.
 _CHANCE = 0.01
 _ROUNDS = 40
-
-
-class Errors(Protocol):
-    """Errors of a fit."""
-
-    @property
-    def mark_variance(self) -> float:
-        """Variance of one coordinate of a pair with information 1, in um**2; NaN where no residual is left."""
-        ...
-
-    def left_out(self) -> Floats:
-        """Vector by which the fit to all other marks misses each mark, (n, 2) in um; NaN where they fix nothing."""
-        ...
-
-    def residual_freedom(self) -> tuple[float, float]:
-        """Sum of squares of the whitened residuals, and its degrees of freedom."""
-        ...
-
-    def expected_square(self, points: Floats) -> Floats:
-        """Mean square distance between fitted and true image of points (k, 2), in um**2."""
-        ...
 
 
 class Model(ABC):
@@ -80,12 +59,15 @@ class Model(ABC):
     """Whether ``auto`` may settle the weights of all marks under it."""
 
     @abstractmethod
-    def fit(self, pairs: Pairs, mirrored: bool, start: Any = None, /) -> Any:
-        """Weighted least squares; ``start`` saves the search where a fit to nearly the same marks is known."""
+    def fit(self, pairs: Pairs, mirrored: bool, /) -> Any:
+        """Weighted least squares."""
 
     @abstractmethod
-    def errors(self, pairs: Pairs, transform: Any, robust: Floats, /) -> Errors:
-        """Errors of a fit; ``robust`` (n,) is the part of the weights that does not reflect a mark's variance."""
+    def errors(self, pairs: Pairs, transform: Any, robust: Floats, /) -> Any:
+        """Errors of a fit, with the methods and attributes of :class:`ParametricErrors`.
+
+        ``robust`` (n,) is the part of the weights that does not reflect a mark's variance.
+        """
 
     @abstractmethod
     def robust_weights(self, pairs: Pairs, mirrored: bool, /) -> Floats:
@@ -126,7 +108,7 @@ class ParametricModel(Model):
         limit, squares = np.inf, errors
         for _ in range(_ROUNDS):
             try:
-                transform = self.fit(pairs.take(core), mirrored, transform)
+                transform = self.fit(pairs.take(core), mirrored)
             except (CannotRegister, MarkError):
                 return np.ones(n)
             held = int(np.count_nonzero(core))
@@ -155,7 +137,7 @@ class ParametricModel(Model):
             last = away
             away = np.maximum(away, 1e-3 * float(np.median(away)) + floor)
             try:
-                transform = self.fit(pairs.times(float(np.median(away)) / away), mirrored, transform)
+                transform = self.fit(pairs.times(float(np.median(away)) / away), mirrored)
             except (CannotRegister, MarkError):
                 break
         return transform
@@ -181,6 +163,11 @@ class ParametricModel(Model):
 
 class ParametricErrors:
     """Errors of a model with a fixed number of parameters.
+
+    Attributes
+    ----------
+    mark_variance : float
+        Variance of one coordinate of a pair with information 1, in um**2; NaN where no residual is left.
 
     Notes
     -----
@@ -208,9 +195,10 @@ class ParametricErrors:
         return self._squares, self._freedom
 
     def left_out(self) -> Floats:
-        """``(I - H)**-1 e`` with the mark's 2 x 2 block of the hat matrix for linear models; refits otherwise.
+        """Vector by which the fit to all other marks misses each mark, (n, 2) in um; NaN where they fix nothing.
 
-        Weights stay as they are.
+        ``(I - H)**-1 e`` with the mark's 2 x 2 block of the hat matrix for linear models; refits otherwise. Weights
+        stay as they are.
         """
         pairs, used = self._pairs, self._used
         missed = pairs.fixed - self._transform(pairs.moving)
@@ -221,7 +209,10 @@ class ParametricErrors:
         return missed
 
     def expected_square(self, points: Floats) -> Floats:
-        """``trace(J C J')`` with the derivatives J of the image by the parameters and their covariance C."""
+        """Mean square distance between fitted and true image of points (k, 2), in um**2.
+
+        ``trace(J C J')`` with the derivatives J of the image by the parameters and their covariance C.
+        """
         design = self._model.design(self._transform, self._frame, points)
         return np.einsum("kap,pq,kaq->k", design, self._covariance, design, optimize=True)
 
@@ -241,7 +232,7 @@ class ParametricErrors:
         everyone = np.arange(len(pairs))
         for k in everyone:
             try:
-                without = self._model.fit(pairs.take(everyone != k), self._transform.mirrored, self._transform)
+                without = self._model.fit(pairs.take(everyone != k), self._transform.mirrored)
             except (CannotRegister, MarkError):
                 continue
             missed[k] = pairs.fixed[k] - without(pairs.moving[k])

@@ -188,21 +188,19 @@ def _refuse_doubles(pairs: Pairs, used: NDArray[np.intp]) -> None:
         raise MarkError(f"{at}, and {apart:.4g} um apart on the other. One of them is wrong: correct or remove it.")
 
 
-def rms_of_both_hands(pairs: Pairs) -> tuple[dict[bool, float], dict[bool, Floats]]:
-    """Least-squares similarity with and without mirror: rms residual in um, and linear part (2, 2), of each."""
+def rms_of_both_hands(pairs: Pairs) -> tuple[dict[bool, float], dict[bool, complex]]:
+    """Least-squares similarity with and without mirror: rms residual in um, and scale and turn, of each."""
     share = pairs.weights / np.sum(pairs.weights)
     missed: dict[bool, float] = {}
-    linear: dict[bool, Floats] = {}
+    turns: dict[bool, complex] = {}
     w = as_complex(pairs.fixed, False)
     w = w - share @ w
     for hand in (False, True):
         z = as_complex(pairs.moving, hand)
         z = z - share @ z
-        alpha = np.sum(share * z.conj() * w) / np.sum(share * np.abs(z) ** 2)
-        missed[hand] = float(np.sqrt(np.sum(share * np.abs(w - alpha * z) ** 2)))
-        flip = -1.0 if hand else 1.0
-        linear[hand] = np.array([[alpha.real * flip, -alpha.imag], [alpha.imag * flip, alpha.real]])
-    return missed, linear
+        turns[hand] = np.sum(share * z.conj() * w) / np.sum(share * np.abs(z) ** 2)
+        missed[hand] = float(np.sqrt(np.sum(share * np.abs(w - turns[hand] * z) ** 2)))
+    return missed, turns
 
 
 def refuse_other_hand(pairs: Pairs, mirrored: bool) -> None:
@@ -215,14 +213,15 @@ def refuse_other_hand(pairs: Pairs, mirrored: bool) -> None:
     """
     if len(pairs) < 3:
         return
-    missed, linear = rms_of_both_hands(pairs)
+    missed, turns = rms_of_both_hands(pairs)
     mine, other = missed[mirrored], missed[not mirrored]
     away = pairs.fixed - pairs.weights @ pairs.fixed / np.sum(pairs.weights)
     spread = np.sqrt(np.average(np.sum(away**2, axis=1), weights=pairs.weights))
     if mine < _FAR_OFF * spread or other > _OTHER_HAND * mine:
         return
-    turn = linear[not mirrored] / np.sqrt(abs(np.linalg.det(linear[not mirrored])))
-    swapped = np.abs(turn - [[0, 1], [1, 0]]).max() < 0.2
+    # Exchanged columns are a mirror image that is turned by -90 degrees.
+    turn = turns[not mirrored] / abs(turns[not mirrored])
+    swapped = not mirrored and max(abs(turn.real), abs(turn.imag + 1.0)) < 0.2
     exchange = "x and y are exchanged on one side: exchange the two columns of that table"
     declare = (
         "one map shows the other side: declare it as mirrored (mirrored=True, or --mirror)"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ class ProjectiveModel(ParametricModel):
     parameters, least, tried_from = 8, 4, 6
     settles_weights = False
 
-    def fit(self, pairs: Pairs, _mirrored: bool, start: Any = None, /) -> Projective:
+    def fit(self, pairs: Pairs, _mirrored: bool, /) -> Projective:
         """Normalised direct linear transformation, then Gauss-Newton on the distances in the fixed map."""
         middle, size = pairs.frame()
         refuse_line(pairs, self.name)
@@ -40,10 +39,7 @@ class ProjectiveModel(ParametricModel):
                 source_size=size, target_size=target_size,
             )  # fmt: skip
 
-        if isinstance(start, Projective):
-            found = _rescaled(start, middle, size, target, target_size, made)
-        else:
-            found = made(_direct((pairs.moving - middle) / size, (pairs.fixed - target) / target_size, np.sqrt(share)))
+        found = made(_direct((pairs.moving - middle) / size, (pairs.fixed - target) / target_size, np.sqrt(share)))
         whitening = pairs.whitening()
         last = np.inf
         for _ in range(_STEPS):
@@ -91,19 +87,6 @@ def _direct(at: Floats, to: Floats, root: Floats) -> Floats:
             "one flat sheet. Check the pairs, add marks away from that line, or fit an affine transformation."
         )
     return h
-
-
-def _rescaled(
-    start: Projective, middle: Floats, size: float, target: Floats, target_size: float,
-    made: Callable[[Floats], Projective],
-) -> Projective:  # fmt: skip
-    """Bring a transformation into the scaled coordinates of other marks."""
-    back = np.diag([size, size, 1.0])
-    back[:2, 2] = middle - start.source
-    into = np.diag([1 / start.source_size, 1 / start.source_size, 1.0]) @ back
-    out = np.diag([start.target_size, start.target_size, 1.0])
-    out[:2, 2] = np.asarray(start.target) - target
-    return made(np.diag([1 / target_size, 1 / target_size, 1.0]) @ out @ np.array(start.homography) @ into)
 
 
 def _stepped(

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planish.core.transform import Transform
-from planish.register.model import Errors
+from planish.register.model import ParametricErrors
 from planish.register.models import MODELS
 from planish.register.pairs import Pairs, weighted_rms
+from planish.register.spline import SplineErrors
 from planish.register.strain import Strain, strain_of
 
 Floats = NDArray[np.float64]
@@ -84,7 +85,7 @@ class FittedTransform:
         return Pairs(moving=self.moving, fixed=self.fixed, information=self.information)
 
     @cached_property
-    def errors(self) -> Errors:
+    def errors(self) -> ParametricErrors | SplineErrors:
         """Errors as the model works them out."""
         return MODELS[self.model].errors(self._pairs, self.transform, self.robust_weights)
 

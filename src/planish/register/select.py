@@ -35,16 +35,8 @@ def select_model(pairs: Pairs, mirrored: bool, *, robust: bool, lowest: str = "r
     """Select a model for pairs that all count.
 
     Weights are settled once, under the model with the most parameters that is tried: no model is blamed for marks that
-    it alone cannot follow, and all are compared on the same marks.
-
-    Returns
-    -------
-    name : str
-        The model.
-    weights : ndarray, shape (n,)
-        Robust weights of the pairs.
-    sentence : str
-        The models with their leave-one-out errors, and why this one was chosen.
+    it alone cannot follow, and all are compared on the same marks. Returns the model, the robust weights (n,), and a
+    sentence with all leave-one-out errors and why this model was chosen.
     """
     n = len(pairs)
     names = list(MODELS)[list(MODELS).index(lowest) :]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +21,7 @@ class RigidModel(ParametricModel):
     transform = Similarity
     parameters, least, tried_from = 3, 2, 2
 
-    def fit(self, pairs: Pairs, mirrored: bool, _start: Any = None, /) -> Similarity:
+    def fit(self, pairs: Pairs, mirrored: bool, /) -> Similarity:
         """Closed form for equal weights of both axes; Gauss-Newton on the angle from there for covariances."""
         z_mean, middle, product, square = _sums(pairs, mirrored)
         _refuse_no_rotation(product, square)
@@ -60,7 +58,7 @@ class SimilarityModel(ParametricModel):
     transform = Similarity
     parameters, least, tried_from, linear = 4, 2, 3, True
 
-    def fit(self, pairs: Pairs, mirrored: bool, _start: Any = None, /) -> Similarity:
+    def fit(self, pairs: Pairs, mirrored: bool, /) -> Similarity:
         """Linear least squares; closed form in complex numbers for equal weights of both axes."""
         middle, size = pairs.frame()
         if pairs.isotropic:
@@ -98,7 +96,7 @@ class AffineModel(ParametricModel):
     transform = Affine
     parameters, least, tried_from, linear = 6, 3, 5, True
 
-    def fit(self, pairs: Pairs, _mirrored: bool, _start: Any = None, /) -> Affine:
+    def fit(self, pairs: Pairs, _mirrored: bool, /) -> Affine:
         """Linear least squares."""
         middle, size = pairs.frame()
         refuse_line(pairs, self.name)

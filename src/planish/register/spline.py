@@ -13,8 +13,6 @@ single guess of length or noise has to be right.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from planish.core.errors import CannotRegister
@@ -38,7 +36,7 @@ class SplineModel(Model):
     transform = ThinPlate
     parameters, least, tried_from = 6, _LEAST, 8
 
-    def fit(self, pairs: Pairs, _mirrored: bool = False, _start: Any = None, /) -> ThinPlate:
+    def fit(self, pairs: Pairs, _mirrored: bool = False, /) -> ThinPlate:
         """The spline with the smoothing under which marks left out are missed least."""
         system = Smoothing(pairs)
         return system.spline(system.choose())
@@ -146,14 +144,9 @@ class Smoothing:
         return (float(np.median(self.values)) + scaled) / (self.values + scaled)
 
     def missed(self, smoothing_um2: float) -> tuple[Floats, Floats]:
-        """Errors of the marks left out at a fixed smoothing, in whitened units, and their expected covariance.
+        """Errors (n, 2) of the marks left out at a fixed smoothing, whitened, and their expected covariance (n, 2, 2).
 
-        Returns
-        -------
-        errors : ndarray, shape (n, 2)
-            NaN where the other marks lie on one line.
-        covariance : ndarray, shape (n, 2, 2)
-            Up to one factor common to all marks.
+        NaN where the other marks lie on one line; the covariance up to one factor common to all marks.
         """
         share = self.left_over(smoothing_um2)
         rows = self.vectors.reshape(len(self.pairs), 2, -1)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from planish.core.errors import SurfaceError
 from planish.core.frame import Frame
@@ -21,21 +21,8 @@ Array = NDArray[np.float64]
 _LATTICE = 200  # places a side at which the expected error is worked out; it varies over millimetres
 
 
-class ToReference(Protocol):
-    """What takes points of a layer to the reference: a transformation, or several in a chain."""
-
-    def __call__(self, points: ArrayLike, /) -> Array:
-        """Take points (..., 2) to the reference, in um."""
-        ...
-
-    @property
-    def similarity(self) -> Similarity:
-        """The closest similarity."""
-        ...
-
-
 def resample_maps(
-    surfaces: xr.Dataset, flat: xr.Dataset, *, onto: Grid | None = None, transform: ToReference | None = None,
+    surfaces: xr.Dataset, flat: xr.Dataset, *, onto: Grid | None = None, transform: Any = None,
     map_um: float | None = None,
 ) -> xr.Dataset:  # fmt: skip
     """Bring the properties of a sheet onto its flat maps, or in one step onto the pixels of a reference.

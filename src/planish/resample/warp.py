@@ -46,8 +46,6 @@ _MOST_UNDER = 2**26  # source pixels under one pixel
 _NEAR = 2.0  # source pixels: a patch that is further away from the source than this shows nothing of it
 _EDGE = 1e-9  # of the weights: a pixel of the source with less does not count, so none is lost to rounding
 _FLAT = 1e-6  # of the square of its diagonal: an area below that is none
-_LOOKS = 17  # points per side of the target at which the transformation is looked at first
-_SINGULAR = 1e-6  # of the square of the longest side of a cell of these: an area below that is none
 
 
 def warp_image(
@@ -82,7 +80,7 @@ def warp_image(
     SizeError
         A pixel size or the grid is impossible.
     InputError
-        The image or what the transformation returns has another shape or type than is needed.
+        The image has another shape or type than is needed.
     ResourceError
         It does not fit into the memory.
 
@@ -118,19 +116,12 @@ def warp_image(
     def mapping(points: Floats) -> Floats:
         """Places in source pixels of points (..., 2) in target pixels."""
         at = points * grid.pixel_um[::-1] + grid.origin_um
-        found = np.asarray(to_source(at), dtype=np.float64)
-        if found.shape != at.shape:
-            raise InputError(
-                f"The transformation gave an array {found.shape} for points {at.shape}. It has to take points "
-                "(..., 2) to points of the same shape."
-            )
-        return found / pixel_um[::-1]
+        return np.asarray(to_source(at), dtype=np.float64) / pixel_um[::-1]
 
-    looked = _probe(mapping, shape)
     out = np.full(shape, np.nan, dtype=image.dtype)
     map_threads(partial(_warp_tile, image, mapping, out), tiles_of(shape, _TILE))
     if not np.isfinite(out).any():
-        raise _apart(looked * pixel_um[::-1], size[1] * pixel_um[1], size[0] * pixel_um[0])
+        raise _apart(mapping, shape, size, pixel_um)
     return out
 
 
@@ -203,23 +194,11 @@ def _sums(values: NDArray[Any]) -> Floats:
 
 
 def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple[Whole, Floats]:
-    """Cut a tile of the target into patches; those that show nothing of the source are left out.
+    """Cut a tile of the target into patches; those that show nothing of the source (rows, cols) are left out.
 
-    Parameters
-    ----------
-    mapping : callable
-        From points (..., 2) of the target to the source, both (x, y) in pixels; NaN where there is none.
-    tile : Tile
-        Rows and columns of the target. Tiles have to begin at multiples of the same number of blocks.
-    source : (int, int)
-        Rows and columns of the source.
-
-    Returns
-    -------
-    bounds : (n, 4)
-        First row, row after the last, first column, column after the last of each patch.
-    nodes : (n, 4, 4, 2), in source pixels
-        (x, y) of points at thirds of its height and width, outline included; the middle of the first pixel is (0, 0).
+    ``mapping`` goes from points (..., 2) of the target to the source, both (x, y) in pixels. Returns the bounds (n, 4)
+    of the patches: first row, row after the last, first column, column after the last; and the places
+    (n, 4, 4, 2), (x, y) in source pixels, of points at thirds of their height and width, outline included.
     """
     r, c = (np.arange(a, b, _BLOCK) for a, b in ((tile.r0, tile.r1), (tile.c0, tile.c1)))
     rows, cols = (g.ravel() for g in np.meshgrid(r, c, indexing="ij"))
@@ -268,30 +247,16 @@ def _quarters(bounds: Whole) -> Whole:
     return parts[(parts[:, 1] > parts[:, 0]) & (parts[:, 3] > parts[:, 2])]
 
 
-def _probe(mapping: Mapping, shape: tuple[int, int]) -> Floats:
-    """Places (n, n, 2) of the target in the source; refuse a transformation that makes a line or a point of it."""
-    y, x = (np.linspace(-0.5, n - 0.5, _LOOKS) for n in shape)
-    at = mapping(np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=-1))
-    # Per pixel: a grid of one row is narrow by right.
-    down, across = (at[1:, :-1] - at[:-1, :-1]) / shape[0], (at[:-1, 1:] - at[:-1, :-1]) / shape[1]
-    area = np.abs(down[..., 0] * across[..., 1] - down[..., 1] * across[..., 0])
-    square = np.maximum(np.sum(down**2, axis=-1), np.sum(across**2, axis=-1))
-    known = np.isfinite(area)
-    if known.any() and not np.any(area[known] > _SINGULAR * square[known]):
-        raise CannotRegister(
-            "The transformation is singular: it makes a line or a point of the whole image. Fit it again, with marks "
-            "that do not lie on one line."
-        )
-    return at
-
-
-def _apart(at: Floats, width: float, height: float) -> CannotRegister:
-    """The error for a target that lies at places (..., 2) in um and does not meet the source."""
+def _apart(mapping: Mapping, shape: tuple[int, int], size: tuple[int, ...], pixel_um: Pair) -> CannotRegister:
+    """The error for a target that does not meet the source."""
+    x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1]))
+    at = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
     at = at[np.isfinite(at).all(axis=-1)]
     where = "nowhere"
     if len(at):
         (a, b), (c, d) = at.min(axis=0), at.max(axis=0)
         where = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
+    height, width = size[0] * pixel_um[0], size[1] * pixel_um[1]
     return CannotRegister(
         f"The transformation takes the target {where}, which is {width:.0f} um wide and {height:.0f} um high: nothing "
         "overlaps. Check the pixel sizes and the origin, and whether the transformation goes from target to image "
