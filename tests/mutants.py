@@ -73,7 +73,7 @@ MUTANTS = [
     Mutant("flatten/_mesh_kernels.py", "o0[j] = nx * (rx + lx)", "o0[j] = nx * (rx - lx)", "flatten/test_kernels.py flatten/test_relax.py"),
     Mutant("flatten/distortion.py", "area = au * dv - av * du", "area = au * dv + av * du", "flatten/test_distortion.py"),
     Mutant("flatten/distortion.py", "np.sqrt(np.maximum(g22 - g12 * g12 / g11, 0.0))", "np.sqrt(np.maximum(g22, 0.0))", "flatten/test_distortion.py"),
-    Mutant("flatten/curvature.py", "(ll * nn - mm * mm)", "(ll * nn + mm * mm)", "flatten/test_curvature.py"),
+    Mutant("flatten/curvature.py", "patch_um**2 / 16\n", "patch_um**2 / 8\n", "flatten/test_curvature.py"),
     Mutant("flatten/curvature.py", "lacking = 2 * np.pi - angles", "lacking = np.pi - angles", "flatten/test_curvature.py"),
     Mutant("flatten/_relaxation_kernels.py", "stretch = length - rest[j]", "stretch = rest[j] - length", "flatten/test_relaxation.py"),
     # marks
