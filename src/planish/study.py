@@ -88,11 +88,6 @@ class Study(Params):
         return self
 
     @property
-    def reference(self) -> LayerParams:
-        """The layer that all others are brought to."""
-        return self.layers[-1]
-
-    @property
     def is_sheet_on_image(self) -> bool:
         """Whether one sheet is linked to one image, the usual case."""
         return [layer.kind == "image" for layer in self.layers] == [False, True]

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import click
 
 from planish.cli.options import existing, json_option, made, options, out_option, verb
 from planish.compute import Compute
+from planish.core.errors import FileError
 from planish.correct.params import CorrectParams
 from planish.io.params import VolumeParams
-
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 _OF_IMPORT = ("voxel_um", "override_size", "through", "channel", "fixed_rows", "fixed_cols")
 
@@ -65,53 +61,40 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
     refuse_existing(out)
     compute = made(Compute, values, "compute")
     params = made(VolumeParams, values, "volume", path=str(volume.absolute()))
+    correct = made(CorrectParams, values, "correct")
+    if correct != CorrectParams() and not correct.asked:
+        raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
+    record, picture = (out.with_name(f"{out.stem}.corrections.{kind}") for kind in ("json", "png"))
+    found = None
     with stages(2) as progress:
         data = read_whole(params, compute, progress)
-        data, write_record = _corrected(
-            data, out, made(CorrectParams, values, "correct"), memory_bytes=compute.volume_bytes, progress=progress
-        )
+        if correct.asked:
+            from planish.correct import correct_volume
+
+            for path in (record, picture):
+                refuse_existing(path)
+            found = correct_volume(
+                data, params=correct, memory_bytes=compute.volume_bytes,
+                progress=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
+            )  # fmt: skip
+            for sentence in found.record.sentences:
+                click.echo(sentence)
+            if share := found.record.clipped:
+                click.echo(f"{100 * share:.2g} % of the voxels left the range of {data.dtype} and were clipped.")
         write_store(
-            data, out, memory_bytes=compute.volume_bytes, ome=ome,
+            data if found is None else found.volume, out, memory_bytes=compute.volume_bytes, ome=ome,
             progress=lambda what, done, count: progress(what, f"block {done} of {count}"),
         )  # fmt: skip
-    write_record()
-    click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
+    if found is not None:
+        from planish.correct import write_picture
 
-
-def _corrected(
-    data: xr.DataArray, out: Path, params: CorrectParams, *, memory_bytes: int, progress: Callable[[str, str], None]
-) -> tuple[xr.DataArray, Callable[[], None]]:
-    """Correct a volume on its way into a store; what is returned second writes the record when the store is whole."""
-    from planish.core.errors import FileError
-
-    if not params.asked:
-        if params != CorrectParams():
-            raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
-        return data, lambda: None
-    from planish.correct import correct_volume, write_picture
-    from planish.io.run_folder import refuse_existing
-
-    record, picture = (out.with_name(f"{out.stem}.corrections.{kind}") for kind in ("json", "png"))
-    for path in (record, picture):
-        refuse_existing(path)
-    found = correct_volume(
-        data, params=params, memory_bytes=memory_bytes,
-        progress=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
-    )  # fmt: skip
-    for sentence in found.record.sentences:
-        click.echo(sentence)
-    if found.record.clipped:
-        click.echo(f"{100 * found.record.clipped:.2g} % of the voxels left the range of {data.dtype} and were clipped.")
-
-    def write_record() -> None:
         try:
             record.write_text(json.dumps(found.record.to_json(), indent=2) + "\n", encoding="utf-8")
         except OSError as error:
             raise FileError(f"{record} cannot be written: {error.strerror}. The store itself is whole.") from error
         if found.before is not None:
             write_picture(found, data, picture)
-
-    return found.volume, write_record
+    click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
 
 
 @verb("planish properties", "planish map volume.tif --out run --property porosity --solid-grey 180", name="properties")

@@ -39,15 +39,9 @@ def _overlap(count: int, factor: float) -> sparse.csr_array:
     """Share of each of ``count`` pixels that lies in each cell: (cells, count)."""
     cells = int(count / factor + 1e-9)
     edges = np.arange(cells + 1) * factor
-    rows, cols, shares = [], [], []
-    for cell in range(cells):
-        first, last = int(np.floor(edges[cell] + 1e-9)), min(int(np.ceil(edges[cell + 1] - 1e-9)), count)
-        pixels = np.arange(first, last)
-        rows.append(np.full(pixels.size, cell))
-        cols.append(pixels)
-        shares.append(np.minimum(pixels + 1, edges[cell + 1]) - np.maximum(pixels, edges[cell]))
-    if not rows:
-        return sparse.csr_array((0, count))
-    return sparse.csr_array(
-        (np.concatenate(shares), (np.concatenate(rows), np.concatenate(cols))), shape=(cells, count)
-    )
+    first = np.floor(edges[:-1] + 1e-9).astype(np.intp)
+    many = np.minimum(np.ceil(edges[1:] - 1e-9), count).astype(np.intp) - first
+    rows = np.repeat(np.arange(cells), many)
+    cols = np.arange(rows.size) + (first - np.cumsum(many) + many)[rows]
+    shares = np.minimum(cols + 1, edges[rows + 1]) - np.maximum(cols, edges[rows])
+    return sparse.csr_array((shares, (rows, cols)), shape=(cells, count))

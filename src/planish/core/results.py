@@ -504,7 +504,11 @@ class Results(Facts):
         except (OSError, ValueError, RecursionError) as error:
             raise FileError(f"{path} cannot be read: {error}. Give a whole run folder, or repeat the run.") from error
         if isinstance(data, dict) and str(data.get("planish", "")).startswith("0.1."):  # type: ignore[reportUnknownArgumentType]
-            raise FileError(OLD_RUN.format(folder=path.parent))
+            raise FileError(
+                f"{path.parent} was made by planish 0.1.0. Its maps and its report.html stay readable, but the errors "
+                "stated there are about 1.5 times too small. Repeat it with this version: planish run "
+                f"{path.parent}/run.toml"
+            )
         try:
             return cls.model_validate(data)
         except ValidationError as error:
@@ -513,9 +517,3 @@ class Results(Facts):
                 f"{path} is no results file of planish: {'.'.join(map(str, first['loc']))}: {first['msg']}. "
                 "Give a whole run folder, or repeat the run."
             ) from error
-
-
-OLD_RUN = (
-    "{folder} was made by planish 0.1.0. Its maps and its report.html stay readable, but the errors stated there are "
-    "about 1.5 times too small. Repeat it with this version: planish run {folder}/run.toml"
-)

@@ -87,18 +87,15 @@ def _quotas(own: Path, groups: Path) -> list[int]:
         return []
     found: list[int] = []
     for _, controllers, path in (line for line in lines if len(line) == 3):
-        names = controllers.split(",")
-        if controllers and "cpu" not in names:
+        if controllers and "cpu" not in controllers.split(","):
             continue
+        files = [f"cpu.cfs_{k}_us" for k in ("quota", "period")] if controllers else ["cpu.max"]
         # Inside a container the path may be the one outside: the group's own files then lie at the top.
         folder = Path(path.lstrip("/"))
-        for root in (groups,) if not controllers else (groups / "cpu", groups / controllers):
+        for root in (groups / "cpu", groups / controllers) if controllers else (groups,):
             for place in (root / folder, *(root / parent for parent in folder.parents), root):
                 try:
-                    if controllers:
-                        limit, period = ((place / f"cpu.cfs_{k}_us").read_text() for k in ("quota", "period"))
-                    else:
-                        limit, period = (place / "cpu.max").read_text().split()
+                    limit, period = " ".join((place / name).read_text() for name in files).split()
                     if int(limit) > 0 and int(period) > 0:
                         found.append(-(-int(limit) // int(period)))
                 except (OSError, ValueError):  # not there, or "max"

@@ -123,8 +123,9 @@ class Engine:
         with thread_pool(self.threads) if self.executor is None else nullcontext(self.executor) as pool:
             try:
                 for tile in tiles:
-                    found = self._found(what, tile)
-                    waiting.append((tile, pool.submit(work, job(tile), tile) if found is None else found))
+                    place = self._place(what, tile)
+                    kept = place is not None and place.is_file()
+                    waiting.append((tile, np.load(place) if place and kept else pool.submit(work, job(tile), tile)))
                     if len(waiting) >= self.at_once + _AHEAD:
                         yield take()
                 while waiting:
@@ -137,10 +138,6 @@ class Engine:
     def _place(self, what: str, tile: Tile) -> Path | None:
         # Named by what it covers: with another memory or number of threads the tiles are others.
         return None if self.kept is None else self.kept / what / ("-".join(map(str, tile)) + ".npy")
-
-    def _found(self, what: str, tile: Tile) -> Result | None:
-        place = self._place(what, tile)
-        return np.load(place) if place is not None and place.is_file() else None
 
     def _keep(self, what: str, tile: Tile, result: Result) -> None:
         place = self._place(what, tile)

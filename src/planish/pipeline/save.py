@@ -60,9 +60,10 @@ def run_study(
 
 
 def _done(study: Study, *, compute: Compute, progress: Progress, kept: Path | None) -> Run:
-    if len(study.layers) > 1:
+    first, *others = study.layers
+    if others:
         return link_study(study, compute=compute, progress=progress, kept=kept)
-    return _run_of_sheet(map_layer(study.reference, compute=compute, progress=progress, kept=kept), study)
+    return _run_of_sheet(map_layer(first, compute=compute, progress=progress, kept=kept), study)
 
 
 def _run_of_sheet(sheet: Layer, study: Study) -> Run:
