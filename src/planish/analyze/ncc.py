@@ -17,15 +17,6 @@ _LEAST_VARIANCE = 1e-9
 class MaskedNcc:
     """Normalised cross-correlation with a map that stays, for many maps that come.
 
-    Parameters
-    ----------
-    a : ndarray, shape (rows, cols)
-        The map that stays.
-    a_valid, b_valid : ndarray of bool, shape (rows, cols)
-        Where either map is known. The values elsewhere play no part.
-    reach : (int, int)
-        Furthest lag along rows and columns, in pixels.
-
     Notes
     -----
     At the lag ``l``, r is that of the pairs ``a[p], b[p + l]`` where both are known: sums, squares and products over

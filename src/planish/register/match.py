@@ -20,7 +20,7 @@ from planish.core.transform import Similarity
 from planish.register.match_choose import Choice, choose
 from planish.register.match_search import marks_needed
 from planish.register.match_symmetry import self_likeness
-from planish.register.pairs import Pairs
+from planish.register.pairs import Pairs, listed, points_of
 from planish.register.similarity import SimilarityModel
 
 Floats = NDArray[np.float64]
@@ -358,15 +358,10 @@ def _refuse_confusable(sides: str, triangles: tuple[Floats, Floats], least_um: f
 
 def _checked(marks: ArrayLike, name: str) -> Floats:
     """Return marks as ``(n, 2)`` float64, or name their faults."""
-    points = np.array(marks, dtype=np.float64)
-    if points.size == 0:
-        return np.empty((0, 2))
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise MarkError(f"The marks of the {name} have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row.")
+    points = points_of(marks, name)
     bad = np.flatnonzero(~np.all(np.isfinite(points), axis=1))
     if bad.size:
         raise MarkError(
-            f"Position of mark {', '.join(str(i) for i in bad[:8])} (counted from 0) of the {name} is not finite. "
-            "Leave it out, or correct it."
+            f"Position of mark {listed(bad)} (counted from 0) of the {name} is not finite. Leave it out, or correct it."
         )
     return points

@@ -97,7 +97,7 @@ def checked(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> P
         Wrong shapes, unequal counts, values that are not finite, weights that are no weights, fewer than two pairs,
         marks given twice or all at one place.
     """
-    source, target = (_points(p, name) for p, name in ((moving, "moving"), (fixed, "fixed")))
+    source, target = (points_of(p, name) for p, name in ((moving, "moving"), (fixed, "fixed")))
     if len(source) != len(target):
         raise MarkError(f"{len(source)} moving and {len(target)} fixed marks given; every mark needs its partner.")
     faults: list[str] = []
@@ -136,16 +136,16 @@ def weighted_rms(lengths: Floats, weights: Floats) -> float:
     return float(np.sqrt(np.sum(weights[used] * lengths[used] ** 2) / np.sum(weights)))
 
 
-def _points(marks: ArrayLike, name: str) -> Floats:
+def points_of(marks: ArrayLike, name: str) -> Floats:
+    """Return marks as (n, 2) float64; MarkError for another shape."""
     points = np.array(marks, dtype=np.float64)
     if points.size == 0:
         return np.empty((0, 2))
-    if points.ndim == 2 and points.shape[0] == 2 and points.shape[1] != 2:
-        raise MarkError(
-            f"The {name} marks have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row. Transpose them."
-        )
     if points.ndim != 2 or points.shape[1] != 2:
-        raise MarkError(f"The {name} marks have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row.")
+        transpose = " Transpose them." * (points.ndim == 2 and points.shape[0] == 2)
+        raise MarkError(
+            f"The {name} marks have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row.{transpose}"
+        )
     return points
 
 

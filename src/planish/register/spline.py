@@ -82,18 +82,6 @@ class Smoothing:
 
     Whitened, the fixed marks are ``y = T b + K c + error`` with the affine part ``T``. Everything is expressed in the
     eigenvectors ``V`` and eigenvalues of ``K`` where ``T`` is projected out; smoothings are in um**2.
-
-    Attributes
-    ----------
-    pairs : Pairs
-        The marks, all with weights above 0.
-    freedom : int
-        ``2 n - 6``: what the affine part leaves.
-
-    Raises
-    ------
-    CannotRegister
-        With fewer than 6 marks, or marks on one line.
     """
 
     def __init__(self, pairs: Pairs) -> None:
