@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from planish.core.errors import VolumeError
+from planish.core.threads import limit_threads
 from planish.sections import align_sections, normalise_sections
 from planish.sections._kernels import between, pair_sums, smooth, straighten
 from planish.sections.band import block_means
-from planish.sections.network import solve_places
+from planish.sections.network import slow_part, solve_places
 from planish.sections.normalise import layers
-from planish.sections.trend import slow_part
 from sections.bands import PITCH_UM, PIXEL_UM, Series, make_series, rms, split
 
 MISSING = (50, 51, 52, 120)
@@ -25,7 +25,7 @@ def series() -> Series:
 
 @pytest.fixture(scope="module")
 def alignment(series: Series):
-    return align_sections(series.stack, series.positions_um, PIXEL_UM, threads=2)
+    return align_sections(series.stack, series.positions_um, PIXEL_UM)
 
 
 def test_quick_errors_are_taken_off(series: Series, alignment) -> None:
@@ -63,7 +63,7 @@ def test_rotations_are_not_made_worse(series: Series, alignment) -> None:
 @pytest.mark.study
 def test_a_true_bend_is_left_alone() -> None:
     still = make_series(errors=(0.0, 0.0), turn_rad=0.0, seed=2)
-    found = align_sections(still.stack, still.positions_um, PIXEL_UM, threads=2)
+    found = align_sections(still.stack, still.positions_um, PIXEL_UM)
     slow = split(still.positions_um, found.shift_um)[0]
     print(f"bend of +-48 um changed by {np.abs(slow[:, 0]).max():.3f} um")
     assert np.abs(slow[:, 0]).max() < 0.2
@@ -74,7 +74,7 @@ def test_a_true_bend_is_left_alone() -> None:
 @pytest.mark.study
 def test_wide_sections_tell_rotations_and_more() -> None:
     wide = make_series(sections=60, cols=2400, seed=4)
-    found = align_sections(wide.stack, wide.positions_um, PIXEL_UM, threads=2)
+    found = align_sections(wide.stack, wide.positions_um, PIXEL_UM)
     after = split(wide.positions_um, found.rotation_rad - wide.rotation_rad)[1]
     print(f"rotation {np.rad2deg(rms(wide.rotation_rad)):.4f} -> {np.rad2deg(rms(after)):.4f} degrees")
     assert rms(after) < 0.4 * rms(wide.rotation_rad)  # measured 0.2
@@ -84,7 +84,7 @@ def test_torn_sections_are_flagged_and_disturb_nothing(series: Series, alignment
     stack = series.stack.copy()
     stack[80] = np.random.default_rng(0).integers(0, 255, stack[80].shape)
     stack[140] = 60
-    found = align_sections(stack, series.positions_um, PIXEL_UM, threads=2)
+    found = align_sections(stack, series.positions_um, PIXEL_UM)
     assert np.flatnonzero(~found.aligned).tolist() == [80, 140]
     assert not found.shift_um[[80, 140]].any()
     good = np.setdiff1d(np.arange(stack.shape[0]), [80, 140])
@@ -95,19 +95,21 @@ def test_torn_sections_are_flagged_and_disturb_nothing(series: Series, alignment
 
 def test_threads_direction_and_type_do_not_matter(series: Series) -> None:
     stack, positions = series.stack[:60], series.positions_um[:60]
-    one = align_sections(stack, positions, PIXEL_UM, threads=1)
-    three = align_sections(stack, positions, PIXEL_UM, threads=3)
+    with limit_threads(1):
+        one = align_sections(stack, positions, PIXEL_UM)
+    with limit_threads(3):
+        three = align_sections(stack, positions, PIXEL_UM)
     np.testing.assert_array_equal(one.shift_um, three.shift_um)
-    back = align_sections(stack.astype(np.uint16), 500.0 - positions, PIXEL_UM, threads=2)
+    back = align_sections(stack.astype(np.uint16), 500.0 - positions, PIXEL_UM)
     np.testing.assert_array_equal(one.shift_um, back.shift_um)
-    turned = align_sections(stack, positions, PIXEL_UM, rotation=False, threads=2)
+    turned = align_sections(stack, positions, PIXEL_UM, rotation=False)
     assert not turned.rotation_rad.any()
 
 
 def test_drift_of_colour_is_taken_off() -> None:
     # Fibres of 4 % over 30 um in 2.9 mm: their mean goes up and down by 0.3 %, which no anchor can tell from a drift.
     drifting = make_series(sections=60, cols=1200, texture=4.0, drift=0.03)
-    found = normalise_sections(drifting.stack, drifting.positions_um, PIXEL_UM, threads=2)
+    found = normalise_sections(drifting.stack, drifting.positions_um, PIXEL_UM)
     rest = found.gain * drifting.gain
     background = found.gain * (60 * drifting.gain + drifting.offset) + found.offset
     print(f"gain {drifting.gain.std():.4f} -> {rest.std() / rest.mean():.4f}, background {background.std():.3f}")
@@ -115,7 +117,8 @@ def test_drift_of_colour_is_taken_off() -> None:
     assert rest.std() / rest.mean() < 0.005
     # Noise of 10 over some 50 000 pixels, cut to two standard deviations and rounded, is 0.05; twice that.
     assert background.std() < 0.12
-    one = normalise_sections(drifting.stack, drifting.positions_um, PIXEL_UM, threads=1)
+    with limit_threads(1):
+        one = normalise_sections(drifting.stack, drifting.positions_um, PIXEL_UM)
     np.testing.assert_array_equal(found.gain, one.gain)
 
 
@@ -274,5 +277,5 @@ def test_layers_twin() -> None:
 def test_a_knifes_nick_does_not_hold_the_columns(series: Series, alignment) -> None:
     stack = series.stack.copy()
     stack[:, :, 500:502] = np.minimum(stack[:, :, 500:502].astype(int) + 60, 255)
-    found = align_sections(stack, series.positions_um, PIXEL_UM, threads=2)
+    found = align_sections(stack, series.positions_um, PIXEL_UM)
     assert rms(found.shift_um - alignment.shift_um) < 0.2

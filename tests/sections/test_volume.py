@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from planish.core.errors import VolumeError
+from planish.core.threads import limit_threads
 from planish.sections import Alignment, Gains, align_sections, normalise_sections, regular_volume
 from sections.bands import PITCH_UM, PIXEL_UM, make_series
 
@@ -102,13 +103,12 @@ def test_the_whole_stage_puts_the_sheet_where_it_was() -> None:
     series = make_series(drift=0.03, marks=False, sections=64, cols=480, missing=(40, 41, 42))
     found = align_sections(series.stack, series.positions_um, PIXEL_UM)
     gains = normalise_sections(series.stack, series.positions_um, PIXEL_UM)
-    volume, again = (
-        regular_volume(
-            series.stack, series.positions_um, PIXEL_UM, alignment=found, gains=gains, threads=threads,
-            attrs={"file_name": "v", "voxel_um_source": "the cut counter"},
-        )
-        for threads in (1, 3)
-    )  # fmt: skip
+    attrs = {"file_name": "v", "voxel_um_source": "the cut counter"}
+    where = (series.stack, series.positions_um, PIXEL_UM)
+    with limit_threads(1):
+        volume = regular_volume(*where, alignment=found, gains=gains, attrs=attrs)
+    with limit_threads(3):
+        again = regular_volume(*where, alignment=found, gains=gains, attrs=attrs)
     np.testing.assert_array_equal(volume.values, again.values)
     assert volume.dtype == np.uint8
     assert volume.shape == truth.stack.shape

@@ -134,19 +134,9 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
                 dd += w * d * d
                 ss += w * (va * va + vb * vb)
             found = sums[chunk]
-            found[0] += s0
-            found[1] += s1
-            found[2] += s2
-            found[3] += s3
-            found[4] += s4
-            found[5] += s5
-            found[6] += t0
-            found[7] += t1
-            found[8] += t2
-            found[9] += dd
-            found[10] += ss
-            found[11] += used
-            found[12] += held
+            values = (s0, s1, s2, s3, s4, s5, t0, t1, t2, dd, ss, used, held)
+            for n in range(13):
+                found[n] += values[n]
 
 
 @njit(**_SETTINGS)

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.sections.band import Band, Stack, check_stack, find_band, for_each
-from planish.sections.network import held_pairs, parts, quick_places, solve_places
-from planish.sections.pairs import GROUPS, Bands, Pairs, compare, shows_more
-from planish.sections.trend import slow_part
+from planish.core.threads import map_threads
+from planish.sections.band import Band, Stack, check_stack, find_band
+from planish.sections.network import held_pairs, parts, quick_places, slow_part, solve_places
+from planish.sections.pairs import FINEST_UM, GROUPS, Bands, Pairs, compare
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class Alignment:
     pairs_refused: int
     pixel_um: tuple[float, float]
     cutoff_um: float
-    fixed: tuple[bool, bool, bool] = (False, False, False)
+    fixed: tuple[bool, ...] = (False, False, False)
 
 
 def align_sections(
@@ -78,7 +78,6 @@ def align_sections(
     band: Band | None = None,
     rotation: bool = True,
     fixed: Array | None = None,
-    threads: int | None = None,
 ) -> Alignment:
     """Align serial sections jointly, leaving the slow waves alone.
 
@@ -96,8 +95,6 @@ def align_sections(
     fixed : ndarray (sections, 3), optional
         Places against something that does not move, as :func:`planish.sections.fixed_places` gives them: the slow waves
         are then taken from there instead of being left alone. NaN where it is not visible.
-    threads : int, optional
-        All processors, at most 8, where not given. The result does not depend on it.
 
     Returns
     -------
@@ -121,7 +118,7 @@ def align_sections(
     n, rows, cols = stack.shape
     pitch = float(np.median(np.diff(away)))
     cutoff = _CUTOFF_SECTIONS * pitch
-    band = band or find_band(stack, away, pixel_um, threads=threads)
+    band = band or find_band(stack, away, pixel_um)
     first, second = neighbours(away, pitch, _REACH)
     bands = Bands(stack=stack, band=band, pixel_um=pixel_um)
     # Course of the sheet itself as a pose: mean height and slope of the smooth surface, which the pairs do not see.
@@ -130,7 +127,7 @@ def align_sections(
     pose[:, 0] = band.jump * pixel_um[0]
 
     def measured(one: NDArray[np.intp], two: NDArray[np.intp]) -> Pairs:
-        sums = np.concatenate(_sums(bands, pose, one, two, threads))
+        sums = np.concatenate(_sums(bands, pose, one, two))
         return compare(sums, one, two, pose, rotation=rotation)
 
     # The first rounds only bring the sections near, with few pairs; the offsets that count are those of the last.
@@ -148,9 +145,9 @@ def align_sections(
     close = (second - first == 1) & kept
     fine: Pairs | None = None
     coarse = places.copy()
-    for _ in range(_FINE_ROUNDS if shows_more(pixel_um) and close.any() else 0):
+    for _ in range(_FINE_ROUNDS if max(pixel_um) <= FINEST_UM and close.any() else 0):
         bands = Bands(stack=stack, band=band, pixel_um=pixel_um, fine=True)
-        sums = np.concatenate(_sums(bands, pose, first[close], second[close], threads))
+        sums = np.concatenate(_sums(bands, pose, first[close], second[close]))
         alike = np.ones(len(sums), bool)
         found = compare(sums, first[close], second[close], pose, rotation=False, alike=alike)
         if not np.median(found.sigma[:, 1]) < _SURER * np.median(whole.sigma[close, 1]):
@@ -188,7 +185,7 @@ def align_sections(
     )
 
 
-def _hold(pose: Array, fixed: Array, away: Array, cutoff: float, aligned: NDArray[np.bool_]) -> tuple[bool, bool, bool]:
+def _hold(pose: Array, fixed: Array, away: Array, cutoff: float, aligned: NDArray[np.bool_]) -> tuple[bool, ...]:
     """Add the slow part of what something fixed shows; True for each axis that it shows."""
     held = [False, False, False]
     for axis in range(3):
@@ -198,7 +195,7 @@ def _hold(pose: Array, fixed: Array, away: Array, cutoff: float, aligned: NDArra
         slow = slow_part(away, np.where(seen, fixed[:, axis], 0.0), cutoff_um=cutoff, weights=seen.astype(np.float64))
         pose[aligned, axis] += slow[aligned]
         held[axis] = True
-    return held[0], held[1], held[2]
+    return tuple(held)
 
 
 def neighbours(away_um: Array, pitch_um: float, reach: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -222,16 +219,14 @@ def _course(band: Band, shape: tuple[int, int], pixel_um: tuple[float, float], w
     return np.stack([mean, np.zeros(mean.size), slope], axis=1)
 
 
-def _sums(
-    bands: Bands, pose: Array, first: NDArray[np.intp], second: NDArray[np.intp], threads: int | None
-) -> list[Array]:
+def _sums(bands: Bands, pose: Array, first: NDArray[np.intp], second: NDArray[np.intp]) -> list[Array]:
     """Sums of all pairs, a block of sections at a time: each band is made once or twice, and few are held."""
 
     def block(k: int) -> Array:
         mine = slice(np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK))
         return bands.sums(pose, first[mine], second[mine])
 
-    return for_each(block, -(-pose.shape[0] // _BLOCK), threads=threads)
+    return map_threads(block, range(-(-pose.shape[0] // _BLOCK)))
 
 
 def _aligned(groups: list[NDArray[np.intp]], partners: NDArray[np.intp], n: int) -> NDArray[np.bool_]:

@@ -6,20 +6,19 @@ to section, so it lends neighbours no difference of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d, label, median_filter
 
 from planish.core.errors import VolumeError
+from planish.core.lazy import LazyArray
 from planish.core.threads import map_threads
-from planish.sections.trend import slow_part
+from planish.sections.network import slow_part
 
 Array = NDArray[np.float64]
-Result = TypeVar("Result")
 
 _BLOCK_UM = (5.0, 80.0)  # rows, cols of the blocks in which the sheet is looked for
 _BORDER = 0.15  # share of the rows at each end that is taken to be background
@@ -27,27 +26,8 @@ _SMOOTH_SECTIONS = 30.0  # shortest wave of the surface
 _FILLED = 1e-3  # weight of a place where the sheet was not found, against 1
 
 
-class Stack(Protocol):
-    """Sections (section, row, col): an array, or photographs that are decoded when they are asked for."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Sections, rows, columns."""
-        ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of the grey values."""
-        ...
-
-    @property
-    def ndim(self) -> int:
-        """Number of axes."""
-        ...
-
-    def __getitem__(self, key: int, /) -> Any:
-        """One section, (rows, cols)."""
-        ...
+Stack = NDArray[Any] | LazyArray
+"""Sections (section, row, col): an array, or photographs that are decoded when they are asked for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,11 +58,6 @@ class Band:
     def heights(self, section: int, cols: int) -> NDArray[np.float32]:
         """Row of the sheet in each of ``cols`` columns of a section, in pixels."""
         return np.interp(np.arange(cols), self.at_col, self.row[section]).astype(np.float32)
-
-
-def for_each(work: Callable[[int], Result], count: int, *, threads: int | None) -> list[Result]:
-    """Call ``work(0)`` to ``work(count - 1)`` and return what they give, in order."""
-    return map_threads(work, range(count), number=threads)
 
 
 def check_stack(stack: Stack, positions_um: Array, pixel_um: tuple[float, float]) -> Array:
@@ -116,7 +91,7 @@ def check_stack(stack: Stack, positions_um: Array, pixel_um: tuple[float, float]
     return away
 
 
-def find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float], *, threads: int | None = None) -> Band:
+def find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float]) -> Band:
     """Find the course of the sheet through a stack of sections.
 
     Parameters
@@ -125,7 +100,6 @@ def find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float], *, th
     away_um : ndarray (sections,)
         Distance from the first section in um, increasing.
     pixel_um : (row, col)
-    threads : int, optional
 
     Returns
     -------
@@ -144,7 +118,11 @@ def find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float], *, th
     n, rows, cols = stack.shape
     tall = max(1, min(round(_BLOCK_UM[0] / pixel_um[0]), rows // 16))
     wide = max(1, min(round(_BLOCK_UM[1] / pixel_um[1]), cols // 8))
-    blocks = np.stack(for_each(lambda i: block_means(stack[i], tall, wide), n, threads=threads))
+
+    def means(i: int) -> NDArray[np.float32]:
+        return block_means(stack[i], tall, wide)
+
+    blocks = np.stack(map_threads(means, range(n)))
     border = max(1, int(_BORDER * blocks.shape[1]))
     ends = np.concatenate([blocks[:, :border], blocks[:, -border:]], axis=1).reshape(n, -1)
     background = _middle(ends)

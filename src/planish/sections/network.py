@@ -1,14 +1,18 @@
-"""From the offsets between pairs of sections to one place for every section: robust weighted least squares."""
+"""From the offsets between pairs of sections to one place for every section, and the slow part of their course.
+
+The slow part belongs to the specimen and is never corrected.
+"""
 
 from __future__ import annotations
+
+import itertools
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-
-from planish.sections.trend import quick_part
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -18,6 +22,14 @@ _CAUCHY = 2.385  # 95 % as good as least squares where nothing is wrong (Holland
 _HELD = 0.05  # a pair with less than this share of its weight is refused
 _TIED = 1e-7  # weight of the prior "where the stage put it", against the pairs: settles what they leave open
 _LEAST_PART = 6  # sections tied to each other, below which slow and quick parts cannot be separated
+_ORDER = 4
+"""Of the derivative that is held down. With 3 a wave of 600 um and 48 um height is bent by 0.5 um at the ends of the
+series, with 4 by 0.1 um."""
+
+_LEAST_STEP = 0.25  # pitches
+
+_HALF = 1.0 / np.sqrt(0.5) - 1.0
+"""(1 - H)^2 = 1/2 of the smoother applied twice, H = 1 / (1 + l w^8), so l w^8 = 1 / _HALF at the cut-off."""
 
 
 def solve_places(first: Index, second: Index, offset: Array, sigma: Array, n: int) -> tuple[Array, Array]:
@@ -85,3 +97,61 @@ def quick_places(place: Array, away_um: Array, groups: list[Index], *, cutoff_um
     for group in groups:
         quick[group] = quick_part(away_um[group], place[group], cutoff_um=cutoff_um)
     return quick
+
+
+def slow_part(at_um: Array, values: Array, *, cutoff_um: float, weights: Array | None = None) -> Array:
+    """Low-pass a series at uneven places; slopes and curvature pass unchanged, up to the ends.
+
+    Parameters
+    ----------
+    at_um : ndarray (n,)
+        Places in um, increasing.
+    values : ndarray (n,)
+        Any unit; finite where the weight is not 0.
+    cutoff_um : float
+        Wavelength in um of which half the amplitude passes; of one twice as long 99.99 % do,
+        of one half as long 2 %.
+    weights : ndarray (n,), optional
+        0 or more; all 1 where not given.
+
+    Returns
+    -------
+    ndarray (n,)
+
+    Notes
+    -----
+    Whittaker's smoother with a penalty on the fourth derivative (Eilers 2003, Anal. Chem. 75, 3631), applied a second
+    time to what the first left. The derivative is taken by divided differences at the true places, so a gap neither
+    shifts nor bends anything.
+    """
+    n = values.size
+    weights = np.ones(n) if weights is None else weights
+    if n < _ORDER + 2:
+        return values.copy()
+    pitch = float(np.median(np.diff(at_um)))
+    # Two sections at almost one place would make the fourth derivative between them infinite.
+    x = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(at_um) / pitch, _LEAST_STEP))])
+    stiffness = (cutoff_um / pitch / (2.0 * np.pi)) ** (2 * _ORDER) / _HALF
+    rows = n - _ORDER
+    coefficients = np.full((_ORDER + 1, rows), float(math.factorial(_ORDER)))
+    for k, m in itertools.permutations(range(_ORDER + 1), 2):
+        coefficients[k] /= x[k : rows + k] - x[m : rows + m]
+    length = (x[_ORDER:] - x[:-_ORDER]) / _ORDER
+    # Upper band of the matrix: the last row is the diagonal, the d-th before it the d-th above the diagonal.
+    band = np.zeros((_ORDER + 1, n))
+    for k in range(_ORDER + 1):
+        for m in range(k, _ORDER + 1):
+            band[_ORDER - (m - k), m : rows + m] += stiffness * length * coefficients[k] * coefficients[m]
+    # A weight that is 0 everywhere would leave the system without a solution.
+    held = np.maximum(weights, 1e-9)
+    band[_ORDER] += held
+    clean = np.where(weights > 0, values, 0.0)
+    first: Array = solveh_banded(band, held * clean)
+    rest = np.where(weights > 0, clean - first, 0.0)
+    second: Array = solveh_banded(band, held * rest)
+    return first + second
+
+
+def quick_part(at_um: Array, values: Array, *, cutoff_um: float) -> Array:
+    """High-pass a series: what :func:`slow_part` leaves; arguments as there."""
+    return values - slow_part(at_um, values, cutoff_um=cutoff_um)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.sections.band import Band, Stack, check_stack, find_band, for_each
+from planish.core.threads import map_threads
+from planish.sections.band import Band, Stack, check_stack, find_band
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,6 @@ def normalise_sections(
     pixel_um: tuple[float, float],
     *,
     band: Band | None = None,
-    threads: int | None = None,
 ) -> Gains:
     """Find gain and offset of each section from two anchors.
 
@@ -59,8 +59,6 @@ def normalise_sections(
     pixel_um : (row, col)
     band : Band, optional
         As `find_band` gives it, where it is known already.
-    threads : int, optional
-        All processors, at most 8, where not given. The result does not depend on it.
 
     Returns
     -------
@@ -80,7 +78,7 @@ def normalise_sections(
     8 mm, and this, like a slow change of the sheet's own material, is taken for a drift of colour.
     """
     away = check_stack(stack, np.asarray(positions_um, np.float64), pixel_um)
-    band = band or find_band(stack, away, pixel_um, threads=threads)
+    band = band or find_band(stack, away, pixel_um)
     n, rows, cols = stack.shape
     near, far = _CORE * band.half_um / pixel_um[0], (band.half_um + _OFF_UM) / pixel_um[0]
     inside, outside = 2 * near * cols, max(1.0, rows - 2 * far) * cols
@@ -94,7 +92,7 @@ def normalise_sections(
             _crowd(inner) if inner.size >= _LEAST else np.nan,
         )
 
-    background, material = np.array(for_each(levels, n, threads=threads), np.float64).T
+    background, material = np.array(map_threads(levels, range(n)), np.float64).T
     contrast = material - background
     typical = float(np.nanmedian(contrast)) if np.isfinite(contrast).any() else np.nan
     measured = np.abs(contrast - typical) <= _LARGEST_DRIFT * abs(typical)

@@ -24,7 +24,7 @@ _BLUR_UM = 6.0  # standard deviation; wide against the shifts to be measured, na
 _FINE_BLUR_UM = 1.0  # or one pixel
 _FINE_PITCH_UM = (1.6, 0.8)
 _FINE_PASS = 4.0  # blurs of the Gaussian whose mean along the columns is taken off
-_FINEST_UM = 3.0  # with wider pixels the fine bands would show no more than the others
+FINEST_UM = 3.0  # with wider pixels the fine bands would show no more than the others
 _MEND_UM = (75.0, 5.0)  # window of the median against which a knife mark stands out, and its surroundings
 _MARGIN_UM = 30.0  # beyond the faces
 _PART_UM = 150.0  # five times the reach of the texture
@@ -66,8 +66,9 @@ class Pairs:
     base: Array
 
     def without(self, group: int, rotation: bool) -> Pairs:
-        """Return the same pairs without one group of the columns, of `GROUPS`, see `part_groups`."""
-        held = part_groups(self.sums.shape[1]) != group
+        """Return the same pairs without one group of the columns, of `GROUPS`."""
+        parts = self.sums.shape[1]
+        held = np.arange(parts) * GROUPS // parts != group
         return _solved(self.sums[:, held], self.first, self.second, self.base, rotation, self.alike)
 
 
@@ -183,16 +184,6 @@ class Bands:
         return found
 
 
-def shows_more(pixel_um: tuple[float, float]) -> bool:
-    """Whether pixels are small enough for fine bands to show more than the others."""
-    return max(pixel_um) <= _FINEST_UM
-
-
-def part_groups(parts: int) -> Index:
-    """Return the group of each part, 0 to `GROUPS` - 1."""
-    return np.arange(parts) * GROUPS // parts
-
-
 def compare(
     sums: Array, first: Index, second: Index, pose: Array, *, rotation: bool, alike: NDArray[np.bool_] | None = None
 ) -> Pairs:
@@ -213,7 +204,11 @@ def compare(
     -------
     Pairs
     """
-    known = _alike(sums) if alike is None else alike
+    # Enough of both is there, and they go up and down together.
+    total = sums.sum(axis=1)
+    likeness = 1.0 - total[:, 9] / np.maximum(total[:, 10], 1e-12)
+    seen = (likeness > _ALIKE) & (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
+    known = seen if alike is None else alike
     return _solved(sums, first, second, pose[second] - pose[first], rotation, known)
 
 
@@ -239,7 +234,8 @@ def _solved(sums: Array, first: Index, second: Index, base: Array, rotation: boo
         spread = np.einsum("pk,pki,pkj->pij", weight**2, pull, pull)
         covariance = np.einsum("pij,pjk,pkl->pil", inverse, spread, inverse)
         strength = np.sqrt(np.maximum(np.einsum("pkii->pki", matrix), 0.0) + 1e-12)
-        sigmas = np.max(np.abs(pull / strength) / _scale(pull / strength), axis=2)
+        away = np.abs(pull / strength)
+        sigmas = np.max(away / (1.4826 * np.median(away, axis=1, keepdims=True) + 1e-12), axis=2)
         weight = np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
     offset = base.copy()
     offset[:, :size] += answer / scale
@@ -263,18 +259,6 @@ def _limits(a: Samples, b: Samples) -> tuple[Array, Array]:
     mean = np.where(known, difference, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     mean = np.maximum(mean, max(float(np.median(mean)), 1e-6))
     return _OUTLIER_SIGMAS * 1.2533 * mean, (mean.min() / mean) ** 2
-
-
-def _scale(values: Array) -> Array:
-    """Robust spread over the parts (axis 1), kept as an axis."""
-    return 1.4826 * np.median(np.abs(values), axis=1, keepdims=True) + 1e-12
-
-
-def _alike(sums: Array) -> NDArray[np.bool_]:
-    """Whether two bands show the same: enough of both is there, and they go up and down together."""
-    total = sums.sum(axis=1)
-    likeness = 1.0 - total[:, 9] / np.maximum(total[:, 10], 1e-12)
-    return (likeness > _ALIKE) & (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
 
 
 def _gaussian(sigma: float) -> Samples:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from planish.core.errors import VolumeError
-from planish.sections.band import Stack, for_each
+from planish.core.threads import map_threads
+from planish.sections.band import Stack
 
 Array = NDArray[np.float64]
 Strip = tuple[int, int]
@@ -30,7 +31,6 @@ def fixed_places(
     *,
     rows: Strip | None = None,
     cols: Strip | None = None,
-    threads: int | None = None,
 ) -> Array:
     """Find the place of every section against lines that lie still.
 
@@ -42,7 +42,6 @@ def fixed_places(
         First and last row of a strip that shows a line or edge along the rows, and nothing else that changes.
     cols : (int, int), optional
         The same for a line or edge along the columns.
-    threads : int, optional
 
     Returns
     -------
@@ -67,7 +66,7 @@ def fixed_places(
                 f"The strip {low} to {high} of a fixed line does not lie in the photographs, which have {size} "
                 f"{'rows' if axis == 0 else 'columns'}, or is narrower than {_LEAST} pixels. Give first and last one."
             )
-        place, turn = _against(stack, axis, strip, pixel_um, threads)
+        place, turn = _against(stack, axis, strip, pixel_um)
         found[:, axis] = place
         if np.isnan(found[:, 2]).all():
             # Along a column the place is smaller by rotation y, along a row larger by rotation x.
@@ -76,9 +75,7 @@ def fixed_places(
     return found - mean
 
 
-def _against(
-    stack: Stack, axis: int, strip: Strip, pixel_um: tuple[float, float], threads: int | None
-) -> tuple[Array, Array]:
+def _against(stack: Stack, axis: int, strip: Strip, pixel_um: tuple[float, float]) -> tuple[Array, Array]:
     """Place in um and slope of the line of each section, against their mean."""
     n, pixel = stack.shape[0], pixel_um[axis]
     length = stack.shape[2 - axis]
@@ -89,7 +86,7 @@ def _against(
         grey = grey[strip[0] : strip[1] + 1] if axis == 0 else grey[:, strip[0] : strip[1] + 1].T
         return np.add.reduceat(grey, edges[:-1], axis=1).T / np.diff(edges)[:, None]
 
-    profiles = np.stack(for_each(cut, n, threads=threads))  # (sections, pieces, across)
+    profiles = np.stack(map_threads(cut, range(n)))  # (sections, pieces, across)
     off = np.zeros(profiles.shape[:2])
     alike = np.zeros(profiles.shape[:2])
     for blur in _BLURS_UM:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
 from planish.core.lazy import LazyArray, Where, labelled
+from planish.core.threads import map_threads
 from planish.sections._kernels import between
 from planish.sections.align import Alignment
-from planish.sections.band import Stack, check_stack, for_each
+from planish.sections.band import Stack, check_stack
 from planish.sections.normalise import Gains
 
 Array = NDArray[np.float64]
@@ -31,7 +33,6 @@ def regular_volume(
     gains: Gains | None = None,
     most_missing: int = 3,
     attrs: Mapping[str, Any] | None = None,
-    threads: int | None = None,
 ) -> xr.DataArray:
     """Put aligned sections on a regular grid.
 
@@ -50,8 +51,6 @@ def regular_volume(
         Runs of so many missing sections are interpolated.
     attrs : mapping, optional
         What the reader knows: ``voxel_um_source``, ``full_scale``, ``file_name``, ``file_bytes`` and others.
-    threads : int, optional
-        All processors, at most 8, where not given. The result does not depend on it.
 
     Returns
     -------
@@ -94,16 +93,15 @@ def regular_volume(
     share[after == before] = 0.0
     inside = (share > 0) & (share < 1)
     empty = inside & np.isin(before, long)
-    poses, grades = _poses(n, alignment, pixel_um), _grades(n, gains)
-    held_planes = Planes(
-        stack=stack, before=used[before], after=used[after], share=share, empty=empty, poses=poses, grades=grades
-    )
-    values: NDArray[Any] | Planes
+    planes_of = Planes(
+        stack=stack, before=used[before], after=used[after], share=share, empty=empty,
+        poses=_poses(n, alignment, pixel_um),
+        grades=np.tile([1.0, 0.0], (n, 1)) if gains is None else np.stack([gains.gain, gains.offset], axis=1),
+    )  # fmt: skip
+    values: NDArray[Any] | Planes = planes_of
     if isinstance(stack, np.ndarray):
-        values = np.empty(held_planes.shape, stack.dtype)
-        for_each(lambda k: held_planes.fill(k, values[k]), planes.size, threads=threads)  # type: ignore[index]
-    else:
-        values = held_planes
+        whole = values = np.empty(planes_of.shape, stack.dtype)
+        map_threads(planes_of.fill, range(planes.size), whole)
     voxel = (pitch, *map(float, pixel_um))
     held: dict[str, Any] = {
         "units": "1",
@@ -122,10 +120,11 @@ def regular_volume(
     return labelled(values, "zyx", voxel, name="volume", attrs=held, encoding=encoding)
 
 
+@dataclass(kw_only=True, eq=False)
 class Planes(LazyArray):
     """The planes of a volume, each computed from the sections before and after it.
 
-    Parameters
+    Attributes
     ----------
     stack : array-like (sections, rows, cols)
         ``stack[i]`` gives one section.
@@ -139,18 +138,18 @@ class Planes(LazyArray):
         As the kernels take them.
     """
 
-    def __init__(
-        self, *, stack: Any, before: NDArray[np.intp], after: NDArray[np.intp], share: Array, empty: NDArray[np.bool_],
-        poses: Array, grades: Array,
-    ) -> None:  # fmt: skip
-        self.stack, self.before, self.after, self.share, self.empty = stack, before, after, share, empty
-        self.poses, self.grades = poses, grades
-        self.shape: tuple[int, int, int] = (before.size, *stack.shape[1:])
-        self.dtype: np.dtype[Any] = stack.dtype
-        real = self.dtype.kind == "f"
-        self.low, self.high = (
-            (-np.inf, np.inf) if real else (float(np.iinfo(self.dtype).min), float(np.iinfo(self.dtype).max))
-        )
+    stack: Stack
+    before: NDArray[np.intp]
+    after: NDArray[np.intp]
+    share: Array
+    empty: NDArray[np.bool_]
+    poses: Array
+    grades: Array
+
+    def __post_init__(self) -> None:
+        """Take size and type from the sections."""
+        self.shape = (self.before.size, *self.stack.shape[1:])
+        self.dtype = self.stack.dtype
 
     def fill(self, k: int, out: NDArray[Any]) -> None:
         """Compute plane ``k`` into ``out`` (rows, cols)."""
@@ -160,10 +159,9 @@ class Planes(LazyArray):
         both = [int(self.before[k]), int(self.after[k])]
         one = self.stack[both[0]]
         other = one if both[0] == both[1] else self.stack[both[1]]
-        between(
-            one, other, float(self.share[k]), self.poses[both], self.grades[both], self.low, self.high,
-            self.dtype.kind != "f", out,
-        )  # fmt: skip
+        whole = self.dtype.kind != "f"
+        low, high = (float(np.iinfo(self.dtype).min), float(np.iinfo(self.dtype).max)) if whole else (-np.inf, np.inf)
+        between(one, other, float(self.share[k]), self.poses[both], self.grades[both], low, high, whole, out)
 
     def read(self, where: Where) -> NDArray[Any]:
         """Compute a part."""
@@ -183,13 +181,6 @@ def _poses(n: int, alignment: Alignment | None, pixel_um: tuple[float, float]) -
         poses[:, 2] = alignment.rotation_rad * pixel_um[1] / pixel_um[0]
         poses[:, 3] = alignment.rotation_rad * pixel_um[0] / pixel_um[1]
     return poses
-
-
-def _grades(n: int, gains: Gains | None) -> Array:
-    """Gain and offset of the sections; (n, 2)."""
-    if gains is None:
-        return np.tile([1.0, 0.0], (n, 1))
-    return np.stack([gains.gain, gains.offset], axis=1)
 
 
 def _gap_words(long: NDArray[np.intp], missing: NDArray[Any], positions: Array, most: int) -> str:

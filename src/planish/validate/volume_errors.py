@@ -9,7 +9,7 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.status import Status
 from planish.register import fit_transform
-from planish.sections.trend import quick_part
+from planish.sections.network import quick_part
 from planish.validate import truth
 from planish.validate.figures import Values
 
