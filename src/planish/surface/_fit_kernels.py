@@ -50,9 +50,9 @@ def _bell(x):
 
 
 @njit(cache=True, nogil=True)
-def _solve4(m, r):
-    """Solve the symmetric positive system m x = r of four in place by Cholesky; False where it is not positive."""
-    for i in range(4):
+def _solve4(m, r, n):
+    """Solve the symmetric positive system m[:n, :n] x = r[:n] in place by Cholesky; False where it is not positive."""
+    for i in range(n):
         for j in range(i + 1):
             s = m[i, j]
             for k in range(j):
@@ -63,14 +63,14 @@ def _solve4(m, r):
                 m[i, i] = sqrt(s)
             else:
                 m[i, j] = s / m[j, j]
-    for i in range(4):
+    for i in range(n):
         s = r[i]
         for k in range(i):
             s -= m[i, k] * r[k]
         r[i] = s / m[i, i]
-    for i in range(3, -1, -1):
+    for i in range(n - 1, -1, -1):
         s = r[i]
-        for k in range(i + 1, 4):
+        for k in range(i + 1, n):
             s -= m[k, i] * r[k]
         r[i] = s / m[i, i]
     return True
@@ -167,7 +167,7 @@ def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step,
             old[4, i], old[5, i] = step[i], p[i]
             matrix[i, i] *= 1.0 + damping
             matrix[i, i] += 1e-12
-        if not _solve4(matrix, step):
+        if not _solve4(matrix, step, 4):
             break
         move = max(abs(step[0]), abs(step[1]))
         step[0] = min(max(step[0], -1.5 * w), 1.5 * w)
