@@ -79,7 +79,7 @@ MUTANTS = [
     # marks
     Mutant("marks/judge.py", "(x <= right - radius)", "(x <= right + radius)", "marks/test_find.py"),
     Mutant("marks/judge.py", "total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]", "total = rows[:, k.INSIDE] - rows[:, k.OUTSIDE]", "marks/test_find.py"),
-    Mutant("marks/sheet_holes.py", 'to_face = (-outward if side == "top" else outward) * offsets.median', "to_face = outward * offsets.median", "marks/test_sheet_holes.py"),
+    Mutant("marks/sheet_holes.py", 'to_face = (-outward if side == "top" else outward) * offset', "to_face = outward * offset", "marks/test_sheet_holes.py"),
     Mutant("marks/sheet_holes.py", "CLOSED if inside.size and np.median(inside) > MATERIAL else UNCLEAR", "CLOSED", "marks/test_sheet_holes.py"),
     Mutant("marks/mask.py", "(y - radius, y + radius)", "(y - 0.5 * radius, y + 0.5 * radius)", "marks"),
     Mutant("marks/_measure_kernels.py", "cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]", "cx, cy, radius = cx - fit[1], cy + fit[2], fit[0]", "marks/test_find.py"),

@@ -14,23 +14,8 @@ from planish.marks._edge_kernels import first_crossings, half_level_edges, inner
 from planish.marks._outline_kernels import fit_outline, waves
 
 # Columns of the results.
-(
-    X,
-    Y,
-    RADIUS,
-    HALF_DIFFERENCE,
-    COV_XX,
-    COV_YY,
-    COV_XY,
-    COVERAGE,
-    STEP,
-    INSIDE,
-    OUTSIDE,
-    TEXTURE,
-    ROUGHNESS,
-    FLATNESS,
-) = range(14)
-UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAVES, BURNT, STANDING = range(14, 20)
+X, Y, RADIUS, HALF_DIFFERENCE, COV_XX, COV_YY, COV_XY, COVERAGE, STEP, INSIDE = range(10)
+OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS, UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAVES, BURNT, STANDING = range(10, 20)
 COLUMNS = 20
 
 RAYS = 96
@@ -207,13 +192,8 @@ def _describe(row, image, px, py, cx, cy, sign, radii, fit, weight, inverse):
     for k in range(RAYS):
         if weight[k] > 0.0:
             angle = 2 * np.pi * k / RAYS
-            error[k] = radii[k] - (
-                fit[0]
-                + fit[1] * np.cos(angle)
-                + fit[2] * np.sin(angle)
-                + fit[3] * np.cos(2 * angle)
-                + fit[4] * np.sin(2 * angle)
-            )
+            first = fit[0] + fit[1] * np.cos(angle) + fit[2] * np.sin(angle)
+            error[k] = radii[k] - (first + fit[3] * np.cos(2 * angle) + fit[4] * np.sin(2 * angle))
             squares += error[k] ** 2
             used += 1
     inside, spread, flatness, outside, texture = levels(image, px, py, cx, cy, sign, fit[0], pixel)
@@ -223,11 +203,8 @@ def _describe(row, image, px, py, cx, cy, sign, radii, fit, weight, inverse):
     row[LOW_WAVES], row[HIGH_WAVES] = waves(error, weight)
     # As if the rays were independent; the waves' own variance is put in once all holes are known.
     variance = RAYS / 2
-    row[COV_XX], row[COV_YY], row[COV_XY] = (
-        variance * inverse[1, 1],
-        variance * inverse[2, 2],
-        variance * inverse[1, 2],
-    )
+    row[COV_XX], row[COV_YY] = variance * inverse[1, 1], variance * inverse[2, 2]
+    row[COV_XY] = variance * inverse[1, 2]
     row[COVERAGE], row[ROUGHNESS] = used / RAYS, np.sqrt(squares / max(1, used))
     row[INSIDE], row[OUTSIDE], row[TEXTURE] = inside, outside, texture
     row[FLATNESS], row[UNEVENNESS] = flatness, spread

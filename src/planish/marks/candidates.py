@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.marks._area_kernels import gaussian
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Image = NDArray[np.float32]
@@ -84,7 +82,8 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
     responses: list[Response] = []
     before, size, origin = (np.ascontiguousarray(filled, dtype=np.float32), pixel_um, np.zeros(2))
     for level, step in enumerate(steps):
-        after = gaussian(before, float(step) / size[0], float(step) / size[1])
+        sigmas = float(step) / size[0], float(step) / size[1]
+        after = ndimage.gaussian_filter(before, sigmas, mode="nearest", truncate=3.0)
         if level:
             responses.append(Response(float(radii[level - 1]), after - before, size, origin))
         # The wider the blobs, the coarser a raster shows them just as well.
@@ -234,20 +233,9 @@ def peaks(responses: list[Response], sign: float, least: list[float], spreads: l
 
 def _tops(values: Image, least: float, reach: list[int]) -> tuple[Ints, Ints]:
     """Rows and columns of what is above a value and largest within ``reach`` (y, x) pixels."""
-    above = values > least
-    # Most pixels have a larger neighbour; the rest is compared with all in reach.
-    for axis in (0, 1):
-        rising = np.diff(values, axis=axis)
-        first, last = (
-            tuple(part if k == axis else slice(None) for k in (0, 1)) for part in (slice(-1), slice(1, None))
-        )
-        above[first] &= rising <= 0
-        above[last] &= rising >= 0
-    row, column = np.nonzero(above)
-    padded = np.pad(values, [(r, r) for r in reach], constant_values=-np.inf)
-    for down, along in np.ndindex(2 * reach[0] + 1, 2 * reach[1] + 1):
-        top = padded[row + down, column + along] <= values[row, column]
-        row, column = row[top], column[top]
+    size = [2 * r + 1 for r in reach]
+    tops = values == ndimage.maximum_filter(values, size, mode="constant", cval=-np.inf)
+    row, column = np.nonzero(tops & (values > least))
     return row, column
 
 

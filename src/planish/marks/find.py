@@ -11,34 +11,9 @@ from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError, SizeError
 from planish.marks import _measure_kernels as k
-from planish.marks.candidates import (
-    ACROSS_COARSE,
-    ACROSS_FINE,
-    Floats,
-    Image,
-    blob_responses,
-    disc_response,
-    peaks,
-    quiet_texture,
-    reduce_to,
-    regular,
-    texture,
-)
-from planish.marks.judge import (
-    LEAST_CONTRAST,
-    LEAST_OTHERS,
-    WORTH_MEASURING,
-    doubtful,
-    family,
-    first_apart,
-    is_hole,
-    is_whole,
-    joined,
-    resembling,
-    set_covariance,
-    strongest_apart,
-    unlike_removed,
-)
+from planish.marks import candidates, judge
+from planish.marks.candidates import Floats, Image
+from planish.marks.judge import LEAST_CONTRAST
 
 Polarity = Literal["auto", "dark", "bright"]
 
@@ -50,18 +25,6 @@ USUAL_UM = 173.2
 
 # Beyond a rim this much may be burnt.
 CHAR_UM = 60.0
-
-VARIABLES: tuple[tuple[str, str, str], ...] = (
-    ("x", "um", "Hole centre along the columns"),
-    ("y", "um", "Hole centre down the rows"),
-    ("cov_xx", "um2", "Variance of x"),
-    ("cov_yy", "um2", "Variance of y"),
-    ("cov_xy", "um2", "Covariance of x and y"),
-    ("diameter", "um", "Mean diameter of the rim"),
-    ("axis_ratio", "1", "Longer over shorter axis of the rim"),
-    ("arc_coverage", "1", "Share of the rim that was found"),
-    ("contrast", "1", "Step at the hole over the texture of the sheet around"),
-)
 
 
 def find_holes(
@@ -147,38 +110,38 @@ def _holes(
     grey: Image, size: tuple[float, float], low: float, high: float, signs: tuple[float, ...]
 ) -> tuple[float, Floats, int]:
     """Sign, rows of `measure` and dropped candidates of the polarity with the stronger holes; lengths in um."""
-    fine, fine_size, fine_origin = reduce_to(grey, size, 2 * low / ACROSS_FINE)
-    coarse, coarse_size, coarse_origin = reduce_to(fine, fine_size, 2 * low / ACROSS_COARSE)
-    responses = blob_responses(coarse, coarse_size, (low, high))
+    fine, fine_size, fine_origin = candidates.reduce_to(grey, size, 2 * low / candidates.ACROSS_FINE)
+    coarse, coarse_size, coarse_origin = candidates.reduce_to(fine, fine_size, 2 * low / candidates.ACROSS_COARSE)
+    responses = candidates.blob_responses(coarse, coarse_size, (low, high))
     # Char, neighbours and a radius between two of the scale space weaken a response; a third is allowed for them.
-    quiet = quiet_texture(coarse, coarse_size, 2 * high)
-    plain = 0.67 * disc_response([r.radius for r in responses], LEAST_CONTRAST * quiet)
-    spreads = regular(responses)
+    quiet = candidates.quiet_texture(coarse, coarse_size, 2 * high)
+    plain = 0.67 * candidates.disc_response([r.radius for r in responses], LEAST_CONTRAST * quiet)
+    spreads = candidates.regular(responses)
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
-    least = [min(plain, WORTH_MEASURING * spread) for spread in spreads]
+    least = [min(plain, judge.WORTH_MEASURING * spread) for spread in spreads]
     share = min(least) / plain if plain > 0 else 1.0
     # Before a rim is measured its place may be some pixels off: less contrast is asked for.
     worth = (0.8 * share * LEAST_CONTRAST * quiet, 0.75 * LEAST_CONTRAST if share >= 1.0 else 0.0)
     found: list[tuple[float, Floats, Floats, float, int]] = []
     for sign in signs:
-        places, dropped = peaks(responses, sign, least, spreads)
+        places, dropped = candidates.peaks(responses, sign, least, spreads)
         x, y = np.ascontiguousarray((places[:, :2] + coarse_origin).T)
         rows = k.measure(fine, fine_size[1], fine_size[0], x, y, sign, low, high, *worth)
         rows[:, k.STANDING] = places[:, 2]
-        rows = rows[is_hole(rows, fine_size, low, high)]
+        rows = rows[judge.is_hole(rows, fine_size, low, high)]
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
         circles = np.stack([*(rows[:, k.X : k.Y + 1] - coarse_origin).T, rows[:, k.RADIUS] + CHAR_UM], axis=1)
-        whole = texture(coarse, coarse_size, 2 * high, circles) if len(rows) else 0.0
+        whole = candidates.texture(coarse, coarse_size, 2 * high, circles) if len(rows) else 0.0
         rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], whole)
-        rows = strongest_apart(rows[is_hole(rows, fine_size, low, high)])
-        rows = unlike_removed(rows[is_whole(rows, fine.shape, fine_size)], sign)
+        rows = judge.strongest_apart(rows[judge.is_hole(rows, fine_size, low, high)])
+        rows = judge.unlike_removed(rows[judge.is_whole(rows, fine.shape, fine_size)], sign)
         found.append((sign, rows, np.stack([x, y], axis=1), whole, dropped))
     sign, rows, places, whole, dropped = max(found, key=lambda one: float(np.sum(one[1][:, k.STEP])))
-    if len(rows) >= LEAST_OTHERS:
+    if len(rows) >= judge.LEAST_OTHERS:
         floors = _floors(fine, fine_size, sign, places, rows)
         floors[:, k.TEXTURE] = np.maximum(floors[:, k.TEXTURE], whole)
-        rows = joined(rows, floors)
-    set_covariance(rows, fine_size)
+        rows = judge.joined(rows, floors)
+    judge.set_covariance(rows, fine_size)
     rows[:, k.X] += fine_origin[0]
     rows[:, k.Y] += fine_origin[1]
     return sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))], dropped
@@ -186,8 +149,8 @@ def _holes(
 
 def _floors(image: Image, size: tuple[float, float], sign: float, places: Floats, rows: Floats) -> Floats:
     """Measure floors where no clear hole is."""
-    typical = family(rows)
-    clear = rows[~doubtful(rows)]
+    typical = judge.family(rows)
+    clear = rows[~judge.doubtful(rows)]
     if len(clear):
         away, nearest = KDTree(clear[:, [k.X, k.Y]]).query(places)
         places = places[away > clear[nearest, k.RADIUS]]
@@ -198,32 +161,33 @@ def _floors(image: Image, size: tuple[float, float], sign: float, places: Floats
     # Places beside each other lead to one hole.
     near = KDTree(at).query_pairs(0.1 * typical.radius, output_type="ndarray") if len(at) else np.empty((0, 2), np.intp)
     one, other = np.concatenate([near, near[:, ::-1]]).T
-    x, y = np.ascontiguousarray(at[first_apart(np.arange(len(at)), one, other)].T)
+    x, y = np.ascontiguousarray(at[judge.first_apart(np.arange(len(at)), one, other)].T)
     levels = (typical.radius, typical.floor, typical.depth, FLOOR_SHARES)
-    floors = resembling(k.measure_floors(image, size[1], size[0], x, y, sign, *levels), rows, size)
+    floors = judge.resembling(k.measure_floors(image, size[1], size[0], x, y, sign, *levels), rows, size)
     # A rim lies farther out than its floor.
     rims = floors.copy()
     rims[:, k.RADIUS] = np.maximum(rims[:, k.RADIUS], typical.radius)
-    return floors[is_whole(rims, image.shape, size)]
+    return floors[judge.is_whole(rims, image.shape, size)]
 
 
 def _dataset(rows: Floats, sign: float) -> xr.Dataset:
     radius, half = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE]
     # Texture below a thousandth of the step is rounding; it would make the ratio meaningless.
     step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
-    columns = {
-        "x": rows[:, k.X],
-        "y": rows[:, k.Y],
-        "cov_xx": rows[:, k.COV_XX],
-        "cov_yy": rows[:, k.COV_YY],
-        "cov_xy": rows[:, k.COV_XY],
-        "diameter": 2 * radius,
-        "axis_ratio": (radius + half) / (radius - half),
-        "arc_coverage": rows[:, k.COVERAGE],
-        "contrast": -sign * step / np.maximum(rows[:, k.TEXTURE], 1e-3 * step),
-    }
+    columns = (
+        ("x", rows[:, k.X], "um", "Hole centre along the columns"),
+        ("y", rows[:, k.Y], "um", "Hole centre down the rows"),
+        ("cov_xx", rows[:, k.COV_XX], "um2", "Variance of x"),
+        ("cov_yy", rows[:, k.COV_YY], "um2", "Variance of y"),
+        ("cov_xy", rows[:, k.COV_XY], "um2", "Covariance of x and y"),
+        ("diameter", 2 * radius, "um", "Mean diameter of the rim"),
+        ("axis_ratio", (radius + half) / (radius - half), "1", "Longer over shorter axis of the rim"),
+        ("arc_coverage", rows[:, k.COVERAGE], "1", "Share of the rim that was found"),
+        ("contrast", -sign * step / np.maximum(rows[:, k.TEXTURE], 1e-3 * step), "1",
+         "Step at the hole over the texture of the sheet around"),
+    )  # fmt: skip
     return xr.Dataset(
-        {name: ("mark", columns[name], {"units": unit, "long_name": text}) for name, unit, text in VARIABLES},
+        {name: ("mark", values, {"units": unit, "long_name": text}) for name, values, unit, text in columns},
         attrs={"polarity": "dark" if sign > 0 else "bright"},
     )
 

@@ -73,14 +73,13 @@ def is_whole(rows: Floats, shape: tuple[int, ...], size: tuple[float, float]) ->
 
 def is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -> NDArray[np.bool_]:
     """Return which rows of `measure` look like a hole, each by itself; ``low, high`` the range of radii in um."""
-    radius, half = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE]
+    radius = rows[:, k.RADIUS]
     total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     with np.errstate(invalid="ignore"):
         return (
             (radius >= max(low, LEAST_PIXELS / 2 * max(size)))
             & (radius <= high)
-            & ((radius + half) < LARGEST_AXIS_RATIO * (radius - half))
-            & (rows[:, k.COVERAGE] >= LEAST_COVERAGE)
+            & _is_round(rows, size)
             & ((total > LEAST_CONTRAST * rows[:, k.TEXTURE]) | (rows[:, k.STANDING] > LEAST_STANDING))
             & (rows[:, k.STEP] > LEAST_STEP * total)
             & (
@@ -89,8 +88,15 @@ def is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) ->
             )
             & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * total)
             & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * total)
-            & (rows[:, k.ROUGHNESS] < LARGEST_ROUGHNESS * radius + 0.3 * max(size))
         )
+
+
+def _is_round(rows: Floats, size: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return which rims are whole, smooth and nearly circles."""
+    radius, half = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE]
+    smooth = rows[:, k.ROUGHNESS] < LARGEST_ROUGHNESS * radius + 0.3 * max(size)
+    circle = (radius + half) < LARGEST_AXIS_RATIO * (radius - half)
+    return smooth & circle & (rows[:, k.COVERAGE] >= LEAST_COVERAGE)
 
 
 def strongest_apart(rows: Floats) -> Floats:
@@ -232,13 +238,11 @@ def doubtful(rows: Floats) -> NDArray[np.bool_]:
 def resembling(rows: Floats, others: Floats, size: tuple[float, float]) -> Floats:
     """Of floors that were measured keep the round ones that are like those of the other holes."""
     typical = family(others)
-    radius, half, step = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE], rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
+    radius, step = rows[:, k.RADIUS], rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     with np.errstate(invalid="ignore"):
         away = np.abs(rows[:, k.INSIDE] - typical.floor_at(rows[:, k.OUTSIDE]))
         good = (
-            ((radius + half) < LARGEST_AXIS_RATIO * (radius - half))
-            & (rows[:, k.COVERAGE] >= LEAST_COVERAGE)
-            & (rows[:, k.ROUGHNESS] < LARGEST_ROUGHNESS * radius + 0.3 * max(size))
+            _is_round(rows, size)
             & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * typical.depth)
             & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * typical.depth)
             & (away < np.clip(4 * typical.scatter, *LIKE_FLOORS) * typical.depth)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError
 from planish.core.grid import Grid
@@ -33,17 +32,6 @@ MIDDLE, MATERIAL = 0.25, 0.5
 MAD_TO_SD, MEDIAN_TO_MEAN = 1.4826, 1.2533
 # Holes found on both sides: the median offset of fewer is no better than none. It counts from so many standard errors.
 ENOUGH_THROUGH, STANDS_OUT = 4, 3.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Offsets:
-    """From the top's rim to the bottom's: (n, 2) of each hole, NaN where one is missing; median, spread, error."""
-
-    each: Floats
-    count: int
-    median: Floats
-    spread: Floats
-    error: Floats
 
 
 def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side: Side = "top") -> xr.Dataset:
@@ -131,28 +119,37 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
             state[k] = CLOSED if inside.size and np.median(inside) > MATERIAL else UNCLEAR
     found = {layer: _moved(holes, origin) for layer, holes in found.items()}
     data = _at_layers(found, rows)
-    offsets = _offsets(_xy(data, "_bottom") - _xy(data, "_top"))
+    each = _xy(data, "_bottom") - _xy(data, "_top")
+    known = each[np.isfinite(each).all(axis=1)]
+    nothing = np.full(2, np.nan)
+    offset = np.median(known, axis=0) if len(known) else nothing
+    spread = MAD_TO_SD * np.median(np.abs(known - offset), axis=0) if len(known) > 1 else nothing
+    error = MEDIAN_TO_MEAN * spread / np.sqrt(max(len(known), 1))
     to_face = np.zeros(2)
-    sure = offsets.count >= ENOUGH_THROUGH and np.hypot(*offsets.median) > STANDS_OUT * np.hypot(*offsets.error)
+    sure = len(known) >= ENOUGH_THROUGH and np.hypot(*offset) > STANDS_OUT * np.hypot(*error)
     if sure and maps.attrs.get("layer_to_face"):
         outward = float(maps.attrs["layer_to_face"])
-        to_face = (-outward if side == "top" else outward) * offsets.median
-    out = _dataset(_moved(found[side], to_face), data, offsets, state)
+        to_face = (-outward if side == "top" else outward) * offset
+    out = _moved(found[side], to_face).merge(data, combine_attrs="override")
+    for k, (axis, along) in enumerate((("x", "along the columns"), ("y", "down the rows"))):
+        text = {"units": "um", "long_name": f"Offset from the top to the bottom {along}"}
+        out[f"offset_{axis}"] = ("mark", each[:, k], text)
+    flags = {"flag_values": list(OTHER_SIDE), "flag_meanings": " ".join(OTHER_SIDE.values())}
+    out["other_side"] = ("mark", state, {"long_name": "What the other side shows of the hole"} | flags)
+    alone = found[other].sizes["mark"] - int(np.count_nonzero(rows[other] >= 0)) if other in found else 0
     out.attrs |= {
         "side": side,
         "layers": list(layers),
         **{word: int(np.count_nonzero(state == k)) for k, word in OTHER_SIDE.items()},
-        "other_side_only": found[other].sizes["mark"] - int(np.count_nonzero(rows[other] >= 0))
-        if other in found
-        else 0,
-        "offset_count": offsets.count,
-        "offset_um": offsets.median.tolist(),
-        "offset_spread_um": offsets.spread.tolist(),
-        "offset_error_um": offsets.error.tolist(),
+        "other_side_only": alone,
+        "offset_count": len(known),
+        "offset_um": offset.tolist(),
+        "offset_spread_um": spread.tolist(),
+        "offset_error_um": error.tolist(),
         "to_face_um": to_face.tolist(),
     }
     if (apart_um := maps.attrs.get("layers_apart_um")) is not None:
-        out.attrs["tilt_deg"] = np.rad2deg(np.arctan2(offsets.median, apart_um)).tolist()
+        out.attrs["tilt_deg"] = np.rad2deg(np.arctan2(offset, apart_um)).tolist()
     return out
 
 
@@ -185,8 +182,6 @@ def _xy(holes: xr.Dataset, suffix: str = "") -> Floats:
 
 def _partners(holes: Floats, found: Floats, reach: Floats) -> Ints:
     """Row in ``found`` of each hole, -1 where it has none: either is the other's nearest, and within reach."""
-    from scipy.spatial import KDTree
-
     rows = np.full(len(holes), -1)
     if not len(holes) or not len(found):
         return rows
@@ -221,23 +216,3 @@ def _at_layers(found: dict[str, xr.Dataset], rows: dict[str, Ints]) -> xr.Datase
             units, text = about[name].attrs["units"], f"{about[name].attrs['long_name']}, {place}"
             data[f"{name}_{layer}"] = ("mark", values, {"units": units, "long_name": text})
     return xr.Dataset(data)
-
-
-def _offsets(each: Floats) -> _Offsets:
-    known = each[np.isfinite(each).all(axis=1)]
-    nothing = np.full(2, np.nan)
-    median = np.median(known, axis=0) if len(known) else nothing
-    spread = MAD_TO_SD * np.median(np.abs(known - median), axis=0) if len(known) > 1 else nothing
-    error = MEDIAN_TO_MEAN * spread / np.sqrt(max(len(known), 1))
-    return _Offsets(each=each, count=len(known), median=median, spread=spread, error=error)
-
-
-def _dataset(holes: xr.Dataset, data: xr.Dataset, offsets: _Offsets, state: NDArray[np.uint8]) -> xr.Dataset:
-    flags = {"flag_values": list(OTHER_SIDE), "flag_meanings": " ".join(OTHER_SIDE.values())}
-    texts = ("Offset from the top to the bottom along the columns", "Offset from the top to the bottom down the rows")
-    added = {
-        f"offset_{axis}": ("mark", offsets.each[:, k], {"units": "um", "long_name": texts[k]})
-        for k, axis in enumerate("xy")
-    }
-    out = holes.merge(data, combine_attrs="override").assign(added)
-    return out.assign(other_side=("mark", state, {"long_name": "What the other side shows of the hole"} | flags))
