@@ -143,19 +143,7 @@ def match_marks(
     smaller = min(len(source), len(target))
     count, need = _agreement(found, tolerance_um)
     if found is None or count < need:
-        if smaller == 3:
-            raise CannotRegister(
-                f"{sides}: with three marks on a side a match may be chance. Add a fourth, give the pattern that was "
-                "burnt (--design), or pairs (--marks)."
-            )
-        needed = f"about {need} have to" if need <= smaller else f"more than the {smaller} of the smaller side would"
-        raise CannotRegister(
-            f"{sides}: no match found: {count} agree at best, and {needed}{' have to' * (need > smaller)}, closer than "
-            "chance would bring them. Printed dots as large as holes count as marks: raise the lower end of --hole-um. "
-            "Check the pixel and voxel sizes, --top, and --image-side: the side that the image shows"
-            + ("" if mirror else "; if the slices are numbered against the usual sense pass --mirror")
-            + "; find more of the marks, give the pattern that was burnt (--design) or pairs (--marks)."
-        )
+        raise CannotRegister(f"{sides}: {_no_match(count, need, smaller, mirror)}")
     at, to = source[found.pairs[:, 0]], target[found.pairs[:, 1]]
     if smaller == 3:
         _refuse_confusable(sides, (at, to), 3.0 * tolerance_um)
@@ -192,6 +180,24 @@ def match_marks(
         pairs=found.pairs, transform=transform, mirrored=found.mirrored, second_best=found.second_best,
         sentence=sentence,
     )  # fmt: skip
+
+
+def _no_match(count: int, need: int, smaller: int, mirror: bool) -> str:
+    if smaller == 3:
+        return (
+            "with three marks on a side a match may be chance. Add a fourth, give the pattern that was burnt "
+            "(--design), or pairs (--marks)."
+        )
+    needed = (
+        f"about {need} have to" if need <= smaller else f"more than the {smaller} of the smaller side would have to"
+    )
+    turned = "" if mirror else "; if the slices are numbered against the usual sense pass --mirror"
+    return (
+        f"no match found: {count} agree at best, and {needed}, closer than chance would bring them. Printed dots as "
+        "large as holes count as marks: raise the lower end of --hole-um. Check the pixel and voxel sizes, --top, and "
+        f"--image-side: the side that the image shows{turned}; find more of the marks, give the pattern that was burnt "
+        "(--design) or pairs (--marks)."
+    )
 
 
 def match_by_design(
