@@ -60,7 +60,7 @@ def image_pair(specimen_files, other_files):
 def test_a_run_linked_to_an_image_is_the_volume_linked_to_it(planish, linked_run):
     again = linked_run.parent / "again"
     # The very file: each worker has one of its own, and the study names it.
-    code, _, err = planish("link", linked_run, open_run(linked_run).study.reference.path, "-o", again)
+    code, _, err = planish("link", linked_run, open_run(linked_run).study.layers[-1].path, "-o", again)
     assert code == 0, err
     compared = filecmp.dircmp(linked_run, again)
     files = [p.relative_to(linked_run) for p in linked_run.rglob("*") if p.is_file()]
