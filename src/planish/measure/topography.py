@@ -128,7 +128,7 @@ def topography_difference(sheet: Sheet) -> Measured:
 
 
 # Warp, tilt and curvatures (P-07) have no standard error: what matters is a slow drift of the stack, which bends the
-# surface as a real warp does and cannot be told from one scan. Warp and tilt cost no look at the volume.
+# surface as a real warp does and cannot be separated from it by one scan. Warp and tilt cost no look at the volume.
 
 
 @sheet_property("warp", units="um", long_name="Warp", support_um=400.0, when=lambda _params, _greys: True)

@@ -141,7 +141,7 @@ def _draw_marks(axes: Axes, fixed: Array, *, hole_um: float, size: float) -> Non
     turn = np.linspace(0, 2 * np.pi, 49)
     ring = hole_um / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     for k, (x, y) in enumerate(fixed):
-        axes.line(ring + (x, y), colour=_MARK, width=1.9)
+        axes.line(ring + np.array([x, y]), colour=_MARK, width=1.9)
         axes.text(x, y, "+", shift=(0, 0.32 * size), size=size, anchor="middle", colour=_MARK)
         left, top = x - 0.42 * hole_um, y - 0.42 * hole_um
         axes.text(left, top, str(k + 1), shift=(-2, -2), size=size, anchor="end", colour=_MARK, halo=INK, bold=True)

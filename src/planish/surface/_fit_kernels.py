@@ -297,8 +297,8 @@ def fit_faces(
         Width after which the samples that are fitted are chosen, where it is not ``width``: costs of several widths
         can be compared only over the same samples.
     amid : float
-        Above 0: the sheet lies amid other material, from which it was told at this grey. The face is then sought next
-        to where it is expected, and no sample beyond the darkest one of the gap counts.
+        Above 0: the sheet lies amid other material, from which it was separated at this grey. The face is then sought
+        next to where it is expected, and no sample beyond the darkest one of the gap counts.
     fringe, ratio : float
         Size of the phase-contrast fringe, and width of the blur over that of the fringe. None is compiled apart, which
         makes the fit of an edge without a fringe as quick as if there were none.

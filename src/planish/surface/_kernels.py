@@ -58,7 +58,7 @@ def follow(inside, row, col, start, stop, most, low, high, merged):
                 continue
             long = best_b - best_a + 1 > most
             if merged[i, j] and not long:
-                continue  # which of the two sheets it is cannot be told
+                continue  # which of the two sheets it is stays open
             merged[r, c] = long
             low[r, c], high[r, c] = best_a, best_b
             queue[last, 0], queue[last, 1] = r, c

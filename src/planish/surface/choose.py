@@ -137,7 +137,7 @@ def _chosen(
         return best, True
     raise VolumeError(
         f"The object at the seed point {choice.named(choice.seed)} um (z, y, x) touches others at every grey: "
-        "it cannot be told from them. Crop the volume to a part where it stands alone, or "
+        "it cannot be separated from them. Crop the volume to a part where it stands alone, or "
         "choose another point with --seed-um."
     ) from found
 

@@ -1,4 +1,4 @@
-"""Faces in the volume of labels of another program, which has told air, base and coating apart."""
+"""Faces in the volume of labels of another program, which has separated air, base and coating."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class LabelColumns(Columns):
 
     def voxels(self, tile: Tile, depth: slice = slice(None)) -> NDArray[Any]:
         """Codes of the voxels of a tile, or of a part of their depth."""
-        # Slots leave a dataclass without its class cell, so super() has to be told.
+        # Slots leave a dataclass without its class cell, so super() needs it.
         raw = super(LabelColumns, self).voxels(tile, depth)
         out = np.full(raw.shape, _UNKNOWN, dtype=np.uint8)
         for label, code in self.codes:

@@ -48,8 +48,8 @@ class _Learner:
         samples = {high: sampler.sample(high=high) for high in (True, False)}
         # Coarse profile per side: is there a coating, how bright, how much does it vary?
         sides = {high: self._first_side(part, base, base_sd) for high, part in samples.items()}
-        told_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
-        edge = Edge(width=self._blur(samples, sides, told_fringe), fringe=told_fringe)
+        given_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
+        edge = Edge(width=self._blur(samples, sides, given_fringe), fringe=given_fringe)
         seen = params.fringe == "auto" and undershoots(sampler, samples, sides, edge)
         if seen:
             edge, _ = with_fringe(sampler, samples, sides, edge, [])
@@ -57,10 +57,10 @@ class _Learner:
         if thin:
             quiet = sampler.quiet(samples, edge.width)
             edge, sides = (with_fringe if seen else thin_levels)(sampler, quiet, sides, edge, thin)
-        told = params.coating_grey is not None
-        sides = {high: self._narrowed(samples[high], sides[high], edge, told or high in thin) for high in samples}
-        if told:
-            sides = {high: self._told_side(samples[high], side, edge, base) for high, side in sides.items()}
+        given = params.coating_grey is not None
+        sides = {high: self._narrowed(samples[high], sides[high], edge, given or high in thin) for high in samples}
+        if given:
+            sides = {high: self._given_side(samples[high], side, edge, base) for high, side in sides.items()}
         return Learnt(
             scale=sampler.scale, noise=sampler.noise, scatter=sampler.scatter, base=base, edge=edge,
             reach=sampler.reach, amid=sampler.amid, sides=sides,
@@ -77,15 +77,15 @@ class _Learner:
             raise VolumeError("The core of the sheet is not brighter than the air around it. Check --sheet-grey.")
         return level, float(np.sqrt(max(spread(core) ** 2 - self.sampler.noise**2, (0.05 * level) ** 2)))
 
-    def _told_side(self, sample: Sample, side: Side, edge: Edge, base: float) -> Side:
-        """Keep the coating whose grey was told where there is one."""
+    def _given_side(self, sample: Sample, side: Side, edge: Edge, base: float) -> Side:
+        """Keep the coating whose grey was given where there is one."""
         thickness = self.sampler.fit(sample, side, edge)[1]
         if float(np.nanmedian(thickness)) > _TRACE * edge.width:
             return side
         bare = Side(
             level=np.array([0.0, 0.0, 0.0, base]), spread=np.array([0.0, 0.0, -1.0, side.spread[3]]), coated=False
         )
-        return self._narrowed(sample, bare, edge, told=True)
+        return self._narrowed(sample, bare, edge, given=True)
 
     def _first_side(self, sample: Sample, base: float, base_sd: float) -> Side:
         """Look for a coating in the median profile below the face; wide spreads."""
@@ -115,11 +115,11 @@ class _Learner:
         profile = np.nanmedian(np.take_along_axis(sample.grey[0][good], depth, axis=1), axis=0)
         peak = float(profile[: max(2, int(0.8 * half))].max())
         solid = base + 1.28 * min(base_sd, 0.3 * base)
-        told = self.params.sheet_grey is not None or self.survey.amid
-        coated = peak > _COATING_RATIO * (1.2 * solid if told else solid)
-        # Without a coating the third level is what lies outside: the air, unless the sheet was told from other
+        given = self.params.sheet_grey is not None or self.survey.amid
+        coated = peak > _COATING_RATIO * (1.2 * solid if given else solid)
+        # Without a coating the third level is what lies outside: the air, unless the sheet was separated from other
         # material.
-        outside = (1.0 if amid else 0.5) * base if told else -1.0
+        outside = (1.0 if amid else 0.5) * base if given else -1.0
         level = np.array([0.0, 0.0, peak if coated else 0.0, base])
         wide = np.array([0.0, 0.0, 0.25 * peak if coated else outside, max(base_sd, 0.25 * base)])
         return Side(level=level, spread=wide, coated=coated)
@@ -152,13 +152,13 @@ class _Learner:
         thick = self.sampler.fit(sample, side, edge)[1] * sample.tilt > _PLAIN * edge.width
         return float(np.mean(thick)) < _PLAIN_SHARE
 
-    def _narrowed(self, sample: Sample, side: Side, edge: Edge, told: bool) -> Side:
+    def _narrowed(self, sample: Sample, side: Side, edge: Edge, given: bool) -> Side:
         """Narrow what is expected to what thick layers and the base below them show."""
         level, wide = side.level.copy(), side.spread.copy()
         for _ in range(2):
             fit = self.sampler.fit(sample, Side(level=level, spread=wide, coated=side.coated), edge)
             known = np.isfinite(fit[0])
-            if side.coated and told:
+            if side.coated and given:
                 wide[2] = 0.02 * level[2]
             elif side.coated:
                 thick = known & (fit[1] * sample.tilt > _THICK * edge.width)

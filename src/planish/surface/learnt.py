@@ -82,7 +82,7 @@ class Learnt:
     reach : float
         How far outside the expected face the search starts, in voxels.
     amid : float
-        Grey at which a sheet amid other material was told from it; 0 where air lies beside the sheet.
+        Grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet.
     sides : dict of Side
         By whether the side lies at the high end of the columns.
     """

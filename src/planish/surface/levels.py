@@ -42,7 +42,7 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     """Value that fills the volume outside the field of view, or None where the field fills the volume.
 
     Reconstructions are round; what lies outside their circle is set to one value, often 0, which is not the grey of the
-    air. It is told from air that the export has clipped to one value by three signs, over ``columns`` (n, depth): the
+    air. It differs from air that the export has clipped to one value by three signs, over ``columns`` (n, depth): the
     step from the padding to what lies inside is sharp, what lies inside differs from it, and something stands out from
     that in turn. Clipped air passes into the sheet through the blur, and nothing stands out from the sheet.
     """

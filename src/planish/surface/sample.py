@@ -62,7 +62,7 @@ class Sampler:
     reach : float
         How far outside the expected face a search starts, in voxels.
     amid : float
-        Grey at which a sheet amid other material was told from it; 0 where air lies beside the sheet.
+        Grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet.
     """
 
     def __init__(self, columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> None:

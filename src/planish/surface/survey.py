@@ -98,7 +98,7 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
 
 
 def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> CoarseSheet:
-    """Find the sheet roughly where every voxel is told to be sheet (1) or not (0).
+    """Find the sheet roughly where every voxel is labelled as sheet (1) or not (0).
 
     Raises
     ------
