@@ -57,14 +57,7 @@ def assemble(
             "nothing is left to measure. Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
         )
     centre, cutoff_used = _centre(middle, outline, pitch[:2], params)
-    status = np.select(
-        [~np.isfinite(centre) | ~sheet, rim, seen],
-        [Status.NO_SHEET, Status.RIM, Status.MEASURED],
-        Status.FACE_NOT_FOUND,
-    )
-    status[stuck & (status == Status.FACE_NOT_FOUND)] = Status.PARTICLE
-    status[touching & sheet] = Status.TOUCHING
-    status[runs_out & (status > 0)] = Status.LEAVES_VOLUME
+    status = _status(centre, sheet, rim, seen, stuck, touching, runs_out)
     bridged = cutoff_used > params.cutoff_um
     present = find_presence(columns, centre, thickness, up, levels, engine)
     heights = {
@@ -108,6 +101,18 @@ def assemble(
         attrs["method"] = params.method
     coords = {"y": (("y",), rows, {"units": "um"}), "x": (("x",), cols, {"units": "um"})}
     return xr.Dataset(data, coords=coords, attrs=attrs)
+
+
+def _status(
+    centre: Array, sheet: Mask, rim: Mask, seen: Mask, stuck: Mask, touching: Mask, runs_out: Mask
+) -> NDArray[np.int64]:  # fmt: skip
+    """Why a column has no measurement, or that it has one."""
+    outside = ~np.isfinite(centre) | ~sheet
+    status = np.select([outside, rim, seen], [Status.NO_SHEET, Status.RIM, Status.MEASURED], Status.FACE_NOT_FOUND)
+    status[stuck & (status == Status.FACE_NOT_FOUND)] = Status.PARTICLE
+    status[touching & sheet] = Status.TOUCHING
+    status[runs_out & (status > 0)] = Status.LEAVES_VOLUME
+    return status
 
 
 def _centre(middle: Array, outline: Mask, pitch: tuple[float, float], params: SurfaceParams) -> tuple[Array, Array]:
