@@ -144,8 +144,6 @@ def set_up(lock_name: str) -> None:
         say(f"Installing the packages of requirements/{lock_name} into .venv ...")
         install(pip, "--require-hashes", "--only-binary=:all:", "-r", str(LOCKS / lock_name))
     install(pip, "--no-deps", "--no-build-isolation", "-e", str(ROOT))
-    # pip compiles what it copies, but not a package in place; every start would where Python may not write .pyc files.
-    call([str(PYTHON), "-m", "compileall", "-q", str(ROOT / "src")])
 
     # dev.lock holds everything that run.lock does, in the same versions.
     installed = (
