@@ -7,7 +7,7 @@ import pytest
 
 from planish.core.errors import VolumeError
 from planish.core.threads import limit_threads
-from planish.sections import align_sections, normalise_sections
+from planish.sections import SectionSeries, align_sections, normalise_sections
 from planish.sections._kernels import between, pair_sums, smooth, straighten
 from planish.sections.band import block_means
 from planish.sections.network import slow_part, solve_places
@@ -25,7 +25,7 @@ def series() -> Series:
 
 @pytest.fixture(scope="module")
 def alignment(series: Series):
-    return align_sections(series.stack, series.positions_um, PIXEL_UM)
+    return align_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
 
 
 def test_quick_errors_are_taken_off(series: Series, alignment) -> None:
@@ -63,7 +63,7 @@ def test_rotations_are_not_made_worse(series: Series, alignment) -> None:
 @pytest.mark.study
 def test_a_true_bend_is_left_alone() -> None:
     still = make_series(errors=(0.0, 0.0), turn_rad=0.0, seed=2)
-    found = align_sections(still.stack, still.positions_um, PIXEL_UM)
+    found = align_sections(SectionSeries(still.stack, still.positions_um, PIXEL_UM))
     slow = split(still.positions_um, found.shift_um)[0]
     print(f"bend of +-48 um changed by {np.abs(slow[:, 0]).max():.3f} um")
     assert np.abs(slow[:, 0]).max() < 0.2
@@ -74,7 +74,7 @@ def test_a_true_bend_is_left_alone() -> None:
 @pytest.mark.study
 def test_wide_sections_tell_rotations_and_more() -> None:
     wide = make_series(sections=60, cols=2400, seed=4)
-    found = align_sections(wide.stack, wide.positions_um, PIXEL_UM)
+    found = align_sections(SectionSeries(wide.stack, wide.positions_um, PIXEL_UM))
     after = split(wide.positions_um, found.rotation_rad - wide.rotation_rad)[1]
     print(f"rotation {np.rad2deg(rms(wide.rotation_rad)):.4f} -> {np.rad2deg(rms(after)):.4f} degrees")
     assert rms(after) < 0.4 * rms(wide.rotation_rad)  # measured 0.2
@@ -84,7 +84,7 @@ def test_torn_sections_are_flagged_and_disturb_nothing(series: Series, alignment
     stack = series.stack.copy()
     stack[80] = np.random.default_rng(0).integers(0, 255, stack[80].shape)
     stack[140] = 60
-    found = align_sections(stack, series.positions_um, PIXEL_UM)
+    found = align_sections(SectionSeries(stack, series.positions_um, PIXEL_UM))
     assert np.flatnonzero(~found.aligned).tolist() == [80, 140]
     assert not found.shift_um[[80, 140]].any()
     good = np.setdiff1d(np.arange(stack.shape[0]), [80, 140])
@@ -96,20 +96,18 @@ def test_torn_sections_are_flagged_and_disturb_nothing(series: Series, alignment
 def test_threads_direction_and_type_do_not_matter(series: Series) -> None:
     stack, positions = series.stack[:60], series.positions_um[:60]
     with limit_threads(1):
-        one = align_sections(stack, positions, PIXEL_UM)
+        one = align_sections(SectionSeries(stack, positions, PIXEL_UM))
     with limit_threads(3):
-        three = align_sections(stack, positions, PIXEL_UM)
+        three = align_sections(SectionSeries(stack, positions, PIXEL_UM))
     np.testing.assert_array_equal(one.shift_um, three.shift_um)
-    back = align_sections(stack.astype(np.uint16), 500.0 - positions, PIXEL_UM)
+    back = align_sections(SectionSeries(stack.astype(np.uint16), 500.0 - positions, PIXEL_UM))
     np.testing.assert_array_equal(one.shift_um, back.shift_um)
-    turned = align_sections(stack, positions, PIXEL_UM, rotation=False)
-    assert not turned.rotation_rad.any()
 
 
 def test_drift_of_colour_is_taken_off() -> None:
     # Fibres of 4 % over 30 um in 2.9 mm: their mean goes up and down by 0.3 %, which no anchor can tell from a drift.
     drifting = make_series(sections=60, cols=1200, texture=4.0, drift=0.03)
-    found = normalise_sections(drifting.stack, drifting.positions_um, PIXEL_UM)
+    found = normalise_sections(SectionSeries(drifting.stack, drifting.positions_um, PIXEL_UM))
     rest = found.gain * drifting.gain
     background = found.gain * (60 * drifting.gain + drifting.offset) + found.offset
     print(f"gain {drifting.gain.std():.4f} -> {rest.std() / rest.mean():.4f}, background {background.std():.3f}")
@@ -118,22 +116,22 @@ def test_drift_of_colour_is_taken_off() -> None:
     # Noise of 10 over some 50 000 pixels, cut to two standard deviations and rounded, is 0.05; twice that.
     assert background.std() < 0.12
     with limit_threads(1):
-        one = normalise_sections(drifting.stack, drifting.positions_um, PIXEL_UM)
+        one = normalise_sections(SectionSeries(drifting.stack, drifting.positions_um, PIXEL_UM))
     np.testing.assert_array_equal(found.gain, one.gain)
 
 
 def test_what_is_no_series_is_refused() -> None:
     blank = np.full((10, 40, 64), 60, np.uint8)
     with pytest.raises(VolumeError, match="No sheet"):
-        align_sections(blank, np.arange(10.0), PIXEL_UM)
+        align_sections(SectionSeries(blank, np.arange(10.0), PIXEL_UM))
     with pytest.raises(VolumeError, match="sections 3 and 4 lie at 2 and 2 um"):
-        align_sections(blank, np.array([0, 1, 2, 2, 4, 5, 6, 7, 8, 9.0]), PIXEL_UM)
+        align_sections(SectionSeries(blank, np.array([0, 1, 2, 2, 4, 5, 6, 7, 8, 9.0]), PIXEL_UM))
     with pytest.raises(VolumeError, match="10 sections and 9 positions"):
-        align_sections(blank, np.arange(9.0), PIXEL_UM)
+        align_sections(SectionSeries(blank, np.arange(9.0), PIXEL_UM))
     with pytest.raises(VolumeError, match="is none"):
-        align_sections(blank, np.arange(10.0), (0.0, 1.0))
+        align_sections(SectionSeries(blank, np.arange(10.0), (0.0, 1.0)))
     with pytest.raises(VolumeError, match="at least two of each"):
-        align_sections(blank[0], np.arange(10.0), PIXEL_UM)
+        align_sections(SectionSeries(blank[0], np.arange(10.0), PIXEL_UM))
 
 
 # --- parts ---------------------------------------------------------------------------------------------------
@@ -277,5 +275,5 @@ def test_layers_twin() -> None:
 def test_a_knifes_nick_does_not_hold_the_columns(series: Series, alignment) -> None:
     stack = series.stack.copy()
     stack[:, :, 500:502] = np.minimum(stack[:, :, 500:502].astype(int) + 60, 255)
-    found = align_sections(stack, series.positions_um, PIXEL_UM)
+    found = align_sections(SectionSeries(stack, series.positions_um, PIXEL_UM))
     assert rms(found.shift_um - alignment.shift_um) < 0.2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planish.sections import align_sections
+from planish.sections import SectionSeries, align_sections
 from planish.sections._kernels import pair_sums
 from sections.bands import PIXEL_UM, fibres, make_series, rms, split
 
@@ -44,7 +44,7 @@ def test_noise_does_not_shorten_a_displacement() -> None:
 def test_what_is_said_is_what_is_left() -> None:
     # Without scratches along the rows, an error that all columns share. Said before: 0.4 of the truth for rows.
     series = make_series(seed=2, marks=False)
-    found = align_sections(series.stack, series.positions_um, PIXEL_UM)
+    found = align_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
     left = split(series.positions_um, found.shift_um - series.shift_um)[1]
     for axis in (0, 1):
         ratio = found.jitter_left_um[axis] / rms(left[:, axis])

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from planish.core.errors import VolumeError
-from planish.sections import align_sections, fixed_places
+from planish.sections import SectionSeries, align_sections, fixed_places
 from planish.sections.network import slow_part
 from planish.sections.reference import _step
 from sections.bands import PIXEL_UM, make_series, rms
@@ -54,8 +54,8 @@ def test_what_lies_still_brings_back_the_bend(drifting):
     # the sheet's own photographs drift too: those of the fixture tell how far
     moved = series.stack
     fixed = fixed_places(stack, PIXEL_UM, rows=(0, strip - 4))
-    free = align_sections(moved, series.positions_um, PIXEL_UM)
-    held = align_sections(moved, series.positions_um, PIXEL_UM, fixed=fixed)
+    free = align_sections(SectionSeries(moved, series.positions_um, PIXEL_UM))
+    held = align_sections(SectionSeries(moved, series.positions_um, PIXEL_UM), fixed=fixed)
     assert free.fixed == (False, False, False)
     assert held.fixed == (True, False, True)
     # what comes in is the slow part of all that the fixture shows, and nothing else

@@ -7,7 +7,7 @@ import pytest
 
 from planish.core.errors import VolumeError
 from planish.core.threads import limit_threads
-from planish.sections import Alignment, Gains, align_sections, normalise_sections, regular_volume
+from planish.sections import Alignment, Gains, SectionSeries, align_sections, normalise_sections, regular_volume
 from sections.bands import PITCH_UM, PIXEL_UM, make_series
 
 
@@ -27,7 +27,7 @@ def posed(n: int, shift=(0.0, 0.0), turn: float = 0.0, aligned=None) -> Alignmen
 
 def test_even_sections_without_corrections_stay_as_they_are() -> None:
     stack = np.random.default_rng(1).integers(0, 255, (9, 12, 20)).astype(np.uint16)
-    volume = regular_volume(stack, 50 + 3.0 * np.arange(9), (2.0, 4.0))
+    volume = regular_volume(SectionSeries(stack, 50 + 3.0 * np.arange(9), (2.0, 4.0)))
     np.testing.assert_array_equal(volume.values, stack)
     assert volume.dtype == np.uint16
     assert volume.dims == ("z", "y", "x")
@@ -41,7 +41,7 @@ def test_even_sections_without_corrections_stay_as_they_are() -> None:
 
 def test_uneven_sections_are_interpolated_at_their_true_places() -> None:
     positions = np.array([0, 3, 6.5, 9, 11, 14, 17, 20.0])
-    volume = regular_volume(ramp(positions).astype(np.float32), positions, (2.0, 4.0))
+    volume = regular_volume(SectionSeries(ramp(positions).astype(np.float32), positions, (2.0, 4.0)))
     np.testing.assert_allclose(volume.values, ramp(volume.z.values), rtol=1e-6)
     assert volume.sizes["z"] == 7  # 0 to 18 in steps of 3; the last section lies between two planes
 
@@ -50,7 +50,7 @@ def test_uneven_sections_are_interpolated_at_their_true_places() -> None:
 def test_up_to_three_missing_sections_are_bridged(direction: float) -> None:
     positions = np.array([0, 3, 6, 18, 21, 24.0])
     stack = ramp(positions).astype(np.uint8)
-    volume = regular_volume(stack, direction * positions, (2.0, 4.0))
+    volume = regular_volume(SectionSeries(stack, direction * positions, (2.0, 4.0)))
     # Sections are rounded down by up to a half here, and the volume is rounded once.
     assert np.abs(volume.values - ramp(3.0 * np.arange(9))).max() <= 1.0
     assert volume.attrs["sections_missing"] == 3
@@ -59,8 +59,8 @@ def test_up_to_three_missing_sections_are_bridged(direction: float) -> None:
 def test_longer_gaps_are_named_or_empty() -> None:
     positions = np.array([0, 3, 6, 21, 24, 27.0])
     with pytest.raises(VolumeError, match=r"4 between 6 and 21 um.*At most 3 in a row.*split the series"):
-        regular_volume(ramp(positions).astype(np.uint8), positions, (2.0, 4.0))
-    volume = regular_volume(ramp(positions).astype(np.float32), positions, (2.0, 4.0))
+        regular_volume(SectionSeries(ramp(positions).astype(np.uint8), positions, (2.0, 4.0)))
+    volume = regular_volume(SectionSeries(ramp(positions).astype(np.float32), positions, (2.0, 4.0)))
     empty = np.isnan(volume.values).all(axis=(1, 2))
     np.testing.assert_array_equal(np.flatnonzero(empty), [3, 4, 5, 6])
     assert np.isfinite(volume.values[~empty]).all()
@@ -70,16 +70,16 @@ def test_sections_that_could_not_be_aligned_count_as_missing() -> None:
     positions = 3.0 * np.arange(8)
     stack = ramp(positions).astype(np.float32)
     stack[4] = 99
-    volume = regular_volume(stack, positions, (2.0, 4.0), alignment=posed(8, aligned=np.arange(8) != 4))
+    volume = regular_volume(SectionSeries(stack, positions, (2.0, 4.0)), alignment=posed(8, aligned=np.arange(8) != 4))
     np.testing.assert_allclose(volume.values, ramp(positions), rtol=1e-6)
     with pytest.raises(VolumeError, match="1 of 8 sections could be aligned"):
-        regular_volume(stack, positions, (2.0, 4.0), alignment=posed(8, aligned=np.arange(8) == 4))
+        regular_volume(SectionSeries(stack, positions, (2.0, 4.0)), alignment=posed(8, aligned=np.arange(8) == 4))
 
 
 def test_shift_and_turn_are_taken_off_in_one_step() -> None:
     positions = 3.0 * np.arange(4)
     stack = ramp(positions).astype(np.float32)
-    volume = regular_volume(stack, positions, (2.0, 4.0), alignment=posed(4, (1.0, 6.0), 0.01))
+    volume = regular_volume(SectionSeries(stack, positions, (2.0, 4.0)), alignment=posed(4, (1.0, 6.0), 0.01))
     # 1 um is half a row (2 a row), 6 um are 1.5 columns (1 a column); 0.01 rad: 4 um a column is 0.02 rows, 2 um a row
     # is 0.005 columns less.
     r, c = np.indices((12, 20))
@@ -94,27 +94,27 @@ def test_gains_are_applied_before_rounding_and_kept_in_range() -> None:
         gain=np.full(4, 1.1), offset=np.full(4, -20.0), background=np.zeros(4), material=np.zeros(4),
         measured=np.ones(4, bool),
     )  # fmt: skip
-    volume = regular_volume(stack, 3.0 * np.arange(4), (2.0, 4.0), gains=gains)
+    volume = regular_volume(SectionSeries(stack, 3.0 * np.arange(4), (2.0, 4.0)), gains=gains)
     np.testing.assert_array_equal(volume.values[0, 0], [0, 90, 255])  # -9, 90, 255
 
 
 def test_the_whole_stage_puts_the_sheet_where_it_was() -> None:
     truth = make_series(errors=(0.0, 0.0), turn_rad=0.0, noise=0.0, marks=False, sections=64, cols=480)
     series = make_series(drift=0.03, marks=False, sections=64, cols=480, missing=(40, 41, 42))
-    found = align_sections(series.stack, series.positions_um, PIXEL_UM)
-    gains = normalise_sections(series.stack, series.positions_um, PIXEL_UM)
+    found = align_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
+    gains = normalise_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
     attrs = {"file_name": "v", "voxel_um_source": "the cut counter"}
-    where = (series.stack, series.positions_um, PIXEL_UM)
+    where = SectionSeries(series.stack, series.positions_um, PIXEL_UM)
     with limit_threads(1):
-        volume = regular_volume(*where, alignment=found, gains=gains, attrs=attrs)
+        volume = regular_volume(where, alignment=found, gains=gains, attrs=attrs)
     with limit_threads(3):
-        again = regular_volume(*where, alignment=found, gains=gains, attrs=attrs)
+        again = regular_volume(where, alignment=found, gains=gains, attrs=attrs)
     np.testing.assert_array_equal(volume.values, again.values)
     assert volume.dtype == np.uint8
     assert volume.shape == truth.stack.shape
     assert volume.attrs["file_name"] == "v"
     assert volume.attrs["voxel_um_source"] == "the cut counter"
-    raw = regular_volume(series.stack, series.positions_um, PIXEL_UM)
+    raw = regular_volume(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
     heights = [np.diff(middle(v.values)) for v in (truth_volume(truth), raw, volume)]
     before, after = (np.std((h - heights[0])[np.r_[:38, 43:63]]) for h in heights[1:])
     print(f"steps from section to section, error {before:.2f} -> {after:.2f} um")
@@ -123,7 +123,7 @@ def test_the_whole_stage_puts_the_sheet_where_it_was() -> None:
 
 
 def truth_volume(series):
-    return regular_volume(series.stack, series.positions_um, PIXEL_UM)
+    return regular_volume(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
 
 
 def middle(values):
@@ -135,7 +135,7 @@ def middle(values):
 
 def test_pitch_of_the_made_up_series_is_the_nominal_one() -> None:
     series = make_series(sections=20, cols=80, missing=(5,))
-    volume = regular_volume(series.stack, series.positions_um, PIXEL_UM)
+    volume = regular_volume(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
     assert volume.attrs["voxel_um"] == [PITCH_UM, *PIXEL_UM]
     assert volume.sizes["z"] == 20
 
@@ -154,11 +154,11 @@ class OneByOne:
 def test_photographs_in_their_files_give_the_same_volume_in_parts():
     series = make_series(sections=60, cols=300, missing=(20, 21))
     where = (series.positions_um, PIXEL_UM)
-    found = align_sections(series.stack, *where)
-    again = align_sections(OneByOne(series.stack), *where)
+    found = align_sections(SectionSeries(series.stack, *where))
+    again = align_sections(SectionSeries(OneByOne(series.stack), *where))
     np.testing.assert_array_equal(found.shift_um, again.shift_um)
-    whole = regular_volume(series.stack, *where, alignment=found)
-    parts = regular_volume(OneByOne(series.stack), *where, alignment=found)
+    whole = regular_volume(SectionSeries(series.stack, *where), alignment=found)
+    parts = regular_volume(SectionSeries(OneByOne(series.stack), *where), alignment=found)
     assert parts.encoding["whole_slices"]
     assert parts.shape == whole.shape
     np.testing.assert_array_equal(parts.isel(z=slice(15, 30), y=slice(10, 40)).values, whole.values[15:30, 10:40])

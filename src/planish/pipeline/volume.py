@@ -18,7 +18,7 @@ from planish.io import find_place, read_volume
 from planish.io.params import VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.pipeline.facts import section_facts
-from planish.sections import align_sections, find_band, fixed_places, normalise_sections, regular_volume
+from planish.sections import SectionSeries, align_sections, fixed_places, normalise_sections, regular_volume
 
 _SLICES = 3
 
@@ -93,14 +93,13 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
     # The photographs and the volume made from them are in memory at the same time.
     stack = read_section_stack(path, **_how(params, compute.volume_bytes // 2))
     progress("align", f"{stack.values.shape[0]} sections")
-    where = (stack.values, stack.positions_um, stack.pixel_um)
-    band = find_band(stack.values, np.abs(stack.positions_um - stack.positions_um[0]), stack.pixel_um)
+    series = SectionSeries(stack.values, stack.positions_um, stack.pixel_um)
     fixed = None
     if params.fixed_rows is not None or params.fixed_cols is not None:
         fixed = fixed_places(stack.values, stack.pixel_um, rows=params.fixed_rows, cols=params.fixed_cols)
-    found = align_sections(*where, band=band, fixed=fixed)
-    gains = normalise_sections(*where, band=band)
-    volume = regular_volume(*where, alignment=found, gains=gains, attrs=stack.attrs)
+    found = align_sections(series, fixed=fixed)
+    gains = normalise_sections(series)
+    volume = regular_volume(series, alignment=found, gains=gains, attrs=stack.attrs)
     um = {"units": "um"}
     first = float(volume.attrs["first_position_um"])
     sections = xr.Dataset(

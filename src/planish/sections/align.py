@@ -8,14 +8,12 @@ bend of the sheet cannot be separated from a drift of the stage, are left as the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.threads import map_threads
-from planish.sections.band import Band, Stack, check_stack, find_band
-from planish.sections.network import held_pairs, parts, quick_places, slow_part, solve_places
+from planish.sections.band import Band, SectionSeries
+from planish.sections.network import HELD, parts, quick_places, slow_part, solve_places
 from planish.sections.pairs import FINEST_UM, GROUPS, Bands, Pairs, compare
 
 Array = NDArray[np.float64]
@@ -28,7 +26,6 @@ _FINE_ROUNDS = 2
 _COARSE_FACTOR = 4.0
 """On the sigma of pairs of coarse bands: those over the same sections, and the next ones, share their errors."""
 _SURER = 0.5  # sigma of fine over that of coarse pairs of neighbours, above which the fine ones show noise
-_BLOCK = 32  # sections that a thread takes at a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,28 +67,12 @@ class Alignment:
     fixed: tuple[bool, ...] = (False, False, False)
 
 
-def align_sections(
-    stack: Stack,
-    positions_um: NDArray[Any],
-    pixel_um: tuple[float, float],
-    *,
-    band: Band | None = None,
-    rotation: bool = True,
-    fixed: Array | None = None,
-) -> Alignment:
+def align_sections(series: SectionSeries, *, fixed: Array | None = None) -> Alignment:
     """Align serial sections jointly, leaving the slow waves alone.
 
     Parameters
     ----------
-    stack : ndarray or memmap, dims (section, row, col)
-        Grey values of any integer or real type; NaN is missing. The sheet is a band along the columns.
-    positions_um : ndarray (sections,)
-        True places along the cut in um, monotonic; missing sections are gaps.
-    pixel_um : (row, col)
-    band : Band, optional
-        As `find_band` gives it, where it is known already.
-    rotation : bool
-        Whether sections are turned.
+    series : SectionSeries
     fixed : ndarray (sections, 3), optional
         Places against something that does not move, as :func:`planish.sections.fixed_places` gives them: the slow waves
         are then taken from there instead of being left alone. NaN where it is not visible.
@@ -103,7 +84,7 @@ def align_sections(
     Raises
     ------
     VolumeError
-        If the stack is none, positions are not monotonic, or no sheet is found.
+        If no sheet is found.
 
     Notes
     -----
@@ -113,64 +94,63 @@ def align_sections(
     Joint alignment: Saalfeld et al. 2012, Nature Methods 9, 717. A sheet that rises along the cut has a true offset
     from section to section; it belongs to the slow part, and the band follows it before anything is compared.
     """
-    positions = np.asarray(positions_um, np.float64)
-    away = check_stack(stack, positions, pixel_um)
-    n, rows, cols = stack.shape
-    pitch = float(np.median(np.diff(away)))
-    cutoff = _CUTOFF_SECTIONS * pitch
-    band = band or find_band(stack, away, pixel_um)
-    first, second = neighbours(away, pitch, _REACH)
-    bands = Bands(stack=stack, band=band, pixel_um=pixel_um)
+    stack, band, pixel_um, away, n = series.stack, series.band, series.pixel_um, series.away_um, len(series.away_um)
+    cutoff = _CUTOFF_SECTIONS * series.pitch_um
+    first, second = neighbours(away, series.pitch_um, _REACH)
     # Course of the sheet itself as a pose: mean height and slope of the smooth surface, which the pairs do not see.
-    course = _course(band, (rows, cols), pixel_um)
+    course = _course(band, stack.shape[1:], pixel_um)
     pose = np.zeros((n, 3))
     pose[:, 0] = band.jump * pixel_um[0]
 
-    def measured(one: NDArray[np.intp], two: NDArray[np.intp]) -> Pairs:
-        sums = np.concatenate(_sums(bands, pose, one, two))
-        return compare(sums, one, two, pose, rotation=rotation)
+    def measured(which: NDArray[np.bool_], *, fine: bool = False) -> Pairs:
+        one, two = first[which], second[which]
+        bands = Bands(stack=stack, band=band, pixel_um=pixel_um, fine=fine)
+        return compare(bands.sums(pose, one, two), one, two, pose, fine=fine)
 
     # The first rounds only bring the sections near, with few pairs; the offsets that count are those of the last.
     near = second - first <= _REACH_FIRST
     for _ in range(_ROUNDS - 1):
-        whole = measured(first[near], second[near])
-        places, kept = _joined(whole, n, rotation)
-        pose = _quick(places, course, away, parts(whole.first[kept], whole.second[kept], n), cutoff)
-    whole = measured(first, second)
-    places, kept = _joined(whole, n, rotation)
+        whole = measured(near)
+        places, kept = _joined(whole, n)
+        groups = parts(whole.first[kept], whole.second[kept], n)
+        pose = quick_places(places + course, away, groups, cutoff_um=cutoff)
+    whole = measured(near | ~near)
+    places, kept = _joined(whole, n)
     groups = parts(first[kept], second[kept], n)
-    pose = _quick(places, course, away, groups, cutoff)
+    pose = quick_places(places + course, away, groups, cutoff_um=cutoff)
     # Coarse texture wanders along the columns with the fibres that come and go; fine texture less. The place along the
     # columns is measured once more in it, now that the sections lie near enough.
     close = (second - first == 1) & kept
     fine: Pairs | None = None
-    coarse = places.copy()
+    coarse_pose = pose
     for _ in range(_FINE_ROUNDS if max(pixel_um) <= FINEST_UM and close.any() else 0):
-        bands = Bands(stack=stack, band=band, pixel_um=pixel_um, fine=True)
-        sums = np.concatenate(_sums(bands, pose, first[close], second[close]))
-        alike = np.ones(len(sums), bool)
-        found = compare(sums, first[close], second[close], pose, rotation=False, alike=alike)
+        found = measured(close, fine=True)
         if not np.median(found.sigma[:, 1]) < _SURER * np.median(whole.sigma[close, 1]):
-            fine, places = None, coarse
-            pose = _quick(places, course, away, groups, cutoff)
+            fine, pose = None, coarse_pose
             break
         fine = found
         places[:, 1] = _columns(whole, fine, n)
-        pose = _quick(places, course, away, groups, cutoff)
-    aligned = _aligned(groups, np.concatenate([first[kept], second[kept]]), n)
+        pose = quick_places(places + course, away, groups, cutoff_um=cutoff)
+    # Sections that hang together with others, by two pairs or more.
+    pairs = np.bincount(np.concatenate([first[kept], second[kept]]), minlength=n)
+    aligned = np.isin(np.arange(n), np.concatenate([np.zeros(0, np.intp), *groups])) & (pairs >= min(2, n - 1))
     pose[~aligned] = 0.0
     left = np.full(3, np.nan)
     if aligned.any():
 
         def without(k: int) -> Array:
-            there = _places_without(k, whole, fine, n, rotation)
-            return _quick(there, _course(band, (rows, cols), pixel_um, without=k), away, groups, cutoff)[aligned]
+            fewer = whole.without(k)
+            there = _joined(fewer, n)[0]
+            if fine is not None:
+                there[:, 1] = _columns(fewer, fine.without(k), n)
+            there += _course(band, stack.shape[1:], pixel_um, without=k)
+            return quick_places(there, away, groups, cutoff_um=cutoff)[aligned]
 
         # Jackknife: one run of columns after the other is left out, of the surface too.
         left = np.mean(np.var([without(k) for k in range(GROUPS)], axis=0), axis=0) * (GROUPS - 1)
     # A narrow image determines rotations badly: they are shortened to what is more than their own error (Wiener).
     turned = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
-    pose[:, 2] *= max(0.0, 1.0 - left[2] / turned) if rotation and turned > 0 else 0.0
+    pose[:, 2] *= max(0.0, 1.0 - left[2] / turned) if turned > 0 else 0.0
     held = _hold(pose, fixed, away, cutoff, aligned) if fixed is not None else (False, False, False)
     return Alignment(
         shift_um=pose[:, :2].copy(),
@@ -207,7 +187,7 @@ def neighbours(away_um: Array, pitch_um: float, reach: int) -> tuple[NDArray[np.
     return table[:, 0], table[:, 1]
 
 
-def _course(band: Band, shape: tuple[int, int], pixel_um: tuple[float, float], without: int = -1) -> Array:
+def _course(band: Band, shape: tuple[int, ...], pixel_um: tuple[float, float], without: int = -1) -> Array:
     """Mean height in um, 0, and slope of the smooth surface in each section; (sections, 3).
 
     ``without`` leaves out the columns of one group of parts.
@@ -219,42 +199,16 @@ def _course(band: Band, shape: tuple[int, int], pixel_um: tuple[float, float], w
     return np.stack([mean, np.zeros(mean.size), slope], axis=1)
 
 
-def _sums(bands: Bands, pose: Array, first: NDArray[np.intp], second: NDArray[np.intp]) -> list[Array]:
-    """Sums of all pairs, a block of sections at a time: each band is made once or twice, and few are held."""
-
-    def block(k: int) -> Array:
-        mine = slice(np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK))
-        return bands.sums(pose, first[mine], second[mine])
-
-    return map_threads(block, range(-(-pose.shape[0] // _BLOCK)))
-
-
-def _aligned(groups: list[NDArray[np.intp]], partners: NDArray[np.intp], n: int) -> NDArray[np.bool_]:
-    """Sections that hang together with others, by two pairs or more."""
-    found = np.isin(np.arange(n), np.concatenate([np.zeros(0, np.intp), *groups]))
-    return found & (np.bincount(partners, minlength=n) >= min(2, n - 1))
-
-
-def _joined(pairs: Pairs, n: int, rotation: bool) -> tuple[Array, NDArray[np.bool_]]:
+def _joined(pairs: Pairs, n: int) -> tuple[Array, NDArray[np.bool_]]:
     """Places of all sections (sections, 3), and which pairs were used."""
     places = np.zeros((n, 3))
     kept = np.zeros((pairs.first.size, 3))
-    kept[:, 2] = 1.0
     sound = pairs.sound
-    for axis in range(3 if rotation else 2):
+    for axis in range(3):
         places[:, axis], kept[sound, axis] = solve_places(
             pairs.first[sound], pairs.second[sound], pairs.offset[sound, axis], pairs.sigma[sound, axis], n
         )
-    return places, sound & held_pairs(kept)
-
-
-def _places_without(k: int, whole: Pairs, fine: Pairs | None, n: int, rotation: bool) -> Array:
-    """Places of all sections (sections, 3) without one group of the columns."""
-    fewer = whole.without(k, rotation)
-    places = _joined(fewer, n, rotation)[0]
-    if fine is not None:
-        places[:, 1] = _columns(fewer, fine.without(k, False), n)
-    return places
+    return places, sound & (np.min(kept, axis=1) > HELD)
 
 
 def _columns(coarse: Pairs, fine: Pairs, n: int) -> Array:
@@ -268,9 +222,3 @@ def _columns(coarse: Pairs, fine: Pairs, n: int) -> Array:
     offset = np.concatenate([p.offset[p.sound, 1] for p in both])
     sigma = np.concatenate([_COARSE_FACTOR * coarse.sigma[coarse.sound, 1], fine.sigma[fine.sound, 1]])
     return solve_places(first, second, offset, sigma, n)[0]
-
-
-def _quick(places: Array, course: Array, away: Array, groups: list[NDArray[np.intp]], cutoff: float) -> Array:
-    """Corrections (sections, 3): places with the course of the sheet, less their slow part."""
-    axes = [quick_places(places[:, k] + course[:, k], away, groups, cutoff_um=cutoff) for k in range(3)]
-    return np.stack(axes, axis=1)

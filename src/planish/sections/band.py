@@ -7,6 +7,7 @@ to section, so it lends neighbours no difference of its own.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -60,58 +61,71 @@ class Band:
         return np.interp(np.arange(cols), self.at_col, self.row[section]).astype(np.float32)
 
 
-def check_stack(stack: Stack, positions_um: Array, pixel_um: tuple[float, float]) -> Array:
-    """Refuse what is no stack of sections; return the distances from the first section in um, increasing.
+@dataclass(frozen=True, eq=False)
+class SectionSeries:
+    """Photographs of serial sections, in order.
 
-    Raises
-    ------
-    VolumeError
-        If dims, types or numbers do not fit.
-    """
-    if stack.ndim != 3 or stack.dtype.kind not in "uif" or min(stack.shape) < 2:
-        raise VolumeError(
-            f"The sections have the shape {' x '.join(map(str, stack.shape))} and type {stack.dtype}. Needed are grey "
-            "values, (sections, rows, cols), with at least two of each."
-        )
-    if positions_um.shape != stack.shape[:1]:
-        raise VolumeError(
-            f"There are {stack.shape[0]} sections and {positions_um.size} positions. Each section needs one."
-        )
-    if not all(np.isfinite(p) and p > 0 for p in pixel_um):
-        raise VolumeError(f"A pixel of {pixel_um[0]:g} x {pixel_um[1]:g} um is none. Give its size (row, col) in um.")
-    away = np.asarray(positions_um, np.float64) - positions_um[0]
-    away = -away if away[-1] < 0 else away
-    wrong = np.flatnonzero(~(np.diff(away) > 0))
-    if wrong.size:
-        i = int(wrong[0])
-        raise VolumeError(
-            f"The sections {i + 1} and {i + 2} lie at {positions_um[i]:g} and {positions_um[i + 1]:g} um. Positions "
-            "have to be monotonic: correct the cut counter or put the sections in order."
-        )
-    return away
-
-
-def find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float]) -> Band:
-    """Find the course of the sheet through a stack of sections.
-
-    Parameters
+    Attributes
     ----------
-    stack : ndarray (sections, rows, cols)
-    away_um : ndarray (sections,)
-        Distance from the first section in um, increasing.
+    stack : ndarray or LazyArray, dims (section, row, col)
+        Grey values of any integer or real type; NaN is missing. The sheet is a band along the columns.
+    positions_um : ndarray (sections,)
+        True places along the cut in um, monotonic; missing sections are gaps.
     pixel_um : (row, col)
 
-    Returns
-    -------
-    Band
-
     Raises
     ------
     VolumeError
-        If no sheet is found.
+        If the stack is none, or positions are not monotonic; of :attr:`band` if no sheet is found.
+    """
 
-    Notes
-    -----
+    stack: Stack
+    positions_um: Array
+    pixel_um: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        """Check dims, types and numbers."""
+        stack, positions = self.stack, self.positions_um
+        if stack.ndim != 3 or stack.dtype.kind not in "uif" or min(stack.shape) < 2:
+            raise VolumeError(
+                f"The sections have the shape {' x '.join(map(str, stack.shape))} and type {stack.dtype}. Needed are "
+                "grey values, (sections, rows, cols), with at least two of each."
+            )
+        if positions.shape != stack.shape[:1]:
+            raise VolumeError(
+                f"There are {stack.shape[0]} sections and {positions.size} positions. Each section needs one."
+            )
+        if not all(np.isfinite(p) and p > 0 for p in self.pixel_um):
+            pixel = "{:g} x {:g}".format(*self.pixel_um)
+            raise VolumeError(f"A pixel of {pixel} um is none. Give its size (row, col) in um.")
+        wrong = np.flatnonzero(~(np.diff(self.away_um) > 0))
+        if wrong.size:
+            i = int(wrong[0])
+            raise VolumeError(
+                f"The sections {i + 1} and {i + 2} lie at {positions[i]:g} and {positions[i + 1]:g} um. Positions "
+                "have to be monotonic: correct the cut counter or put the sections in order."
+            )
+
+    @cached_property
+    def away_um(self) -> Array:
+        """Distances from the first section, increasing."""
+        away = np.asarray(self.positions_um, np.float64) - self.positions_um[0]
+        return -away if away[-1] < 0 else away
+
+    @property
+    def pitch_um(self) -> float:
+        """Median distance of neighbours."""
+        return float(np.median(np.diff(self.away_um)))
+
+    @cached_property
+    def band(self) -> Band:
+        """Course of the sheet."""
+        return _find_band(self.stack, self.away_um, self.pixel_um)
+
+
+def _find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float]) -> Band:
+    """Find the course of the sheet through a stack of sections.
+
     Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on the difference to the
     section's background; the largest connected part is the sheet.
     """

@@ -19,7 +19,7 @@ Index = NDArray[np.intp]
 
 _ROUNDS = 25
 _CAUCHY = 2.385  # 95 % as good as least squares where nothing is wrong (Holland and Welsch 1977)
-_HELD = 0.05  # a pair with less than this share of its weight is refused
+HELD = 0.05  # a pair with less than this share of its weight is refused
 _TIED = 1e-7  # weight of the prior "where the stage put it", against the pairs: settles what they leave open
 _LEAST_PART = 6  # sections tied to each other, below which slow and quick parts cannot be separated
 _ORDER = 4
@@ -35,25 +35,10 @@ _HALF = 1.0 / np.sqrt(0.5) - 1.0
 def solve_places(first: Index, second: Index, offset: Array, sigma: Array, n: int) -> tuple[Array, Array]:
     """Find the places whose differences are the offsets.
 
-    Parameters
-    ----------
-    first, second : ndarray (pairs,)
-        Sections, ``first < second``.
-    offset, sigma : ndarray (pairs,)
-        Place of the second less that of the first, and its standard deviation, in any one unit.
-    n : int
-        Number of sections.
-
-    Returns
-    -------
-    place : ndarray (n,)
-        Up to a constant in each connected part.
-    weight : ndarray (pairs,)
-        Share of its weight that each pair kept: 1 for a good one, near 0 for an outlier.
-
-    Notes
-    -----
-    Least squares with Cauchy's weights, iterated; the scale is the median of the residuals over their sigma.
+    ``offset`` (pairs,) is the place of the second section of a pair less that of the first, which comes before it, and
+    ``sigma`` its standard deviation, in any one unit. The places (n,) are known up to a constant in each connected
+    part; the second array (pairs,) is the share of its weight that each pair kept: 1 for a good one, near 0 for an
+    outlier. Least squares with Cauchy's weights, iterated; the scale is the median of the residuals over their sigma.
     """
     trust = 1.0 / sigma**2
     kept = np.ones(first.size)
@@ -78,11 +63,6 @@ def solve_places(first: Index, second: Index, offset: Array, sigma: Array, n: in
     return place, kept
 
 
-def held_pairs(kept: Array) -> NDArray[np.bool_]:
-    """Which pairs kept enough of their weight on every axis, from (pairs, axes)."""
-    return np.min(kept, axis=1) > _HELD
-
-
 def parts(first: Index, second: Index, n: int) -> list[Index]:
     """Sections that pairs tie to each other, each part in order; those too small are left out."""
     ties = coo_array((np.ones(first.size), (first, second)), shape=(n, n))
@@ -91,35 +71,21 @@ def parts(first: Index, second: Index, n: int) -> list[Index]:
     return [np.flatnonzero(names == k) for k in np.flatnonzero(sizes >= min(_LEAST_PART, n))]
 
 
-def quick_places(place: Array, away_um: Array, groups: list[Index], *, cutoff_um: float) -> Array:
-    """Take the slow part off, in each part by itself; 0 for sections in none."""
-    quick = np.zeros_like(place)
+def quick_places(places: Array, away_um: Array, groups: list[Index], *, cutoff_um: float) -> Array:
+    """Take the slow part off places (sections, axes), in each part by itself; 0 for sections in none."""
+    quick = np.zeros_like(places)
     for group in groups:
-        quick[group] = quick_part(away_um[group], place[group], cutoff_um=cutoff_um)
+        for axis in range(places.shape[1]):
+            quick[group, axis] = quick_part(away_um[group], places[group, axis], cutoff_um=cutoff_um)
     return quick
 
 
 def slow_part(at_um: Array, values: Array, *, cutoff_um: float, weights: Array | None = None) -> Array:
     """Low-pass a series at uneven places; slopes and curvature pass unchanged, up to the ends.
 
-    Parameters
-    ----------
-    at_um : ndarray (n,)
-        Places in um, increasing.
-    values : ndarray (n,)
-        Any unit; finite where the weight is not 0.
-    cutoff_um : float
-        Wavelength in um of which half the amplitude passes; of one twice as long 99.99 % do,
-        of one half as long 2 %.
-    weights : ndarray (n,), optional
-        0 or more; all 1 where not given.
+    Places increase; values are finite where the weight is not 0. Of the wavelength ``cutoff_um`` half the amplitude
+    passes; of one twice as long 99.99 % do, of one half as long 2 %.
 
-    Returns
-    -------
-    ndarray (n,)
-
-    Notes
-    -----
     Whittaker's smoother with a penalty on the fourth derivative (Eilers 2003, Anal. Chem. 75, 3631), applied a second
     time to what the first left. The derivative is taken by divided differences at the true places, so a gap neither
     shifts nor bends anything.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.threads import map_threads
-from planish.sections.band import Band, Stack, check_stack, find_band
+from planish.sections.band import SectionSeries
 
 Array = NDArray[np.float64]
 
@@ -42,23 +42,8 @@ class Gains:
     measured: NDArray[np.bool_]
 
 
-def normalise_sections(
-    stack: Stack,
-    positions_um: NDArray[Any],
-    pixel_um: tuple[float, float],
-    *,
-    band: Band | None = None,
-) -> Gains:
-    """Find gain and offset of each section from two anchors.
-
-    Parameters
-    ----------
-    stack : ndarray or memmap, dims (section, row, col)
-        As for `align_sections`; one section at a time is looked at.
-    positions_um : ndarray (sections,)
-    pixel_um : (row, col)
-    band : Band, optional
-        As `find_band` gives it, where it is known already.
+def normalise_sections(series: SectionSeries) -> Gains:
+    """Find gain and offset of each section from two anchors; one section at a time is looked at.
 
     Returns
     -------
@@ -68,7 +53,7 @@ def normalise_sections(
     Raises
     ------
     VolumeError
-        If the stack is none, positions are not monotonic, or no sheet is found.
+        If no sheet is found.
 
     Notes
     -----
@@ -77,20 +62,16 @@ def normalise_sections(
     together by their standard deviation over the root of the number of flocs in the core, some 0.3 % of the contrast in
     8 mm, and this, like a slow change of the sheet's own material, is taken for a drift of colour.
     """
-    away = check_stack(stack, np.asarray(positions_um, np.float64), pixel_um)
-    band = band or find_band(stack, away, pixel_um)
-    n, rows, cols = stack.shape
-    near, far = _CORE * band.half_um / pixel_um[0], (band.half_um + _OFF_UM) / pixel_um[0]
+    band, pixel = series.band, series.pixel_um[0]
+    n, rows, cols = series.stack.shape
+    near, far = _CORE * band.half_um / pixel, (band.half_um + _OFF_UM) / pixel
     inside, outside = 2 * near * cols, max(1.0, rows - 2 * far) * cols
     step = max(1, round(inside / _MOST)), max(1, round(outside / _MOST))
 
     def levels(i: int) -> tuple[float, float]:
         height = band.heights(i, cols) + np.float32(band.jump[i])
-        inner, outer = layers(stack[i], height, near, far, step)
-        return (
-            _crowd(outer) if outer.size >= _LEAST else np.nan,
-            _crowd(inner) if inner.size >= _LEAST else np.nan,
-        )
+        inner, outer = layers(series.stack[i], height, near, far, step)
+        return _crowd(outer), _crowd(inner)
 
     background, material = np.array(map_threads(levels, range(n)), np.float64).T
     contrast = material - background
@@ -117,7 +98,9 @@ def layers(
 
 
 def _crowd(values: NDArray[np.float32]) -> float:
-    """Value around which most of the data lie: the mean of those near it, found by iteration from the median."""
+    """Value around which most of the data lie, by iteration from the median; NaN for a few pixels."""
+    if values.size < _LEAST:
+        return np.nan
     data = values.astype(np.float64)
     level = float(np.median(data))
     spread = 1.4826 * float(np.median(np.abs(data - level)))

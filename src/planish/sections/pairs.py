@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from planish.core.threads import map_threads
 from planish.sections._kernels import pair_sums, smooth, straighten
 from planish.sections.band import Band, Stack
 
@@ -37,6 +38,7 @@ _ALIKE = 0.5  # correlation of two bands below which they do not show the same s
 _LARGEST_SIGMA_UM = 5.0
 _LEAST_SIGMA_UM = 0.02  # no pair is better than this, whatever its parts say
 _STIFF = 1e-6
+_BLOCK = 32  # sections that a thread takes at a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +56,8 @@ class Pairs:
         What the offsets follow from.
     base : ndarray (pairs, 3)
         Difference of the poses with which the bands were made.
+    fine : bool
+        Whether the bands were fine, which show no rotation.
     """
 
     first: Index
@@ -64,12 +68,13 @@ class Pairs:
     sound: NDArray[np.bool_]
     sums: Array
     base: Array
+    fine: bool
 
-    def without(self, group: int, rotation: bool) -> Pairs:
+    def without(self, group: int) -> Pairs:
         """Return the same pairs without one group of the columns, of `GROUPS`."""
         parts = self.sums.shape[1]
         held = np.arange(parts) * GROUPS // parts != group
-        return _solved(self.sums[:, held], self.first, self.second, self.base, rotation, self.alike)
+        return _solved(self.sums[:, held], self.first, self.second, self.base, self.alike, self.fine)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,28 +100,14 @@ class Bands:
         )
 
     @property
-    def blur_um(self) -> float:
-        """Standard deviation of the Gaussian that smooths the bands."""
-        return max(_FINE_BLUR_UM, self.pixel_um[1]) if self.fine else _BLUR_UM
-
-    @property
     def pitch_um(self) -> tuple[float, float]:
         """Distance of the samples."""
         return self.step[0] * self.pixel_um[0], self.step[1] * self.pixel_um[1]
 
-    @property
-    def parts(self) -> int:
-        """Number of parts of the columns."""
-        return int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
-
     def samples(self, section: int, pose: Array) -> tuple[Samples, Samples]:
         """Smoothed band of a section, grey as 0 off the sheet and 1 in it, and the heights of its columns in um.
 
-        Parameters
-        ----------
-        section : int
-        pose : ndarray (3,)
-            Row, col in um and rotation in rad that are taken off.
+        ``pose``, (row, col) in um and rotation in rad, is taken off.
         """
         _, rows, cols = self.stack.shape
         (down, across), (pitch_r, pitch_c) = self.step, self.pitch_um
@@ -131,11 +122,12 @@ class Bands:
         out -= np.float32(self.band.background[section])
         out /= np.float32(self.band.contrast[section])
         self._mend(out)
-        weights = [_gaussian(self.blur_um / pitch) for pitch in (pitch_r, pitch_c)]
+        blur = max(_FINE_BLUR_UM, pixel_c) if self.fine else _BLUR_UM
+        weights = [_gaussian(blur / pitch) for pitch in (pitch_r, pitch_c)]
         result = np.empty_like(out)
         smooth(out, weights[0], weights[1], np.empty(out.shape[1] + weights[1].size, np.float32), result)
         if self.fine:
-            wide = _gaussian(_FINE_PASS * self.blur_um / pitch_c)
+            wide = _gaussian(_FINE_PASS * blur / pitch_c)
             smooth(result, np.ones(1, np.float32), wide, np.empty(out.shape[1] + wide.size, np.float32), out)
             result -= out
         middle = (np.arange(out.shape[1]) + 0.5) * across - 0.5
@@ -163,10 +155,20 @@ class Bands:
 
     def sums(self, pose: Array, first: Index, second: Index) -> Array:
         """Sums of `pair_sums` for pairs that are ordered by the first section; (pairs, parts, 13)."""
+
+        # A block of sections at a time: each band is made once or twice, and few are held.
+        def block(k: int) -> Array:
+            mine = slice(np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK))
+            return self._block(pose, first[mine], second[mine])
+
+        return np.concatenate(map_threads(block, range(-(-pose.shape[0] // _BLOCK))))
+
+    def _block(self, pose: Array, first: Index, second: Index) -> Array:
         cols = self.stack.shape[2] // self.step[1]
         x = ((np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)) * self.pixel_um[1]
         x32 = x.astype(np.float32)
-        found = np.zeros((first.size, self.parts, 13))
+        parts = int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
+        found = np.zeros((first.size, parts, 13))
         shared = 1.0 if self.fine else 0.0
         held: dict[int, tuple[Samples, Samples]] = {}
         for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
@@ -180,40 +182,24 @@ class Bands:
             # Columns move along the sheet here, not at a fixed row: where the sheet is tilted, its faces would else
             # tell the shift along the columns, and every unevenness of the smooth surface would count as one. What
             # this neglects vanishes with the shift itself, after two or three rounds.
-            pair_sums(a, b, x32, 0.5 * (y_a + y_b), self.pitch_um, self.parts, limit, trust, found[k], shared)
+            pair_sums(a, b, x32, 0.5 * (y_a + y_b), self.pitch_um, parts, limit, trust, found[k], shared)
         return found
 
 
-def compare(
-    sums: Array, first: Index, second: Index, pose: Array, *, rotation: bool, alike: NDArray[np.bool_] | None = None
-) -> Pairs:
-    """Offsets of pairs from their sums.
+def compare(sums: Array, first: Index, second: Index, pose: Array, *, fine: bool) -> Pairs:
+    """Offsets of pairs from their sums (pairs, parts, 13); ``pose`` as the bands were made with.
 
-    Parameters
-    ----------
-    sums : ndarray (pairs, parts, 13)
-    first, second : ndarray (pairs,)
-    pose : ndarray (sections, 3)
-        Poses with which the bands were made, in um and rad.
-    rotation : bool
-        Whether sections may be turned against each other.
-    alike : ndarray of bool (pairs,), optional
-        Whether both show the same sheet, where the sums do not show it: those of fine bands.
-
-    Returns
-    -------
-    Pairs
+    ``fine`` bands show neither a rotation nor whether both are of one sheet.
     """
     # Enough of both is there, and they go up and down together.
     total = sums.sum(axis=1)
     likeness = 1.0 - total[:, 9] / np.maximum(total[:, 10], 1e-12)
     seen = (likeness > _ALIKE) & (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
-    known = seen if alike is None else alike
-    return _solved(sums, first, second, pose[second] - pose[first], rotation, known)
+    return _solved(sums, first, second, pose[second] - pose[first], seen | fine, fine)
 
 
-def _solved(sums: Array, first: Index, second: Index, base: Array, rotation: bool, alike: NDArray[np.bool_]) -> Pairs:
-    size = 3 if rotation else 2
+def _solved(sums: Array, first: Index, second: Index, base: Array, alike: NDArray[np.bool_], fine: bool) -> Pairs:
+    size = 2 if fine else 3
     scale = np.array([1.0, 1.0, _TURN_UM])[:size]
     rows, cols = np.triu_indices(3)
     matrix = np.zeros((*sums.shape[:2], 3, 3))
@@ -245,7 +231,10 @@ def _solved(sums: Array, first: Index, second: Index, base: Array, rotation: boo
     sound = alike & np.all(np.isfinite(answer), axis=1) & np.all(sigma[:, :2] < _LARGEST_SIGMA_UM, axis=1)
     sigma = np.maximum(sigma, _LEAST_SIGMA_UM)
     sigma[:, 2] /= _TURN_UM
-    return Pairs(first=first, second=second, offset=offset, sigma=sigma, alike=alike, sound=sound, sums=sums, base=base)
+    return Pairs(
+        first=first, second=second, offset=offset, sigma=sigma, alike=alike, sound=sound, sums=sums, base=base,
+        fine=fine,
+    )  # fmt: skip
 
 
 def _limits(a: Samples, b: Samples) -> tuple[Array, Array]:

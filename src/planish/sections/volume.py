@@ -15,7 +15,7 @@ from planish.core.lazy import LazyArray, Where, labelled
 from planish.core.threads import map_threads
 from planish.sections._kernels import between
 from planish.sections.align import Alignment
-from planish.sections.band import Stack, check_stack
+from planish.sections.band import SectionSeries, Stack
 from planish.sections.normalise import Gains
 
 Array = NDArray[np.float64]
@@ -25,9 +25,7 @@ _MOST_GAPS = 5  # written out in a message
 
 
 def regular_volume(
-    stack: Stack,
-    positions_um: NDArray[Any],
-    pixel_um: tuple[float, float],
+    series: SectionSeries,
     *,
     alignment: Alignment | None = None,
     gains: Gains | None = None,
@@ -38,11 +36,8 @@ def regular_volume(
 
     Parameters
     ----------
-    stack : ndarray, or any array that gives sections as ``stack[i]``, dims (section, row, col)
+    series : SectionSeries
         Integers up to 16 bits or real numbers; others lose digits, for the kernels compute in single precision.
-    positions_um : ndarray (sections,)
-        True places along the cut in um, monotonic.
-    pixel_um : (row, col)
     alignment : Alignment, optional
         Corrections; none are made where not given. Sections that could not be aligned count as missing.
     gains : Gains, optional
@@ -65,13 +60,11 @@ def regular_volume(
     Raises
     ------
     VolumeError
-        If the stack is none, positions are not monotonic, or more than `most_missing` sections in a row are missing
-        from an integer stack; in one of real numbers these planes are NaN.
+        If more than `most_missing` sections in a row are missing from an integer stack; in one of real numbers these
+        planes are NaN.
     """
-    positions = np.asarray(positions_um, np.float64)
-    away = check_stack(stack, positions, pixel_um)
+    stack, positions, away, pitch = series.stack, series.positions_um, series.away_um, series.pitch_um
     n = stack.shape[0]
-    pitch = float(np.median(np.diff(away)))
     used = np.arange(n) if alignment is None else np.flatnonzero(alignment.aligned)
     if used.size < 2:
         raise VolumeError(
@@ -95,14 +88,14 @@ def regular_volume(
     empty = inside & np.isin(before, long)
     planes_of = Planes(
         stack=stack, before=used[before], after=used[after], share=share, empty=empty,
-        poses=_poses(n, alignment, pixel_um),
+        poses=_poses(n, alignment, series.pixel_um),
         grades=np.tile([1.0, 0.0], (n, 1)) if gains is None else np.stack([gains.gain, gains.offset], axis=1),
     )  # fmt: skip
     values: NDArray[Any] | Planes = planes_of
     if isinstance(stack, np.ndarray):
         whole = values = np.empty(planes_of.shape, stack.dtype)
         map_threads(planes_of.fill, range(planes.size), whole)
-    voxel = (pitch, *map(float, pixel_um))
+    voxel = (pitch, *map(float, series.pixel_um))
     held: dict[str, Any] = {
         "units": "1",
         "long_name": "Grey value",
@@ -122,20 +115,10 @@ def regular_volume(
 
 @dataclass(kw_only=True, eq=False)
 class Planes(LazyArray):
-    """The planes of a volume, each computed from the sections before and after it.
+    """The planes of a volume, each computed from the sections before and after it at its ``share`` of the way.
 
-    Attributes
-    ----------
-    stack : array-like (sections, rows, cols)
-        ``stack[i]`` gives one section.
-    before, after : ndarray (planes,)
-        Sections on both sides.
-    share : ndarray (planes,)
-        Position between the two, 0 to 1.
-    empty : ndarray of bool (planes,)
-        Planes in a gap that is too wide.
-    poses, grades : ndarray (sections, 4), (sections, 2)
-        As the kernels take them.
+    ``empty`` planes lie in a gap that is too wide; ``poses`` (sections, 4) and ``grades`` (sections, 2) are those of
+    the kernels.
     """
 
     stack: Stack
