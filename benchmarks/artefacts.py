@@ -16,8 +16,8 @@ from planish.core.errors import PlanishError
 from planish.pipeline import map_sheet
 from planish.study import Study
 from planish.synthetic import make_specimen, write_instruments
-from planish.synthetic.nuisances import NUISANCES
 from planish.synthetic.params import SpecimenParams
+from planish.synthetic.presets import NUISANCES
 from planish.validate.certify import make_ledger
 from planish.validate.figures import Values
 from planish.validate.scenario import ALL, NONE, Scenario, read_scenario

@@ -88,8 +88,8 @@ MUTANTS = [
     Mutant("register/similarity.py", "np.sum(share * zc.conj() * wc)", "np.sum(zc.conj() * wc) / len(z)", "register/test_fit.py register/test_models.py"),
     Mutant("register/pairs.py", "(-points[:, 0] if mirrored else points[:, 0]) + 1j * points[:, 1]", "points[:, 0] + 1j * points[:, 1]", "register/test_fit.py"),
     Mutant("register/result.py", "np.sqrt(2.0 * self.errors.mark_variance", "np.sqrt(self.errors.mark_variance", "register/test_fit.py register/test_expected_error.py register/test_models.py"),
-    Mutant("register/chain.py", "square = square * stretch + fit.expected_error_um(at) ** 2", "square = square + fit.expected_error_um(at) ** 2", "register/test_chain.py"),
-    Mutant("register/chain.py", "% 2 == 1", ">= 1", "register/test_chain.py"),
+    Mutant("register/result.py", "square = square * stretch + fit.expected_error_um(at) ** 2", "square = square + fit.expected_error_um(at) ** 2", "register/test_chain.py"),
+    Mutant("register/result.py", "% 2 == 1", ">= 1", "register/test_chain.py"),
     Mutant("register/thin_plate.py", "0.5 * squares * np.log(squares)", "squares * np.log(squares)", "register/test_thin_plate.py"),
     Mutant("register/model.py", "self._freedom = 2.0 * float(np.sum(share)) - model.parameters", "self._freedom = 2.0 * float(np.sum(share))", "register/test_fit.py register/test_models.py register/test_expected_error.py"),
     # resample

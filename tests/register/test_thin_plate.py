@@ -8,7 +8,6 @@ from planish.core.errors import CannotRegister
 from planish.register import fit_transform
 from planish.register.pairs import Pairs
 from planish.register.spline import Smoothing
-from planish.register.thin_plate import REASONS
 
 
 def marks(n, size=3000.0, seed=0):
@@ -85,15 +84,13 @@ def test_derivatives_are_differences():
         np.testing.assert_allclose(spline.jacobian(where)[..., axis], slope, rtol=0, atol=1e-8)
 
 
-def test_the_way_back_says_why_it_finds_nothing():
+def test_the_inverse_is_nan_where_it_finds_nothing():
     moving = marks(15)
     spline = Smoothing(pairs_of(moving, bent(moving))).spline(0.0)
     inside = spline([[1000.0, 1200.0]])[0]
-    found, codes = spline.inverse.search([inside, [9e5, 0.0], [np.nan, 1.0]])
+    found = spline.inverse([inside, [9e5, 0.0], [np.nan, 1.0]])
     np.testing.assert_allclose(found[0], [1000.0, 1200.0], rtol=0, atol=1e-9)
     assert np.isnan(found[1:]).all()
-    assert codes.tolist() == [0, 2, 1]
-    assert set(codes.tolist()) <= set(REASONS)
     assert spline.inverse(np.full((3, 4, 2), np.nan)).shape == (3, 4, 2)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planish.core.errors import FileError, InputError
-from planish.synthetic.nuisances import NUISANCES
+from planish.synthetic.presets import NUISANCES
 from planish.validate.figures import FIGURES
 from planish.validate.scenario import Limit, read_scenario, scenario_names
 

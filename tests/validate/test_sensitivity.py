@@ -44,7 +44,7 @@ def fake(monkeypatch, effect):
     calls = []
 
     def run(_scenario, params, seed, **_):
-        from planish.synthetic.nuisances import nuisances_of
+        from planish.synthetic.presets import nuisances_of
 
         on = frozenset(nuisances_of(params, "scanner"))
         calls.append(on)

@@ -18,7 +18,7 @@ from tifffile import PHOTOMETRIC, TiffPage, TiffPageSeries
 from planish.core.errors import FileError
 from planish.io.formats import full_scale
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
-from planish.io.sizes import Stated, from_density
+from planish.io.sizes import UNKNOWN_NOTE, Stated, from_density, stated_by_tiff
 from planish.io.tiff import (
     has_rgb,
     is_tiff,
@@ -27,7 +27,6 @@ from planish.io.tiff import (
     open_series,
     shape_words,
 )
-from planish.io.tiff_sizes import UNKNOWN_NOTE, stated_by_tiff
 
 PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
     "png": PngImagePlugin.PngImageFile, "jpeg": JpegImagePlugin.JpegImageFile, "bmp": BmpImagePlugin.BmpImageFile

@@ -20,6 +20,7 @@ from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_a
 from planish.io.guard import check_memory, reading
 from planish.io.lazy import ChangedArray, FileArray, MappedArray, PagedArray, is_small, mapped, turned
 from planish.io.picture import kind_of
+from planish.io.sizes import stated_by_tiff
 from planish.io.tiff import (
     JPEG_COMPRESSIONS,
     damaged,
@@ -31,7 +32,6 @@ from planish.io.tiff import (
     stored_rows,
     turn_white,
 )
-from planish.io.tiff_sizes import stated_by_tiff
 
 SLICE_AXES = "ZIQ"  # letters for an axis of slices: declared as such, or pages without a declared meaning
 MANY_CHANNELS = 16

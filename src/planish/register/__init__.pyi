@@ -1,4 +1,3 @@
-from .chain import Chain as Chain
 from .fit import fit_transform as fit_transform
 from .holes import DesignedHoles as DesignedHoles
 from .holes import Registration as Registration
@@ -10,6 +9,7 @@ from .params import RegistrationParams as RegistrationParams
 from .refinement import Refined as Refined
 from .refinement import RefineOptions as RefineOptions
 from .refinement import refine as refine
+from .result import Chain as Chain
 from .result import FittedTransform as FittedTransform
 from .saved import chain_from_json as chain_from_json
 from .saved import chain_to_json as chain_to_json

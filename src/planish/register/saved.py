@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import MarkError
-from planish.register.chain import Chain
 from planish.register.models import model_named
-from planish.register.result import FittedTransform
+from planish.register.result import Chain, FittedTransform
 
 FORMAT = "planish registration 1"
 _ARRAYS = ("moving", "fixed", "information", "robust_weights", "residuals_um")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from planish.core.transform import NearSimilarity, Pair
 
 Floats = NDArray[np.float64]
-Codes = NDArray[np.uint8]
 
 # Points at once, times nodes: what keeps the distances in the cache.
 _AT_ONCE = 1 << 20
@@ -18,13 +18,6 @@ _STEPS = 60
 # The inverse is searched up to this many extents of the marks beyond them.
 _AROUND = 1.0
 _GRID = 49
-
-REASONS: dict[int, str] = {
-    0: "found",
-    1: "the point given is missing",
-    2: "no point within one extent of the marks is taken there",
-    3: "the search did not settle: the spline folds or nearly folds there",
-}
 
 
 def bending(squares: Floats) -> Floats:
@@ -99,62 +92,42 @@ class ThinPlate(NearSimilarity):
         return (out / self.size).reshape(*given.shape[:-1], 2, 2)
 
     @property
-    def inverse(self) -> ThinPlateInverse:
-        """The transformation back, found by search."""
-        return ThinPlateInverse(forward=self)
+    def inverse(self) -> Callable[[ArrayLike], Floats]:
+        """The transformation back, by Newton's method from the nearest image of a grid; NaN where it finds no point."""
+        return self._back
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ThinPlateInverse:
-    """Inverse of a thin-plate spline, by Newton's method from the nearest image of a grid.
-
-    Attributes
-    ----------
-    forward : ThinPlate
-        The spline.
-    """
-
-    forward: ThinPlate
-
-    def __call__(self, points: ArrayLike) -> Floats:
-        """Points of the moving map, shape ``(..., 2)`` in um, that the spline takes to ``points``; NaN where none."""
-        return self.search(points)[0]
-
-    def search(self, points: ArrayLike) -> tuple[Floats, Codes]:
-        """Return the points and a code for each, shape ``(...)``, explained by `REASONS`."""
+    def _back(self, points: ArrayLike) -> Floats:
         given = np.asarray(points, dtype=np.float64)
         wanted = given.reshape(-1, 2)
         found = np.full(wanted.shape, np.nan)
-        codes = np.ones(len(wanted), dtype=np.uint8)
-        here = np.flatnonzero(np.isfinite(wanted).all(axis=1))
-        if here.size:
-            found[here], codes[here] = self._newton(wanted[here])
-        return found.reshape(given.shape), codes.reshape(given.shape[:-1])
+        here = np.isfinite(wanted).all(axis=1)
+        if here.any():
+            found[here] = self._newton(wanted[here])
+        return found.reshape(given.shape)
 
-    def _newton(self, wanted: Floats) -> tuple[Floats, Codes]:
+    def _newton(self, wanted: Floats) -> Floats:
         from scipy.spatial import KDTree
 
-        spline = self.forward
-        nodes = spline.nodes * spline.size + np.array(spline.source)
+        nodes = self.nodes * self.size + np.array(self.source)
         low, high = nodes.min(axis=0), nodes.max(axis=0)
         around = _AROUND * float(np.max(high - low))
         axes = [np.linspace(a - around, b + around, _GRID) for a, b in zip(low, high, strict=True)]
         grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        images = spline(grid)
+        images = self(grid)
         at = grid[KDTree(images).query(wanted)[1]]
-        error = spline(at) - wanted
+        error = self(at) - wanted
         # What rounding leaves of the sum of kernels.
         enough = 4e-15 * (np.abs(images).max() + np.abs(wanted).max())
         active = np.arange(len(wanted))
         for _ in range(_STEPS):
             now = at[active]
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                step = _solve(spline.jacobian(now), error[active])
+                step = _solve(self.jacobian(now), error[active])
             # Far from the answer a whole step may overshoot a bend: no further than an eighth of the extent.
             length = np.linalg.norm(step, axis=1, keepdims=True)
             step *= np.minimum(1.0, 0.125 * around / np.maximum(length, 1e-300))
             trial = now - step
-            missed = spline(trial) - wanted[active]
+            missed = self(trial) - wanted[active]
             before, after = (np.linalg.norm(e, axis=1) for e in (error[active], missed))
             good = after < before
             at[active[good]], error[active[good]] = trial[good], missed[good]
@@ -162,7 +135,7 @@ class ThinPlateInverse:
             worse = np.flatnonzero(~good & (before > enough))
             if worse.size:
                 trial = now[worse] - 0.25 * step[worse]
-                missed = spline(trial) - wanted[active[worse]]
+                missed = self(trial) - wanted[active[worse]]
                 better = np.linalg.norm(missed, axis=1) < before[worse]
                 at[active[worse[better]]], error[active[worse[better]]] = trial[better], missed[better]
                 good[worse[better]] = True
@@ -170,13 +143,9 @@ class ThinPlateInverse:
             active = active[good & (left > 0.0)]
             if not active.size:
                 break
-        codes = np.zeros(len(wanted), dtype=np.uint8)
-        codes[np.linalg.norm(error, axis=1) > 100 * enough] = 3
         outside = np.any((at < low - around) | (at > high + around), axis=1)
-        edge = np.any((wanted < images.min(axis=0)) | (wanted > images.max(axis=0)), axis=1)
-        codes[outside | ((codes == 3) & edge)] = 2
-        at[codes > 0] = np.nan
-        return at, codes
+        at[outside | (np.linalg.norm(error, axis=1) > 100 * enough)] = np.nan
+        return at
 
 
 def _solve(jacobian: Floats, error: Floats) -> Floats:

@@ -5,10 +5,6 @@ from .files import write_instruments as write_instruments
 from .files import write_nodes as write_nodes
 from .files import write_specimen as write_specimen
 from .files import write_truth as write_truth
-from .nuisances import NUISANCES as NUISANCES
-from .nuisances import nuisances_of as nuisances_of
-from .nuisances import with_only as with_only
-from .nuisances import without as without
 from .params import SIZES_UM as SIZES_UM
 from .params import CameraParams as CameraParams
 from .params import HoleParams as HoleParams
@@ -19,8 +15,12 @@ from .params import SectionsParams as SectionsParams
 from .params import SpecimenParams as SpecimenParams
 from .presets import DEMO as DEMO
 from .presets import MICRO_CT as MICRO_CT
+from .presets import NUISANCES as NUISANCES
 from .presets import PRESETS as PRESETS
 from .presets import SpecimenOptions as SpecimenOptions
+from .presets import nuisances_of as nuisances_of
+from .presets import with_only as with_only
+from .presets import without as without
 from .sheet import Sheet as Sheet
 from .specimen import Specimen as Specimen
 from .specimen import make_specimen as make_specimen

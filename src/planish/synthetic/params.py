@@ -2,7 +2,7 @@
 
 Numbers without another source are those of Hirn et al. (2009) or usual ones of the instruments named. A field made by
 :func:`drawn` also holds the range in which real papers and instruments lie. A nuisance is off when its size is 0;
-:mod:`planish.synthetic.nuisances` lists them by name.
+:mod:`planish.synthetic.presets` lists them by name.
 """
 
 from __future__ import annotations

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from planish import __version__
 from planish.report.page import template
-from planish.synthetic.nuisances import NUISANCES
-from planish.synthetic.presets import PRESETS
+from planish.synthetic.presets import NUISANCES, PRESETS
 from planish.validate import table as tables
 from planish.validate.certify import Certificate
 from planish.validate.drawings import dots, draw_expected

@@ -22,9 +22,8 @@ from pydantic import (
 from planish.core.errors import FileError, InputError
 from planish.study import Study, faults_of
 from planish.synthetic.draws import draw_params
-from planish.synthetic.nuisances import NUISANCES, nuisances_of, with_only
 from planish.synthetic.params import SIZES_UM, SpecimenParams
-from planish.synthetic.presets import PRESETS
+from planish.synthetic.presets import NUISANCES, PRESETS, nuisances_of, with_only
 from planish.validate.figures import FIGURES
 
 Instrument = Literal["stack", "scanner", "sections"]
@@ -101,7 +100,7 @@ class Scenario(Table):
     seeds : int
         How many specimens, seeds 0 to seeds - 1.
     nuisances : "all", "none" or list of names
-        Of :data:`planish.synthetic.nuisances.NUISANCES`.
+        Of :data:`planish.synthetic.presets.NUISANCES`.
     drawn : bool
         Whether every parameter is drawn by the seed, over the ranges of :data:`planish.synthetic.draws.RANGES`.
     or_warned : bool

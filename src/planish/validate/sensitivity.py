@@ -9,7 +9,7 @@ import numpy as np
 
 from planish.compute import Progress, silent
 from planish.core.errors import InputError
-from planish.synthetic.nuisances import NUISANCES
+from planish.synthetic.presets import NUISANCES
 from planish.validate.certify import Entry, run_specimen, seed_numbers
 from planish.validate.figures import FIGURES, KEYS, Values
 from planish.validate.scenario import ALL, NONE, Scenario
@@ -30,7 +30,7 @@ class Row:
     Attributes
     ----------
     nuisance : str
-        Key of :data:`planish.synthetic.nuisances.NUISANCES`.
+        Key of :data:`planish.synthetic.presets.NUISANCES`.
     added : dict
         Stage to the error that the nuisance adds to the stage's key figure, in squares: sqrt(e^2 - e0^2).
     growth : dict

@@ -8,7 +8,7 @@ from typing import Any
 
 from planish import __version__
 from planish.report.text import fixed, length, number, percent, unit
-from planish.synthetic.nuisances import NUISANCES
+from planish.synthetic.presets import NUISANCES
 from planish.validate.certify import Certificate, Line
 from planish.validate.figures import FIGURES, STAGES, Figure, Values
 from planish.validate.sensitivity import Row, Sensitivity
