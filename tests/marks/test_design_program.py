@@ -17,7 +17,6 @@ from planish.marks.design import (
     design_pattern,
     dry_run,
     own_pattern,
-    path_um,
     short_route,
     stage_program,
 )
@@ -152,6 +151,12 @@ def test_speed_and_power_are_checked():
     for stage, word in (({"speed_mm_min": 0.0}, "speed"), ({"pulse_code": "m64", "power": 3.0}, "power")):
         with pytest.raises(ValidationError, match=word):
             StageParams(**stage)
+
+
+def path_um(points, order, start):
+    """Length of the path from the start through the points in this order and back."""
+    path = np.vstack([start, np.asarray(points)[order], start])
+    return np.hypot(*np.diff(path, axis=0).T).sum()
 
 
 def test_the_way_against_every_order():

@@ -21,7 +21,7 @@ def posed(n: int, shift=(0.0, 0.0), turn: float = 0.0, aligned=None) -> Alignmen
     return Alignment(
         shift_um=np.tile(shift, (n, 1)), rotation_rad=np.full(n, turn),
         aligned=np.ones(n, bool) if aligned is None else aligned,
-        jitter_left_um=np.array([0.1, 0.2]), pairs_used=1, pairs_refused=0, pixel_um=(2.0, 4.0), cutoff_um=150.0,
+        jitter_left_um=np.array([0.1, 0.2]), pairs_used=1, pairs_refused=0, cutoff_um=150.0,
     )  # fmt: skip
 
 
@@ -90,10 +90,7 @@ def test_shift_and_turn_are_taken_off_in_one_step() -> None:
 
 def test_gains_are_applied_before_rounding_and_kept_in_range() -> None:
     stack = np.tile(np.array([10, 100, 250], np.uint8), (4, 3, 1))
-    gains = Gains(
-        gain=np.full(4, 1.1), offset=np.full(4, -20.0), background=np.zeros(4), material=np.zeros(4),
-        measured=np.ones(4, bool),
-    )  # fmt: skip
+    gains = Gains(gain=np.full(4, 1.1), offset=np.full(4, -20.0), measured=np.ones(4, bool))
     volume = regular_volume(SectionSeries(stack, 3.0 * np.arange(4), (2.0, 4.0)), gains=gains)
     np.testing.assert_array_equal(volume.values[0, 0], [0, 90, 255])  # -9, 90, 255
 

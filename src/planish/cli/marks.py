@@ -63,20 +63,19 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
     refuse_existing(out)
     pattern, rules = design_pattern(params)
     with new_folder(out) as folder:
-        written = write_design(pattern, rules, folder, stage=stage, imaging=imaging)
+        files, run, predicted = write_design(pattern, rules, folder, stage=stage, imaging=imaging)
     if as_json:
-        predicted = written.predicted
         data = {
-            "out": str(out), "files": list(written.files), "holes": len(pattern.holes), **_rules_data(rules),
+            "out": str(out), "files": list(files), "holes": len(pattern.holes), **_rules_data(rules),
             "fle_um": predicted.fle_um, "error_centre_um": predicted.centre_um, "error_corner_um": predicted.corner_um,
-            "time_s": written.run.time_s, "path_um": written.run.length_um,
+            "time_s": run.time_s, "path_um": run.length_um,
         }  # fmt: skip
         click.echo(json.dumps(data, indent=2, allow_nan=False))
         return
     _show(pattern, rules)
-    click.echo(written.predicted.sentence())
-    click.echo(f"stage: {written.run.sentence()}")
-    click.echo(f"{out}: {len(pattern.holes)} holes, {', '.join(written.files)}")
+    click.echo(predicted.sentence())
+    click.echo(f"stage: {run.sentence()}")
+    click.echo(f"{out}: {len(pattern.holes)} holes, {', '.join(files)}")
 
 
 @marks.command()

@@ -10,8 +10,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from planish.marks._edge_kernels import first_crossings, half_level_edges, innermost_edges, levels
-from planish.marks._outline_kernels import fit_outline, waves
+from planish.marks._edge_kernels import (
+    first_crossings,
+    fit_outline,
+    half_level_edges,
+    innermost_edges,
+    levels,
+    waves,
+)
 
 # Columns of the results.
 X, Y, RADIUS, HALF_DIFFERENCE, COV_XX, COV_YY, COV_XY, COVERAGE, STEP, INSIDE = range(10)

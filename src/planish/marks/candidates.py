@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 Image = NDArray[np.float32]
 
 # Pixels across the smallest hole where candidates are searched, and where rims are measured.
@@ -37,20 +36,9 @@ class Response(NamedTuple):
 def reduce_to(
     image: Image, pixel_um: tuple[float, float], target_um: float
 ) -> tuple[Image, tuple[float, float], Floats]:
-    """Area-mean an image until its pixels are nearly as large as ``target_um``.
+    """Area-mean an image until its pixels (y, x) are nearly as large as ``target_um``.
 
-    Parameters
-    ----------
-    image : ndarray, shape (rows, columns)
-    pixel_um : tuple of float
-        Pixel size ``(y, x)``.
-    target_um : float
-        Largest pixel wanted.
-
-    Returns
-    -------
-    tuple
-        The image, its pixel size ``(y, x)`` in um, and the ``(x, y)`` of its first pixel's centre in um.
+    Returns the image, its pixel size (y, x) and the (x, y) of its first pixel's centre, in um.
     """
     factors = [max(1, min(int(target_um / size + 1e-6), n // 4)) for size, n in zip(pixel_um, image.shape, strict=True)]
     small = image if factors == [1, 1] else _block_means(image, factors, least=0.5)[0]
@@ -61,12 +49,8 @@ def reduce_to(
 def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[float, float]) -> list[Response]:
     """Laplacian-of-Gaussian responses at radii that cover a range; positive where a disc is darker than around it.
 
-    Missing data are filled with the local mean of what is there, so that they raise no edge of their own.
-
-    Returns
-    -------
-    list of Response
-        Radii grow; wide blobs come on coarser rasters.
+    Missing data are filled with the local mean of what is there, so that they raise no edge of their own. Radii grow;
+    wide blobs come on coarser rasters.
     """
     there = np.isfinite(image)
     filled = image
@@ -114,22 +98,9 @@ def quiet_texture(image: Image, pixel_um: tuple[float, float], width_um: float) 
 
 
 def texture(image: Image, pixel_um: tuple[float, float], width_um: float, circles: Floats) -> float:
-    """Robust standard deviation of an image about its mean over ``width_um``, outside some circles.
+    """Robust standard deviation of an image about its mean over ``width_um``, outside circles ``x, y, radius`` (um).
 
-    Parameters
-    ----------
-    image : ndarray, shape (rows, columns)
-    pixel_um : tuple of float
-        Pixel size ``(y, x)``.
-    width_um : float
-        Width of the Gaussian mean that is taken for uneven light.
-    circles : ndarray, shape (n, 3), in um
-        ``x, y, radius`` of places to leave out.
-
-    Returns
-    -------
-    float
-        0 where less than a tenth of the image is left.
+    The Gaussian mean is taken for uneven light. 0 where less than a tenth of the image is left.
     """
     rest = image.copy()
     for x, y, radius in circles:
@@ -201,26 +172,16 @@ def _stretched(means: Image, count: int, factor: int) -> Image:
 def peaks(responses: list[Response], sign: float, least: list[float], spreads: list[float]) -> tuple[Floats, int]:
     """Return the strongest extremes over place and scale, strongest first, and how many more there are.
 
-    Parameters
-    ----------
-    responses : list of Response
-        From `blob_responses`.
-    sign : {1, -1}
-        Which extremes: dark or bright discs.
-    least, spreads : list of float
-        Weakest response to inspect, and what `regular` says, for each radius.
-
-    Returns
-    -------
-    places : ndarray, shape (n, 3)
-        ``x, y`` in um, and the largest response there, over all radii, in units of its spread.
-    dropped : int
-        Candidates beyond the limit of their part of the image.
+    ``sign`` is 1 for dark and -1 for bright discs; ``least`` and ``spreads`` are the weakest response to inspect and
+    what `regular` says, for each radius. Places (n, 3) are ``x, y`` in um and the largest response there, over all
+    radii, in units of its spread; more are those beyond the limit of their part of the image.
     """
     found: list[Floats] = []
     for (radius, values, pixel, origin), weakest, spread in zip(responses, least, spreads, strict=True):
         signed = np.float32(sign) * values
-        row, column = _tops(signed, max(weakest, 0.0), [max(1, round(0.5 * radius / size)) for size in pixel])
+        window = [2 * max(1, round(0.5 * radius / size)) + 1 for size in pixel]
+        tops = signed == ndimage.maximum_filter(signed, window, mode="constant", cval=-np.inf)
+        row, column = np.nonzero(tops & (signed > max(weakest, 0.0)))
         place = np.stack([column * pixel[1], row * pixel[0]], axis=1) + origin
         height = signed[row, column].astype(np.float64)
         found.append(np.column_stack([place, height / max(spread, 1e-30), height]))
@@ -229,14 +190,6 @@ def peaks(responses: list[Response], sign: float, least: list[float], spreads: l
     places = _thinned(every[order, :3], 0.5 * responses[0].radius)
     kept = _strongest_by_tile(places, responses[0].radius)
     return places[kept], int(np.count_nonzero(~kept))
-
-
-def _tops(values: Image, least: float, reach: list[int]) -> tuple[Ints, Ints]:
-    """Rows and columns of what is above a value and largest within ``reach`` (y, x) pixels."""
-    size = [2 * r + 1 for r in reach]
-    tops = values == ndimage.maximum_filter(values, size, mode="constant", cval=-np.inf)
-    row, column = np.nonzero(tops & (values > least))
-    return row, column
 
 
 def _strongest_by_tile(places: Floats, radius: float) -> NDArray[np.bool_]:

@@ -87,8 +87,13 @@ def find_holes(
     >>> find_holes(np.hypot(x - 300, y - 250) > 80, pixel_um=5.0).x.values.round(1)
     array([300.])
     """
-    size = _pixel_size(pixel_um)
-    low, high = _diameters(diameter_um)
+    sizes = np.atleast_1d(np.asarray(pixel_um, dtype=np.float64))
+    if sizes.size not in (1, 2) or not np.all(np.isfinite(sizes)) or np.any(sizes <= 0):
+        raise SizeError(f"The pixel size is {pixel_um!r} um; one positive number or two, (y, x), are needed.")
+    size = float(sizes[0]), float(sizes[-1])
+    low, high = (float(value) for value in diameter_um)
+    if not 0.0 < low < high < np.inf:
+        raise MarkError(f"Hole diameters from {low:g} to {high:g} um: the first must be positive and below the second.")
     if polarity not in ("auto", "dark", "bright"):
         raise MarkError(f"The polarity is {polarity!r}; it has to be 'auto', 'dark' or 'bright'.")
     grey = _grey(image)
@@ -99,7 +104,9 @@ def find_holes(
     times = 1.0 if 0.5 <= times <= 2.0 else float(times)
     as_holes = (size[0] * times, size[1] * times)
     sign, rows, dropped = signs[0], np.empty((0, k.COLUMNS)), 0
-    if _usable(grey, size, low):
+    # Whether a hole could lie in the image at all.
+    wide = min(n * step for n, step in zip(grey.shape, size, strict=True)) > low
+    if wide and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
         sign, rows, dropped = _holes(grey, as_holes, low / 2 * times, high / 2 * times, signs)
     rows[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE]] /= times
     rows[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= times**2
@@ -192,15 +199,6 @@ def _dataset(rows: Floats, sign: float) -> xr.Dataset:
     )
 
 
-def _usable(grey: Image, size: tuple[float, float], low: float) -> bool:
-    """Return whether a hole could lie in the image at all."""
-    return (
-        min(n * step for n, step in zip(grey.shape, size, strict=True)) > low
-        and min(grey.shape) >= 8
-        and bool(np.any(np.isfinite(grey)))
-    )
-
-
 def _grey(image: ArrayLike) -> Image:
     values = np.asarray(image)
     if values.ndim != 2:
@@ -213,17 +211,3 @@ def _grey(image: ArrayLike) -> Image:
         # Large offsets would cost float32 its digits.
         return np.ascontiguousarray(np.where(there, values - middle, np.nan), dtype=np.float32)
     return np.ascontiguousarray(values, dtype=np.float32)
-
-
-def _pixel_size(pixel_um: float | tuple[float, float]) -> tuple[float, float]:
-    sizes = np.atleast_1d(np.asarray(pixel_um, dtype=np.float64))
-    if sizes.size not in (1, 2) or not np.all(np.isfinite(sizes)) or np.any(sizes <= 0):
-        raise SizeError(f"The pixel size is {pixel_um!r} um; one positive number or two, (y, x), are needed.")
-    return float(sizes[0]), float(sizes[-1])
-
-
-def _diameters(diameter_um: tuple[float, float]) -> tuple[float, float]:
-    low, high = (float(value) for value in diameter_um)
-    if not 0.0 < low < high < np.inf:
-        raise MarkError(f"Hole diameters from {low:g} to {high:g} um: the first must be positive and below the second.")
-    return low, high

@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from planish.core.errors import FileError, MarkError
-from planish.core.tables import model_faults, parse_table, raise_faults, read_text
-from planish.marks.files.content import json_text, read_object, write_new
+from planish.core.tables import model_faults, parse_table, read_text
+from planish.marks.files.content import Part, json_text, read_object, refuse, write_new
 from planish.marks.files.csv_marks import holes_text
 
 FORMAT, VERSION = "planish-holes", 1
@@ -22,17 +22,13 @@ _REMEDY = "Find the holes again, or correct these parts."
 Types = Literal["float64", "int64", "uint8", "bool", "str"]
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class _Variable(_Part):
+class _Variable(Part):
     type: Types
     attributes: dict[str, Any]
     values: list[Any]
 
 
-class _File(_Part):
+class _File(Part):
     format: Literal["planish-holes"]
     version: Literal[1]
     units: Literal["um"]
@@ -81,9 +77,7 @@ def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
             attributes = _plain(variable.attrs, str(name), faults)
             variables[str(name)] = {"type": kind, "attributes": attributes, "values": _plain(variable.values)}
     attributes = _plain({k: v for k, v in holes.attrs.items() if k != "plane"}, "the holes", faults)
-    raise_faults(
-        "The holes cannot be written", faults, f"Types are {', '.join(_VALUES)}, along 'mark'.", error=MarkError
-    )
+    refuse("The holes cannot be written", faults, f"Types are {', '.join(_VALUES)}, along 'mark'.")
     head = {"format": FORMAT, "version": VERSION, "units": "um", "plane": holes.attrs.get("plane")}
     return head | {"attributes": attributes, "variables": variables}
 
@@ -117,13 +111,13 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
             where = ("variables", key, "values")
             TypeAdapter(_VALUES[variable.type]).validate_python(variable.values)
     except ValidationError as error:
-        raise_faults(name, model_faults(error, where), _REMEDY, error=MarkError)
+        refuse(name, model_faults(error, where), _REMEDY)
         raise
     counts = sorted({len(variable.values) for variable in file.variables.values()})
     faults = [f"no {key}" for key in "xy" if key not in file.variables]
     if len(counts) > 1:
         faults.append(f"variables have {', '.join(map(str, counts))} values; as many of each are needed")
-    raise_faults(name, faults, _REMEDY, error=MarkError)
+    refuse(name, faults, _REMEDY)
     data: dict[str, Any] = {}
     for key, variable in file.variables.items():
         values = np.array(_missing_as_nan(variable.values), dtype=np.str_ if variable.type == "str" else variable.type)

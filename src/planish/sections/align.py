@@ -48,8 +48,6 @@ class Alignment:
         Standard deviation of what is left of the quick errors along (row, col), from solutions that leave out one
         sixth of the columns each (jackknife). What all columns share is not in it.
     pairs_used, pairs_refused : int
-    pixel_um : tuple of float
-        (row, col).
     cutoff_um : float
         Waves longer than this along the cut were left alone, except where something fixed shows them.
     fixed : tuple of bool
@@ -62,7 +60,6 @@ class Alignment:
     jitter_left_um: Array
     pairs_used: int
     pairs_refused: int
-    pixel_um: tuple[float, float]
     cutoff_um: float
     fixed: tuple[bool, ...] = (False, False, False)
 
@@ -159,7 +156,6 @@ def align_sections(series: SectionSeries, *, fixed: Array | None = None) -> Alig
         jitter_left_um=np.sqrt(left[:2]),
         pairs_used=int(np.count_nonzero(kept)),
         pairs_refused=int(kept.size - np.count_nonzero(kept)),
-        pixel_um=pixel_um,
         cutoff_um=cutoff,
         fixed=held,
     )

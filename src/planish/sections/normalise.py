@@ -30,15 +30,11 @@ class Gains:
     ----------
     gain, offset : ndarray (sections,)
         1 and 0 where the levels could not be measured.
-    background, material : ndarray (sections,)
-        Mode of the background and level of the sheet's core, as stored; NaN where they could not be measured.
     measured : ndarray of bool (sections,)
     """
 
     gain: Array
     offset: Array
-    background: Array
-    material: Array
     measured: NDArray[np.bool_]
 
 
@@ -80,7 +76,7 @@ def normalise_sections(series: SectionSeries) -> Gains:
     gain = np.where(measured, typical / np.where(measured, contrast, 1.0), 1.0)
     level = float(np.median(background[measured])) if measured.any() else 0.0
     offset = np.where(measured, level - gain * np.where(measured, background, 0.0), 0.0)
-    return Gains(gain=gain, offset=offset, background=background, material=material, measured=measured)
+    return Gains(gain=gain, offset=offset, measured=measured)
 
 
 def layers(

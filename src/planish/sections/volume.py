@@ -75,7 +75,13 @@ def regular_volume(
     long = np.flatnonzero(missing > most_missing)
     real = stack.dtype.kind == "f"
     if long.size and not real:
-        raise VolumeError(_gap_words(long, missing, positions[used], most_missing))
+        where = positions[used]
+        named = ", ".join(f"{missing[k]} between {where[k]:g} and {where[k + 1]:g} um" for k in long[:_MOST_GAPS])
+        more = f" and {long.size - _MOST_GAPS} more" if long.size > _MOST_GAPS else ""
+        raise VolumeError(
+            f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing} in a row can be "
+            "interpolated: add the sections, or split the series there and treat each part as a volume of its own."
+        )
     planes = at[0] + pitch * np.arange(int((at[-1] - at[0]) / pitch + 0.5 * _ON_SECTION) + 1)
     before = np.clip(np.searchsorted(at, planes + _ON_SECTION * pitch, side="right") - 1, 0, used.size - 1)
     after = np.minimum(before + 1, used.size - 1)
@@ -164,13 +170,3 @@ def _poses(n: int, alignment: Alignment | None, pixel_um: tuple[float, float]) -
         poses[:, 2] = alignment.rotation_rad * pixel_um[1] / pixel_um[0]
         poses[:, 3] = alignment.rotation_rad * pixel_um[0] / pixel_um[1]
     return poses
-
-
-def _gap_words(long: NDArray[np.intp], missing: NDArray[Any], positions: Array, most: int) -> str:
-    """Where sections are missing, and what to do."""
-    named = ", ".join(f"{missing[k]} between {positions[k]:g} and {positions[k + 1]:g} um" for k in long[:_MOST_GAPS])
-    more = f" and {long.size - _MOST_GAPS} more" if long.size > _MOST_GAPS else ""
-    return (
-        f"Sections are missing or could not be aligned: {named}{more}. At most {most} in a row can be interpolated: "
-        "add the sections, or split the series there and treat each part as a volume of its own."
-    )

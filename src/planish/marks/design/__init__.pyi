@@ -1,5 +1,4 @@
-from .dxf import pattern_dxf as pattern_dxf
-from .gcode import path_um as path_um
+from .gcode import pattern_dxf as pattern_dxf
 from .gcode import short_route as short_route
 from .gcode import stage_program as stage_program
 from .params import DesignParams as DesignParams
@@ -15,7 +14,6 @@ from .predict import hole_error_um as hole_error_um
 from .predict import predict as predict
 from .rules import Rule as Rule
 from .rules import check_pattern as check_pattern
-from .rules import refuse_broken as refuse_broken
 from .simulate import DryRun as DryRun
 from .simulate import dry_run as dry_run
 from .write import write_design as write_design

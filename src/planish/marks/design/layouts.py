@@ -32,18 +32,8 @@ _RATES = (1.0, 1.5, 2.1, 2.8)  # last pitch over first pitch, less 1
 class Ruler:
     """One side of the frame in steps.
 
-    Attributes
-    ----------
-    length : int
-        From corner to corner.
-    start, end : bool
-        Whether there are holes in these corners.
-    apart : int
-        Least distance of two holes.
-    marker : int
-        Least distance of a hole from an empty corner.
-    view, border, radius : float
-        Length of the view in this direction, its border, radius of a hole.
+    ``start`` and ``end`` say whether there are holes in the corners, which lie ``length`` apart; two holes keep
+    ``apart``, and ``marker`` from an empty corner. ``view``, its ``border`` and a hole's ``radius`` are lengths, too.
     """
 
     length: int

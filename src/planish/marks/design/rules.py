@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -72,31 +71,21 @@ class Rule:
     name : str
     value, limit : float
         Measured, and allowed.
+    sense : {"at least", "at most"}
+        What the value has to be against the limit.
+    unit : str
+        Of value and limit.
+    meaning, remedy : str
+        What is measured, and what to change where the rule is broken.
     """
 
     name: str
     value: float
     limit: float
-
-    @property
-    def sense(self) -> Sense:
-        """Whether the value has to be at least or at most the limit."""
-        return _RULES[self.name][0]
-
-    @property
-    def unit(self) -> str:
-        """Of value and limit."""
-        return _RULES[self.name][1]
-
-    @property
-    def meaning(self) -> str:
-        """What is measured."""
-        return _RULES[self.name][2]
-
-    @property
-    def remedy(self) -> str:
-        """What to change where the rule is broken."""
-        return _RULES[self.name][3]
+    sense: Sense
+    unit: str
+    meaning: str
+    remedy: str
 
     @property
     def passed(self) -> bool:
@@ -137,25 +126,25 @@ def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
     gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) + np.diag(np.full(n, np.inf))
     least = max(SPACING_DIAMETERS * diameter, pattern.spacing_um)
     return (
-        Rule("count", n, LEAST_HOLES),
-        Rule("around", inside, 0),
-        Rule("radius", radius / float(np.hypot(*field)), RADIUS_SHARE),
-        Rule("spacing", float(gaps.min()), least),
+        _rule("count", n, LEAST_HOLES),
+        _rule("around", inside, 0),
+        _rule("radius", radius / float(np.hypot(*field)), RADIUS_SHARE),
+        _rule("spacing", float(gaps.min()), least),
         area_rule(pattern, n),
-        Rule("marker", _marker_um(pattern), MARKER_DIAMETERS * diameter),
-        Rule("crop", int(crops(pattern).sum(axis=1).min()), SURVIVORS),
+        _rule("marker", _marker_um(pattern), MARKER_DIAMETERS * diameter),
+        _rule("crop", int(crops(pattern).sum(axis=1).min()), SURVIVORS),
     )
 
 
 def area_rule(pattern: Pattern, count: int) -> Rule:
     """Apply the rule on the area that is burnt, for so many holes."""
     burnt = count * np.pi / 4 * (pattern.diameter_um + 2 * pattern.rim_um) ** 2
-    return Rule("area", 100 * burnt / (pattern.field_um[0] * pattern.field_um[1]), 100 * AREA_SHARE)
+    return _rule("area", 100 * burnt / (pattern.field_um[0] * pattern.field_um[1]), 100 * AREA_SHARE)
 
 
 def code_rules(pattern: Pattern) -> tuple[Rule, ...]:
     """Apply the rule that any 4 consecutive holes identify their place."""
-    return (Rule("code", code_misfit_um(pattern.points_um), TOLERANCE_UM),)
+    return (_rule("code", code_misfit_um(pattern.points_um), TOLERANCE_UM),)
 
 
 def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
@@ -164,22 +153,8 @@ def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
     motions = self_motions(points)
     kinds = ("half turn", "quarter turn", "mirror", "shift")
     worst = float(np.max(motions.most_of(masks) / np.maximum(masks.sum(axis=1), _FEW)))
-    rivals = [Rule(kind, motions.most(kind) / len(points), RIVAL_SHARE) for kind in kinds]
-    return (*rivals, Rule("crop told apart", worst, RIVAL_SHARE))
-
-
-def refuse_broken(rules: Sequence[Rule], what: str) -> None:
-    """Raise if a rule is broken.
-
-    Raises
-    ------
-    MarkError
-        With each broken rule, what was measured, the limit and the remedy.
-    """
-    broken = [rule for rule in rules if not rule.passed]
-    if broken:
-        found = "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in broken)
-        raise MarkError(f"{what} is refused: {found}.")
+    rivals = [_rule(kind, motions.most(kind) / len(points), RIVAL_SHARE) for kind in kinds]
+    return (*rivals, _rule("crop told apart", worst, RIVAL_SHARE))
 
 
 def crops(pattern: Pattern) -> Bools:
@@ -213,3 +188,7 @@ def _marker_um(pattern: Pattern) -> float:
     corners = low + size * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     nearest = np.sort(np.hypot(*(corners[:, None] - pattern.points_um[None]).transpose(2, 0, 1)).min(axis=1))
     return float(nearest[3] - nearest[2])
+
+
+def _rule(name: str, value: float, limit: float) -> Rule:
+    return Rule(name, value, limit, *_RULES[name])

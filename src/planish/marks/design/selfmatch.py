@@ -28,12 +28,8 @@ _MOST = 60_000  # motions that are tried; beyond it, pairs are thinned out evenl
 class Motions:
     """Wrong arrangements of a pattern on itself.
 
-    Attributes
-    ----------
-    hit : (motions, n) bool
-        Which holes meet a hole. Where the motion is nearly no rotation, a hole that meets itself does not count.
-    kind : (motions,) str
-        ``half turn`` and ``quarter turn``, about that; ``mirror``; all else is ``shift``: also other angles and scales.
+    ``hit`` (motions, n) says which holes meet a hole; where the motion is nearly no rotation, one that meets itself
+    does not count. ``kind`` (motions,) is ``half turn``, ``quarter turn``, ``mirror``, or ``shift`` for all else.
     """
 
     hit: Bools

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -36,18 +36,14 @@ _STYLE: dict[str, Any] = {
     "svg.fonttype": "path",  # readable where the typeface is not installed
     "pdf.fonttype": 3,
 }
+house_style = partial(style.context, ["default", _STYLE])
+"""Draw in one style, whatever the user's settings; they are restored afterwards."""
 
 
 class Page:
     """A landscape A4 page with a magnified plan and a column beside it, in mm from its upper left corner.
 
-    Parameters
-    ----------
-    title, subtitle : str
-    low_um, size_um : (x, y)
-        Lower left corner and size of what the plan shows.
-    note : str
-        Put behind the scale.
+    The plan shows ``size_um`` (x, y) from its lower left corner ``low_um`` on; ``note`` stands behind the scale.
     """
 
     width, height = 297.0, 210.0
@@ -108,13 +104,6 @@ class Page:
         axes = self.add_plan(left, top, (0, 0), (1000 * length, 1000 / scale), scale)
         axes.plot([0, 1000 * length], [500 / scale] * 2, color=INK, lw=2, solid_capstyle="butt", clip_on=False)
         self.text(left + length * scale + 2, top + 1.4, f"{length:g} mm", fontsize=8)
-
-
-@contextmanager
-def house_style() -> Generator[None]:
-    """Draw in one style, whatever the user's settings; they are restored afterwards."""
-    with style.context(["default", _STYLE]):
-        yield
 
 
 def encode(pages: Sequence[Page], kind: str, title: str = "") -> bytes:

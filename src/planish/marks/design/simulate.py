@@ -238,12 +238,6 @@ class _State:
 
 def _words(text: str) -> list[tuple[str, float]]:
     """Split a line into letters and numbers."""
-    words: list[tuple[str, float]] = []
-    at = 0
-    while at < len(text):
-        found = _WORD.match(text, at)
-        if found is None:
-            raise MarkError(f"{text[at : at + 20]!r} is not in the dialect ({_KNOWN})")
-        words.append((found[1], float(found[2])))
-        at = found.end()
-    return words
+    if foreign := _WORD.sub("", text):
+        raise MarkError(f"{foreign[:20]!r} is not in the dialect ({_KNOWN})")
+    return [(letter, float(value)) for letter, value in _WORD.findall(text)]

@@ -2,36 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from planish.marks.design.draw import drawing_page, error_page, path_page
-from planish.marks.design.dxf import pattern_dxf
-from planish.marks.design.gcode import stage_program
+from planish.marks.design.gcode import pattern_dxf, stage_program
 from planish.marks.design.params import ImagingParams, StageParams
 from planish.marks.design.pattern import Pattern, holes_csv
 from planish.marks.design.predict import Predicted, predict
 from planish.marks.design.rules import Rule
 from planish.marks.design.sheet import encode, house_style
 from planish.marks.design.simulate import DryRun, dry_run
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Written:
-    """What was written, and what the program and the pattern will do.
-
-    Attributes
-    ----------
-    files : tuple of str
-        Names in the folder.
-    run : DryRun
-        Of the stage program, read back from its text.
-    predicted : Predicted
-    """
-
-    files: tuple[str, ...]
-    run: DryRun
-    predicted: Predicted
 
 
 def write_design(
@@ -41,7 +21,7 @@ def write_design(
     *,
     stage: StageParams | None = None,
     imaging: ImagingParams | None = None,
-) -> Written:
+) -> tuple[tuple[str, ...], DryRun, Predicted]:
     """Write a pattern into a folder that exists: JSON, two tables, DXF, stage program, drawings.
 
     Parameters
@@ -52,6 +32,14 @@ def write_design(
     folder : str or Path
     stage, imaging : optional
         What the program asks of the stage and its range, and where the predicted error comes from.
+
+    Returns
+    -------
+    files : tuple of str
+        Names in the folder.
+    run : DryRun
+        Of the stage program, read back from its text.
+    predicted : Predicted
 
     Raises
     ------
@@ -79,7 +67,7 @@ def write_design(
         files["drawing.pdf"] = encode(pages, "pdf", f"Laser holes: {pattern.name}")
     for name, data in files.items():
         (Path(folder) / name).write_bytes(data)
-    return Written(files=tuple(files), run=run, predicted=predicted)
+    return tuple(files), run, predicted
 
 
 def path_picture(run: DryRun, kind: str, *, title: str = "Path of the stage") -> bytes:

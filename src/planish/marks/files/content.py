@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from pydantic import BaseModel, ConfigDict
+
 from planish.core.errors import FileError, MarkError
 from planish.core.tables import Rows, decode_text, raise_faults, read_bytes, split_rows
 from planish.marks.files.formats import known_formats
@@ -18,22 +20,15 @@ _BINARY = (b"MATLAB", b"\x89HDF\r\n\x1a\n")
 _NO_ROWS = Rows([], [], ",", [])
 
 
+class Part(BaseModel):
+    """A part of a JSON file of marks or holes: types are not converted, and keys that are not known are faults."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Content:
-    """A file of marks.
-
-    Attributes
-    ----------
-    name : str
-        Name of the file, for messages.
-    data : bytes
-    text : str
-        Empty for a file of MATLAB.
-    rows : Rows
-        Rows of a table; none in JSON.
-    json : mapping or None
-        Object of a JSON file.
-    """
+    """A file of marks: its name, for messages, and what it holds; no text in one of MATLAB, no rows in JSON."""
 
     name: str
     data: bytes

@@ -11,12 +11,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from planish.core.errors import MarkError
 from planish.core.tables import MOST_FAULTS, model_faults
 from planish.marks.files import model
-from planish.marks.files.content import MOST_MARKS, Content, check_count, json_text, refuse
+from planish.marks.files.content import MOST_MARKS, Content, Part, check_count, json_text, refuse
 from planish.marks.files.model import RESIDUAL, RESULTS, Floats, Places
 from planish.marks.files.plausible import check_marks
 
@@ -31,31 +31,27 @@ Source = Literal["detected", "clicked", "predicted", "imported"]
 LayerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class _Sizes(_Part):
+class _Sizes(Part):
     x: Positive
     y: Positive
 
 
-class _Point(_Part):
+class _Point(Part):
     x: float
     y: float
 
 
-class _Count(_Part):
+class _Count(Part):
     x: Annotated[int, Field(gt=0, le=10**9)]
     y: Annotated[int, Field(gt=0, le=10**9)]
 
 
-class _Axes(_Part):
+class _Axes(Part):
     x: Literal["right"] = "right"
     y: Literal["down"] = "down"
 
 
-class _Layer(_Part):
+class _Layer(Part):
     name: LayerName
     title: Annotated[str, Field(max_length=200)] | None = None
     pixel_um: _Sizes | None = None
@@ -65,7 +61,7 @@ class _Layer(_Part):
     machine_direction_deg: float | None = None
 
 
-class _Place(_Part):
+class _Place(Part):
     x: float
     y: float
     z: float | None = None
@@ -76,7 +72,7 @@ class _Place(_Part):
     source: Source
 
 
-class _Mark(_Part):
+class _Mark(Part):
     label: Annotated[str, Field(min_length=1, max_length=200)]
     used: bool = True
     at: dict[str, _Place]
@@ -84,7 +80,7 @@ class _Mark(_Part):
     leave_one_out_um: Annotated[float, Field(ge=0)] | None = None
 
 
-class _File(_Part):
+class _File(Part):
     format: Literal["planish-marks"]
     version: Literal[1]
     units: Literal["um"]
@@ -100,13 +96,7 @@ def looks_like(content: Content) -> bool:
 
 
 def read(file: Content) -> xr.Dataset:
-    """Marks of a JSON file.
-
-    Returns
-    -------
-    Dataset, dims (mark)
-        As `make_marks` makes it.
-    """
+    """Marks of a JSON file, as `make_marks` makes them."""
     name, content = file.name, file.json or {}
     version = content.get("version")
     if type(version) is int and version > VERSION:
@@ -159,7 +149,7 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     return {"": text.encode()}
 
 
-def _column(parts: Sequence[_Part | None], key: str) -> Floats:
+def _column(parts: Sequence[Part | None], key: str) -> Floats:
     """Numbers of one field; NaN where it is not there."""
     values = [getattr(part, key, None) for part in parts]
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

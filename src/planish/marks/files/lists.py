@@ -133,22 +133,9 @@ def join_lists(
 ) -> xr.Dataset:  # fmt: skip
     """Marks in um from one list, or from two whose points belong together in their order.
 
-    Parameters
-    ----------
-    lists : sequence of PointList
-        One, or moving and fixed; lists that are named in the other order are exchanged.
-    name : str
-        For messages.
-    moving, fixed : LayerPixels
-    unit : {"um", "mm", "pixel"}, optional
-        Takes the place of a unit that the files do not state.
-    swap : bool
-        The first list is the fixed one.
-
-    Returns
-    -------
-    Dataset, dims (mark)
-        Layers ``moving`` (``volume`` where its z varies) and ``fixed``; ``marks`` where there is one list only.
+    Two are moving and fixed, exchanged where they are named in the other order or ``swap`` says so; ``unit`` takes the
+    place of one that the files do not state. The layers are ``moving`` (``volume`` where its z varies) and ``fixed``,
+    or ``marks`` where there is one list only.
     """
     for found in lists:
         check_count(name, len(found.points))

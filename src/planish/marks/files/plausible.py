@@ -45,14 +45,7 @@ def check_marks(marks: xr.Dataset, name: str) -> None:
 
 
 def check_plausible(marks: xr.Dataset, name: str) -> None:
-    """Refuse marks that cannot be um in their layer, where its pixel size and its size in pixels are known.
-
-    Parameters
-    ----------
-    marks : Dataset, dims (mark)
-    name : str
-        What they were read from, for messages.
-    """
+    """Refuse marks that cannot be um in their layer, where its pixel size and its size in pixels are known."""
     stated = marks.attrs.get("read_from", {}).get("stated", True)
     for layer in layer_names(marks):
         about = about_layer(marks, layer)
@@ -74,23 +67,23 @@ def _misfit(points: Floats, about: dict[str, Any], *, stated: bool) -> str:
     size = pixel * count
     placed = points - origin
     spans = f"{_size(np.ptp(points, axis=0))}, the layer {_size(size)}"
-    inside = _within(placed, size)
+    inside = _inside(placed, size).all()
     halves = bool(np.all(points * 2 == np.round(points * 2)))
     # Places clicked on pixels and then turned into um are multiples of the pixel.
     stepped = bool(np.all(np.abs(placed / pixel - np.round(placed / pixel)) < 1e-6))
-    if halves and not stepped and pixel.max() > _LEAST_FACTOR and _within(points, count):
+    if halves and not stepped and pixel.max() > _LEAST_FACTOR and _inside(points, count).all():
         return (
             f"{spans}, and all positions are whole or half numbers: they look like pixels. "
             f"{_remedy('pixel', stated)} If they are um, write them with decimals."
         )
-    if inside and (_within(points * 1000, size) and np.ptp(points, axis=0).max() < _MM_SPAN * size.max()):
+    if inside and (_inside(points * 1000, size).all() and np.ptp(points, axis=0).max() < _MM_SPAN * size.max()):
         return f"{spans}: they look like mm. {_remedy('mm', stated)}"
     if inside:
         return ""
     spans += f" from ({origin[0]:g}, {origin[1]:g}) um"
-    if _within(points, count):
+    if _inside(points, count).all():
         return f"{spans}: they look like pixels. {_remedy('pixel', stated)}"
-    if _within(placed[:, ::-1], size):
+    if _inside(placed[:, ::-1], size).all():
         return f"{spans}: they would fit with x and y exchanged. Exchange the columns: x runs to the right, y down"
     far = int(np.count_nonzero(~_inside(placed, size)))
     return (
@@ -110,10 +103,6 @@ def _remedy(unit: str, stated: bool) -> str:
 
 def _inside(points: Floats, size: Floats) -> np.ndarray[Any, np.dtype[np.bool_]]:
     return np.all((points >= -SLACK * size) & (points <= (1 + SLACK) * size), axis=1)
-
-
-def _within(points: Floats, size: Floats) -> bool:
-    return bool(_inside(points, size).all())
 
 
 def _size(um: Floats) -> str:
