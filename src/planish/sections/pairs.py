@@ -43,21 +43,11 @@ _BLOCK = 32  # sections that a thread takes at a time
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pairs:
-    """Offsets between pairs of sections.
+    """Offsets between pairs of sections: pose of the second less that of the first, along row and col in um, and rad.
 
-    Attributes
-    ----------
-    first, second : ndarray (pairs,)
-    offset, sigma : ndarray (pairs, 3)
-        Along row and col in um, and rotation in rad: pose of the second less that of the first.
-    alike, sound : ndarray of bool (pairs,)
-        Whether both show the same sheet; and whether the offset is also known well enough.
-    sums : ndarray (pairs, parts, 13)
-        What the offsets follow from.
-    base : ndarray (pairs, 3)
-        Difference of the poses with which the bands were made.
-    fine : bool
-        Whether the bands were fine, which show no rotation.
+    ``alike`` pairs show the same sheet, and the offset of ``sound`` ones is also known well enough. The offsets follow
+    from ``sums`` (pairs, parts, 13) and ``base`` (pairs, 3), the difference of the poses with which the bands were
+    made; ``fine`` bands show no rotation.
     """
 
     first: Index

@@ -109,8 +109,7 @@ def ascii_only(text: str) -> str:
 
 def _move(x_um: float, y_um: float) -> str:
     """Position in millimetres with three to six decimals: exact to 0.0005 um."""
-    x, y = (_plain(value / 1000, 6).partition(".") for value in (x_um, y_um))
-    return f"G0 X{x[0]}.{x[2].ljust(3, '0')} Y{y[0]}.{y[2].ljust(3, '0')}"
+    return f"G0 X{_mm(x_um, 3)} Y{_mm(y_um, 3)}"
 
 
 def _plain(value: float, decimals: int) -> str:
@@ -164,6 +163,7 @@ def _point(code: int, x_um: float, y_um: float) -> Groups:
     return [(code, _mm(x_um)), (code + 10, _mm(y_um)), (code + 20, "0.0")]
 
 
-def _mm(value_um: float) -> str:
-    text = f"{value_um / 1000:.6f}".rstrip("0")
-    return text + "0" if text.endswith(".") else text
+def _mm(value_um: float, least: int = 1) -> str:
+    """Write millimetres with so many to six decimals."""
+    whole, _, part = _plain(value_um / 1000, 6).partition(".")
+    return f"{whole}.{part.ljust(least, '0')}"

@@ -25,7 +25,7 @@ STEP_UM = 50.0
 _BATCH = 4000
 _BATCHES = 6
 _COMPARED = 400  # candidates of a side that are compared with the sides before it
-_RATES = (1.0, 1.5, 2.1, 2.8)  # last pitch over first pitch, less 1
+RATES = (1.0, 1.5, 2.1, 2.8)  # last pitch over first pitch, less 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,11 +106,6 @@ def growing_side(ruler: Ruler, count: int, rate: float) -> Ints | None:
     whole = ruler.with_corners(marks)
     fits = np.all(np.diff(whole) >= ruler.apart) and marks[0] >= ruler.low and marks[-1] <= ruler.high
     return marks if fits else None
-
-
-def growing_rates(rng: np.random.Generator) -> tuple[float, ...]:
-    """Draw the rates of the four sides, all different."""
-    return tuple(rng.permutation(np.array(_RATES)) + rng.uniform(-0.4, 0.4, 4))
 
 
 def placed(sides: Sequence[Ints], width: int, height: int) -> tuple[Array, Ints]:

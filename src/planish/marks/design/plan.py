@@ -135,7 +135,7 @@ def _drawn(blank: Pattern, count: int, rng: np.random.Generator) -> Pattern | No
     marker = max(apart, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
     # Three corners hold holes too.
     shares = layouts.share_out(count - 3, lengths, min(_LEAST_A_SIDE, max(1, (count - 3) // 4)))
-    rates = layouts.growing_rates(rng)
+    rates = rng.permutation(np.array(layouts.RATES)) + rng.uniform(-0.4, 0.4, 4)
     used: set[int] = set()
     sides: list[layouts.Ints] = []
     for side, (length, share) in enumerate(zip(lengths, shares, strict=True)):
@@ -147,7 +147,7 @@ def _drawn(blank: Pattern, count: int, rng: np.random.Generator) -> Pattern | No
         if blank.layout == "coded":
             inner = layouts.coded_side(ruler, share, used, rng)
         else:
-            inner = layouts.growing_side(ruler, share, rates[side])
+            inner = layouts.growing_side(ruler, share, float(rates[side]))
         if inner is None:
             return None
         used |= layouts.coded_distances(ruler, inner)

@@ -29,26 +29,11 @@ Unit = Literal["um", "mm", "pixel"]
 class MarkFormat:
     """A format of marks.
 
-    Attributes
-    ----------
-    title : str
-        As a message names it.
-    known_by : str
-        What is named when a file is in no known format.
-    row : tuple of 6 str
-        Row of the table in ``docs/marks-files.md``: format, what it holds, unit, first pixel's centre, direction, what
-        is kept when it is written.
-    suffixes : tuple of str
-        Names that ask for this format.
-    unit : {"um", "mm", "pixel"} or None
-        Unit in which it is written; None for planish's own, which keep the layer's origin.
-    free_unit : bool
-        Whether the user may choose another.
-    pairs_only : bool
-        Whether it holds only marks that are used and lie in both layers.
-    single : bool
-        Whether one layer alone may be written.
-    writable : bool
+    ``title`` is its name in messages, ``known_by`` that in the list of known formats, ``row`` its row of the table in
+    ``docs/marks-files.md``: format, what it holds, unit, first pixel's centre, direction, what is kept when it is
+    written. ``suffixes`` ask for it. It is written in ``unit`` (None for planish's own, which keep the layer's origin),
+    or in another with ``free_unit``. ``pairs_only``: it holds only marks that are used and lie in both layers;
+    ``single``: one layer alone may be written.
     """
 
     title: str

@@ -24,24 +24,10 @@ _SECOND_NAMES = ("fixed", "to", "target", "image")
 class PointList:
     """Points of one layer in the numbers of a file.
 
-    Attributes
-    ----------
-    title : str
-        What the file calls them.
-    points : ndarray, shape (n, 2) or (n, 3), in ``unit``
-        NaN where a point is not set.
-    unit : {"um", "mm", "pixel"}
-        What the file states, or what is usual for it; pixels count from 0.
-    stated : bool
-        Whether the file states the unit itself.
-    labels, used : sequence, length n
-        Empty where the points have numbers only, and where all are used.
-    placed : bool
-        Whether the positions are those of the layer already; otherwise they count from the centre of its first pixel.
-    extras : mapping of str to ndarray, shape (n,)
-    source : str or sequence of str
-    about : mapping
-        As for `make_marks`.
+    ``points`` (n, 2) or (n, 3) are in ``unit``, which the file states (``stated``) or which is usual for it; pixels
+    count from 0, and NaN is a point that is not set. No labels: they have numbers only; no ``used``: all are used.
+    ``placed`` positions are those of the layer already; others count from the centre of its first pixel. ``extras``
+    and ``source`` are those of `Places`, ``about`` is that of `make_marks`.
     """
 
     title: str
