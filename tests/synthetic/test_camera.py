@@ -210,28 +210,6 @@ def test_nuisance_has_its_size_and_both_images_show_the_same_paper(sheet):
     assert rest.std() == pytest.approx(np.sqrt(2) * 0.005, rel=0.02)
 
 
-def test_light_spreads_with_half_contrast_at_its_width():
-    shape = sheet_of(0.0).char.shape
-    u = -150.0 + PITCH_UM * np.arange(shape[1])
-    wave = sheet_of(17.4 + 3.0 * np.cos(2 * np.pi * u / 200.0), holes=HOLES[:0], rough_um=0.0)
-
-    def contrast(image):
-        x = 4.0 * np.arange(image.shape[1])
-        return np.abs(np.mean((image - image.mean()) * np.exp(2j * np.pi * x / 200.0)))
-
-    plain, spread = seen(wave).astype(float), seen(wave, replace(CLEAN, lateral_um=200.0)).astype(float)
-    assert contrast(spread) / contrast(plain) == pytest.approx(0.5, abs=0.005)
-    assert spread.mean() == pytest.approx(plain.mean(), abs=2 * STEP)
-
-
-def test_light_is_lost_into_holes_but_does_not_fill_them(sheet):
-    plain, spread = seen(sheet), seen(sheet, replace(CLEAN, lateral_um=200.0))
-    rim = truth(sheet)[1]
-    np.testing.assert_array_equal(spread[rim < -20.0], plain[rim < -20.0])
-    ring = (rim > 45.0) & (rim < 60.0)
-    assert spread[ring].mean() < plain[ring].mean() - 0.005
-
-
 @pytest.mark.parametrize("bits", [8, 12, 16])
 def test_grey_levels_are_those_of_the_camera(sheet, bits):
     image = seen(sheet, CameraParams(bits=bits))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.synthetic.fields import PITCH_UM, noise
@@ -84,11 +84,8 @@ def photograph(
             paper = paper * (1 - cover) + screen.ink * cover  # Murray and Davies
         image[rows] = paper * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *at)))
     solid = np.clip(rim / pixel + 0.5, 0, 1)
-    image = _pierced(image, hole, solid)
+    image = np.asarray(hole + (image - hole) * solid, dtype=np.float32)
 
-    if camera.lateral_um > 0:
-        # Paper loses light into a hole, but there is nothing in a hole that could scatter it: it stays dark.
-        image = _pierced(_scattered(image, camera.lateral_um, pixel), hole, solid)
     if camera.shading > 0:
         # The light stands on the left: what rises to the right faces it.
         slope = np.asarray(np.gradient(top, pixel, axis=1))
@@ -188,25 +185,6 @@ def _turned(u: Array, v: Array, screen: PrintParams) -> tuple[Array, Array]:
     pitch, angle = 1e4 / screen.screen_per_cm, np.deg2rad(screen.angle_deg)
     cos, sin = np.cos(angle) / pitch, np.sin(angle) / pitch
     return u * cos + v * sin, v * cos - u * sin
-
-
-def _pierced(paper: Field, hole: Field, solid: Field) -> Field:
-    """Paper where it is ``solid`` (the share of a pixel), and what shows in the holes elsewhere."""
-    return np.asarray(hole + (paper - hole) * solid, dtype=np.float32)
-
-
-def _scattered(image: Field, half_um: float, pixel_um: float) -> Field:
-    """Blur by light that leaves the paper elsewhere than it entered, with a point spread of ``exp(-r / L)``.
-
-    Its transfer function is ``(1 + (2 pi L f)^2)^(-3/2)``. ``half_um`` is the period at which that is one half, the
-    width ``k_p`` in which paper's scattering is stated: 0.15 to 0.35 mm (Coppel et al., Opt. Express 19, 25181, 2011).
-    The cosine transform mirrors the image at its borders.
-    """
-    squares = [(np.arange(n) / (2 * n * pixel_um)) ** 2 for n in image.shape]
-    # (2 pi L f)^2 is 2^(2/3) - 1 where f = 1 / k_p.
-    spread = (2 ** (2 / 3) - 1) * half_um**2 * (squares[0][:, None] + squares[1][None, :])
-    transfer = ((1 + spread) ** -1.5).astype(np.float32)
-    return np.asarray(fft.idctn(fft.dctn(image) * transfer), dtype=np.float32)
 
 
 def _coarse(sheet: Sheet, correlation_um: float, rng: np.random.Generator) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planish.core.threads import count_threads, thread_pool
 from planish.synthetic.draws import generator
-from planish.synthetic.paint import Painter, Slab, gaussian_taps, smooth
+from planish.synthetic.paint import Slab, gaussian_taps, painted, smooth
 from planish.synthetic.params import SectionsParams
 from planish.synthetic.sheet import Sheet
 from planish.synthetic.warp import Warp
@@ -118,16 +118,14 @@ class Microtome:
     ) -> NDArray[np.uint8]:
         p = self.params
         taps = gaussian_taps(p.defocus_um / p.pixel_um)
-        painter = Painter(
-            sheet=self.sheet, warp=self.warp, shape=(self.shape[1], self.shape[0]), step_um=p.pixel_um,
-            grey=(grey[0], grey[1], grey[2]),
+        at = self.poses
+        blocks = painted(
+            self.sheet, self.warp, at.y_um[k : k + 1], shape=(self.shape[1], self.shape[0]), step_um=p.pixel_um,
+            grey=(grey[0], grey[1], grey[2]), halo=taps.size - 1,
+            moved=np.stack([at.shift_x_um, at.shift_z_um, at.turn_rad])[:, k : k + 1],
         )  # fmt: skip
-        poses = self.poses
-        y, shift_x, shift_z, turn = (
-            v[k : k + 1] for v in (poses.y_um, poses.shift_x_um, poses.shift_z_um, poses.turn_rad)
-        )
         picture = np.zeros((self.shape[1], self.shape[0]), dtype=np.float32)
-        for col, depth, block in painter.blocks(y, halo=taps.size - 1, shift_x=shift_x, shift_z=shift_z, turn=turn):
+        for col, depth, block in blocks:
             blurred = smooth(block, taps, (1, 2))[0]
             picture[col : col + blurred.shape[0], depth : depth + blurred.shape[1]] = blurred
         grain = rng.standard_normal(self.shape, dtype=np.float32)

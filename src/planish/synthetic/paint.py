@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,56 +15,41 @@ Slab = NDArray[np.float32]
 _BLOCK = 192  # columns painted together: the sheet then fills much of the box around it
 
 
-@dataclass(frozen=True, kw_only=True)
-class Painter:
-    """Paints rows of ``shape`` (x, z) voxels of ``step_um``, in blocks as deep as the sheet needs there.
+def painted(
+    sheet: Sheet, warp: Warp, ys_um: Array, *, shape: tuple[int, int], step_um: float, grey: tuple[float, float, float],
+    halo: int, moved: Array,
+) -> list[tuple[int, int, Slab]]:  # fmt: skip
+    """Paint the planes at ``ys_um``, of ``shape`` (x, z) voxels of ``step_um``, in blocks as deep as the sheet is there.
 
     Painted is what the sheet adds to the ``grey`` of air (before those of base and coating), so that air stays an exact
-    0 under any filter.
+    0 under any filter. Each plane is ``moved`` (3, rows) along x, along z, and turned about its middle. Gives (first
+    column, first depth, block); blocks are (rows, cols + 2 halo, depth + 2 halo), column and depth those of the block's
+    first voxel inside the halo. Around them there is only air.
     """
-
-    sheet: Sheet
-    warp: Warp
-    shape: tuple[int, int]
-    step_um: float
-    grey: tuple[float, float, float]
-
-    @property
-    def middle_um(self) -> tuple[float, float]:
-        """Middle (x, z) of a row's plane."""
-        return 0.5 * (self.shape[0] - 1) * self.step_um, 0.5 * (self.shape[1] - 1) * self.step_um
-
-    def blocks(
-        self, ys_um: Array, *, halo: int, shift_x: Array, shift_z: Array, turn: Array
-    ) -> list[tuple[int, int, Slab]]:
-        """Paint the planes at ``ys_um``, each moved by its shift and turn, as (first column, first depth, block).
-
-        Blocks are (rows, cols + 2 halo, depth + 2 halo); column and depth are those of the block's first voxel inside
-        the halo. Around them there is only air.
-        """
-        w, curve = self.warp.packed()
-        thick = self.sheet.reach_um + 2 * self.step_um
-        half = 1.05 * thick * float(np.hypot(1.0, self.warp.steepest))
-        done: list[tuple[int, int, Slab]] = []
-        for start in range(0, self.shape[0], _BLOCK):
-            stop = min(start + _BLOCK, self.shape[0])
-            xs = np.arange(start - halo, stop + halo) * self.step_um
-            under = np.concatenate(
-                [_kernels.columns(w, curve, ys_um[i : i + 1], xs + shift_x[i]) for i in range(ys_um.size)]
-            )
-            middle = under[..., 2] - shift_z[:, None] - turn[:, None] * (xs - self.middle_um[0])
-            first = max(int(np.floor((middle.min() - half) / self.step_um)) - halo, 0)
-            last = min(int(np.ceil((middle.max() + half) / self.step_um)) + halo, self.shape[1] - 1)
-            if last < first:
-                continue
-            block = np.zeros((ys_um.size, xs.size, last - first + 1 + 2 * halo), dtype=np.float32)
-            _kernels.paint(
-                block, w, curve, ys_um, xs, first - halo, self.step_um, shift_x, shift_z, turn,
-                np.array(self.middle_um), under, half, self.sheet.packed, np.array(self.sheet.origin), PITCH_UM,
-                np.array([self.grey[1] - self.grey[0], self.grey[2] - self.grey[0]]),
-            )  # fmt: skip
-            done.append((start, first, block))
-        return done
+    middle_um = 0.5 * (shape[0] - 1) * step_um, 0.5 * (shape[1] - 1) * step_um
+    w, curve = warp.packed()
+    thick = sheet.reach_um + 2 * step_um
+    half = 1.05 * thick * float(np.hypot(1.0, warp.steepest))
+    done: list[tuple[int, int, Slab]] = []
+    for start in range(0, shape[0], _BLOCK):
+        stop = min(start + _BLOCK, shape[0])
+        xs = np.arange(start - halo, stop + halo) * step_um
+        under = np.concatenate(
+            [_kernels.columns(w, curve, ys_um[i : i + 1], xs + moved[0, i]) for i in range(ys_um.size)]
+        )
+        middle = under[..., 2] - moved[1, :, None] - moved[2, :, None] * (xs - middle_um[0])
+        first = max(int(np.floor((middle.min() - half) / step_um)) - halo, 0)
+        last = min(int(np.ceil((middle.max() + half) / step_um)) + halo, shape[1] - 1)
+        if last < first:
+            continue
+        block = np.zeros((ys_um.size, xs.size, last - first + 1 + 2 * halo), dtype=np.float32)
+        _kernels.paint(
+            block, w, curve, ys_um, xs, first - halo, step_um, *moved,
+            np.array(middle_um), under, half, sheet.packed, np.array(sheet.origin), PITCH_UM,
+            np.array([grey[1] - grey[0], grey[2] - grey[0]]),
+        )  # fmt: skip
+        done.append((start, first, block))
+    return done
 
 
 def gaussian_taps(sigma: float) -> NDArray[np.float32]:

@@ -129,7 +129,6 @@ class CameraParams(Strict):
     backing: Literal["pile", "black"] = drawn("pile", of=("pile", "black"))  # behind the sheet
     nuisance_sd: float = drawn(0.012, 0.004, 0.015)  # reflectance not due to the coating, correlation length 200 um
     oracle_r2: float | None = None  # instead: as much of it as brings r2 of the true maps at 100 um to this
-    lateral_um: float = 0.0  # lateral scattering, exponential; 200
     shading: float = drawn(0.02, 0.0, 0.02)  # of the light, per 0.1 of slope of the surface
     vignetting: float = drawn(0.04, 0.0, 0.06)  # loss in the corners
     lens_um: float = drawn(3.0, 2.0, 4.0)  # Gaussian sigma

@@ -98,7 +98,6 @@ NUISANCES: dict[str, Nuisance] = {
         ("calibration", "pixel size of the image", "camera", {"scale_range": 0.0}),
         ("distortion", "distortion of the lens", "camera", {"radial": 0.0}),
         ("stretch", "stretch of the sheet", "camera", {"stretch": 0.0}),
-        ("lateral", "lateral scattering", "camera", {"lateral_um": 0.0}),
         ("shading", "shading by the topography", "camera", {"shading": 0.0}),
         ("vignetting", "vignetting", "camera", {"vignetting": 0.0}),
         ("lens", "blur of the lens", "camera", {"lens_um": 0.0}),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planish.core.threads import count_threads, thread_pool
 from planish.synthetic.draws import generator
-from planish.synthetic.paint import Painter, Slab, gaussian_taps, smooth, trimmed
+from planish.synthetic.paint import Slab, gaussian_taps, painted, smooth, trimmed
 from planish.synthetic.params import ScannerParams
 from planish.synthetic.sheet import Sheet
 from planish.synthetic.warp import Warp
@@ -80,13 +80,13 @@ class Scanner:
         ring = gaussian_taps(_FRINGE_PX)
         halo = max(psf.size - 1, ring.size if p.fringe else 0)
         ys = np.arange(start - halo, stop + halo, dtype=np.float64) * p.voxel_um
-        painter = Painter(
-            sheet=self.sheet, warp=self.warp, shape=(self.shape[2], self.shape[0]), step_um=p.voxel_um, grey=p.grey
-        )
-        still = np.zeros(ys.size)
+        blocks = painted(
+            self.sheet, self.warp, ys, shape=(self.shape[2], self.shape[0]), step_um=p.voxel_um, grey=p.grey, halo=halo,
+            moved=np.zeros((3, ys.size)),
+        )  # fmt: skip
         slab = np.zeros((stop - start, self.shape[2], self.shape[0]), dtype=np.float32)
         axes = (0, 1, 2)
-        for col, depth, block in painter.blocks(ys, halo=halo, shift_x=still, shift_z=still, turn=still):
+        for col, depth, block in blocks:
             blurred = trimmed(smooth(block, psf, axes), halo - psf.size + 1, axes)
             if p.fringe:
                 fringe = trimmed(_laplacian(smooth(block, ring, axes)), halo - ring.size, axes)
