@@ -27,6 +27,7 @@ def painted(
     first voxel inside the halo. Around them there is only air.
     """
     middle_um = 0.5 * (shape[0] - 1) * step_um, 0.5 * (shape[1] - 1) * step_um
+    shift_x, shift_z, turn = moved
     w, curve = warp.packed()
     thick = sheet.reach_um + 2 * step_um
     half = 1.05 * thick * float(np.hypot(1.0, warp.steepest))
@@ -35,18 +36,17 @@ def painted(
         stop = min(start + _BLOCK, shape[0])
         xs = np.arange(start - halo, stop + halo) * step_um
         under = np.concatenate(
-            [_kernels.columns(w, curve, ys_um[i : i + 1], xs + moved[0, i]) for i in range(ys_um.size)]
+            [_kernels.columns(w, curve, ys_um[i : i + 1], xs + shift_x[i]) for i in range(ys_um.size)]
         )
-        middle = under[..., 2] - moved[1, :, None] - moved[2, :, None] * (xs - middle_um[0])
+        middle = under[..., 2] - shift_z[:, None] - turn[:, None] * (xs - middle_um[0])
         first = max(int(np.floor((middle.min() - half) / step_um)) - halo, 0)
         last = min(int(np.ceil((middle.max() + half) / step_um)) + halo, shape[1] - 1)
         if last < first:
             continue
         block = np.zeros((ys_um.size, xs.size, last - first + 1 + 2 * halo), dtype=np.float32)
         _kernels.paint(
-            block, w, curve, ys_um, xs, first - halo, step_um, *moved,
-            np.array(middle_um), under, half, sheet.packed, np.array(sheet.origin), PITCH_UM,
-            np.array([grey[1] - grey[0], grey[2] - grey[0]]),
+            block, w, curve, ys_um, xs, first - halo, step_um, shift_x, shift_z, turn, np.array(middle_um), under,
+            half, sheet.packed, np.array(sheet.origin), PITCH_UM, np.array([grey[1] - grey[0], grey[2] - grey[0]]),
         )  # fmt: skip
         done.append((start, first, block))
     return done
