@@ -20,27 +20,13 @@ _STEPS = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Peak:
-    """The largest correlation, in pixels (rows, columns).
+    """The largest correlation, in pixels (rows, columns)."""
 
-    Attributes
-    ----------
-    pixel : (int, int)
-        Whole lag.
-    at : ndarray, shape (2,)
-        Lag between the pixels.
-    r : float
-        Correlation there, with its sign.
-    curvature : ndarray, shape (2, 2)
-        Second derivatives of ``|r|``, negative definite.
-    inner : bool
-        Whether it is a summit, not a slope that goes on beyond the lags searched.
-    """
-
-    pixel: tuple[int, int]
-    at: Array
-    r: float
-    curvature: Array
-    inner: bool
+    pixel: tuple[int, int]  # whole lag
+    at: Array  # (2,): lag between the pixels
+    r: float  # correlation there, with its sign
+    curvature: Array  # (2, 2): second derivatives of ``|r|``, negative definite
+    inner: bool  # whether it is a summit, not a slope that goes on beyond the lags searched
 
 
 def within(reach: tuple[int, int], margin: int = MARGIN) -> Mask:

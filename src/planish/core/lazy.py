@@ -19,17 +19,10 @@ Where = tuple[slice, ...]
 
 
 class LazyArray(ABC):
-    """An array of which parts are read with integers and slices; several threads may read at the same time.
-
-    Attributes
-    ----------
-    shape : tuple of int
-    dtype : dtype
-        In the byte order of the machine.
-    """
+    """An array of which parts are read with integers and slices; several threads may read at the same time."""
 
     shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+    dtype: np.dtype[Any]  # in the byte order of the machine
 
     @property
     def ndim(self) -> int:

@@ -114,27 +114,13 @@ def finite(value: object, *, decimal_comma: bool = False) -> float | None:
 
 @dataclass(slots=True, kw_only=True)
 class Table:
-    """A table with a header. Faults are collected and raised once, by :meth:`check`.
+    """A table with a header. Faults are collected and raised once, by :meth:`check`."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the file.
-    header : list of str
-        Column names in small letters.
-    rows : list of Row
-        Rows with as many cells as the header.
-    comments : list of str
-    error : type
-        Class of the error that names the faults.
-    faults : list of str
-    """
-
-    name: str
-    header: list[str]
-    rows: list[Row]
+    name: str  # name of the file
+    header: list[str]  # column names in small letters
+    rows: list[Row]  # rows with as many cells as the header
     comments: list[str] = field(default_factory=list[str])
-    error: type[PlanishError] = InputError
+    error: type[PlanishError] = InputError  # class of the error that names the faults
     decimal_comma: bool = False
     faults: list[str] = field(default_factory=list[str])
 

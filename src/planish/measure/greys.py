@@ -15,31 +15,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Greys:
-    """Grey levels, noise and blur.
-
-    Attributes
-    ----------
-    air, base : float
-    coating_top, coating_bottom : float
-        NaN where that side has no coating.
-    noise : float
-        Standard deviation of one voxel.
-    polarity : float
-        +1 where the sheet is brighter than the air, -1 where it is darker.
-    blur_um : float
-        Standard deviation of the blur across the faces.
-    padding : float
-        Value outside the field of view; NaN where there is none.
-    """
+    """Grey levels, noise and blur."""
 
     air: float
     base: float
-    coating_top: float
+    coating_top: float  # NaN where that side has no coating
     coating_bottom: float
-    noise: float
-    polarity: float
-    blur_um: float
-    padding: float
+    noise: float  # standard deviation of one voxel
+    polarity: float  # +1 where the sheet is brighter than the air, -1 where it is darker
+    blur_um: float  # standard deviation of the blur across the faces
+    padding: float  # value outside the field of view; NaN where there is none
 
     @classmethod
     def of(cls, surfaces: xr.Dataset) -> Greys:

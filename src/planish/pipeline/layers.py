@@ -16,29 +16,16 @@ from planish.study import LayerParams
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layer:
-    """A sheet that was measured and flattened, or an image.
+    """A sheet that was measured and flattened, or an image."""
 
-    Attributes
-    ----------
-    params : LayerParams
-        With the sizes and pitches that were used.
-    source : InputFile
-    md_deg : float or None
-        Machine direction, deg clockwise on screen from the x axis, if it was given.
-    image : DataArray or None
-    groups : dict of Dataset
-        Of a sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
-        ``sections`` of serial sections.
-    facts : SheetFacts or None
-        Of a sheet.
-    """
-
-    params: LayerParams
+    params: LayerParams  # with the sizes and pitches that were used
     source: InputFile
-    md_deg: float | None = None
+    md_deg: float | None = None  # machine direction, deg clockwise on screen from the x axis, if it was given
     image: xr.DataArray | None = None
+    # Of a sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
+    # ``sections`` of serial sections.
     groups: dict[str, xr.Dataset] = field(default_factory=dict[str, xr.Dataset])
-    facts: SheetFacts | None = None
+    facts: SheetFacts | None = None  # of a sheet
     _holes: dict[Side, xr.Dataset] = field(default_factory=dict)
 
     @property

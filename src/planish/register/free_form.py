@@ -15,23 +15,16 @@ Floats = NDArray[np.float64]
 class FreeForm:
     """A map ``p -> p + sum of coefficients x cubic B-splines`` of points ``(x, y)`` in um.
 
-    Attributes
-    ----------
-    coefficients_um : ndarray, shape (2, rows + 3, cols + 3), in um
-        Displacements along x and y at the nodes of a mesh of ``rows x cols`` cells and of one more on every side.
-    origin_um : (float, float)
-        ``(x, y)`` of the first coefficient.
-    mesh_um : (float, float)
-        Side of a cell along x and y.
-
     Notes
     -----
     Outside the mesh a point moves as the nearest point of its border.
     """
 
+    # (2, rows + 3, cols + 3), in um: displacements along x and y at the nodes of a mesh of ``rows x cols`` cells and
+    # of one more on every side.
     coefficients_um: Floats
-    origin_um: tuple[float, float]
-    mesh_um: tuple[float, float]
+    origin_um: tuple[float, float]  # ``(x, y)`` of the first coefficient
+    mesh_um: tuple[float, float]  # side of a cell along x and y
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points ``(..., 2)``, in um; NaN stays NaN."""

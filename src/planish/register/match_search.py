@@ -38,40 +38,21 @@ _SHARE = 0.6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arrangements:
-    """Refined hypotheses between the smaller set ``a`` and the larger set ``b``, one a row.
+    """Refined hypotheses between the smaller set ``a`` and the larger set ``b``, one a row."""
 
-    Attributes
-    ----------
-    partner : ndarray of int, shape (h, n)
-        Mark of ``b`` within :data:`REACH` tolerances of each mark of ``a``; -1 where there is none.
-    squares : ndarray, shape (h, n), in um2
-        Squared distance to it; infinite where there is none.
-    inliers : ndarray of int, shape (h,)
-        Marks within the tolerance.
-    log_chance : ndarray, shape (h,)
-        log10 of the number of arrangements as good that are expected where the marks are scattered at random.
-    alpha, gamma, beta : ndarray of complex, shape (h,)
-        ``w = alpha z + gamma conj(z) + beta``, with x of ``a`` reversed where ``mirrored``.
-    freedom : ndarray, shape (h,)
-        Marks' worth of freedom that the fit had: 2 without stretch, up to 3.
-    landed : ndarray of complex, shape (h, n), in um
-        Marks of ``a`` in the frame of ``b``.
-    mirrored : ndarray of bool, shape (h,)
-    tests : int
-        Hypotheses tried.
-    """
-
+    # (h, n): mark of ``b`` within :data:`REACH` tolerances of each mark of ``a``; -1 where there is none.
     partner: NDArray[np.int32]
-    squares: Floats
-    inliers: Ints
+    squares: Floats  # (h, n), in um2: squared distance to it; infinite where there is none
+    inliers: Ints  # (h,): marks within the tolerance
+    # (h,): log10 of the number of arrangements as good that are expected where the marks are scattered at random.
     log_chance: Floats
-    alpha: Complexes
+    alpha: Complexes  # (h,): ``w = alpha z + gamma conj(z) + beta``, with x of ``a`` reversed where ``mirrored``
     gamma: Complexes
     beta: Complexes
-    freedom: Floats
-    landed: Complexes
-    mirrored: Bools
-    tests: int
+    freedom: Floats  # (h,): marks' worth of freedom that the fit had: 2 without stretch, up to 3
+    landed: Complexes  # (h, n), in um: marks of ``a`` in the frame of ``b``
+    mirrored: Bools  # (h,)
+    tests: int  # hypotheses tried
 
     def take(self, chosen: Ints | Bools) -> Arrangements:
         """Return some of the rows."""

@@ -23,18 +23,12 @@ _FAR_OFF = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pairs:
-    """Marks of both sides, in um, and the information on each pair.
+    """Marks of both sides, in um, and the information on each pair."""
 
-    Attributes
-    ----------
-    moving, fixed : ndarray, shape (n, 2), in um
-        Places in the two maps.
-    information : ndarray, shape (n, 2, 2)
-        Inverse of the covariance of ``fixed - f(moving)``, up to one factor common to all; zero leaves a pair out.
-    """
-
-    moving: Floats
+    moving: Floats  # (n, 2), in um: places in the two maps
     fixed: Floats
+    # (n, 2, 2): inverse of the covariance of ``fixed - f(moving)``, up to one factor common to all; zero leaves a
+    # pair out.
     information: Floats
 
     def __len__(self) -> int:

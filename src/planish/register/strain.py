@@ -19,21 +19,12 @@ _GRID = 65
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Strain:
-    """Local strain between the marks, after the overall scale is taken off.
+    """Local strain between the marks, after the overall scale is taken off."""
 
-    Attributes
-    ----------
-    area : tuple of float
-        Least and largest ratio of local areas to their mean.
-    stretch : tuple of float
-        Least and largest principal strain: 0.01 where a length is 1 % longer than the overall scale makes it.
-    at_um : tuple of float
-        Where in the moving map the strain is largest, as (x, y) in um.
-    """
-
-    area: tuple[float, float]
+    area: tuple[float, float]  # least and largest ratio of local areas to their mean
+    # Least and largest principal strain: 0.01 where a length is 1 % longer than the overall scale makes it.
     stretch: tuple[float, float]
-    at_um: tuple[float, float]
+    at_um: tuple[float, float]  # where in the moving map the strain is largest, as (x, y) in um
 
     @property
     def largest(self) -> float:

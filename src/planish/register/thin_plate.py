@@ -32,32 +32,18 @@ class ThinPlate(NearSimilarity):
 
     With ``U(r) = r**2 log r`` and ``p' = (p - source) / size``.
 
-    Attributes
-    ----------
-    source : tuple of float, in um
-        Middle of the marks.
-    size : float, in um
-        Their rms distance from it.
-    nodes : ndarray, shape (m, 2)
-        Places of the marks, scaled.
-    affine : ndarray, shape (3, 2), in um
-        Constant and linear part.
-    bend : ndarray, shape (m, 2), in um
-        Coefficients of the kernels.
-    smoothing_um2 : float
-        The parameter lambda of the spline in um**2: 0 goes through all marks, infinity is affine. It is what
-        ``scipy.interpolate.RBFInterpolator`` calls ``smoothing``.
-
     References
     ----------
     Wahba (1990), Spline Models for Observational Data, doi:10.1137/1.9781611970128.
     """
 
-    source: Pair
-    size: float
-    nodes: Floats
-    affine: Floats
-    bend: Floats
+    source: Pair  # in um: middle of the marks
+    size: float  # in um: their rms distance from it
+    nodes: Floats  # (m, 2): places of the marks, scaled
+    affine: Floats  # (3, 2), in um: constant and linear part
+    bend: Floats  # (m, 2), in um: coefficients of the kernels
+    # The parameter lambda of the spline in um**2: 0 goes through all marks, infinity is affine. It is what
+    # ``scipy.interpolate.RBFInterpolator`` calls ``smoothing``.
     smoothing_um2: float
 
     def __post_init__(self) -> None:

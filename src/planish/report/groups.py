@@ -14,16 +14,10 @@ from planish.report.text import title_of
 
 @dataclass(frozen=True)
 class Groups:
-    """Results of a run with its maps.
-
-    Attributes
-    ----------
-    results : Results
-    data : mapping of name to Dataset
-        ``layers/NAME`` or ``linked``, and ``layers/NAME/PART`` or, where there is one sheet, ``PART``.
-    """
+    """Results of a run with its maps."""
 
     results: Results
+    # ``layers/NAME`` or ``linked``, and ``layers/NAME/PART`` or, where there is one sheet, ``PART``.
     data: Mapping[str, xr.Dataset]
 
     def part(self, layer: LayerFacts, name: str) -> xr.Dataset | None:

@@ -30,46 +30,24 @@ _NEAR = 3  # voxels: a seed point may lie so far beside its object
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoarseSheet:
-    """Extent of the sheet in each block column, in voxels of depth, NaN where there is none.
+    """Extent of the sheet in each block column, in voxels of depth, NaN where there is none."""
 
-    Attributes
-    ----------
-    low, high : (block rows, block cols)
-        First and last depth index, interpolated to the threshold.
-    block : int
-        Edge of a block in voxels.
-    leaves : (block rows, block cols)
-        Where the sheet runs out of the volume.
-    threshold : float
-        Grey above the air at which the extent was measured.
-    touching : (block rows, block cols)
-        Where it touches another sheet or folds back on itself, as far as that is known.
-    specks : int
-        Other objects in the air beside the sheet.
-    """
-
-    low: Array
+    low: Array  # (block rows, block cols): first and last depth index, interpolated to the threshold
     high: Array
-    block: int
-    leaves: NDArray[np.bool_]
-    threshold: float
+    block: int  # edge of a block in voxels
+    leaves: NDArray[np.bool_]  # (block rows, block cols): where the sheet runs out of the volume
+    threshold: float  # grey above the air at which the extent was measured
+    # (block rows, block cols): where it touches another sheet or folds back on itself, as far as that is known.
     touching: NDArray[np.bool_]
-    specks: int = 0
+    specks: int = 0  # other objects in the air beside the sheet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """Which object is the sheet.
+    """Which object is the sheet."""
 
-    Attributes
-    ----------
-    seed : (int, int, int) or None
-        Block row, block column and depth of a point in it; the largest object where not given.
-    named : callable
-        Turns such a point into what a user would give as a seed.
-    """
-
-    named: Callable[[tuple[int, int, int]], str]
+    named: Callable[[tuple[int, int, int]], str]  # turns such a point into what a user would give as a seed
+    # Block row, block column and depth of a point in it; the largest object where not given.
     seed: tuple[int, int, int] | None = None
 
 

@@ -27,23 +27,12 @@ _TILE = 192  # columns along an edge of a tile at most; the memory decides below
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Columns:
-    """Columns of a volume, each ``step`` x ``step`` voxels wide.
+    """Columns of a volume, each ``step`` x ``step`` voxels wide."""
 
-    Attributes
-    ----------
-    volume : DataArray, dims (z, y, x)
-        Only the parts that are asked for are read.
-    frame : Frame
-    step : int
-        A column is the mean of ``step`` x ``step`` neighbouring columns of voxels.
-    padding : float or None
-        Value of the voxels outside the field of view.
-    """
-
-    volume: xr.DataArray
+    volume: xr.DataArray  # dims (z, y, x): only the parts that are asked for are read
     frame: Frame
-    step: int = 1
-    padding: float | None = None
+    step: int = 1  # a column is the mean of ``step`` x ``step`` neighbouring columns of voxels
+    padding: float | None = None  # value of the voxels outside the field of view
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -140,23 +129,14 @@ def voxel_pitch(volume: xr.DataArray, axis: str) -> float:
 
 
 class Guide(NamedTuple):
-    """Where the coarse search saw the sheet, for every column of a grid.
+    """Where the coarse search saw the sheet, for every column of a grid."""
 
-    Attributes
-    ----------
-    low, high : (rows, cols)
-        First and last depth index of the sheet; NaN where there is none.
-    slope_r, slope_c : (rows, cols)
-        Rise of the sheet, in voxels of depth from one voxel row, or voxel column, to the next.
-    tilt : (rows, cols)
-        Cosine of the sheet's tilt.
-    """
-
-    low: Array
+    low: Array  # (rows, cols): first and last depth index of the sheet; NaN where there is none
     high: Array
+    # (rows, cols): rise of the sheet, in voxels of depth from one voxel row, or voxel column, to the next.
     slope_r: Array
     slope_c: Array
-    tilt: Array
+    tilt: Array  # (rows, cols): cosine of the sheet's tilt
 
     def part(self, tile: Tile) -> Guide:
         """Return the guide of a tile."""
@@ -185,21 +165,11 @@ def make_guide(coarse: CoarseSheet, columns: Columns) -> Guide:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scale:
-    """How grey is turned into what the fit sees.
+    """How grey is turned into what the fit sees."""
 
-    Attributes
-    ----------
-    air : float
-        Its level becomes 0.
-    polarity : float
-        -1 where the sheet is darker than the air.
-    blend : float
-        Standard deviation of the Gaussian over neighbouring columns, in columns.
-    """
-
-    air: float
-    polarity: float
-    blend: float = 0.0
+    air: float  # its level becomes 0
+    polarity: float  # -1 where the sheet is darker than the air
+    blend: float = 0.0  # standard deviation of the Gaussian over neighbouring columns, in columns
 
     @property
     def halo(self) -> int:

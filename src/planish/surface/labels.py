@@ -28,17 +28,10 @@ _COATED_SHARE = 0.02  # of the columns; below it a side has no coating
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LabelColumns(Columns):
-    """Columns of labels: codes of air, base, void and coating, or 1 where there is any sheet.
+    """Columns of labels: codes of air, base, void and coating, or 1 where there is any sheet."""
 
-    Attributes
-    ----------
-    codes : pairs of (label, code)
-    sheet : bool
-        Give 1 for all that is not air.
-    """
-
-    codes: tuple[tuple[int, int], ...] = ()
-    sheet: bool = True
+    codes: tuple[tuple[int, int], ...] = ()  # (label, code)
+    sheet: bool = True  # give 1 for all that is not air
 
     def voxels(self, tile: Tile, depth: slice = slice(None)) -> NDArray[Any]:
         """Codes of the voxels of a tile, or of a part of their depth."""

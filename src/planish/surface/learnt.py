@@ -17,21 +17,13 @@ FRINGE_PX = 1.5  # width of a fringe where it is not known better, in voxels
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Edge:
-    """How the scanner shows a sharp edge that a column crosses at a right angle; lengths in voxels.
+    """How the scanner shows a sharp edge that a column crosses at a right angle; lengths in voxels."""
 
-    Attributes
-    ----------
-    width : float
-        Standard deviation of the blur.
-    fringe : float
-        Size of the phase-contrast fringe beside it: a share of the edge's step; 0 where there is none.
-    fringe_width : float
-        Distance of its undershoot and overshoot from the edge: the standard deviation of the Gaussian whose second
-        derivative it is.
-    """
-
-    width: float
+    width: float  # standard deviation of the blur
+    # Size of the phase-contrast fringe beside it: a share of the edge's step; 0 where there is none.
     fringe: float = 0.0
+    # Distance of its undershoot and overshoot from the edge: the standard deviation of the Gaussian whose second
+    # derivative it is.
     fringe_width: float = FRINGE_PX
 
     @property
@@ -66,35 +58,16 @@ class Side:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Learnt:
-    """All that the fit of a column needs beside the column.
-
-    Attributes
-    ----------
-    scale : Scale
-    noise : float
-        Standard deviation of what the fit sees in the air.
-    scatter : float
-        Standard deviation by which the fit takes a sample to differ from its model: the noise or more.
-    base : float
-        Level of the base above the air.
-    edge : Edge
-        Blur and fringe.
-    reach : float
-        How far outside the expected face the search starts, in voxels.
-    amid : float
-        Grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet.
-    sides : dict of Side
-        By whether the side lies at the high end of the columns.
-    """
+    """All that the fit of a column needs beside the column."""
 
     scale: Scale
-    noise: float
-    scatter: float
-    base: float
-    edge: Edge
-    reach: float
-    amid: float
-    sides: dict[bool, Side]
+    noise: float  # standard deviation of what the fit sees in the air
+    scatter: float  # standard deviation by which the fit takes a sample to differ from its model: the noise or more
+    base: float  # level of the base above the air
+    edge: Edge  # blur and fringe
+    reach: float  # how far outside the expected face the search starts, in voxels
+    amid: float  # grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet
+    sides: dict[bool, Side]  # by whether the side lies at the high end of the columns
 
     def attrs(self, pitch_um: float, frame: Frame) -> dict[str, float]:
         """Return grey levels (NaN for a coating that is not there), noise, blur and fringe as surfaces carry them."""

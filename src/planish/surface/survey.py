@@ -29,35 +29,17 @@ _MOST = 2**25  # block means that are kept; above it the blocks get wider
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survey:
-    """What the first look found.
-
-    Attributes
-    ----------
-    coarse : CoarseSheet
-    air, noise : float
-        Grey of the air, and standard deviation of one of its voxels.
-    polarity : float
-        +1 where the sheet is brighter than the air, -1 where it is darker.
-    padding : float or None
-        Value of the voxels outside the field of view.
-    sample : (rows, cols, depth)
-        Voxels as stored of every ``stride``-th column.
-    stride : (int, int)
-        Along rows and columns.
-    missing_share : float
-        Voxels that are NaN or infinite.
-    amid : bool
-        Whether a seed chose the sheet among other material, which it does not stand out from as it does from air.
-    """
+    """What the first look found."""
 
     coarse: CoarseSheet
-    air: float
-    noise: float
-    polarity: float
-    padding: float | None
-    sample: NDArray[Any]
-    stride: tuple[int, int]
-    missing_share: float
+    air: float  # its grey
+    noise: float  # standard deviation of one voxel of the air
+    polarity: float  # +1 where the sheet is brighter than the air, -1 where it is darker
+    padding: float | None  # value of the voxels outside the field of view
+    sample: NDArray[Any]  # (rows, cols, depth): voxels as stored of every ``stride``-th column
+    stride: tuple[int, int]  # along rows and columns
+    missing_share: float  # voxels that are NaN or infinite
+    # Whether a seed chose the sheet among other material, which it does not stand out from as it does from air.
     amid: bool = False
 
 

@@ -19,7 +19,7 @@ def painted(
     sheet: Sheet, warp: Warp, ys_um: Array, *, shape: tuple[int, int], step_um: float, grey: tuple[float, float, float],
     halo: int, moved: Array,
 ) -> list[tuple[int, int, Slab]]:  # fmt: skip
-    """Paint the planes at ``ys_um``, of ``shape`` (x, z) voxels of ``step_um``, in blocks as deep as the sheet is there.
+    """Paint the planes at ``ys_um``, of ``shape`` (x, z) voxels of ``step_um``, in blocks as deep as the sheet is.
 
     Painted is what the sheet adds to the ``grey`` of air (before those of base and coating), so that air stays an exact
     0 under any filter. Each plane is ``moved`` (3, rows) along x, along z, and turned about its middle. Gives (first

@@ -26,29 +26,14 @@ class CameraPose:
     A point is stretched about the sheet's middle, carried by the similarity, and moved by the lens:
     ``p' = c + (p - c) (1 + radial r^2)`` with ``r = |p - c| / half_diagonal_um``. That is the first term of the usual
     polynomial model (Brown, Photogramm. Eng. 37, 855, 1971).
-
-    Attributes
-    ----------
-    similarity : Similarity
-        Rotation, scale error, shift and mirror.
-    stretch : float
-        Strain ``e``: lengths along u grow by ``1 + e``, along v by ``1 - e``.
-    middle_um : (float, float)
-        (u, v) of the sheet's middle, which the stretch leaves alone.
-    radial : float
-        ``k1``: relative displacement at half the frame's diagonal.
-    centre_um : (float, float)
-        (x, y) of the frame's middle, which the lens leaves alone.
-    half_diagonal_um : float
-        Unit of the radius.
     """
 
-    similarity: Similarity
-    stretch: float = 0.0
-    middle_um: tuple[float, float] = (0.0, 0.0)
-    radial: float = 0.0
-    centre_um: tuple[float, float] = (0.0, 0.0)
-    half_diagonal_um: float = 1.0
+    similarity: Similarity  # rotation, scale error, shift and mirror
+    stretch: float = 0.0  # strain ``e``: lengths along u grow by ``1 + e``, along v by ``1 - e``
+    middle_um: tuple[float, float] = (0.0, 0.0)  # (u, v) of the sheet's middle, which the stretch leaves alone
+    radial: float = 0.0  # ``k1``: relative displacement at half the frame's diagonal
+    centre_um: tuple[float, float] = (0.0, 0.0)  # (x, y) of the frame's middle, which the lens leaves alone
+    half_diagonal_um: float = 1.0  # unit of the radius
 
     def __call__(self, points: ArrayLike) -> Array:
         """Carry material points (..., 2), (u, v) in um, to the image: (x, y) in um; NaN stays NaN."""

@@ -49,26 +49,13 @@ def make_ledger(both: Comparison) -> Values:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """One specimen: its figures, and how the program ended on it.
-
-    Attributes
-    ----------
-    seed : int
-    values : dict
-        Figure name to value; empty where the program refused.
-    refusal : str or None
-        Message of the error with which the program ended.
-    gates : tuple of str
-        Sentences of the quality gates that the run did not pass.
-    pictures : tuple of Picture
-        Maps and errors of the specimen, where they were asked for.
-    """
+    """One specimen: its figures, and how the program ended on it."""
 
     seed: int
-    values: Values
-    refusal: str | None = None
-    gates: tuple[str, ...] = ()
-    pictures: tuple[Picture, ...] = ()
+    values: Values  # figure name to value; empty where the program refused
+    refusal: str | None = None  # message of the error with which the program ended
+    gates: tuple[str, ...] = ()  # sentences of the quality gates that the run did not pass
+    pictures: tuple[Picture, ...] = ()  # maps and errors of the specimen, where they were asked for
 
     @property
     def whole(self) -> bool:
@@ -114,20 +101,11 @@ class Line:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certificate:
-    """Result of a scenario.
-
-    Attributes
-    ----------
-    scenario : Scenario
-    entries : tuple of Entry
-        One a seed; the first that came through has pictures for the page.
-    notes : tuple of str
-        Sentences on how the specimens were chosen.
-    """
+    """Result of a scenario."""
 
     scenario: Scenario
-    entries: tuple[Entry, ...]
-    notes: tuple[str, ...] = ()
+    entries: tuple[Entry, ...]  # one a seed; the first that came through has pictures for the page
+    notes: tuple[str, ...] = ()  # sentences on how the specimens were chosen
 
     @property
     def judged(self) -> tuple[Entry, ...]:

@@ -15,29 +15,14 @@ Values = dict[str, float | None]
 
 
 class Figure(NamedTuple):
-    """One number of the ledger.
+    """One number of the ledger."""
 
-    Attributes
-    ----------
-    name : str
-        Key in files and in a scenario's limits.
-    stage : str
-        Key of :data:`STAGES`.
-    unit : str
-        ``um``, ``%``, ``deg``, ``pitch``, ``s``, or ``1`` for a plain number.
-    title : str
-        For a table, under the title of its stage.
-    sentence : str
-        What is compared with what.
-    better : {"small", "large", "neither"}
-        Which values are better; neither where the figure only describes.
-    """
-
-    name: str
-    stage: str
-    unit: str
-    title: str
-    sentence: str
+    name: str  # key in files and in a scenario's limits
+    stage: str  # key of :data:`STAGES`
+    unit: str  # ``um``, ``%``, ``deg``, ``pitch``, ``s``, or ``1`` for a plain number
+    title: str  # for a table, under the title of its stage
+    sentence: str  # what is compared with what
+    # {"small", "large", "neither"}: which values are better; neither where the figure only describes.
     better: str = "small"
 
 

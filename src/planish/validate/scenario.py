@@ -85,51 +85,28 @@ class Second(Table):
 
 
 class Scenario(Table):
-    """One kind of specimen and how it is measured.
-
-    Attributes
-    ----------
-    name, title : str
-    kind : {"line", "pair", "mesh"}
-        The whole line through files; two volumes of one sheet, linked; or the relaxation of the spring mesh alone.
-    preset : str
-        Paper, a key of :data:`planish.synthetic.presets.PRESETS`.
-    size : str or (float, float)
-        ``T0`` to ``T3``, or the lateral extent (x, y) in um.
-    instrument : {"stack", "scanner", "sections"}
-    seeds : int
-        How many specimens, seeds 0 to seeds - 1.
-    nuisances : "all", "none" or list of names
-        Of :data:`planish.synthetic.presets.NUISANCES`.
-    drawn : bool
-        Whether every parameter is drawn by the seed, over the ranges of :data:`planish.synthetic.draws.RANGES`.
-    or_warned : bool
-        Whether a run may also end with a warning of its own: then the limits hold for those that do not.
-    point_um : float
-        Edge of the larger points of the correlation.
-    specimen : dict
-        Fields of SpecimenParams that differ from their defaults; nested as they are there.
-    second : Second or None
-        The other instrument of a pair, which is the reference.
-    study : dict
-        Groups of options that differ from their defaults.
-    limits : dict of Limit
-    """
+    """One kind of specimen and how it is measured."""
 
     name: str
     title: str
+    # {"line", "pair", "mesh"}: the whole line through files; two volumes of one sheet, linked; or the relaxation of
+    # the spring mesh alone.
     kind: Literal["line", "pair", "mesh"] = "line"
-    preset: str = "wfc135"
+    preset: str = "wfc135"  # paper, a key of :data:`planish.synthetic.presets.PRESETS`
+    # ``T0`` to ``T3``, or the lateral extent (x, y) in um.
     size: Literal["T0", "T1", "T2"] | tuple[Length, Length] = "T1"
-    instrument: Instrument = "stack"
-    seeds: Annotated[int, Field(ge=1, le=1000)] = 3
-    nuisances: Literal["all", "none"] | tuple[str, ...] = ALL
+    instrument: Instrument = "stack"  # {"stack", "scanner", "sections"}
+    seeds: Annotated[int, Field(ge=1, le=1000)] = 3  # how many specimens, seeds 0 to seeds - 1
+    nuisances: Literal["all", "none"] | tuple[str, ...] = ALL  # of :data:`planish.synthetic.presets.NUISANCES`
+    # Whether every parameter is drawn by the seed, over the ranges of :data:`planish.synthetic.draws.RANGES`.
     drawn: bool = False
+    # Whether a run may also end with a warning of its own: then the limits hold for those that do not.
     or_warned: bool = False
-    point_um: Length = 100.0
+    point_um: Length = 100.0  # edge of the larger points of the correlation
+    # Fields of SpecimenParams that differ from their defaults; nested as they are there.
     specimen: dict[str, Any] = {}
-    second: Second | None = None
-    study: dict[str, dict[str, Any]] = {}
+    second: Second | None = None  # the other instrument of a pair, which is the reference
+    study: dict[str, dict[str, Any]] = {}  # groups of options that differ from their defaults
     limits: dict[str, Limit] = {}
 
     @field_validator(*_KNOWN)

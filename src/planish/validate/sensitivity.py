@@ -25,53 +25,27 @@ _AGREES = 1.5  # factor between the sum of squares and the whole
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One nuisance alone.
+    """One nuisance alone."""
 
-    Attributes
-    ----------
-    nuisance : str
-        Key of :data:`planish.synthetic.presets.NUISANCES`.
-    added : dict
-        Stage to the error that the nuisance adds to the stage's key figure, in squares: sqrt(e^2 - e0^2).
-    growth : dict
-        The same over the error without any nuisance; without the stages that have none.
-    suffers : str or None
-        The first stage along the line that is hit; None where no stage notices.
-    refusal : str or None
-        Message of a run that the nuisance stopped.
-    """
-
-    nuisance: str
-    added: Values
-    growth: dict[str, float]
-    suffers: str | None
-    refusal: str | None = None
+    nuisance: str  # key of :data:`planish.synthetic.presets.NUISANCES`
+    added: Values  # stage to the error that the nuisance adds to the stage's key figure, in squares: sqrt(e^2 - e0^2)
+    growth: dict[str, float]  # the same over the error without any nuisance; without the stages that have none
+    suffers: str | None  # the first stage along the line that is hit; None where no stage notices
+    refusal: str | None = None  # message of a run that the nuisance stopped
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensitivity:
-    """Table of all nuisances of a scenario.
+    """Table of all nuisances of a scenario."""
 
-    Attributes
-    ----------
-    keys : dict
-        Stage to the figure that speaks for it.
-    quiet, loud : dict
-        Stage to that figure without any and with all nuisances.
-    rows : tuple of Row
-    ratio : dict
-        Stage to the sum of squares of the single errors over what all of them together add; None where neither is
-        worth naming.
-    together : dict
-        Stage whose ratio is off to the two nuisances whose leaving out changes most: they do not add as squares.
-    seeds : tuple of int
-    """
-
-    keys: dict[str, str]
-    quiet: dict[str, float]
+    keys: dict[str, str]  # stage to the figure that speaks for it
+    quiet: dict[str, float]  # stage to that figure without any and with all nuisances
     loud: Values
     rows: tuple[Row, ...]
+    # Stage to the sum of squares of the single errors over what all of them together add; None where neither is worth
+    # naming.
     ratio: Values
+    # Stage whose ratio is off to the two nuisances whose leaving out changes most: they do not add as squares.
     together: dict[str, tuple[str, ...]]
     seeds: tuple[int, ...]
 
