@@ -81,7 +81,7 @@ MUTANTS = [
     Mutant("marks/judge.py", "total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]", "total = rows[:, k.INSIDE] - rows[:, k.OUTSIDE]", "marks/test_find.py"),
     Mutant("marks/sheet_holes.py", 'to_face = (-outward if side == "top" else outward) * offset', "to_face = outward * offset", "marks/test_sheet_holes.py"),
     Mutant("marks/sheet_holes.py", "CLOSED if inside.size and np.median(inside) > MATERIAL else UNCLEAR", "CLOSED", "marks/test_sheet_holes.py"),
-    Mutant("marks/mask.py", "(y - radius, y + radius)", "(y - 0.5 * radius, y + 0.5 * radius)", "marks"),
+    Mutant("marks/mask.py", "np.searchsorted(grid.y_um, y - radius)", "np.searchsorted(grid.y_um, y - 0.5 * radius)", "marks/test_mask.py"),
     Mutant("marks/_measure_kernels.py", "cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]", "cx, cy, radius = cx - fit[1], cy + fit[2], fit[0]", "marks/test_find.py"),
     # register
     Mutant("register/similarity.py", "scale=abs(alpha), rotation_rad=float(np.angle(alpha))", "scale=abs(alpha), rotation_rad=-float(np.angle(alpha))", "register/test_fit.py"),

@@ -29,8 +29,8 @@ def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> NDArray[np.bo
     """
     inside = np.zeros(grid.shape, dtype=bool)
     for (x, y), radius in zip(centres_um, radii_um, strict=True):
-        rows = slice(*np.searchsorted(grid.y_um, (y - radius, y + radius)))
-        cols = slice(*np.searchsorted(grid.x_um, (x - radius, x + radius)))
+        rows = slice(np.searchsorted(grid.y_um, y - radius), np.searchsorted(grid.y_um, y + radius, "right"))
+        cols = slice(np.searchsorted(grid.x_um, x - radius), np.searchsorted(grid.x_um, x + radius, "right"))
         inside[rows, cols] |= np.hypot(grid.x_um[None, cols] - x, grid.y_um[rows, None] - y) <= radius
     return inside
 
