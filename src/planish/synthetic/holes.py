@@ -17,7 +17,7 @@ _APART_UM = 550.0
 # Pitches of the lines in um, all different, and so are the sums of neighbours: distances identify any few holes.
 _PITCHES_UM = ((500, 725, 590, 860, 650, 950), (545, 905, 620, 770, 510, 830), (695, 560, 815, 530, 935, 605))
 _ROUGH_UM = 30.0  # correlation length along the rim
-_ORDERS = np.arange(2, 25)  # waves around the rim; order 1 would move the centre
+_ORDERS = np.arange(2, 25)  # of the waves around the rim, one after the other; order 1 would move the centre
 
 
 def hole_pattern(params: HoleParams, low: Array, high: Array, seed: int) -> Array:
@@ -106,10 +106,12 @@ def _hole(
     closed = rng.random() < params.half_closed
 
     def distance(x: Array, y: Array, radius: float) -> Array:
-        angle = np.arctan2(y, x)
-        rough = np.zeros_like(angle)
-        for order, (a, b) in zip(_ORDERS, waves, strict=True):
-            rough += a * np.cos(order * angle) + b * np.sin(order * angle)
+        # cos(k angle) + i sin(k angle) from one order to the next, without a sine for each
+        spin = np.exp(1j * np.arctan2(y, x))
+        wave, rough = spin.copy(), np.zeros(spin.shape)
+        for a, b in waves:
+            wave *= spin
+            rough += a * wave.real + b * wave.imag
         p = (x * np.cos(turn) + y * np.sin(turn)) / ratio
         q = (y * np.cos(turn) - x * np.sin(turn)) * ratio
         return np.hypot(p, q) - radius - rough
