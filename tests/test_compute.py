@@ -55,6 +55,7 @@ def whole(store, tmp_path_factory):
     return bytes_of(out)
 
 
+@pytest.mark.study
 def test_memory_and_threads_change_no_byte(store, whole, tmp_path):
     run_study(study(store), tmp_path / "run", compute=Compute(threads=3, memory_bytes=300 * 2**20))
     assert bytes_of(tmp_path / "run") == whole

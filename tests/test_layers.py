@@ -71,6 +71,7 @@ def test_a_run_linked_to_an_image_is_the_volume_linked_to_it(planish, linked_run
     assert (different, missing) == ([], [])
 
 
+@pytest.mark.study
 def test_two_volumes_show_the_same_material_at_the_same_pixel(specimen, other, other_files, specimen_files, other_run):
     files = write_instruments_of(specimen, specimen_files)
     found = link(f"first={specimen_files[0]}", f"second={other_run}")

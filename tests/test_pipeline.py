@@ -110,6 +110,7 @@ def test_r2_is_that_of_the_true_maps(tree, specimen):
     assert ours == pytest.approx(true, abs=0.03)
 
 
+@pytest.mark.study
 def test_a_repeated_run_has_the_same_bytes(planish, linked_run):
     code, _, err = planish("run", linked_run / "run.toml")
     assert code == 0, err

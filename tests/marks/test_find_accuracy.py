@@ -1,6 +1,5 @@
-"""The quick part of ``python -m benchmarks holes``: errors, stated errors, look-alikes and speed."""
+"""The quick part of ``python -m benchmarks holes``: errors, stated errors and look-alikes; its speed stands there."""
 
-import time
 
 import numpy as np
 import pytest
@@ -95,13 +94,3 @@ def test_a_target_of_another_size_is_its_magnified_picture():
     unit = find_holes(scene.image, pixel_um=1.0, diameter_um=(100.0 / scene.pixel, 300.0 / scene.pixel))
     np.testing.assert_allclose(unit.x * scene.pixel, laser.x, atol=0.1)
     np.testing.assert_allclose(unit.cov_xx * scene.pixel**2, laser.cov_xx, rtol=0.02)
-
-
-def test_large_images_are_quick():
-    """A 3000 x 2000 photograph takes about a second of processor time; twice that is a regression."""
-    rng = np.random.default_rng(0)
-    image = 1 + rng.normal(0, 0.03, (2000, 3000)).astype(np.float32)
-    find_holes(image[:300, :300], pixel_um=10.0)
-    start = time.process_time()
-    find_holes(image, pixel_um=10.0)
-    assert time.process_time() - start < 2.0

@@ -81,7 +81,7 @@ def left_out(image, points, places):
     return np.count_nonzero(ndimage.map_coordinates(image, at.T[::-1], order=1) < 0.5 * (typical + paper)), len(at)
 
 
-@pytest.mark.parametrize("name", ["02", "05"])
+@pytest.mark.parametrize("name", ["02", pytest.param("05", marks=pytest.mark.study)])
 def test_every_dot_is_found(photograph, name):
     """98 % of the lattice's places that hold a dot, and nothing that is not on the lattice."""
     image = photograph(name)

@@ -28,7 +28,8 @@ def bytes_of(found):
     return b"".join(found[k].values.tobytes() for k in found)
 
 
-@pytest.mark.parametrize("size", [0.12, pytest.param(0.3, marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("size", [0.12, 0.3])
 def test_a_known_fringe_is_learnt_and_coatings_are_right(size):
     """Taken for a blurred staircase alone it moves faces and interfaces by 0.1 to 0.2 um."""
     sheet = replace(COARSE, fringe=size)
