@@ -1,6 +1,5 @@
 """The quick part of ``python -m benchmarks holes``: errors, stated errors and look-alikes; its speed stands there."""
 
-
 import numpy as np
 import pytest
 from benchmarks.holes import DIAMETER_UM, Score, around, least_error, look, make_presence, make_scene
