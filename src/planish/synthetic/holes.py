@@ -107,10 +107,10 @@ def _hole(
 
     def distance(x: Array, y: Array, radius: float) -> Array:
         # cos(k angle) + i sin(k angle) from one order to the next, without a sine for each
-        spin = np.exp(1j * np.arctan2(y, x))
-        wave, rough = spin.copy(), np.zeros(spin.shape)
+        spin: NDArray[np.complex128] = np.exp(1j * np.arctan2(y, x))
+        wave, rough = spin, np.zeros(spin.shape)
         for a, b in waves:
-            wave *= spin
+            wave = wave * spin
             rough += a * wave.real + b * wave.imag
         p = (x * np.cos(turn) + y * np.sin(turn)) / ratio
         q = (y * np.cos(turn) - x * np.sin(turn)) * ratio
