@@ -282,6 +282,12 @@ def test_nothing_in_common_is_refused_with_what_to_check():
         warped(ramp(40, 50), 1.0, lambda p: np.full(p.shape, np.nan), (30, 30), 1.0)
 
 
+@pytest.mark.parametrize("to_source", [lambda p: 0 * p + 30.0, lambda p: np.stack([p[..., 0]] * 2, axis=-1) * 0.5])
+def test_a_transformation_onto_a_point_or_a_line_gives_no_map(to_source):
+    with pytest.raises(CannotRegister, match="nothing overlaps"):
+        warped(noise(60, 80), 1.0, to_source, (50, 60), 1.0)
+
+
 def test_a_singular_transformation_is_refused():
     with pytest.raises(CannotRegister, match="nothing overlaps"):
         warped(ramp(40, 50), 1.0, Affine(linear=((1.0, 2.0), (0.5, 1.0))), (30, 30), 1.0)

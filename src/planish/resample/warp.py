@@ -129,6 +129,9 @@ def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: T
     """Do one tile; ``out`` is NaN before."""
     for (y0, y1, x0, x1), nodes in zip(*find_patches(mapping, tile, image.shape), strict=True):
         sides = y1 - y0, x1 - x0
+        down, across = ((nodes[k] - nodes[0, 0]) / n for k, n in zip(((-1, 0), (0, -1)), sides, strict=True))
+        if abs(down[0] * across[1] - down[1] * across[0]) <= _FLAT * max(down @ down, across @ across):
+            continue  # a line or a point of the source: one value spread over the patch would look like a map
         longest = [np.linalg.norm(np.diff(nodes[::3, ::3], axis=k), axis=-1).max() / n for k, n in enumerate(sides)]
         if max(longest) > LARGER:
             v, u = (np.arange(n + 1) / n for n in sides)
