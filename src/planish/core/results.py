@@ -6,42 +6,16 @@ NaN and infinity have no place in JSON: such numbers are None. Lengths are in um
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from planish.core.errors import FileError
+from planish.core.facts import Facts, KnownPair, Number, Pair, Side
 
 FORMAT = 2
 """Version of the schema; planish 0.1.0 wrote files without one."""
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _all_finite(values: Any) -> Any:
-    return None if values is None or not all(map(math.isfinite, values)) else tuple(map(float, values))
-
-
-Number = Annotated[float | None, BeforeValidator(_finite)]
-Pair = tuple[float, float]
-KnownPair = Annotated[Pair | None, BeforeValidator(_all_finite)]
-Side = Literal["top", "bottom"]
-
-
-class Facts(BaseModel):
-    """A frozen part of the results."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, from_attributes=True, protected_namespaces=())
-
-    @classmethod
-    def of(cls, *sources: object, **own: Any) -> Self:
-        """Take what is not given from objects of stages, the first that has an attribute of the field's name."""
-        found = {k: getattr(s, k) for s in reversed(sources) for k in cls.model_fields if hasattr(s, k)}
-        return cls.model_validate(found | own)
 
 
 class Gate(Facts):
