@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
+import xarray as xr
 from scipy import ndimage
 
 from naive import twice_smoothed
 from planish.surface import SurfaceParams
-from planish.surface.assemble import _centre
+from planish.surface.assemble import _centre, cutoff_check
 from planish.surface.centre import gaussian_regression
 
 
@@ -84,3 +85,27 @@ def test_the_surface_is_that_of_the_cutoff_that_is_stated():
         f"{cutoff:g} um: {100 * wider.mean():.2f} % bridged, {rms:.2f} um off, with twice the cut-off {of_doubled:.2f}"
     )
     assert rms < 0.2 * of_doubled
+
+
+@pytest.mark.parametrize("cutoff", [80.0, 150.0, 280.0])
+def test_data_with_poor_neighbours_never_blanks_a_field(cutoff):
+    """Specks between overlapping rims: all that is known keeps the stated cut-off, at any share of data."""
+    rng = np.random.default_rng(3)
+    pitch = (4.0, 4.0)
+    y, x = np.mgrid[0:150, 0:160] * 4.0
+    for holes in (10, 40, 120):
+        middle = 15 * np.sin(x / 110) + 0.1 * y
+        for at in rng.uniform(0, 600, (holes, 2)):
+            middle[np.hypot(y - at[0], x - at[1]) < 80] = np.nan
+        middle[rng.random(middle.shape) < 1e-3] = 3.0
+        data = np.isfinite(middle)
+        _, used = _centre(middle, np.ones(middle.shape, bool), pitch, SurfaceParams(cutoff_um=cutoff))
+        # a block that is hardly known counts as a gap
+        assert not ((used > cutoff) & ndimage.binary_erosion(data, iterations=3, border_value=1)).any()
+
+
+def test_a_cut_off_that_was_not_kept_is_said():
+    surfaces = xr.Dataset(attrs={"bridged_off_rims_share": 0.3, "cutoff_um": 250.0})
+    check = cutoff_check(surfaces)
+    assert check.state == "look" and "250 um in 70.0 %" in check.sentence and check.figures == ("position",)
+    assert cutoff_check(surfaces.assign_attrs(bridged_off_rims_share=0.01)).state == "pass"

@@ -7,6 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core._envelope_kernels import rolled
+from planish.core.checks import POSITION, Check
 from planish.core.errors import VolumeError
 from planish.core.grid import filled
 from planish.core.status import Status, status_flags
@@ -20,6 +21,8 @@ from planish.surface.regions import half_closed, regions
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+_MOST_BRIDGED = 0.02  # of the columns away from holes and rims
 
 
 def assemble(
@@ -59,6 +62,7 @@ def assemble(
     centre, cutoff_used = _centre(middle, outline, pitch[:2], params)
     status = _status(centre, sheet, rim, seen, stuck, touching, runs_out)
     bridged = cutoff_used > params.cutoff_um
+    off_rims = (status != Status.NO_SHEET) & (status != Status.RIM)
     present = find_presence(columns, centre, thickness, up, levels, engine)
     heights = {
         "top": (top, "Top face"),
@@ -90,6 +94,7 @@ def assemble(
         "thickness_um": thickness,
         "cutoff_um": params.cutoff_um,
         "bridged_share": float(np.count_nonzero(bridged) / np.count_nonzero(np.isfinite(centre))),
+        "bridged_off_rims_share": float(bridged[off_rims].mean()) if off_rims.any() else 0.0,
         "rim_um": params.rim_um,
         "voxel_um": [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")],
         "particles_removed": faces.particles,
@@ -101,6 +106,17 @@ def assemble(
         attrs["method"] = params.method
     coords = {"y": (("y",), rows, {"units": "um"}), "x": (("x",), cols, {"units": "um"})}
     return xr.Dataset(data, coords=coords, attrs=attrs)
+
+
+def cutoff_check(surfaces: xr.Dataset) -> Check:
+    """Whether the centre surface has the cut-off that is stated wherever it was measured."""
+    share, cutoff = float(surfaces.attrs.get("bridged_off_rims_share", 0.0)), float(surfaces.attrs["cutoff_um"])
+    return Check.at_most(
+        "cut-off", share, look=_MOST_BRIDGED,
+        sentence=f"The centre surface has the stated cut-off of {cutoff:g} um in {100 * (1 - share):.1f} % of the columns "
+        "away from holes and rims" + (", and twice or four times as much in the others." if share > 0 else "."),
+        advice="Choose a longer --cutoff-um, or a smaller --rim-um if the rims take the sheet away.", figures=(POSITION,),
+    )  # fmt: skip
 
 
 def _status(
