@@ -99,3 +99,20 @@ def test_bad_marks():
         fit_transform(broken, marks(4))
     with pytest.raises(MarkError):
         fit_transform(marks(4), marks(5))
+
+
+@pytest.mark.parametrize("model", ["rigid", "similarity", "affine", "projective", "tps"])
+def test_refitted_keeps_the_pairs_and_weights(model):
+    """The places of the fit itself give its transformation; turned places give it after the turn back."""
+    points = marks(10)
+    seen = Similarity(scale=1.01, rotation_rad=0.4)(points) + np.random.default_rng(1).normal(0, 3, (10, 2))
+    seen[2] += 300.0
+    fit = fit_transform(points, seen, model=model)
+    turn = Similarity(rotation_rad=0.2, shift_um=(50.0, 10.0))
+    moved = turn(points)
+    moved[2] += 77.0  # a mark that is left out counts for nothing
+    where = marks(20, 3)
+    np.testing.assert_allclose(fit.refitted(points)(where), fit(where), atol=1e-6)
+    np.testing.assert_allclose(fit.refitted(moved)(turn(where)), fit(where), atol=1e-6)
+    with pytest.raises(MarkError, match="9 places given for 10 marks"):
+        fit.refitted(points[:9])

@@ -62,6 +62,10 @@ class Model(ABC):
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Any:
         """Weighted least squares."""
 
+    def refit(self, pairs: Pairs, transform: Any, _errors: Any, /) -> Any:
+        """Fit pairs that were moved, with all that was found from the first fit: its transformation and its errors."""
+        return self.fit(pairs, transform.mirrored)
+
     @abstractmethod
     def errors(self, pairs: Pairs, transform: Any, robust: Floats, /) -> Any:
         """Errors of a fit, with the methods and attributes of :class:`ParametricErrors`.

@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planish.core.errors import CannotRegister
+from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity, Transform, nearest_similarity
 from planish.register.model import ParametricErrors
 from planish.register.models import MODELS
-from planish.register.pairs import Pairs, weighted_rms
+from planish.register.pairs import Pairs, points_of, weighted_rms
 from planish.register.spline import SplineErrors
 from planish.register.strain import Strain, strain_of
 
@@ -149,6 +149,34 @@ class FittedTransform:
         given = np.asarray(points, dtype=np.float64)
         squares = self.errors.expected_square(given.reshape(-1, 2))
         return np.sqrt(squares).reshape(given.shape[:-1])
+
+    def refitted(self, moving: ArrayLike) -> Transform:
+        """Fit the same pairs with other moving places, as another flattening of the sheet puts them.
+
+        Parameters
+        ----------
+        moving : array-like, shape (n, 2), in um
+            Places of all marks, in their order, used or not.
+
+        Returns
+        -------
+        Transform
+            Of the same model; weights, smoothing and all else that the first fit chose stay as they are.
+
+        Raises
+        ------
+        MarkError
+            If the shape is another one or a place is not finite.
+        """
+        places = points_of(moving, "moving")
+        used = self.weights > 0
+        if places.shape != self.moving.shape or not np.isfinite(places[used]).all():
+            raise MarkError(
+                f"{len(places)} places given for {len(self.moving)} marks, or some not finite. Give one (x, y) in um for "
+                "each mark of the fit."
+            )
+        pairs = Pairs(moving=places, fixed=self.fixed, information=self.information).take(used)
+        return MODELS[self.model].refit(pairs, self.transform, self.errors)
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)`` of the moving frame: ``(..., 2, 2)``, a row for x and y."""

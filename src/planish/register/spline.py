@@ -41,6 +41,10 @@ class SplineModel(Model):
         system = Smoothing(pairs)
         return system.spline(system.choose())
 
+    def refit(self, pairs: Pairs, transform: ThinPlate, _errors: SplineErrors, /) -> ThinPlate:
+        """The spline of the same smoothing."""
+        return Smoothing(pairs).spline(transform.smoothing_um2)
+
     def errors(self, pairs: Pairs, transform: ThinPlate, _robust: Floats, /) -> SplineErrors:
         """Errors under all bendings that the marks make likely."""
         return SplineErrors(pairs, transform)
