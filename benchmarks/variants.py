@@ -50,7 +50,7 @@ def main(seed: int = 3) -> int:
         scenario = Scenario(name="variant", title=name, size=(1800.0, 1300.0), specimen=specimen)
         entry = run_scenario(scenario, [seed]).entries[0]
         values = (entry.values.get(figure) for figure in _FIGURES)
-        words = "; ".join([*entry.gates, *([entry.refusal] if entry.refusal else [])])
+        words = "; ".join([*entry.failed, *([entry.refusal] if entry.refusal else [])])
         print(f"{name:28s}" + " ".join(f"{'-' if v is None else f'{v:.3f}':>15s}" for v in values) + f"  {words}")
         failed += bool(words)
     return failed

@@ -44,7 +44,7 @@ for layer in run.results.moving:
 for row in run.results.correlations:
     if row.point_um == 100.0 and row.a_map == row.b_map == "coating_top":
         print(f"coating, {row.a} and {row.b}, points of {row.point_um:g} um: r = {row.r:.3f}")
-print(f"quality gates {'passed' if run.passed else 'failed'}; open {out / '09_run' / 'report.html'}")
+print(f"checks: {run.results.state}; open {out / '09_run' / 'report.html'}")
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
 for ax, name in zip(axes, ("coarse", "fine"), strict=True):

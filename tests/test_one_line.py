@@ -102,7 +102,7 @@ def test_the_marks_of_a_run_given_back_give_its_bytes(planish, linked_run, speci
     ]
     assert set(differ) <= set(origin)
     assert sheets[1].registration.source == "json"
-    for name in ("correlations", "comparison", "linked", "gates"):
+    for name in ("correlations", "comparison", "linked", "checks"):
         assert getattr(first.results, name) == getattr(again.results, name)
 
 

@@ -103,7 +103,7 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
     }  # fmt: skip
     results: dict[str, Any] = {
         "planish": "0.2.0", "versions": {"numpy": "2.4.6"}, "layers": [sheet],
-        "gates": [{"name": "coverage", "value": 0.9, "limit": 0.5, "passed": True,
+        "checks": [{"name": "coverage", "value": 0.9, "limit": 0.5, "state": "pass", "figures": ["properties"],
                    "sentence": "90 % of the columns are measured."}],
         "parameters": {"volume": {"voxel_um": [6.0, 6.0, 6.0], "through": "z", "top": top, "override_size": False},
                        "holes": {"hole_um": [120.0, 320.0]}, "correlate": {"point_um": 100.0, "thin_um": 5.0}},

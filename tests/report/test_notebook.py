@@ -1,4 +1,4 @@
-"""What a notebook shows of runs: key numbers, failed gates, small maps; names stay text."""
+"""What a notebook shows of runs: key numbers, failed checks, small maps; names stay text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def test_a_link_shows_its_numbers_and_both_maps() -> None:
     run = a_run()
     html = run_html(Results.model_validate(run["results"]), run["groups"])
     page = Page(html)
-    for expected in ("sheet.tif · image.png", "0.810", "0.640", "0.51", "The quality gate is passed.",
+    for expected in ("sheet.tif · image.png", "0.810", "0.640", "0.51", "The check is passed.",
                      "volume: Coating thickness, top side / µm", "image: Luminance"):  # fmt: skip
         assert expected in page.text("div")
     assert len(page.addresses) == 2
@@ -28,10 +28,10 @@ def test_a_map_shows_the_sheet() -> None:
     assert page.text("figcaption").endswith("0.857 × 0.54 mm")
 
 
-def test_failed_gates_are_named_and_names_stay_text() -> None:
+def test_failed_checks_are_named_and_names_stay_text() -> None:
     run = a_run()
     hostile = "<script>alert(1)</script>"
-    run["results"]["gates"][0] |= {"passed": False, "sentence": hostile}
+    run["results"]["checks"][0] |= {"state": "fail", "sentence": hostile}
     run["groups"]["linked"]["coating_top"].attrs["long_name"] = hostile
     run["results"]["layers"][0]["source"]["name"] = hostile
     results = Results.model_validate(run["results"])

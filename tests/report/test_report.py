@@ -88,7 +88,7 @@ def test_hostile_names_stay_text() -> None:
     for layer in run["results"]["layers"]:
         layer["source"] |= {"name": f"{layer['name']} {hostile}", "size_source": hostile, "dtype": hostile}
     run["results"]["parameters"][hostile] = {hostile: hostile}
-    run["results"]["gates"][0]["sentence"] = hostile
+    run["results"]["checks"][0]["sentence"] = hostile
     run["results"]["layers"][0]["registration"]["match_sentence"] = hostile
     run["marks"]["volume"]["label"] = ("mark", np.array([hostile] * 3, dtype=object))
     for name in ("image", "coating_top"):
@@ -131,13 +131,20 @@ def test_the_page_needs_no_plotting_library() -> None:
     assert found.stdout.strip() == "False"
 
 
-def test_failed_gates_are_named() -> None:
+def test_checks_are_named_the_worst_first_with_limits_and_advice() -> None:
     run = a_run(linked=False)
-    run["results"]["gates"].append({"name": "marks", "value": 30.0, "limit": 20.0, "passed": False,
-                                      "sentence": "4 marks agree to 30.0 um only."})  # fmt: skip
-    text = Page(page_of(run)).text()
-    assert "1 of 2 quality gates is not passed" in text
-    assert "not passed: 4 marks agree to 30.0\u202fµm only." in text
+    for name, state in (("dust", "unknown"), ("marks", "look"), ("slices", "fail")):
+        run["results"]["checks"].append({
+            "name": name, "value": 30.0, "limit": 20.0, "units": "um", "state": state, "advice": "Mend it.",
+            "sentence": "4 marks agree to 30.0 um.", "figures": ["coating_top"],
+        })  # fmt: skip
+    html = page_of(run)
+    text = Page(html).text()
+    assert "Of 4 checks, 1 failed, and what it concerns is withheld; 1 asks for a look" in text
+    assert '<div class="verdict fail"' in html
+    said = "30.0\u202fµm. Limit 20\u202fµm. Mend it."
+    assert f"Slices (fail): 4 marks agree to {said} Withheld: coating top." in text
+    assert text.index("Slices (fail)") < text.index("Marks (look)") < text.index("Coverage (pass)")
 
 
 def test_a_sheet_with_its_top_at_the_low_end_is_drawn_top_up() -> None:
@@ -184,7 +191,7 @@ def test_a_link_without_check_or_expected_error_has_a_page() -> None:
     run["groups"]["linked"] = run["groups"]["linked"].drop_vars("expected_error")
     page = Page(page_of(run))
     assert "Leave-one-out" in page.text()
-    for absent in ("Check, not a gate", "Expected error of the position", "tile by tile"):
+    for absent in ("Expected error of the position", "tile by tile"):
         assert absent not in page.text()
     assert page.drawings == 16
 

@@ -31,9 +31,9 @@ def study(labels, **sections):
 def test_labels_are_mapped_and_linked_to_the_end(labels, specimen_files, tmp_path):
     run = run_study(study(labels, image={"path": str(specimen_files[1])}), tmp_path / "run")
     assert "linked" in run.groups
-    gates = {gate.name for gate in run.gates}
-    assert {"coverage", "fold-over"} <= gates
-    assert not {"saturation", "missing voxels"} & gates
+    checks = {check.name for check in run.checks}
+    assert {"coverage", "fold-over"} <= checks
+    assert not {"saturation", "missing voxels"} & checks
     assert np.isfinite(run.groups["maps"]["thickness"].values).mean() > 0.5
     assert (tmp_path / "run" / "report.html").stat().st_size > 10_000
 

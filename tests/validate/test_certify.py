@@ -75,15 +75,17 @@ def no_specimen(monkeypatch):
 @pytest.mark.usefixtures("no_specimen")
 def test_every_seed_gives_an_entry_and_the_first_an_example(monkeypatch, small):
     """What the studies do with real runs, with the run and its ledger replaced."""
-    gate = SimpleNamespace(name="marks", sentence="7 marks agree to 33.1 um only.", passed=False)
-    monkeypatch.setattr(certify, "run_study", lambda *_, **__: SimpleNamespace(gates=(gate,), groups={"linked": None}))
+    check = SimpleNamespace(name="marks", sentence="7 marks agree to 33.1 um.")
+    results = SimpleNamespace(spoken=lambda state: [check] if state == "fail" else [])
+    run = SimpleNamespace(results=results, groups={"linked": None})
+    monkeypatch.setattr(certify, "run_study", lambda *_, **__: run)
     monkeypatch.setattr(certify, "make_ledger", lambda _both: {"tre_p95": 7.0})
     monkeypatch.setattr(certify, "draw_example", lambda _both, seed: [f"maps of {seed}"])
     reports = []
     found = run_scenario(small, [4, 2], progress=lambda *words: reports.append(words))
     assert [entry.seed for entry in found.entries] == [4, 2]
     assert found.entries[0].values == {"tre_p95": 7.0}
-    assert found.entries[0].gates == ("marks: 7 marks agree to 33.1 um only.",)
+    assert found.entries[0].failed == ("marks: 7 marks agree to 33.1 um.",)
     assert [entry.pictures for entry in found.entries] == [("maps of 4",), ()]
     assert ("small", "seed 2, 2 of 2") in reports
 
@@ -112,10 +114,10 @@ def test_a_refusal_is_an_outcome(monkeypatch, small):
     assert "Only 2 holes" in markdown(found)
 
 
-def test_a_failed_gate_is_kept_with_its_sentence():
-    found = made_up([{"tre_p95": 1.0}], gates=("marks: 7 marks agree to 33.1 um only.",))
+def test_a_failed_check_is_kept_with_its_sentence():
+    found = made_up([{"tre_p95": 1.0}], failed=("marks: 7 marks agree to 33.1 um only.",))
     assert not found.passed
-    assert "a quality gate of the run failed" in summary(found)
+    assert "a check of the run failed" in summary(found)
     assert "33.1" in render_page(found)
 
 

@@ -1,6 +1,6 @@
 """The command group, and the one place where an error becomes a message and an exit code.
 
-0 done; 1 a fault of planish; 2 wrong usage; 3 input that cannot be used; 4 finished, but a quality gate failed;
+0 done; 1 a fault of planish; 2 wrong usage; 3 input that cannot be used; 4 finished, but a check failed;
 5 memory or disk used up; 130 interrupted.
 """
 
@@ -51,8 +51,8 @@ def planish() -> None:
     'planish link VOLUME IMAGE --out RUN' does the whole line; 'planish demo' shows it on a synthetic specimen. Each
     stage is a command too: surface, measure, flatten, resample, holes, register, correlate, report.
 
-    Exit codes: 0 done, 1 a fault of planish, 2 wrong usage, 3 input that cannot be used, 4 finished but a quality gate
-    failed, 5 memory or disk used up, 130 interrupted.
+    Exit codes: 0 done, 1 a fault of planish, 2 wrong usage, 3 input that cannot be used, 4 finished but a check failed
+    (--strict: or asks for a look), 5 memory or disk used up, 130 interrupted.
     """
 
 

@@ -185,6 +185,7 @@ def stack(*parts: Command) -> Command:
 
 # --- options that are no parameters ----------------------------------------------------------------------------------
 
+strict_option = click.option("--strict", is_flag=True, help="End with 4 also where a check asks for a look.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 
 

@@ -9,7 +9,18 @@ from typing import Any
 import click
 
 from planish.analyze.params import CorrelateParams
-from planish.cli.options import Option, existing, given, json_option, made, options, out_option, stack, verb
+from planish.cli.options import (
+    Option,
+    existing,
+    given,
+    json_option,
+    made,
+    options,
+    out_option,
+    stack,
+    strict_option,
+    verb,
+)
 from planish.cli.show import finish, free_path, run_facts, stages
 from planish.compute import Compute
 from planish.core.errors import StudyError
@@ -58,13 +69,13 @@ def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain:
         raise click.UsageError(str(error)) from error
 
 
-def _run_and_show(study: Study, out: Path, values: dict[str, Any], *, as_json: bool) -> int:
+def _run_and_show(study: Study, out: Path, values: dict[str, Any], *, as_json: bool, strict: bool) -> int:
     """Do what a study says, show it, and return the exit code."""
     from planish.pipeline import run_study
 
     with stages(8 + 3 * len(study.layers)) as progress:
         run = run_study(study, out, progress=progress, compute=made(Compute, values, "compute"))
-    return finish(run, out, as_json=as_json)
+    return finish(run, out, as_json=as_json, strict=strict)
 
 
 @verb(
@@ -81,8 +92,9 @@ def _run_and_show(study: Study, out: Path, values: dict[str, Any], *, as_json: b
 )  # fmt: skip
 @sheet_options
 @compute_options
+@strict_option
 @json_option
-def link(layers: tuple[str, ...], out: Path, chain: bool, as_json: bool, **values: Any) -> int:
+def link(layers: tuple[str, ...], out: Path, chain: bool, strict: bool, as_json: bool, **values: Any) -> int:
     """Link layers of one specimen to the last of them: all maps on its pixels, correlation, report.
 
     A layer is a volume (TIFF stack, folder of slices or sections, store), the folder of a run that planish made of one,
@@ -95,7 +107,7 @@ def link(layers: tuple[str, ...], out: Path, chain: bool, as_json: bool, **value
     """
     if len(layers) < 2:
         raise click.UsageError("Something to link it to is missing: give two layers or more, the reference last.")
-    return _run_and_show(study_from(layers, values, chain=chain), out, values, as_json=as_json)
+    return _run_and_show(study_from(layers, values, chain=chain), out, values, as_json=as_json, strict=strict)
 
 
 @verb(
@@ -107,18 +119,20 @@ def link(layers: tuple[str, ...], out: Path, chain: bool, as_json: bool, **value
 @out_option(OUT)
 @sheet_options
 @compute_options
+@strict_option
 @json_option
-def map_(volume: Path, out: Path, as_json: bool, **values: Any) -> int:
+def map_(volume: Path, out: Path, strict: bool, as_json: bool, **values: Any) -> int:
     """Map VOLUME: flattened maps of all properties, without an image."""
-    return _run_and_show(study_from((volume,), values), out, values, as_json=as_json)
+    return _run_and_show(study_from((volume,), values), out, values, as_json=as_json, strict=strict)
 
 
 @verb("planish run run/run.toml", "planish run run/run.toml --out again --threads 2", name="run")
 @existing("study")
 @_folder_option
 @compute_options
+@strict_option
 @json_option
-def run(study: Path, out: Path | None, as_json: bool, **values: Any) -> int:
+def run(study: Path, out: Path | None, strict: bool, as_json: bool, **values: Any) -> int:
     """Repeat the run described by STUDY, the run.toml of a run folder.
 
     The result has the same bytes; files that differ from those beside STUDY are named.
@@ -130,7 +144,7 @@ def run(study: Path, out: Path | None, as_json: bool, **values: Any) -> int:
     checked = read_study(study)
     old = study.absolute().parent
     target = out or free_path(old.with_name(f"{old.name}-again"))
-    code = _run_and_show(checked, target, values, as_json=as_json)
+    code = _run_and_show(checked, target, values, as_json=as_json, strict=strict)
     before = run_facts(old)
     if before is not None and before["warning"]:
         click.echo(f"{old.name} was {before['warning']}", err=True)
@@ -151,8 +165,9 @@ def _different(old: Path, new: Path) -> list[str]:
 @verb("planish demo", "planish demo --out try --seed 2", name="demo")
 @_folder_option
 @click.option("--seed", default=1, show_default=True, help="Another number gives another specimen.")
+@strict_option
 @json_option
-def demo(out: Path | None, seed: int, as_json: bool) -> int:
+def demo(out: Path | None, seed: int, strict: bool, as_json: bool) -> int:
     """Make a synthetic specimen with laser holes, link it, and show what comes out."""
     from dataclasses import replace
 
@@ -165,4 +180,6 @@ def demo(out: Path | None, seed: int, as_json: bool) -> int:
     click.echo(f"specimen: a warped sheet of {width:g} x {height:g} mm, seed {seed}", err=True)
     files = write_instruments(make_specimen(replace(DEMO, seed=seed)), folder / "specimen")
     assert files.image is not None
-    return _run_and_show(study_from((files.volume, files.image), {}), folder / "run", {}, as_json=as_json)
+    return _run_and_show(
+        study_from((files.volume, files.image), {}), folder / "run", {}, as_json=as_json, strict=strict
+    )

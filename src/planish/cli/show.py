@@ -1,4 +1,4 @@
-"""What a terminal shows: stages as they pass, tables, and the state of the quality gates."""
+"""What a terminal shows: stages as they pass, tables, and what the checks say."""
 
 from __future__ import annotations
 
@@ -16,8 +16,12 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from planish.compute import Progress as Tell
+    from planish.core.checks import State
     from planish.core.results import ComparisonRow, CorrelationRow, LayerFacts, Results, SheetFacts
     from planish.pipeline import Run
+
+
+_SPOKEN: tuple[State, ...] = ("fail", "look", "unknown")
 
 
 @contextmanager
@@ -58,8 +62,8 @@ def number(value: float | None, digits: int = 3) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def finish(run: Run, out: Path, *, as_json: bool) -> int:
-    """Print the outcome of a run; the exit code is 4 when a quality gate failed."""
+def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
+    """Print the outcome of a run; the exit code is 4 when a check failed or, with ``strict``, asks for a look."""
     results = run.results
     if as_json:
         click.echo(results.to_json(), nl=False)
@@ -75,15 +79,25 @@ def finish(run: Run, out: Path, *, as_json: bool) -> int:
             pairs = [(f"{r.a} {r.a_map} / {r.b} {r.b_map}", r) for r in results.correlations if r.n]
             correlations("Layers against each other", pairs)
         click.echo(f"report: {out / 'report.html'}")
-    failed = [gate for gate in results.gates if not gate.passed]
-    for gate in failed:
-        click.echo(f"planish: quality gate '{gate.name}' failed: {gate.sentence}", err=True)
-    return 4 if failed else 0
+    several = len(results.layers) > 2
+    for state in _SPOKEN:
+        for check in results.spoken(state):
+            name = f"{check.name} ({' and '.join(check.layers)})" if several and check.layers else check.name
+            click.echo(f"planish: {state}: {name}: {check.sentence} {check.advice}".rstrip(), err=True)
+    return 4 if results.state == "fail" or (strict and results.spoken("look")) else 0
 
 
 def _properties(name: str, sheet: SheetFacts) -> None:
     rows = [
-        (key, p.units, number(p.mean, 2), number(p.sd, 2), number(p.p5, 2), number(p.p95, 2), str(p.n))
+        (
+            key if p.trust == "ok" else f"{key} ({p.trust})",
+            p.units,
+            number(p.mean, 2),
+            number(p.sd, 2),
+            number(p.p5, 2),
+            number(p.p95, 2),
+            str(p.n),
+        )
         for key, p in sheet.properties.items()
     ]
     table(f"Properties of the {name} along its normals", ("", "unit", "mean", "sd", "p5", "p95", "columns"), rows)
@@ -98,12 +112,16 @@ def _registration(layer: LayerFacts) -> None:
     r = layer.registration
     if r is None:
         return
-    error = "" if r.expected_error is None else f", expected error {r.expected_error.median_um:.2f} um (median)"
+    e = r.expected_error
+    trust = "" if e is None or e.trust == "ok" else f", {e.trust}"
+    error = "" if e is None else f", expected error {number(e.median_um, 2)} um (median{trust})"
     click.echo(
-        f"{layer.name} to {r.to}: {r.matched} marks matched, residual {r.rms_um:.2f} um rms, leave-one-out "
+        f"{layer.name} to {r.to}: {r.matched} marks used, residual {r.rms_um:.2f} um rms, leave-one-out "
         f"{number(r.leave_one_out_rms_um, 2)} um{error}; {r.model}, scale {r.scale:.4f}, rotation {r.rotation_deg:.2f} "
         f"deg{', mirrored' if r.mirrored else ''}"
     )
+    for sentence in (*r.warnings, r.orientation.sentence):
+        click.echo(f"  {sentence}")
 
 
 def _comparison(results: Results) -> None:
@@ -117,7 +135,15 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
     """Print correlations, each under its name."""
     marks = [getattr(r, "marks_rms_um", None) for _, r in rows]
     cells = [
-        (name, f"{r.point_um:g}", str(r.n), number(r.r), number(r.r2), number(r.slope, 4), number(rms_um, 1))
+        (
+            name if getattr(r, "trust", "ok") == "ok" else f"{name} ({r.trust})",
+            f"{r.point_um:g}",
+            str(r.n),
+            number(r.r),
+            number(r.r2),
+            number(r.slope, 4),
+            number(rms_um, 1),
+        )
         for (name, r), rms_um in zip(rows, marks, strict=True)
     ]
     shown = 7 if any(marks) else 6
@@ -131,15 +157,16 @@ def run_facts(path: Path) -> dict[str, Any] | None:
     try:
         results: dict[str, Any] = json.loads((path / "results.json").read_text(encoding="utf-8"))
         old = str(results["planish"]).startswith("0.1.")
-        gates = results["quality" if old else "gates"]
+        checks: list[dict[str, Any]] = results["quality" if old else "checks"]
+        states = {state: [str(c["name"]) for c in checks if c.get("state") == state] for state in ("fail", "look")}
+        states["fail"] += [str(c["name"]) for c in checks if c.get("passed") is False]
         if not old or "layers" in results:
             inputs = {str(layer["name"]): str(layer["source"]["name"]) for layer in results["layers"]}
         else:
             inputs = {str(k): str(v["name"]) for k, v in results["inputs"].items()}
         return {
             "kind": "run of " + ("one volume" if len(inputs) == 1 else f"{len(inputs)} layers"),
-            "file_name": path.absolute().name, "inputs": inputs, "gates": len(gates),
-            "gates_failed": [str(gate["name"]) for gate in gates if not gate["passed"]],
+            "file_name": path.absolute().name, "inputs": inputs, "checks": len(checks), **states,
             "planish": str(results["planish"]), "warning": _OLD if old else None,
         }  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
@@ -154,13 +181,11 @@ _OLD = (
 
 def run_lines(facts: dict[str, Any]) -> list[str]:
     """Write the facts of a run for a reader."""
-    failed = facts["gates_failed"]
     return [
         f"{facts['file_name']}: {facts['kind']}, planish {facts['planish']}",
         *([facts["warning"]] if facts["warning"] else []),
         *(f"{name}: {file}" for name, file in facts["inputs"].items()),
-        f"quality gates: {facts['gates'] - len(failed)} of {facts['gates']} passed"
-        + (f"; not passed: {', '.join(failed)}" if failed else ""),
+        f"checks: {facts['checks']}" + "".join(f"; {k}: {', '.join(facts[k])}" for k in ("fail", "look") if facts[k]),
     ]
 
 

@@ -153,7 +153,7 @@ def _show(certificate: Certificate, grown: Sensitivity | None) -> None:
         for sentence in tables.sensitivity_sentences(grown):
             click.echo(tables.plain(sentence))
     click.echo(tables.plain(f"{tables.verdict(certificate)} {tables.summary(certificate)}"))
-    faults = [f"seed {e.seed}: {fault}" for e in certificate.entries for fault in (e.refusal, *e.gates) if fault]
+    faults = [f"seed {e.seed}: {fault}" for e in certificate.entries for fault in (e.refusal, *e.failed) if fault]
     faults += [tables.plain(tables.limit_sentence(line)) for line in certificate.lines().values() if line.met is False]
     for fault in faults:
         click.echo(f"planish: {fault}", err=True)

@@ -1,4 +1,4 @@
-"""What results are made of: frozen models whose missing numbers are None, because JSON knows neither NaN nor infinity."""
+"""What results are made of: frozen models whose missing numbers are None, as JSON knows neither NaN nor infinity."""
 
 from __future__ import annotations
 

@@ -7,25 +7,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationError
 
+from planish.core.checks import Check, State
 from planish.core.errors import FileError
 from planish.core.facts import Facts, KnownPair, Number, Pair, Side
 
-FORMAT = 2
+FORMAT = 3
 """Version of the schema; planish 0.1.0 wrote files without one."""
 
-
-class Gate(Facts):
-    """One condition that a result has to meet to be used without a second look."""
-
-    name: str
-    value: Number
-    limit: float
-    passed: bool
-    sentence: str
+Trust = Literal["ok", "doubtful", "withheld"]
+"""What the checks leave of a figure; numbers that are withheld are None."""
 
 
 class InputFile(Facts):
@@ -75,13 +69,16 @@ class SurfaceFacts(Facts):
 class PropertyFacts(Facts):
     """Distribution of one property over the columns."""
 
+    WITHHELD: ClassVar = ("mean", "sd", "p5", "median", "p95", "standard_error")
+
     units: str
     n: int
-    mean: float
-    sd: float
-    p5: float
-    median: float
-    p95: float
+    mean: Number
+    sd: Number
+    p5: Number
+    median: Number
+    p95: Number
+    trust: Trust = "ok"
     standard_error: Number = Field(default=None, description="Median of the standard errors of single columns.")
     support_um: Number = Field(default=None, description="Size of the region that one value stands for.")
 
@@ -231,7 +228,7 @@ class SheetFacts(Facts):
 
     surfaces: SurfaceFacts
     properties: dict[str, PropertyFacts]
-    numbers: SheetNumbers
+    numbers: SheetNumbers | None = Field(description="None where they are withheld.")
     flatten: FlattenFacts
     sections: SectionFacts | None = None
 
@@ -258,8 +255,11 @@ class HoleTiltFacts(Facts):
 class ExpectedError(Facts):
     """How far a pixel may be off, rms, over the map."""
 
-    median_um: float
-    largest_um: float
+    WITHHELD: ClassVar = ("median_um", "largest_um")
+
+    median_um: Number
+    largest_um: Number
+    trust: Trust = "ok"
 
 
 class OrientationFacts(Facts):
@@ -350,6 +350,10 @@ class LayerFacts(Facts):
 class CorrelationRow(Facts):
     """Correlation of two maps over points of one size; ``slope`` and ``intercept`` give b from a."""
 
+    WITHHELD: ClassVar = (
+        "r", "r2", "slope", "intercept", "difference_mean", "difference_sd", "limits",
+    )  # fmt: skip
+
     a: str
     a_map: str
     b: str
@@ -365,10 +369,13 @@ class CorrelationRow(Facts):
     difference_sd: Number = None
     limits: Pair | None = None
     units: str | None = None
+    trust: Trust = "ok"
 
 
 class ComparisonRow(Facts):
     """The headline correlation with one way of registering, as the paper's Table 1 compares them."""
+
+    WITHHELD: ClassVar = ("r", "r2", "slope", "intercept")
 
     registration: str
     property: str
@@ -379,6 +386,7 @@ class ComparisonRow(Facts):
     r2: Number
     slope: Number
     intercept: Number
+    trust: Trust = "ok"
 
 
 class LinkedArea(Facts):
@@ -425,7 +433,7 @@ class RefinementFacts(Facts):
 class Results(Facts):
     """All numbers of a run: a map of one sheet, or layers linked onto the last one."""
 
-    format: Literal[2] = FORMAT
+    format: Literal[3] = FORMAT
     planish: str
     versions: dict[str, str]
     layers: tuple[LayerFacts, ...] = Field(description="In the order given; the last one is the reference of a link.")
@@ -434,13 +442,23 @@ class Results(Facts):
     comparison: tuple[ComparisonRow, ...] = ()
     linked: LinkedArea | None = None
     refinement: RefinementFacts | None = None
-    gates: tuple[Gate, ...]
+    checks: tuple[Check, ...]
     parameters: dict[str, Any]
 
     @property
     def passed(self) -> bool:
-        """Whether every quality gate was passed."""
-        return all(gate.passed for gate in self.gates)
+        """Whether no check failed."""
+        return self.state != "fail"
+
+    @property
+    def state(self) -> State:
+        """The worst state of all checks: fail, look, unknown, or pass."""
+        states = {check.state for check in self.checks}
+        return next((state for state in ("fail", "look", "unknown") if state in states), "pass")
+
+    def spoken(self, *states: State) -> list[Check]:
+        """The checks in these states."""
+        return [check for check in self.checks if check.state in states]
 
     @property
     def is_link(self) -> bool:

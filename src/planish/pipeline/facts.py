@@ -129,7 +129,8 @@ def _registration_facts(
     known = error[np.isfinite(error)]
     return RegistrationFacts.of(
         found, fit, fit.transform, to=link.path[1].name, path=tuple(at.name for at in link.path),
-        found_moving=found.count("moving"), found_fixed=found.count("fixed"), matched=len(fit.moving),
+        found_moving=found.count("moving"), found_fixed=found.count("fixed"),
+        matched=int(np.count_nonzero(fit.robust_weights)),
         match_sentence=found.sentence, model_sentence=fit.sentence,
         expected_error=ExpectedError(median_um=np.median(known), largest_um=known.max()) if known.size else None,
         rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)), shift_um=tuple(fit.transform.shift_um),

@@ -7,6 +7,7 @@ from typing import Literal
 
 import xarray as xr
 
+from planish.core.checks import Check
 from planish.core.grid import Grid
 from planish.core.results import InputFile, SheetFacts, Side
 from planish.marks import HoleParams, find_sheet_holes
@@ -26,6 +27,7 @@ class Layer:
     # ``sections`` of serial sections.
     groups: dict[str, xr.Dataset] = field(default_factory=dict[str, xr.Dataset])
     facts: SheetFacts | None = None  # of a sheet
+    checks: tuple[Check, ...] = ()  # of a sheet and its volume
     _holes: dict[Side, xr.Dataset] = field(default_factory=dict)
 
     @property

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from planish import __version__
 from planish.compute import Compute, Progress
-from planish.core.results import Gate, LayerFacts, Results
+from planish.core.checks import Check
+from planish.core.results import LayerFacts, Results
 from planish.io import read_image
+from planish.pipeline.checks import about, area_check, field_check, registration_checks, same_sheet_checks, with_trust
 from planish.pipeline.compare import comparison_rows, correlate_layers, likeness
 from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, parameters, versions
-from planish.pipeline.gates import area_gate, field_gate, registration_gates, same_sheet_gates, sheet_gates
 from planish.pipeline.layers import Layer
 from planish.pipeline.onto import hole_circles, merged, on_reference
 from planish.pipeline.refinement import refine_link
@@ -116,7 +117,7 @@ def _circles(layers: list[Layer], links: dict[str, Link]) -> list[Array]:
 def _gathered(
     study: Study, layers: list[Layer], links: dict[str, Link], maps: dict[str, xr.Dataset], away: NDArray[np.bool_]
 ) -> Run:  # fmt: skip
-    """Correlations, results, gates and groups of a link."""
+    """Correlations, results, checks and groups of a link."""
     reference, point_um = layers[-1], study.correlate.point_um
     pairs = list(combinations(layers, 2))
     rows = [row for a, b in pairs for row in correlate_layers(a.name, b.name, maps, point_um)]
@@ -127,9 +128,11 @@ def _gathered(
         )
         for layer in layers
     ]  # fmt: skip
-    gates = [gate for layer, own in zip(layers, facts, strict=True) for gate in _gates(layer, own, len(layers))]
+    checks = [check for layer, own in zip(layers, facts, strict=True) for check in _checks(layer, own, links, study)]
     for a, b in pairs:
-        gates += same_sheet_gates(a.name, b.name, likeness(maps[a.name], maps[b.name], point_um))
+        checks += about(
+            same_sheet_checks(a.name, b.name, likeness(maps[a.name], maps[b.name], point_um)), a.name, b.name
+        )
     groups = {f"layers/{name}": data for name, data in maps.items()}
     more: dict[str, Any] = {}
     if study.is_sheet_on_image:
@@ -137,7 +140,7 @@ def _gathered(
         linked = merged(maps[sheet.name], maps[reference.name])
         groups = sheet.groups | {"linked": linked}
         more["linked"] = linked_area(linked, away)
-        gates.append(area_gate(more["linked"]))
+        checks += about([area_check(more["linked"])], sheet.name, reference.name)
         more["comparison"] = tuple(
             comparison_rows(
                 linked, sheet.groups, link.registration.fit, name=facts[0].headline, point_um=point_um, away=away
@@ -154,10 +157,10 @@ def _gathered(
     study = changed(study, layers=tuple(layer.params for layer in layers))
     results = Results(
         planish=__version__, versions=versions(), layers=tuple(facts), chain=study.chain, correlations=tuple(rows),
-        gates=tuple(gates), parameters=parameters(study), **more,
+        checks=tuple(checks), parameters=parameters(study), **more,
     )  # fmt: skip
     return Run(
-        study=study, results=results, groups=groups,
+        study=study, results=with_trust(results), groups=groups,
         registrations={name: link.registration for name, link in links.items()},
         sheets={} if study.is_sheet_on_image else {
             layer.name: layer for layer in layers if layer.params.kind == "volume"
@@ -165,14 +168,17 @@ def _gathered(
     )  # fmt: skip
 
 
-def _gates(layer: Layer, facts: LayerFacts, layers: int) -> Iterator[Gate]:
-    """Gates of one layer; named after it where there are more than two."""
-    found: list[Gate] = []
-    if facts.sheet is not None:
-        found += sheet_gates(facts.sheet)
-    if facts.registration is not None:
-        found += registration_gates(facts.registration, layer.name)
-        found.append(field_gate(facts.share_of_reference or 0.0, layer.name, facts.registration.path[-1]))
-    yield from (
-        gate.model_copy(update={"name": f"{layer.name}: {gate.name}"}) if layers > 2 else gate for gate in found
-    )
+def _checks(layer: Layer, facts: LayerFacts, links: dict[str, Link], study: Study) -> Iterator[Check]:
+    """Checks of one layer, and of its registration."""
+    yield from about(layer.checks, layer.name)
+    if facts.registration is None:
+        return
+    link = links[layer.name]
+    to = link.path[1]
+    found = registration_checks(
+        facts.registration, link.registration.fit, agreement=link.registration.agreement(), layer=layer.name,
+        hole_um=sum(study.holes.hole_um) / 2, pixel_um=max(*layer.grid.pixel_um, *to.grid.pixel_um),
+    )  # fmt: skip
+    yield from about(found, layer.name, to.name)
+    reference = facts.registration.path[-1]
+    yield from about([field_check(facts.share_of_reference or 0.0, layer.name, reference)], layer.name, reference)

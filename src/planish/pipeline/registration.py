@@ -73,6 +73,17 @@ class Registration:
         """Number of marks in one layer, matched or not."""
         return int(np.isfinite(self.marks[f"{side}_x"].values).sum())
 
+    def agreement(self) -> str:
+        """How many marks agree to what, and which were left out, in a sentence."""
+        fit, labels = self.fit, self.marks["label"].values[paired(self.marks)]
+        used = fit.robust_weights > 0
+        loo, text = fit.leave_one_out_rms_um, f"{int(used.sum())} of {used.size}" if not used.all() else f"{used.size}"
+        text += f" marks agree to {loo:.1f} um (leave-one-out, rms)." if np.isfinite(loo) else " marks were used."
+        off = [f"{labels[k]} is {np.hypot(*fit.residuals_um[k]):.0f} um off" for k in np.flatnonzero(~used)]
+        if off:
+            text = f"{text.removesuffix('.')}; {', '.join(off)} and {'was' if len(off) == 1 else 'were'} left out."
+        return text
+
     def pairs(self) -> xr.Dataset:
         """The marks that the fit uses: positions, residuals and weights, a row each."""
         fit, um = self.fit, {"units": "um"}

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import xarray as xr
 
+from planish.core.checks import Check
 from planish.core.errors import FileError
-from planish.core.results import Gate, Results
+from planish.core.results import Results
 from planish.io.run_folder import read_tree
 from planish.pipeline.layers import Layer
 from planish.pipeline.registration import Registration
@@ -72,13 +73,13 @@ class Run:
         return next(iter(self.registrations.values())).marks
 
     @property
-    def gates(self) -> tuple[Gate, ...]:
-        """Its quality gates."""
-        return self.results.gates
+    def checks(self) -> tuple[Check, ...]:
+        """Its checks, each with a state, a sentence, and what to do."""
+        return self.results.checks
 
     @property
     def passed(self) -> bool:
-        """Whether every quality gate was passed."""
+        """Whether no check failed."""
         return self.results.passed
 
     def sheet(self) -> Layer:
@@ -99,7 +100,8 @@ class Run:
         params = next(layer for layer in self.study.layers if layer.name == facts.name)
         kept = {k: v for k, v in self.groups.items() if k in (*_OF_A_SHEET, "sections")}
         md_deg = params.md_deg if params.volume is None else params.volume.md_deg
-        return Layer(params=params, source=facts.source, md_deg=md_deg, groups=kept, facts=facts.sheet)
+        own = tuple(check for check in self.checks if check.layers == (facts.name,))
+        return Layer(params=params, source=facts.source, md_deg=md_deg, groups=kept, facts=facts.sheet, checks=own)
 
     def _repr_html_(self) -> str:
         from planish.report import run_html

@@ -12,8 +12,8 @@ from planish.core.threads import limit_threads
 from planish.io import fingerprint
 from planish.io.run_folder import new_folder, refuse_existing, work_folder, write_tree
 from planish.marks import write_marks
+from planish.pipeline.checks import about, with_trust
 from planish.pipeline.facts import parameters, versions
-from planish.pipeline.gates import sheet_gates
 from planish.pipeline.layers import Layer
 from planish.pipeline.link import link_study
 from planish.pipeline.run import Run, marks_file
@@ -74,10 +74,10 @@ def _run_of_sheet(sheet: Layer, study: Study) -> Run:
     headline = "coating_top" if "coating_top" in sheet.facts.properties else "thickness"
     facts = LayerFacts(name=sheet.name, kind="sheet", source=sheet.source, headline=headline, sheet=sheet.facts)
     results = Results(
-        planish=__version__, versions=versions(), layers=(facts,), gates=tuple(sheet_gates(sheet.facts)),
+        planish=__version__, versions=versions(), layers=(facts,), checks=tuple(about(sheet.checks, sheet.name)),
         parameters=parameters(study),
     )  # fmt: skip
-    return Run(study=study, results=results, groups=sheet.groups)
+    return Run(study=study, results=with_trust(results), groups=sheet.groups)
 
 
 def save_run(run: Run, folder: Path, *, home: Path) -> None:

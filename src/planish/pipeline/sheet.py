@@ -18,6 +18,7 @@ from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
 from planish.io import find_place
 from planish.measure import measure_properties, sheet_numbers
+from planish.pipeline.checks import sheet_checks
 from planish.pipeline.facts import flatten_facts, input_file, property_facts, section_facts, surface_facts
 from planish.pipeline.layers import Layer
 from planish.pipeline.volume import read_sheet_volume, some_slices
@@ -82,7 +83,7 @@ def map_layer(
     )
     return Layer(
         params=changed(layer, **used), source=input_file(volume, v.path), groups=groups, facts=facts,
-        md_deg=v.md_deg if layer.md_deg is None else layer.md_deg,
+        checks=tuple(sheet_checks(facts)), md_deg=v.md_deg if layer.md_deg is None else layer.md_deg,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What a notebook shows of a run and of its results: key numbers, quality gates, and a small map."""
+"""What a notebook shows of a run and of its results: key numbers, checks, and a small map."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from planish.report.colours import image_uri
 from planish.report.draw import pitch
 from planish.report.groups import Groups
 from planish.report.maps import colours_of
-from planish.report.summary import gate_summary, summarise
+from planish.report.summary import check_summary, summarise
 from planish.report.text import label_of, number, typeset
 
 _WIDE, _HIGH = 300.0, 260.0  # CSS pixels of a small map
@@ -21,7 +21,7 @@ _FAINT = "opacity:0.7;font-size:90%"
 
 
 def results_html(results: Results, titles: Mapping[tuple[str, str], str] | None = None) -> str:
-    """Return the key numbers and quality gates of a run as HTML.
+    """Return the key numbers and checks of a run as HTML.
 
     Parameters
     ----------
@@ -35,10 +35,13 @@ def results_html(results: Results, titles: Mapping[tuple[str, str], str] | None 
         f'{escape(t.unit)}</td><td style="text-align:left;{_FAINT}">{escape(t.note)}</td></tr>'
         for t in tiles
     )
-    failed = "".join(f"<li>{escape(g.name)}: {escape(typeset(g.sentence))}</li>" for g in results.gates if not g.passed)
+    spoken = "".join(
+        f"<li><b>{check.state}</b> {escape(check.name)}: {escape(typeset(f'{check.sentence} {check.advice}'))}</li>"
+        for check in results.spoken("fail", "look", "unknown")
+    )
     return (
         f'<div style="max-width:72ch"><p>{escape(sentence)}</p><table>{rows}</table>'
-        f"<p>{escape(gate_summary(results))}</p>{f'<ul>{failed}</ul>' if failed else ''}</div>"
+        f"<p>{escape(check_summary(results))}</p>{f'<ul>{spoken}</ul>' if spoken else ''}</div>"
     )
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _HOLE_UM = (100.0, 300.0)
 _THIN_UM = 5.0
 _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
-_FILTERS: dict[str, Any] = {"length_um": text.length} | {
+_FILTERS: dict[str, Any] = {"length_um": text.length, "limit": text.with_unit} | {
     name: getattr(text, name) for name in ("capital", "count", "fixed", "number", "percent", "the", "typeset", "unit")
 }
 """How templates write numbers and words."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
-from planish.core.results import CorrelationRow, LagFacts, LayerFacts, Results
+from planish.core.checks import State
+from planish.core.results import CorrelationRow, LagFacts, LayerFacts, Results, Trust
 from planish.report.relation import largest, written_difference
 from planish.report.text import (
     NONE,
@@ -39,7 +40,7 @@ class Tile(NamedTuple):
 
 
 class Check(NamedTuple):
-    """Result of a check that is no quality gate: its light, also as a word, what was found, and what that means."""
+    """Result of the image-based check: its light, also as a word, what was found, and what that means."""
 
     state: Literal["agrees", "amber", "grey"]
     word: str
@@ -55,15 +56,26 @@ def summarise(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
     return _of_two(results, titles) if len(results.moving) == 1 else _of_layers(results, titles)
 
 
-def gate_summary(results: Results) -> str:
-    """State how many quality gates were passed."""
-    gates, failed = results.gates, sum(not gate.passed for gate in results.gates)
-    if not failed:
-        return "The quality gate is passed." if len(gates) == 1 else f"All {len(gates)} quality gates are passed."
-    return (
-        f"{failed} of {len(gates)} quality gates {'is' if failed == 1 else 'are'} not passed; read the failed ones "
-        "before using a number of this page."
-    )
+def check_summary(results: Results) -> str:
+    """State what the checks say, the worst first."""
+    fail, look, unknown = (len(results.spoken(state)) for state in ("fail", "look", "unknown"))
+    total = len(results.checks)
+    if not fail and not look and not unknown:
+        return f"All {total} checks are passed." if total != 1 else "The check is passed."
+    it = {n: "it concerns" if n == 1 else "they concern" for n in (fail, look)}
+    parts = [
+        f"{fail} failed, and what {it[fail]} is withheld" if fail else "",
+        f"{look} {'asks' if look == 1 else 'ask'} for a look, and what {it[look]} is doubtful" if look else "",
+        f"{unknown} could not be answered" if unknown else "",
+    ]
+    return f"Of {total} checks, {'; '.join(part for part in parts if part)}."
+
+
+def doubt(results: Results, trust: Trust, layers: Sequence[str]) -> str:
+    """Say why a figure of some layers is kept out of the headline."""
+    state: State = "fail" if trust == "withheld" else "look"
+    names = [c.name for c in results.spoken(state) if c.figures and (not c.layers or set(c.layers) & set(layers))]
+    return f"is {trust} ({', '.join(dict.fromkeys(names))})"
 
 
 def by_pair(results: Results) -> list[list[CorrelationRow]]:
@@ -102,9 +114,12 @@ def _of_map(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
     )
     if not {"coating_top", "coating_bottom"} & set(sheet.properties):
         sentence += " No coating was found."
-    spread = f"standard deviation {number(thickness.sd, 2)} µm" if thickness else NONE
+    shown = thickness if thickness and thickness.trust == "ok" else None
+    spread = f"standard deviation {number(shown.sd, 2)} µm" if shown else NONE
+    if thickness and not shown:
+        spread = f"{thickness.trust}; see the checks"
     return sentence, [
-        Tile(number(thickness.mean if thickness else None), "µm", "mean sheet thickness", spread),
+        Tile(number(shown.mean if shown else None), "µm", "mean sheet thickness", spread),
         Tile(_whole(measured), "%", "of the columns are measured", f"of {count(sheet.surfaces.columns)}"),
         Tile(number(None if strain is None else 100 * strain, 2), "%", "edge strain", "95th percentile over the mesh"),
         Tile(
@@ -117,7 +132,7 @@ def _of_two(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
     moving, marks = results.moving[0], results.moving[0].registration
     rows = headline_pair(results, moving)
     sentence = _relation(rows, results, titles)
-    if rows and rows[0].same_quantity:
+    if rows and rows[0].trust == "ok" and rows[0].same_quantity:
         sentence += _difference(largest(rows), titles)
     loo, spread = (marks.leave_one_out_rms_um, f"; residual {number(marks.rms_um, 2)} µm") if marks else (None, "")
     if marks and loo is None:
@@ -140,6 +155,9 @@ def _of_two(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
 def _relation(rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
     """Describe the correlation of two maps, at the pixel and at the largest points."""
     pixel = rows[0] if rows else None
+    if pixel is not None and pixel.trust != "ok":
+        a, b = (in_words(titles.get(key, key[1])) for key in ((pixel.a, pixel.a_map), (pixel.b, pixel.b_map)))
+        return f"The correlation of {a} and {b} {doubt(results, pixel.trust, (pixel.a, pixel.b))}."
     if pixel is None or pixel.r is None or pixel.r2 is None:
         n = count(pixel.n if pixel else 0)
         return f"The two layers could not be correlated: {n} pixels are valid in both, or one of the maps is constant."
@@ -172,15 +190,15 @@ def _of_layers(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
     reference, names = results.reference.name, [layer.name for layer in results.moving]
     sentence = f"The layers {', '.join(names[:-1])} and {names[-1]} were brought onto the pixels of {reference}."
     found = [layer.registration.expected_error for layer in results.moving if layer.registration]
-    errors = [error for error in found if error]
-    median = max((error.median_um for error in errors), default=None)
-    most = max((error.largest_um for error in errors), default=None)
+    known = [e for e in found if e and e.trust == "ok" and len(found) == len(results.moving)]
+    median = max((e.median_um for e in known if e.median_um is not None), default=None)
+    most = max((e.largest_um for e in known if e.largest_um is not None), default=None)
     if median is not None:
         sentence += (
             f" The expected error is {length(median, 2)} (rms, median over the worst layer), at most {length(most, 2)}."
         )
     rows = [largest(group) for group in by_pair(results)]
-    sentence += next((text for row in rows if (text := _difference(row, titles))), "")
+    sentence += next((text for row in rows if row.trust == "ok" and (text := _difference(row, titles))), "")
     onto = [row for row in rows if reference in (row.a, row.b) and row.r2 is not None]
     # The pair with the weakest correlation: one that correlates well does not vouch for the others.
     weakest = min(onto, key=lambda row: row.r2 or 0.0, default=None)
@@ -195,6 +213,8 @@ def _of_layers(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
 
 
 def _r2_tile(row: CorrelationRow | None, label: str) -> Tile:
+    if row and row.trust != "ok":
+        return Tile(NONE, "", label, f"{row.trust}; see the checks")
     note = f"r = {number(row.r)}, n = {count(row.n)}; {REGISTERED}" if row else NONE
     return Tile(fixed(row.r2 if row else None, 3), "", label, note)
 

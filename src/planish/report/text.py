@@ -76,6 +76,11 @@ def unit(name: str) -> str:
     return _UNITS.get(name, name)
 
 
+def with_unit(value: float, units: str) -> str:
+    """Write a limit with its unit, without zeros that say nothing."""
+    return f"{value:.4g}{_SPACE}{unit(units)}".replace("-", "−").rstrip(_SPACE)
+
+
 def length(value_um: float | None, digits: int = 3) -> str:
     """Write a length in µm, from 1000 µm on in mm."""
     if value_um is None or not math.isfinite(value_um):

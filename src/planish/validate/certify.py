@@ -54,13 +54,14 @@ class Entry:
     seed: int
     values: Values  # figure name to value; empty where the program refused
     refusal: str | None = None  # message of the error with which the program ended
-    gates: tuple[str, ...] = ()  # sentences of the quality gates that the run did not pass
+    failed: tuple[str, ...] = ()  # sentences of the checks that failed
+    looks: tuple[str, ...] = ()  # sentences of the checks that ask for a look
     pictures: tuple[Picture, ...] = ()  # maps and errors of the specimen, where they were asked for
 
     @property
     def whole(self) -> bool:
-        """Whether there is a result that passed its own gates."""
-        return self.refusal is None and not self.gates
+        """Whether there is a result of which no check failed."""
+        return self.refusal is None and not self.failed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +127,7 @@ class Certificate:
 
     @property
     def passed(self) -> bool:
-        """Whether every specimen came through its gates, or may end with a warning, and every limit is met."""
+        """Whether no check of any specimen failed, or it may end with a warning, and every limit is met."""
         return all(e.whole for e in self.judged) and all(line.met is not False for line in self.lines().values())
 
 
@@ -179,12 +180,15 @@ def run_specimen(
             # The folder's name is made up anew each time and means nothing to a reader.
             return Entry(seed=seed, values={}, refusal=str(error).replace(f"{folder}/", ""))
         progress("compare", "with the truth")
-        gates = tuple(f"{gate.name}: {gate.sentence}" for gate in run.gates if not gate.passed)
+        spoken = {
+            name: tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken(state))
+            for name, state in (("failed", "fail"), ("looks", "look"))
+        }
         if scenario.second is not None:
-            return Entry(seed=seed, values=in_order(image_errors.pair_errors(made, run)), gates=gates)
+            return Entry(seed=seed, values=in_order(image_errors.pair_errors(made, run)), **spoken)
         both = Comparison(*made[0], run)
         pictures = tuple(draw_example(both, seed)) if draw and "linked" in run.groups else ()
-        return Entry(seed=seed, values=make_ledger(both), gates=gates, pictures=pictures)
+        return Entry(seed=seed, values=make_ledger(both), **spoken, pictures=pictures)
 
 
 def _make(

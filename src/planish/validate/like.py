@@ -133,6 +133,8 @@ class Like:
     def paper(self) -> None:
         """Thicknesses of the layers."""
         found = self.sheet.properties
+        if any(p.mean is None for p in found.values()):
+            raise InputError("The run withholds its thicknesses, because a check failed. Mend what it names first.")
         for side in ("top", "bottom"):
             layer = found.get(f"coating_{side}")
             self.change("paper", **{f"coating_{side}_um": layer.mean if layer else 0.0})

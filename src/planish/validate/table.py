@@ -84,7 +84,7 @@ def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
     text += [f"- {note}" for note in certificate.notes]
     text += [""] if certificate.notes else []
     text += [f"- Seed {entry.seed}: {entry.refusal}" for entry in certificate.entries if entry.refusal]
-    text += [f"- Seed {entry.seed}, gate {gate}" for entry in certificate.entries for gate in entry.gates]
+    text += [f"- Seed {entry.seed}, failed: {check}" for entry in certificate.entries for check in entry.failed]
     if text[-1]:
         text.append("")
     text += ["| Stage | Figure | Unit | Mean | sd | Worst | Limit | |", "|---|---|---|---:|---:|---:|---:|---|"]
@@ -125,7 +125,13 @@ def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[
             for name, limit in certificate.scenario.limits.items()
         ],
         "seeds": [
-            {"seed": entry.seed, "refusal": entry.refusal, "gates": list(entry.gates), "values": entry.values}
+            {
+                "seed": entry.seed,
+                "refusal": entry.refusal,
+                "failed": list(entry.failed),
+                "looks": list(entry.looks),
+                "values": entry.values,
+            }
             for entry in certificate.entries
         ],
     }
@@ -163,9 +169,9 @@ def summary(certificate: Certificate) -> str:
     entries, n = certificate.entries, len(certificate.entries)
     met = [line.met for line in certificate.lines().values() if line.met is not None]
     word = "deformation" if certificate.scenario.kind == "mesh" else "specimen"
-    refused, gated = (sum(map(bool, found)) for found in ([e.refusal for e in entries], [e.gates for e in entries]))
+    refused, failed = (sum(map(bool, found)) for found in ([e.refusal for e in entries], [e.failed for e in entries]))
     said = [f"On {refused} of {n} {word}s the program gave no result."] if refused else []
-    said += [f"On {gated} of {n} {word}s a quality gate of the run failed."] if gated else []
+    said += [f"On {failed} of {n} {word}s a check of the run failed."] if failed else []
     missed = met.count(False)
     if not met:
         said.append("The scenario sets no limits.")

@@ -1,0 +1,205 @@
+"""Checks of a run that need no more than its results, and what all checks mean for its figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check
+from planish.core.results import LayerFacts, LinkedArea, PropertyFacts, RegistrationFacts, Results, SheetFacts, Trust
+from planish.register import FittedTransform
+
+_MD_LIMIT_DEG = 10.0
+_LEAST_COVERAGE, _LEAST_AREA, _LEAST_FIELD = 0.5, 0.5, 0.05
+_MOST_MISSING, _MOST_ALONE = 0.05, 0.05
+_SCALE = 0.03
+_STRAIN = 0.01  # paper strains by less between two measurements
+_OF_A_HOLE = 0.1  # share of a hole's diameter within which marks that were found well agree
+_LEAST_LIKE, _MOST_CROSSWISE = 0.3, 0.2  # r
+_FAR = 5.0  # times the limit from which on marks give no position
+
+
+def sheet_checks(sheet: SheetFacts) -> Iterator[Check]:
+    """Checks of one mapped sheet."""
+    s, folded, sections = sheet.surfaces, sheet.flatten.folded_cells, sheet.sections
+    # Rims of holes are left out on purpose; what counts is how much of the rest was measured.
+    share = s.shares["measured"] / max(1.0 - s.shares["rim"], 1e-9)
+    yield Check.at_least(
+        "coverage", share, look=_LEAST_COVERAGE, figures=(PROPERTIES,),
+        sentence=f"{100 * share:.0f} % of the columns away from rims are measured.",
+        advice="The maps are mostly blank, and what is left may not stand for the sheet. Look at the slices.",
+    )  # fmt: skip
+    if s.missing_share is not None:
+        yield Check.at_most(
+            "missing voxels", s.missing_share, look=_MOST_MISSING, figures=(PROPERTIES,),
+            sentence=f"{100 * s.missing_share:.1f} % of the voxels are NaN or infinite.",
+            advice="Columns with such voxels near a face are not measured. Export the volume without them.",
+        )  # fmt: skip
+    yield Check.at_most(
+        "fold-over", folded, look=0, figures=(POSITION,), sentence=f"{folded} cells of the flattened mesh are folded.",
+        advice="They are marked invalid. Look at the centre surface there: the sheet is folded, or a face was lost.",
+    )  # fmt: skip
+    if sections is not None:  # those that fit none of their neighbours
+        yield Check.at_most(
+            "alignment", sections.not_aligned / sections.count, look=_MOST_ALONE, figures=(PROPERTIES, POSITION),
+            sentence=f"{sections.count - sections.not_aligned} of {sections.count} sections fit their neighbours.",
+            advice="The others are torn, blurred, or not of this sheet, and count as missing. Look at them, and at the "
+            "order of the files.",
+        )  # fmt: skip
+
+
+def registration_checks(
+    facts: RegistrationFacts, fit: FittedTransform, *, agreement: str, hole_um: float, pixel_um: float, layer: str
+) -> Iterator[Check]:  # fmt: skip
+    """Checks of one registration.
+
+    ``agreement`` says how many marks agree, and which were left out; ``hole_um`` is the mean diameter of the holes,
+    ``pixel_um`` the larger pixel of the two layers: a mark can hardly be placed better than within one.
+    """
+    limit = max(_OF_A_HOLE * hole_um, pixel_um)
+    loo = facts.leave_one_out_rms_um
+    left_out = bool((fit.robust_weights < 1.0).any())
+    if loo is None:
+        yield Check(
+            name="marks", state="unknown", figures=(POSITION,), units="um",
+            sentence=f"{facts.matched} marks leave none over to check the registration with. {agreement}",
+            advice="Add marks.",
+        )  # fmt: skip
+    else:
+        found = Check.at_most(
+            "marks", loo, look=limit, fail=_FAR * limit, units="um", figures=(POSITION,), sentence=agreement,
+            advice="That is worse than a tenth of a hole and a pixel. Look at the residual arrows.",
+        )  # fmt: skip
+        if found.state == "pass" and left_out:
+            found = found.model_copy(
+                update={"state": "look", "figures": (), "advice": "Look at the marks that were left out."}
+            )
+        yield found
+    yield Check.at_most(
+        "scale", abs(facts.scale - 1), look=_SCALE, figures=(PROPERTIES, POSITION),
+        sentence=f"The marks ask for a scale of {facts.scale:.4f}.",
+        advice="The calibrations do not agree. Check the voxel and the pixel size.",
+    )  # fmt: skip
+    strain = fit.strain
+    yield Check.at_most(
+        "strain of the registration", strain.largest, look=_STRAIN, figures=(POSITION,),
+        sentence=f"Between the marks, the registration strains the sheet by up to {100 * strain.largest:.2g} %.",
+        advice="Paper strains by less than 1 %. Check the marks there, and the order of the slices.",
+    )  # fmt: skip
+    o = facts.orientation
+    if o.md_deg_fixed is None or o.md_deg_fixed_from_moving is None:
+        return
+    # The machine direction is given twice: as the marks carry it over, and for the image itself.
+    off = abs((o.md_deg_fixed - o.md_deg_fixed_from_moving + 90.0) % 180.0 - 90.0)
+    yield Check.at_most(
+        "machine direction", off, look=_MD_LIMIT_DEG, units="deg", figures=(POSITION,),
+        sentence=f"The machine directions of {layer} and {facts.to} differ by {off:.1f}°.",
+        advice="One of them is wrong, or the marks were matched wrongly.",
+    )  # fmt: skip
+
+
+def area_check(k: LinkedArea) -> Check:
+    """Enough of what the reference shows of the sheet is valid."""
+    return Check.at_least(
+        "linked area", k.share_valid_away_from_holes, look=_LEAST_AREA, figures=(CORRELATION,),
+        sentence=f"{100 * k.share_valid_away_from_holes:.0f} % of the sheet that the image shows away from holes is "
+        "valid.",
+        advice="The linked maps are mostly blank. Look at the slices and the column status.",
+    )  # fmt: skip
+
+
+def field_check(share: float, layer: str, reference: str) -> Check:
+    """The layer and the reference have a field in common."""
+    return Check.at_least(
+        "common field", share, look=_LEAST_FIELD, figures=(CORRELATION,),
+        sentence=f"{100 * share:.1f} % of the {reference} shows the {layer}.",
+        advice="Give the part of the reference that shows the specimen.",
+    )  # fmt: skip
+
+
+def same_sheet_checks(a: str, b: str, likeness: dict[str, float] | None) -> Iterator[Check]:
+    """Two sheets are one specimen, seen from the same side."""
+    if likeness is None or not math.isfinite(likeness["thickness"]):
+        return
+    r = likeness["thickness"]
+    yield Check.at_least(
+        "one sheet", r, look=_LEAST_LIKE, figures=(CORRELATION, POSITION),
+        sentence=f"The thicknesses of {a} and {b} correlate with r = {r:.2f}.",
+        advice="Either they are not the same piece of paper, or they do not lie on each other, or one of them is "
+        "measured badly.",
+    )  # fmt: skip
+    same, cross = likeness["same_sides"], likeness["crosswise"]
+    if math.isfinite(same) and math.isfinite(cross):
+        yield Check.at_most(
+            "sides", cross - same, fail=_MOST_CROSSWISE, figures=(PROPERTIES, CORRELATION),
+            sentence=f"The coatings of {a} and {b} correlate with r = {same:.2f} side by side and {cross:.2f} "
+            "crosswise.",
+            advice="Top and bottom of one of the two are exchanged. Check --top, and whether its slices are numbered "
+            "against the usual sense.",
+        )  # fmt: skip
+
+
+# --- what checks mean for figures ------------------------------------------------------------------------------------
+
+
+def about(checks: Iterable[Check], *layers: str) -> list[Check]:
+    """Checks with the layers that they are about: one of a sheet, two of a registration or a comparison."""
+    return [check.model_copy(update={"layers": layers}) for check in checks]
+
+
+def with_trust(results: Results) -> Results:
+    """Mark every figure by the checks that concern it; what a failed check concerns loses its numbers."""
+    if all(check.state in ("pass", "unknown") for check in results.checks):
+        return results
+    layers = tuple(_layer_with_trust(layer, results.checks) for layer in results.layers)
+    rows = [
+        row.model_copy(update=_marks(_of_pair((row.a, row.b), (row.a_map, row.b_map), results.checks), row))
+        for row in results.correlations
+    ]
+    both = tuple(layer.name for layer in results.layers)
+    comparison = [
+        row.model_copy(update=_marks(_of_pair(both, (row.property,), results.checks), row))
+        for row in results.comparison
+    ]
+    return results.model_copy(update={"layers": layers, "correlations": tuple(rows), "comparison": tuple(comparison)})
+
+
+def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
+    update: dict[str, Any] = {}
+    if layer.sheet is not None:
+        trusts = {name: _worst(checks, (layer.name,), (name, PROPERTIES)) for name in layer.sheet.properties}
+        found = {name: _property(p, trusts[name]) for name, p in layer.sheet.properties.items()}
+        numbers = layer.sheet.numbers
+        if "withheld" in trusts.values():  # they are made of the maps
+            numbers = None
+        update["sheet"] = layer.sheet.model_copy(update={"properties": found, "numbers": numbers})
+    r = layer.registration
+    if r is not None and r.expected_error is not None:
+        trust = _worst(checks, (layer.name,), (POSITION,))
+        error = r.expected_error.model_copy(update=_marks(trust, r.expected_error))
+        update["registration"] = r.model_copy(update={"expected_error": error})
+    return layer.model_copy(update=update)
+
+
+def _property(p: PropertyFacts, trust: Trust) -> PropertyFacts:
+    return p.model_copy(update=_marks(trust, p))
+
+
+def _of_pair(layers: tuple[str, ...], maps: tuple[str, ...], checks: Sequence[Check]) -> Trust:
+    return _worst(checks, layers, (*maps, PROPERTIES, POSITION, CORRELATION))
+
+
+def _worst(checks: Sequence[Check], layers: Sequence[str], figures: Sequence[str]) -> Trust:
+    """Trust in a figure of some layers, by all checks that concern one of ``figures``."""
+    states = {
+        c.state for c in checks
+        if set(c.figures) & set(figures) and (not c.layers or set(c.layers) & set(layers))
+    }  # fmt: skip
+    return "withheld" if "fail" in states else "doubtful" if "look" in states else "ok"
+
+
+def _marks(trust: Trust, facts: Any) -> dict[str, Any]:
+    """What changes in a figure: its trust, and its numbers where they are withheld."""
+    numbers = dict.fromkeys(type(facts).WITHHELD) if trust == "withheld" else {}
+    return {"trust": trust, **numbers}

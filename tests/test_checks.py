@@ -1,0 +1,72 @@
+"""What checks mean for the figures of a run: doubtful, or withheld; a light is never greener than it should be."""
+
+import pytest
+from tests.report.runs import a_run
+
+from planish.core.checks import Check
+from planish.core.results import Results
+from planish.pipeline.checks import with_trust
+
+ALL = ("coating_top", "coating_bottom", "base_thickness", "thickness")
+
+
+def run_with(*checks: Check) -> Results:
+    results = Results.model_validate(a_run()["results"])
+    return with_trust(results.model_copy(update={"checks": checks}))
+
+
+def check(state: str, *figures: str, layers: tuple[str, ...] = ()) -> Check:
+    return Check(name="x", state=state, sentence="x.", figures=figures, layers=layers)
+
+
+def trusts(results: Results) -> dict[str, str]:
+    sheet = results.layers[0].sheet
+    return {name: p.trust for name, p in sheet.properties.items()}
+
+
+def test_a_look_marks_the_figures_that_it_concerns_and_leaves_their_numbers():
+    before = Results.model_validate(a_run()["results"])
+    found = run_with(check("look", "coating_top"))
+    assert {name for name, trust in trusts(found).items() if trust != "ok"} == {"coating_top"}
+    assert found.layers[0].sheet.properties["coating_top"].mean == before.layers[0].sheet.properties["coating_top"].mean
+    assert found.passed
+    for row, old in zip(found.correlations, before.correlations, strict=True):
+        assert row.trust == ("doubtful" if "coating_top" in (row.a_map, row.b_map) else "ok")
+        assert row.r == old.r
+
+
+@pytest.mark.parametrize("figure", ["position", "correlation"])
+def test_what_fails_is_withheld_from_all_that_rests_on_it(figure):
+    found = run_with(check("fail", figure))
+    assert not found.passed
+    assert all(row.trust == "withheld" and row.r is None and row.slope is None for row in found.correlations)
+    error = found.layers[0].registration.expected_error
+    assert (error.median_um is None) == (figure == "position")
+    assert set(trusts(found).values()) == {"ok"}
+    assert Results.model_validate_json(found.to_json()) == found
+
+
+def test_a_failed_scan_withholds_its_properties_and_not_those_of_another_layer():
+    found = run_with(check("fail", "properties", layers=("volume",)))
+    assert set(trusts(found).values()) == {"withheld"}
+    assert all(p.mean is None for p in found.layers[0].sheet.properties.values())
+    assert found.layers[0].sheet.numbers is None
+    assert set(trusts(run_with(check("fail", "properties", layers=("image",)))).values()) == {"ok"}
+
+
+def test_pass_and_unknown_change_nothing():
+    assert set(trusts(run_with(check("unknown", "properties"), check("pass", "position"))).values()) == {"ok"}
+    assert run_with(check("unknown", "properties")).state == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("value", "state"), [(0.5, "pass"), (1.0, "pass"), (1.1, "look"), (5.1, "fail"), (float("nan"), "look")]
+)
+def test_limits_belong_to_what_passes_and_nan_never_does(value, state):
+    found = Check.at_most("x", value, look=1.0, fail=5.0, sentence="x.", advice="Do it.")
+    assert found.state == state
+    assert found.limit == (5.0 if state == "fail" else 1.0)
+    assert bool(found.advice) == (state != "pass")
+    if value == value:
+        mirrored = Check.at_least("x", -value, look=-1.0, fail=-5.0, sentence="x.")
+        assert (mirrored.state, mirrored.limit) == (state, -found.limit)
