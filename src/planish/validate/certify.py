@@ -180,15 +180,13 @@ def run_specimen(
             # The folder's name is made up anew each time and means nothing to a reader.
             return Entry(seed=seed, values={}, refusal=str(error).replace(f"{folder}/", ""))
         progress("compare", "with the truth")
-        spoken = {
-            name: tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken(state))
-            for name, state in (("failed", "fail"), ("looks", "look"))
-        }
+        failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken("fail"))
+        looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken("look"))
         if scenario.second is not None:
-            return Entry(seed=seed, values=in_order(image_errors.pair_errors(made, run)), **spoken)
+            return Entry(seed=seed, values=in_order(image_errors.pair_errors(made, run)), failed=failed, looks=looks)
         both = Comparison(*made[0], run)
         pictures = tuple(draw_example(both, seed)) if draw and "linked" in run.groups else ()
-        return Entry(seed=seed, values=make_ledger(both), **spoken, pictures=pictures)
+        return Entry(seed=seed, values=make_ledger(both), failed=failed, looks=looks, pictures=pictures)
 
 
 def _make(
