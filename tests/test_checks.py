@@ -1,11 +1,15 @@
 """What checks mean for the figures of a run: doubtful, or withheld; a light is never greener than it should be."""
 
+import csv
+import io
+
 import pytest
 from tests.report.runs import a_run
 
 from planish.core.checks import Check
 from planish.core.results import Results
 from planish.pipeline.checks import with_trust
+from planish.pipeline.figures import figures_text
 
 ALL = ("coating_top", "coating_bottom", "base_thickness", "thickness")
 
@@ -52,6 +56,19 @@ def test_a_failed_scan_withholds_its_properties_and_not_those_of_another_layer()
     assert all(p.mean is None for p in found.layers[0].sheet.properties.values())
     assert found.layers[0].sheet.numbers is None
     assert set(trusts(run_with(check("fail", "properties", layers=("image",)))).values()) == {"ok"}
+
+
+def test_the_table_of_figures_says_what_is_doubtful_and_why():
+    found = run_with(check("look", "coating_top"), check("fail", "position"))
+    rows = list(csv.DictReader(io.StringIO(figures_text(found))))
+    at = {(row["figure"], row["statistic"]): row for row in rows}
+    assert at["coating_top", "mean"]["trust"] == "doubtful"
+    assert at["coating_top", "mean"]["checks"] == "x"
+    assert float(at["coating_top", "mean"]["value"]) == found.layers[0].sheet.properties["coating_top"].mean
+    assert (at["thickness", "mean"]["trust"], at["thickness", "mean"]["checks"]) == ("ok", "")
+    error = at["expected error of the position", "median"]
+    assert (error["trust"], error["value"]) == ("withheld", "")
+    assert {row["trust"] for row in rows if row["figure"].startswith("r of")} == {"withheld"}
 
 
 def test_pass_and_unknown_change_nothing():

@@ -31,7 +31,7 @@ def results(linked_run):
 
 def test_run_folder_holds_what_is_promised(linked_run):
     assert {p.name for p in linked_run.iterdir()} == {
-        "maps.zarr", "marks.csv", "marks.json", "results.json", "report.html", "run.toml",
+        "figures.csv", "maps.zarr", "marks.csv", "marks.json", "results.json", "report.html", "run.toml",
     }  # fmt: skip
 
 

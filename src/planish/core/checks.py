@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Literal, Self
 
 from planish.core.facts import Facts, Number
@@ -28,6 +29,7 @@ class Check(Facts):
     value, limit : float or None
         What was compared; the limit that the state was judged by.
     units : str
+        Of value and limit; ``share`` for a part of 1.
     advice : str
         What to do; empty where nothing has to be done.
     figures : tuple of str
@@ -69,6 +71,14 @@ class Check(Facts):
             name=name, state=state, sentence=sentence, value=float(value), limit=None if limit is None else -limit,
             units=units, figures=figures, advice="" if state == "pass" else advice,
         )  # fmt: skip
+
+
+def concerned(checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]) -> list[Check]:
+    """The checks about one of ``layers`` that concern one of ``figures``; ``properties`` are all maps of a sheet."""
+    wanted, names = {*figures}, {*layers}
+    if wanted - {POSITION, CORRELATION}:
+        wanted.add(PROPERTIES)
+    return [c for c in checks if wanted & {*c.figures} and (not c.layers or names & {*c.layers})]
 
 
 def _judged(value: float, look: float | None, fail: float | None) -> tuple[State, float | None]:

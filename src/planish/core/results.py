@@ -454,7 +454,8 @@ class Results(Facts):
     def state(self) -> State:
         """The worst state of all checks: fail, look, unknown, or pass."""
         states = {check.state for check in self.checks}
-        return next((state for state in ("fail", "look", "unknown") if state in states), "pass")
+        order: tuple[State, ...] = ("fail", "look", "unknown", "pass")
+        return next((state for state in order if state in states), "pass")
 
     def spoken(self, *states: State) -> list[Check]:
         """The checks in these states."""

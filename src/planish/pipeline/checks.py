@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check
-from planish.core.results import LayerFacts, LinkedArea, PropertyFacts, RegistrationFacts, Results, SheetFacts, Trust
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, concerned
+from planish.core.results import LayerFacts, LinkedArea, RegistrationFacts, Results, SheetFacts, Trust
 from planish.register import FittedTransform
 
 _MD_LIMIT_DEG = 10.0
@@ -26,13 +26,13 @@ def sheet_checks(sheet: SheetFacts) -> Iterator[Check]:
     # Rims of holes are left out on purpose; what counts is how much of the rest was measured.
     share = s.shares["measured"] / max(1.0 - s.shares["rim"], 1e-9)
     yield Check.at_least(
-        "coverage", share, look=_LEAST_COVERAGE, figures=(PROPERTIES,),
+        "coverage", share, look=_LEAST_COVERAGE, units="share", figures=(PROPERTIES,),
         sentence=f"{100 * share:.0f} % of the columns away from rims are measured.",
         advice="The maps are mostly blank, and what is left may not stand for the sheet. Look at the slices.",
     )  # fmt: skip
     if s.missing_share is not None:
         yield Check.at_most(
-            "missing voxels", s.missing_share, look=_MOST_MISSING, figures=(PROPERTIES,),
+            "missing voxels", s.missing_share, look=_MOST_MISSING, units="share", figures=(PROPERTIES,),
             sentence=f"{100 * s.missing_share:.1f} % of the voxels are NaN or infinite.",
             advice="Columns with such voxels near a face are not measured. Export the volume without them.",
         )  # fmt: skip
@@ -42,7 +42,8 @@ def sheet_checks(sheet: SheetFacts) -> Iterator[Check]:
     )  # fmt: skip
     if sections is not None:  # those that fit none of their neighbours
         yield Check.at_most(
-            "alignment", sections.not_aligned / sections.count, look=_MOST_ALONE, figures=(PROPERTIES, POSITION),
+            "alignment", sections.not_aligned / sections.count, look=_MOST_ALONE, units="share",
+            figures=(PROPERTIES, POSITION),
             sentence=f"{sections.count - sections.not_aligned} of {sections.count} sections fit their neighbours.",
             advice="The others are torn, blurred, or not of this sheet, and count as missing. Look at them, and at the "
             "order of the files.",
@@ -77,13 +78,13 @@ def registration_checks(
             )
         yield found
     yield Check.at_most(
-        "scale", abs(facts.scale - 1), look=_SCALE, figures=(PROPERTIES, POSITION),
+        "scale", abs(facts.scale - 1), look=_SCALE, units="share", figures=(PROPERTIES, POSITION),
         sentence=f"The marks ask for a scale of {facts.scale:.4f}.",
         advice="The calibrations do not agree. Check the voxel and the pixel size.",
     )  # fmt: skip
     strain = fit.strain
     yield Check.at_most(
-        "strain of the registration", strain.largest, look=_STRAIN, figures=(POSITION,),
+        "strain of the registration", strain.largest, look=_STRAIN, units="share", figures=(POSITION,),
         sentence=f"Between the marks, the registration strains the sheet by up to {100 * strain.largest:.2g} %.",
         advice="Paper strains by less than 1 %. Check the marks there, and the order of the slices.",
     )  # fmt: skip
@@ -102,7 +103,7 @@ def registration_checks(
 def area_check(k: LinkedArea) -> Check:
     """Enough of what the reference shows of the sheet is valid."""
     return Check.at_least(
-        "linked area", k.share_valid_away_from_holes, look=_LEAST_AREA, figures=(CORRELATION,),
+        "linked area", k.share_valid_away_from_holes, look=_LEAST_AREA, units="share", figures=(CORRELATION,),
         sentence=f"{100 * k.share_valid_away_from_holes:.0f} % of the sheet that the image shows away from holes is "
         "valid.",
         advice="The linked maps are mostly blank. Look at the slices and the column status.",
@@ -112,7 +113,7 @@ def area_check(k: LinkedArea) -> Check:
 def field_check(share: float, layer: str, reference: str) -> Check:
     """The layer and the reference have a field in common."""
     return Check.at_least(
-        "common field", share, look=_LEAST_FIELD, figures=(CORRELATION,),
+        "common field", share, look=_LEAST_FIELD, units="share", figures=(CORRELATION,),
         sentence=f"{100 * share:.1f} % of the {reference} shows the {layer}.",
         advice="Give the part of the reference that shows the specimen.",
     )  # fmt: skip
@@ -168,8 +169,8 @@ def with_trust(results: Results) -> Results:
 def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
     update: dict[str, Any] = {}
     if layer.sheet is not None:
-        trusts = {name: _worst(checks, (layer.name,), (name, PROPERTIES)) for name in layer.sheet.properties}
-        found = {name: _property(p, trusts[name]) for name, p in layer.sheet.properties.items()}
+        trusts: dict[str, Trust] = {name: _worst(checks, (layer.name,), (name,)) for name in layer.sheet.properties}
+        found = {k: p.model_copy(update=_marks(trusts[k], p)) for k, p in layer.sheet.properties.items()}
         numbers = layer.sheet.numbers
         if "withheld" in trusts.values():  # they are made of the maps
             numbers = None
@@ -182,20 +183,13 @@ def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
     return layer.model_copy(update=update)
 
 
-def _property(p: PropertyFacts, trust: Trust) -> PropertyFacts:
-    return p.model_copy(update=_marks(trust, p))
-
-
 def _of_pair(layers: tuple[str, ...], maps: tuple[str, ...], checks: Sequence[Check]) -> Trust:
-    return _worst(checks, layers, (*maps, PROPERTIES, POSITION, CORRELATION))
+    return _worst(checks, layers, (*maps, POSITION, CORRELATION))
 
 
 def _worst(checks: Sequence[Check], layers: Sequence[str], figures: Sequence[str]) -> Trust:
     """Trust in a figure of some layers, by all checks that concern one of ``figures``."""
-    states = {
-        c.state for c in checks
-        if set(c.figures) & set(figures) and (not c.layers or set(c.layers) & set(layers))
-    }  # fmt: skip
+    states = {check.state for check in concerned(checks, layers, figures)}
     return "withheld" if "fail" in states else "doubtful" if "look" in states else "ok"
 
 

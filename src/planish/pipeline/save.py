@@ -14,6 +14,7 @@ from planish.io.run_folder import new_folder, refuse_existing, work_folder, writ
 from planish.marks import write_marks
 from planish.pipeline.checks import about, with_trust
 from planish.pipeline.facts import parameters, versions
+from planish.pipeline.figures import figures_text
 from planish.pipeline.layers import Layer
 from planish.pipeline.link import link_study
 from planish.pipeline.run import Run, marks_file
@@ -95,6 +96,7 @@ def save_run(run: Run, folder: Path, *, home: Path) -> None:
         registration.save(path)
         write_marks(registration.pairs(), path.with_suffix(".csv"))
     (folder / "results.json").write_text(run.results.to_json(), encoding="utf-8", newline="\n")
+    (folder / "figures.csv").write_text(figures_text(run.results), encoding="utf-8", newline="\n")
     write_study(run.study, folder, home=home, version=__version__)
     pairs = {name: registration.pairs() for name, registration in run.registrations.items()}
     write_report(folder / "report.html", results=run.results, groups=run.groups, marks=pairs)

@@ -77,7 +77,9 @@ def unit(name: str) -> str:
 
 
 def with_unit(value: float, units: str) -> str:
-    """Write a limit with its unit, without zeros that say nothing."""
+    """Write a limit with its unit, without zeros that say nothing; a share in percent."""
+    if units == "share":
+        value, units = 100 * value, "%"
     return f"{value:.4g}{_SPACE}{unit(units)}".replace("-", "−").rstrip(_SPACE)
 
 
