@@ -2,11 +2,14 @@
 
 import csv
 import io
+import json
 
 import pytest
 from tests.report.runs import a_run
 
+from planish.cli.show import run_facts, run_lines
 from planish.core.checks import Check
+from planish.core.errors import FileError
 from planish.core.results import Results
 from planish.pipeline.checks import with_trust
 from planish.pipeline.figures import figures_text
@@ -69,6 +72,18 @@ def test_the_table_of_figures_says_what_is_doubtful_and_why():
     error = at["expected error of the position", "median"]
     assert (error["trust"], error["value"]) == ("withheld", "")
     assert {row["trust"] for row in rows if row["figure"].startswith("r of")} == {"withheld"}
+
+
+def test_runs_that_were_checked_less_are_named(tmp_path):
+    (tmp_path / "run.toml").write_text("")
+    (tmp_path / "results.json").write_text(json.dumps(
+        {"format": 2, "planish": "0.2.0", "layers": [], "gates": [{"name": "marks", "passed": False}]}
+    ))  # fmt: skip
+    with pytest.raises(FileError, match="planish 0.2.0, which checked less.*planish run"):
+        Results.read(tmp_path / "results.json")
+    facts = run_facts(tmp_path)
+    assert facts["fail"] == ["marks"]
+    assert "checked less" in " ".join(run_lines(facts))
 
 
 def test_pass_and_unknown_change_nothing():

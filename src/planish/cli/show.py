@@ -157,7 +157,8 @@ def run_facts(path: Path) -> dict[str, Any] | None:
     try:
         results: dict[str, Any] = json.loads((path / "results.json").read_text(encoding="utf-8"))
         old = str(results["planish"]).startswith("0.1.")
-        checks: list[dict[str, Any]] = results["quality" if old else "checks"]
+        name = next(key for key in ("checks", "gates", "quality") if key in results)
+        checks: list[dict[str, Any]] = results[name]
         states = {state: [str(c["name"]) for c in checks if c.get("state") == state] for state in ("fail", "look")}
         states["fail"] += [str(c["name"]) for c in checks if c.get("passed") is False]
         if not old or "layers" in results:
@@ -167,9 +168,10 @@ def run_facts(path: Path) -> dict[str, Any] | None:
         return {
             "kind": "run of " + ("one volume" if len(inputs) == 1 else f"{len(inputs)} layers"),
             "file_name": path.absolute().name, "inputs": inputs, "checks": len(checks), **states,
-            "planish": str(results["planish"]), "warning": _OLD if old else None,
+            "planish": str(results["planish"]),
+            "warning": _OLD if old else _UNCHECKED if name == "gates" else None,
         }  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, StopIteration):
         return None
 
 
@@ -177,6 +179,7 @@ _OLD = (
     "made by planish 0.1.0: the errors stated in it are about 1.5 times too small; 'planish run' repeats it with this "
     "version."
 )
+_UNCHECKED = "made by planish 0.2.0, which checked less than this version does; 'planish run' repeats it."
 
 
 def run_lines(facts: dict[str, Any]) -> list[str]:

@@ -503,6 +503,11 @@ class Results(Facts):
                 "stated there are about 1.5 times too small. Repeat it with this version: planish run "
                 f"{path.parent}/run.toml"
             )
+        if isinstance(data, dict) and data.get("format") == 2:  # type: ignore[reportUnknownMemberType]
+            raise FileError(
+                f"{path.parent} was made by planish 0.2.0, which checked less than this version does. Its maps and its "
+                f"report.html stay readable. Repeat it with this version: planish run {path.parent}/run.toml"
+            )
         try:
             return cls.model_validate(data)
         except ValidationError as error:
