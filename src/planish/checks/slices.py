@@ -202,7 +202,7 @@ def _all(good: Mask, k: NDArray[np.intp], low: int, high: int) -> Mask:
 
 
 def _dips(values: Array, good: Mask, slices: int, depth: float) -> list[tuple[int, int]]:
-    """Runs of values that lie by ``depth`` below both of their neighbours and the median around; a value stands for so many slices."""
+    """Runs of values that lie by ``depth`` below their neighbours and the median around; each is of so many slices."""
     found: list[tuple[int, int]] = []
     k = 1
     while k < values.size - 1:

@@ -73,7 +73,7 @@ def gather(
         The sums do not depend on it.
     """
     axes: tuple[Axis, ...] = ("z", "y", "x")
-    places = {axis: _place(volume, axis, through, sheet) for axis in axes}
+    places: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet) for axis in axes}
     reach = slice(min(p["z"].start for p in places.values()), max(p["z"].stop for p in places.values()))
     pieces = _pieces(volume, places, reach)
 
