@@ -79,7 +79,7 @@ def test_runs_that_were_checked_less_are_named(tmp_path):
     (tmp_path / "results.json").write_text(json.dumps(
         {"format": 2, "planish": "0.2.0", "layers": [], "gates": [{"name": "marks", "passed": False}]}
     ))  # fmt: skip
-    with pytest.raises(FileError, match="planish 0.2.0, which checked less.*planish run"):
+    with pytest.raises(FileError, match=r"planish 0\.2\.0, which checked less.*planish run"):
         Results.read(tmp_path / "results.json")
     facts = run_facts(tmp_path)
     assert facts["fail"] == ["marks"]

@@ -84,6 +84,11 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
         for check in results.spoken(state):
             name = f"{check.name} ({' and '.join(check.layers)})" if several and check.layers else check.name
             click.echo(f"planish: {state}: {name}: {check.sentence} {check.advice}".rstrip(), err=True)
+    return exit_code(results, strict=strict)
+
+
+def exit_code(results: Results, *, strict: bool = False) -> int:
+    """4 where a check failed or, with ``strict``, asks for a look."""
     return 4 if results.state == "fail" or (strict and results.spoken("look")) else 0
 
 

@@ -230,7 +230,7 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     found.save(out)
     write_marks(found.pairs(), table)
     fit = found.fit
-    for sentence in (found.sentence, found.design, fit.sentence):
+    for sentence in (found.sentence, found.design, fit.sentence, found.agreement(), *fit.warnings):
         if sentence:
             click.echo(sentence)
     click.echo(f"{out}: {len(fit.moving)} pairs, residual {fit.rms_um:.2f} um rms, scale {fit.transform.scale:.4f}")
@@ -241,21 +241,32 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
 @click.option("--property", "names", multiple=True, metavar="NAME", help="Maps to compare; all where not given.")
 @correlate_options
 @json_option
-def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any) -> None:
-    """Correlate the image with the properties, point by point, in LINKED maps."""
-    from planish.cli.show import correlations
+def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any) -> int:
+    """Correlate the image with the properties, point by point, in LINKED maps.
+
+    Of a run, rows that a check makes doubtful are marked, and those that a failed check concerns are withheld.
+    """
+    from planish.cli.show import correlations, exit_code
     from planish.core.errors import InputError
     from planish.pipeline import correlate_maps
+    from planish.pipeline.checks import rows_with_trust
+    from planish.pipeline.run import is_run, open_results
 
     data = _read(linked, "linked", "'planish resample --onto' or 'planish link'")
     if missing := [name for name in names if name not in data]:
         raise InputError(f"{linked} has no map {missing[0]!r}; it holds {', '.join(map(str, data.data_vars))}.")
     found = correlate_maps(data, params=made(CorrelateParams, values, "correlate"))
+    code = 0
+    if is_run(linked):
+        results = open_results(linked)
+        found = rows_with_trust(found, results.checks)
+        code = exit_code(results)
     rows = [row for row in found if not names or row.a_map in names]
     if as_json:
         click.echo(json.dumps([row.model_dump() for row in rows], indent=2))
-        return
+        return code
     correlations("Image against properties", [(row.a_map, row) for row in rows])
+    return code
 
 
 @verb("planish report run --out page.html", name="report")

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, concerned
-from planish.core.results import LayerFacts, LinkedArea, RegistrationFacts, Results, SheetFacts, Trust
+from planish.core.results import CorrelationRow, LayerFacts, LinkedArea, RegistrationFacts, Results, SheetFacts, Trust
 from planish.register import FittedTransform
 
 _MD_LIMIT_DEG = 10.0
@@ -154,16 +154,20 @@ def with_trust(results: Results) -> Results:
     if all(check.state in ("pass", "unknown") for check in results.checks):
         return results
     layers = tuple(_layer_with_trust(layer, results.checks) for layer in results.layers)
-    rows = [
-        row.model_copy(update=_marks(_of_pair((row.a, row.b), (row.a_map, row.b_map), results.checks), row))
-        for row in results.correlations
-    ]
+    rows = rows_with_trust(results.correlations, results.checks)
     both = tuple(layer.name for layer in results.layers)
     comparison = [
         row.model_copy(update=_marks(_of_pair(both, (row.property,), results.checks), row))
         for row in results.comparison
     ]
-    return results.model_copy(update={"layers": layers, "correlations": tuple(rows), "comparison": tuple(comparison)})
+    return results.model_copy(update={"layers": layers, "correlations": rows, "comparison": tuple(comparison)})
+
+
+def rows_with_trust(rows: Iterable[CorrelationRow], checks: Sequence[Check]) -> tuple[CorrelationRow, ...]:
+    """The same correlations, each marked by the checks that concern it."""
+    return tuple(
+        row.model_copy(update=_marks(_of_pair((row.a, row.b), (row.a_map, row.b_map), checks), row)) for row in rows
+    )
 
 
 def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:

@@ -143,9 +143,7 @@ def open_run(path: str | Path) -> Run:
         If its study has parameters that are not known.
     """
     folder = Path(path)
-    if not is_run(folder):
-        raise FileError(f"{folder} is no run. Give the folder that 'planish map' or 'planish link' made.")
-    results = Results.read(folder / "results.json")
+    results = open_results(folder)
     registrations = {
         layer.name: Registration.read(folder / marks_file(results, layer.name)) for layer in results.moving
     }
@@ -153,6 +151,13 @@ def open_run(path: str | Path) -> Run:
         study=read_study(folder / "run.toml"), results=results, groups=read_tree(folder / "maps.zarr"),
         registrations=registrations, folder=folder,
     )  # fmt: skip
+
+
+def open_results(folder: Path) -> Results:
+    """The numbers of a run folder."""
+    if not is_run(folder):
+        raise FileError(f"{folder} is no run. Give the folder that 'planish map' or 'planish link' made.")
+    return Results.read(folder / "results.json")
 
 
 def marks_file(results: Results, layer: str) -> str:
