@@ -19,6 +19,7 @@ from benchmarks import (
     specimens,
     variants,
     warping,
+    wrong,
 )
 
 _MODULES = (
@@ -35,6 +36,7 @@ _MODULES = (
     resume,
     artefacts,
     warping,
+    wrong,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
 

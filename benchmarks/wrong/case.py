@@ -1,0 +1,99 @@
+"""One input as an instrument would leave it: what is in the files, what is said of them, and where each voxel came from."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from benchmarks.wrong.specimens import Right
+from planish.compute import Compute
+from planish.pipeline import Run
+from planish.pipeline.build import link
+
+Array = NDArray[np.float64]
+Places = Callable[[Array], Array]
+
+
+@dataclass(kw_only=True)
+class Case:
+    """A right specimen, and what a kind of input changes of it.
+
+    ``back`` takes voxels (n, 3) of the file, (z, y, x) as numbers, to those of the right volume; ``image_back`` pixels
+    (n, 2), (y, x). ``by_nature`` names figures that are wrong whatever they are: the place of a pixel in another sheet.
+    """
+
+    right: Right
+    volume: NDArray[Any]
+    voxel_um: tuple[float, float, float]
+    image: Array
+    pixel_um: tuple[float, float]
+    options: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
+    back: list[Places] = field(default_factory=list[Places])
+    image_back: list[Places] = field(default_factory=list[Places])
+    by_nature: tuple[str, ...] = ()
+    side: str = "top"
+    shown: Right | None = None  # the specimen of the image, where it is another
+    first: Array | None = None  # an image that is linked in place of the volume
+    pairs: Array | None = None  # marks by hand: volume x, y, z and image x, y, in um
+    note: str = ""
+
+    @classmethod
+    def of(cls, right: Right) -> Case:
+        """The right input itself."""
+        return cls(
+            right=right, volume=right.volume, voxel_um=(right.voxel_um,) * 3, image=right.image,
+            pixel_um=(right.pixel_um,) * 2,
+        )  # fmt: skip
+
+    def option(self, group: str, **values: Any) -> None:
+        """Say something on the command line."""
+        self.options[group] = self.options.get(group, {}) | values
+
+    def run(self) -> Run:
+        """Write the files and link them."""
+        with tempfile.TemporaryDirectory(prefix="wrong-") as name:
+            folder = Path(name)
+            first = self._write(folder)
+            image = folder / "image.tif"
+            _write_image(image, self.image, self.pixel_um)
+            sections = {k: dict(v) for k, v in self.options.items()}
+            if self.pairs is not None:
+                path = folder / "marks.csv"
+                head = "volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um"
+                labels = [f"{k + 1},{','.join(f'{v:.3f}' for v in row)}" for k, row in enumerate(self.pairs)]
+                path.write_text("\n".join([f"label,{head}", *labels]) + "\n", encoding="utf-8")
+                sections["registration"] = sections.get("registration", {}) | {"marks": str(path)}
+            return link(str(first), str(image), compute=Compute(threads=1), **sections)
+
+    def _write(self, folder: Path) -> Path:
+        if self.first is not None:
+            path = folder / "first.tif"
+            _write_image(path, self.first, self.pixel_um)
+            return path
+        path = folder / "volume.tif"
+        z, y, x = self.voxel_um
+        tifffile.imwrite(
+            path, np.ascontiguousarray(self.volume), imagej=True, resolution=(1 / x, 1 / y),
+            metadata={"spacing": z, "unit": "um", "axes": "ZYX"},
+        )  # fmt: skip
+        return path
+
+
+def _write_image(path: Path, image: Array, pixel_um: tuple[float, float]) -> None:
+    grey = np.clip(np.rint(image * 65535), 0, 65535).astype(np.uint16)
+    size = (1e4 / pixel_um[1], 1e4 / pixel_um[0])
+    tifffile.imwrite(path, grey, resolution=size, resolutionunit="CENTIMETER")
+
+
+def traced(steps: list[Places], places: Array) -> Array:
+    """Follow places of the last file back to the right one."""
+    for step in reversed(steps):
+        places = step(places)
+    return places

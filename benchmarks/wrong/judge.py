@@ -1,0 +1,181 @@
+"""What a run states against what is true, figure by figure, and which of its checks speak of a figure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.wrong.case import Case, traced
+from benchmarks.wrong.specimens import NAMES
+from planish.analyze import correlate_at
+from planish.core.frame import Frame
+from planish.core.grid import pitch
+from planish.pipeline import Run
+
+Array = NDArray[np.float64]
+LEAST_UM, TIMES = 1.0, 2.0
+LEAST_R = 0.15
+_MOST = 25_000  # places that are traced
+_PROPERTIES = frozenset(NAMES)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """One stated figure: its error and what was stated of it, in um or as r."""
+
+    name: str
+    error: float
+    stated: float
+
+    @property
+    def wrong(self) -> bool:
+        """Wrong by more than twice the stated error and more than 1 um."""
+        least = LEAST_R if self.name == "correlation" else LEAST_UM
+        return not self.error <= max(TIMES * self.stated, least)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Light:
+    """A check that does not pass."""
+
+    name: str
+    state: str
+    sentence: str
+    figures: tuple[str, ...]
+
+    def covers(self, figure: str) -> bool:
+        """Whether it warns of the figure; ``unknown`` does where it names it."""
+        name = figure.split()[0]
+        wide = "properties" in self.figures and name in _PROPERTIES
+        return self.state == "fail" or name in self.figures or wide or (not self.figures and self.state != "unknown")
+
+
+def lights(run: Run) -> list[Light]:
+    """All checks of a run that do not pass."""
+    checks: Any = getattr(run.results, "checks", None)
+    if checks is None:  # before there were checks
+        return [Light(name=g.name, state="fail", sentence=g.sentence, figures=()) for g in run.gates if not g.passed]
+    return [
+        Light(name=c.name, state=c.state, sentence=c.sentence, figures=tuple(c.figures))
+        for c in checks
+        if c.state != "pass"
+    ]  # fmt: skip
+
+
+def figures(case: Case, run: Run) -> list[Figure]:
+    """Every figure of the run with its error."""
+    found: list[Figure] = []
+    if case.first is None:
+        found += _thicknesses(case, run)
+        if "linked" in run.groups and "position" not in case.by_nature:
+            found += _position(case, run)
+    found += [Figure(name=name, error=np.inf, stated=0.0) for name in case.by_nature]
+    if "correlation" not in case.by_nature and case.first is None:
+        found += _correlation(case, run)
+    return found
+
+
+def _material(case: Case, places_um: Array, run: Run) -> Array:
+    """True (u, v, s) of places (n, 3), x, y, z in um of the file as the run read it."""
+    volume = run.study.layers[0].volume
+    assert volume is not None
+    assert volume.voxel_um is not None
+    voxels = traced(case.back, places_um[:, ::-1] / np.array(volume.voxel_um))
+    return case.right.material(np.ascontiguousarray(voxels[:, ::-1] * case.right.voxel_um))
+
+
+def _thicknesses(case: Case, run: Run) -> list[Figure]:
+    surfaces = run.groups["surfaces"]
+    facts = run.results.layers[0].sheet
+    frame = Frame.of(surfaces)
+    rows, cols = np.nonzero(surfaces["status"].values == 0)
+    step = max(1, rows.size // _MOST)
+    rows, cols = rows[::step], cols[::step]
+    along = {
+        frame.rows: surfaces["y"].values[rows], frame.cols: surfaces["x"].values[cols],
+        frame.through: surfaces["centre"].values[rows, cols].astype(np.float64),
+    }  # fmt: skip
+    material = _material(case, np.stack([along[a] for a in "xyz"], axis=-1), run)
+    found: list[Figure] = []
+    for name in NAMES:
+        if name not in surfaces or facts is None or name not in facts.properties:
+            continue
+        off = surfaces[name].values[rows, cols] - case.right.thickness(name, material[:, 0], material[:, 1])
+        off = off[np.isfinite(off)]
+        if not off.size:
+            continue
+        own = facts.properties[name]
+        single = own.standard_error or 0.5
+        if f"{name}_se" in surfaces:
+            errors = surfaces[f"{name}_se"].values[rows, cols]
+            single = float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else single
+        mean = float(getattr(own, "mean_error", None) or getattr(own, "standard_error_of_mean", None) or 0.0)
+        found.append(Figure(name=name, error=abs(float(off.mean())), stated=mean))
+        found.append(Figure(name=f"{name} map", error=float(np.sqrt(np.mean(off**2))), stated=single))
+    return found
+
+
+def _pixels(case: Case, run: Run) -> tuple[Array, Array, Array]:
+    """Rows and columns of some valid pixels, and the true (u, v) that they show."""
+    rows, cols = np.nonzero(run.linked["valid"].values.astype(bool))
+    step = max(1, rows.size // _MOST)
+    rows, cols = rows[::step], cols[::step]
+    shown = case.shown or case.right
+    at = traced(case.image_back, np.stack([rows, cols], axis=-1).astype(np.float64))
+    size = shown.uv.shape[:2]
+    inside = np.all((at >= 0) & (at <= np.array(size) - 1), axis=1)
+    rows, cols, at = rows[inside], cols[inside], at[inside]
+    low = np.minimum(at.astype(int), np.array(size) - 2)
+    f = at - low
+    uv = sum(
+        (np.abs(1 - a - f[:, :1]) * np.abs(1 - b - f[:, 1:])) * shown.uv[low[:, 0] + a, low[:, 1] + b]
+        for a in (0, 1) for b in (0, 1)
+    )  # fmt: skip
+    return rows.astype(float), cols.astype(float), np.asarray(uv)
+
+
+def _position(case: Case, run: Run) -> list[Figure]:
+    linked = run.linked
+    r, c, uv = _pixels(case, run)
+    rows, cols = r.astype(int), c.astype(int)
+    if not rows.size:
+        return []
+    places = np.stack([linked[f"volume_{a}"].values[rows, cols] for a in "xyz"], axis=-1).astype(np.float64)
+    away = np.linalg.norm(_material(case, places, run)[:, :2] - uv, axis=1)
+    stated = linked["expected_error"].values[rows, cols].astype(np.float64)
+    known = np.isfinite(away)
+    stated = stated[np.isfinite(stated)]
+    return [
+        Figure(
+            name="position", error=float(np.sqrt(np.mean(away[known] ** 2))) if known.any() else np.inf,
+            stated=float(np.sqrt(np.mean(stated**2))) if stated.size else np.inf,
+        )
+    ]  # fmt: skip
+
+
+def _correlation(case: Case, run: Run) -> list[Figure]:
+    """r of the headline, coating of the side that the image truly shows, against r of the true map."""
+    headline = run.results.layers[0].headline
+    rows = [row for row in run.results.correlations if row.a_map == headline and row.n and row.r is not None]
+    if not rows:
+        return []
+    row = max(rows, key=lambda k: k.point_um)
+    name = f"coating_{case.side}" if headline.startswith("coating") else headline
+    if name not in NAMES:
+        return []
+    linked = run.linked
+    valid = linked["valid"].values.astype(bool)
+    shown = case.shown or case.right
+    at = traced(case.image_back, np.argwhere(valid).astype(np.float64))
+    near = np.clip(np.rint(at).astype(int), 0, np.array(shown.uv.shape[:2]) - 1)
+    uv = shown.uv[near[:, 0], near[:, 1]]
+    true = np.full(valid.shape, np.nan)
+    true[valid] = shown.thickness(name, uv[:, 0], uv[:, 1])
+    image = np.where(valid, linked["image"].values.astype(np.float64), np.nan)
+    best = correlate_at(true, image, pixel_um=pitch(linked), point_um=row.point_um)[0].r
+    if not np.isfinite(best):
+        return []
+    return [Figure(name="correlation", error=abs(float(row.r or 0.0) - float(best)), stated=0.05)]

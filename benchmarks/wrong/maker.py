@@ -1,0 +1,305 @@
+"""A second maker of specimens, on purpose unlike planish.synthetic: another bend, another texture, another image.
+
+The sheet is part of a cone, which unrolls exactly and has closed formulas both ways; its thicknesses are noise with a
+power law; a voxel takes the exact share of its volume that lies below each face (a plane cutting a box).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+if TYPE_CHECKING:
+    from benchmarks.wrong.specimens import Draw, Right
+
+Array = NDArray[np.float64]
+_GRID_UM = 4.0  # of the fields of thickness
+_BEYOND_UM = 500.0
+_LEAST = 0.03  # share of the normal along an axis, below which the box counts as that wide: no division by 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cone:
+    """Material (u, v, s) to space and back; ``turn`` (3, 3) brings the cone's own axes to space, ``middle`` the origin.
+
+    ``rho_um`` is the distance of the origin from the apex, ``half_rad`` the angle between axis and surface.
+    """
+
+    rho_um: float
+    half_rad: float
+    convex: bool
+    along_rad: float
+    turn: Array
+    middle: Array
+
+    def _frame(self) -> tuple[Array, Array]:
+        """Place of the origin, and the axes (3, 3) along the ray, across it, and out of the cone, as rows."""
+        s, c = np.sin(self.half_rad), np.cos(self.half_rad)
+        return self.rho_um * np.array([s, 0, c]), np.array([[s, 0, c], [0, 1, 0], [c, 0, -s]])
+
+    def _spin(self) -> Array:
+        c, s = np.cos(self.along_rad), np.sin(self.along_rad)
+        return np.array([[c, -s], [s, c]])
+
+    def material(self, points: Array) -> Array:
+        """(u, v, s) of points (..., 3)."""
+        sign = 1.0 if self.convex else -1.0
+        local = (points - self.middle) @ self.turn
+        a, b, c = local[..., 0], sign * local[..., 1], sign * local[..., 2]
+        origin, axes = self._frame()
+        p = [origin[k] + a * axes[0, k] + b * axes[1, k] + c * axes[2, k] for k in range(3)]
+        sin, cos = np.sin(self.half_rad), np.cos(self.half_rad)
+        r = np.hypot(p[0], p[1])
+        rho, angle = r * sin + p[2] * cos, np.arctan2(p[1], p[0]) * sin
+        flat = np.stack([rho * np.cos(angle) - self.rho_um, sign * rho * np.sin(angle)], axis=-1) @ self._spin().T
+        return np.concatenate([flat, (sign * (r * cos - p[2] * sin))[..., None]], axis=-1)
+
+    def points(self, uv: Array, s: Array | float = 0.0) -> Array:
+        """Points (..., 3) of material (u, v, s)."""
+        sign = 1.0 if self.convex else -1.0
+        flat = uv @ self._spin()
+        first, second = flat[..., 0] + self.rho_um, sign * flat[..., 1]
+        sin, cos = np.sin(self.half_rad), np.cos(self.half_rad)
+        rho, angle = np.hypot(first, second), np.arctan2(second, first) / sin
+        out = sign * np.asarray(s)
+        r, h = rho * sin + out * cos, rho * cos - out * sin
+        origin, axes = self._frame()
+        p = np.stack([r * np.cos(angle), r * np.sin(angle), h], axis=-1) - origin
+        local = p @ axes.T
+        local = local * np.array([1.0, sign, sign])
+        return local @ self.turn.T + self.middle
+
+    def centre(self, y: Array, x: Array) -> Array:
+        """(u, v, z) of the sheet's middle over the columns (y, x), by Newton's method along z."""
+        xs, ys = np.meshgrid(x, y)
+        z = np.full(xs.shape, self.middle[2])
+        for _ in range(8):
+            at = np.stack([xs, ys, z], axis=-1)
+            s = self.material(at)[..., 2]
+            rise = (self.material(at + [0, 0, 0.5])[..., 2] - s) / 0.5
+            z = z - s / rise
+        uv = self.material(np.stack([xs, ys, z], axis=-1))[..., :2]
+        return np.concatenate([uv, z[..., None]], axis=-1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fields:
+    """Four faces (4, rows, cols) over the material, from ``low`` (u, v) on."""
+
+    low: Array
+    faces: Array
+    tint: Array
+
+    def at(self, field: Array, u: Array, v: Array) -> Array:
+        """Bilinear value at (u, v); NaN where that is."""
+        places = np.stack([(v - self.low[1]) / _GRID_UM, (u - self.low[0]) / _GRID_UM])
+        found = ndimage.map_coordinates(field, np.nan_to_num(places), order=1, mode="nearest")
+        return np.where(np.isfinite(u) & np.isfinite(v), found, np.nan)
+
+    def thickness(self, name: str, u: Array, v: Array) -> Array:
+        """True thickness by name."""
+        upper, lower = {
+            "coating_top": (0, 1), "base_thickness": (1, 2), "coating_bottom": (2, 3), "thickness": (0, 3)
+        }[name]  # fmt: skip
+        return self.at(self.faces[upper] - self.faces[lower], u, v)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose:
+    """From (u, v) to the image (x, y), an affine map, and back."""
+
+    linear: Array
+    shift: Array
+
+    def __call__(self, uv: Array) -> Array:
+        return np.asarray(uv) @ self.linear.T + self.shift
+
+    @cached_property
+    def back(self) -> Array:
+        """Inverse of the linear part."""
+        return np.linalg.inv(self.linear)
+
+    def inverse(self, xy: Array) -> Array:
+        """From the image to the sheet."""
+        return (np.asarray(xy) - self.shift) @ self.back.T
+
+
+def make(order: Draw) -> Right:
+    """Draw one specimen."""
+    from benchmarks.wrong.specimens import LARGE_UM, SIZE_UM, Right
+
+    rng = np.random.default_rng([11, order.seed])
+    size = LARGE_UM if order.large else SIZE_UM
+    voxel = float(rng.uniform(4.0, 5.0))
+    coats = rng.uniform(12, 24, 2) if order.coated else np.zeros(2)
+    base = float(rng.uniform(50, 80))
+    cone = _bend(order, rng, size, 0.5 * base + float(coats.max()))
+    fields = _fields(order, rng, size, base, coats)
+    program = order.program if order.program is not None else order.seed
+    radius = float(np.random.default_rng([13, program]).uniform(58, 75))
+    count = order.holes or (11 if order.large else 7)
+    holes = _pattern(np.random.default_rng([12, program]), size, count, radius)
+    holes = holes + rng.normal(0, 2.0, holes.shape)
+    shape = (round(size[1] / voxel), round(size[0] / voxel))
+    columns = cone.centre(voxel * np.arange(shape[0]), voxel * np.arange(shape[1]))
+    air = 1.25 * (0.5 * base + float(coats.max())) + 70.0
+    deep = float(columns[..., 2].min()) - air
+    cone = Cone(**{**vars(cone), "middle": cone.middle - [0.0, 0.0, deep]})
+    columns[..., 2] -= deep
+    depth = int(np.ceil((float(columns[..., 2].max()) + air) / voxel)) + 1
+    grey = (float(rng.uniform(25, 60)), float(rng.uniform(85, 110)), float(rng.uniform(160, 205)))
+    noise = float(rng.uniform(0.02, 0.05)) * (grey[2] - grey[0])
+    lift = np.sqrt(1 + sum(g**2 for g in np.gradient(columns[..., 2], voxel)))
+    heights = np.stack([columns[..., 2] + lift * fields.at(f, columns[..., 0], columns[..., 1]) for f in fields.faces])
+    volume = _scan(cone, fields, (holes, radius), (depth, *shape), voxel, columns, grey, noise, rng)
+    pixel = float(rng.uniform(4.0, 5.5))
+    pose, frame = _pose(rng, columns, pixel)
+    y, x = np.indices(frame) * pixel
+    uv = pose.inverse(np.stack([x, y], axis=-1))
+    image = _photograph(fields, (holes, radius), uv, pixel, rng)
+    return Right(
+        maker="second", seed=order.seed, volume=volume, voxel_um=voxel, grey=grey, noise=noise, image=image,
+        pixel_um=pixel, holes=holes, radius_um=radius, material=cone.material, points=cone.points,
+        thickness=fields.thickness, image_of=pose, pixels=lambda: uv, columns=columns, faces=heights,
+        note=f"base {base:.0f}, coating {coats[0]:.0f}, voxel {voxel:.2f}",
+    )  # fmt: skip
+
+
+def _bend(order: Draw, rng: np.random.Generator, size: tuple[float, float], thick: float) -> Cone:
+    slope = order.slope if order.slope is not None else rng.uniform(0.6, 1.0) if order.steep else rng.uniform(0.08, 0.4)
+    radius = max(0.5 * float(np.hypot(*size)) * 0.85 / np.sin(np.arctan(slope)), 4 * thick)
+    rho = float(rng.uniform(4.0, 9.0)) * max(size)
+    around, tilt = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(-4, 4, 2))
+    c, s = np.cos(around), np.sin(around)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    for angle, axes in zip(tilt, ((1, 2), (0, 2)), strict=True):
+        lean = np.eye(3)
+        lean[np.ix_(axes, axes)] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        turn = lean @ turn
+    return Cone(
+        rho_um=rho, half_rad=float(np.arctan(radius / rho)), convex=bool(rng.random() < 0.5), along_rad=float(around),
+        turn=turn, middle=np.array([0.5 * size[0], 0.5 * size[1], 0.0]),
+    )  # fmt: skip
+
+
+def _fields(
+    order: Draw, rng: np.random.Generator, size: tuple[float, float], base: float, coats: Array
+) -> Fields:  # fmt: skip
+    half = 0.75 * np.array(size) + _BEYOND_UM
+    shape = tuple(int(n) for n in 2 * half[::-1] / _GRID_UM)
+    loose = [_power(shape, rng, 25.0, 900.0, 1.3) for _ in range(6)]
+    thickness = base + 3.5 * loose[0]
+    bend = 2.5 * loose[1]  # of both faces of the base
+    upper, lower = bend + 0.5 * thickness, bend - 0.5 * thickness
+    coating = [
+        np.maximum(mean + sd * k - 0.35 * (inner - inner.mean()) * sign, 0.0) if mean else np.zeros(shape)
+        for mean, sd, k, inner, sign in zip(
+            coats, rng.uniform(2.2, 3.6, 2), (loose[2], loose[3]), (upper, lower), (1, -1), strict=True
+        )
+    ]
+    del order
+    return Fields(low=-half, faces=np.stack([upper + coating[0], upper, lower, lower - coating[1]]), tint=loose[4])
+
+
+def _power(shape: tuple[int, ...], rng: np.random.Generator, least: float, most: float, power: float) -> Array:
+    """Noise between two wavelengths in um whose amplitude goes with wavelength to a power; mean 0, sd 1."""
+    fy, fx = fft.fftfreq(shape[0], _GRID_UM), fft.rfftfreq(shape[1], _GRID_UM)
+    f = np.maximum(np.hypot(fy[:, None], fx[None, :]), 1 / most)
+    weight = f**-power * np.exp(-((f * least) ** 2))
+    weight[0, 0] = 0.0
+    field = fft.irfft2(fft.rfft2(rng.standard_normal(shape)) * weight, shape)
+    return field / field.std()
+
+
+def _pattern(rng: np.random.Generator, size: tuple[float, float], count: int, radius: float) -> Array:
+    """Holes far from each other and inside the field, (u, v) about its middle."""
+    half = 0.5 * np.array(size) - radius - 70.0
+    for apart in np.linspace(3.4, 2.4, 6) * radius:
+        found: list[Array] = []
+        for _ in range(3000):
+            point = rng.uniform(-half, half)
+            if all(np.hypot(*(point - other)) > apart + 60 for other in found):
+                found.append(point)
+            if len(found) == count:
+                return np.array(found)
+    raise ValueError(f"{count} holes do not fit")
+
+
+def _below(distance: Array, normal: Array, voxel: float) -> Array:
+    """Share of a cubic voxel that lies below a plane ``distance`` above its middle along the unit ``normal``.
+
+    The sum over the corners of the cube of a box on one side of a plane: +-(d)^3 / (6 a b c).
+    """
+    sides = np.maximum(np.abs(normal), _LEAST) * voxel
+    total = np.zeros(distance.shape)
+    for corner in range(8):
+        signs = [1.0 if corner >> k & 1 else -1.0 for k in range(3)]
+        d = distance + 0.5 * sum(sign * sides[..., k] for k, sign in enumerate(signs))
+        total += np.prod(signs) * np.maximum(d, 0.0) ** 3
+    return np.clip(total / (6 * sides.prod(axis=-1)), 0.0, 1.0)
+
+
+def _scan(
+    cone: Cone, fields: Fields, burnt: tuple[Array, float], shape: tuple[int, int, int], voxel: float, columns: Array,
+    grey: tuple[float, float, float], noise: float, rng: np.random.Generator,
+) -> NDArray[np.uint8]:  # fmt: skip
+    slopes = np.gradient(columns[..., 2], voxel)
+    normal = np.stack([-slopes[1], -slopes[0], np.ones(shape[1:])], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    reach = (float(np.abs(fields.faces).max()) + 2 * voxel) / normal[..., 2]
+    net = ndimage.gaussian_filter(rng.standard_normal(shape).astype(np.float32), (1.0, 1.6, 1.6))
+    net *= 0.15 / net.std()
+    volume = np.zeros(shape, dtype=np.float32)
+    for k in range(shape[0]):
+        rows, cols = np.nonzero(np.abs(k * voxel - columns[..., 2]) < reach)
+        if not rows.size:
+            continue
+        u, v, s = np.moveaxis(cone.material(np.stack([cols, rows, np.full(rows.size, k)], axis=-1) * voxel), -1, 0)
+        own = normal[rows, cols]
+        parts = [_below(fields.at(face, u, v) - s, own, voxel) for face in fields.faces]
+        top, base, bottom = (parts[i] - parts[i + 1] for i in range(3))
+        whole = _away(burnt, u, v, voxel)
+        shine = (grey[1] - grey[0]) * (1 + net[k, rows, cols]) * base + (grey[2] - grey[0]) * (top + bottom)
+        volume[k, rows, cols] = whole * shine
+    volume = ndimage.gaussian_filter(volume, float(rng.uniform(0.45, 0.65)))
+    grain = ndimage.gaussian_filter(rng.standard_normal(shape).astype(np.float32), 0.5)
+    volume += grey[0] + noise / grain.std() * grain
+    return np.clip(np.rint(volume), 0, 255).astype(np.uint8)
+
+
+def _away(burnt: tuple[Array, float], u: Array, v: Array, step: float) -> Array:
+    """1 on the sheet, 0 in a hole, between them over one step."""
+    holes, radius = burnt
+    share = np.ones(u.shape)
+    for at in holes:
+        share = np.minimum(share, np.clip((np.hypot(u - at[0], v - at[1]) - radius) / step + 0.5, 0, 1))
+    return share
+
+
+def _pose(rng: np.random.Generator, columns: Array, pixel: float) -> tuple[Pose, tuple[int, int]]:
+    angle, scale = np.deg2rad(rng.uniform(-10, 10)), 1 + rng.uniform(-0.006, 0.006)
+    c, s = np.cos(angle), np.sin(angle)
+    linear = scale * np.array([[c, -s], [s, c]])
+    corners = columns[..., :2].reshape(-1, 2) @ linear.T
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    shift = -low + rng.uniform(20, 60, 2)
+    frame = (high - low + shift - (-low) + 40.0) / pixel
+    return Pose(linear=linear, shift=shift), (int(frame[1]), int(frame[0]))
+
+
+def _photograph(
+    fields: Fields, burnt: tuple[Array, float], uv: Array, pixel: float, rng: np.random.Generator
+) -> Array:  # fmt: skip
+    u, v = uv[..., 0], uv[..., 1]
+    coating = fields.thickness("coating_top", u, v)
+    light = 0.62 + 0.012 * (coating - coating.mean()) + 0.012 * fields.at(fields.tint, u, v)
+    y, x = (np.linspace(-1, 1, n) for n in u.shape)
+    light = light * (1 + 0.03 * rng.uniform(-1, 1) * x[None, :] + 0.03 * rng.uniform(-1, 1) * y[:, None])
+    whole = _away(burnt, u, v, pixel)
+    image = ndimage.gaussian_filter(0.12 + (light - 0.12) * whole, 0.7)
+    return np.clip(image + 0.006 * rng.standard_normal(u.shape), 0, 1)

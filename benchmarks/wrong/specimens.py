@@ -1,0 +1,152 @@
+"""Right specimens with their exact truth: some by planish.synthetic, some by a second maker that shares no code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.wrong import maker
+from planish.synthetic import MICRO_CT, PRESETS, CameraParams, HoleParams, SpecimenParams, Warp, make_specimen
+from planish.validate.truth import field_at
+
+Array = NDArray[np.float64]
+_OF = {"coating_top": (0, 1), "base_thickness": (1, 2), "coating_bottom": (2, 3), "thickness": (0, 3)}
+NAMES = tuple(_OF)
+SIZE_UM, LARGE_UM = (1300.0, 1050.0), (1900.0, 1500.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Right:
+    """A volume (z, y, x), an image (y, x) and what is true: lengths in um, material (u, v, s), points (x, y, z).
+
+    ``thickness`` gives a true thickness by name at (u, v); ``columns`` (y, x, 3) holds u, v and the height of the
+    centre surface at each column of the volume; ``faces`` (4, y, x) the heights of top, interfaces and bottom there.
+    """
+
+    maker: str
+    seed: int
+    volume: NDArray[Any]
+    voxel_um: float
+    grey: tuple[float, float, float]
+    noise: float
+    image: Array
+    pixel_um: float
+    holes: Array
+    radius_um: float
+    material: Callable[[Array], Array]
+    points: Callable[[Array], Array]
+    thickness: Callable[[str, Array, Array], Array]
+    image_of: Callable[[Array], Array]
+    pixels: Callable[[], Array]
+    columns: Array
+    faces: Array
+    note: str
+    made: dict[str, Any] = field(default_factory=dict[str, Any])
+
+    @cached_property
+    def uv(self) -> Array:
+        """Material (y, x, 2) that the image's pixels show."""
+        return self.pixels()
+
+    @cached_property
+    def in_hole(self) -> Array:
+        """Distance (y, x) of each column's middle from the rim of the nearest hole, in um; negative inside."""
+        away = [np.hypot(self.columns[..., 0] - u, self.columns[..., 1] - v) for u, v in self.holes]
+        return np.min(away, axis=0) - self.radius_um if away else np.full(self.columns.shape[:2], 1e4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draw:
+    """What is ordered: the maker, a seed, and what the kind of input asks for."""
+
+    maker: str = "planish"
+    seed: int = 0
+    large: bool = False
+    coated: bool = True
+    steep: bool = False
+    holes: int | None = None
+    slope: float | None = None
+    program: int | None = None  # seed of the hole pattern, where two specimens share the laser's program
+
+
+def drawn(order: Draw) -> Right:
+    """Make a specimen, or take it from the last ones made."""
+    return _kept(order)
+
+
+@lru_cache(maxsize=24)
+def _kept(order: Draw) -> Right:
+    return _ours(order) if order.maker == "planish" else maker.make(order)
+
+
+def _ours(order: Draw) -> Right:
+    rng = np.random.default_rng([7, order.seed])
+    names = [name for name, (_, paper) in PRESETS.items() if (paper.coating_top_um > 0) == order.coated]
+    if order.coated:
+        names.remove("board")  # as thick as three others: too much for a quick run
+    paper = PRESETS[str(rng.choice(names))][1]
+    slope = (rng.uniform(0.5, 0.9) if order.steep else rng.uniform(0.02, 0.4)) if order.slope is None else order.slope
+    voxel = float(rng.uniform(4.0, 5.0) if min(paper.coating_top_um, 99) > 12 or not order.coated else 3.6)
+    size = LARGE_UM if order.large else SIZE_UM
+    scanner = replace(
+        MICRO_CT, voxel_um=voxel, fwhm_um=float(rng.uniform(1.0, 1.5)) * voxel, noise=float(rng.uniform(0.03, 0.08)),
+        fringe=float(rng.choice([0.0, 0.1])), cupping=float(rng.uniform(0, 0.03)), rings=int(rng.integers(0, 3)),
+        streak=float(rng.uniform(0, 0.02)),
+    )  # fmt: skip
+    count = order.holes or int(rng.integers(6, 9) if not order.large else rng.integers(9, 14))
+    params = SpecimenParams(
+        size_um=size, paper=paper, seed=order.seed, scanner=scanner,
+        holes=HoleParams(pattern="irregular", count=count, diameter_um=float(rng.uniform(115, 140)), char_um=20.0),
+        warp=Warp(
+            slope=float(slope), wavelength_um=float(rng.uniform(1800, 4000)), phase_rad=float(rng.uniform(0, 6.28)),
+            ruling_deg=float(rng.uniform(-90, 90)), tilt_deg=float(rng.uniform(-4, 4)),
+        ),
+        camera=CameraParams(
+            pixel_um=float(rng.uniform(4.0, 5.5)), shading=0.004, nuisance_sd=0.005, radial=float(rng.uniform(0, 4e-4)),
+            vignetting=float(rng.uniform(0, 0.04)), scale_range=0.005,
+        ),
+    )  # fmt: skip
+    if order.program is not None:  # the pattern of another specimen: the same seed for the holes, another for the paper
+        return _reprogrammed(params, order)
+    return _right(make_specimen(params), order)
+
+
+def _reprogrammed(params: SpecimenParams, order: Draw) -> Right:
+    """The holes of the specimen of the seed ``program`` in the sheet of this seed."""
+    from planish.synthetic.sheet import make_sheet
+
+    first = drawn(replace(order, seed=order.program or 0, program=None)).made["specimen"]
+    low = np.array(first.sheet.origin) - 400.0
+    high = np.array(first.sheet.origin) + 3.0 * np.array(first.sheet.faces.shape[:0:-1]) + 400.0
+    stage = np.random.default_rng([8, order.seed]).normal(0, params.holes.stage_um, first.sheet.holes.shape)
+    sheet = make_sheet(
+        params.paper, first.params.holes, low=low, high=high, centres=first.sheet.holes + stage, seed=order.seed
+    )
+    params = replace(params, holes=first.params.holes, size_um=first.params.size_um)
+    return _right(make_specimen(params, sheet=sheet), order)
+
+
+def _right(made: Any, order: Draw) -> Right:
+    p, sheet, warp = made.params, made.sheet, made.warp
+    under = np.stack([made.columns[k].values for k in ("u", "v", "centre")], axis=-1)
+    step = p.scanner.voxel_um
+    lift = np.sqrt(1 + sum(g**2 for g in np.gradient(under[..., 2], step)))
+    heights = np.stack([under[..., 2] + lift * sheet.at(face, under[..., 0], under[..., 1]) for face in sheet.faces])
+    return Right(
+        maker="planish", seed=order.seed, volume=made.volume.values, voxel_um=step, grey=p.scanner.grey,
+        noise=p.scanner.noise * (p.scanner.grey[2] - p.scanner.grey[0]),
+        image=np.asarray(made.image.values, np.float64), pixel_um=p.camera.pixel_um,
+        holes=sheet.holes, radius_um=0.5 * p.holes.diameter_um, material=warp.material,
+        points=lambda uv: warp.points(uv[..., 0], uv[..., 1]),
+        thickness=lambda name, u, v: field_at(sheet, sheet.faces[_OF[name][0]] - sheet.faces[_OF[name][1]], u, v),
+        image_of=made.pose,
+        pixels=lambda: np.stack([made.truth["u"].values, made.truth["v"].values], axis=-1),
+        columns=under, faces=heights,
+        note=f"base {p.paper.base_um:g}, coating {p.paper.coating_top_um:g}, slope {p.warp.slope:.2f}, voxel {step:.2f}",
+        made={"specimen": made},
+    )  # fmt: skip
