@@ -15,6 +15,7 @@ from benchmarks import (
     relaxation,
     resampling,
     resume,
+    right,
     size,
     specimens,
     variants,
@@ -37,6 +38,7 @@ _MODULES = (
     artefacts,
     warping,
     wrong,
+    right,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
 

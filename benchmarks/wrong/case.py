@@ -1,4 +1,4 @@
-"""One input as an instrument would leave it: what is in the files, what is said of them, and where each voxel came from."""
+"""One input as an instrument leaves it: what is in the files, what is said of them, where each voxel came from."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from benchmarks.wrong.specimens import Right
 from planish.compute import Compute
 from planish.pipeline import Run
 from planish.pipeline.build import link
+from planish.synthetic import InstrumentFiles, write_instruments
 
 Array = NDArray[np.float64]
 Places = Callable[[Array], Array]
@@ -43,6 +44,8 @@ class Case:
     first: Array | None = None  # an image that is linked in place of the volume
     pairs: Array | None = None  # marks by hand: volume x, y, z and image x, y, in um
     note: str = ""
+    instrument: str = "stack"  # or "scanner", "sections": of a specimen by planish, as it is
+    files: InstrumentFiles | None = None  # of such an instrument
 
     @classmethod
     def of(cls, right: Right) -> Case:
@@ -64,6 +67,8 @@ class Case:
             image = folder / "image.tif"
             _write_image(image, self.image, self.pixel_um)
             sections = {k: dict(v) for k, v in self.options.items()}
+            if self.files is not None:
+                sections["volume"] = sections.get("volume", {}) | {"through": self.files.through}
             if self.pairs is not None:
                 path = folder / "marks.csv"
                 head = "volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um"
@@ -75,8 +80,12 @@ class Case:
     def _write(self, folder: Path) -> Path:
         if self.first is not None:
             path = folder / "first.tif"
-            _write_image(path, self.first, self.pixel_um)
+            _write_image(path, self.first, (self.right.pixel_um,) * 2)
             return path
+        if self.instrument != "stack":
+            made = self.right.made["specimen"]
+            self.files = write_instruments(made, folder / "files", volume=self.instrument, image=False)
+            return self.files.volume
         path = folder / "volume.tif"
         z, y, x = self.voxel_um
         tifffile.imwrite(

@@ -157,7 +157,6 @@ def _other(case: Case, _: np.random.Generator) -> None:
 def _two_images(case: Case, rng: np.random.Generator) -> None:
     _other(case, rng)
     case.first = case.right.image
-    case.pixel_um = (case.right.pixel_um,) * 2  # one option for both
 
 
 def moved_slices(case: Case, shift: Array, along: int, axis: int) -> None:
@@ -236,8 +235,11 @@ def _tilted(case: Case, rng: np.random.Generator) -> None:
     angle = float(rng.uniform(6, 14))
     n, m = case.volume.shape[0], case.volume.shape[2]
     rise = int(np.tan(np.deg2rad(angle)) * m) + 4
-    tall = np.pad(case.volume, ((rise // 2, rise - rise // 2), (0, 0), (0, 0)), mode="wrap")
-    turned = ndimage.rotate(tall.astype(np.float32), angle, axes=(0, 2), reshape=False, order=1, mode="nearest")
+    air = case.right.grey[0] + case.right.noise * rng.standard_normal((n + rise, *case.volume.shape[1:]))
+    tall = np.clip(np.rint(air), 0, 255).astype(np.uint8)
+    tall[rise // 2 : rise // 2 + n] = case.volume
+    cval = case.right.grey[0]
+    turned = ndimage.rotate(tall.astype(np.float32), angle, axes=(0, 2), reshape=False, order=1, cval=cval)
     case.volume = np.clip(np.rint(turned), 0, 255).astype(np.uint8)
     c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
     middle = 0.5 * (np.array(tall.shape) - 1)
@@ -263,7 +265,9 @@ def _sheared(case: Case, rng: np.random.Generator) -> None:
 
 for _k, _axis in enumerate("zyx"):
     enter(f"spacing-{_axis}-10", f"spacing along {_axis} wrong by 10 %", spacing(_k, (0.9, 1.1)), grave=_k == 0)
-    enter(f"spacing-{_axis}-50", f"spacing along {_axis} half or 50 % too large", spacing(_k, (0.5, 1.5)), grave=_k == 0)
+    enter(
+        f"spacing-{_axis}-50", f"spacing along {_axis} half or 50 % too large", spacing(_k, (0.5, 1.5)), grave=_k == 0
+    )
 enter("spacing-z-10-steep", "the same by 10 %, 30-45 degrees steep", spacing(0, (0.9, 1.1)), steep=True, large=True)
 enter("spacing-all", "voxel size wrong along all axes", _all_axes)
 enter("pixel-2", "pixel size of the image wrong by 2 %", pixel((0.98, 1.02)))

@@ -140,7 +140,7 @@ def _noise(case: Case, rng: np.random.Generator) -> None:
 
 @kind("rings", "strong rings about the axis of rotation")
 def _rings(case: Case, rng: np.random.Generator) -> None:
-    z, y, x = case.volume.shape
+    z, _, x = case.volume.shape
     r = np.hypot(np.arange(z)[:, None] - 0.5 * z, np.arange(x)[None, :] - 0.5 * x)
     plane = np.zeros(r.shape)
     for _ in range(12):
@@ -151,7 +151,7 @@ def _rings(case: Case, rng: np.random.Generator) -> None:
 
 @kind("cupping", "cupping of 15-35 %")
 def _cupping(case: Case, rng: np.random.Generator) -> None:
-    z, y, x = case.volume.shape
+    _, y, x = case.volume.shape
     size = float(rng.uniform(0.15, 0.35))
     r2 = (np.linspace(-1, 1, y)[:, None] ** 2 + np.linspace(-1, 1, x)[None, :] ** 2) / 2
     air = case.right.grey[0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from benchmarks.wrong.case import Case, traced
 from benchmarks.wrong.specimens import NAMES
 from planish.analyze import correlate_at
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.pipeline import Run
@@ -19,7 +19,6 @@ Array = NDArray[np.float64]
 LEAST_UM, TIMES = 1.0, 2.0
 LEAST_R = 0.15
 _MOST = 25_000  # places that are traced
-_PROPERTIES = frozenset(NAMES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,20 +46,19 @@ class Light:
     figures: tuple[str, ...]
 
     def covers(self, figure: str) -> bool:
-        """Whether it warns of the figure; ``unknown`` does where it names it."""
+        """Whether it warns of the figure, as the run itself marks figures; ``unknown`` does where it names it."""
         name = figure.split()[0]
-        wide = "properties" in self.figures and name in _PROPERTIES
-        return self.state == "fail" or name in self.figures or wide or (not self.figures and self.state != "unknown")
+        about = {name, *((PROPERTIES,) if name in NAMES else ())}
+        if name == CORRELATION:  # made of a map and its place
+            about |= {POSITION, PROPERTIES, *NAMES[:1]}
+        return bool(about & set(self.figures))
 
 
 def lights(run: Run) -> list[Light]:
     """All checks of a run that do not pass."""
-    checks: Any = getattr(run.results, "checks", None)
-    if checks is None:  # before there were checks
-        return [Light(name=g.name, state="fail", sentence=g.sentence, figures=()) for g in run.gates if not g.passed]
     return [
-        Light(name=c.name, state=c.state, sentence=c.sentence, figures=tuple(c.figures))
-        for c in checks
+        Light(name=c.name, state=c.state, sentence=c.sentence, figures=c.figures)
+        for c in run.checks
         if c.state != "pass"
     ]  # fmt: skip
 
@@ -82,6 +80,8 @@ def _material(case: Case, places_um: Array, run: Run) -> Array:
     """True (u, v, s) of places (n, 3), x, y, z in um of the file as the run read it."""
     volume = run.study.layers[0].volume
     assert volume is not None
+    if case.files is not None:
+        return case.right.material(case.files.to_physical(places_um, run.groups.get("sections")))
     assert volume.voxel_um is not None
     voxels = traced(case.back, places_um[:, ::-1] / np.array(volume.voxel_um))
     return case.right.material(np.ascontiguousarray(voxels[:, ::-1] * case.right.voxel_um))

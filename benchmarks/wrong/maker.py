@@ -81,7 +81,7 @@ class Cone:
         for _ in range(8):
             at = np.stack([xs, ys, z], axis=-1)
             s = self.material(at)[..., 2]
-            rise = (self.material(at + [0, 0, 0.5])[..., 2] - s) / 0.5
+            rise = (self.material(at + np.array([0, 0, 0.5]))[..., 2] - s) / 0.5
             z = z - s / rise
         uv = self.material(np.stack([xs, ys, z], axis=-1))[..., :2]
         return np.concatenate([uv, z[..., None]], axis=-1)

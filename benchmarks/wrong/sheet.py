@@ -1,4 +1,4 @@
-"""The sheet itself: a second one, delamination, fold, tear, dust, hairs, holes not through; few voxels; marks; options."""
+"""The sheet itself: a second one, delamination, fold, tear, dust, holes not through, few voxels; marks; options."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _tear(case: Case, rng: np.random.Generator) -> None:
     right = case.right
     voxel = right.voxel_um
     wide, rise = float(rng.uniform(30, 80)) / voxel, float(rng.uniform(10, 40)) / voxel
-    n, rows, cols = case.volume.shape
+    _, rows, cols = case.volume.shape
     edge = rng.uniform(0.35, 0.65) * cols + ndimage.gaussian_filter1d(rng.standard_normal(rows), 6) * 25
     _taller(case, int(rise) + 2, rng)
     z, y, x = np.indices(case.volume.shape, dtype=np.float32)
@@ -306,7 +306,9 @@ def _both_in_pixels(case: Case, rng: np.random.Generator) -> None:
     pairs[:, :3] /= case.right.voxel_um
 
 
-@kind("marks-shifted", "marks by hand, all of the image 1.5-4 pixels off by another origin", hidden="no mark can see it")
+@kind(
+    "marks-shifted", "marks by hand, all of the image 1.5-4 pixels off by another origin", hidden="no mark can see it"
+)
 def _shifted(case: Case, rng: np.random.Generator) -> None:
     pairs = _by_hand(case, rng, 0.5)
     shift = float(rng.uniform(1.5, 4)) * case.right.pixel_um

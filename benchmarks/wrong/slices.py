@@ -128,8 +128,8 @@ def blocks(axis: int) -> Change:
         first = int(rng.integers(low, max(low + 1, high - 2 * count - 1)))
         second = int(rng.integers(first + count, max(first + count + 1, high - count)))
         n = np.arange(case.volume.shape[axis])
-        order = np.concatenate([n[:first], n[second : second + count], n[first + count : second], n[first : first + count],
-                                n[second + count :]])  # fmt: skip
+        one, two = n[first : first + count], n[second : second + count]
+        order = np.concatenate([n[:first], two, n[first + count : second], one, n[second + count :]])
         reorder(case, order, axis)
         case.note = f"{count} slices each"
 

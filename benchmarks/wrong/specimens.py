@@ -147,6 +147,6 @@ def _right(made: Any, order: Draw) -> Right:
         image_of=made.pose,
         pixels=lambda: np.stack([made.truth["u"].values, made.truth["v"].values], axis=-1),
         columns=under, faces=heights,
-        note=f"base {p.paper.base_um:g}, coating {p.paper.coating_top_um:g}, slope {p.warp.slope:.2f}, voxel {step:.2f}",
+        note=f"base {p.paper.base_um:g}, coating {p.paper.coating_top_um:g}, slope {p.warp.slope:.2f}",
         made={"specimen": made},
     )  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.wrong import geometry, grey, sheet, slices
 from benchmarks.wrong.case import Case
-from benchmarks.wrong.judge import Figure, Light, figures, lights
+from benchmarks.wrong.judge import figures, lights
 from benchmarks.wrong.kinds import KINDS, Kind
 from benchmarks.wrong.specimens import Draw, drawn
 from planish.core.errors import PlanishError
@@ -110,9 +110,12 @@ def line_of(row: Row) -> str:
     elif "crash" in row:
         said = "CRASH " + row["crash"][:90]
     else:
-        state = "SILENT " + ", ".join(row["silent"]) if row["silent"] else "wrong, said" if row["wrong"] else "not wrong"
+        state = (
+            "SILENT " + ", ".join(row["silent"]) if row["silent"] else "wrong, said" if row["wrong"] else "not wrong"
+        )
         said = f"{state}; {worst_of(row)}; " + "; ".join(f"{k[0]} {k[1]}" for k in row["lights"])
-    return f"{row['kind']} {row['seed']} ({row['maker'][0]}{row['specimen']}) {row['note']}: {said}  [{row['run_s']:.1f} s]"
+    name = f"{row['kind']} {row['seed']} ({row['maker'][0]}{row['specimen']})"
+    return f"{name} {row['note']}: {said}  [{row['run_s']:.1f} s]"
 
 
 def shown(rows: list[Row], *, markdown: bool = False) -> int:
@@ -133,7 +136,9 @@ def shown(rows: list[Row], *, markdown: bool = False) -> int:
         worst = max((worst_of(r) for r in quiet or wrong), key=_size, default="")
         mark = " (cannot be told)" if kind.hidden else " (grave)" if kind.grave else ""
         counts = (str(len(own)), str(len(wrong)), str(len(quiet)))
-        heard = ", ".join(f"{what} {n}" for what, n in said.most_common(5)) + (f", CRASH {len(crashes)}" if crashes else "")
+        heard = ", ".join(f"{what} {n}" for what, n in said.most_common(5)) + (
+            f", CRASH {len(crashes)}" if crashes else ""
+        )
         lines.append((f"{kind.title if markdown else name}{mark}", *counts, worst, heard))
         if kind.hidden or name == "right":
             continue
@@ -147,18 +152,17 @@ def shown(rows: list[Row], *, markdown: bool = False) -> int:
         for name, *counts, worst, heard in lines:
             print(f"{name:34s} {' '.join(f'{c:>6s}' for c in counts)}  {worst:44s} {heard}")
     if total:
-        print(f"\n{total} runs of {len(by_kind)} kinds; silent {silent}, {100 - 100 * silent / total:.1f} % are not silent")
+        share = 100 - 100 * silent / total
+        print(f"\n{total} runs of {len(lines) - 1} kinds; silent {silent}, {share:.1f} % are not silent")
         print(f"silent in more than one of five: {', '.join(missed) or 'none'}")
         grave = [r for r in rows if KINDS[r["kind"]].grave and r.get("wrong")]
         ends = [r for r in grave if any(k[0] == "fail" for k in r["lights"])]
         print(f"grave kinds, wrong and not refused: {len(grave)}; ended with fail: {len(ends)}")
-        print(f"CPU: {sum(r['run_s'] + r['made_s'] for r in rows) / 60:.1f} min, median run {np.median([r['run_s'] for r in rows]):.1f} s")
+        spent, runs = sum(r["run_s"] + r["made_s"] for r in rows) / 60, [r["run_s"] for r in rows]
+        print(f"CPU: {spent:.1f} min, median run {np.median(runs):.1f} s")
     return int(bool(missed) or silent > 0.05 * total)
 
 
 def _size(text: str) -> float:
     words = text.split()
     return next((float(w) for w in words if w.replace(".", "").replace("e+", "").isdigit()), 0.0)
-
-
-_ = Figure, Light

@@ -1,0 +1,140 @@
+"""Does planish stay quiet where nothing is wrong? Right specimens of two makers and two instruments, and real volumes.
+
+``python -m benchmarks right [--count 60] [--out FOLDER] [--again] [--report]``
+
+Goal: no check fails, each looks in at most 5 %, at least 80 % of the runs have neither. Drawn are the paper, slopes to
+60 degrees, 4 to 30 holes, the voxel, the scanner's artefacts, a stack or slices across the sheet or serial sections.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+import warnings
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.wrong.case import Case
+from benchmarks.wrong.specimens import Draw, drawn
+from benchmarks.wrong.table import Row, judged_case, line_of
+from planish.compute import Compute
+from planish.core.errors import PlanishError
+from planish.pipeline.build import map_sheet
+
+_DATA = Path(os.environ.get("PLANISH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+_REAL: dict[str, tuple[str, dict[str, Any]]] = {
+    "letter": ("letterpacket_ct/volume_zyx_uint8.tif", {"voxel_um": (30.0, 30.0, 30.0)}),
+    "battery": ("battery_sector_right", {"voxel_um": (10.0, 10.0, 10.0), "through": "x"}),
+}
+
+
+def order_of(k: int) -> tuple[Draw, str]:
+    """The k-th specimen and its instrument."""
+    rng = np.random.default_rng([3, k])
+    maker = "second" if k % 10 in (1, 3, 5, 7) else "planish"
+    instrument = "stack" if maker == "second" else {2: "scanner", 6: "sections"}.get(k % 10, "stack")
+    large = k % 10 in (3, 4, 8)
+    steep = k % 10 in (5, 8)
+    slope = None
+    if steep:  # to 60 degrees; the sheet of the second maker is round and small
+        slope = float(np.tan(np.deg2rad(rng.uniform(28, 45 if maker == "second" else 60))))
+    holes = round(float(np.exp(rng.uniform(np.log(4), np.log(22 if large else 9)))))
+    if k % 20 == 4:
+        holes = 26
+    coated = k % 15 != 9
+    draw = Draw(maker=maker, seed=100 + k, large=large, coated=coated, steep=steep, holes=holes, slope=slope)
+    return draw, instrument
+
+
+def main(*words: str | int) -> int:
+    """Run all, print which checks spoke; 1 where a goal is missed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks right")
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("wrong"))
+    parser.add_argument("--again", action="store_true", help="repeat what is there")
+    parser.add_argument("--report", action="store_true", help="print what is there, run nothing")
+    given = parser.parse_args([str(w) for w in words])
+    given.out.mkdir(parents=True, exist_ok=True)
+    path = given.out / "right.jsonl"
+    rows: dict[str, Row] = {}
+    if path.exists():
+        rows = {f"{r['kind']} {r['seed']}": r for r in map(json.loads, path.open())}
+    names = [f"right {k}" for k in range(given.first, given.count - len(_REAL))] + [f"{name} 0" for name in _REAL]
+    for name in names:
+        if given.report or (name in rows and not given.again):
+            continue
+        kind, number = name.split()
+        row = _real(kind) if kind in _REAL else _drawn(int(number))
+        rows[name] = row
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        print(line_of(row), flush=True)
+    return _shown([rows[name] for name in names if name in rows])
+
+
+def _drawn(k: int) -> Row:
+    draw, instrument = order_of(k)
+    started = time.process_time()
+    right = drawn(draw)
+    case = Case.of(right)
+    case.instrument = instrument
+    made = time.process_time()
+    degrees = np.rad2deg(np.arctan(max(float(np.hypot(*g).max()) for g in [_slopes(right)])))
+    note = f"{instrument}, {right.note}, {len(right.holes)} holes, {degrees:.0f} deg"
+    row: Row = {"kind": "right", "seed": k, "maker": right.maker, "specimen": right.seed, "note": note}
+    return row | judged_case(case) | {"made_s": round(made - started, 2), "run_s": round(time.process_time() - made, 2)}
+
+
+def _slopes(right: Any) -> tuple[Any, Any]:
+    rows, cols = np.gradient(right.columns[..., 2], right.voxel_um)
+    return rows, cols
+
+
+def _real(name: str) -> Row:
+    """A measured volume, as far as it is at hand: mapped, without an image."""
+    place, options = _REAL[name]
+    row: Row = {"kind": name, "seed": 0, "maker": "real", "specimen": 0, "note": place, "figures": {}, "wrong": [],
+                "silent": [], "lights": [], "made_s": 0.0}  # fmt: skip
+    started = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            if not (_DATA / place).exists():
+                return row | {"refused": "data are absent", "run_s": 0.0}
+            run = map_sheet(str(_DATA / place), compute=Compute(threads=1), volume=options)
+            row["lights"] = [[c.state, c.name, c.sentence, list(c.figures)] for c in run.checks if c.state != "pass"]
+        except PlanishError as error:
+            row["refused"] = str(error)
+    return row | {"run_s": round(time.process_time() - started, 2)}
+
+
+def _shown(rows: list[Row]) -> int:
+    runs = [r for r in rows if "lights" in r and "refused" not in r]
+    spoken: Counter[tuple[str, str]] = Counter()
+    for r in runs:
+        spoken.update({(state, name) for state, name, *_ in r["lights"]})
+    print(f"\n{len(rows)} right inputs: {len(runs)} runs, {sum('refused' in r for r in rows)} refused, "
+          f"{sum('crash' in r for r in rows)} crashed")  # fmt: skip
+    for (state, name), n in sorted(spoken.items(), key=lambda k: (k[0][0], -k[1])):
+        print(f"  {state:8s} {name:34s} {n:3d}  {100 * n / len(runs):.0f} %")
+    quiet = sum(all(k[0] not in ("look", "fail") for k in r["lights"]) for r in runs)
+    wrong = Counter(name for r in runs for name in r["wrong"])
+    print(f"without look or fail: {quiet} of {len(runs)} ({100 * quiet / max(len(runs), 1):.0f} %)")
+    print(f"figures wrong by the rule of 'wrong': {dict(wrong)}")
+    for name in ("position", "coating_top map", "base_thickness map", "coating_top", "base_thickness", "correlation"):
+        pairs = np.array([r["figures"][name] for r in runs if None not in r["figures"].get(name, [None])])
+        if len(pairs):
+            print(f"  {name:20s} error: median {np.median(pairs[:, 0]):.2f}, largest {pairs[:, 0].max():.2f}; "
+                  f"stated: median {np.median(pairs[:, 1]):.2f}")  # fmt: skip
+    asked = [r for r in runs if r["kind"] == "right"]
+    for name in sorted({k[1] for r in asked for k in r["lights"] if k[0] == "unknown"}):
+        n = sum(any(k[:2] == ["unknown", name] for k in r["lights"]) for r in asked)
+        print(f"  an answer of '{name}' in {100 * (1 - n / len(asked)):.0f} %")
+    bad = any(state == "fail" or n > 0.05 * len(runs) for (state, _), n in spoken.items() if state in ("look", "fail"))
+    return int(bad or quiet < 0.8 * len(runs))
