@@ -80,6 +80,12 @@ class PropertyFacts(Facts):
     p95: Number
     trust: Trust = "ok"
     standard_error: Number = Field(default=None, description="Median of the standard errors of single columns.")
+    n_independent: int | None = Field(
+        default=None, description="How many independent values the columns have: neighbours share their errors."
+    )
+    mean_standard_error: Number = Field(
+        default=None, description="Standard error of the mean over the columns, from the measurement alone."
+    )
     support_um: Number = Field(default=None, description="Size of the region that one value stands for.")
 
 

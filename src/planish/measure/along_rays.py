@@ -184,5 +184,9 @@ def _dataset(
             flags = status_flags(f"Status of {one.long_name}", last=Status.RAY_LEAVES_VOLUME, own=one.reasons)
             data[f"{one.name}_status"] = (("y", "x"), own, flags)
     data["status"] = (("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME))
-    attrs = dict(surfaces.attrs) | {"rays": frame.params.rays, "ray_step_um": frame.step_um} | frame.params.known()
+    attrs = (
+        dict(surfaces.attrs)
+        | {"rays": frame.params.rays, "ray_step_um": frame.step_um, "ray_noise_um": frame.noise_um}
+        | frame.params.known()
+    )
     return xr.Dataset(data, coords=surfaces.coords, attrs=attrs)

@@ -25,6 +25,8 @@ class Greys:
     polarity: float  # +1 where the sheet is brighter than the air, -1 where it is darker
     blur_um: float  # standard deviation of the blur across the faces
     padding: float  # value outside the field of view; NaN where there is none
+    single_noise: float = float("nan")  # that of a column before it is averaged with its neighbours
+    averaged: float = 0.0  # standard deviation of the Gaussian over neighbouring columns that the fit saw, in columns
 
     @classmethod
     def of(cls, surfaces: xr.Dataset) -> Greys:
@@ -36,7 +38,9 @@ class Greys:
         if lacking:
             raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
         values = {name: float(attrs[key]) for name, key in named.items()}
-        return cls(**values, padding=float(attrs.get("padding", np.nan)))
+        more = {"padding": np.nan, "grey_noise_single": values["noise"], "averaged_columns": 0.0}
+        padding, single, averaged = (float(attrs.get(key, default)) for key, default in more.items())
+        return cls(**values, padding=padding, single_noise=single, averaged=averaged)
 
     def coating(self, side: str) -> float:
         """Level of the coating of ``top`` or ``bottom``."""

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure, InputError
+from planish.core.frame import Frame
+from planish.core.grid import pitch
 from planish.core.status import Status, status_flags
 from planish.core.tiles import Engine
 from planish.measure.along_rays import measure_along_rays
 from planish.measure.greys import Greys
 from planish.measure.params import MeasureParams
 from planish.measure.ray_frame import meet
-from planish.measure.registry import PROPERTIES, chosen
+from planish.measure.rays import Array
+from planish.measure.registry import PROPERTIES, SIDES, Side, chosen
+from planish.measure.uncertainty import Shared, common_errors, thickness_errors
+
+THICKNESSES = ("coating_top", "coating_bottom", "base_thickness", "thickness")
 
 
 def measure_properties(
@@ -60,20 +67,22 @@ def measure_properties(
     paper's, is too large by 1 / cos of the tilt across the slices.
     """
     params = params or MeasureParams()
-    found = surfaces.drop_vars("status", errors="ignore").merge(_measure_faces(surfaces), combine_attrs="override")
+    faces = _measure_faces(surfaces)
+    found = surfaces.drop_vars("status", errors="ignore").merge(faces, combine_attrs="override")
     if "from_labels" in surfaces.attrs:
         if params.maps:
             raise InputError(
                 "Further maps are measured in grey values; a volume of labels has none. Leave --property out."
             )
-        return found
+        return _with_errors(found)
     if volume is None:
-        return found
+        return _with_errors(found)
     names = [name for name in chosen(params, Greys.of(surfaces)) if name not in PROPERTIES]
     if not names:
-        return found
+        return _with_errors(found)
     further = measure_along_rays(volume, found, names=names, params=params, engine=engine)
-    return found.merge(further.drop_vars("status"), compat="override", combine_attrs="override")
+    found = found.merge(further.drop_vars("status"), compat="override", combine_attrs="override")
+    return _with_errors(found, float(further.attrs["ray_noise_um"]))
 
 
 def further_maps(measured: xr.Dataset) -> list[str]:
@@ -81,6 +90,46 @@ def further_maps(measured: xr.Dataset) -> list[str]:
     maps = [str(name) for name, data in measured.data_vars.items() if "support_um" in data.attrs]
     errors = [f"{name}_se" for name in maps if f"{name}_se" in measured]
     return maps + [name for name in errors if np.isfinite(measured[name].values).any()]
+
+
+def _with_errors(found: xr.Dataset, noise_um: float = float("nan")) -> xr.Dataset:
+    """Add the standard error of each thickness; nothing where the surfaces do not say how they were found.
+
+    ``noise_um``: as from :func:`planish.measure.uncertainty.ray_noise`; NaN for white noise.
+    """
+    attrs, frame, steps = found.attrs, Frame.of(found), pitch(found)
+    if "voxel_um" not in attrs:
+        return found
+    voxel = dict(zip("zyx", map(float, attrs["voxel_um"]), strict=True))
+    through = voxel[frame.through]
+    if "from_labels" in attrs:
+        # A face lies anywhere within a voxel: the difference of two has the variance of two uniform distributions.
+        common, patch = common_errors(through), steps[0] * steps[1]
+        errors: dict[str, Array] = {
+            name: np.full(found[name].shape, np.hypot(through / np.sqrt(6), common[name])) for name in THICKNESSES
+        }
+    elif "grey_noise" in attrs:
+        greys = Greys.of(found)
+        wide = float(np.sqrt(steps[0] * steps[1] / (voxel[frame.rows] * voxel[frame.cols])))
+        shared = Shared.of(greys, voxel_um=through, pitch_um=steps, wide=wide, noise_um=noise_um)
+        slopes = np.gradient(found["centre"].values, *steps)
+        layers: dict[Side, Array] = {side: found[f"coating_{side}"].values for side in SIDES}
+        errors = thickness_errors(layers, greys, shared, cosine=1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2))
+        if attrs.get("method") == "paper":
+            # A crossing of half the step uses one place of the edge, a fit all of it.
+            crossing = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through))
+            errors = {name: se * crossing for name, se in errors.items()}
+        common, patch = dict(shared.common_um), shared.patch_um2
+    else:
+        return found
+    more: dict[str, tuple[tuple[str, str], NDArray[np.float32], dict[str, object]]] = {}
+    for name in THICKNESSES:
+        title = f"Standard error of {PROPERTIES[name][0].lower()}{PROPERTIES[name][1:]}"
+        about: dict[str, object] = {"units": "um", "long_name": title, "common_um": common[name], "patch_um2": patch}
+        se = np.where(np.isfinite(found[name].values), errors[name], np.nan).astype(np.float32)
+        if np.isfinite(se).any():
+            more[f"{name}_se"] = (("y", "x"), se, about)
+    return found.assign(more)
 
 
 def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -18,6 +18,9 @@ from planish.measure.greys import Greys
 from planish.measure.params import MeasureParams
 from planish.measure.rays import FACES, Array, Direction, Grey, Rays
 from planish.measure.registry import SIDES, Side
+
+if TYPE_CHECKING:
+    from planish.measure.uncertainty import Shared
 
 _FARTHEST = 1.5  # sheet thicknesses from the centre surface: a face beyond is not this ray's
 
@@ -118,6 +121,15 @@ class RayFrame:
             frame=Frame.of(surfaces), heights=met.heights, faces=met.faces, status=status, pitch_um=pitch(surfaces),
             voxel_um=voxel_um, step_um=step, low=low, high=high, greys=greys, params=params, mean_stretch=met.stretch,
             wide=wide,
+        )  # fmt: skip
+
+    @property
+    def shared(self) -> Shared:
+        """What the errors of the columns have in common."""
+        from planish.measure.uncertainty import Shared
+
+        return Shared.of(
+            self.greys, voxel_um=self.voxel_um, pitch_um=self.pitch_um, wide=self.wide, noise_um=self.noise_um
         )  # fmt: skip
 
     @property

@@ -24,16 +24,17 @@ class Options(Params):
     )
 
 
-def errors(sheet: Sheet, side: Side) -> tuple[Array, Array, Array]:
-    """Standard errors of the face, the coating and the interface of one side, along the sheet's rays."""
-    from planish.measure.uncertainty import layer_errors
+def errors(sheet: Sheet, name: str) -> Array:
+    """Standard errors of a thickness along the sheet's rays."""
+    from planish.measure.uncertainty import thickness_errors
 
     f = sheet.frame
-    layer = np.abs(f.faces[side] - f.faces[f"interface_{side}"])
+    slope = f.slopes(slice(0, f.status.shape[0]))
     # A vertical distance is longer than a normal one, and so is its error.
-    oblique = f.oblique(f.slopes(slice(0, f.status.shape[0])))
-    found = layer_errors(layer / oblique, f.greys, f.noise_um, side)
-    return found[0] * oblique, found[1] * oblique, found[2] * oblique
+    oblique = f.oblique(slope)
+    layers: dict[Side, Array] = {k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES}
+    cosine = 1 / np.sqrt(1 + np.sum(slope**2, axis=-1))
+    return thickness_errors(layers, f.greys, f.shared, cosine=cosine)[name] * oblique
 
 
 def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:
@@ -42,12 +43,14 @@ def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:
 
 @sheet_property("coating_{side}", units="um", long_name=PROPERTIES["coating_top"].replace("top", "{side}"))
 def coating(sheet: Sheet, side: Side) -> Measured:
-    """P-01: face to interface; 0 is possible. SE from the Fisher matrix of the fitted staircase (layer_errors)."""
+    """P-01: face to interface; 0 is possible. SE from the Fisher matrix of the fitted staircase (thickness_errors)."""
     f = sheet.frame
     if not f.greys.coated(side):
         return Measured(values=np.full(f.status.shape, np.nan))
     outwards = 1.0 if side == "top" else -1.0
-    return Measured(values=outwards * (f.faces[side] - f.faces[f"interface_{side}"]), se=errors(sheet, side)[1])
+    return Measured(
+        values=outwards * (f.faces[side] - f.faces[f"interface_{side}"]), se=errors(sheet, f"coating_{side}")
+    )
 
 
 def _both(_params: MeasureParams, greys: Greys) -> None:
@@ -72,7 +75,7 @@ def coating_difference(sheet: Sheet) -> Measured:
 def base_thickness(sheet: Sheet) -> Measured:
     """P-04: s_TI - s_BI; SE: the root of the summed squares of both interfaces'."""
     f = sheet.frame
-    se = np.hypot(errors(sheet, "top")[2], errors(sheet, "bottom")[2])
+    se = errors(sheet, "base_thickness")
     return Measured(values=f.faces["interface_top"] - f.faces["interface_bottom"], se=se)
 
 
@@ -80,8 +83,7 @@ def base_thickness(sheet: Sheet) -> Measured:
 def thickness(sheet: Sheet) -> Measured:
     """P-05: s_T - s_B; SE: the root of the summed squares of both faces'."""
     f = sheet.frame
-    se = np.hypot(errors(sheet, "top")[0], errors(sheet, "bottom")[0])
-    return Measured(values=f.faces["top"] - f.faces["bottom"], se=se)
+    return Measured(values=f.faces["top"] - f.faces["bottom"], se=errors(sheet, "thickness"))
 
 
 @sheet_property(

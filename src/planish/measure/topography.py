@@ -30,7 +30,7 @@ class Options(Params):
 def topography(sheet: Sheet, side: Side) -> Measured:
     """P-06: from the centre surface outwards to the face; SE: that of the fitted face."""
     sign = 1.0 if side == "top" else -1.0
-    return Measured(values=sign * sheet.frame.faces[side], se=errors(sheet, side)[0])
+    return Measured(values=sign * sheet.frame.faces[side], se=errors(sheet, f"topography_{side}"))
 
 
 @sheet_property("roughness_{side}", units="um", long_name="Roughness, {side} side",
@@ -46,7 +46,7 @@ def roughness(sheet: Sheet, side: Side) -> Measured:
     limited = scale_limited(height, f.pitch_um, s_filter_um=p.s_filter_um, l_filter_um=p.l_filter_um)
     sigma = _sigma(p.s_filter_um)
     left = np.prod([min(1.0, np.sqrt(q / (2 * np.sqrt(np.pi) * sigma))) for q in f.pitch_um])
-    return Measured(values=limited, se=errors(sheet, side)[0] * float(left))
+    return Measured(values=limited, se=errors(sheet, f"topography_{side}") * float(left))
 
 
 def _sigma(cutoff_um: float) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.grid import pitch
 from planish.core.results import (
     ExpectedError,
     FlattenFacts,
@@ -29,6 +30,8 @@ from planish.pipeline.layers import Layer
 from planish.pipeline.registration import Registration
 from planish.register import Chain, FittedTransform
 from planish.study import Study, to_dict, with_paths
+
+Array = NDArray[np.float64]
 
 
 class Link(NamedTuple):
@@ -79,14 +82,25 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
         if not values.size:
             continue
         p5, p50, p95 = np.percentile(values, [5, 50, 95])
-        errors = surfaces[f"{name}_se"].values if f"{name}_se" in surfaces else np.empty(0)
-        errors = errors[np.isfinite(errors)]
+        error = surfaces.get(f"{name}_se")
+        errors = np.empty(0) if error is None else error.values[np.isfinite(error.values)].astype(np.float64)
+        more = {} if error is None or not errors.size else _of_mean(errors, error.attrs, pitch(surfaces))
         found[str(name)] = PropertyFacts(
             units=str(data.attrs["units"]), n=int(values.size), mean=float(values.mean()), sd=float(values.std()),
             p5=float(p5), median=float(p50), p95=float(p95), support_um=data.attrs.get("support_um"),
-            standard_error=float(np.median(errors)) if errors.size else None,
+            standard_error=float(np.median(errors)) if errors.size else None, **more,
         )  # fmt: skip
     return found
+
+
+def _of_mean(errors: Array, attrs: dict[str, Any], pitch_um: tuple[float, float]) -> dict[str, Any]:
+    """How many independent values the columns have, and the standard error of their mean; both None if not known."""
+    if "patch_um2" not in attrs:
+        return {}
+    count = max(1.0, errors.size * min(1.0, pitch_um[0] * pitch_um[1] / float(attrs["patch_um2"])))
+    common = float(attrs["common_um"])
+    own = float(np.mean(np.maximum(errors**2 - common**2, 0.0)))
+    return {"n_independent": int(count), "mean_standard_error": float(np.sqrt(own / count + common**2))}
 
 
 def section_facts(sections: xr.Dataset) -> SectionFacts:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import special
 
 from planish.core.errors import SurfaceError
 from planish.core.frame import Frame
@@ -31,7 +32,7 @@ def resample_maps(
     ----------
     surfaces : Dataset, dims (y, x)
         Surfaces with their measured properties: all variables whose attribute ``role`` is ``property`` or that have a
-        ``support_um``, and the standard errors of the latter.
+        ``support_um``, and their standard errors.
     flat : Dataset, dims (y, x), in um
         Of :func:`planish.flatten.flatten_sheet`.
     onto : Grid, optional
@@ -56,7 +57,9 @@ def resample_maps(
     Notes
     -----
     The transformation is applied to the nodes of the sheet: values are interpolated once, from the volume's columns to
-    the pixels. Axial angles are averaged by their components, ``NAME_cos2`` and ``NAME_sin2`` for ``NAME_angle``.
+    the pixels. The standard error of a pixel that is the mean of many columns is smaller than theirs by the share of
+    the variance that the mean keeps; what is common to all columns stays. Axial angles are averaged by their
+    components, ``NAME_cos2`` and ``NAME_sin2`` for ``NAME_angle``.
     """
     uv = np.stack([flat[name].values for name in ("u", "v")], axis=-1)
     step = pitch(surfaces)
@@ -64,18 +67,22 @@ def resample_maps(
     places = ("projected_u", "projected_v") if onto is None else ("u", "v")
     data = surfaces[[*properties, *errors]].assign({name: flat[name] for name in places})
     data = data.assign(_in_volume(surfaces, np.isfinite(flat["u"].values)))
+    pixel = map_um or float(np.sqrt(step[0] * step[1]))
     similarity = Similarity()
     if onto is None:
         data = data.assign({name: surfaces[name] for name in layers})
-        grid = covering_grid(uv, map_um or float(np.sqrt(step[0] * step[1])))
+        grid = covering_grid(uv, pixel)
         found = find_places(uv, grid, least_um=min(step))
         maps = resample_dataset(data, found, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
     else:
         if transform is not None:
             uv, similarity = transform(uv), transform.similarity
         found = find_places(uv, onto, least_um=min(step) * similarity.scale)
+        pixel = float(np.sqrt(onto.pixel_um[0] * onto.pixel_um[1])) / similarity.scale
         maps = resample_dataset(data, found, dims=("y", "x"), coords=onto.coords)
-    maps = _with_angles(maps, similarity)
+    maps = _with_angles(maps, similarity).assign(
+        {name: maps[name].copy(data=_of_mean(maps[name].values, surfaces[name].attrs, pixel)) for name in errors}
+    )
     if onto is None:
         known = np.isfinite(maps["thickness"].values)
         maps["valid"] = (("v", "u"), known, {"long_name": "Measured"})
@@ -87,7 +94,7 @@ def resample_maps(
             maps.attrs["layers_apart_um"] = apart * float(surfaces.attrs["thickness_um"])
             maps.attrs["layer_to_face"] = (0.5 - max(middles)) / apart
     # Geometry stays double.
-    stored = [name for name in properties if "support_um" not in surfaces[name].attrs] + layers
+    stored = [name for name in [*properties, *errors] if "support_um" not in surfaces[name].attrs] + layers
     return maps.assign({name: maps[name].astype(np.float32) for name in stored if name in maps})
 
 
@@ -141,9 +148,23 @@ def _measured(surfaces: xr.Dataset) -> tuple[list[str], list[str], list[str]]:
     more = [name for name, of in attrs.items() if "support_um" in of and name not in own]
     if not own + more:
         raise SurfaceError("The surfaces hold no properties. Measure them first (planish measure).")
-    errors = [f"{name}_se" for name in more if f"{name}_se" in surfaces]
+    errors = [f"{name}_se" for name in [*own, *more] if f"{name}_se" in surfaces]
     errors = [name for name in errors if np.isfinite(surfaces[name].values).any()]
     return own + more, errors, [name for name, of in attrs.items() if "layer" in of]
+
+
+def _of_mean(se: Array, attrs: dict[str, Any], pixel_um: float) -> Array:
+    """Standard error of the mean over a pixel of columns whose errors have a Gaussian autocorrelation.
+
+    Its integral is ``patch_um2`` = 2 pi s^2; a square of side L keeps the variance's share g(L / s)^2,
+    g(x) = sqrt(2 pi) / x erf(x / sqrt 2) - 2 (1 - exp(-x^2 / 2)) / x^2.
+    """
+    if "patch_um2" not in attrs:
+        return se
+    x = pixel_um / np.sqrt(float(attrs["patch_um2"]) / (2 * np.pi))
+    share = np.sqrt(2 * np.pi) / x * special.erf(x / np.sqrt(2)) - 2 * -np.expm1(-0.5 * x * x) / x**2
+    common = float(attrs["common_um"])
+    return np.sqrt(common**2 + np.maximum(se**2 - common**2, 0.0) * share**2)
 
 
 def _in_volume(surfaces: xr.Dataset, known: NDArray[np.bool_]) -> dict[str, Any]:

@@ -113,9 +113,11 @@ def cutoff_check(surfaces: xr.Dataset) -> Check:
     share, cutoff = float(surfaces.attrs.get("bridged_off_rims_share", 0.0)), float(surfaces.attrs["cutoff_um"])
     return Check.at_most(
         "cut-off", share, look=_MOST_BRIDGED,
-        sentence=f"The centre surface has the stated cut-off of {cutoff:g} um in {100 * (1 - share):.1f} % of the columns "
-        "away from holes and rims" + (", and twice or four times as much in the others." if share > 0 else "."),
-        advice="Choose a longer --cutoff-um, or a smaller --rim-um if the rims take the sheet away.", figures=(POSITION,),
+        sentence=f"The centre surface has the stated cut-off of {cutoff:g} um in {100 * (1 - share):.1f} % of the "
+        "columns away from holes and rims"
+        + (", and twice or four times as much in the others." if share > 0 else "."),
+        advice="Choose a longer --cutoff-um, or a smaller --rim-um if the rims take the sheet away.",
+        figures=(POSITION,),
     )  # fmt: skip
 
 

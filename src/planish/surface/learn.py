@@ -62,8 +62,8 @@ class _Learner:
         if given:
             sides = {high: self._given_side(samples[high], side, edge, base) for high, side in sides.items()}
         return Learnt(
-            scale=sampler.scale, noise=sampler.noise, scatter=sampler.scatter, base=base, edge=edge,
-            reach=sampler.reach, amid=sampler.amid, sides=sides,
+            scale=sampler.scale, noise=sampler.noise, single_noise=sampler.single_noise, scatter=sampler.scatter,
+            base=base, edge=edge, reach=sampler.reach, amid=sampler.amid, sides=sides,
         )  # fmt: skip
 
     def _base(self, sample: Sample) -> tuple[float, float]:

@@ -62,6 +62,7 @@ class Learnt:
 
     scale: Scale
     noise: float  # standard deviation of what the fit sees in the air
+    single_noise: float  # that of a column that is not averaged with its neighbours
     scatter: float  # standard deviation by which the fit takes a sample to differ from its model: the noise or more
     base: float  # level of the base above the air
     edge: Edge  # blur and fringe
@@ -79,7 +80,8 @@ class Learnt:
         top, bottom = (high, low) if frame.top == "high" else (low, high)
         return {
             "grey_air": air, "grey_base": polarity * self.base + air, "grey_coating_top": top,
-            "grey_coating_bottom": bottom, "grey_noise": self.noise, "polarity": polarity,
+            "grey_coating_bottom": bottom, "grey_noise": self.noise, "grey_noise_single": self.single_noise,
+            "averaged_columns": self.scale.blend, "polarity": polarity,
             "blur_um": edge.width * pitch_um, "fringe": edge.fringe,
             "fringe_um": edge.fringe_width * pitch_um if edge.fringe else 0.0,
         }  # fmt: skip

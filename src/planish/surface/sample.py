@@ -56,6 +56,8 @@ class Sampler:
     scale : Scale
     noise : float
         Standard deviation of what the fit sees in the air.
+    single_noise : float
+        The same of a column that is not averaged with its neighbours.
     scatter : float
         Standard deviation by which the fit takes a sample to differ from its model: the noise, but no less than what
         rounding and the paper's own texture leave. Without noise nothing would weigh beside a sample otherwise.
@@ -74,7 +76,7 @@ class Sampler:
         # How far the block's face may lie from a column's own: a block's slope and the roughness.
         self.reach = 2.0 + 1.5 * survey.coarse.block * max(self.pitch[:2]) / self.pitch[2]
         self.noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air) + 1e-9)
-        self.scatter = self.noise
+        self.scatter = self.single_noise = self.noise
         self.rows = self._chosen_rows()
         self.kept: dict[tuple[Tile, float], NDArray[np.float32]] = {}
 
@@ -140,7 +142,7 @@ class Sampler:
                 self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend)
             return
         # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps less, so it is tried out.
-        self.noise = whole
+        self.noise = self.single_noise = whole
         for blend in _BLENDS:
             if base / self.noise >= _QUIET:
                 return
