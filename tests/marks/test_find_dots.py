@@ -135,3 +135,37 @@ def test_the_published_distortion_straightens_the_lattice(photograph, shared_dat
     print(f"off a projective lattice: {plain:.3f} pixels as photographed, {better:.3f} straightened")
     assert better < 0.2 * plain
     assert better < 0.2
+
+
+def lit(image, light):
+    """The photograph in uneven light, in whole grey values: four times as bright at one end, corners, a quarter."""
+    y, x = np.linspace(0, 1, image.shape[0])[:, None], np.linspace(0, 1, image.shape[1])[None]
+    light = {
+        "across": (1 + 3 * x) / 4 + 0 * y,
+        "vignette": 1 - 1.5 * ((x - 0.5) ** 2 + (y - 0.5) ** 2),
+        "bright quarter": np.where((x < 0.5) & (y < 0.5), 1.0, 0.25),
+    }[light]
+    return np.round(image * light)
+
+
+@pytest.mark.parametrize("light", ["across", "vignette", "bright quarter"])
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [("05", (400, 640)), *(pytest.param(name, None, marks=pytest.mark.study) for name in ("02", "05"))],
+)
+def test_uneven_light_hides_no_dots(photograph, name, part, light):
+    """97 % of what the plain photograph shows, and nothing else but at the border of image or quarter."""
+    image = photograph(name)
+    if part is not None:
+        image = image[: part[0], : part[1]]
+    before, after = dots(image, name), dots(lit(image, light), name)
+    away, partner = KDTree(before).query(after)
+    same, other = np.unique(partner[away < 2.0]), after[away >= 2.0]
+    # Dots that the plain photograph leaves out lie a pitch from the others.
+    pitch = np.median(KDTree(before).query(before, k=2)[0][:, 1])
+    on_lattice = np.abs(KDTree(before).query(other)[0] - pitch) < 0.1 * pitch if len(other) else np.empty(0, bool)
+    print(
+        f"target {name}, {light}: {len(same)} of {len(before)}, {len(other)} others, {on_lattice.sum()} on the lattice"
+    )
+    assert len(same) >= 0.97 * len(before)
+    assert on_lattice.all()

@@ -42,10 +42,10 @@ def test_each_part_of_an_image_has_a_limit_of_its_own():
 
 def test_dropped_candidates_are_counted(monkeypatch):
     image = lit_from_one_side(6)
-    assert find_holes(image, pixel_um=10.0).attrs["candidates_dropped"] == 0
+    assert find_holes(image, pixel_um=10.0).attrs["not_taken"]["not_measured"] == 0
     monkeypatch.setattr(candidates, "_strongest_by_tile", lambda places, _radius: np.arange(len(places)) < 20)
     found = find_holes(image, pixel_um=10.0)
-    assert found.attrs["candidates_dropped"] >= 16
+    assert found.attrs["not_taken"]["not_measured"] >= 16
     assert found.sizes["mark"] <= 20
 
 

@@ -195,7 +195,7 @@ def resample(
 def holes(image: Path, out: Path, **values: Any) -> None:
     """Find the laser holes in IMAGE: a picture, or the flat maps of a sheet."""
     from planish.io.run_folder import refuse_existing
-    from planish.marks import write_holes
+    from planish.marks import check_holes, write_holes
     from planish.pipeline import find_holes
 
     files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
@@ -206,7 +206,7 @@ def holes(image: Path, out: Path, **values: Any) -> None:
     found = find_holes(shown, params=made(HoleParams, values, "holes"), side=side)
     for path in files:
         write_holes(found, path)
-    click.echo(f"{out}: {found.sizes['mark']} holes")
+    click.echo(f"{out}: {check_holes(found).sentence}")
 
 
 @verb("planish register sheet-holes.json image-holes.json -o marks.json",

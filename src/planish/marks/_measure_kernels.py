@@ -33,9 +33,9 @@ _ONE, _TWO = np.int64(1), np.int64(2)
 def measure(image, px, py, xs, ys, sign, low, high, least, contrast):
     """Measure a round hole at each candidate place.
 
-    ``xs, ys`` (n,) in um; ``low, high`` the range of radii in um; a step below ``least``, or below ``contrast`` times
-    the texture around, is not measured. Returns ``(n, COLUMNS)``: centre, radius, half the difference between
-    the half axes, covariance of the centre for waves of the rim of amplitude 1, share of the rim found, step at the
+    ``xs, ys`` (n,) in um; ``low, high`` the range of radii in um; a step below ``least`` (n,), or below ``contrast``
+    (n,) times the texture around, is not measured. Returns ``(n, COLUMNS)``: centre, radius, half the difference of the
+    half axes, covariance of the centre for waves of the rim of amplitude 1, share of the rim found, step at the
     rim, levels inside and outside times ``sign``, robust standard deviation of the sheet around, rms of the rim about
     the ellipse, rise of the floor towards the rim, unevenness of the floor, step over a wider distance, variances of
     the waves around the rim, long and short ones, and how far the sheet just outside the rim is from the sheet around
@@ -44,7 +44,7 @@ def measure(image, px, py, xs, ys, sign, low, high, least, contrast):
     pixel = max(px, py)
     out = np.full((xs.size, COLUMNS), np.nan)
     for h in range(xs.size):
-        cx, cy, radius, scale = _circle(image, px, py, xs[h], ys[h], sign, low, high, least, contrast)
+        cx, cy, radius, scale = _circle(image, px, py, xs[h], ys[h], sign, low, high, least[h], contrast[h])
         if radius != radius:
             continue
         found = True

@@ -22,6 +22,12 @@ ACROSS_FINE = 40.0
 # smallest holes would cover it: taken over the whole image, the strongest would all lie where the light is best.
 ENOUGH_CANDIDATES = 6000
 TILE = 40.0
+# Side of the squares in which texture is judged, in largest diameters; three by three are a neighbourhood. Values taken
+# along a side; quantiles of absolute deviations of one standard deviation; least share of what is usual in the image.
+SQUARE = 3.0
+SAMPLES = 10
+TO_SD = {0.25: 0.3186, 0.5: 0.6745}
+FAINTEST = 0.25
 
 
 class Response(NamedTuple):
@@ -84,21 +90,87 @@ def disc_response(radii: list[float], step: float) -> float:
     return step * float(np.exp(-1 / ratio) - np.exp(-ratio))
 
 
-def regular(responses: list[Response]) -> list[float]:
-    """Robust standard deviation of the responses at each radius: what mottle, fibres or a printed screen make."""
-    return [_spread(r.values, 0.5) / 0.6745 for r in responses]
+class Around(NamedTuple):
+    """What is usual around each place of an image: values (rows, columns) of squares of a side ``(y, x)`` in um."""
+
+    values: Floats
+    side_um: tuple[float, float]
+
+    def at(self, places: Floats) -> Floats:
+        """Values at places (n, 2), ``x, y`` in um."""
+        rows, columns = self.values.shape
+        i = np.clip(places[:, 1] / self.side_um[0], 0, rows - 1).astype(np.intp)
+        j = np.clip(places[:, 0] / self.side_um[1], 0, columns - 1).astype(np.intp)
+        return self.values[i, j]
 
 
-def quiet_texture(image: Image, pixel_um: tuple[float, float], width_um: float) -> float:
-    """Standard deviation of the quietest quarter of an image about its mean over ``width_um``, as if it were Gaussian.
+def usual(deviations: Image, pixel_um: tuple[float, float], side_um: float, share: float) -> Around:
+    """Quantile of absolute deviations in each square of an image and the eight around it, as a standard deviation.
 
-    Holes, dots and dirt have little influence; it is too small rather than too large.
+    Some hundred values are taken of each neighbourhood. Where less than a tenth of it is there, the quantile of all of
+    the image stands, and 0 where less than a tenth of that is there.
     """
-    return _spread(image - _local_mean(image, pixel_um, width_um), 0.25) / 0.3186
+    sides = [max(1, min(round(side_um / size), n)) for size, n in zip(pixel_um, deviations.shape, strict=True)]
+    steps = [max(1, side // SAMPLES) for side in sides]
+    some = deviations[:: steps[0], :: steps[1]]
+    sides = [max(1, side // step) for side, step in zip(sides, steps, strict=True)]
+    counts = [-(-n // side) for n, side in zip(some.shape, sides, strict=True)]
+    room = [(side, (count + 1) * side - n) for n, side, count in zip(some.shape, sides, counts, strict=True)]
+    windows = np.lib.stride_tricks.sliding_window_view(
+        np.pad(some, room, constant_values=np.nan), (3 * sides[0], 3 * sides[1])
+    )[:: sides[0], :: sides[1]]
+    windows = windows.reshape(*windows.shape[:2], -1)
+    there = np.count_nonzero(windows == windows, axis=2)
+    middle = _quantile(windows, there, 0.5)
+    local = _quantile(np.abs(windows - middle[..., None]), there, share)
+    every = some[some == some]
+    whole = 0.0
+    if every.size and 10 * every.size >= some.size:
+        whole = float(np.quantile(np.abs(every - np.median(every)), share))
+    local = np.where(10 * there >= _inside(some.shape, sides, counts), local, whole).astype(np.float64)
+    side = (sides[0] * steps[0] * pixel_um[0], sides[1] * steps[1] * pixel_um[1])
+    return Around(local / TO_SD[share], side)
 
 
-def texture(image: Image, pixel_um: tuple[float, float], width_um: float, circles: Floats) -> float:
-    """Robust standard deviation of an image about its mean over ``width_um``, outside circles ``x, y, radius`` (um).
+def _quantile(values: Image, there: NDArray[np.intp], share: float) -> Image:
+    """Quantile along the last axis of the values that are there: NaN sorts last."""
+    rank = np.rint(share * np.maximum(there - 1, 0)).astype(np.intp)
+    return np.take_along_axis(np.sort(values, axis=-1), rank[..., None], axis=-1)[..., 0]
+
+
+def _inside(shape: tuple[int, ...], sides: list[int], counts: list[int]) -> Floats:
+    """How many values of each neighbourhood lie inside the image."""
+    spans: list[Floats] = []
+    for n, side, count in zip(shape, sides, counts, strict=True):
+        first = np.arange(count) * side - side
+        spans.append(np.minimum(first + 3 * side, n) - np.maximum(first, 0.0))
+    return spans[0][:, None] * spans[1]
+
+
+def regular(responses: list[Response], side_um: float) -> list[Around]:
+    """Usual responses at each radius: what mottle, fibres or a printed screen make around each place.
+
+    Nowhere less than a quarter of that of the whole image: there, blots would stand out from nothing.
+    """
+    found: list[Around] = []
+    for response in responses:
+        around = usual(response.values, response.pixel_um, side_um, 0.5)
+        least = FAINTEST * float(np.median(around.values))
+        found.append(around._replace(values=np.maximum(around.values, least)))
+    return found
+
+
+def quiet_texture(image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float) -> Around:
+    """Texture of the quietest quarter around each place, about the mean over ``width_um``, as if it were Gaussian.
+
+    Holes, dots and dirt have little influence; it is too small rather than too large, and nowhere above the median.
+    """
+    around = _deviation(image, pixel_um, width_um, side_um, 0.25)
+    return around._replace(values=np.minimum(around.values, np.median(around.values)))
+
+
+def texture(image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float, circles: Floats) -> Around:
+    """Texture around each place about the mean over ``width_um``, outside circles ``x, y, radius`` (um).
 
     The Gaussian mean is taken for uneven light. 0 where less than a tenth of the image is left.
     """
@@ -107,11 +179,16 @@ def texture(image: Image, pixel_um: tuple[float, float], width_um: float, circle
         i0, i1 = (max(0, int((y + side * radius) / pixel_um[0]) + (side > 0)) for side in (-1, 1))
         j0, j1 = (max(0, int((x + side * radius) / pixel_um[1]) + (side > 0)) for side in (-1, 1))
         part = rest[i0:i1, j0:j1]
-        rows, columns = np.ogrid[i0 : i0 + part.shape[0], j0 : j0 + part.shape[1]]
-        part[np.hypot(columns * pixel_um[1] - x, rows * pixel_um[0] - y) <= radius] = np.nan
-    if 10 * np.count_nonzero(np.isfinite(rest)) < rest.size:
-        return 0.0
-    return _spread(rest - _local_mean(rest, pixel_um, width_um), 0.5) / 0.6745
+        down = (np.arange(i0, i0 + part.shape[0])[:, None] * pixel_um[0] - y) ** 2
+        part[down + (np.arange(j0, j0 + part.shape[1]) * pixel_um[1] - x) ** 2 <= radius**2] = np.nan
+    return _deviation(rest, pixel_um, width_um, side_um, 0.5)
+
+
+def _deviation(image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float, share: float) -> Around:
+    """What is usual of an image about its mean over ``width_um``; only what `usual` takes is computed."""
+    down, across = (max(1, int(side_um / size / SAMPLES)) for size in pixel_um)
+    rest = image[::down, ::across] - _local_mean(image, pixel_um, width_um, (down, across))
+    return usual(rest, (down * pixel_um[0], across * pixel_um[1]), side_um, share)
 
 
 def _some(values: Image) -> Image:
@@ -120,16 +197,11 @@ def _some(values: Image) -> Image:
     return some[np.isfinite(some)]
 
 
-def _spread(values: Image, share: float) -> float:
-    """Quantile of the absolute deviation from the median."""
-    some = _some(values)
-    return float(np.quantile(np.abs(some - np.median(some)), share)) if some.size else 0.0
-
-
-def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float) -> Image:
+def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
     """Gaussian mean of what is there; the median of all of it where nothing is near.
 
-    It is so smooth that a quarter of its width is fine enough a raster to compute it on.
+    It is so smooth that a quarter of its width is fine enough a raster to compute it on. Every ``steps``-th row and
+    column is given.
     """
     factors = [max(1, int(width_um / 4 / size)) for size in pixel_um]
     sigmas = tuple(width_um / size / factor for size, factor in zip(pixel_um, factors, strict=True))
@@ -139,7 +211,9 @@ def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float) ->
     some = _some(image)
     typical = np.float32(np.median(some)) if some.size else np.float32(0)
     mean = np.where(near, values / np.where(near, share, np.float32(1)), typical)
-    return _stretched(_stretched(mean, image.shape[0], factors[0]).T, image.shape[1], factors[1]).T
+    for n, factor, step in zip(image.shape, factors, steps, strict=True):
+        mean = _stretched(mean, np.arange(0, n, step), factor).T
+    return mean
 
 
 def _block_means(image: Image, factors: list[int], least: float | None = None) -> tuple[Image, Image]:
@@ -160,36 +234,65 @@ def _block_means(image: Image, factors: list[int], least: float | None = None) -
     return means if least is None else np.where(share >= least, means, np.float32(np.nan)), share
 
 
-def _stretched(means: Image, count: int, factor: int) -> Image:
-    """Values of blocks at every row, linear between the middles of the blocks."""
-    place = np.clip((np.arange(count) + 0.5) / factor - 0.5, 0.0, len(means) - 1.0)
+def _stretched(means: Image, rows: NDArray[np.intp], factor: int) -> Image:
+    """Values of blocks at some rows, linear between the middles of the blocks."""
+    place = np.clip((rows + 0.5) / factor - 0.5, 0.0, len(means) - 1.0)
     low = np.minimum(place.astype(np.intp), max(0, len(means) - 2))
     part = (place - low).astype(np.float32)[:, None]
     above = means[np.minimum(low + 1, len(means) - 1)]
     return np.asarray(means[low] + (above - means[low]) * part, dtype=np.float32)
 
 
-def peaks(responses: list[Response], sign: float, least: list[float], spreads: list[float]) -> tuple[Floats, int]:
-    """Return the strongest extremes over place and scale, strongest first, and how many more there are.
+class Candidates(NamedTuple):
+    """Places that may be holes, strongest first."""
 
-    ``sign`` is 1 for dark and -1 for bright discs; ``least`` and ``spreads`` are the weakest response to inspect and
-    what `regular` says, for each radius. Places (n, 3) are ``x, y`` in um and the largest response there, over all
-    radii, in units of its spread; more are those beyond the limit of their part of the image.
+    places: Floats
+    """``x, y`` in um, (n, 2)."""
+    standing: Floats
+    """Largest response over all radii, in units of the usual one around."""
+    share: Floats
+    """Weakest response that was searched here over that of the least contrast."""
+    dropped: int
+    """How many more lie beyond the limit of their part of the image."""
+
+
+def peaks(responses: list[Response], sign: float, plain: Around, spreads: list[Around], worth: float) -> Candidates:
+    """Return the extremes over place and scale, strongest first.
+
+    ``sign`` is 1 for dark and -1 for bright discs; ``plain`` the response that the least contrast makes and ``spreads``
+    the usual response of each radius: what is searched is stronger than the first or ``worth`` times the second.
     """
     found: list[Floats] = []
-    for (radius, values, pixel, origin), weakest, spread in zip(responses, least, spreads, strict=True):
-        signed = np.float32(sign) * values
-        window = [2 * max(1, round(0.5 * radius / size)) + 1 for size in pixel]
-        tops = signed == ndimage.maximum_filter(signed, window, mode="constant", cval=-np.inf)
-        row, column = np.nonzero(tops & (signed > max(weakest, 0.0)))
+    for (radius, values, pixel, origin), spread in zip(responses, spreads, strict=True):
+        signed = values if sign > 0 else -values
+        reach = [max(1, round(0.5 * radius / size)) for size in pixel]
+        weakest = max(0.0, min(float(plain.values.min()), worth * float(spread.values.min())))
+        row, column = _maxima(signed, weakest, reach)
         place = np.stack([column * pixel[1], row * pixel[0]], axis=1) + origin
-        height = signed[row, column].astype(np.float64)
-        found.append(np.column_stack([place, height / max(spread, 1e-30), height]))
+        height, usually, contrast = signed[row, column].astype(np.float64), spread.at(place), plain.at(place)
+        least = np.minimum(contrast, worth * usually)
+        share = np.where(contrast > 0, least / np.maximum(contrast, 1e-30), 1.0)
+        rows = np.column_stack([place, height / np.maximum(usually, 1e-30), height, share])
+        found.append(rows[height > np.maximum(least, 0.0)])
     every = np.concatenate(found)
     order = np.argsort(-every[:, 3], kind="stable")
-    places = _thinned(every[order, :3], 0.5 * responses[0].radius)
+    places = _thinned(every[order], 0.5 * responses[0].radius)
     kept = _strongest_by_tile(places, responses[0].radius)
-    return places[kept], int(np.count_nonzero(~kept))
+    dropped = int(np.count_nonzero(~kept))
+    places = places[kept]
+    return Candidates(places[:, :2], places[:, 2], places[:, 4], dropped)
+
+
+def _maxima(values: Image, least: float, reach: list[int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of what is above ``least`` and nowhere surpassed within ``reach`` (rows, columns)."""
+    row, column = np.nonzero(values > least)
+    around = np.pad(values, [(n, n) for n in reach], constant_values=-np.inf)
+    offsets = [(i, j) for i in range(-reach[0], reach[0] + 1) for j in range(-reach[1], reach[1] + 1)]
+    # The nearest first: they leave few for the others.
+    for i, j in sorted(offsets, key=lambda offset: np.hypot(*offset)):
+        top = values[row, column] >= around[row + reach[0] + i, column + reach[1] + j]
+        row, column = row[top], column[top]
+    return row, column
 
 
 def _strongest_by_tile(places: Floats, radius: float) -> NDArray[np.bool_]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -14,6 +14,7 @@ from planish.marks import _measure_kernels as k
 from planish.marks import candidates, judge
 from planish.marks.candidates import Floats, Image
 from planish.marks.judge import LEAST_CONTRAST
+from planish.marks.not_taken import REASONS, count_not_taken
 
 Polarity = Literal["auto", "dark", "bright"]
 
@@ -22,6 +23,9 @@ FLOOR_SHARES = (0.2, 0.08, 0.13, 0.27, 0.35)
 
 # Diameter of the middle of the default range.
 USUAL_UM = 173.2
+
+# Share of the least contrast from which on a mark is measured.
+SEEN = 0.6
 
 # Beyond a rim this much may be burnt.
 CHAR_UM = 60.0
@@ -55,10 +59,12 @@ def find_holes(
         ``x, y`` (um), ``cov_xx, cov_yy, cov_xy`` (um2), ``diameter`` (um), ``axis_ratio``, ``arc_coverage`` (0 to 1)
         and ``contrast`` (negative for dark holes). Sorted by y, then x. Empty, without an error, where there is no
         hole.
-        ``attrs["polarity"]`` says which kind was found. ``attrs["candidates_dropped"]`` counts places that might be
-        holes and were not measured: in large images at most as many are measured as smallest holes would cover the
-        area, the strongest of each part of the image. It is 0 but for very dense patterns, or where ``diameter_um``
-        begins far above their size.
+        ``attrs["polarity"]`` says which kind was found. ``attrs["not_taken"]`` counts by reason what was seen and is
+        not among the holes though it would be but for this: ``cut`` by the border, ``too_small``, ``too_large``,
+        ``too_faint``, ``not_round`` or not closed, ``no_rim`` that is sharp, ``unlike`` the other holes; and as
+        ``not_measured`` places that might be holes: in large images at most as many are measured as smallest holes
+        would cover the area, the strongest of each part of the image. It is 0 but for very dense patterns, or where
+        ``diameter_um`` begins far above their size.
 
     Raises
     ------
@@ -103,55 +109,89 @@ def find_holes(
     times = USUAL_UM / np.sqrt(low * high)
     times = 1.0 if 0.5 <= times <= 2.0 else float(times)
     as_holes = (size[0] * times, size[1] * times)
-    sign, rows, dropped = signs[0], np.empty((0, k.COLUMNS)), 0
+    sign, rows, counts = signs[0], np.empty((0, k.COLUMNS)), dict.fromkeys(REASONS, 0)
     # Whether a hole could lie in the image at all.
     wide = min(n * step for n, step in zip(grey.shape, size, strict=True)) > low
     if wide and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
-        sign, rows, dropped = _holes(grey, as_holes, low / 2 * times, high / 2 * times, signs)
+        sign, rows, counts = _holes(grey, as_holes, low / 2 * times, high / 2 * times, signs)
     rows[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE]] /= times
     rows[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= times**2
-    return _dataset(rows, sign).assign_attrs(candidates_dropped=dropped)
+    return _dataset(rows, sign).assign_attrs(not_taken=counts)
 
 
 def _holes(
     grey: Image, size: tuple[float, float], low: float, high: float, signs: tuple[float, ...]
-) -> tuple[float, Floats, int]:
-    """Sign, rows of `measure` and dropped candidates of the polarity with the stronger holes; lengths in um."""
+) -> tuple[float, Floats, dict[str, int]]:
+    """Sign, rows of `measure` and counts of what was not taken of the polarity with the stronger holes; um."""
     fine, fine_size, fine_origin = candidates.reduce_to(grey, size, 2 * low / candidates.ACROSS_FINE)
     coarse, coarse_size, coarse_origin = candidates.reduce_to(fine, fine_size, 2 * low / candidates.ACROSS_COARSE)
     responses = candidates.blob_responses(coarse, coarse_size, (low, high))
+    square = candidates.SQUARE * 2 * high
     # Char, neighbours and a radius between two of the scale space weaken a response; a third is allowed for them.
-    quiet = candidates.quiet_texture(coarse, coarse_size, 2 * high)
-    plain = 0.67 * candidates.disc_response([r.radius for r in responses], LEAST_CONTRAST * quiet)
-    spreads = candidates.regular(responses)
+    quiet = candidates.quiet_texture(coarse, coarse_size, 2 * high, square)
+    disc = 0.67 * candidates.disc_response([r.radius for r in responses], LEAST_CONTRAST)
+    plain = quiet._replace(values=disc * quiet.values)
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
-    least = [min(plain, judge.WORTH_MEASURING * spread) for spread in spreads]
-    share = min(least) / plain if plain > 0 else 1.0
-    # Before a rim is measured its place may be some pixels off: less contrast is asked for.
-    worth = (0.8 * share * LEAST_CONTRAST * quiet, 0.75 * LEAST_CONTRAST if share >= 1.0 else 0.0)
-    found: list[tuple[float, Floats, Floats, float, int]] = []
+    spreads = candidates.regular(responses, square)
+    found: list[_OneSign] = []
     for sign in signs:
-        places, dropped = candidates.peaks(responses, sign, least, spreads)
-        x, y = np.ascontiguousarray((places[:, :2] + coarse_origin).T)
-        rows = k.measure(fine, fine_size[1], fine_size[0], x, y, sign, low, high, *worth)
-        rows[:, k.STANDING] = places[:, 2]
-        rows = rows[judge.is_hole(rows, fine_size, low, high)]
+        places, standing, share, dropped = candidates.peaks(responses, sign, plain, spreads, judge.WORTH_MEASURING)
+        # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
+        worth = SEEN * share * LEAST_CONTRAST * quiet.at(places), np.where(share < 1.0, 0.0, SEEN * LEAST_CONTRAST)
+        at = places + coarse_origin
+        rows = _measured(fine, fine_size, at, sign, (low, high), worth)
+        rows[:, k.STANDING] = standing
+        seen, rows = rows, rows[judge.is_hole(rows, fine_size, low, high)]
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
         circles = np.stack([*(rows[:, k.X : k.Y + 1] - coarse_origin).T, rows[:, k.RADIUS] + CHAR_UM], axis=1)
-        whole = candidates.texture(coarse, coarse_size, 2 * high, circles) if len(rows) else 0.0
-        rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], whole)
-        rows = judge.strongest_apart(rows[judge.is_hole(rows, fine_size, low, high)])
+        texture = candidates.texture(coarse, coarse_size, 2 * high, square, circles)
+        seen = seen[np.isfinite(seen[:, k.RADIUS])]
+        seen[:, k.TEXTURE] = np.maximum(seen[:, k.TEXTURE], texture.at(seen[:, k.X : k.Y + 1]))
+        rows = judge.strongest_apart(seen[judge.is_hole(seen, fine_size, low, high)])
         rows = judge.unlike_removed(rows[judge.is_whole(rows, fine.shape, fine_size)], sign)
-        found.append((sign, rows, np.stack([x, y], axis=1), whole, dropped))
-    sign, rows, places, whole, dropped = max(found, key=lambda one: float(np.sum(one[1][:, k.STEP])))
+        found.append(_OneSign(sign, rows, seen, at, texture, dropped))
+    best = max(found, key=lambda one: float(np.sum(one.rows[:, k.STEP])))
+    rows = best.rows
     if len(rows) >= judge.LEAST_OTHERS:
-        floors = _floors(fine, fine_size, sign, places, rows)
-        floors[:, k.TEXTURE] = np.maximum(floors[:, k.TEXTURE], whole)
+        floors = _floors(fine, fine_size, best.sign, best.places, rows)
+        floors[:, k.TEXTURE] = np.maximum(floors[:, k.TEXTURE], best.texture.at(floors[:, k.X : k.Y + 1]))
         rows = judge.joined(rows, floors)
+    whole = judge.is_whole(best.seen, fine.shape, fine_size)
+    faults = judge.faults(best.seen, fine_size, low, high)
+    counts = count_not_taken(best.seen, rows, faults, whole, best.dropped)
     judge.set_covariance(rows, fine_size)
     rows[:, k.X] += fine_origin[0]
     rows[:, k.Y] += fine_origin[1]
-    return sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))], dropped
+    return best.sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))], counts
+
+
+class _OneSign(NamedTuple):
+    """What was found of one polarity: holes, all that was measured, the places searched, their surroundings."""
+
+    sign: float
+    rows: Floats
+    seen: Floats
+    places: Floats
+    texture: candidates.Around
+    dropped: int
+
+
+def _measured(
+    image: Image, size: tuple[float, float], places: Floats, sign: float, radii: tuple[float, float],
+    worth: tuple[Floats, Floats],
+) -> Floats:  # fmt: skip
+    """Measure places, strongest first; what lies well inside a hole that a stronger one led to is passed over."""
+    rows = np.full((len(places), k.COLUMNS), np.nan)
+    first = judge.first_apart(np.arange(len(places)), *judge.neighbours(places, 2 * radii[0]))
+    rest = np.ones(len(places), bool)
+    rest[first] = False
+    for turn in (np.asarray(first, dtype=np.intp), np.flatnonzero(rest)):
+        if good := np.flatnonzero(judge.is_clear(rows, size)).tolist():
+            away, nearest = KDTree(rows[good][:, [k.X, k.Y]]).query(places[turn])
+            turn = turn[away > 0.5 * rows[good][nearest, k.RADIUS]]
+        x, y = np.ascontiguousarray(places[turn].T)
+        rows[turn] = k.measure(image, size[1], size[0], x, y, sign, *radii, *(some[turn] for some in worth))
+    return rows
 
 
 def _floors(image: Image, size: tuple[float, float], sign: float, places: Floats, rows: Floats) -> Floats:
@@ -166,9 +206,8 @@ def _floors(image: Image, size: tuple[float, float], sign: float, places: Floats
     at = k.middles_of_floors(image, size[1], size[0], x, y, sign, typical.radius, level)
     at = at[np.isfinite(at[:, 0])]
     # Places beside each other lead to one hole.
-    near = KDTree(at).query_pairs(0.1 * typical.radius, output_type="ndarray") if len(at) else np.empty((0, 2), np.intp)
-    one, other = np.concatenate([near, near[:, ::-1]]).T
-    x, y = np.ascontiguousarray(at[judge.first_apart(np.arange(len(at)), one, other)].T)
+    near = judge.neighbours(at, 0.1 * typical.radius)
+    x, y = np.ascontiguousarray(at[judge.first_apart(np.arange(len(at)), *near)].T)
     levels = (typical.radius, typical.floor, typical.depth, FLOOR_SHARES)
     floors = judge.resembling(k.measure_floors(image, size[1], size[0], x, y, sign, *levels), rows, size)
     # A rim lies farther out than its floor.

@@ -71,24 +71,32 @@ def is_whole(rows: Floats, shape: tuple[int, ...], size: tuple[float, float]) ->
     return (x >= radius) & (y >= radius) & (x <= right - radius) & (y <= bottom - radius)
 
 
-def is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -> NDArray[np.bool_]:
-    """Return which rows of `measure` look like a hole, each by itself; ``low, high`` the range of radii in um."""
-    radius = rows[:, k.RADIUS]
+Faults = dict[str, NDArray[np.bool_]]
+"""For each thing that a hole has to be, by the name of the fault, which rows are."""
+
+
+def faults(rows: Floats, size: tuple[float, float], low: float, high: float) -> Faults:
+    """Return what rows of `measure` have of a hole, each by itself; ``low, high`` the range of radii in um."""
+    radius, step = rows[:, k.RADIUS], rows[:, k.STEP]
     total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     with np.errstate(invalid="ignore"):
-        return (
-            (radius >= max(low, LEAST_PIXELS / 2 * max(size)))
-            & (radius <= high)
-            & _is_round(rows, size)
-            & ((total > LEAST_CONTRAST * rows[:, k.TEXTURE]) | (rows[:, k.STANDING] > LEAST_STANDING))
-            & (rows[:, k.STEP] > LEAST_STEP * total)
-            & (
-                (rows[:, k.STEP] > LEAST_SHARPNESS * rows[:, k.FAR_STEP])
-                | ((rows[:, k.STEP] > SHARP_ENOUGH * rows[:, k.FAR_STEP]) & (rows[:, k.FLATNESS] < FLAT * total))
-            )
+        sharp = step > LEAST_SHARPNESS * rows[:, k.FAR_STEP]
+        flat = rows[:, k.FLATNESS] < FLAT * total
+        return {
+            "too_small": radius >= max(low, LEAST_PIXELS / 2 * max(size)),
+            "too_large": radius <= high,
+            "not_round": _is_round(rows, size),
+            "too_faint": (total > LEAST_CONTRAST * rows[:, k.TEXTURE]) | (rows[:, k.STANDING] > LEAST_STANDING),
+            "no_rim": (step > LEAST_STEP * total)
+            & (sharp | ((step > SHARP_ENOUGH * rows[:, k.FAR_STEP]) & flat))
             & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * total)
-            & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * total)
-        )
+            & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * total),
+        }
+
+
+def is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -> NDArray[np.bool_]:
+    """Return which rows of `measure` look like a hole, each by itself; ``low, high`` the range of radii in um."""
+    return np.all(list(faults(rows, size, low, high).values()), axis=0)
 
 
 def _is_round(rows: Floats, size: tuple[float, float]) -> NDArray[np.bool_]:
@@ -101,13 +109,38 @@ def _is_round(rows: Floats, size: tuple[float, float]) -> NDArray[np.bool_]:
 
 def strongest_apart(rows: Floats) -> Floats:
     """Of rows whose circles overlap keep the deepest, and of those as deep the one with the best rim."""
-    pairs = _overlapping(rows, rows)
-    one, other = pairs[pairs[:, 0] != pairs[:, 1]].T
+    one, other = _overlapping(rows, rows).T
     step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     shallow = np.zeros(len(rows), bool)
     shallow[one[rows[one, k.INSIDE] - rows[other, k.INSIDE] > DEEPER * step[one]]] = True
-    order = np.argsort(-_quality(rows), kind="stable")
-    return rows[first_apart(order[~shallow[order]], one, other)]
+    deep = np.flatnonzero(~shallow)
+    return rows[deep[best_apart(rows[deep])]]
+
+
+def best_apart(rows: Floats) -> list[int]:
+    """Of rows whose circles overlap, the one with the best rim."""
+    one, other = _overlapping(rows, rows).T
+    return first_apart(np.argsort(-_quality(rows), kind="stable"), one, other)
+
+
+def on_any(rows: Floats, others: Floats) -> NDArray[np.bool_]:
+    """Return which circles overlap any of others; rows without a circle do not."""
+    found = np.zeros(len(rows), bool)
+    there = np.flatnonzero(np.isfinite(rows[:, k.RADIUS]))
+    found[there[_overlapping(rows[there], others)[:, 0]]] = True
+    return found
+
+
+def neighbours(points: Floats, reach: float) -> tuple[Ints, Ints]:
+    """Pairs of points (n, 2) that are within ``reach`` of each other, both ways round."""
+    near = KDTree(points).query_pairs(reach, output_type="ndarray") if len(points) else np.empty((0, 2), np.intp)
+    return np.append(near[:, 0], near[:, 1]), np.append(near[:, 1], near[:, 0])
+
+
+def is_clear(rows: Floats, size: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return which rows have nearly all of a smooth round rim."""
+    with np.errstate(invalid="ignore"):
+        return _is_round(rows, size) & ~doubtful(rows)
 
 
 def first_apart(order: Ints, one: Ints, other: Ints) -> list[int]:
