@@ -9,7 +9,9 @@ from .cross_fit import by_shift as by_shift
 from .cross_fit import cross_fitted as cross_fitted
 from .cross_fit import searched_null as searched_null
 from .lag import Lag as Lag
-from .lag import masked_lag as masked_lag
+from .lag import texture_lag as texture_lag
 from .lag_field import LagField as LagField
 from .params import CorrelateParams as CorrelateParams
 from .surrogates import in_band as in_band
+from .texture import Textures as Textures
+from .texture import textures as textures

@@ -1,81 +1,76 @@
-"""How far one map lies off another on the same grid, by their common texture alone: the image-based check."""
+"""How far one map lies off others on the same grid, by their common texture alone: the image-based check."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft, special
 
 from planish.analyze.lag_field import LagField, MapPair, lag_field
-from planish.analyze.ncc import MaskedNcc
-from planish.analyze.peak import MARGIN, Peak, covariance_of, find_peak, rival_r, within
-from planish.analyze.surrogates import Unrelated, unrelated_peaks, without_plane
-from planish.core.area import area_mean
-from planish.core.errors import CannotMeasure, SizeError
+from planish.analyze.ncc import LEAST_PAIRS, cropped
+from planish.analyze.peak import MARGIN, Peak, find_peak, overlap, rival_r, within
+from planish.analyze.surrogates import Unrelated
+from planish.analyze.texture import Textures, standard, tile_sums
+from planish.core.checks import CORRELATION, POSITION, Check
+from planish.core.errors import SizeError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Silence = Literal["few", "texture", "border", "rival", "oblique"]
+Silence = Literal["few", "texture", "border", "rival", "light"]
 
 # 95 % of errors that are normal with the same spread along x and y lie within this many rms lengths.
 TRE95 = math.sqrt(-math.log(0.05))
-_LEAST_PIXELS = 100
-_FLOOR_PIXELS, _FLOOR_WAVES = 0.1, 0.02
-_NOWHERE = (math.nan, math.nan)
-_MOST_PIXELS = 400_000
+NAME = "position by texture"
+_CHANCE = 0.01  # that unrelated textures give a lag
+_SURE = 3.0  # standard errors by which a lag has to differ from 0 to speak against the marks
+_LEAST_PIXELS = 400
+_FLOOR_PIXELS = 0.1  # of a pixel is lost between the pixels
+_RIVAL = 0.8  # of the peak's height
+_VAGUE = 1 / 4  # of the reach: a lag known no better locates nothing
+_TILE_UM = 150.0
 _SEED = 20090501
-_RIVAL = 0.5  # of the peak's height
-_DIFFERENT = -2 * math.log(0.02)  # squared distance of two lags in standard errors that chance exceeds once in 50
 
 _SILENCE: dict[Silence, str] = {
-    "few": "Image-based check: inconclusive (too few pixels are known in both maps).",
-    "texture": "Image-based check: inconclusive (no common texture).",
-    "border": "Image-based check: inconclusive (the correlation still rises at the largest lag searched). Search "
-    "further.",
-    "rival": "Image-based check: inconclusive (a second peak is nearly as high, as where one map follows the slope of "
-    "the other under oblique light, or where a pattern repeats itself).",
-    "oblique": "Image-based check: inconclusive (the lag grows with the wavelength: light from one side, not a shift, "
-    "moves the peak).",
+    "few": "too few pixels are known in all maps",
+    "texture": "the maps have no texture in common that stands out from chance",
+    "border": "the correlation still rises at the largest lag searched",
+    "rival": "a second peak is nearly as high, as where a pattern repeats itself",
+    "light": "the image follows the slopes of the surface, and a shift cannot be distinguished from light from one side",
 }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lag:
-    """Where the second map's texture lies, relative to the first's.
+    """Where the last map's texture lies, relative to that of the first ones.
 
     Attributes
     ----------
     lag_um : (float, float)
-        ``(x, y)``: what map a shows at p, map b shows at p + lag. NaN unless distinct.
+        ``(x, y)``: what the first maps show at p, the last one shows at p + lag. NaN unless distinct.
     covariance_um2 : ndarray, shape (2, 2)
         Of ``lag_um``; NaN unless distinct.
     r : float
-        Correlation at the peak, with its sign. It was searched for: no measure of the relation of the maps.
+        Multiple correlation of the last map with the first ones at the peak, with the sign of that of the very first. It
+        was searched for: no measure of the relation of the maps.
     r_at_zero : float
-        Correlation without any lag.
-    null_95 : float
-        ``|r|`` that the same search reaches on 95 of 100 unrelated maps of the same texture.
+        The same without any lag.
     null_99 : float
-        The same for 99 of 100, by Gumbel's distribution through the mean and spread of what it reaches. A distinct peak
-        is higher: a lag of unrelated maps would often look like one that agrees.
-    rival_r : float
-        Correlation of the other extreme that most puts the peak in doubt.
-    silence : {"few", "texture", "border", "rival", "oblique"} or None
+        ``|r|`` that 99 of 100 unrelated maps of the same texture stay below in the whole search.
+    silence : {"few", "texture", "border", "rival", "light"} or None
         Why the lag is inconclusive; None if the peak is distinct.
-    split_um : float
-        Wavelength that parts the fine texture from the coarse; NaN where the peak is not distinct in the first place.
-    lags_of_bands_um : tuple of (float, float)
-        ``(x, y)`` of the fine and of the coarse texture alone; NaN where that is not distinct. A shift is the same in
-        both.
+    light : float
+        Share of what is explained at the peak that needs the slopes of the surface.
     reach_um : float
         Largest lag that was searched.
     pixel_um : (float, float)
-        Pixel of the maps that were compared, along y and x: large maps are averaged.
+        Pixel of the maps that were compared, along y and x.
     n : int
-        Pixels that are known in both.
+        Pixels that are known.
     field : LagField or None
         Lags of tiles, if asked for.
     """
@@ -84,20 +79,17 @@ class Lag:
     pixel_um: tuple[float, float]
     n: int
     silence: Silence | None
-    lag_um: tuple[float, float] = _NOWHERE
+    lag_um: tuple[float, float] = (math.nan, math.nan)
     covariance_um2: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
     r: float = math.nan
     r_at_zero: float = math.nan
-    null_95: float = math.nan
     null_99: float = math.nan
-    rival_r: float = math.nan
-    split_um: float = math.nan
-    lags_of_bands_um: tuple[tuple[float, float], tuple[float, float]] = (_NOWHERE, _NOWHERE)
+    light: float = math.nan
     field: LagField | None = None
 
     @property
     def distinct(self) -> bool:
-        """Whether the peak is higher than chance puts it, inside the search, the only one, and a shift."""
+        """Whether the peak is higher than chance puts it, inside the search, the only one, and well located."""
         return self.silence is None
 
     @property
@@ -132,54 +124,65 @@ class Lag:
         """
         if not self.distinct or not math.isfinite(expected_error_um):
             return None
-        return self.length_um <= TRE95 * math.hypot(expected_error_um, *self.se_um)
+        return self.length_um <= self.allowed_um(expected_error_um)
+
+    def allowed_um(self, expected_error_um: float) -> float:
+        """Length that 95 % of the lags of right registrations stay below, in um."""
+        return TRE95 * math.hypot(expected_error_um, *self.se_um)
+
+    def check(self, expected_error_um: float | None = None) -> Check:
+        """What the lag says of the registration, whose expected error (rms, in um) may be unknown."""
+        if self.silence is not None:
+            sentence = f"Image-based check: inconclusive, because {_SILENCE[self.silence]}."
+            return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
+        found = (
+            f"by their texture the maps lie {self.length_um:.1f} ± {self.length_se_um:.1f} um apart "
+            f"(x {self.lag_um[0]:.1f}, y {self.lag_um[1]:.1f} um)"
+        )
+        if expected_error_um is None or not math.isfinite(expected_error_um):
+            sentence = f"Image-based check: inconclusive, because the marks give no expected error; {found}."
+            return Check(name=NAME, state="unknown", sentence=sentence, value=self.length_um, units="um")
+        limit, expected = self.allowed_um(expected_error_um), f"expected error {expected_error_um:.1f} um"
+        values = {"name": NAME, "value": self.length_um, "limit": limit, "units": "um", "figures": (POSITION, CORRELATION)}
+        if self.length_um <= limit:
+            vague = math.hypot(*self.se_um) > max(expected_error_um, max(self.pixel_um))
+            end = "agrees, but is less certain than the marks" if vague else "agrees"
+            return Check(state="pass", sentence=f"Image-based check: {found}, {expected}: {end}.", **values)
+        if self.length_um <= _SURE * self.length_se_um:
+            sentence = (
+                f"Image-based check: inconclusive, because {found}, which is more than the marks allow ({expected}) but "
+                "within 3 standard errors."
+            )
+            return Check(state="unknown", sentence=sentence, **values)
+        return Check(
+            state="look", sentence=f"Image-based check: {found}, more than the marks allow ({expected}). Such a shift of "
+            "all marks together shows nowhere else.", advice="Compare the outlines of maps and image; if the shift is "
+            "real, take it off, or use marks at the face that the image shows.", **values,
+        )  # fmt: skip
 
     def sentence(self, expected_error_um: float | None = None) -> str:
         """The lag, and whether it agrees with the expected error (rms, in um) if that is given."""
-        if self.silence is not None:
-            return _SILENCE[self.silence]
-        text = f"lag {self.length_um:.1f} ± {self.length_se_um:.1f} um"
-        if expected_error_um is None or not math.isfinite(expected_error_um):
-            return text
-        text += f", expected error {expected_error_um:.1f} um: "
-        if not self.agrees(expected_error_um):
-            return (
-                text
-                + "larger than the marks allow; either the registration is off, or light from one side moves the peak"
-            )
-        vague = math.hypot(*self.se_um) > expected_error_um
-        return text + ("agrees, but is less certain than the marks" if vague else "agrees")
+        return self.check(expected_error_um).sentence
 
 
-def masked_lag(
-    a: Array,
-    b: Array,
-    valid: Mask | None,
-    pixel_um: tuple[float, float],
-    *,
-    reach_um: float,
-    band_um: tuple[float | None, float | None] | None = None,
-    tiles_um: float | None = None,
-    surrogates: int = 99,
-) -> Lag:
-    """Find the lag between two maps on one grid, and whether it is conclusive.
+def texture_lag(
+    found: Textures, first: Sequence[str], last: str, *, reach_um: float, tiles_um: float | None = None,
+    slopes: int = 0,
+) -> Lag:  # fmt: skip
+    """Find the lag between some maps and another one, and whether it is conclusive.
 
     Parameters
     ----------
-    a, b : ndarray, shape (rows, cols)
-        NaN is missing.
-    valid : ndarray of bool, shape (rows, cols), or None
-        Pixels that may be looked at, of both maps.
-    pixel_um : (float, float)
-        Along y and x. Maps of more than 400 000 pixels are averaged to larger ones first.
+    found : Textures
+        Of :func:`textures`.
+    first : sequence of str
+        Maps that the last one may follow, with either sign and together: a coating and, for light from one side, the
+        slopes of the surface. The last ``slopes`` of them are such slopes.
+    last : str
     reach_um : float, in um
         Largest lag searched, in every direction; at most a quarter of the map.
-    band_um : (float or None, float or None), in um
-        Wavelengths kept, shortest and longest. A plane is always taken off.
     tiles_um : float or None, in um
         Side of square tiles, half overlapping, whose lags are found one by one.
-    surrogates : int
-        Unrelated maps for the null band, 19 or more.
 
     Returns
     -------
@@ -188,111 +191,161 @@ def masked_lag(
     Raises
     ------
     SizeError
-        If pixel, reach, band or tiles do not fit the maps.
-    CannotMeasure
-        If the maps have not one shape.
+        If reach or tiles do not fit the maps.
 
     Notes
     -----
-    The peak of ``|r|`` counts, since a map may follow another with either sign. Its place is that of the maximum of a
-    cubic spline through r. The null band repeats the whole search on maps with the power spectrum of b and random
-    phases. Same bytes on every run: the phases come from a fixed seed.
+    At every lag the last map is regressed on the first ones; the peak of R² is the lag. What follows the slopes of a
+    surface is an odd relation, which alone would move the peak of r. The limit is what R² of unrelated textures exceeds
+    anywhere in the search in 1 of 100 cases (chi-square field of as many degrees as maps; Worsley 1994). The standard
+    error is that of an M-estimator, from the scatter of tiles.
+
+    References
+    ----------
+    Worsley (1994), Adv. Appl. Probab. 26, 13, doi:10.2307/1427576.
     """
-    maps = _prepared(a, b, valid, pixel_um)
-    pixel_um = maps.pixel_um
-    reach = _reach(maps.a.shape, pixel_um, reach_um)
-    if surrogates < 19:
-        raise SizeError(f"{surrogates} surrogates give no 95 % band; 19 are needed, 99 are better.")
-    n = int((maps.known_a & maps.known_b).sum())
-    if n < _LEAST_PIXELS:
-        return Lag(reach_um=reach_um, pixel_um=pixel_um, n=n, silence="few")
-    if band_um is not None:
-        _check_band(band_um, pixel_um)
-        maps = maps.in_band(band_um)
-    found, peak = _search(maps, reach, reach_um, surrogates)
-    sign = 0 if peak is None or not found.distinct else int(np.sign(peak.r))
-    if peak is not None and found.distinct:
-        # For a Gaussian texture of length l the curvature of r is r / l^2, and most of its waves are 2 pi l long.
-        square = abs(peak.r) / math.sqrt(float(np.linalg.det(peak.curvature))) * pixel_um[0] * pixel_um[1]
-        split = max(2 * math.pi * math.sqrt(square), 4 * max(pixel_um))
-        fine, coarse = (
-            _search(maps.in_band(band), reach, reach_um, surrogates)[0] for band in ((None, split), (split, None))
-        )
-        found = replace(found, split_um=split, lags_of_bands_um=(fine.lag_um, coarse.lag_um))
-        # Filters at borders and interpolation move the lags of bands a little, even without noise.
-        own = (_FLOOR_PIXELS * max(pixel_um)) ** 2 + (_FLOOR_WAVES * split) ** 2
-        spread = fine.covariance_um2 + coarse.covariance_um2 + own * np.eye(2)
-        apart = np.array(coarse.lag_um) - fine.lag_um
-        if (
-            fine.distinct
-            and coarse.distinct
-            and float(apart @ np.linalg.solve(spread, apart)) > _DIFFERENT
-            and coarse.length_um > fine.length_um
-        ):
-            found = replace(found, silence="oblique", lag_um=_NOWHERE, covariance_um2=np.full((2, 2), np.nan))
-    if tiles_um is None:
-        return found
-    rng, unrelated = np.random.default_rng(_SEED), Unrelated(maps.b, maps.known_b)
-    draws = [unrelated.draw(rng) for _ in range(19)]
-    return replace(found, field=lag_field(maps, reach=reach, tile_um=tiles_um, sign=sign, unrelated=draws))
-
-
-def _search(maps: MapPair, reach: tuple[int, int], reach_um: float, surrogates: int) -> tuple[Lag, Peak | None]:
-    """One search, and its peak."""
-    known_a, known_b, pixel_um = maps.known_a, maps.known_b, maps.pixel_um
-    a, b = without_plane(maps.a, known_a), without_plane(maps.b, known_b)
-    wide = (reach[0] + MARGIN, reach[1] + MARGIN)
-    correlate = MaskedNcc(a, a_valid=known_a, b_valid=known_b, reach=wide)
-    r = correlate(b)
+    pixel = found.pixel_um
+    reach = _reach(found.known.shape, pixel, reach_um)
+    known = {"reach_um": reach_um, "pixel_um": pixel, "n": found.n}
+    x, y = np.stack([found.maps[k] for k in first]), found.maps[last]
+    if found.n < _LEAST_PIXELS or not (y.any() and x.any(axis=(1, 2)).all()):
+        return Lag(silence="few", **known)
+    search = _Search(x, y, found.known, (reach[0] + MARGIN, reach[1] + MARGIN))
     allowed = within(reach)
-    peak = find_peak(r, allowed, 0)
-    highest = unrelated_peaks(a, b, (known_a, known_b), correlate.pairs, reach, surrogates, _SEED)
-    null = (float(np.quantile(highest, 0.95, method="higher")), _gumbel_99(highest))
-    rival = math.nan if peak is None else rival_r(r, peak, allowed)
-    silence: Silence | None = None
-    if peak is None or not abs(peak.r) > null[1]:
-        silence = "texture"
-    elif not peak.inner:
-        silence = "border"
-    elif abs(rival) > max(null[1], _RIVAL * abs(peak.r)):
-        silence = "rival"
-    lag, spread = _NOWHERE, np.full((2, 2), np.nan)
-    if peak is not None and silence is None:
-        step = np.array([pixel_um[1], pixel_um[0]])
-        spread = covariance_of(peak, a, b, known_a, known_b)[::-1, ::-1] * np.outer(step, step)
-        lag = (float(peak.at[1] * step[0]), float(peak.at[0] * step[1]))
-    found = Lag(
-        reach_um=reach_um, pixel_um=pixel_um, n=int((known_a & known_b).sum()), silence=silence, lag_um=lag,
-        covariance_um2=spread, r=math.nan if peak is None else peak.r, r_at_zero=float(r[wide]), null_95=null[0],
-        null_99=null[1], rival_r=rival,
-    )  # fmt: skip
-    return found, peak
+    peak = find_peak(search.share, allowed, 1)
+    limit = search.limit(reach)
+    middle = search.share.shape[0] // 2, search.share.shape[1] // 2
+    lag = Lag(silence="texture", null_99=math.sqrt(limit), r_at_zero=math.sqrt(max(search.share[middle], 0)), **known)
+    if peak is None:
+        return lag
+    model = search.weights(peak.pixel)
+    lag = replace(lag, r=math.copysign(math.sqrt(max(peak.r, 0.0)), model[0]))
+    if not peak.r > limit:
+        return lag
+    if not peak.inner:
+        return replace(lag, silence="border")
+    if abs(rival_r(search.share, peak, allowed)) > max(limit, _RIVAL * peak.r):
+        return replace(lag, silence="rival")
+    step = np.array([pixel[1], pixel[0]])
+    spread = search.covariance(peak, pixel)[::-1, ::-1] * np.outer(step, step)
+    spread += (_FLOOR_PIXELS * max(pixel)) ** 2 * np.eye(2)
+    if slopes:
+        lag = replace(lag, light=1.0 - search.share_of(slice(0, len(first) - slopes), peak.pixel) / peak.r)
+    if not math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) < _VAGUE * reach_um:
+        return replace(lag, silence="light" if slopes else "texture")
+    lag = replace(
+        lag, silence=None, lag_um=(float(peak.at[1] * step[0]), float(peak.at[0] * step[1])), covariance_um2=spread
+    )
+    if tiles_um is None:
+        return lag
+    pair = MapPair(a=np.tensordot(model, x, 1), b=y, known_a=found.known, known_b=found.known, pixel_um=pixel)
+    rng, unrelated = np.random.default_rng(_SEED), Unrelated(y, found.known)
+    draws = [unrelated.draw(rng) for _ in range(19)]
+    return replace(lag, field=lag_field(pair, reach=reach, tile_um=tiles_um, sign=1, unrelated=draws))
 
 
-def _gumbel_99(highest: Array) -> float:
-    """Value below which 99 % of largest values stay, from the mean and standard deviation of some (of Fisher's z)."""
-    z = np.arctanh(np.minimum(highest, 0.999999))
-    scale = float(z.std(ddof=1)) * math.sqrt(6.0) / math.pi
-    return math.tanh(float(z.mean()) - scale * (np.euler_gamma + math.log(-math.log(0.99))))
+class _Search:
+    """Regression of y (rows, cols) on the maps x (k, rows, cols) at every lag within ``wide``."""
+
+    def __init__(self, x: Array, y: Array, known: Mask, wide: tuple[int, int]) -> None:
+        self._x, self._y, self._known, self._wide = x, y, known, wide
+        self._size = [fft.next_fast_len(n + m, real=True) for n, m in zip(y.shape, wide, strict=True)]
+        mask, self._y_hat = self._transform(known.astype(np.float64)), self._transform(y)
+        self._x_hat = [self._transform(m) for m in x]
+        pairs = np.rint(self._lags(np.abs(mask) ** 2))
+        self._pairs = np.maximum(pairs, 1.0)
+        enough = pairs >= LEAST_PAIRS * pairs.max()
+        self._g = np.stack([self._lags(np.conj(m) * self._y_hat) / self._pairs for m in self._x_hat])
+        n = int(np.count_nonzero(known))
+        self._inner = np.tensordot(x, x, ((1, 2), (1, 2))) / n
+        self._inverse = np.linalg.pinv(self._inner, rcond=1e-6, hermitian=True)
+        share = np.einsum("iyx,ij,jyx->yx", self._g, self._inverse, self._g)
+        self.share: Array = np.where(enough, share, np.nan)
+
+    def weights(self, pixel: tuple[int, int]) -> Array:
+        """Weights of the maps at a lag, (k,)."""
+        return self._inverse @ self._at(pixel)
+
+    def share_of(self, some: slice, pixel: tuple[int, int]) -> float:
+        """R² at a lag with some of the maps only."""
+        g = self._at(pixel)[some]
+        return float(g @ np.linalg.pinv(self._inner[some, some], rcond=1e-6, hermitian=True) @ g)
+
+    def limit(self, reach: tuple[int, int]) -> float:
+        """R² that unrelated textures exceed within reach in 1 of 100 cases."""
+        power_y = np.abs(self._y_hat) ** 2
+        auto_y = self._lags(power_y)
+        # Independent combinations of the maps, each of spread 1.
+        values, vectors = np.linalg.eigh(self._inner)
+        use = values > 1e-6 * values[-1]
+        across = (vectors[:, use] / np.sqrt(values[use])).T
+        n = float(np.count_nonzero(self._known))
+        variance, power = [], np.zeros(power_y.shape)
+        for weights in across:
+            own = np.abs(sum(w * m for w, m in zip(weights, self._x_hat, strict=True))) ** 2
+            variance.append(float(np.sum(self._lags(own) * auto_y / self._pairs)) / n**2)
+            power += own * power_y
+        fy = 2 * np.pi * fft.fftfreq(self._size[0])[:, None]
+        fx = 2 * np.pi * fft.rfftfreq(self._size[1])[None, :]
+        twice = np.where((np.arange(power.shape[1]) > 0), 2.0, 1.0)
+        total = float(np.sum(power * twice))
+        if not total > 0:
+            return math.inf
+        moments = [float(np.sum(power * twice * m)) / total for m in (fy * fy, fx * fx, fy * fx)]
+        root = math.sqrt(max(moments[0] * moments[1] - moments[2] ** 2, 0.0))
+        return max(variance) * _chi2_limit(int(use.sum()), reach, root)
+
+    def covariance(self, peak: Peak, pixel_um: tuple[float, float]) -> Array:
+        """Covariance of the peak's place, (2, 2) in pixels squared, from the scatter of tiles.
+
+        The slope of R²/2 at the peak is the mean of ``(m - R² y) grad y + e x·w`` over the pixels, with the fitted map
+        m, the rest e = y - m and w = G⁻¹ times the slopes of the products of x and y: the second part is what the
+        weights of the maps, which are fitted as well, add.
+        """
+        here, there = overlap(self._y.shape, peak.pixel)
+        both = self._known[here] & self._known[there]
+        x, y = self._x[:, here[0], here[1]], self._y[there]
+        slopes = np.stack([np.where(both, s, 0.0) for s in (m[there] for m in np.gradient(self._y))])
+        n = int(np.count_nonzero(both))
+        fitted = np.tensordot(self.weights(peak.pixel), x, 1)
+        rest = np.where(both, y - fitted, 0.0)
+        w = np.tensordot(slopes, x, ((1, 2), (1, 2))) / n @ self._inverse  # (2, k)
+        scores = (fitted - peak.r * y) * slopes + rest * np.tensordot(w, x, 1)
+        scores = np.where(both, scores - scores.sum(axis=(1, 2), keepdims=True) / n, 0.0)
+        parts = tile_sums(scores, pixel_um, _TILE_UM).reshape(2, -1)
+        back = np.linalg.inv(-0.5 * peak.curvature)
+        return back @ (parts @ parts.T / n**2) @ back
+
+    def _at(self, pixel: tuple[int, int]) -> Array:
+        return self._g[:, pixel[0] + self._wide[0], pixel[1] + self._wide[1]]
+
+    def _transform(self, values: Array) -> NDArray[np.complex128]:
+        return np.asarray(fft.rfft2(values, self._size), dtype=np.complex128)
+
+    def _lags(self, spectrum: NDArray[np.complex128] | Array) -> Array:
+        return cropped(np.asarray(fft.irfft2(spectrum, self._size), dtype=np.float64), self._wide)
 
 
-def _prepared(a: Array, b: Array, valid: Mask | None, pixel_um: tuple[float, float]) -> MapPair:
-    """Both maps in float64 with their masks, averaged if they are large, and the pixel they then have."""
-    if a.ndim != 2 or a.shape != b.shape or (valid is not None and valid.shape != a.shape):
-        raise CannotMeasure(
-            f"The maps have the shapes {a.shape} and {b.shape}. A lag needs two maps and a mask on one grid; link them "
-            "first."
-        )
-    if not all(math.isfinite(p) and p > 0 for p in pixel_um):
-        raise SizeError(f"The pixel is given as {pixel_um} um. Two positive lengths are needed, along y and x.")
-    maps = [np.where(np.isfinite(m) & (True if valid is None else valid), m, np.nan).astype(np.float64) for m in (a, b)]
-    factor = math.ceil(math.sqrt(a.size / _MOST_PIXELS))
-    if factor > 1:
-        maps = [area_mean(m, (factor, factor)) for m in maps]
-        pixel_um = (factor * pixel_um[0], factor * pixel_um[1])
-    known = [np.isfinite(m) for m in maps]
-    a, b = (np.where(k, m, 0.0) for k, m in zip(known, maps, strict=True))
-    return MapPair(a=a, b=b, known_a=known[0], known_b=known[1], pixel_um=pixel_um)
+def _chi2_limit(k: int, reach: tuple[int, int], root: float) -> float:
+    """Height that a smooth chi-square field of k degrees exceeds in an ellipse of half axes ``reach`` in 1 of 100 cases.
+
+    By its expected Euler characteristic; ``root`` is the root of the determinant of the covariance of the slopes of the
+    Gaussian fields that it is made of, per pixel squared.
+    """
+    area = math.pi * reach[0] * reach[1] * root
+    half_round = math.pi * math.sqrt(reach[0] * reach[1] * root)
+
+    def expected(u: float) -> float:
+        scale = math.exp(-u / 2 - special.gammaln(k / 2) - (k - 2) / 2 * math.log(2.0))
+        along = u ** ((k - 1) / 2) * scale / math.sqrt(2 * math.pi)
+        over = u ** ((k - 2) / 2) * scale * (u - (k - 1)) / (2 * math.pi)
+        return float(special.gammaincc(k / 2, u / 2)) + half_round * along + area * over
+
+    low, high = 2.0 * k + 2.0, 400.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if expected(middle) > _CHANCE else (low, middle)
+    return high
 
 
 def _reach(shape: tuple[int, ...], pixel_um: tuple[float, float], reach_um: float) -> tuple[int, int]:
@@ -307,11 +360,4 @@ def _reach(shape: tuple[int, ...], pixel_um: tuple[float, float], reach_um: floa
     return int(reach_um / pixel_um[0] + 1e-9), int(reach_um / pixel_um[1] + 1e-9)
 
 
-def _check_band(band_um: tuple[float | None, float | None], pixel_um: tuple[float, float]) -> None:
-    short, long = band_um
-    low = 2 * max(pixel_um) if short is None else short
-    if low < 2 * max(pixel_um) - 1e-9 or (long is not None and not low < long):
-        raise SizeError(
-            f"The band from {short} to {long} um holds no wave. Its shortest wave needs two pixels "
-            f"({2 * max(pixel_um):g} um), and the longest has to be longer than that."
-        )
+__all__ = ["NAME", "Lag", "standard", "texture_lag"]

@@ -116,7 +116,7 @@ def covariance_of(peak: Peak, a: Array, b: Array, a_valid: Mask, b_valid: Mask) 
     R_uv(h) R_uv(-h) / n`` with the sums of products R at the lag h and the number n of their pairs. The peak moves by
     the slope over the curvature of r.
     """
-    here, there = _overlap(a.shape, peak.pixel)
+    here, there = overlap(a.shape, peak.pixel)
     # A cubic spline between the pixels, as in `find_peak`: its slope in a pixel is half the difference of neighbouring
     # coefficients.
     mean = float(b[b_valid].mean())
@@ -151,7 +151,7 @@ def covariance_of(peak: Peak, a: Array, b: Array, a_valid: Mask, b_valid: Mask) 
     return back @ spread @ back
 
 
-def _overlap(shape: tuple[int, ...], lag: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def overlap(shape: tuple[int, ...], lag: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     here = [slice(max(-k, 0), n - max(k, 0)) for n, k in zip(shape, lag, strict=True)]
     there = [slice(max(k, 0), n - max(-k, 0)) for n, k in zip(shape, lag, strict=True)]
     return (here[0], here[1]), (there[0], there[1])
