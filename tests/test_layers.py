@@ -17,8 +17,6 @@ from planish.io.params import ImageParams, VolumeParams
 from planish.marks import cut_holes, find_holes, write_marks
 from planish.marks.files import read_any
 from planish.pipeline import link, map_sheet, open_run
-from planish.pipeline.checks import same_sheet_checks
-from planish.pipeline.compare import likeness
 from planish.register import RegistrationParams, fit_transform
 from planish.resample.maps import _with_angles
 from planish.study import LayerParams, Study, read_study, write_study
@@ -236,26 +234,6 @@ def test_a_hole_that_the_border_cuts_is_left_out():
     assert abs(cy - 500.0) < 5
     assert 0 <= cx < 60
     assert 60 < radius < 110
-
-
-def test_exchanged_sides_fail_and_another_paper_is_a_look():
-    rng = np.random.default_rng(0)
-    axis = np.arange(120) * 10.0
-
-    def sheet(top, bottom, base):
-        maps = {"coating_top": top, "coating_bottom": bottom, "thickness": top + bottom + base}
-        data = xr.Dataset({k: (("y", "x"), v) for k, v in maps.items()}, coords={"y": axis, "x": axis})
-        return data.assign(valid=(("y", "x"), np.ones(top.shape, dtype=bool)))
-
-    fields = [ndimage.gaussian_filter(rng.normal(size=(120, 120)), 8.0) for _ in range(6)]
-    first = sheet(*fields[:3])
-    for second, failed in (
-        (first, []),
-        (sheet(fields[1], fields[0], fields[2]), [("sides", "fail")]),
-        (sheet(*fields[3:]), [("one sheet", "look")]),
-    ):
-        checks = same_sheet_checks("a", "b", likeness(first, second, 100.0))
-        assert [(check.name, check.state) for check in checks if check.state != "pass"] == failed
 
 
 def test_the_design_names_the_holes(planish, specimen, linked_run, specimen_files, tmp_path):

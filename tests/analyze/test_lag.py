@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import fft, ndimage
 
-from planish.analyze import Registration, by_shift, cross_fitted, in_band, masked_lag, searched_null
+from planish.analyze import Registration, by_shift, cross_fitted, in_band, searched_null, texture_lag, textures
 from planish.analyze.ncc import MaskedNcc
 from planish.analyze.peak import MARGIN, find_peak, within
 from planish.core.errors import CannotMeasure, SizeError
@@ -56,29 +58,33 @@ def test_the_transforms_give_what_direct_sums_give():
             assert r[5 + dy, 6 + dx] == pytest.approx(np.corrcoef(x, y)[0, 1], abs=1e-9)
 
 
+def lag_of(a, b, valid=None, pixel_um=(4.0, 4.0), *, reach_um=40.0, tiles_um=None):
+    valid = np.ones(a.shape, dtype=bool) if valid is None else valid
+    return texture_lag(textures({"a": a, "b": b}, valid, pixel_um), ["a"], "b", reach_um=reach_um, tiles_um=tiles_um)
+
+
 @pytest.mark.parametrize("lag", [(0.0, 0.0), (2.3, -1.6), (-5.5, 4.25)])
-def test_a_known_lag_is_found_to_a_tenth_of_a_pixel(lag):
+def test_a_known_lag_is_found_to_a_fifth_of_a_pixel(lag):
     a, b, valid = pair(0.95, lag, 1, shape=(150, 170), sigma=1.5)
-    found = masked_lag(a, 3.0 - 0.2 * b, valid, (4.0, 5.0), reach_um=40.0, surrogates=19)
+    found = lag_of(a, 3.0 - 0.2 * b, valid, (4.0, 5.0))
     assert found.distinct
     assert found.r < -0.9  # brightness against darkness: either sign is found
-    assert found.lag_um == pytest.approx((5.0 * lag[0], 4.0 * lag[1]), abs=0.4)  # 0.1 of the shorter edge
-    assert max(found.se_um) < 0.4
+    assert found.lag_um == pytest.approx((5.0 * lag[0], 4.0 * lag[1]), abs=0.8)
+    assert max(found.se_um) < 0.8
 
 
 @pytest.mark.study
 def test_the_standard_error_is_what_the_lags_scatter_by():
     lag = (1.7, -2.4)
-    # A correlation of 0.3 leaves one lag uncertain by some 0.4 pixels: the mean of 30 has no bias of 0.1.
-    lags = [masked_lag(*pair(0.3, lag, seed), (1.0, 1.0), reach_um=9.0, surrogates=19) for seed in range(30)]
+    lags = [lag_of(*pair(0.4, lag, seed, shape=(120, 140))) for seed in range(60)]
     distinct = [found for found in lags if found.distinct]
-    assert len(distinct) >= 28
-    errors = np.array([found.lag_um for found in distinct]) - lag
+    assert len(distinct) >= 58
+    errors = np.array([found.lag_um for found in distinct]) - 4.0 * np.array(lag)
     expected = np.array([found.se_um for found in distinct])
     assert np.abs(errors.mean(axis=0)).max() < 0.1 + 2 * expected.mean() / np.sqrt(len(distinct))
     ratio = np.sqrt(np.mean((errors / expected) ** 2))
-    print(f"scatter over standard error {ratio:.2f}, standard error {expected.mean():.2f} pixels")
-    assert 0.7 < ratio < 1.25
+    print(f"scatter over standard error {ratio:.2f}, standard error {expected.mean():.2f} um")
+    assert 0.8 < ratio < 1.25
 
 
 def test_the_peak_of_the_sign_that_is_asked_for_is_found():
@@ -95,48 +101,49 @@ def test_unrelated_maps_give_no_lag():
     silent = 0
     for seed in range(60):
         rng = np.random.default_rng(100 + seed)
-        a, b = (cut(texture((96, 112), 2.5, rng)) for _ in range(2))
-        found = masked_lag(a, b, None, (1.0, 1.0), reach_um=8.0, surrogates=19)
+        found = lag_of(*(cut(texture((96, 112), 2.5, rng)) for _ in range(2)))
         silent += not found.distinct
         assert found.distinct == np.isfinite(found.lag_um).all() == np.isfinite(found.se_um).all()
     print(f"{silent} of 60 unrelated pairs give no lag")
-    assert silent >= 57  # 95 %
+    assert silent >= 57  # 1 in 100; more than 3 of 60 in 3 of 1000
 
 
-def test_what_is_said():
+def test_what_is_said_and_with_which_light():
     a, b, valid = pair(0.8, (2.0, 0.0), 4)
-    found = masked_lag(a, b, valid, (1.0, 1.0), reach_um=9.0, surrogates=19)
-    assert found.sentence(3.0).startswith("lag ")
-    assert found.sentence(3.0).endswith("um, expected error 3.0 um: agrees")
-    assert found.agrees(3.0) is True
-    assert "larger than the marks allow; either" in found.sentence(0.3)
-    near = masked_lag(*pair(0.35, (0.0, 0.0), 5), (1.0, 1.0), reach_um=9.0, surrogates=19)
-    assert near.sentence(0.05).endswith("agrees, but is less certain than the marks")
-    nothing = masked_lag(a, pair(0.8, (0, 0), 41)[1], valid, (1.0, 1.0), reach_um=9.0, surrogates=19)
-    assert nothing.sentence(3.0) == "Image-based check: inconclusive (no common texture)."
-    assert nothing.agrees(3.0) is None
-    few = masked_lag(a, np.where(np.arange(b.shape[1]) < 1, b, np.nan), None, (1.0, 1.0), reach_um=9.0)
-    assert few.silence == "few"
+    found = lag_of(a, b, valid)
+    right, off = found.check(6.0), found.check(0.3)
+    assert (right.state, off.state) == ("pass", "look")
+    assert right.sentence.endswith("um), expected error 6.0 um: agrees.")
+    assert off.value == pytest.approx(8.0, abs=1.5)
+    assert off.limit == pytest.approx(1.73 * np.hypot(0.3, np.hypot(*found.se_um)), rel=0.01)
+    assert "Such a shift of all marks together shows nowhere else" in off.sentence
+    assert off.figures == ("position", "correlation")
+    nothing = lag_of(a, pair(0.8, (0, 0), 41)[1], valid).check(3.0)
+    assert nothing.state == "unknown"
+    assert nothing.sentence.startswith("Image-based check: inconclusive, because the maps have no texture in common")
+    assert lag_of(a, np.where(np.arange(b.shape[1]) < 4, b, np.nan)).silence == "few"
+    # More than the marks allow, but within 3 standard errors of the lag: no answer.
+    vague = replace(found, lag_um=(2.0, 0.0), covariance_um2=np.eye(2))
+    assert [vague.check(e).state for e in (0.1, 1.0)] == ["pass", "pass"]
+    assert replace(vague, lag_um=(2.8, 0.0)).check(0.1).state == "unknown"
 
 
-def test_an_odd_relation_is_no_lag():
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (2.0, -1.0)])
+def test_light_from_one_side_moves_no_lag(shift):
+    """The image follows a coating and, under oblique light, the slopes of a surface that is related to the coating."""
     rng = np.random.default_rng(8)
-    a, other = texture((140, 160), 3.0, rng), texture((140, 160), 3.0, rng)
-    slope = np.gradient(a, axis=1)
-    slope /= slope.std()
-    odd = masked_lag(cut(a), cut(slope + 0.3 * other), None, (1.0, 1.0), reach_um=12.0, surrogates=19)
-    assert odd.silence == "rival"
-    assert odd.r * odd.rival_r < 0
-    # Partly odd: the peak stays single and even, but the coarser the texture, the further it moves.
-    fine, coarse = texture((220, 240), 1.5, rng), texture((220, 240), 6.0, rng)
-    both = fine + coarse
-    slopes = sum(np.gradient(m, axis=1) / np.gradient(m, axis=1).std() for m in (fine, coarse))
-    partly = masked_lag(cut(both), cut(both + 0.5 * slopes), None, (1.0, 1.0), reach_um=20.0, surrogates=19)
-    assert partly.silence == "oblique"
-    assert np.isnan(partly.lag_um).all()
-    assert partly.lags_of_bands_um[1][0] < partly.lags_of_bands_um[0][0] < 0
-    shifted = masked_lag(cut(both), cut(moved(both, (-3.0, 1.0))), None, (1.0, 1.0), reach_um=20.0, surrogates=19)
-    assert shifted.lag_um == pytest.approx((-3.0, 1.0), abs=0.1)
+    coating, base, own = (texture((192, 212), s, rng) for s in (2.0, 3.0, 2.0))
+    surface = coating + base
+    slope = np.gradient(surface, axis=1)
+    image = moved(coating + 0.8 * slope / slope.std() + 0.3 * own, shift)
+    maps = {"coating": cut(coating), "surface": cut(surface), "image": cut(image)}
+    found = textures(maps, np.ones(maps["image"].shape, dtype=bool), (4.0, 4.0)).with_slopes("surface")
+    true = 4.0 * np.array(shift)
+    alone = texture_lag(found, ["coating"], "image", reach_um=40.0)
+    assert abs(alone.lag_um[0] - true[0]) > 3 * alone.se_um[0]  # what this test is about
+    both = texture_lag(found, ["coating", "surface_x", "surface_y"], "image", reach_um=40.0, slopes=2)
+    assert np.abs(np.array(both.lag_um) - true).max() < 3 * max(both.se_um) < 3.0
+    assert both.light > 0.2
 
 
 def test_tiles_show_a_stretch():
@@ -146,29 +153,14 @@ def test_tiles_show_a_stretch():
     stretch = 0.01
     b = ndimage.map_coordinates(big, [y, (x - 125) / (1 + stretch) + 125], order=5)
     b += 0.5 * cut(texture(big.shape, 2.0, rng))
-    found = masked_lag(cut(big), b, None, (4.0, 4.0), reach_um=24.0, tiles_um=240.0, surrogates=19)
-    field = found.field
+    field = lag_of(cut(big), b, reach_um=24.0, tiles_um=240.0).field
     assert field is not None
     assert field.distinct.all()
     true = np.stack([stretch * (field.at_um[:, 0] - (125 - PAD) * 4.0), 0 * field.at_um[:, 0]], axis=-1)
-    scatter = np.sqrt(np.mean((field.lag_um - true) ** 2))
-    assert scatter < 1.0  # a quarter of a pixel
+    assert np.sqrt(np.mean((field.lag_um - true) ** 2)) < 1.0  # a quarter of a pixel
     _, change, spread = field.linear()
-    assert change == pytest.approx(np.array([[stretch, 0], [0, 0]]), abs=0.0015)
+    assert change == pytest.approx(np.array([[stretch, 0], [0, 0]]), abs=0.002)
     assert np.all(np.abs(change - [[stretch, 0], [0, 0]]) < 4 * spread)
-    unrelated = masked_lag(
-        cut(big), cut(texture(big.shape, 2.0, rng)), None, (4.0, 4.0), reach_um=24.0, tiles_um=240.0, surrogates=19
-    )
-    assert unrelated.field.distinct.mean() < 0.1
-
-
-def test_a_shading_is_taken_off_by_the_band():
-    a, b, valid = pair(0.6, (2.0, -1.0), 11)
-    x = np.arange(a.shape[1])
-    a, b = a + 3 * np.cos(x / 40), b + 3 * np.cos(x / 40 + 0.5)
-    found = masked_lag(a, b, valid, (1.0, 1.0), reach_um=9.0, band_um=(None, 40.0), surrogates=19)
-    assert found.distinct
-    assert np.hypot(*(np.array(found.lag_um) - (2, -1))) < 3 * max(found.se_um)
 
 
 @pytest.mark.parametrize("wave", [10.0, 40.0])
@@ -183,7 +175,7 @@ def test_large_maps_are_averaged_and_every_run_is_the_same():
     rng = np.random.default_rng(2)
     big = np.kron(texture((330, 330), 4.0, rng), np.ones((2, 2)))
     a, b = big[8:648, 8:648], big[10:650, 4:644]
-    one, two = (masked_lag(a, b, None, (2.0, 2.0), reach_um=40.0, surrogates=19) for _ in range(2))
+    one, two = (lag_of(a, b, pixel_um=(2.0, 2.0)) for _ in range(2))
     assert one.pixel_um == (4.0, 4.0)
     assert one.lag_um == pytest.approx((8.0, -4.0), abs=0.4)
     assert one.lag_um == two.lag_um
@@ -193,13 +185,13 @@ def test_large_maps_are_averaged_and_every_run_is_the_same():
 def test_what_does_not_fit_is_refused():
     a, b, valid = pair(0.5, (0, 0), 1)
     with pytest.raises(CannotMeasure, match="one grid"):
-        masked_lag(a, b[1:], valid, (1.0, 1.0), reach_um=9.0)
-    with pytest.raises(SizeError, match="reach of 60 um"):
-        masked_lag(a, b, valid, (1.0, 1.0), reach_um=60.0)
-    with pytest.raises(SizeError, match="band"):
-        masked_lag(a, b, valid, (1.0, 1.0), reach_um=9.0, band_um=(1.0, 40.0))
-    with pytest.raises(SizeError, match="Tiles of 20 um"):
-        masked_lag(a, b, valid, (1.0, 1.0), reach_um=9.0, tiles_um=20.0, surrogates=19)
+        textures({"a": a, "b": b[1:]}, valid, (1.0, 1.0))
+    with pytest.raises(SizeError, match="pixel of 80 um"):
+        textures({"a": a, "b": b}, valid, (80.0, 80.0))
+    with pytest.raises(SizeError, match="reach of 150 um"):
+        lag_of(a, b, valid, reach_um=150.0)
+    with pytest.raises(SizeError, match="Tiles of 60 um"):
+        lag_of(a, b, valid, tiles_um=60.0)
     with pytest.raises(CannotMeasure, match="too small for its texture"):
         cross_fitted(a, b, by_shift(b, pixel_um=(1.0, 1.0), reach_um=5), pixel_um=(1.0, 1.0), tile_um=80.0)
     with pytest.raises(CannotMeasure, match="not be independent"):

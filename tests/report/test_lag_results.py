@@ -32,9 +32,7 @@ def a_lag(*, silence: Any = None, tiles: bool = True) -> Lag:
     return Lag(
         lag_um=NOWHERE if quiet else (3.0, -4.0),
         covariance_um2=np.full((2, 2), NAN) if quiet else np.diag([0.36, 0.64]),
-        r=-0.5, r_at_zero=-0.4, null_95=0.1, null_99=0.15, rival_r=0.1, silence=silence,
-        split_um=NAN if quiet else 90.0,
-        lags_of_bands_um=(NOWHERE, NOWHERE) if quiet else ((3.0, -4.0), NOWHERE), reach_um=150.0, pixel_um=(8.0, 8.0),
+        r=-0.5, r_at_zero=-0.4, null_99=0.15, silence=silence, light=NAN, reach_um=150.0, pixel_um=(8.0, 8.0),
         n=5000, field=field if tiles else None,
     )  # fmt: skip
 
@@ -48,7 +46,6 @@ def test_results_of_a_lag_are_ready_for_json() -> None:
     # 5 um is less than 1.73 sqrt(16 + 0.36 + 0.64).
     assert found["agrees"] is True
     assert found["sentence"] == a_lag().sentence(4.0)
-    assert found["lags_of_bands_um"] == [[3.0, -4.0], None]
     assert found["tiles"] == [
         {"x": 100.0, "y": 200.0, "lag_um": [1.0, 2.0], "distinct": True},
         {"x": 300.0, "y": 200.0, "lag_um": None, "distinct": False},
@@ -59,7 +56,7 @@ def test_results_of_a_lag_are_ready_for_json() -> None:
 def test_results_of_a_lag_that_says_nothing_are_none() -> None:
     found = _lag(a_lag(silence="texture", tiles=False), expected_um=4.0, headline="coating_top")
     json.dumps(found, allow_nan=False)
-    assert [found[k] for k in ("lag_um", "se_um", "length_um", "agrees", "split_um", "tile_um")] == [None] * 6
+    assert [found[k] for k in ("lag_um", "se_um", "length_um", "agrees", "light", "tile_um")] == [None] * 6
     assert found["tiles"] == []
     assert found["silence"] == "texture"
     for missing in (None, NAN):

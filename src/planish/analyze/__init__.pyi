@@ -12,6 +12,11 @@ from .lag import Lag as Lag
 from .lag import texture_lag as texture_lag
 from .lag_field import LagField as LagField
 from .params import CorrelateParams as CorrelateParams
+from .sides import SIDES as SIDES
+from .sides import SideFound as SideFound
+from .sides import image_of_sheet as image_of_sheet
+from .sides import two_images as two_images
+from .sides import two_sheets as two_sheets
 from .surrogates import in_band as in_band
 from .texture import Textures as Textures
 from .texture import textures as textures

@@ -15,7 +15,7 @@ from planish.analyze.lag_field import LagField, MapPair, lag_field
 from planish.analyze.ncc import LEAST_PAIRS, cropped
 from planish.analyze.peak import MARGIN, Peak, find_peak, overlap, rival_r, within
 from planish.analyze.surrogates import Unrelated
-from planish.analyze.texture import Textures, standard, tile_sums
+from planish.analyze.texture import Textures, tile_sums
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
 
@@ -207,9 +207,10 @@ def texture_lag(
     pixel = found.pixel_um
     reach = _reach(found.known.shape, pixel, reach_um)
     known = {"reach_um": reach_um, "pixel_um": pixel, "n": found.n}
-    x, y = np.stack([found.maps[k] for k in first]), found.maps[last]
-    if found.n < _LEAST_PIXELS or not (y.any() and x.any(axis=(1, 2)).all()):
+    used = [found.maps[k] for k in (*first, last) if k in found.maps and found.maps[k].any()]
+    if found.n < _LEAST_PIXELS or len(used) <= len(first):
         return Lag(silence="few", **known)
+    x, y = np.stack(used[:-1]), used[-1]
     search = _Search(x, y, found.known, (reach[0] + MARGIN, reach[1] + MARGIN))
     allowed = within(reach)
     peak = find_peak(search.share, allowed, 1)
@@ -359,5 +360,3 @@ def _reach(shape: tuple[int, ...], pixel_um: tuple[float, float], reach_um: floa
         )
     return int(reach_um / pixel_um[0] + 1e-9), int(reach_um / pixel_um[1] + 1e-9)
 
-
-__all__ = ["NAME", "Lag", "standard", "texture_lag"]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.analyze.ncc import MaskedNcc
 from planish.analyze.peak import MARGIN, covariance_of, find_peak, within
-from planish.analyze.surrogates import in_band
 from planish.core.errors import SizeError
 
 Array = NDArray[np.float64]
@@ -28,11 +27,6 @@ class MapPair:
     known_a: Mask
     known_b: Mask
     pixel_um: tuple[float, float]
-
-    def in_band(self, band_um: tuple[float | None, float | None]) -> MapPair:
-        """Keep a band of wavelengths of both."""
-        a, b = (in_band(m, k, self.pixel_um, band_um) for m, k in ((self.a, self.known_a), (self.b, self.known_b)))
-        return replace(self, a=a, b=b)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from planish.analyze.ncc import LEAST_PAIRS, MaskedNcc
+from planish.analyze.ncc import MaskedNcc
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_AT_ONCE = 1 << 21  # numbers of the maps that are transformed together
 _TAPER = 0.4  # of the map, both borders together
 _LEAST = 3  # pixels that fix a plane
 
@@ -50,86 +49,6 @@ def _taper(n: int) -> Array:
     """Tapered cosine (Tukey) window, shape (n,); scipy.signal has it too but takes half a second to import."""
     from_border = np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (_TAPER * max(n - 1, 1))
     return 0.5 - 0.5 * np.cos(np.pi * np.minimum(from_border, 1.0))
-
-
-def unrelated_peaks(
-    a: Array, b: Array, known: tuple[Mask, Mask], pairs: Array, reach: tuple[int, int], count: int, seed: int
-) -> Array:
-    """Largest ``|r|`` within reach of map a and of each of many maps with the texture of b, shape (count,).
-
-    ``pairs`` (2 n + 1, 2 m + 1) are the pairs that are known at every lag, lag 0 in the middle; ``reach`` are the half
-    axes of the ellipse of lags, at most n and m.
-
-    A map of random phases continues itself periodically, so one inverse transform gives its products with ``a`` at all
-    lags. ``a`` without the plane through the pixels known in both is orthogonal to every plane, wherever it is moved:
-    mean and plane of the other map drop out of the products, and are taken off its variance at lag 0. Where a lag
-    leaves fewer pairs, r is larger by the root of their ratio. Only the wavelengths that hold 99 % of the products are
-    transformed, on a grid of at least four points a wave (or that of the pixels); the others of b count in its
-    variance.
-    """
-    both = known[0] & known[1]
-    still = without_plane(a, both)
-    shape = a.shape
-    amplitude = Unrelated(b, known[1]).amplitude / a.size
-    spectrum = np.conj(np.asarray(fft.rfft2(still)))
-    weight = np.full(amplitude.shape[1], 2.0)
-    weight[0] = 1.0
-    band = _band(weight * np.abs(spectrum * amplitude) ** 2, shape)
-    rows = np.concatenate([np.arange(band[0] + 1), np.arange(-band[0], 0)])
-    inner = np.ix_(rows, np.arange(band[1] + 1))
-    grid = [fft.next_fast_len(min(2 * (2 * k + 1), n), real=True) for k, n in zip(band, shape, strict=True)]
-    part = amplitude[inner].astype(np.float32)
-    part[0, 0] = 0.0
-    outside = float(weight @ (amplitude**2).sum(axis=0)) - float(weight[: band[1] + 1] @ (part**2).sum(axis=0))
-    outside -= float(amplitude[0, 0]) ** 2
-    own = np.stack([part.astype(np.complex64), spectrum[inner].astype(np.complex64) * part])
-    # Sums over the known pixels: of squares, and of the products with mean and slopes.
-    at = [(np.arange(m) * n) // m for m, n in zip(grid, shape, strict=True)]
-    shown = both[np.ix_(*at)]
-    flat = np.stack([np.ones(shown.shape), *np.meshgrid(*[np.linspace(-1.0, 1.0, m) for m in grid], indexing="ij")])
-    basis = np.linalg.qr(flat[:, shown].T)[0].astype(np.float32)
-    lags = [np.arange(-(k * m // n), k * m // n + 1) for k, m, n in zip(reach, grid, shape, strict=True)]
-    whole = [np.rint(lag * n / m).astype(np.intp) for lag, m, n in zip(lags, grid, shape, strict=True)]
-    left = pairs[np.ix_(*(w + n // 2 for w, n in zip(whole, pairs.shape, strict=True)))]
-    far = sum((w[:, None] if k == 0 else w[None]) ** 2 / reach[k] ** 2 for k, w in enumerate(whole)) > 1.0 + 1e-12
-    total = float(both.sum())
-    scale = np.where(far | ~(left >= LEAST_PAIRS * pairs.max()), 0.0, np.sqrt(total / np.maximum(left, 1.0)))
-    scale = (scale / np.sqrt(float(np.sum(still**2)) * total)).astype(np.float32)
-    rng = np.random.default_rng(seed)
-    peaks: list[Array] = []
-    step = max(1, _AT_ONCE // (2 * grid[0] * grid[1]))
-    for start in range(0, count, step):
-        some = min(step, count - start)
-        angle = rng.random((some, *part.shape), dtype=np.float32) * np.float32(2 * np.pi)
-        # A real map's waves along the rows come in conjugate couples.
-        angle[:, band[0] + 1 :, 0] = -angle[:, band[0] : 0 : -1, 0]
-        phase = np.empty(angle.shape, dtype=np.complex64)
-        np.cos(angle, out=phase.real)
-        np.sin(angle, out=phase.imag)
-        half = np.zeros((2, some, grid[0], band[1] + 1), dtype=np.complex64)
-        half[:, :, rows] = own[:, None] * phase
-        # Of the products only the lags within reach are wanted.
-        half = np.asarray(fft.ifft(half, axis=2, norm="forward", overwrite_x=True))
-        field = np.asarray(fft.irfft(half[0], grid[1], axis=2, norm="forward"))[:, shown]
-        product = np.asarray(fft.irfft(half[1][:, lags[0]], grid[1], axis=2, norm="forward"))[:, :, lags[1]]
-        variance = (np.sum(field**2, axis=1) - np.sum((field @ basis) ** 2, axis=1)) / shown.sum() + outside
-        highest = np.max(np.abs(product) * scale, axis=(1, 2)) / np.sqrt(np.maximum(variance, 1e-300))
-        peaks.append(np.minimum(highest.astype(np.float64), 1.0))
-    return np.concatenate(peaks)
-
-
-def _band(power: Array, shape: tuple[int, ...]) -> tuple[int, int]:
-    """Waves over the map, along rows and columns, up to which 99 % of a power (rows, cols // 2 + 1) lies."""
-    rows, cols = (np.arange(k) for k in power.shape)
-    rows = np.minimum(rows, shape[0] - rows)
-    most = (shape[0] - 1) // 2, (shape[1] - 1) // 2
-    # Waves of one length in pixels: an ellipse of waves over the map.
-    frequency = np.hypot(rows[:, None] / shape[0], cols[None] / shape[1])
-    order = np.argsort(frequency, axis=None)
-    sums = np.cumsum(power.ravel()[order])
-    last = frequency.ravel()[order[int(np.searchsorted(sums, 0.99 * sums[-1]))]] if sums[-1] > 0 else 0.5
-    found = [min(max(int(np.ceil(last * n)), 2), m) for n, m in zip(shape, most, strict=True)]
-    return found[0], found[1]
 
 
 class Plane:

@@ -299,7 +299,6 @@ class LagFacts(Facts):
     length_se_um: Number
     r: Number
     r_at_zero: Number
-    null_95: Number
     null_99: Number
     silence: str | None
     agrees: bool | None
@@ -308,8 +307,7 @@ class LagFacts(Facts):
     pixel_um: Pair
     n: int
     reach_um: float
-    split_um: Number
-    lags_of_bands_um: tuple[KnownPair, ...]
+    light: Number = Field(None, description="Share of what is explained that needs the slopes of the surface.")
     tile_um: Number
     tiles: tuple[LagTile, ...]
 

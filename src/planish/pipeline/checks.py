@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -16,7 +15,6 @@ _MOST_MISSING, _MOST_ALONE = 0.05, 0.05
 _SCALE = 0.03
 _STRAIN = 0.01  # paper strains by less between two measurements
 _OF_A_HOLE = 0.1  # share of a hole's diameter within which marks that were found well agree
-_LEAST_LIKE, _MOST_CROSSWISE = 0.3, 0.2  # r
 _FAR = 5.0  # times the limit from which on marks give no position
 
 
@@ -117,28 +115,6 @@ def field_check(share: float, layer: str, reference: str) -> Check:
         sentence=f"{100 * share:.1f} % of the {reference} shows the {layer}.",
         advice="Give the part of the reference that shows the specimen.",
     )  # fmt: skip
-
-
-def same_sheet_checks(a: str, b: str, likeness: dict[str, float] | None) -> Iterator[Check]:
-    """Two sheets are one specimen, seen from the same side."""
-    if likeness is None or not math.isfinite(likeness["thickness"]):
-        return
-    r = likeness["thickness"]
-    yield Check.at_least(
-        "one sheet", r, look=_LEAST_LIKE, figures=(CORRELATION, POSITION),
-        sentence=f"The thicknesses of {a} and {b} correlate with r = {r:.2f}.",
-        advice="Either they are not the same piece of paper, or they do not lie on each other, or one of them is "
-        "measured badly.",
-    )  # fmt: skip
-    same, cross = likeness["same_sides"], likeness["crosswise"]
-    if math.isfinite(same) and math.isfinite(cross):
-        yield Check.at_most(
-            "sides", cross - same, fail=_MOST_CROSSWISE, figures=(PROPERTIES, CORRELATION),
-            sentence=f"The coatings of {a} and {b} correlate with r = {same:.2f} side by side and {cross:.2f} "
-            "crosswise.",
-            advice="Top and bottom of one of the two are exchanged. Check --top, and whether its slices are numbered "
-            "against the usual sense.",
-        )  # fmt: skip
 
 
 # --- what checks mean for figures ------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from planish.core.results import (
     ExpectedError,
     FlattenFacts,
     InputFile,
+    LagFacts,
     LayerFacts,
     LinkedArea,
     OrientationFacts,
@@ -25,7 +26,7 @@ from planish.core.results import (
 )
 from planish.flatten import Flattened
 from planish.io import fingerprint
-from planish.pipeline.compare import headline_of, is_property, lag_of
+from planish.pipeline.compare import headline_of, is_property
 from planish.pipeline.layers import Layer
 from planish.pipeline.registration import Registration
 from planish.register import Chain, FittedTransform
@@ -126,19 +127,19 @@ def flatten_facts(flattened: Flattened) -> FlattenFacts:
     )  # fmt: skip
 
 
-def layer_facts(layer: Layer, maps: xr.Dataset, reference: xr.Dataset, link: Link | None, side: Side) -> LayerFacts:
+def layer_facts(
+    layer: Layer, maps: xr.Dataset, link: Link | None, side: Side, lag: LagFacts | None
+) -> LayerFacts:  # fmt: skip
     """What a layer is, how much of the reference it covers, and how it was registered; ``side`` is that which shows."""
     shown = maps["volume_z" if layer.kind == "sheet" else "image"].values
     return LayerFacts(
         name=layer.name, kind=layer.kind, source=layer.source, headline=headline_of(maps, side),
         share_of_reference=float(np.isfinite(shown).mean()), sheet=layer.facts,
-        registration=None if link is None else _registration_facts(layer, link, maps, reference, side),
+        registration=None if link is None else _registration_facts(layer, link, maps, lag),
     )  # fmt: skip
 
 
-def _registration_facts(
-    layer: Layer, link: Link, maps: xr.Dataset, reference: xr.Dataset, side: Side
-) -> RegistrationFacts:  # fmt: skip
+def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagFacts | None) -> RegistrationFacts:
     found, fit, error = link.registration, link.registration.fit, maps["expected_error"].values
     known = error[np.isfinite(error)]
     return RegistrationFacts.of(
@@ -148,7 +149,7 @@ def _registration_facts(
         match_sentence=found.sentence, model_sentence=fit.sentence,
         expected_error=ExpectedError(median_um=np.median(known), largest_um=known.max()) if known.size else None,
         rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)), shift_um=tuple(fit.transform.shift_um),
-        orientation=orientation_facts(layer, link.path[1], fit), lag=lag_of(maps, reference, side),
+        orientation=orientation_facts(layer, link.path[1], fit), lag=lag,
     )  # fmt: skip
 
 

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from planish import __version__
 from planish.compute import Compute, Progress
 from planish.core.checks import Check
-from planish.core.results import LayerFacts, Results
+from planish.core.results import LayerFacts, Results, Side
 from planish.io import read_image
-from planish.pipeline.checks import about, area_check, field_check, registration_checks, same_sheet_checks, with_trust
-from planish.pipeline.compare import comparison_rows, correlate_layers, likeness
+from planish.pipeline.checks import about, area_check, field_check, registration_checks, with_trust
+from planish.pipeline.compare import comparison_rows, correlate_layers, texture_of
 from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, parameters, versions
 from planish.pipeline.layers import Layer
 from planish.pipeline.onto import hole_circles, merged, on_reference
@@ -121,18 +121,19 @@ def _gathered(
     reference, point_um = layers[-1], study.correlate.point_um
     pairs = list(combinations(layers, 2))
     rows = [row for a, b in pairs for row in correlate_layers(a.name, b.name, maps, point_um)]
+    textures = {(a.name, b.name): texture_of(
+        maps[a.name], maps[b.name], (a.name, b.name), side=_side_of(a, b), given=_side_given(a, b)
+    ) for a, b in pairs if a.kind != b.kind or a.side == b.side}  # fmt: skip
     facts = [
-        layer_facts(
-            layer, maps[layer.name], maps[reference.name], links.get(layer.name),
-            "bottom" if "bottom" in (layer.side, reference.side) else "top",
-        )
+        layer_facts(layer, maps[layer.name], links.get(layer.name), _side_of(layer, reference), lag)
         for layer in layers
-    ]  # fmt: skip
+        for found in [textures.get((layer.name, reference.name))]
+        for lag in [found.lag if found else None]
+    ]
     checks = [check for layer, own in zip(layers, facts, strict=True) for check in _checks(layer, own, links, study)]
-    for a, b in pairs:
-        checks += about(
-            same_sheet_checks(a.name, b.name, likeness(maps[a.name], maps[b.name], point_um)), a.name, b.name
-        )
+    for (a, b), found in textures.items():
+        # Where two layers lie is judged where one of them is the reference.
+        checks += about(found.checks if b == reference.name else found.checks[:1], a, b)
     groups = {f"layers/{name}": data for name, data in maps.items()}
     more: dict[str, Any] = {}
     if study.is_sheet_on_image:
@@ -166,6 +167,15 @@ def _gathered(
             layer.name: layer for layer in layers if layer.params.kind == "volume"
         },
     )  # fmt: skip
+
+
+def _side_of(a: Layer, b: Layer) -> Side:
+    """The side of the sheet that an image of two layers shows."""
+    return "bottom" if "bottom" in (a.side, b.side) else "top"
+
+
+def _side_given(a: Layer, b: Layer) -> bool:
+    return all(layer.side_given is not None for layer in (a, b) if layer.kind == "image")
 
 
 def _checks(layer: Layer, facts: LayerFacts, links: dict[str, Link], study: Study) -> Iterator[Check]:

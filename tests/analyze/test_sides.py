@@ -1,0 +1,159 @@
+"""Which side of a sheet an image shows, and whether two layers are one specimen."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from planish.analyze import image_of_sheet, textures, two_images, two_sheets
+from planish.analyze.texture import Textures, relate
+
+PIXEL = (5.0, 5.0)
+SHAPE = (180, 220)
+
+
+def field(seed, sigma=3.0, shape=SHAPE):
+    made = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), sigma, mode="wrap")
+    return made / made.std()
+
+
+def prepared(**maps):
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    holes = (np.hypot(y - 60, x - 70) < 30) | (np.hypot(y - 120, x - 160) < 30)
+    return textures({k.replace("OTHER", "other "): m for k, m in maps.items()}, ~holes, PIXEL)
+
+
+def sheet(*, sign=1.0, shown="top", base=0):
+    """Two coatings that share some of their base, and an image of one side: light, grain and a burnt hole of its own."""
+    top, bottom = field(base), field(base + 1)
+    bottom = 0.9 * bottom - 0.4 * top
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    light = 1 + 0.7 * x / SHAPE[1]
+    image = light * (200 + sign * 10 * (top if shown == "top" else bottom) + 8 * field(base + 2, 2.0))
+    return {"coating_top": top, "coating_bottom": bottom, "image": image}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("shown", "state"), [("top", "pass"), ("bottom", "fail")])
+def test_the_side_that_the_image_shows_is_told_whatever_the_sign(shown, state, sign):
+    found = image_of_sheet(
+        prepared(**sheet(sign=sign, shown=shown)), coated=("top", "bottom"), side="top", given=True, image="photo"
+    )
+    check = found.check
+    assert (check.state, found.side) == (state, shown)
+    assert check.value * sign > check.limit
+    assert f"goes with the coating of the {shown} side (r = {sign * 0.7:.1f}" in check.sentence
+    assert check.sentence.endswith("The top side was given.")
+    if state == "fail":
+        assert check.figures == ("coating_top", "coating_bottom", "topography_top", "topography_bottom", "correlation")
+        assert "give --image-side bottom" in check.advice
+
+
+def test_what_cannot_be_told_is_said():
+    maps = sheet()
+    other = sheet(base=50)["image"]
+
+    def judged(coated=("top", "bottom"), given=True, **changes):
+        textured = prepared(**(maps | changes))
+        return image_of_sheet(textured, coated=coated, side="top", given=given, image="image").check
+
+    foreign = judged(image=other)
+    assert foreign.state == "look"
+    assert foreign.sentence.endswith("nothing beside the marks says that both show one specimen.")
+    bare = judged(coated=())
+    assert (bare.state, bare.figures) == ("unknown", ())
+    assert bare.sentence.startswith("Side: inconclusive, because no coating is seen on the top side; nothing beside")
+    assert "so both show one specimen" in judged(coated=(), thickness=maps["coating_top"] + field(9)).sentence
+    both = judged(image=maps["coating_top"] + maps["coating_bottom"])
+    assert both.state == "unknown"
+    assert "goes with both coatings" in both.sentence
+    assert "was assumed (--image-side not given)" in judged(given=False).sentence
+    assert judged(coated=("bottom",), image=maps["coating_bottom"]).state == "look"
+
+
+def test_light_from_one_side_tells_the_side_where_the_coating_does_not():
+    maps = sheet()
+    top, bottom = field(30, 4.0), field(31, 4.0)
+    lit = {"topography_top": top, "topography_bottom": 0.5 * bottom - 0.3 * top, "image": np.gradient(top, axis=1)}
+    found = image_of_sheet(prepared(**(maps | lit)), coated=("top", "bottom"), side="top", given=True, image="image")
+    assert found.check.state == "pass"
+    assert "slopes of the top face" in found.check.sentence
+
+
+def test_two_images_and_two_sheets():
+    a, b = field(1), field(2)
+    same = two_images(prepared(image=a, OTHERimage=-a + field(3)), ("a", "b"))
+    assert same.state == "pass"
+    assert "r = -0.7" in same.sentence
+    flipped = two_images(prepared(image=a, OTHERimage=a[:, ::-1].copy()), ("a", "b"))
+    assert flipped.state == "look"
+    assert "mirror image" in flipped.advice
+
+    def sheets(top, bottom, thickness=None):
+        whole = a + b + field(4)
+        maps = {"coating_top": a, "coating_bottom": b, "thickness": whole}
+        other = {"OTHERcoating_top": top, "OTHERcoating_bottom": bottom}
+        found = prepared(**maps, **other, OTHERthickness=whole if thickness is None else thickness)
+        return two_sheets(found, ("a", "b"), coated=("top", "bottom"))
+
+    assert sheets(a + 0.5 * field(7), b).state == "pass"
+    crosswise = sheets(b, a)
+    assert crosswise.state == "fail"
+    assert "go together crosswise (r = 1.00" in crosswise.sentence
+    assert sheets(field(5), field(6), field(7)).state == "look"
+    assert sheets(-a, -b, field(7)).state == "look"  # the same quantity does not change its sign
+    thin = sheets(field(5), field(6))
+    assert thin.state == "unknown"
+    assert "so both show one specimen" in thin.sentence
+
+
+@pytest.mark.parametrize("kind", ["fine and coarse", "grating", "stain"])
+def test_z_of_unrelated_textures_is_standard_normal_or_less(kind):
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    z = []
+    for k in range(30):
+        sigma = rng.uniform(1.0, 6.0, 2) if kind == "fine and coarse" else (2.0, 2.0)
+        a, b = (field(1000 + 2 * k + i, s) for i, s in enumerate(sigma))
+        if kind == "grating":  # the wires of one paper machine
+            a, b = (m + 2 * np.cos(x / 5 + rng.uniform(0, 2 * np.pi)) for m in (a, b))
+        if kind == "stain":
+            spot = 8 * np.exp(-((y - 90) ** 2 + (x - 110) ** 2) / 50)
+            a, b = a + spot, b + spot
+        found = prepared(a=a, b=b)
+        z.append(relate(found.maps["a"], found.maps["b"], found.known, PIXEL).z)
+    rms = float(np.sqrt(np.mean(np.square(z))))
+    print(f"{kind}: rms z {rms:.2f}, largest {np.abs(z).max():.1f}")
+    assert rms < 1.4  # 1 within 3 standard errors of 30
+    assert np.abs(z).max() < 4.5
+    if kind == "fine and coarse":
+        assert rms > 0.6
+
+
+def test_the_variance_of_unrelated_textures_is_the_sum_over_lags():
+    """Beside the sum over all pairs of pixels of the periodic maps, each product counted by hand."""
+    rng = np.random.default_rng(1)
+    known = rng.random((10, 12)) > 0.2
+    a, b = (ndimage.gaussian_filter(rng.standard_normal(known.shape), 1.0) for _ in range(2))
+    a, b = (np.where(known, (m - m[known].mean()) / m[known].std(), 0.0) for m in (a, b))
+    n, total = int(known.sum()), 0.0
+    for dy in range(10):
+        for dx in range(12):
+            sums = [0.0, 0.0]
+            for row in range(10):
+                for col in range(12):
+                    for k, m in enumerate((a, b)):
+                        sums[k] += m[row, col] * m[(row + dy) % 10, (col + dx) % 12]
+            total += sums[0] * sums[1]
+    found = relate(a, b, known, (1.0, 1.0))  # all in one tile, whose sum is 0
+    assert found.r == pytest.approx(float(np.vdot(a, b)) / n)
+    assert found.sd == pytest.approx(np.sqrt(total / n**3))
+
+
+def test_maps_that_are_known_in_little_of_the_field_are_left_out():
+    maps = sheet()
+    little = np.where(np.arange(SHAPE[1]) < 40, maps["coating_bottom"], np.nan)
+    found = prepared(**(maps | {"coating_bottom": little}))
+    assert isinstance(found, Textures)
+    assert set(found.maps) == {"coating_top", "image"}
+    assert found.maps["image"][found.known].std() == pytest.approx(1.0)
+    assert not found.maps["image"][~found.known].any()
