@@ -23,11 +23,10 @@ def prepared(**maps):
 
 
 def sheet(*, sign=1.0, shown="top", base=0):
-    """Two coatings that share some of their base, and an image of one side: light, grain and a burnt hole of its own."""
+    """Two coatings that share some of their base, and an image of one side with light and grain of its own."""
     top, bottom = field(base), field(base + 1)
     bottom = 0.9 * bottom - 0.4 * top
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    light = 1 + 0.7 * x / SHAPE[1]
+    light = 1 + 0.7 * np.arange(SHAPE[1]) / SHAPE[1]
     image = light * (200 + sign * 10 * (top if shown == "top" else bottom) + 8 * field(base + 2, 2.0))
     return {"coating_top": top, "coating_bottom": bottom, "image": image}
 

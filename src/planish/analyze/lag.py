@@ -40,7 +40,7 @@ _SILENCE: dict[Silence, str] = {
     "texture": "the maps have no texture in common that stands out from chance",
     "border": "the correlation still rises at the largest lag searched",
     "rival": "a second peak is nearly as high, as where a pattern repeats itself",
-    "light": "the image follows the slopes of the surface, and a shift cannot be distinguished from light from one side",
+    "light": "the image follows the slopes of the face, and light from one side cannot be distinguished from a shift",
 }
 
 
@@ -55,8 +55,8 @@ class Lag:
     covariance_um2 : ndarray, shape (2, 2)
         Of ``lag_um``; NaN unless distinct.
     r : float
-        Multiple correlation of the last map with the first ones at the peak, with the sign of that of the very first. It
-        was searched for: no measure of the relation of the maps.
+        Multiple correlation of the last map with the first ones at the peak, with the sign of that of the very first.
+        It was searched for: no measure of the relation of the maps.
     r_at_zero : float
         The same without any lag.
     null_99 : float
@@ -143,20 +143,26 @@ class Lag:
             sentence = f"Image-based check: inconclusive, because the marks give no expected error; {found}."
             return Check(name=NAME, state="unknown", sentence=sentence, value=self.length_um, units="um")
         limit, expected = self.allowed_um(expected_error_um), f"expected error {expected_error_um:.1f} um"
-        values = {"name": NAME, "value": self.length_um, "limit": limit, "units": "um", "figures": (POSITION, CORRELATION)}
+        values = {
+            "name": NAME,
+            "value": self.length_um,
+            "limit": limit,
+            "units": "um",
+            "figures": (POSITION, CORRELATION),
+        }
         if self.length_um <= limit:
             vague = math.hypot(*self.se_um) > max(expected_error_um, max(self.pixel_um))
             end = "agrees, but is less certain than the marks" if vague else "agrees"
             return Check(state="pass", sentence=f"Image-based check: {found}, {expected}: {end}.", **values)
         if self.length_um <= _SURE * self.length_se_um:
             sentence = (
-                f"Image-based check: inconclusive, because {found}, which is more than the marks allow ({expected}) but "
-                "within 3 standard errors."
+                f"Image-based check: inconclusive, because {found}, which is more than the marks allow ({expected}) "
+                "but within 3 standard errors."
             )
             return Check(state="unknown", sentence=sentence, **values)
         return Check(
-            state="look", sentence=f"Image-based check: {found}, more than the marks allow ({expected}). Such a shift of "
-            "all marks together shows nowhere else.", advice="Compare the outlines of maps and image; if the shift is "
+            state="look", sentence=f"Image-based check: {found}, more than the marks allow ({expected}). Such a shift "
+            "of all marks together shows nowhere else.", advice="Compare the outlines of maps and image; if it is "
             "real, take it off, or use marks at the face that the image shows.", **values,
         )  # fmt: skip
 
@@ -328,7 +334,7 @@ class _Search:
 
 
 def _chi2_limit(k: int, reach: tuple[int, int], root: float) -> float:
-    """Height that a smooth chi-square field of k degrees exceeds in an ellipse of half axes ``reach`` in 1 of 100 cases.
+    """Height that a smooth chi-square field of k degrees exceeds in the ellipse ``reach`` in 1 of 100 cases.
 
     By its expected Euler characteristic; ``root`` is the root of the determinant of the covariance of the slopes of the
     Gaussian fields that it is made of, per pixel squared.
@@ -359,4 +365,3 @@ def _reach(shape: tuple[int, ...], pixel_um: tuple[float, float], reach_um: floa
             f"({most:.0f} um)."
         )
     return int(reach_um / pixel_um[0] + 1e-9), int(reach_um / pixel_um[1] + 1e-9)
-

@@ -152,6 +152,7 @@ def covariance_of(peak: Peak, a: Array, b: Array, a_valid: Mask, b_valid: Mask) 
 
 
 def overlap(shape: tuple[int, ...], lag: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return the pixels of a, and those of b that lie on them at a lag."""
     here = [slice(max(-k, 0), n - max(k, 0)) for n, k in zip(shape, lag, strict=True)]
     there = [slice(max(k, 0), n - max(-k, 0)) for n, k in zip(shape, lag, strict=True)]
     return (here[0], here[1]), (there[0], there[1])

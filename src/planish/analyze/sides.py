@@ -19,8 +19,8 @@ _OF_SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bott
 _NO_WORD = "nothing beside the marks says that both show one specimen"
 _ONE = "so both show one specimen"
 _TURN = (
-    "Top and bottom are exchanged: turn the stack (--top; a volume numbered against the usual sense needs --mirror), or "
-    "give --image-side {side} if the image shows that side."
+    "Top and bottom are exchanged: turn the stack (--top; a volume numbered against the usual sense needs --mirror), "
+    "or give --image-side {side} if the image shows that side."
 )
 
 

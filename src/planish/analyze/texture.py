@@ -60,7 +60,7 @@ class Relation:
 
     @property
     def z(self) -> float:
-        """r in standard deviations of unrelated textures."""
+        """R in standard deviations of unrelated textures."""
         return self.r / self.sd if self.sd > 0 else 0.0
 
     def __str__(self) -> str:

@@ -143,7 +143,9 @@ def texture_of(
     ``side`` is that of the sheet which an image of the two shows, ``given`` or assumed. The lag is None where there are
     too few pixels.
     """
-    maps = [{k: d[k].values for k in (*_TEXTURED, "image") if k in d and np.isfinite(d[k].values).any()} for d in (a, b)]
+    maps = [
+        {k: d[k].values for k in (*_TEXTURED, "image") if k in d and np.isfinite(d[k].values).any()} for d in (a, b)
+    ]
     if "image" in maps[0] and "image" not in maps[1]:
         return texture_of(b, a, (names[1], names[0]), side=side, given=given)
     sheets = ["image" not in k for k in maps]
@@ -157,7 +159,9 @@ def texture_of(
     except SizeError as error:
         text = f"Specimen and position by texture: inconclusive, because of the pixel. {error}"
         return TextureFound(None, (Check(name="side and specimen", state="unknown", sentence=text),))
-    coated = [k for k in SIDES if all(_coating_seen(d, k) for d, is_sheet in zip((a, b), sheets, strict=True) if is_sheet)]
+    coated = [
+        k for k in SIDES if all(_coating_seen(d, k) for d, is_sheet in zip((a, b), sheets, strict=True) if is_sheet)
+    ]
     name, first, slopes = "image", ["image"], 0
     if sheets == [True, False]:
         judged = image_of_sheet(found, coated=coated, side=side, given=given, image=names[1])
