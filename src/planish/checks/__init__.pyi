@@ -1,0 +1,1 @@
+from .scan import check_scan as check_scan

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from planish.checks.slices import Fault, find_faults
 from planish.checks.windows import Window
@@ -20,8 +20,8 @@ _ADVICE = {
 }
 
 
-def slice_checks(windows: Iterable[Window], *, through: Axis) -> tuple[Check, ...]:
-    """Judge the slices along every axis.
+def slice_checks(windows: Iterable[Window], *, through: Axis, made: Collection[Axis] = ()) -> tuple[Check, ...]:
+    """Judge the slices along every axis; those along the axes ``made`` were put together by planish, or are labels.
 
     Returns
     -------
@@ -29,7 +29,9 @@ def slice_checks(windows: Iterable[Window], *, through: Axis) -> tuple[Check, ..
         One for each axis: ``fail`` where slices are not in their order, ``look`` where some are repeated, filled,
         foreign, empty or missing. ``value`` is the number of slices, or breaks, that are concerned.
     """
-    return tuple(axis_check(w.axis, find_faults(w), slices=len(w.blocks), through=through) for w in windows)
+    return tuple(
+        axis_check(w.axis, find_faults(w, made=w.axis in made), slices=len(w.blocks), through=through) for w in windows
+    )
 
 
 def axis_check(axis: Axis, faults: Sequence[Fault], *, slices: int, through: Axis) -> Check:

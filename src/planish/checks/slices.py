@@ -50,21 +50,27 @@ class Fault:
         return self.last - self.first + 1
 
 
-def find_faults(window: Window) -> list[Fault]:
+def find_faults(window: Window, *, made: bool = False) -> list[Fault]:
     """Find the faults of the slices of a window, in their order, by their numbers in the volume.
+
+    ``made``: slices were put together from others, or are labels; only their order is looked at, whatever the grey
+    scale of each.
 
     Notes
     -----
     Nothing is found at either end, nor a missing slice where the body hardly changes along the axis, or
     in strong noise.
     """
-    stack = _Stack.of(window)
-    if stack is None:
+    stack = _Stack.of(window, even=made)
+    if stack is None or np.median(stack.d1) == 0:  # nothing changes along the axis
         return []
-    for find in (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps):
+    order = (_foreign, _exchanged, _jumps)
+    for find in order if made else (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps):
         for fault in find(stack):
             stack.found.append(fault)
             stack.good[max(fault.first - 1, 0) : fault.last + 2] = False
+        if made:  # between sections there are gaps, which are known
+            stack.found = [f for f in stack.found if f.kind != "jump"]
     n = window.first + stack.first
     moved = [replace(f, first=f.first + n, last=f.last + n, other=None if f.other is None else f.other + n)
              for f in stack.found]  # fmt: skip
@@ -87,7 +93,7 @@ class _Stack:
     found: list[Fault]
 
     @classmethod
-    def of(cls, window: Window) -> _Stack | None:
+    def of(cls, window: Window, *, even: bool) -> _Stack | None:
         spread = window.blocks.std(axis=1, dtype=np.float64)
         if not spread.any():
             return None
@@ -97,6 +103,8 @@ class _Stack:
             return None
         a, b = int(at[0]), int(at[-1]) + 1
         s = window.blocks[a:b].astype(np.float64)
+        if even:
+            s = (s - s.mean(axis=1, keepdims=True)) / np.maximum(s.std(axis=1, keepdims=True), 1e-300)
         return cls(
             s=s, square=window.square[a : b - 1], product=window.product[a : b - 2], first=a, shows=shows[a:b],
             good=shows[a:b].copy(), spread=spread[a:b], d1=_differences(s, 1), d2=_differences(s, 2), found=[],

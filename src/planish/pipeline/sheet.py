@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 import xarray as xr
 
+from planish.checks import check_scan
 from planish.compute import Compute, Progress, column_step, engine
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
@@ -74,6 +75,10 @@ def map_layer(
         "volume": changed(v, voxel_um=tuple(float(s) for s in volume.attrs["voxel_um"]), **wider),
         "flatten": changed(layer.flatten, mesh_um=flattened.mesh_um, map_um=map_um),
     }
+    progress("check", "slices, grey, layers")
+    scan = check_scan(
+        volume, measured, sections=sections is not None, labels=layer.surface.labels is not None, threads=compute.threads
+    )
     facts = SheetFacts(
         surfaces=surface_facts(measured),
         properties=property_facts(measured),
@@ -83,7 +88,7 @@ def map_layer(
     )
     return Layer(
         params=changed(layer, **used), source=input_file(volume, v.path), groups=groups, facts=facts,
-        checks=tuple(sheet_checks(facts)), md_deg=v.md_deg if layer.md_deg is None else layer.md_deg,
+        checks=(*sheet_checks(facts), *scan), md_deg=v.md_deg if layer.md_deg is None else layer.md_deg,
     )  # fmt: skip
 
 

@@ -1,0 +1,47 @@
+"""Whether a scan can be right: all checks of a volume and of the sheet that was found in it."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from planish.checks.slice_checks import slice_checks
+from planish.checks.windows import gather
+from planish.core.checks import Check
+from planish.core.frame import Axis, Frame
+
+
+def check_scan(
+    volume: xr.DataArray, measured: xr.Dataset, *, sections: bool = False, labels: bool = False,
+    threads: int | None = None,
+) -> tuple[Check, ...]:  # fmt: skip
+    """Check a volume and the sheet that was measured in it.
+
+    Parameters
+    ----------
+    volume : DataArray, dims (z, y, x), coordinates in um
+        Parts of it are read, in one pass.
+    measured : Dataset, dims (y, x)
+        Surfaces and properties, heights in um.
+    sections : bool
+        Whether planish joined serial sections to the volume: what it bridged itself is no fault.
+    labels : bool
+        Whether voxels are labels, which have no grey scale.
+    threads : int, optional
+        No result depends on it.
+    """
+    frame = Frame.of(measured)
+    every: tuple[Axis, ...] = ("z", "y", "x")
+    made = every if labels else every[:1] if sections else ()
+    air = 0.0 if labels else float(measured.attrs["grey_air"])
+    windows = gather(volume, through=frame.through, sheet=_reach(volume, measured, frame), missing=air, threads=threads)
+    return slice_checks(windows, through=frame.through, made=made)
+
+
+def _reach(volume: xr.DataArray, measured: xr.Dataset, frame: Frame) -> tuple[int, int]:
+    """First and last slice along the axis through the sheet that hold it."""
+    heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
+    faces = np.stack([measured["top"].values, measured["bottom"].values])
+    low, high = np.nanmin(faces), np.nanmax(faces)
+    last = heights.size - 1
+    return tuple(int(np.clip(np.searchsorted(heights, v), 0, last)) for v in (low, high))  # pyright: ignore[reportReturnType]
