@@ -26,7 +26,7 @@ moving = rng.uniform((0, 0), (8000, 6000), (12, 2))
 fixed = truth(moving) + rng.normal(0, 1.5, moving.shape)
 points = np.stack(np.meshgrid(np.linspace(500, 7500, 60), np.linspace(500, 5500, 45)), axis=-1).reshape(-1, 2)
 
-names = ("rigid", "similarity", "affine", "projective", "tps")
+names = ("rigid", "similarity", "affine", "projective", "tps", "averaged")
 rows = []
 for name in names:
     fit = fit_transform(moving, fixed, model=name)

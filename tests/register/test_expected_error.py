@@ -31,12 +31,3 @@ def test_expected_over_true_error_of_a_spline(way):
 def test_expected_error_is_no_smaller_than_half_the_true_one(model, fits):
     """Quick form: some 15 fits fix the ratio to 20 %."""
     assert 0.5 < ratio_of(model, 16, 3.0, "plain", fits).value < 2.0
-
-
-@pytest.mark.parametrize(("model", "parameters"), [("rigid", 3), ("similarity", 4), ("affine", 6)])
-def test_the_error_of_a_mark_follows_from_the_residuals_and_the_freedom(model, parameters):
-    """rms**2 = (1 - p / (2 n)) error**2, without any repetition."""
-    rng = np.random.default_rng(3)
-    marks = rng.uniform(0, 3000, (9, 2))
-    fit = fit_transform(marks, marks + rng.normal(0, 2, marks.shape), model=model, mirrored=False, robust=False)
-    assert fit.localisation_error_um == pytest.approx(fit.rms_um / np.sqrt(1 - parameters / 18), rel=1e-9)

@@ -133,16 +133,18 @@ def test_json_keeps_what_it_has_no_numbers_for():
         assert getattr(again.transform, "smoothing_um2", 0) == getattr(fit.transform, "smoothing_um2", 0)
 
 
-def test_similarity_has_the_closed_form_of_its_expected_error():
-    """FLE**2 / n (1 + d**2 / f**2), and d**2 / (2 f**2) for a rigid transformation."""
-    rng = np.random.default_rng(6)
-    points, where = marks(9), marks(30, 9)
+def test_expected_error_of_many_marks_is_near_the_closed_form_of_a_similarity():
+    """FLE**2 / n (1 + d**2 / f**2), where the marks show no deviation; more for the deviations that they cannot rule
+    out: up to twice at the border for 60 marks, less in the middle.
+    """
+    points, where = marks(60), marks(30, 9, 2000.0) + 500.0
     away = np.sum((where - points.mean(axis=0)) ** 2, axis=1)
     f2 = np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))
-    for model, turn in (("similarity", 1.0), ("rigid", 0.5)):
-        fit = fit_transform(points, points + rng.normal(0, 3, (9, 2)), model=model)
-        expected = fit.localisation_error_um / 3.0 * np.sqrt(1 + turn * away / f2)
-        np.testing.assert_allclose(fit.expected_error_um(where), expected, rtol=1e-9 if turn == 1.0 else 1e-4)
+    fit = fit_transform(points, points + np.random.default_rng(6).normal(0, 3, (60, 2)))
+    assert fit.localisation_error_um == pytest.approx(3 * np.sqrt(2), rel=0.2)
+    ratio = fit.expected_error_um(where) / (fit.localisation_error_um / np.sqrt(60) * np.sqrt(1 + away / f2))
+    assert 0.99 < ratio.min()
+    assert ratio.max() < 2.0
 
 
 def test_a_constant_factor_of_the_weights_changes_nothing():

@@ -48,7 +48,17 @@ def test_doubles():
     twice[4] = twice[1]
     refused(MarkError, "Marks 1 and 4 lie at one place on the moving side.*um apart on the other", twice, points)
     refused(MarkError, "Marks 1 and 4 lie at one place on the fixed side", points, twice)
-    refused(MarkError, "given twice", twice, twice + 5.0)
+
+
+def test_repeated_pairs_count_once():
+    points = np.concatenate([marks(7), marks(7)[2:4]])
+    there = TURN(points) + np.tile(np.random.default_rng(1).normal(0, 2, (7, 2)), (2, 1))[:9]
+    there[7:] = there[2:4]
+    fit, once = fit_transform(points, there), fit_transform(points[:7], there[:7])
+    assert "Pairs 7, 8 (counted from 0) repeat others exactly and count once" in fit.warnings[0]
+    np.testing.assert_allclose(fit(points), once(points), rtol=0, atol=1e-9)
+    assert fit.agreement("abcdefghi") == once.agreement("abcdefg")
+    assert fit.agreement("abcdefghi").startswith("7 marks agree to ")
 
 
 @pytest.mark.parametrize("model", ["affine", "projective", "tps"])

@@ -5,21 +5,28 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from planish.core.errors import MarkError
 from planish.core.transform import Transform
+from planish.register.averaged import AveragedModel
+from planish.register.field import Field
 from planish.register.model import Floats
 from planish.register.models import MODELS, model_named
-from planish.register.pairs import Pairs, checked, listed, refuse_other_hand, rms_of_both_hands, weighted_rms
+from planish.register.pairs import COINCIDENT, checked, listed, refuse_other_hand, rms_of_both_hands, weighted_rms
 from planish.register.result import FittedTransform
-from planish.register.select import select_model
-from planish.register.strain import NOTABLE, Strain
+from planish.register.robust import agreeing
+from planish.register.strain import NOTABLE, inside
 
 _FEW = 6
+_AVERAGED = 4
 _SCALES = (0.8, 1.25)
+# A model is warned of where it is off by this many times what the likely map is known to.
+_STRUCTURE = 2.0
+_STEPS = 17
 # Residuals over the spread of the marks from which on the pairs, not their errors, are in doubt.
 _DISAGREE = 0.05
+AVERAGED = AveragedModel()
 
 
 def fit_transform(
@@ -39,9 +46,10 @@ def fit_transform(
     moving, fixed : array-like, shape (n, 2), in um
         Paired marks ``(x, y)``. With one pair more than the model needs, the residuals show the error.
     model : str
-        One of :data:`planish.register.models.MODELS`: ``rigid``, ``similarity``, ``affine``, ``projective`` or ``tps``
-        (thin-plate spline with the smoothing under which marks left out are missed least); or ``auto``, which takes
-        the next model as long as marks left out are missed by over 10 % less, and by more than chance.
+        One of :data:`planish.register.models.MODELS`: ``rigid``, ``similarity``, ``affine``, ``projective``, ``tps``
+        (thin-plate spline with the smoothing under which marks left out are missed least), ``averaged`` (similarity
+        with as much affine and smooth deviation as the marks show); or ``auto``, which is ``averaged`` from 4 marks in
+        use on and a similarity for 3.
     mirrored : bool or None
         Whether the moving x axis runs in the opposite direction, as when the two maps show opposite sides of the
         sheet. ``None`` takes the hand that fits better.
@@ -50,11 +58,10 @@ def fit_transform(
         the covariance of each pair in the fixed frame, that of the moving mark (turned into that frame) and of the
         fixed mark added. Their common factor is found from the residuals.
     robust : bool
-        Whether marks that do not agree with the others are weighted down. Where no mark is further off than chance puts
-        the furthest of n marks once in a hundred times, all weights are exactly 1 and nothing changes.
+        Whether marks that do not agree with the others are left out: up to a quarter, and from 4 marks on. Where no mark
+        is further off than chance puts one of n once in a hundred times, nothing changes.
     lowest : str
-        Model at which ``auto`` begins. Two instruments hardly ever agree on the length of a micrometre, and a few marks
-        cannot always prove it: a similarity is the better start there.
+        Model of ``auto`` for 2 marks.
 
     Returns
     -------
@@ -64,7 +71,7 @@ def fit_transform(
     Raises
     ------
     MarkError
-        If counts differ, a coordinate or weight is not finite, there are too few pairs, a mark is given twice, all
+        If counts differ, a coordinate or weight is not finite, there are too few pairs, a mark has two partners, all
         marks of one side coincide, or the marks fit only with the other handedness (exchanged columns, undeclared
         mirror).
     CannotRegister
@@ -72,8 +79,9 @@ def fit_transform(
 
     Notes
     -----
-    Leave-one-out errors of similarity and affine are ``(I - H)**-1 e`` with the block H of the hat matrix; those of
-    rigid and projective are found by refitting without each mark; those of the spline hold its smoothing fixed.
+    A pair that is given again exactly counts once. Leave-one-out errors of similarity and affine are ``(I - H)**-1 e``
+    with the block H of the hat matrix; those of rigid and projective are found by refitting without each mark; those of
+    the spline hold its smoothing fixed, those of the averaged map its probabilities.
 
     References
     ----------
@@ -88,7 +96,7 @@ def fit_transform(
     (1.0, 90.0)
     """
     least = 0 if model == "auto" else model_named(model).least
-    pairs = checked(moving, fixed, weights)
+    pairs, again = checked(moving, fixed, weights)
     used = pairs.weights > 0
     some = pairs.take(used)
     count = len(some)
@@ -102,17 +110,18 @@ def fit_transform(
         mirrored = missed[True] < missed[False]
     else:
         refuse_other_hand(some, mirrored)
-    share, sentence = np.ones(len(pairs)), ""
-    if model == "auto":
-        model, share[used], sentence = select_model(some, mirrored, robust=robust, lowest=lowest)
-    elif robust:
-        share[used] = MODELS[model].robust_weights(some, mirrored)
+    share = np.ones(len(pairs))
+    if robust:
+        share[used], field = agreeing(some, mirrored)
+    else:
+        field = Field(some, mirrored)
     final = pairs.times(share)
     held = final.take(final.weights > 0)
-    transform: Transform = MODELS[model].fit(held, mirrored)
+    if model == "auto":
+        model = AVERAGED.name if len(held) >= _AVERAGED else "similarity" if len(held) == 3 else lowest
+    transform: Transform = AVERAGED.of(field) if model == AVERAGED.name else MODELS[model].fit(held, mirrored)
     residuals = pairs.fixed - transform(pairs.moving)
     lengths = np.linalg.norm(residuals, axis=1)
-    about = f"{model} from {len(held)} marks: residuals {weighted_rms(lengths, final.weights):.3g} um rms."
     fit = FittedTransform(
         transform=transform,
         model=model,
@@ -121,40 +130,68 @@ def fit_transform(
         information=final.information,
         robust_weights=share,
         residuals_um=residuals,
-        sentence=f"{sentence} {about}".strip(),
+        sentence=f"{model} from {len(held)} marks: residuals {weighted_rms(lengths, final.weights):.3g} um rms.",
+        known=field,
     )
-    # Both refuse marks that do not support the model.
-    strain, _ = fit.strain, fit.errors
-    return replace(fit, warnings=_warnings(final, share, lengths, transform, strain))
+    return replace(fit, warnings=(*_of_marks(fit, lengths, again), *_of_model(fit), *_of_size(fit)))
 
 
-def _warnings(pairs: Pairs, share: Floats, lengths: Floats, transform: Transform, strain: Strain) -> tuple[str, ...]:
+def _of_marks(fit: FittedTransform, lengths: Floats, again: NDArray[np.intp]) -> list[str]:
+    """Marks that are left out, given twice, or few."""
     found: list[str] = []
-    doubted = np.flatnonzero((share < 1.0) & (lengths > 0))
-    if doubted.size:
-        off = ", ".join(f"{lengths[k]:.3g}" for k in doubted[:8])
+    out = np.flatnonzero(fit.robust_weights < 1.0)
+    if out.size:
+        off, some = ", ".join(f"{lengths[k]:.3g}" for k in out[:8]), out.size > 1
         found.append(
-            f"Mark{'s' * (doubted.size > 1)} {listed(doubted)} (counted from 0) do{'es' * (doubted.size == 1)} not "
-            f"agree with the others (off by {off} um) and count{'s' * (doubted.size == 1)} less or not at all. "
-            "Check them."
+            f"Mark{'s' * some} {listed(out)} (counted from 0) do{'es' * (not some)} not agree with the others (off by "
+            f"{off} um) and {'were' if some else 'was'} left out. Check {'them' if some else 'it'}."
         )
-    used = int(np.count_nonzero(pairs.weights > 0))
+    if again.size:
+        some = again.size > 1
+        found.append(
+            f"Pair{'s' * some} {listed(again)} (counted from 0) {'repeat' if some else 'repeats'} "
+            f"{'others' if some else 'another one'} exactly and count{'s' * (not some)} once."
+        )
+    used = int(np.count_nonzero(fit.weights > 0))
     if used < _FEW:
         found.append(
             f"{used} marks only: their error, and with it the expected error, is known to no better than about 40 %."
         )
-    rms, spread = weighted_rms(lengths, pairs.weights), transform.scale * pairs.frame()[1]
+    return found
+
+
+def _of_model(fit: FittedTransform) -> list[str]:
+    """A model that does not follow what the marks show."""
+    if fit.model == AVERAGED.name or not fit.field.freedom > 0:
+        return []
+    at = inside(fit.moving[fit.weights > 0], _STEPS)
+    likely = AVERAGED.of(fit.field)(at)
+    off = np.linalg.norm(fit(at) - likely, axis=1)
+    known, left = np.sqrt(np.mean(fit.field.expected_square(at, likely))), np.sqrt(np.mean(off**2))
+    if not left > _STRUCTURE * known + COINCIDENT * fit.transform.scale * fit.field.size:
+        return []
+    return [
+        f"The {fit.model} model leaves structure: the marks show a map that differs from it by {left:.3g} um rms between "
+        f"them, up to {off.max():.3g} um, and is itself known to {known:.2g} um. Use --model auto."
+    ]
+
+
+def _of_size(fit: FittedTransform) -> list[str]:
+    """Pairs, scales and strains that no sheet has."""
+    found: list[str] = []
+    rms, spread = fit.rms_um, fit.transform.scale * fit.field.size
     if rms > _DISAGREE * spread:
         found.append(
             f"The residuals, {rms:.3g} um rms, are {100 * rms / spread:.0f} % of the spread of the marks: many pairs "
             "are wrong. Check that every row pairs the same hole on both sides."
         )
     low, high = _SCALES
-    if not low <= transform.scale <= high:
+    if not low <= fit.transform.scale <= high:
         found.append(
-            f"Scale {transform.scale:.4g}: one side is probably in pixels, or its pixel size is wrong. "
+            f"Scale {fit.transform.scale:.4g}: one side is probably in pixels, or its pixel size is wrong. "
             "Give both sides in um."
         )
+    strain = fit.strain
     if strain.largest > NOTABLE:
         x, y = strain.at_um
         found.append(
@@ -162,4 +199,4 @@ def _warnings(pairs: Pairs, share: Floats, lengths: Floats, transform: Transform
             f"largest near ({x:.4g}, {y:.4g}) um of the moving map. Paper strains by less than 1 %: check the marks "
             "there."
         )
-    return tuple(found)
+    return found

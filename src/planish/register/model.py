@@ -1,4 +1,4 @@
-"""What a registration model is: how it is fitted to marks, which marks it doubts, and what errors it expects.
+"""What a registration model is: how it is fitted to marks, and how it misses marks that are left out.
 
 Models of a fixed number of parameters share everything but the fit itself and the derivatives by the parameters.
 """
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Transform
+from planish.register.field import Field
 from planish.register.pairs import COINCIDENT, Pairs, inverse_of
 
 Floats = NDArray[np.float64]
@@ -22,9 +23,6 @@ Frame = tuple[Floats, float]
 _LINE = 0.01
 # Condition number of the scaled equations beyond which marks do not fix the parameters.
 _RANK = 1e-8
-# The furthest of n right marks is taken for a wrong one in this share of sets of marks.
-_CHANCE = 0.01
-_ROUNDS = 40
 
 
 class Model(ABC):
@@ -44,8 +42,6 @@ class Model(ABC):
         Free ones.
     least : int
         Pairs that fix it.
-    tried_from : int
-        Pairs from which on ``auto`` tries it.
     """
 
     name: ClassVar[str]
@@ -54,28 +50,21 @@ class Model(ABC):
     transform: ClassVar[type[Any]]
     parameters: ClassVar[int]
     least: ClassVar[int]
-    tried_from: ClassVar[int]
-    settles_weights: ClassVar[bool] = True
-    """Whether ``auto`` may settle the weights of all marks under it."""
 
     @abstractmethod
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Any:
         """Weighted least squares."""
 
-    def refit(self, pairs: Pairs, transform: Any, _errors: Any, /) -> Any:
-        """Fit pairs that were moved, with all that was found from the first fit: its transformation and its errors."""
+    def refit(self, pairs: Pairs, transform: Any, _field: Field, /) -> Any:
+        """Fit pairs that were moved, with all else that the first fit found: its transformation and its field."""
         return self.fit(pairs, transform.mirrored)
 
     @abstractmethod
-    def errors(self, pairs: Pairs, transform: Any, robust: Floats, /) -> Any:
-        """Errors of a fit, with the methods and attributes of :class:`ParametricErrors`.
+    def left_out(self, pairs: Pairs, transform: Any, field: Field, /) -> Floats:
+        """Vector by which the fit to all other marks misses each mark, (n, 2) in um; NaN where they fix nothing.
 
-        ``robust`` (n,) is the part of the weights that does not reflect a mark's variance.
+        Weights and smoothing stay as they are.
         """
-
-    @abstractmethod
-    def robust_weights(self, pairs: Pairs, mirrored: bool, /) -> Floats:
-        """Weights between 0 and 1 for pairs that all count, shape (n,): below 1 for marks that are in doubt."""
 
 
 class ParametricModel(Model):
@@ -88,168 +77,33 @@ class ParametricModel(Model):
     def design(self, transform: Any, frame: Frame, points: Floats, /) -> Floats:
         """Derivatives of the image of points (..., 2) by the parameters, which the frame scales: (..., 2, p)."""
 
-    def errors(self, pairs: Pairs, transform: Transform, robust: Floats, /) -> ParametricErrors:
-        """Errors that follow from residuals and derivatives."""
-        return ParametricErrors(self, pairs, transform, robust)
+    def left_out(self, pairs: Pairs, transform: Transform, _field: Field, /) -> Floats:
+        """``(I - H)**-1 e`` with the mark's 2 x 2 block of the hat matrix for linear models; refits otherwise."""
+        if len(pairs) <= self.least:
+            return np.full((len(pairs), 2), np.nan)
+        return self._by_leverage(pairs, transform) if self.linear else self._by_refit(pairs, transform)
 
-    def robust_weights(self, pairs: Pairs, mirrored: bool, /) -> Floats:
-        """A core of marks that agree grows as long as chance explains the nearest mark outside.
-
-        The core begins with a fit that holds the majority (least sum of distances). What is outside at the end is
-        weighted down by a flat-topped biweight: 1 up to the limit, 0 beyond twice it. 99 of 100 sets of right marks
-        keep weights of exactly 1. With fewer than 4 degrees of freedom a wrong mark cannot be identified: all 1.
-        """
-        n = len(pairs)
-        if 2 * n - self.parameters < 4:
-            return np.ones(n)
-        _, size = pairs.frame()
-        floor = float(np.median(pairs.weights)) * (COINCIDENT * size) ** 2
-        transform = self._majority(pairs, mirrored)
-        errors = _squares(pairs, transform)
-        least = max(self.least + 1, (n + self.least + 1) // 2)
-        core = np.zeros(n, dtype=np.bool_)
-        core[np.argsort(errors, kind="stable")[:least]] = True
-        limit, squares = np.inf, errors
-        for _ in range(_ROUNDS):
-            try:
-                transform = self.fit(pairs.take(core), mirrored)
-            except (CannotRegister, MarkError):
-                return np.ones(n)
-            held = int(np.count_nonzero(core))
-            freedom = 2.0 * held - self.parameters
-            variance = float(np.sum(_squares(pairs.take(core), transform))) / freedom
-            variance = max(variance / _kept(held / n), floor)
-            squares = self._standardised(pairs, transform, core)
-            limit = variance * limit_squared(n, freedom)
-            grown = core | (squares <= limit)
-            if np.array_equal(grown, core):
-                break
-            core = grown
-        beyond = np.clip(np.sqrt(np.where(core, 0.0, squares) / limit) - 1.0, 0.0, 1.0)
-        return (1.0 - beyond**2) ** 2
-
-    def _majority(self, pairs: Pairs, mirrored: bool) -> Transform:
-        """The fit with nearly the least sum of distances: least squares with weights of one over the distance."""
-        transform = self.fit(pairs, mirrored)
-        _, size = pairs.frame()
-        floor = COINCIDENT * size * float(np.sqrt(np.median(pairs.weights)))
-        last = np.full(len(pairs), np.inf)
-        for _ in range(_ROUNDS):
-            away = np.sqrt(_squares(pairs, transform))
-            if np.abs(away - last).max() < 0.02 * float(np.median(away)) + floor:
-                break
-            last = away
-            away = np.maximum(away, 1e-3 * float(np.median(away)) + floor)
-            try:
-                transform = self.fit(pairs.times(float(np.median(away)) / away), mirrored)
-            except (CannotRegister, MarkError):
-                break
-        return transform
-
-    def _standardised(self, pairs: Pairs, transform: Transform, core: NDArray[np.bool_]) -> Floats:
-        """Squared length of each mark's error over its expectation for variance 1: 2 on average; shape (n,).
-
-        Errors of marks in the core, to which the transformation was fitted, are too small by ``1 - H``, those of the
-        others too large by ``1 + H``.
-        """
+    def _by_leverage(self, pairs: Pairs, transform: Transform) -> Floats:
         whitening = pairs.whitening()
-        rows = whitening @ self.design(transform, pairs.take(core).frame(), pairs.moving)
-        _, r = np.linalg.qr(rows[core].reshape(-1, self.parameters))
-        blocks = np.linalg.solve(r.T, rows.reshape(-1, self.parameters).T).T.reshape(len(pairs), 2, -1)
-        hat = blocks @ blocks.swapaxes(1, 2)
-        spread = np.eye(2) + np.where(core, -1.0, 1.0)[:, None, None] * hat
-        error = whitening @ (pairs.fixed - transform(pairs.moving))[..., None]
-        bound = np.linalg.eigvalsh(spread)[:, 0] < 1e-9
-        spread[bound] = np.eye(2)
-        # A mark that the fit goes through whatever its error is no evidence.
-        return np.where(bound, 0.0, (error.swapaxes(1, 2) @ inverse_of(spread) @ error)[:, 0, 0])
-
-
-class ParametricErrors:
-    """Errors of a model with a fixed number of parameters.
-
-    Attributes
-    ----------
-    mark_variance : float
-        Variance of one coordinate of a pair with information 1, in um**2; NaN where no residual is left.
-
-    Notes
-    -----
-    A mark in doubt was weighted down without being less precise: the covariance of the parameters is ``A**-1 B A**-1``
-    with ``A = sum(r D' W D)`` and ``B = sum(r**2 D' W D)``; without doubt ``A**-1``. Degrees of freedom:
-    ``2 sum(r) - p``.
-    """
-
-    def __init__(self, model: ParametricModel, pairs: Pairs, transform: Transform, robust: Floats) -> None:
-        used = pairs.weights > 0
-        some, share = pairs.take(used), robust[used]
-        self._model, self._pairs, self._transform, self._used = model, pairs, transform, used
-        self._frame = some.frame()
-        whitening = some.whitening()
-        q, r = factored(whitening, model.design(transform, self._frame, some.moving), model.name)
-        self._squares = float(np.sum((whitening @ (some.fixed - transform(some.moving))[..., None]) ** 2))
-        self._freedom = 2.0 * float(np.sum(share)) - model.parameters
-        enough = self._freedom > 1e-9 and np.count_nonzero(used) > 2
-        self.mark_variance = self._squares / self._freedom if enough else float("nan")
-        half = np.linalg.solve(r, (np.sqrt(np.repeat(share, 2))[:, None] * q).T)
-        self._covariance = self.mark_variance * (half @ half.T)
-
-    def residual_freedom(self) -> tuple[float, float]:
-        """Sum of squares of the whitened residuals, and its degrees of freedom."""
-        return self._squares, self._freedom
-
-    def left_out(self) -> Floats:
-        """Vector by which the fit to all other marks misses each mark, (n, 2) in um; NaN where they fix nothing.
-
-        ``(I - H)**-1 e`` with the mark's 2 x 2 block of the hat matrix for linear models; refits otherwise. Weights
-        stay as they are.
-        """
-        pairs, used = self._pairs, self._used
-        missed = pairs.fixed - self._transform(pairs.moving)
-        if np.count_nonzero(used) <= self._model.least:
-            missed[used] = np.nan
-        else:
-            missed[used] = (self._by_leverage if self._model.linear else self._by_refit)(pairs.take(used))
-        return missed
-
-    def expected_square(self, points: Floats) -> Floats:
-        """Mean square distance between fitted and true image of points (k, 2), in um**2.
-
-        ``trace(J C J')`` with the derivatives J of the image by the parameters and their covariance C.
-        """
-        design = self._model.design(self._transform, self._frame, points)
-        return np.einsum("kap,pq,kaq->k", design, self._covariance, design, optimize=True)
-
-    def _by_leverage(self, pairs: Pairs) -> Floats:
-        whitening = pairs.whitening()
-        q, _ = factored(whitening, self._model.design(self._transform, pairs.frame(), pairs.moving), self._model.name)
+        q, _ = factored(whitening, self.design(transform, pairs.frame(), pairs.moving), self.name)
         blocks = q.reshape(len(pairs), 2, -1)
         left = np.eye(2) - blocks @ blocks.swapaxes(1, 2)
         # Leverage 1: without this mark the others leave a parameter free.
         lonely = np.linalg.eigvalsh(left)[:, 0] < COINCIDENT
         left[lonely] = np.nan
-        error = whitening @ (pairs.fixed - self._transform(pairs.moving))[..., None]
+        error = whitening @ (pairs.fixed - transform(pairs.moving))[..., None]
         return np.asarray(np.linalg.solve(whitening, inverse_of(left) @ error)[..., 0], dtype=np.float64)
 
-    def _by_refit(self, pairs: Pairs) -> Floats:
+    def _by_refit(self, pairs: Pairs, transform: Transform) -> Floats:
         missed = np.full((len(pairs), 2), np.nan)
         everyone = np.arange(len(pairs))
         for k in everyone:
             try:
-                without = self._model.fit(pairs.take(everyone != k), self._transform.mirrored)
+                without = self.fit(pairs.take(everyone != k), transform.mirrored)
             except (CannotRegister, MarkError):
                 continue
             missed[k] = pairs.fixed[k] - without(pairs.moving[k])
         return missed
-
-
-def limit_squared(count: int, freedom: float) -> float:
-    """Squared length, in variances of a coordinate, that the largest of ``count`` errors exceeds once in a hundred.
-
-    The variance is known from ``freedom`` degrees of freedom. Half the square follows F with 2 and ``freedom`` degrees,
-    whose tail is ``(1 + square / freedom) ** (-freedom / 2)``.
-    """
-    return freedom * ((_CHANCE / count) ** (-2.0 / freedom) - 1.0)
 
 
 def solved(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
@@ -289,13 +143,3 @@ def refuse_line(pairs: Pairs, name: str) -> None:
                 f"The {side} marks lie on one line (they spread {long:.4g} um rms along it and {across:.2g} um across "
                 f"it); a model of type {name} needs marks away from it. Add some, or fit a similarity."
             )
-
-
-def _squares(pairs: Pairs, transform: Transform) -> Floats:
-    error = pairs.whitening() @ (pairs.fixed - transform(pairs.moving))[..., None]
-    return np.sum(error[..., 0] ** 2, axis=1)
-
-
-def _kept(share: float) -> float:
-    """Mean square of the smallest ``share`` of errors in a plane, over that of all."""
-    return 1.0 if share >= 1.0 else 1.0 + (1.0 - share) * float(np.log(1.0 - share)) / share

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from planish.core.errors import MarkError
+from planish.register.averaged import AveragedModel
 from planish.register.model import Model
 from planish.register.projective import ProjectiveModel
 from planish.register.similarity import AffineModel, RigidModel, SimilarityModel
 from planish.register.spline import SplineModel
 
 MODELS: dict[str, Model] = {
-    m.name: m for m in (RigidModel(), SimilarityModel(), AffineModel(), ProjectiveModel(), SplineModel())
+    m.name: m for m in (RigidModel(), SimilarityModel(), AffineModel(), ProjectiveModel(), SplineModel(), AveragedModel())
 }
 
 

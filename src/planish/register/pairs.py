@@ -82,14 +82,16 @@ def as_complex(points: Floats, mirrored: bool) -> Complexes:
     return (-points[:, 0] if mirrored else points[:, 0]) + 1j * points[:, 1]
 
 
-def checked(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> Pairs:
+def checked(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> tuple[Pairs, NDArray[np.intp]]:
     """Bring marks and weights into one form, or name all their faults.
+
+    A pair that is given again counts once: the others have no information, and their numbers are returned.
 
     Raises
     ------
     MarkError
         Wrong shapes, unequal counts, values that are not finite, weights that are no weights, fewer than two pairs,
-        marks given twice or all at one place.
+        a mark with two partners, or all marks at one place.
     """
     source, target = (points_of(p, name) for p, name in ((moving, "moving"), (fixed, "fixed")))
     if len(source) != len(target):
@@ -115,8 +117,10 @@ def checked(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> P
                 f"All {used.size} {name} marks lie at ({points[0, 0]:g}, {points[0, 1]:g}) um; at least two places are "
                 "needed."
             )
-    _refuse_doubles(pairs, used)
-    return pairs
+    again = _repeated(pairs, used)
+    if again.size:
+        pairs.information[again] = 0.0
+    return pairs, again
 
 
 def listed(which: Sequence[int] | NDArray[np.intp]) -> str:
@@ -164,22 +168,24 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
     return inverse_of(0.5 * (given + given.swapaxes(1, 2)))
 
 
-def _refuse_doubles(pairs: Pairs, used: NDArray[np.intp]) -> None:
-    """Two marks at one place on a side are one mark that was given twice, or a wrong pair."""
+def _repeated(pairs: Pairs, used: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Numbers of pairs that were given before; two marks at one place on one side only are a wrong pair."""
     from scipy.spatial import KDTree
 
     sides = {"moving": pairs.moving[used], "fixed": pairs.fixed[used]}
-    for (name, here), there in zip(sides.items(), reversed(sides.values()), strict=True):
-        near = COINCIDENT * max(1.0, float(np.abs(here).max()))
-        double = KDTree(here).query_pairs(near)
-        if not double:
-            continue
-        a, b = min(double)
-        at = f"Marks {used[a]} and {used[b]} lie at one place on the {name} side, ({here[a, 0]:g}, {here[a, 1]:g}) um"
-        apart = float(np.linalg.norm(there[a] - there[b]))
-        if apart <= near:
-            raise MarkError(f"{at}, and on the other: the pair was given twice. Remove one of the two.")
-        raise MarkError(f"{at}, and {apart:.4g} um apart on the other. One of them is wrong: correct or remove it.")
+    near = {name: COINCIDENT * max(1.0, float(np.abs(here).max())) for name, here in sides.items()}
+    again: set[int] = set()
+    for (name, here), (other, there) in zip(sides.items(), reversed(sides.items()), strict=True):
+        for a, b in sorted(KDTree(here).query_pairs(near[name])):
+            apart = float(np.linalg.norm(there[a] - there[b]))
+            if apart > near[other]:
+                raise MarkError(
+                    f"Marks {used[a]} and {used[b]} lie at one place on the {name} side, ({here[a, 0]:g}, "
+                    f"{here[a, 1]:g}) um, and {apart:.4g} um apart on the other. One of them is wrong: correct or "
+                    "remove it."
+                )
+            again.add(int(used[b]))
+    return np.array(sorted(again), dtype=np.intp)
 
 
 def rms_of_both_hands(pairs: Pairs) -> tuple[dict[bool, float], dict[bool, complex]]:

@@ -20,8 +20,7 @@ class ProjectiveModel(ParametricModel):
     name, words = "projective", "projective"
     purpose = "camera oblique to the sheet"
     transform = Projective
-    parameters, least, tried_from = 8, 4, 6
-    settles_weights = False
+    parameters, least = 8, 4
 
     def fit(self, pairs: Pairs, _mirrored: bool, /) -> Projective:
         """Normalised direct linear transformation, then Gauss-Newton on the distances in the fixed map."""

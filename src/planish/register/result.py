@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity, Transform, nearest_similarity
-from planish.register.model import ParametricErrors
+from planish.register.field import Field
 from planish.register.models import MODELS
 from planish.register.pairs import Pairs, points_of, weighted_rms
-from planish.register.spline import SplineErrors
 from planish.register.strain import Strain, strain_of
 
 Floats = NDArray[np.float64]
@@ -38,13 +37,13 @@ class FittedTransform:
     information : ndarray, shape (n, 2, 2)
         Inverse covariances of the pairs up to one factor, those of marks in doubt weighted down.
     robust_weights : ndarray, shape (n,)
-        1, or less for marks that do not agree with the others; 0 leaves a mark out.
+        1, or 0 for marks that do not agree with the others and were left out.
     residuals_um : ndarray, shape (n, 2), in um
         ``fixed - transform(moving)``, in the fixed frame.
     sentence : str
-        Model and residuals, and for ``auto`` why this model.
+        Model and residuals.
     warnings : tuple of str
-        Marks in doubt, few marks, a scale far from 1, strain above 1 %.
+        Marks left out or given twice, few marks, a model that leaves structure, a scale far from 1, strain above 1 %.
     """
 
     transform: Transform
@@ -56,6 +55,7 @@ class FittedTransform:
     residuals_um: Floats
     sentence: str
     warnings: tuple[str, ...] = ()
+    known: Field | None = None  # the field, where the fit was just made
 
     def __post_init__(self) -> None:
         """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
@@ -86,23 +86,45 @@ class FittedTransform:
         return Pairs(moving=self.moving, fixed=self.fixed, information=self.information)
 
     @cached_property
-    def errors(self) -> ParametricErrors | SplineErrors:
-        """Errors as the model works them out."""
-        return MODELS[self.model].errors(self._pairs, self.transform, self.robust_weights)
+    def field(self) -> Field:
+        """What the marks in use say of the map, whichever model was fitted."""
+        return self.known or Field(self._pairs.take(self.weights > 0), self.mirrored)
 
     @cached_property
     def leave_one_out_um(self) -> Floats:
         """Distance by which the fit to all other marks misses each mark, shape (n,), in um.
 
-        NaN where the others fix no transformation. All weights, also the robust ones, and the smoothing of a spline
-        stay as they are in the fit to all marks. A mark that is left out of the fit is missed by its residual.
+        NaN where the others fix no transformation. All weights, also the robust ones, the smoothing of a spline and
+        the probabilities of an averaged map stay as they are in the fit to all marks. A mark that is left out of the
+        fit is missed by its residual.
         """
-        return np.linalg.norm(self.errors.left_out(), axis=1)
+        used = self.weights > 0
+        missed = self.residuals_um.copy()
+        missed[used] = MODELS[self.model].left_out(self._pairs.take(used), self.transform, self.field)
+        return np.linalg.norm(missed, axis=1)
 
     @property
     def leave_one_out_rms_um(self) -> float:
         """Root mean square of the leave-one-out errors, weighted as in the fit, in um."""
         return weighted_rms(self.leave_one_out_um, self.weights)
+
+    def agreement(self, labels: Sequence[str]) -> str:
+        """How many marks agree, how well, and which were left out because they do not, in a sentence.
+
+        ``labels`` (n,) are those of all marks; "agree to" is the leave-one-out error, rms.
+        """
+        out, used = np.flatnonzero(self.robust_weights == 0), int(np.count_nonzero(self.weights > 0))
+        rms = self.leave_one_out_rms_um
+        to = f" to {rms:.2g} um" if np.isfinite(rms) else ""
+        if not out.size:
+            return f"{used} marks agree{to}."
+        off = np.linalg.norm(self.residuals_um[out], axis=1)
+        names, ums = _and([str(labels[k]) for k in out]), _and([f"{d:.2g}" for d in off])
+        some = out.size > 1
+        return (
+            f"{used} of {used + out.size} marks agree{to}; {names} {'are' if some else 'is'} {ums} um off and "
+            f"{'were' if some else 'was'} left out."
+        )
 
     @property
     def rms_um(self) -> float:
@@ -111,13 +133,13 @@ class FittedTransform:
 
     @property
     def localisation_error_um(self) -> float:
-        """Error of one pair of marks that the residuals speak for, rms in the plane, in um; NaN where none are left.
+        """Error of one pair of marks, rms in the plane, in um; NaN where the marks leave no residual.
 
-        With weights, that of a pair of mean weight. ``rms**2 = (1 - p / (2n)) * error**2`` for a model of p parameters:
-        ``1 - 2/n`` for a similarity, ``1 - 3/(2n)`` for a rigid transformation.
+        With weights, that of a pair of mean weight. It is what is left when all deviations that the marks make likely
+        are taken off, and does not depend on the model.
         """
         used = self.weights > 0
-        return float(np.sqrt(2.0 * self.errors.mark_variance / np.mean(self.weights[used] / self.robust_weights[used])))
+        return float(np.sqrt(2.0 * self.field.mark_variance / np.mean(self.weights[used] / self.robust_weights[used])))
 
     def expected_error_um(self, points: ArrayLike) -> Floats:
         """Expected distance between the fitted and the true image of each point.
@@ -135,20 +157,20 @@ class FittedTransform:
 
         Notes
         -----
-        ``error**2 = trace(J C J')`` with the derivatives J of the image by the parameters and their covariance C. For a
-        similarity that is ``FLE**2 / n * (1 + d**2 / f**2)``, and ``d**2 / (2 f**2)`` in place of the ratio for a rigid
-        transformation, with ``d`` the distance from the centroid of the marks, ``f`` their rms distance from it, and
-        ``FLE`` from `localisation_error_um`. A spline adds the bending that its marks do not see. With fewer than 6
-        marks FLE itself is known to no better than about 40 %. The model is taken for true: what a similarity cannot
-        describe is counted as error of the marks.
+        The map is taken for a similarity with affine and smooth deviations whose sizes and lengths the marks make
+        likely (:mod:`planish.register.field`); the error is the rms distance of such maps from the fitted one. So it
+        holds what a model with too few parameters leaves. Where the marks show no deviation it is close to that of a
+        similarity, ``FLE**2 / n * (1 + d**2 / f**2)`` with the distance ``d`` from the centroid of the marks, their rms
+        distance ``f`` from it, and ``FLE`` from `localisation_error_um` (Fitzpatrick and West 2001). With fewer than 6
+        marks it is itself known to no better than about 40 %.
 
         References
         ----------
         Fitzpatrick and West (2001), IEEE Trans. Med. Imaging 20, 917, doi:10.1109/42.952729.
         """
         given = np.asarray(points, dtype=np.float64)
-        squares = self.errors.expected_square(given.reshape(-1, 2))
-        return np.sqrt(squares).reshape(given.shape[:-1])
+        flat = given.reshape(-1, 2)
+        return np.sqrt(self.field.expected_square(flat, self.transform(flat))).reshape(given.shape[:-1])
 
     def refitted(self, moving: ArrayLike) -> Transform:
         """Fit the same pairs with other moving places, as another flattening of the sheet puts them.
@@ -176,7 +198,7 @@ class FittedTransform:
                 "each mark of the fit."
             )
         pairs = Pairs(moving=places, fixed=self.fixed, information=self.information).take(used)
-        return MODELS[self.model].refit(pairs, self.transform, self.errors)
+        return MODELS[self.model].refit(pairs, self.transform, self.field)
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)`` of the moving frame: ``(..., 2, 2)``, a row for x and y."""
@@ -270,3 +292,10 @@ class Chain:
             square = square * stretch + fit.expected_error_um(at) ** 2
             at = fit(at)
         return np.sqrt(square)
+
+
+def _and(words: list[str]) -> str:
+    """Words in a list: a, b and c; the first eight of many."""
+    if len(words) > 9:
+        words = [*words[:8], f"{len(words) - 8} more"]
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]

@@ -19,7 +19,7 @@ class RigidModel(ParametricModel):
     name, words = "rigid", "rigid"
     purpose = "both sides calibrated"
     transform = Similarity
-    parameters, least, tried_from = 3, 2, 2
+    parameters, least = 3, 2
 
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Similarity:
         """Closed form for equal weights of both axes; Gauss-Newton on the angle from there for covariances."""
@@ -56,7 +56,7 @@ class SimilarityModel(ParametricModel):
     name, words = "similarity", "similarity"
     purpose = "one calibration in doubt; the transformation of Hirn et al. (2009)"
     transform = Similarity
-    parameters, least, tried_from, linear = 4, 2, 3, True
+    parameters, least, linear = 4, 2, True
 
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Similarity:
         """Linear least squares; closed form in complex numbers for equal weights of both axes."""
@@ -94,7 +94,7 @@ class AffineModel(ParametricModel):
     name, words = "affine", "affine"
     purpose = "other strain in machine and cross direction (humidity, embedding: 0.1-0.5 %), pixel aspect"
     transform = Affine
-    parameters, least, tried_from, linear = 6, 3, 5, True
+    parameters, least, linear = 6, 3, True
 
     def fit(self, pairs: Pairs, _mirrored: bool, /) -> Affine:
         """Linear least squares."""

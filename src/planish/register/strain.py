@@ -44,7 +44,7 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> Strain:
     at = (float(middle[0]), float(middle[1]))
     if isinstance(transform, Similarity):
         return Strain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=at)
-    points = marks[:1] if isinstance(transform, Affine) else _inside(marks)
+    points = marks[:1] if isinstance(transform, Affine) else inside(marks)
     derivatives = transform.jacobian(points)
     sign = -1.0 if mirrored else 1.0
     areas = sign * (
@@ -72,10 +72,15 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> Strain:
     )
 
 
-def _inside(marks: Floats) -> Floats:
-    from scipy.spatial import Delaunay
+def inside(marks: Floats, steps: int = _GRID) -> Floats:
+    """The marks, and points of a grid of ``steps x steps`` over their extent that lie in their hull: (k, 2) in um."""
+    from scipy.spatial import Delaunay, QhullError
 
-    axes = [np.linspace(a, b, _GRID) for a, b in zip(marks.min(axis=0), marks.max(axis=0), strict=True)]
+    axes = [np.linspace(a, b, steps) for a, b in zip(marks.min(axis=0), marks.max(axis=0), strict=True)]
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    inside = Delaunay(marks - marks.mean(axis=0)).find_simplex(grid - marks.mean(axis=0)) >= 0
-    return np.concatenate([marks, grid[inside]])
+    middle = marks.mean(axis=0)
+    try:
+        hull = Delaunay(marks - middle)
+    except QhullError:  # all on a line, or fewer than three
+        return marks
+    return np.concatenate([marks, grid[hull.find_simplex(grid - middle) >= 0]])

@@ -1,0 +1,261 @@
+"""What the marks say of the map between them: a similarity, an affine deviation and a smooth random field, averaged.
+
+The map is ``alpha z + beta + gamma conj(z) + h(z)`` with the places ``z`` as complex numbers. Nothing is known
+beforehand of the similarity; ``gamma`` and the Gaussian process ``h`` are random, with a variance of one of a few ratios
+to that of the marks, and ``h`` with one of nine covariances. Each of these assumptions is weighted by its restricted
+likelihood, so that no single guess of size or length has to be right.
+
+References
+----------
+Patterson and Thompson (1971), Biometrika 58, 545, doi:10.1093/biomet/58.3.545 (restricted likelihood).
+Handcock and Stein (1993), Technometrics 35, 403, doi:10.1080/00401706.1993.10485354 (averaged over the covariance).
+Rasmussen and Williams (2006), Gaussian Processes for Machine Learning, sections 2.2, 2.7 and 5.4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.register.pairs import COINCIDENT, Pairs, inverse_of
+
+Floats = NDArray[np.float64]
+
+# Gaussian and Matern 3/2 covariances, each with its length over the rms distance of the marks from their middle.
+KERNELS = (
+    *(("gauss", length) for length in (0.35, 0.6, 1.0, 1.6, 2.4)),
+    *(("matern", length) for length in (0.3, 0.8, 2.0, 5.0)),
+)
+# Variance of the affine deviation at that distance, and of the field, over that of a mark.
+_AFFINE = np.array([0.0, 1.0, 10.0, 100.0])
+_FIELD = np.array([0.0, *np.logspace(-1, 3, 9)])
+_NO_FIELD = 1 / 3  # prior probability
+# Kernels that are less likely count for nothing.
+_LEAST = 1e-3
+_AT_ONCE = 1 << 18
+
+
+def covariance(kernel: tuple[str, float], squares: Floats) -> tuple[Floats, Floats]:
+    """Covariance at squared distances, 1 at 0, and its derivative by half the squared distance."""
+    name, length = kernel
+    if name == "gauss":
+        value = np.exp(squares * (-0.5 / length**2))
+        return value, value / -(length**2)
+    away = np.sqrt(squares) * (np.sqrt(3.0) / length)
+    fall = np.exp(-away)
+    return (1.0 + away) * fall, fall * (-3.0 / length**2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Likely:
+    """The marks under one covariance, in its eigenvectors, for all ratios: axes (affine, field, ...)."""
+
+    turn: Floats  # (2n, 2n): whitened marks to eigenvectors, as columns
+    values: Floats  # (2n,): eigenvalues
+    y: Floats  # (2n,)
+    columns: Floats  # (2n, 6): similarity and affine deviation
+    shrink: Floats  # (g, 2n): one over the variance of each eigenvector
+    inner: Floats  # (a, g, 6, 6): covariance of the six coefficients
+    at: Floats  # (a, g, 6): the six coefficients
+    rest: Floats  # (a, g): sum of squares that remains
+    log: Floats  # (a, g): logarithm of the restricted likelihood times prior
+
+
+class Field:
+    """Map and errors that pairs make likely.
+
+    Attributes
+    ----------
+    mixture : ndarray, shape (kernels, affine ratios, field ratios)
+        Probability of each assumption.
+    mark_variance : float
+        Variance of one coordinate of a pair with information 1, in um**2; NaN where no residual is left.
+    """
+
+    def __init__(self, pairs: Pairs, mirrored: bool, mixture: Floats | None = None) -> None:
+        self._pairs, self.mirrored = pairs, mirrored
+        self.middle, self.size = pairs.frame()
+        self.nodes = (pairs.moving - self.middle) / self.size
+        self._unit = float(np.median(pairs.weights))
+        self._whitening = pairs.whitening() / np.sqrt(self._unit)
+        design = self._columns(self.nodes)
+        target = self._whitened(pairs.fixed.reshape(-1, 1))[:, 0]
+        columns = self._whitened(design.reshape(-1, 6))
+        # All else is small beside this similarity.
+        self._first = np.zeros(6)
+        self._first[:4] = np.linalg.lstsq(columns[:, :4], target, rcond=None)[0]
+        y = target - columns @ self._first
+        squares = np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)
+        self.freedom = 2 * len(pairs) - 4
+        floor = (COINCIDENT * float(np.hypot(*self._first[2:4]))) ** 2
+        which = range(len(KERNELS)) if mixture is None else np.flatnonzero(mixture.sum(axis=(1, 2)))
+        self._likely = {k: self._fit(KERNELS[k], squares, columns, y, floor) for k in which}
+        if mixture is None:
+            logs = np.array([v.log for v in self._likely.values()])
+            mixture = np.exp(logs - logs.max())
+            mixture[mixture.sum(axis=(1, 2)) < _LEAST * mixture.sum()] = 0.0
+            mixture /= mixture.sum()
+        self.mixture = mixture
+        self._likely = {k: v for k, v in self._likely.items() if mixture[k].any()}
+        self._variance = {k: v.rest / max(self.freedom, 1) for k, v in self._likely.items()}
+        total = sum(float(np.sum(mixture[k] * v)) for k, v in self._variance.items())
+        self.mark_variance = total * self._unit if self.freedom > 0 else float("nan")
+
+    def _columns(self, at: Floats) -> Floats:
+        """Derivatives of the image of scaled points (k, 2) by shift, scale and turn, and the affine deviation."""
+        x, y = (-at[:, 0] if self.mirrored else at[:, 0]), at[:, 1]
+        one, none = np.ones(len(at)), np.zeros(len(at))
+        rows = [[one, none, x, -y, x, y], [none, one, y, x, -y, x]]
+        return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
+
+    def _whitened(self, rows: Floats) -> Floats:
+        """Multiply the 2 x 2 blocks of the whitening to rows (2n, k)."""
+        return (self._whitening @ rows.reshape(len(self._pairs), 2, -1)).reshape(rows.shape)
+
+    def _fit(self, kernel: tuple[str, float], squares: Floats, columns: Floats, y: Floats, floor: float) -> _Likely:
+        between = covariance(kernel, squares)[0]
+        if self._pairs.isotropic:
+            root = self._whitening[:, 0, 0]
+            values, turn = np.linalg.eigh(root[:, None] * between * root)
+            values, turn = np.repeat(values, 2), np.kron(turn, np.eye(2))
+        else:
+            values, turn = np.linalg.eigh(self._whitened(self._whitened(np.kron(between, np.eye(2))).T))
+        values = np.maximum(values, 0.0)
+        columns, y = turn.T @ columns, turn.T @ y
+        shrink = 1.0 / (1.0 + _FIELD[:, None] * values)
+        weighted = shrink[:, None] * columns.T  # (g, 6, 2n)
+        gram, right = weighted @ columns, weighted @ y
+        inner = np.zeros((len(_AFFINE), len(_FIELD), 6, 6))
+        inner[0, :, :4, :4] = np.linalg.inv(gram[:, :4, :4])
+        held = gram + np.diag([0.0, 0, 0, 0, 1, 1]) / _AFFINE[1:, None, None, None]
+        inner[1:] = np.linalg.inv(held)
+        at = (inner @ right[..., None])[..., 0]
+        rest = np.maximum(shrink @ (y * y) - np.sum(at * right, axis=-1), 0.0) + max(self.freedom, 1) * floor
+        log = np.broadcast_to(0.5 * np.sum(np.log(shrink), axis=1), rest.shape).copy()
+        log[0] -= 0.5 * np.linalg.slogdet(gram[:, :4, :4])[1]
+        log[1:] -= 0.5 * np.linalg.slogdet(held)[1] + np.log(_AFFINE[1:, None])
+        log -= 0.5 * self.freedom * np.log(rest)
+        log += np.log(np.where(_FIELD > 0, (1 - _NO_FIELD) / (len(_FIELD) - 1), _NO_FIELD))
+        return _Likely(
+            turn=turn, values=values, y=y, columns=columns, shrink=shrink, inner=inner, at=at, rest=rest, log=log
+        )
+
+    # --- the map and its errors ----------------------------------------------------------------------------------
+
+    def mean(self) -> tuple[Floats, tuple[tuple[str, float], ...], Floats]:
+        """Affine part (3, 2) in um, and coefficients (kernels, n, 2) in um of the likely kernels at the nodes."""
+        planes, bends = np.zeros(6), {}
+        for k, likely in self._likely.items():
+            share = self.mixture[k]
+            planes += np.einsum("ag,agp->p", share, likely.at)
+            bends[k] = self._dual(likely, np.einsum("ag,g,agk->k", share, _FIELD, self._left(likely)))
+        plane = self._plane(planes + self._first)
+        return plane, tuple(KERNELS[k] for k in bends), np.array(list(bends.values()))
+
+    def _plane(self, coefficients: Floats) -> Floats:
+        """Coefficients (..., 6) of `_columns` as those of ``(1, x, y)``: (..., 3, 2)."""
+        corners = self._columns(np.array([[0.0, 0], [1, 0], [0, 1]]))
+        images = np.einsum("kcp,...p->...kc", corners, coefficients)
+        images[..., 1:, :] -= images[..., :1, :]
+        return images
+
+    def _left(self, likely: _Likely) -> Floats:
+        """What the six coefficients leave, over its variance: (a, g, 2n)."""
+        return likely.shrink * (likely.y - likely.at @ likely.columns.T)
+
+    def _dual(self, likely: _Likely, values: Floats) -> Floats:
+        """From eigenvectors (2n,) back to coefficients of the marks (n, 2)."""
+        rows = (likely.turn @ values).reshape(-1, 2, 1)
+        return (self._whitening.swapaxes(1, 2) @ rows)[..., 0]
+
+    @cached_property
+    def _squares(self) -> dict[int, tuple[Floats, Floats, float]]:
+        """For each kernel: mean square of the deviation from the first similarity as a quadratic form.
+
+        It is ``f' S f + c`` with ``f = (1, x, y, covariances with the nodes)``; ``S`` (3 + n, 3 + n), and ``b``
+        (3 + n, 2), the mean deviation, for cross terms.
+        """
+        found: dict[int, tuple[Floats, Floats, float]] = {}
+        n = len(self._pairs)
+        corner = np.linalg.lstsq(np.kron(np.column_stack([np.ones(n), self.nodes]), np.eye(2)),
+                                 self._columns(self.nodes).reshape(-1, 6), rcond=None)[0]  # fmt: skip
+        back = np.zeros((2 * n, 2 * n))
+        for i, block in enumerate(self._whitening):
+            back[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = block.T
+        for k, likely in self._likely.items():
+            share, variance = self.mixture[k], self._variance[k]
+            # Rows of which the products with (columns, eigenvectors) are squared and summed.
+            root = np.linalg.cholesky(likely.inner + np.diag([0.0, 0, 0, 0, 1e-300, 1e-300])).swapaxes(-1, -2)
+            cross = -_FIELD[:, None, None] * (likely.columns.T * likely.shrink[:, None])  # (g, 6, 2n)
+            rows = np.concatenate([root, root @ cross], axis=-1) * np.sqrt(share * variance)[..., None, None]
+            means = np.concatenate([likely.at, _FIELD[:, None] * self._left(likely)], axis=-1)
+            scaled = np.sqrt(share)[..., None] * means
+            stack = np.concatenate([rows.reshape(-1, rows.shape[-1]), scaled.reshape(-1, rows.shape[-1])])
+            form = stack.T @ stack
+            away = np.einsum("ag,g,gk->k", share * variance, _FIELD**2, likely.shrink)
+            form[6:, 6:] -= np.diag(away)
+            change = np.zeros((6 + 2 * n, 6 + 2 * n))
+            change[:6, :6] = corner
+            change[6:, 6:] = back @ likely.turn
+            form = change @ form @ change.T
+            form = form[0::2, 0::2] + form[1::2, 1::2]
+            mean = change @ np.einsum("ag,agk->k", share, means)
+            found[k] = (form, mean.reshape(-1, 2), 2.0 * float(np.sum(share * variance * _FIELD)))
+        return found
+
+    def expected_square(self, points: Floats, images: Floats) -> Floats:
+        """Mean square distance of the true images of points (k, 2) from given ones (k, 2): shape (k,), in um**2.
+
+        The square of the distance from the mean map, and the variance around that.
+        """
+        out = np.full(len(points), np.nan)
+        if self.freedom <= 0:
+            return out
+        step = max(1, _AT_ONCE // len(self._pairs))
+        for start in range(0, len(points), step):
+            part = slice(start, start + step)
+            at = (points[part] - self.middle) / self.size
+            squares = np.sum((at[:, None] - self.nodes) ** 2, axis=-1)
+            plane = np.column_stack([np.ones(len(at)), at])
+            off = images[part] - self._columns(at) @ self._first
+            total = np.sum(off**2, axis=1)
+            for k, (form, mean, more) in self._squares.items():
+                row = np.concatenate([plane, covariance(KERNELS[k], squares)[0]], axis=1)
+                total += np.sum(row * (row @ form), axis=1) + more - 2.0 * np.sum(off * (row @ mean), axis=1)
+            out[part] = np.maximum(total, 0.0)
+        return out
+
+    def left_out(self) -> tuple[Floats, Floats]:
+        """How the marks are missed by the others: vectors (n, 2) in um, and the chance of being missed by more (n,).
+
+        The vectors hold the mixture; the chances are those of the others alone. With the residual operator ``P`` the
+        vector is ``(P_ii)**-1 (P y)_i`` and the chance ``(1 - q / rest)**(freedom / 2 - 1)``, the tail of a t
+        distribution in the plane, where ``q = (P y)_i' (P_ii)**-1 (P y)_i``.
+        """
+        n, tail = len(self._pairs), 0.5 * self.freedom - 1.0
+        missed, chance, total = np.zeros((n, 2)), np.zeros(n), np.zeros(n)
+        for k, likely in self._likely.items():
+            share, rows = self.mixture[k], likely.turn.reshape(n, 2, -1)
+            weighted = rows * likely.shrink[:, None, None]  # (g, n, 2, 2n)
+            onto = weighted @ likely.columns
+            block = weighted @ rows.swapaxes(1, 2) - onto @ likely.inner[:, :, None] @ onto.swapaxes(2, 3)
+            det = block[..., 0, 0] * block[..., 1, 1] - block[..., 0, 1] ** 2
+            # Without this mark the others leave the similarity free.
+            block[det < COINCIDENT**2 * (block[..., 0, 0] + block[..., 1, 1]) ** 2] = np.nan
+            left = (self._left(likely) @ likely.turn.T).reshape(*share.shape, n, 2)
+            error = (inverse_of(block.reshape(-1, 2, 2)).reshape(block.shape) @ left[..., None])[..., 0]
+            missed += np.einsum("ag,agni->ni", share, error)
+            if tail <= 0:
+                continue
+            rest = likely.rest[..., None]
+            kept = np.clip(1.0 - np.sum(left * error, axis=-1) / rest, 1e-14, 1.0)
+            others = share[..., None] / np.sqrt(det) * kept**-tail * rest
+            total += np.sum(others, axis=(0, 1))
+            chance += np.sum(others * kept**tail, axis=(0, 1))
+        with np.errstate(invalid="ignore"):
+            chance = np.where(total > 0, chance / np.where(total > 0, total, 1.0), 1.0)
+        return np.linalg.solve(self._whitening, missed[..., None])[..., 0], chance
