@@ -206,7 +206,8 @@ def test_machine_directions_that_contradict_each_other_are_seen(
     assert got == code, err
     results = json.loads(out)
     orientation = results["layers"][0]["registration"]["orientation"]
-    assert orientation["md_deg_fixed_from_moving"] == pytest.approx(rotation % 180, abs=1e-6)
+    # A stretch turns it a little.
+    assert orientation["md_deg_fixed_from_moving"] == pytest.approx(rotation % 180, abs=0.2)
     assert ("machine direction" in err) == (code == 4)
     assert any(check["name"] == "machine direction" for check in results["checks"])
 
