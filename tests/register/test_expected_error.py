@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from benchmarks.registration import ratio_of
 
-from planish.register import fit_transform
-
 
 @pytest.mark.study
 @pytest.mark.parametrize("way", ["plain", "weights", "covariances", "outliers"])

@@ -106,8 +106,8 @@ def test_a_fold_is_refused_with_its_place():
 
 def test_a_strain_of_one_per_cent_is_said():
     moving = marks(20)
-    assert not fit_transform(moving, bent(moving, amount=5.0), model="tps").warnings
+    assert "Local strain" not in str(fit_transform(moving, bent(moving, amount=5.0), model="tps").warnings)
     fit = fit_transform(moving, bent(moving, amount=60.0), model="tps")
-    assert "Local strain" in fit.warnings[0]
+    assert "Local strain" in fit.warnings[-1]
     assert fit.strain.largest > 0.01
     assert fit.strain.area[0] < 1 < fit.strain.area[1]

@@ -77,7 +77,11 @@ def map_layer(
     }
     progress("check", "slices, grey, layers")
     scan = check_scan(
-        volume, measured, sections=sections is not None, labels=layer.surface.labels is not None, threads=compute.threads
+        volume,
+        measured,
+        sections=sections is not None,
+        labels=layer.surface.labels is not None,
+        threads=compute.threads,
     )
     facts = SheetFacts(
         surfaces=surface_facts(measured),

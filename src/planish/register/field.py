@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +29,9 @@ KERNELS = (
     *(("gauss", length) for length in (0.35, 0.6, 1.0, 1.6, 2.4)),
     *(("matern", length) for length in (0.3, 0.8, 2.0, 5.0)),
 )
-# Variance of the affine deviation at that distance, and of the field, over that of a mark.
-_AFFINE = np.array([0.0, 1.0, 10.0, 100.0])
-_FIELD = np.array([0.0, *np.logspace(-1, 3, 9)])
-_NO_FIELD = 1 / 3  # prior probability
+# Variance of the affine deviation at that distance, and of the field, over that of a mark; each as likely absent as not.
+_AFFINE = np.array([0.0, 3.0, 30.0, 300.0])
+_FIELD = np.array([0.0, *np.logspace(-1, 4, 6)])
 # Kernels that are less likely count for nothing.
 _LEAST = 1e-3
 _AT_ONCE = 1 << 18
@@ -139,7 +137,7 @@ class Field:
         log[0] -= 0.5 * np.linalg.slogdet(gram[:, :4, :4])[1]
         log[1:] -= 0.5 * np.linalg.slogdet(held)[1] + np.log(_AFFINE[1:, None])
         log -= 0.5 * self.freedom * np.log(rest)
-        log += np.log(np.where(_FIELD > 0, (1 - _NO_FIELD) / (len(_FIELD) - 1), _NO_FIELD))
+        log += _log_prior(_FIELD) + _log_prior(_AFFINE)[:, None]
         return _Likely(
             turn=turn, values=values, y=y, columns=columns, shrink=shrink, inner=inner, at=at, rest=rest, log=log
         )
@@ -259,3 +257,8 @@ class Field:
         with np.errstate(invalid="ignore"):
             chance = np.where(total > 0, chance / np.where(total > 0, total, 1.0), 1.0)
         return np.linalg.solve(self._whitening, missed[..., None])[..., 0], chance
+
+
+def _log_prior(ratios: Floats) -> Floats:
+    """Logarithm of the probability of each ratio before the marks are seen: one half of none."""
+    return np.log(np.where(ratios > 0, 0.5 / (len(ratios) - 1), 0.5))

@@ -10,7 +10,8 @@ from planish.register.similarity import AffineModel, RigidModel, SimilarityModel
 from planish.register.spline import SplineModel
 
 MODELS: dict[str, Model] = {
-    m.name: m for m in (RigidModel(), SimilarityModel(), AffineModel(), ProjectiveModel(), SplineModel(), AveragedModel())
+    m.name: m
+    for m in (RigidModel(), SimilarityModel(), AffineModel(), ProjectiveModel(), SplineModel(), AveragedModel())
 }
 
 

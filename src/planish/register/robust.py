@@ -15,14 +15,17 @@ _CHANCE = 0.01
 _LEAST = 4
 # So many wrong marks may hide each other.
 _HIDDEN = 3
+# Right ones that may be taken out before them.
+_MORE = 2
 
 
 def agreeing(pairs: Pairs, mirrored: bool) -> tuple[NDArray[np.bool_], Field]:
     """Marks that agree, shape (n,), and the field that they make likely.
 
-    The mark that the others expect least is taken out, up to a quarter of all, and judged by the chance that the others
-    miss a right one by as much. All up to the last one whose chance is below one in a hundred sets are wrong: a wrong
-    mark may hide another. With fewer than 4 marks none can be told.
+    The mark that the others expect least is taken out, a few beyond a quarter of all, and judged by the chance that they
+    miss a right one by as much. Up to the last one whose chance is below one in a hundred sets all are wrong, unless
+    the chance is higher for the marks that are left at the end: wrong marks hide each other and accuse right ones. With
+    fewer than 4 marks none can be told.
 
     References
     ----------
@@ -31,13 +34,23 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[NDArray[np.bool_], Field]:
     n = len(pairs)
     field = best = Field(pairs, mirrored)
     keep = np.ones(n, dtype=np.bool_)
-    found, hidden = keep.copy(), 0
-    while n >= _LEAST and n - np.count_nonzero(keep) < max(1, n // 4) and hidden < _HIDDEN:
+    order, wrong = [], 0
+    more = _MORE if n >= 2 * _LEAST else 0
+    while n >= _LEAST and len(order) < max(1, n // 4) + more and len(order) - wrong < _HIDDEN + more:
         left, chance = np.flatnonzero(keep), field.left_out()[1]
-        worst = int(np.argmin(chance))
-        keep[left[worst]] = False
+        order.append(int(left[np.argmin(chance)]))
+        keep[order[-1]] = False
         field = Field(pairs.take(keep), mirrored)
-        hidden += 1
-        if chance[worst] < _CHANCE / left.size:
-            found, best, hidden = keep.copy(), field, 0
-    return found, best
+        # The more marks were taken out without need, the more choices there were.
+        if chance.min() < _CHANCE / left.size ** (len(order) - wrong):
+            wrong, best = len(order), field
+    keep[:] = True
+    keep[order[:wrong]] = False
+    for mark in reversed(order[:wrong]):
+        keep[mark] = True
+        field = Field(pairs.take(keep), mirrored)
+        if field.left_out()[1][np.count_nonzero(keep[:mark])] < _CHANCE / np.count_nonzero(keep):
+            keep[mark] = False
+        else:
+            best = field
+    return keep, best

@@ -12,7 +12,7 @@ import numpy as np
 from planish.core.errors import CannotRegister
 from planish.register.field import Field
 from planish.register.model import Floats, Model, refuse_line
-from planish.register.pairs import COINCIDENT, Pairs, inverse_of
+from planish.register.pairs import Pairs, inverse_of
 from planish.register.thin_plate import ThinPlate, bending
 
 _LEAST = 6
