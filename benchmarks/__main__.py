@@ -18,6 +18,7 @@ from benchmarks import (
     right,
     size,
     specimens,
+    through_scale,
     variants,
     warping,
     wrong,
@@ -39,6 +40,7 @@ _MODULES = (
     warping,
     wrong,
     right,
+    through_scale,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
 

@@ -11,5 +11,6 @@ from .params import FlattenParams as FlattenParams
 from .relax import Relaxed as Relaxed
 from .relax import relax_grid as relax_grid
 from .relaxation import RelaxationParams as RelaxationParams
+from .scaled import places_when_scaled as places_when_scaled
 from .sheet import Flattened as Flattened
 from .sheet import flatten_sheet as flatten_sheet

@@ -29,6 +29,8 @@ from planish.pipeline.refinement import refine_link
 from planish.pipeline.registration import Registration, read_design, register_layers
 from planish.pipeline.run import Run, open_run
 from planish.pipeline.sheet import changed, map_layer
+from planish.pipeline.through_scale import NAME as THROUGH_SCALE
+from planish.pipeline.through_scale import marks_scale_check
 from planish.register import Chain
 from planish.resample import resample_maps
 from planish.study import Study
@@ -180,7 +182,9 @@ def _side_given(a: Layer, b: Layer) -> bool:
 
 def _checks(layer: Layer, facts: LayerFacts, links: dict[str, Link], study: Study) -> Iterator[Check]:
     """Checks of one layer, and of its registration."""
-    yield from about(layer.checks, layer.name)
+    scaled = list(_scale_checks(layer, links))
+    yield from about((check for check in layer.checks if not scaled or check.name != THROUGH_SCALE), layer.name)
+    yield from scaled
     if facts.registration is None:
         return
     link = links[layer.name]
@@ -192,3 +196,17 @@ def _checks(layer: Layer, facts: LayerFacts, links: dict[str, Link], study: Stud
     yield from about(found, layer.name, to.name)
     reference = facts.registration.path[-1]
     yield from about([field_check(facts.share_of_reference or 0.0, layer.name, reference)], layer.name, reference)
+
+
+def _scale_checks(layer: Layer, links: dict[str, Link]) -> Iterator[Check]:
+    """The scale through a sheet by its own registration, or by the first one to it."""
+    if layer.kind != "sheet":
+        return
+    for name, link in links.items():
+        one, to = link.path[:2]
+        if layer.name == name or (layer.name == to.name and layer.name not in links):
+            found = marks_scale_check(
+                layer, link.registration.fit, fixed=layer.name == to.name, both=one.kind == to.kind == "sheet"
+            )
+            yield from about([found], one.name, to.name)
+            return

@@ -22,6 +22,7 @@ from planish.measure import measure_properties, sheet_numbers
 from planish.pipeline.checks import sheet_checks
 from planish.pipeline.facts import flatten_facts, input_file, property_facts, section_facts, surface_facts
 from planish.pipeline.layers import Layer
+from planish.pipeline.through_scale import thickness_scale_check
 from planish.pipeline.volume import read_sheet_volume, some_slices
 from planish.resample import resample_maps
 from planish.study import LayerParams
@@ -92,7 +93,8 @@ def map_layer(
     )
     return Layer(
         params=changed(layer, **used), source=input_file(volume, v.path), groups=groups, facts=facts,
-        checks=(*sheet_checks(facts), *scan), md_deg=v.md_deg if layer.md_deg is None else layer.md_deg,
+        checks=(*sheet_checks(facts), thickness_scale_check(measured), *scan),
+        md_deg=v.md_deg if layer.md_deg is None else layer.md_deg,
     )  # fmt: skip
 
 

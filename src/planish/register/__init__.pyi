@@ -5,6 +5,7 @@ from .holes import register_marks as register_marks
 from .match import Matched as Matched
 from .match import match_by_design as match_by_design
 from .match import match_marks as match_marks
+from .pairs import Pairs as Pairs
 from .params import RegistrationParams as RegistrationParams
 from .refinement import Refined as Refined
 from .refinement import RefineOptions as RefineOptions
@@ -15,3 +16,5 @@ from .saved import chain_from_json as chain_from_json
 from .saved import chain_to_json as chain_to_json
 from .saved import registration_from_json as registration_from_json
 from .saved import registration_to_json as registration_to_json
+from .through_scale import ThroughScale as ThroughScale
+from .through_scale import find_through_scale as find_through_scale

@@ -1,0 +1,89 @@
+"""Where points of the flat sheet would lie if the spacing of the volume along the axis through the sheet were another."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator
+
+from planish.core.errors import CannotFlatten
+from planish.core.frame import Frame
+from planish.core.grid import pitch
+from planish.flatten.relax import relax_grid
+
+Array = NDArray[np.float64]
+
+SCALES = (0.4, 0.55, 0.75, 1.0, 1.25, 1.5, 1.8, 2.15, 2.5)
+# Of the mesh: the moves are differences of two flattenings, smooth over the 400 um of the centre surface.
+_PITCH_UM, _NODES, _MOST_NODES = 50.0, 5_000, 100_000
+_DOUBT = 0.2  # weight of the centre surface where it was bridged
+
+
+def places_when_scaled(
+    surfaces: xr.Dataset, flat: xr.Dataset, points: Array, *, scales: tuple[float, ...] = SCALES,
+    mesh_um: float | None = None,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Flatten the centre surface again with its heights scaled, and carry points of the sheet along.
+
+    Parameters
+    ----------
+    surfaces : Dataset, dims (y, x), in um
+        ``centre`` and the frame in its attributes; ``status`` if there is one.
+    flat : Dataset, dims (y, x), in um
+        ``u``, ``v`` of the columns at scale 1, as :func:`planish.flatten_sheet` gives them.
+    points : (n, 2), in um
+        Places ``(u, v)`` in the flat sheet.
+    scales : tuple of float
+        Factors on the heights; 1 is among them. Those at which the sheet cannot be flattened are left out.
+    mesh_um : float, optional
+        Pitch of the mesh; where not given, some 5000 nodes, 50 um apart at most.
+
+    Returns
+    -------
+    scales : (k,)
+    places : (k, n, 2), in um
+        Those at scale 1 are the points themselves; NaN for points beside the sheet. Each flattening is turned and
+        shifted as a whole.
+
+    Notes
+    -----
+    Only differences of two flattenings of the same coarse mesh are used, so that its own error cancels.
+    """
+    frame = Frame.of(surfaces)
+    y, x = surfaces["y"].values, surfaces["x"].values
+    known = np.isfinite(flat["u"].values) & np.isfinite(surfaces["centre"].values)
+    rows, cols = _nodes(known, pitch(surfaces), mesh_um)
+    there = known[np.ix_(rows, cols)]
+    height = np.where(there, surfaces["centre"].values[np.ix_(rows, cols)], np.nan)
+    across, down = np.meshgrid(x[cols], y[rows])
+    weights = np.ones(there.shape)
+    if "status" in surfaces:
+        weights = np.where(surfaces["status"].values[np.ix_(rows, cols)] == 0, 1.0, _DOUBT)
+    found: dict[float, Array] = {}
+    for scale in scales:
+        try:
+            relaxed = relax_grid(np.stack([across, down, scale * height], axis=-1), weights=weights)
+        except CannotFlatten:
+            continue
+        if np.isfinite(relaxed.uv[there]).all():
+            found[scale] = relaxed.uv[there]
+    if 1.0 not in found:
+        return np.ones(1), points[None].copy()
+    moves = np.stack([uv - found[1.0] for uv in found.values()], axis=1)
+    moves[..., 0] *= -1.0 if frame.mirrored else 1.0
+    at = np.stack([flat[k].values[np.ix_(rows, cols)][there] for k in "uv"], axis=1)
+    moved = LinearNDInterpolator(at, moves.reshape(len(at), -1))(points).reshape(len(points), len(found), 2)
+    return np.array(list(found)), points + np.moveaxis(moved, 1, 0)
+
+
+def _nodes(
+    known: NDArray[np.bool_], steps: tuple[float, float], mesh_um: float | None
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    area = np.count_nonzero(known) * steps[0] * steps[1]
+    wanted = mesh_um or max(min(_PITCH_UM, np.sqrt(area / _NODES)), np.sqrt(area / _MOST_NODES))
+    rows, cols = (
+        np.unique(np.linspace(0, n - 1, max(3, round((n - 1) * step / wanted) + 1)).round().astype(np.intp))
+        for n, step in zip(known.shape, steps, strict=True)
+    )
+    return rows, cols

@@ -1,0 +1,206 @@
+"""Check of the voxel spacing along the axis through the sheet: from the marks, and from thickness against slope."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, State
+from planish.core.frame import Frame
+from planish.core.grid import pitch
+from planish.flatten import places_when_scaled
+from planish.pipeline.layers import Layer
+from planish.register import FittedTransform, Pairs, ThroughScale, find_through_scale
+
+Array = NDArray[np.float64]
+
+NAME = "scale through the sheet"
+_FIGURES = (PROPERTIES, POSITION, CORRELATION)
+_UNCERTAIN = 0.15  # standard error from which on nothing can be said
+_SYSTEMATIC = 0.01  # of a scale from marks: smoothing of the centre surface, which surface is neutral
+_NATURAL = 0.1  # of a scale from thickness: paper that is thinner where it bends
+_BEYOND = 3.0  # errors
+_CLEARLY = 9.2  # variances: one explanation is a hundred times as likely as the other
+_TILE_UM, _BLOCKS = 80.0, 6
+
+
+@dataclass(frozen=True, slots=True)
+class SlopeScale:
+    """Scale of heights that the thickness asks for, and its standard error; infinite where nothing can be said."""
+
+    scale: float
+    error: float
+
+    @property
+    def excludes_one(self) -> bool:
+        """Whether thickness and slope exclude a scale of 1."""
+        return self.error <= _UNCERTAIN and abs(self.scale - 1) > _BEYOND * np.hypot(self.error, _NATURAL)
+
+    def __str__(self) -> str:
+        return f"{self.scale:.2f} ± {self.error:.2f}"
+
+
+def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
+    """Scale of heights at which the mean thickness does not depend on the slope.
+
+    Parameters
+    ----------
+    measured : Dataset, dims (y, x), in um
+        ``centre``, ``thickness``, ``status``.
+
+    Notes
+    -----
+    Where heights are s times what they should be and m is the slope as it is seen, a sheet of thickness T has, along
+    the normals as they are seen, t = T / s sqrt((1 + s² m²) / (1 + m²)): T / s where it is flat, T where it is steep.
+    So t² (1 + m²) is linear in m², with s² the slope over the intercept. A drift of the thickness across the sheet is
+    free; the error comes from leaving out each of 36 blocks of the sheet.
+    """
+    steps = pitch(measured)
+    down, across = np.gradient(measured["centre"].values, *steps)
+    square = down**2 + across**2
+    wanted = measured["thickness"].values ** 2 * (1 + square)
+    wanted = np.where(measured["status"].values == 0, wanted, np.nan)
+    tiles = [max(1, round(_TILE_UM / step)) for step in steps]
+    rows, cols = (np.arange(n) // k for n, k in zip(wanted.shape, tiles, strict=True))
+    good = np.isfinite(wanted) & np.isfinite(square)
+    number = (rows[:, None] * (cols[-1] + 1) + cols)[good]
+    size = (rows[-1] + 1) * (cols[-1] + 1)
+    count = np.bincount(number, minlength=size)
+    y, m2 = (np.bincount(number, k[good], minlength=size) for k in (wanted, square))
+    used = count >= 0.5 * tiles[0] * tiles[1]
+    if np.count_nonzero(used) < 4 * _BLOCKS:
+        return SlopeScale(1.0, np.inf)
+    y, m2 = y[used] / count[used], m2[used] / count[used]
+    place = np.stack(np.divmod(np.flatnonzero(used), cols[-1] + 1), axis=1) / [rows[-1] + 1, cols[-1] + 1]
+    block = np.floor(place * _BLOCKS) @ [_BLOCKS, 1]
+    design = np.column_stack([np.ones(y.size), m2, place - place.mean(axis=0)])
+    found = _ratio(design, y)
+    left = np.array([_ratio(design[block != k], y[block != k]) for k in np.unique(block)])
+    spread = np.sqrt((left.size - 1) * np.mean((left - left.mean()) ** 2))
+    if not (np.isfinite(found) and np.isfinite(spread)):
+        return SlopeScale(1.0, np.inf)
+    scale = float(np.sqrt(max(found, 0.0)))
+    return SlopeScale(scale, float(spread / (2 * max(scale, 0.25))))
+
+
+def thickness_scale_check(measured: xr.Dataset) -> Check:
+    """Check of a sheet without marks: gross errors of the spacing along the axis through it."""
+    found = scale_from_thickness(measured)
+    axis, stated, _ = _spacing(measured, found.scale)
+    if found.error > _UNCERTAIN:
+        return Check(
+            name=NAME, state="unknown", figures=_FIGURES,
+            value=found.scale if np.isfinite(found.error) else None, limit=None,
+            sentence=f"The sheet is too flat, or its thickness too uneven, to say from it whether the voxel spacing of "
+            f"{stated:.4g} um along {axis} is right; marks can say more.",
+        )  # fmt: skip
+    off = found.excludes_one
+    return Check(
+        name=NAME, state="look" if off else "pass", value=found.scale, figures=_FIGURES,
+        limit=_limit(found.scale, float(np.hypot(found.error, _NATURAL))),
+        sentence=f"The thickness depends on the slope as if the voxel spacing along {axis} were {found} times the "
+        f"stated one of {stated:.4g} um.",
+        advice=_advice(axis) if off else "",
+    )  # fmt: skip
+
+
+def marks_scale_check(layer: Layer, fit: FittedTransform, *, fixed: bool = False, both: bool = False) -> Check:
+    """Check of a sheet by the marks of its registration.
+
+    ``fixed``: the sheet is what was registered to; ``both``: the other layer is a sheet too, so that either may be
+    wrong.
+    """
+    measured = layer.groups["surfaces"]
+    marks = estimate(measured, layer.groups["flat"], fit, fixed=fixed)
+    if marks is None:
+        return thickness_scale_check(measured)
+    return judge(marks, scale_from_thickness(measured), measured, either=both)
+
+
+def judge(marks: ThroughScale, slope: SlopeScale, measured: xr.Dataset, *, either: bool = False) -> Check:
+    """Say what marks and thickness mean for the spacing along the axis through a sheet."""
+    axis, stated, asked = _spacing(measured, marks.scale)
+    error = float(np.hypot(marks.error, _SYSTEMATIC))
+    off = marks.excludes_one and abs(marks.scale - 1) > _BEYOND * error
+    if not off and error > _UNCERTAIN:
+        if slope.error <= _UNCERTAIN:
+            return thickness_scale_check(measured)
+        say = f"{marks.scale:.2g} ± {error:.2g}" if np.isfinite(marks.error) else "any"
+        return Check(
+            name=NAME, state="unknown", value=marks.scale, figures=_FIGURES,
+            sentence=f"The sheet is too flat, or its {marks.marks} marks too few or too uncertain, to say whether the "
+            f"voxel spacing of {stated:.4g} um along {axis} is right: they agree with {say} times that.",
+        )  # fmt: skip
+    text = (
+        f"The marks ask for a voxel spacing along {axis} that is {marks.scale:.3g} ± {error:.2g} times the stated "
+        f"one: {asked:.3g} um for {stated:.4g}."
+    )
+    state: State = "pass"
+    if off:
+        state, more = _explained(marks, slope)
+        text += more
+    if off and either:
+        state, text = "look", f"{text} The other sheet's may be wrong as well."
+    return Check(
+        name=NAME, state=state, value=marks.scale, limit=_limit(marks.scale, error), figures=_FIGURES,
+        sentence=text, advice=_advice(axis) if off else "",
+    )  # fmt: skip
+
+
+def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
+    """Whether it is the spacing or a stretch along the slope, and what speaks for it."""
+    agree = abs(slope.scale - marks.scale) < _BEYOND * np.hypot(slope.error, max(marks.error, _NATURAL))
+    if slope.excludes_one and agree:
+        return "fail", f" Thickness against slope asks for the same ({slope})."
+    if marks.over_stretch > _CLEARLY and marks.without_any > _CLEARLY / 2:
+        return "fail", " No stretch of the sheet explains it."
+    how = "better" if marks.over_stretch < -_CLEARLY else "as well"
+    along = f"a stretch by {100 * marks.stretch:.2g} % along {marks.stretch_deg:.0f}° of the flat map"
+    return "look", f" But {along} explains it {how}, as pixels that are not square make it."
+
+
+def estimate(
+    surfaces: xr.Dataset, flat: xr.Dataset, fit: FittedTransform, *, fixed: bool = False
+) -> ThroughScale | None:  # fmt: skip
+    """Scale of a sheet's heights that the marks of a registration ask for; None where they are too few.
+
+    Parameters
+    ----------
+    surfaces, flat : Dataset, dims (y, x), in um
+        The centre surface of the sheet, and where its columns lie in the flat sheet.
+    fit : FittedTransform
+        The sheet is its moving side, or the fixed one.
+    """
+    at, to, information = fit.moving, fit.fixed, fit.information
+    if fixed:
+        at, to, information = to, at, fit.weights[:, None, None] * np.eye(2)
+    scales, places = places_when_scaled(surfaces, flat, at)
+    pairs = Pairs(moving=at, fixed=to, information=information)
+    return find_through_scale(scales, places, pairs, mirrored=fit.mirrored)
+
+
+def _spacing(measured: xr.Dataset, scale: float) -> tuple[str, float, float]:
+    """The axis through the sheet, its spacing as stated, and as it would be, in um."""
+    axis = Frame.of(measured).through
+    stated = float(measured.attrs["voxel_um"]["zyx".index(axis)])
+    return axis, stated, scale * stated
+
+
+def _limit(scale: float, error: float) -> float:
+    return 1 + float(np.copysign(_BEYOND * error, scale - 1))
+
+
+def _advice(axis: str) -> str:
+    return (
+        f"Check the voxel size along {axis} (--voxel-um with --override-size), and that of the image in both "
+        "directions. Thicknesses and places are wrong where it is."
+    )
+
+
+def _ratio(design: Array, wanted: Array) -> float:
+    """Slope over intercept of a regression; the first two columns of the design."""
+    found = np.linalg.lstsq(design, wanted, rcond=None)[0]
+    return float(found[1] / found[0])
