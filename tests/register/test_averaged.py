@@ -85,7 +85,7 @@ def test_it_is_the_average_of_the_dense_formulas(kind, mirrored, monkeypatch):
     fit = fit_transform(points, seen, model="averaged", mirrored=mirrored, weights=np.linalg.inv(info), robust=False)
     np.testing.assert_allclose(fit(where), mean, rtol=0, atol=1e-7)
     np.testing.assert_allclose(fit.expected_error_um(where) ** 2, square, rtol=1e-8)
-    off = mean + (30.0, -40.0)
+    off = mean + np.array([30.0, -40.0])
     np.testing.assert_allclose(field.expected_square(where, off), square + 2500.0, rtol=1e-8)
     assert field.mark_variance == pytest.approx(variance, rel=1e-9)
 

@@ -1,9 +1,9 @@
 """What the marks say of the map between them: a similarity, an affine deviation and a smooth random field, averaged.
 
 The map is ``alpha z + beta + gamma conj(z) + h(z)`` with the places ``z`` as complex numbers. Nothing is known
-beforehand of the similarity; ``gamma`` and the Gaussian process ``h`` are random, with a variance of one of a few ratios
-to that of the marks, and ``h`` with one of nine covariances. Each of these assumptions is weighted by its restricted
-likelihood, so that no single guess of size or length has to be right.
+beforehand of the similarity; ``gamma`` and the Gaussian process ``h`` are random: their variances are one of a few
+ratios to that of the marks, and ``h`` has one of nine covariances. Each of these assumptions is weighted by its
+restricted likelihood, so that no single guess of size or length has to be right.
 
 References
 ----------
@@ -29,7 +29,7 @@ KERNELS = (
     *(("gauss", length) for length in (0.35, 0.6, 1.0, 1.6, 2.4)),
     *(("matern", length) for length in (0.3, 0.8, 2.0, 5.0)),
 )
-# Variance of the affine deviation at that distance, and of the field, over that of a mark; each as likely absent as not.
+# Variance of the affine deviation at that distance, and of the field, over that of a mark; 0 is as likely as not.
 _AFFINE = np.array([0.0, 3.0, 30.0, 300.0])
 _FIELD = np.array([0.0, *np.logspace(-1, 4, 6)])
 # Kernels that are less likely count for nothing.
@@ -90,15 +90,15 @@ class Field:
         squares = np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)
         self.freedom = 2 * len(pairs) - 4
         floor = (COINCIDENT * float(np.hypot(*self._first[2:4]))) ** 2
-        which = range(len(KERNELS)) if mixture is None else np.flatnonzero(mixture.sum(axis=(1, 2)))
-        self._likely = {k: self._fit(KERNELS[k], squares, columns, y, floor) for k in which}
+        which = [k for k in range(len(KERNELS)) if mixture is None or mixture[k].any()]
+        fits = {k: self._fit(KERNELS[k], squares, columns, y, floor) for k in which}
         if mixture is None:
-            logs = np.array([v.log for v in self._likely.values()])
+            logs = np.array([v.log for v in fits.values()])
             mixture = np.exp(logs - logs.max())
             mixture[mixture.sum(axis=(1, 2)) < _LEAST * mixture.sum()] = 0.0
             mixture /= mixture.sum()
-        self.mixture = mixture
-        self._likely = {k: v for k, v in self._likely.items() if mixture[k].any()}
+        self.mixture: Floats = mixture
+        self._likely = {k: v for k, v in fits.items() if mixture[k].any()}
         self._variance = {k: v.rest / max(self.freedom, 1) for k, v in self._likely.items()}
         total = sum(float(np.sum(mixture[k] * v)) for k, v in self._variance.items())
         self.mark_variance = total * self._unit if self.freedom > 0 else float("nan")
@@ -118,10 +118,12 @@ class Field:
         between = covariance(kernel, squares)[0]
         if self._pairs.isotropic:
             root = self._whitening[:, 0, 0]
-            values, turn = np.linalg.eigh(root[:, None] * between * root)
-            values, turn = np.repeat(values, 2), np.kron(turn, np.eye(2))
+            both: Any = np.linalg.eigh(root[:, None] * between * root)
+            values: Floats = np.repeat(both[0], 2)
+            turn: Floats = np.kron(both[1], np.eye(2))
         else:
-            values, turn = np.linalg.eigh(self._whitened(self._whitened(np.kron(between, np.eye(2))).T))
+            rows: Floats = np.kron(between, np.eye(2))
+            values, turn = (np.asarray(v) for v in np.linalg.eigh(self._whitened(self._whitened(rows).T)))
         values = np.maximum(values, 0.0)
         columns, y = turn.T @ columns, turn.T @ y
         shrink = 1.0 / (1.0 + _FIELD[:, None] * values)
@@ -146,7 +148,7 @@ class Field:
 
     def mean(self) -> tuple[Floats, tuple[tuple[str, float], ...], Floats]:
         """Affine part (3, 2) in um, and coefficients (kernels, n, 2) in um of the likely kernels at the nodes."""
-        planes, bends = np.zeros(6), {}
+        planes, bends = np.zeros(6), dict[int, Floats]()
         for k, likely in self._likely.items():
             share = self.mixture[k]
             planes += np.einsum("ag,agp->p", share, likely.at)

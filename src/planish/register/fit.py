@@ -58,8 +58,8 @@ def fit_transform(
         the covariance of each pair in the fixed frame, that of the moving mark (turned into that frame) and of the
         fixed mark added. Their common factor is found from the residuals.
     robust : bool
-        Whether marks that do not agree with the others are left out: up to a quarter, and from 4 marks on. Where no mark
-        is further off than chance puts one of n once in a hundred times, nothing changes.
+        Whether marks that do not agree with the others are left out: about a quarter at most, and from 4 marks on.
+        Where no mark is further off than chance puts one of n once in a hundred times, nothing changes.
     lowest : str
         Model of ``auto`` for 2 marks.
 
@@ -171,8 +171,8 @@ def _of_model(fit: FittedTransform) -> list[str]:
     if not left > _STRUCTURE * known + COINCIDENT * fit.transform.scale * fit.field.size:
         return []
     return [
-        f"The {fit.model} model leaves structure: the marks show a map that differs from it by {left:.3g} um rms between "
-        f"them, up to {off.max():.3g} um, and is itself known to {known:.2g} um. Use --model auto."
+        f"The {fit.model} model leaves structure: the marks show a map that differs from it by {left:.3g} um rms "
+        f"between them, up to {off.max():.3g} um, and is itself known to {known:.2g} um. Use --model auto."
     ]
 
 

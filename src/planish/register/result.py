@@ -119,7 +119,7 @@ class FittedTransform:
         if not out.size:
             return f"{used} marks agree{to}."
         off = np.linalg.norm(self.residuals_um[out], axis=1)
-        names, ums = _and([str(labels[k]) for k in out]), _and([f"{d:.2g}" for d in off])
+        names, ums = _and([str(labels[int(k)]) for k in out]), _and([f"{d:.2g}" for d in off])
         some = out.size > 1
         return (
             f"{used} of {used + out.size} marks agree{to}; {names} {'are' if some else 'is'} {ums} um off and "
@@ -194,8 +194,8 @@ class FittedTransform:
         used = self.weights > 0
         if places.shape != self.moving.shape or not np.isfinite(places[used]).all():
             raise MarkError(
-                f"{len(places)} places given for {len(self.moving)} marks, or some not finite. Give one (x, y) in um for "
-                "each mark of the fit."
+                f"{len(places)} places given for {len(self.moving)} marks, or some not finite. Give one (x, y) in um "
+                "for each mark of the fit."
             )
         pairs = Pairs(moving=places, fixed=self.fixed, information=self.information).take(used)
         return MODELS[self.model].refit(pairs, self.transform, self.field)

@@ -22,10 +22,10 @@ _MORE = 2
 def agreeing(pairs: Pairs, mirrored: bool) -> tuple[NDArray[np.bool_], Field]:
     """Marks that agree, shape (n,), and the field that they make likely.
 
-    The mark that the others expect least is taken out, a few beyond a quarter of all, and judged by the chance that they
-    miss a right one by as much. Up to the last one whose chance is below one in a hundred sets all are wrong, unless
-    the chance is higher for the marks that are left at the end: wrong marks hide each other and accuse right ones. With
-    fewer than 4 marks none can be told.
+    The mark that the others expect least is taken out, up to a quarter of all and a few, and judged by the chance that
+    they miss a right one by as much. All up to the last one whose chance is below one in a hundred sets are wrong, but
+    for those that the marks left at the end do expect: wrong marks hide each other and accuse right ones. With fewer
+    than 4 marks none can be told.
 
     References
     ----------
