@@ -15,7 +15,7 @@ from planish.register.pairs import Pairs, inverse_of
 
 Floats = NDArray[np.float64]
 
-CHANCE = 0.002  # that right marks exclude a scale of 1
+CHANCE = 0.0027  # that right marks exclude a scale of 1: three errors
 _LEAST = 4  # marks
 _MOST = 80  # marks: evenly spaced ones of more; the scale is certain long before
 _STRAIN = 0.0005  # standard deviation of either part of a shear of the paper: a stretch of 0.14 %, rms
@@ -36,7 +36,7 @@ class ThroughScale:
         The factor on the heights and its standard error; infinite where the marks exclude no scale. With few marks it
         is larger as their own error is not known well: three errors have the same meaning with any number of them.
     evidence, limit : float
-        By how many variances scale 1 fits worse; what right marks exceed twice in a thousand.
+        By how many variances scale 1 fits worse; what right marks exceed three times in a thousand.
     without_any : float
         The same, the mark that speaks most for the scale left out.
     stretch : float
