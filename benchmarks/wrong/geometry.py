@@ -92,13 +92,6 @@ def _turned(case: Case, _: np.random.Generator) -> None:
     case.option("registration", mirror=True)
 
 
-@kind("transposed-mirror", "rows and columns of the stack exchanged, given --mirror", large=True)
-def _transposed(case: Case, _: np.random.Generator) -> None:
-    case.volume = np.ascontiguousarray(case.volume.transpose(0, 2, 1))
-    case.back.append(lambda at: at[:, [0, 2, 1]])
-    case.option("registration", mirror=True)
-
-
 @kind("top-low", "--top low where the top lies at the high end, image of the top")
 def _top_low(case: Case, _: np.random.Generator) -> None:
     case.option("volume", top="low")

@@ -98,14 +98,6 @@ def _jpeg(case: Case, rng: np.random.Generator) -> None:
     case.note = f"quality {quality} along {'zyx'[axis]}"
 
 
-@kind("posterised", "3-4 bits a voxel left")
-def _posterised(case: Case, rng: np.random.Generator) -> None:
-    bits = int(rng.integers(3, 5))
-    step = 256 >> bits
-    case.volume = (case.volume // step * step + step // 2).astype(np.uint8)
-    case.note = f"{bits} bits"
-
-
 @kind("blurred-twice", "blurred by another 1.5-2.5 voxels")
 def _blurred(case: Case, rng: np.random.Generator) -> None:
     sigma = float(rng.uniform(1.5, 2.5))
@@ -121,14 +113,6 @@ def _median(case: Case, _: np.random.Generator) -> None:
         size[axis] = 5
         v = ndimage.median_filter(v, size=tuple(size))
     case.volume = v
-
-
-@kind("sharpened", "unsharp mask")
-def _sharp(case: Case, rng: np.random.Generator) -> None:
-    amount = float(rng.uniform(1.0, 2.5))
-    v = case.volume.astype(np.float32)
-    _stored(case, v + amount * (v - ndimage.gaussian_filter(v, 1.5)))
-    case.note = f"{amount:.1f}"
 
 
 @kind("noise", "strong noise: 20-40 % of the contrast")

@@ -18,6 +18,7 @@ from planish.pipeline import Run
 Array = NDArray[np.float64]
 LEAST_UM, TIMES = 1.0, 2.0
 LEAST_R = 0.15
+_RIM_UM = 15.0  # rough, burnt
 _MOST = 25_000  # places that are traced
 
 
@@ -99,6 +100,10 @@ def _thicknesses(case: Case, run: Run) -> list[Figure]:
         frame.through: surfaces["centre"].values[rows, cols].astype(np.float64),
     }  # fmt: skip
     material = _material(case, np.stack([along[a] for a in "xyz"], axis=-1), run)
+    # In a hole there is no true thickness, whatever is left there.
+    away = [np.hypot(material[:, 0] - u, material[:, 1] - v) for u, v in case.right.holes]
+    sheet = np.min(away, axis=0) > case.right.radius_um + _RIM_UM if away else np.ones(rows.size, dtype=bool)
+    rows, cols, material = rows[sheet], cols[sheet], material[sheet]
     found: list[Figure] = []
     for name in NAMES:
         if name not in surfaces or facts is None or name not in facts.properties:
@@ -112,7 +117,7 @@ def _thicknesses(case: Case, run: Run) -> list[Figure]:
         if f"{name}_se" in surfaces:
             errors = surfaces[f"{name}_se"].values[rows, cols]
             single = float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else single
-        mean = float(getattr(own, "mean_error", None) or getattr(own, "standard_error_of_mean", None) or 0.0)
+        mean = own.mean_standard_error or 0.0
         found.append(Figure(name=name, error=abs(float(off.mean())), stated=mean))
         found.append(Figure(name=f"{name} map", error=float(np.sqrt(np.mean(off**2))), stated=single))
     return found

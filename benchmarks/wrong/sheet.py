@@ -8,7 +8,6 @@ from scipy import ndimage
 
 from benchmarks.wrong.case import Case
 from benchmarks.wrong.geometry import mirror_image
-from benchmarks.wrong.grey import _defocus
 from benchmarks.wrong.kinds import kind
 from benchmarks.wrong.specimens import Draw, drawn
 
@@ -359,9 +358,3 @@ def _rigid(case: Case, rng: np.random.Generator) -> None:
     factor = float(rng.choice([0.985, 1.015]))
     case.pixel_um = (case.pixel_um[0] * factor, case.pixel_um[1] * factor)
     case.option("registration", model="rigid")
-
-
-@kind("defocus-and-noise", "the image out of focus and noisy")
-def _both(case: Case, rng: np.random.Generator) -> None:
-    _defocus(case, rng)
-    case.image = np.clip(case.image + 0.05 * rng.standard_normal(case.image.shape), 0, 1)
