@@ -55,7 +55,6 @@ def _float(case: Case, rng: np.random.Generator) -> None:
     case.note = f"at {level:.0f}"
 
 
-@kind("clipped-air", "air clipped at 0: usual, and harmless")
 def _air(case: Case, rng: np.random.Generator) -> None:
     low = case.right.grey[0] + rng.uniform(0, 0.3) * (case.right.grey[1] - case.right.grey[0])
     _stored(case, 255.0 * (case.volume.astype(float) - low) / (250.0 - low))
@@ -165,7 +164,6 @@ def _streaks(case: Case, rng: np.random.Generator) -> None:
     _stored(case, case.volume + size / lines.std() * lines[:, :, None])
 
 
-@kind("half-filled", "a quarter of the stack is black")
 def _black(case: Case, rng: np.random.Generator) -> None:
     n = case.volume.shape[1]
     at = int(rng.uniform(0.1, 0.65) * n)
@@ -193,7 +191,6 @@ def _vignetting(case: Case, rng: np.random.Generator) -> None:
     case.image = case.image / (1 + rng.uniform(1, 3) * r2)
 
 
-@kind("image-jpeg", "the image as JPEG of quality 5-15")
 def _image_jpeg(case: Case, rng: np.random.Generator) -> None:
     quality = int(rng.integers(5, 16))
     file = io.BytesIO()

@@ -135,7 +135,7 @@ def make(order: Draw) -> Right:
 
     rng = np.random.default_rng([11, order.seed])
     size = LARGE_UM if order.large else SIZE_UM
-    voxel = float(rng.uniform(4.0, 5.0))
+    voxel = float(rng.uniform(4.4, 5.4))
     coats = rng.uniform(12, 24, 2) if order.coated else np.zeros(2)
     base = float(rng.uniform(50, 80))
     cone = _bend(order, rng, size, 0.5 * base + float(coats.max()))
@@ -147,7 +147,7 @@ def make(order: Draw) -> Right:
     holes = holes + rng.normal(0, 2.0, holes.shape)
     shape = (round(size[1] / voxel), round(size[0] / voxel))
     columns = cone.centre(voxel * np.arange(shape[0]), voxel * np.arange(shape[1]))
-    air = 1.25 * (0.5 * base + float(coats.max())) + 70.0
+    air = 1.25 * (0.5 * base + float(coats.max())) + 55.0
     deep = float(columns[..., 2].min()) - air
     cone = Cone(**{**vars(cone), "middle": cone.middle - [0.0, 0.0, deep]})
     columns[..., 2] -= deep

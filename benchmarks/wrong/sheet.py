@@ -207,7 +207,6 @@ def _closed(case: Case, rng: np.random.Generator) -> None:
     _plug(case, rng, 0.5, low=False)
 
 
-@kind("bulged", "the sheet is blown up by 15-40 um over 0.3 mm between scan and image")
 def _bulge(case: Case, rng: np.random.Generator) -> None:
     right = case.right
     y, x = (np.arange(n) * right.voxel_um for n in case.volume.shape[1:])
@@ -298,7 +297,6 @@ def _in_pixels(case: Case, rng: np.random.Generator) -> None:
     pairs[:, 3:] /= case.right.pixel_um
 
 
-@kind("marks-both-in-pixels", "marks by hand, volume and image in pixels instead of um")
 def _both_in_pixels(case: Case, rng: np.random.Generator) -> None:
     pairs = _by_hand(case, rng)
     pairs[:, 3:] /= case.right.pixel_um
@@ -322,7 +320,6 @@ def _sloppy(case: Case, rng: np.random.Generator) -> None:
     case.note = f"{size:.0f} um"
 
 
-@kind("marks-in-a-corner", "four marks by hand within 0.5 mm", large=True)
 def _corner(case: Case, rng: np.random.Generator) -> None:
     pairs = _by_hand(case, rng)
     first = pairs[int(rng.integers(len(pairs)))]

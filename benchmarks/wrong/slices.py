@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -193,17 +195,29 @@ def _same(_: Case, __: np.random.Generator) -> None:
     """Nothing."""
 
 
-for _k, _axis in enumerate("zyx"):
-    enter(f"exchanged-{_axis}", f"1-5 pairs of neighbouring slices along {_axis} exchanged", exchanged(_k), grave=True)
-    enter(f"repeated-{_axis}", f"2-7 slices along {_axis} twice", repeated(_k))
-    enter(f"missing-{_axis}", f"2-7 slices along {_axis} missing", missing(_k))
-    enter(f"foreign-{_axis}", f"1-3 files of another scan along {_axis}", foreign(_k))
-for _k, _axis in ((1, "y"), (2, "x")):
-    enter(f"blocks-{_axis}", f"two blocks of slices along {_axis} exchanged", blocks(_k), grave=True)
-for _k, _axis in ((0, "z"), (1, "y")):
-    enter(f"filled-{_axis}", f"2-7 slices along {_axis} made of their neighbours", filled(_k))
-    enter(f"frozen-{_axis}", f"2-7 slices along {_axis} show the one before them", frozen(_k))
-    enter(f"reversed-{_axis}", f"a run of slices along {_axis} in the reverse order", reversed_run(_k))
+def _along_either(make: Callable[[int], Change]) -> Change:
+    """Along y or x, as it is drawn."""
+
+    def change(case: Case, rng: np.random.Generator) -> None:
+        axis = int(rng.integers(1, 3))
+        make(axis)(case, rng)
+        case.note += f" along {'zyx'[axis]}"
+
+    return change
+
+
+for _name, _title, _make, _grave in (
+    ("exchanged", "1-5 pairs of neighbouring slices along {} exchanged", exchanged, True),
+    ("blocks", "two blocks of slices along {} exchanged", blocks, True),
+    ("reversed", "a run of slices along {} in the reverse order", reversed_run, True),
+    ("repeated", "2-7 slices along {} twice", repeated, False),
+    ("missing", "2-7 slices along {} missing", missing, False),
+    ("filled", "2-7 slices along {} made of their neighbours", filled, False),
+    ("frozen", "2-7 slices along {} show the one before them", frozen, False),
+    ("foreign", "1-3 files of another scan along {}", foreign, False),
+):
+    enter(f"{_name}-z", _title.format("z"), _make(0), grave=_grave)
+    enter(f"{_name}-xy", _title.format("y or x"), _along_either(_make), grave=_grave)
 enter("sorted-as-text", "files in the order 1, 10, 11, ..., 2, 20, ...", interlaced)
 enter("thinned", "every second slice missing in half of the stack", halved)
 enter("right", "nothing wrong", _same)

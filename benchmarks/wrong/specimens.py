@@ -17,7 +17,7 @@ from planish.validate.truth import field_at
 Array = NDArray[np.float64]
 _OF = {"coating_top": (0, 1), "base_thickness": (1, 2), "coating_bottom": (2, 3), "thickness": (0, 3)}
 NAMES = tuple(_OF)
-SIZE_UM, LARGE_UM = (1300.0, 1050.0), (1900.0, 1500.0)
+SIZE_UM, LARGE_UM = (1250.0, 1000.0), (1700.0, 1350.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,14 +91,14 @@ def _ours(order: Draw) -> Right:
         names.remove("board")  # as thick as three others: too much for a quick run
     paper = PRESETS[str(rng.choice(names))][1]
     slope = (rng.uniform(0.5, 0.9) if order.steep else rng.uniform(0.02, 0.4)) if order.slope is None else order.slope
-    voxel = float(rng.uniform(4.0, 5.0) if min(paper.coating_top_um, 99) > 12 or not order.coated else 3.6)
+    voxel = float(rng.uniform(4.4, 5.4) if min(paper.coating_top_um, 99) > 12 or not order.coated else 3.8)
     size = LARGE_UM if order.large else SIZE_UM
     scanner = replace(
         MICRO_CT, voxel_um=voxel, fwhm_um=float(rng.uniform(1.0, 1.5)) * voxel, noise=float(rng.uniform(0.03, 0.08)),
         fringe=float(rng.choice([0.0, 0.1])), cupping=float(rng.uniform(0, 0.03)), rings=int(rng.integers(0, 3)),
         streak=float(rng.uniform(0, 0.02)),
     )  # fmt: skip
-    count = order.holes or int(rng.integers(6, 9) if not order.large else rng.integers(9, 14))
+    count = order.holes or int(rng.integers(6, 9) if not order.large else rng.integers(8, 13))
     params = SpecimenParams(
         size_um=size, paper=paper, seed=order.seed, scanner=scanner,
         holes=HoleParams(pattern="irregular", count=count, diameter_um=float(rng.uniform(115, 140)), char_um=20.0),
