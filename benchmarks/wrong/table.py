@@ -58,13 +58,20 @@ def order_of(kind: Kind, seed: int) -> Draw:
     return Draw(maker=maker, seed=(crc32(kind.name.encode()) + seed) % _POOL, **kind.order)
 
 
+def case_of(name: str, seed: int) -> Case:
+    """The input of one kind and seed."""
+    kind = KINDS[name]
+    case = Case.of(drawn(order_of(kind, seed)))
+    kind.change(case, np.random.default_rng([crc32(name.encode()), seed]))
+    return case
+
+
 def judged(kind: Kind, seed: int) -> Row:
     """Make the input, run it, compare."""
     started = time.process_time()
-    right = drawn(order_of(kind, seed))
-    case = Case.of(right)
-    kind.change(case, np.random.default_rng([crc32(kind.name.encode()), seed]))
+    case = case_of(kind.name, seed)
     made = time.process_time()
+    right = case.right
     row: Row = {"kind": kind.name, "seed": seed, "maker": right.maker, "specimen": right.seed, "note": case.note}
     return row | judged_case(case) | {"made_s": round(made - started, 2), "run_s": round(time.process_time() - made, 2)}
 
