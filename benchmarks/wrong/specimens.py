@@ -11,7 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.wrong import maker
-from planish.synthetic import MICRO_CT, PRESETS, CameraParams, HoleParams, SpecimenParams, Warp, make_specimen
+from planish.synthetic import (
+    MICRO_CT,
+    PRESETS,
+    CameraParams,
+    HoleParams,
+    SectionsParams,
+    SpecimenParams,
+    Warp,
+    make_specimen,
+)
 from planish.validate.truth import field_at
 
 Array = NDArray[np.float64]
@@ -101,6 +110,7 @@ def _ours(order: Draw) -> Right:
     count = order.holes or int(rng.integers(6, 9) if not order.large else rng.integers(8, 13))
     params = SpecimenParams(
         size_um=size, paper=paper, seed=order.seed, scanner=scanner,
+        sections=SectionsParams(pixel_um=2.5, section_um=4.0),
         holes=HoleParams(pattern="irregular", count=count, diameter_um=float(rng.uniform(115, 140)), char_um=20.0),
         warp=Warp(
             slope=float(slope), wavelength_um=float(rng.uniform(1800, 4000)), phase_rad=float(rng.uniform(0, 6.28)),
