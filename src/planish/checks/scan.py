@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from planish.checks.dust import dust_check
+from planish.checks.greys import Greys, clipping_check, steadiness_check
+from planish.checks.sheets import core_places, layers_check, voxels_check
 from planish.checks.slice_checks import slice_checks
 from planish.checks.windows import gather
 from planish.core.checks import Check
@@ -34,8 +37,22 @@ def check_scan(
     every: tuple[Axis, ...] = ("z", "y", "x")
     made = every if labels else every[:1] if sections else ()
     air = 0.0 if labels else float(measured.attrs["grey_air"])
-    windows = gather(volume, through=frame.through, sheet=_reach(volume, measured, frame), missing=air, threads=threads)
-    return slice_checks(windows, through=frame.through, made=made)
+    core = None if labels else core_places(volume, measured)
+    found = gather(
+        volume, through=frame.through, sheet=_reach(volume, measured, frame),
+        points=None if core is None else core.points, missing=air, threads=threads,
+    )  # fmt: skip
+    checks = [*slice_checks(found.windows, through=frame.through, made=made)]
+    if core is not None:
+        greys = Greys.of(measured)
+        checks += [
+            clipping_check(found.sample, greys),
+            steadiness_check([w for w in found.windows if w.axis not in made], greys),
+            layers_check(core, found.grey, greys),
+        ]
+    checks.append(voxels_check(volume, measured))
+    checks += [check for side in ("top", "bottom") if (check := dust_check(measured, side)) is not None]
+    return tuple(checks)
 
 
 def _reach(volume: xr.DataArray, measured: xr.Dataset, frame: Frame) -> tuple[int, int]:

@@ -116,18 +116,22 @@ class _Stack:
 
     def away(self, k: int) -> Array:
         """How much every slice differs from slice ``k``."""
-        return ((self.s - self.s[k]) ** 2).mean(axis=1)
+        return np.array([_square(a - self.s[k]) for a in self.s])
 
     def scatter(self, k: NDArray[np.intp]) -> Array:
         """Relative standard error of ``d1`` at ``k``."""
-        d = (self.s[k + 1] - self.s[k]) ** 2
-        ratio = (d**2).mean(axis=1) / np.maximum(d.mean(axis=1) ** 2, 1e-300)
-        return np.sqrt(np.maximum(ratio - 1, 0) / self.s.shape[1])
+        fourth = np.array([_square((self.s[i + 1] - self.s[i]) ** 2) for i in k])
+        return np.sqrt(np.maximum(fourth / np.maximum(self.d1[k] ** 2, 1e-300) - 1, 0) / self.s.shape[1])
 
 
 def _differences(s: Array, lag: int) -> Array:
     """Mean squared difference of slices k and k + lag."""
-    return ((s[lag:] - s[:-lag]) ** 2).mean(axis=1)
+    # Slice by slice: temporary arrays as large as the stack cost more than the sums.
+    return np.array([_square(a - b) for a, b in zip(s[lag:], s[:-lag], strict=True)])
+
+
+def _square(d: Array) -> float:
+    return float(np.vdot(d, d)) / d.size
 
 
 def _log(values: Array) -> Array:
@@ -215,9 +219,10 @@ def _dips(values: Array, good: Mask, slices: int, depth: float) -> list[tuple[in
     k = 1
     while k < values.size - 1:
         for last in range(k, min(k + _RUN, values.size - 1)):
-            inside = good[k - 1 : last + 1 + slices].all()
-            outside = min(values[k - 1], values[last + 1], np.median(values[max(k - 8, 0) : last + 9]))
-            if inside and outside - values[k : last + 1].max() > depth:
+            limit = values[k : last + 1].max() + depth
+            if min(values[k - 1], values[last + 1]) > limit and np.median(values[max(k - 8, 0) : last + 9]) > limit:
+                if not good[k - 1 : last + 1 + slices].all():
+                    continue
                 found.append((k, last))
                 k = last
                 break

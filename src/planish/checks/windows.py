@@ -6,7 +6,7 @@ Each axis is looked at through a window: all slices along it, some 300 x 300 vox
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -17,10 +17,14 @@ from planish.core.frame import Axis
 from planish.core.threads import map_threads
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Places = NDArray[np.int64]
+Sums = tuple[Array, Array, NDArray[np.float32]]
 
 BLOCK = 5  # voxels along the edge of a block mean
 _COLUMNS = 90_000  # voxels of a slice that are looked at
 _EDGE = 300  # voxels along the edge of a window, more where it is narrow the other way
+_EVERY = 3  # voxels: of every third one along each axis, the grey is kept for a histogram
 _PIECE = 24e6  # bytes of a piece of a window
 
 
@@ -51,12 +55,21 @@ def window_of(values: NDArray[Any], axis: Axis = "z", first: int = 0) -> Window:
     part = np.ascontiguousarray(values, dtype=np.float32)
     sums = _sums(part)
     voxels = part.shape[1] * part.shape[2]
-    return Window(axis=axis, first=first, square=sums[0] / voxels, product=sums[1] / voxels, blocks=_block_means(part))
+    return Window(axis=axis, first=first, square=sums[0] / voxels, product=sums[1] / voxels, blocks=sums[2])
+
+
+class Gathered(NamedTuple):
+    """What one pass over the windows gave."""
+
+    windows: tuple[Window, ...]
+    sample: NDArray[Any]  # greys as stored, of a part of the voxels around the sheet
+    grey: NDArray[np.float32]  # (points,): at the places asked for, NaN for those outside of all windows
 
 
 def gather(
-    volume: xr.DataArray, *, through: Axis, sheet: tuple[int, int], missing: float = 0.0, threads: int | None = None
-) -> tuple[Window, ...]:
+    volume: xr.DataArray, *, through: Axis, sheet: tuple[int, int], points: Places | None = None, missing: float = 0.0,
+    threads: int | None = None,
+) -> Gathered:  # fmt: skip
     """Look at a volume along its three axes.
 
     Parameters
@@ -67,6 +80,8 @@ def gather(
         Axis through the sheet.
     sheet : (int, int)
         First and last slice along it that hold the sheet.
+    points : (n, 3) of int, optional
+        Voxels (z, y, x) whose grey is asked for.
     missing : float
         Takes the place of NaN.
     threads : int, optional
@@ -74,14 +89,55 @@ def gather(
     """
     axes: tuple[Axis, ...] = ("z", "y", "x")
     places: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet) for axis in axes}
+    points = np.empty((0, 3), np.int64) if points is None else points
+    taken = _taken(points, places)
     reach = slice(min(p["z"].start for p in places.values()), max(p["z"].stop for p in places.values()))
-    pieces = _pieces(volume, places, reach)
 
-    def read(piece: slice) -> list[tuple[Array, Array, NDArray[np.float32]] | None]:
-        return [_piece_sums(volume, axis, places[axis], piece, missing) for axis in axes]
+    def read(piece: slice) -> list[tuple[Sums, NDArray[Any], Index, NDArray[np.float32]] | None]:
+        found: list[tuple[Sums, NDArray[Any], Index, NDArray[np.float32]] | None] = []
+        for axis in axes:
+            place = places[axis]
+            inside = slice(max(piece.start, place["z"].start), min(piece.stop, place["z"].stop))
+            if inside.stop <= inside.start:
+                found.append(None)
+                continue
+            # Pairs across the border between two pieces belong to the second one.
+            before = min(2, inside.start - place["z"].start) if axis == "z" else 0
+            part = volume.isel(place | {"z": slice(inside.start - before, inside.stop)})
+            raw = np.asarray(part.values)
+            which = np.flatnonzero(
+                (taken == axes.index(axis)) & (points[:, 0] >= inside.start) & (points[:, 0] < inside.stop)
+            )
+            z, y, x = (points[which] - [inside.start - before, place["y"].start, place["x"].start]).T
+            grey = raw[z, y, x].astype(np.float32)
+            sample = raw[::_EVERY, ::_EVERY, ::_EVERY].ravel() if axis != through else raw[:0].ravel()
+            found.append((_part_sums(raw, axis, before, missing), sample, which, grey))
+        return found
 
-    found = map_threads(read, pieces, number=threads)
-    return tuple(_joined(axis, places[axis], [f[i] for f in found]) for i, axis in enumerate(axes))
+    pieces = map_threads(read, _pieces(volume, places, reach), number=threads)
+    grey = np.full(len(points), np.nan, np.float32)
+    samples: list[NDArray[Any]] = []
+    for piece in pieces:
+        for one in piece:
+            if one is not None:
+                samples.append(one[1])
+                grey[one[2]] = one[3]
+    windows = tuple(
+        _joined(axis, places[axis], [one[0] for piece in pieces if (one := piece[i]) is not None])
+        for i, axis in enumerate(axes)
+    )
+    return Gathered(windows=windows, sample=np.concatenate(samples), grey=grey)
+
+
+def _taken(points: Places, places: dict[Axis, dict[str, slice]]) -> NDArray[np.int8]:
+    """Number of the axis in whose window each point is read; -1 for none."""
+    taken = np.full(len(points), -1, np.int8)
+    for i, place in enumerate(places.values()):
+        inside = np.ones(len(points), bool)
+        for k, name in enumerate("zyx"):
+            inside &= (points[:, k] >= place[name].start) & (points[:, k] < place[name].stop)
+        taken[inside] = i
+    return taken
 
 
 def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet: tuple[int, int]) -> dict[str, slice]:
@@ -109,46 +165,26 @@ def _pieces(volume: xr.DataArray, places: dict[Axis, dict[str, slice]], reach: s
     return [slice(k, min(k + size, reach.stop)) for k in range(reach.start, reach.stop, size)]
 
 
-def _piece_sums(
-    volume: xr.DataArray, axis: Axis, place: dict[str, slice], piece: slice, missing: float
-) -> tuple[Array, Array, NDArray[np.float32]] | None:
-    """Sums of the part of a window that lies in a piece."""
-    z = place["z"]
-    inside = slice(max(piece.start, z.start), min(piece.stop, z.stop))
-    if inside.stop <= inside.start:
-        return None
-    # Pairs across the border between two pieces belong to the second one.
-    before = min(2, inside.start - z.start) if axis == "z" else 0
-    part = volume.isel(place | {"z": slice(inside.start - before, inside.stop)})
-    order = [part.get_axis_num(k) for k in (axis, *(k for k in "zyx" if k != axis))]
-    values = np.ascontiguousarray(part.values.transpose(order), dtype=np.float32)
-    if not np.isfinite(values.sum()):
-        values = np.nan_to_num(values, nan=missing, posinf=missing, neginf=missing)
-    square, product = _sums(values)
-    return (square[max(before - 1, 0) :] if before else square), product, _block_means(values[before:])
+def _part_sums(raw: NDArray[Any], axis: Axis, before: int, missing: float) -> Sums:
+    """Sums of a part (z, y, x) of a window."""
+    values = np.ascontiguousarray(np.moveaxis(raw, "zyx".index(axis), 0), dtype=np.float32)
+    sums = _sums(values, before)
+    if np.isfinite(sums[0]).all() and np.isfinite(sums[2]).all():
+        return sums
+    return _sums(np.nan_to_num(values, nan=missing, posinf=missing, neginf=missing), before)
 
 
-def _sums(part: NDArray[np.float32]) -> tuple[Array, Array]:
-    n = len(part)
-    square, product = np.zeros(max(n - 1, 0)), np.zeros(max(n - 2, 0))
-    if n > 1:
-        _kernels.add_pairs(part, square, product if n > 2 else np.zeros(1))
-    return square, product
-
-
-def _block_means(part: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Means of blocks of each slice, (slices, blocks); what is left over at the far ends is left out."""
+def _sums(part: NDArray[np.float32], before: int = 0) -> Sums:
+    """Sums over pairs of slices, and block means; the first slices belong to the part before."""
     n, rows, cols = part.shape
-    edges = min(BLOCK, rows), min(BLOCK, cols)
-    counts = rows // edges[0], cols // edges[1]
-    whole = part[:, : counts[0] * edges[0], : counts[1] * edges[1]]
-    return whole.reshape(n, counts[0], edges[0], counts[1], edges[1]).mean(axis=(2, 4)).reshape(n, -1)
+    edge = min(BLOCK, rows, cols)
+    square, product = np.zeros(max(n - 1, 0)), np.zeros(max(n - 2, 0))
+    sums = np.zeros((n - before, rows // edge, cols // edge))
+    _kernels.add_slices(part, edge, before, square, product, sums)
+    return square[max(before - 1, 0) :], product, (sums / edge**2).reshape(n - before, -1).astype(np.float32)
 
 
-def _joined(
-    axis: Axis, place: dict[str, slice], parts: list[tuple[Array, Array, NDArray[np.float32]] | None]
-) -> Window:
-    known = [p for p in parts if p is not None]
+def _joined(axis: Axis, place: dict[str, slice], known: list[Sums]) -> Window:
     voxels = np.prod([s.stop - s.start for k, s in place.items() if k != axis])
     if axis == "z":
         square, product = (np.concatenate([p[i] for p in known]) for i in range(2))

@@ -77,13 +77,8 @@ def map_layer(
         "flatten": changed(layer.flatten, mesh_um=flattened.mesh_um, map_um=map_um),
     }
     progress("check", "slices, grey, layers")
-    scan = check_scan(
-        volume,
-        measured,
-        sections=sections is not None,
-        labels=layer.surface.labels is not None,
-        threads=compute.threads,
-    )
+    labels = layer.surface.labels is not None
+    scan = check_scan(volume, measured, sections=sections is not None, labels=labels, threads=compute.threads)
     facts = SheetFacts(
         surfaces=surface_facts(measured),
         properties=property_facts(measured),

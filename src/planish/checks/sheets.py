@@ -1,0 +1,143 @@
+"""One sheet, and not two or a split one; enough voxels through it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.checks.greys import Greys
+from planish.core.checks import POSITION, PROPERTIES, Check
+from planish.core.frame import Frame
+from planish.core.grid import pitch
+
+Array = NDArray[np.float64]
+
+BRIGHT, DARK = 0.5, 0.6  # of coating - base, of base - air
+BRIGHT_SHARE, DARK_SHARE = 0.10, 0.02  # of the tiles
+LEAST_VOXELS = 5.0  # 114 um are measured of 80 um with 2 voxels, 130 of 120 um with 3; with 4 it is right
+_TILE_UM = 60.0
+_COLUMNS = 7  # along the edge of a tile, at most
+_LEAST_COLUMNS = 5  # in a tile
+_INNER = (0.2, 0.8)  # of the base: beyond, blur mixes in what lies beside it
+_DEPTHS = (9, 48)  # fewest and most places across the base
+_TILES = 2500  # at most
+_LEAST_TILES = 10
+_SHEET = (PROPERTIES, POSITION)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Core:
+    """Places in the middle part of the base, in tiles."""
+
+    points: NDArray[
+        np.int64
+    ]  # (tiles * columns * depths, 3): voxels z, y, x; of columns without a base the voxel 0, 0, 0
+    shape: tuple[int, int, int]  # tiles, columns, depths
+    known: NDArray[np.bool_]  # (tiles, columns)
+
+
+def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
+    """Voxels between the interfaces, or between the faces where a side has no coating."""
+    frame = Frame.of(measured)
+    faces = [measured[k].values.astype(np.float64) for k in ("interface_top", "interface_bottom", "top", "bottom")]
+    good = measured["status"].values == 0
+    high, low = (np.where(np.isfinite(a), a, b) if np.isfinite(a[good]).any() else b
+                 for a, b in ((faces[0], faces[2]), (faces[1], faces[3])))  # fmt: skip
+    good &= np.isfinite(high) & np.isfinite(low)
+    edges = [max(round(_TILE_UM / p), 1) for p in pitch(measured)]
+    counts = [max(n // e, 1) for n, e in zip(good.shape, edges, strict=True)]
+    rows, cols = (_of_tiles(n, e, c) for n, e, c in zip(good.shape, edges, counts, strict=True))
+    tiles = np.stack(np.meshgrid(np.arange(counts[0]), np.arange(counts[1]), indexing="ij"), axis=-1).reshape(-1, 2)
+    tiles = tiles[:: max(-(-len(tiles) // _TILES), 1)]
+    r = np.repeat(rows[tiles[:, 0]], cols.shape[1], axis=1)
+    c = np.tile(cols[tiles[:, 1]], rows.shape[1])
+    voxel = [float(v) for v in volume.attrs["voxel_um"]]
+    along = voxel["zyx".index(frame.through)]
+    thickness = float(np.nanmedian(np.abs(high - low)[good])) if good.any() else 0.0
+    depths = int(np.clip(np.ceil((_INNER[1] - _INNER[0]) * thickness / along), *_DEPTHS))
+    share = np.linspace(*_INNER, depths)
+    height = high[r, c][..., None] * (1 - share) + low[r, c][..., None] * share
+    heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
+    at = np.rint((np.nan_to_num(height) - heights[0]) / along).astype(np.int64)
+    index = {
+        frame.through: np.clip(at, 0, heights.size - 1),
+        frame.rows: np.broadcast_to(_voxel(measured, volume, "y", frame.rows)[r][..., None], at.shape),
+        frame.cols: np.broadcast_to(_voxel(measured, volume, "x", frame.cols)[c][..., None], at.shape),
+    }
+    known = good[r, c]
+    points = np.stack([index[k] for k in ("z", "y", "x")], axis=-1)
+    points[~known] = 0
+    return Core(points=points.reshape(-1, 3), shape=at.shape, known=known)
+
+
+def _of_tiles(n: int, edge: int, count: int) -> NDArray[np.intp]:
+    """Columns that are looked at in every tile along one axis, (tiles, columns)."""
+    inside = np.unique(np.linspace(0, edge - 1, min(edge, _COLUMNS)).round().astype(np.intp))
+    return np.minimum(np.arange(count)[:, None] * edge + inside, n - 1)
+
+
+def _voxel(measured: xr.Dataset, volume: xr.DataArray, dim: str, axis: str) -> NDArray[np.int64]:
+    """Voxel in the middle of every column."""
+    places = np.asarray(volume.coords[axis].values, dtype=np.float64)
+    step = places[1] - places[0] if places.size > 1 else 1.0
+    return np.rint((measured[dim].values - places[0]) / step).astype(np.int64)
+
+
+def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys) -> Check:
+    """Judge whether a coating, or air, lies inside the base.
+
+    ``grey`` (points,) of the core, NaN where it was not read.
+    """
+    profiles = grey.reshape(core.shape).astype(np.float64)
+    profiles[~core.known] = np.nan
+    enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= _LEAST_COLUMNS
+    name = "one sheet"
+    if np.count_nonzero(enough) < _LEAST_TILES:
+        return Check(
+            name=name, state="unknown", figures=_SHEET,
+            sentence=f"The base is seen in {np.count_nonzero(enough)} tiles of {_TILE_UM:g} um only, too few to tell "
+            "one sheet from two.",
+        )  # fmt: skip
+    median = np.nanmedian(profiles[enough], axis=1)
+    base = float(np.median(median))
+    dark = float(np.mean(((base - median) / (base - greys.air)).max(axis=1) > DARK))
+    bright = 0.0
+    if np.isfinite(greys.coating):
+        bright = float(np.mean(((median - base) / (greys.coating - base)).max(axis=1) > BRIGHT))
+    if bright > BRIGHT_SHARE:
+        return Check(
+            name=name, state="fail", value=bright, limit=BRIGHT_SHARE, units="share", figures=_SHEET,
+            sentence=f"In {100 * bright:.0f} % of the sheet a coating lies in the middle of the base: a second sheet "
+            "lies on the first.",
+            advice="Crop the volume to one sheet, or choose it with --seed-um.",
+        )  # fmt: skip
+    return Check.at_most(
+        name, dark, fail=DARK_SHARE, units="share", figures=_SHEET,
+        sentence=f"In {100 * dark:.2g} % of the sheet there is air inside the base"
+        + (": it is split, or two sheets lie on each other." if dark > DARK_SHARE else ", and nowhere a second sheet."),
+        advice="Look at the slices. Crop the volume to one sheet that is whole.",
+    )  # fmt: skip
+
+
+def voxels_check(volume: xr.DataArray, measured: xr.Dataset) -> Check:
+    """Judge whether the sheet is thick enough for the voxels along its normal."""
+    frame = Frame.of(measured)
+    voxel = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
+    tall = float(np.nanmedian(np.abs(measured["top"].values - measured["bottom"].values)))
+    rise = (
+        np.nanmedian(np.abs(np.gradient(measured["centre"].values, p, axis=i))) for i, p in enumerate(pitch(measured))
+    )
+    cosine = 1 / np.sqrt(1 + sum(float(s) ** 2 for s in rise))
+    # Along the normal, the voxel is as long as its sides let it be.
+    edge = cosine * voxel[frame.through] + (1 - cosine) * max(voxel[frame.rows], voxel[frame.cols])
+    count = tall * cosine / edge
+    return Check.at_least(
+        "voxels through the sheet", count, look=LEAST_VOXELS, units="voxels",
+        figures=("thickness", "coating_top", "coating_bottom", "base_thickness"),
+        sentence=f"The sheet is {count:.1f} voxels thick."
+        + (" It may be thinner: sheets of 2 or 3 voxels are measured too thick." if count < LEAST_VOXELS else ""),
+        advice="Scan with smaller voxels: five through the sheet are needed, and two through a coating.",
+    )  # fmt: skip

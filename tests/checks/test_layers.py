@@ -1,0 +1,175 @@
+"""Grey scale, second sheet, delamination, few voxels and dust: seen with their number, and not where all is right."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import ndimage
+
+from planish.checks import check_scan
+from planish.checks.dust import find_particles
+from planish.checks.greys import Greys, clipping, clipping_check, steadiness_check, unsteady
+from planish.checks.sheets import voxels_check
+from planish.checks.windows import window_of
+
+VOXEL = 3.0
+GREYS = Greys(air=40.0, base=90.0, coating=200.0, noise=5.0)
+
+
+def layered(*, extra=None, depth=40, seed=0, noise=5.0, shape=(190, 200)):
+    """A slab of base between coatings of 5 voxels, through z, and what the measurement would give of it.
+
+    ``extra`` maps the share of the base's depth (0 at the top interface), rows and columns to a grey, or NaN.
+    """
+    rng = np.random.default_rng(seed)
+    rise = np.cumsum(np.full(shape[1], 0.1))[None, :] + 4 * np.sin(np.arange(shape[0]) / 20)[:, None]
+    low, high = 20 + rise, 20 + depth + rise
+    z = np.arange(int(high.max()) + 30)[:, None, None]
+    grey = np.where((z >= low - 5) & (z <= high + 5), 200.0, 40.0)
+    inside = (z > low) & (z < high)
+    grey[inside] = 90.0
+    if extra is not None:
+        put = extra((high - z) / depth, *np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"))
+        grey = np.where(inside & np.isfinite(put), put, grey)
+    texture = ndimage.gaussian_filter(rng.normal(size=grey.shape), 1.5)
+    grey += np.where(inside, 12 * texture / texture.std(), 0)
+    grey = ndimage.gaussian_filter(grey, 0.8) + rng.normal(0, noise, grey.shape)
+    coords = {k: np.arange(n) * VOXEL for k, n in zip("zyx", grey.shape, strict=True)}
+    volume = xr.DataArray(
+        np.clip(grey, 0, 255).astype(np.uint8), dims=("z", "y", "x"), coords=coords, attrs={"voxel_um": [VOXEL] * 3}
+    )
+    heights = {"top": high + 5, "bottom": low - 5, "interface_top": high, "interface_bottom": low,
+               "centre": (high + low) / 2}  # fmt: skip
+    measured = xr.Dataset(
+        {k: (("y", "x"), (v + np.zeros(shape)) * VOXEL) for k, v in heights.items()},
+        coords={k: coords[k] for k in "yx"},
+        attrs={"through": "z", "top_side": "high", "grey_air": 40.0, "grey_base": 90.0, "grey_coating_top": 200.0,
+               "grey_coating_bottom": 200.0, "grey_noise": 5.0},
+    )  # fmt: skip
+    coating = ndimage.gaussian_filter(rng.normal(size=shape), 5)
+    for side in ("top", "bottom"):
+        measured[f"coating_{side}"] = (("y", "x"), 15 + 3 * coating / coating.std())
+    measured["status"] = (("y", "x"), np.zeros(shape, np.uint8))
+    return volume, measured
+
+
+def by_name(checks):
+    return {check.name: check for check in checks}
+
+
+def test_right_sheet_passes_every_check_and_threads_change_nothing():
+    volume, measured = layered()
+    checks = check_scan(volume, measured, threads=1)
+    assert [c.name for c in checks if c.state != "pass"] == []
+    assert len(checks) == 9
+    assert checks == check_scan(volume, measured, threads=3)
+
+
+@pytest.mark.parametrize("through", ["z", "y", "x"])
+def test_second_sheet_fails(through):
+    """A coating of 10 voxels in the middle of the base in a third of the sheet, through any axis."""
+    volume, measured = layered(extra=lambda t, _r, c: np.where((abs(t - 0.5) < 0.12) & (c < 70), 200.0, np.nan))
+    dims = {"z": ("z", "y", "x"), "y": ("y", "z", "x"), "x": ("x", "z", "y")}[through]
+    turned = volume.rename(dict(zip(("z", "y", "x"), dims, strict=True))).transpose("z", "y", "x")
+    found = by_name(check_scan(turned, measured.assign_attrs(through=through)))["one sheet"]
+    assert found.state == "fail"
+    assert found.value == pytest.approx(0.35, abs=0.06)
+    assert "second sheet" in found.sentence
+    assert set(found.figures) == {"properties", "position"}
+
+
+def test_delamination_fails():
+    volume, measured = layered(
+        extra=lambda t, r, c: np.where((abs(t - 0.5) < 0.08) & (c < 60) & (r < 60), 40.0, np.nan)
+    )
+    found = by_name(check_scan(volume, measured))["one sheet"]
+    assert found.state == "fail"
+    assert found.value == pytest.approx(0.09, abs=0.03)
+    assert "split" in found.sentence
+
+
+def test_too_few_columns_of_the_base_are_said():
+    volume, measured = layered(shape=(190, 200))
+    measured["status"].values[20:] = 3
+    measured["status"].values[:, 100:] = 3
+    found = by_name(check_scan(volume, measured))["one sheet"]
+    assert found.state == "unknown"
+    assert found.sentence.startswith("The base is seen in 5 tiles of 60 um only")
+
+
+@pytest.mark.parametrize(("voxel", "state"), [(3.0, "pass"), (30.0, "pass"), (31.0, "look")])
+def test_few_voxels_through_the_sheet(voxel, state):
+    """150 um between faces that lie level: five voxels of 30 um."""
+    volume, measured = layered()
+    measured["top"].values[:] = 150.0
+    measured["bottom"].values[:] = measured["centre"].values[:] = 0.0
+    check = voxels_check(volume.assign_attrs(voxel_um=[voxel] * 3), measured)
+    assert check.value == pytest.approx(150 / voxel)
+    assert check.state == state
+
+
+def histogram(dtype, scale=1.0, *, seed=0, at=np.inf, n=300_000, sign=1.0):
+    rng = np.random.default_rng(seed)
+    level = rng.choice([40.0, 90.0, 200.0], n, p=[0.6, 0.3, 0.1])
+    grey = np.minimum(level + rng.normal(0, 8, n), at)
+    grey = (grey if sign > 0 else 250 - grey) * scale
+    return grey.astype(dtype) if np.dtype(dtype).kind == "f" else np.rint(grey).astype(dtype)
+
+
+KINDS = [(np.uint8, 1.0), (np.uint16, 16.0), (np.uint16, 200.0), (np.int16, 50.0), (np.float32, 1 / 300), (float, 1.0)]
+
+
+@pytest.mark.parametrize(("dtype", "scale"), KINDS)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_clipping_at_any_level_in_any_type(dtype, scale, sign):
+    turned = [v if sign > 0 else 250 - v for v in (40.0, 90.0, 200.0)]
+    for at in (np.inf, 150.0, 195.0, 203.0):
+        air, base, coating = (v * scale for v in turned)
+        greys = Greys(air=air, base=base, coating=min(coating, at * scale) if sign > 0 else coating, noise=8 * scale)
+        check = clipping_check(histogram(dtype, scale, at=at, sign=sign), greys)
+        assert check.state == ("pass" if np.isinf(at) else "look"), (at, check.sentence)
+    assert set(check.figures) == {"coating_top", "coating_bottom", "base_thickness"}
+
+
+def test_clipping_well_above_the_coating_is_said_and_passes():
+    check = clipping_check(histogram(np.uint8, at=212.0), GREYS)
+    assert check.state == "pass"
+    assert check.value > 3
+    assert "lies well inside" in check.sentence
+
+
+def test_a_volume_stretched_to_16_bits_after_clipping_is_seen():
+    eight = histogram(np.uint8, at=150.0).astype(np.uint16) * 257
+    spike, share, end = clipping(eight, Greys(air=40 * 257, base=90 * 257, coating=150 * 257, noise=5 * 257))
+    assert spike > 3
+    assert share == pytest.approx(0.1, abs=0.01)
+    assert end == 150 * 257
+
+
+def test_slices_scaled_one_by_one_are_seen():
+    volume, _ = layered()
+    values = np.moveaxis(volume.values, 1, 0).astype(float)
+    right = window_of(values, "y")
+    gain = 1 + 0.1 * np.random.default_rng(1).normal(size=len(values))
+    wrong = window_of(values * gain[:, None, None], "y")
+    print(f"levels jump by {unsteady(right):.2f} and {unsteady(wrong):.2f} greys of 160")
+    assert steadiness_check([right], GREYS).state == "pass"
+    check = steadiness_check([right, wrong], GREYS)
+    assert check.state == "look"
+    # A tenth of the grey at the 95th percentile, 110 to 200.
+    assert 0.07 < check.value < 0.125
+
+
+def test_particles_are_counted_and_covered():
+    rng = np.random.default_rng(0)
+    field = ndimage.gaussian_filter(rng.normal(size=(500, 600)), 8)
+    coating = 15 + 4 * field / field.std()
+    assert find_particles(coating, (3.0, 3.0)).number == 0
+    rows, cols = np.meshgrid(np.arange(500), np.arange(600), indexing="ij")
+    for k in range(9):
+        r, c = 50 + 50 * k, 60 + 55 * k
+        coating[(rows - r) ** 2 + (cols - c) ** 2 < 36] += 40.0
+    coating[:, :5] = np.nan
+    found = find_particles(coating, (3.0, 3.0))
+    assert found.number == 9
+    assert found.a_mm2 == pytest.approx(9 / 2.6775)
+    assert found.mask.sum() == pytest.approx(9 * 113, rel=0.15)
