@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planish.analyze import Lag, LagField
-from planish.pipeline.compare import lag_facts
+from planish.pipeline.texture import lag_facts
 
 
 def _lag(lag: Lag, *, expected_um: float | None, headline: str) -> dict[str, Any]:

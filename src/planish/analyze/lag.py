@@ -5,34 +5,31 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, special
 
 from planish.analyze.lag_field import LagField, MapPair, lag_field
-from planish.analyze.ncc import LEAST_PAIRS, cropped
-from planish.analyze.peak import MARGIN, Peak, find_peak, overlap, rival_r, within
+from planish.analyze.lag_search import LagSearch
+from planish.analyze.peak import MARGIN, find_peak, rival_r, within
 from planish.analyze.surrogates import Unrelated
-from planish.analyze.texture import Textures, tile_sums
+from planish.analyze.texture import Textures
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Silence = Literal["few", "texture", "border", "rival", "light"]
 
 # 95 % of errors that are normal with the same spread along x and y lie within this many rms lengths.
 TRE95 = math.sqrt(-math.log(0.05))
 NAME = "position by texture"
-_CHANCE = 0.01  # that unrelated textures give a lag
 _SURE = 3.0  # standard errors by which a lag has to differ from 0 to speak against the marks
 _LEAST_PIXELS = 400
 _FLOOR_PIXELS = 0.1  # of a pixel is lost between the pixels
 _RIVAL = 0.8  # of the peak's height
 _VAGUE = 1 / 4  # of the reach: a lag known no better locates nothing
-_TILE_UM = 150.0
 _SEED = 20090501
 
 _SILENCE: dict[Silence, str] = {
@@ -143,27 +140,21 @@ class Lag:
             sentence = f"Image-based check: inconclusive, because the marks give no expected error; {found}."
             return Check(name=NAME, state="unknown", sentence=sentence, value=self.length_um, units="um")
         limit, expected = self.allowed_um(expected_error_um), f"expected error {expected_error_um:.1f} um"
-        values = {
-            "name": NAME,
-            "value": self.length_um,
-            "limit": limit,
-            "units": "um",
-            "figures": (POSITION, CORRELATION),
-        }
+        made = partial(Check, name=NAME, value=self.length_um, limit=limit, units="um", figures=(POSITION, CORRELATION))
         if self.length_um <= limit:
             vague = math.hypot(*self.se_um) > max(expected_error_um, max(self.pixel_um))
             end = "agrees, but is less certain than the marks" if vague else "agrees"
-            return Check(state="pass", sentence=f"Image-based check: {found}, {expected}: {end}.", **values)
+            return made(state="pass", sentence=f"Image-based check: {found}, {expected}: {end}.")
         if self.length_um <= _SURE * self.length_se_um:
             sentence = (
                 f"Image-based check: inconclusive, because {found}, which is more than the marks allow ({expected}) "
                 "but within 3 standard errors."
             )
-            return Check(state="unknown", sentence=sentence, **values)
-        return Check(
+            return made(state="unknown", sentence=sentence)
+        return made(
             state="look", sentence=f"Image-based check: {found}, more than the marks allow ({expected}). Such a shift "
             "of all marks together shows nowhere else.", advice="Compare the outlines of maps and image; if it is "
-            "real, take it off, or use marks at the face that the image shows.", **values,
+            "real, take it off, or use marks at the face that the image shows.",
         )  # fmt: skip
 
     def sentence(self, expected_error_um: float | None = None) -> str:
@@ -201,8 +192,9 @@ def texture_lag(
 
     Notes
     -----
-    At every lag the last map is regressed on the first ones; the peak of R² is the lag. What follows the slopes of a
-    surface is an odd relation, which alone would move the peak of r. The limit is what R² of unrelated textures exceeds
+    At every lag the last map is regressed on the first ones, each in two halves at 60 um, so that either may be more
+    blurred than the other; the peak of R² is the lag. What follows the slopes of a surface is an odd relation, which
+    alone would move the peak of r. The limit is what R² of unrelated textures exceeds
     anywhere in the search in 1 of 100 cases (chi-square field of as many degrees as maps; Worsley 1994). The standard
     error is that of an M-estimator, from the scatter of tiles.
 
@@ -212,21 +204,23 @@ def texture_lag(
     """
     pixel = found.pixel_um
     reach = _reach(found.known.shape, pixel, reach_um)
-    known = {"reach_um": reach_um, "pixel_um": pixel, "n": found.n}
-    used = [found.maps[k] for k in (*first, last) if k in found.maps and found.maps[k].any()]
-    if found.n < _LEAST_PIXELS or len(used) <= len(first):
-        return Lag(silence="few", **known)
-    x, y = np.stack(used[:-1]), used[-1]
-    search = _Search(x, y, found.known, (reach[0] + MARGIN, reach[1] + MARGIN))
+    made = partial(Lag, reach_um=reach_um, pixel_um=pixel, n=found.n)
+    if found.n < _LEAST_PIXELS or not all(k in found.maps and found.maps[k].any() for k in (*first, last)):
+        return made(silence="few")
+    halves = [found.halves(k) for k in first]
+    x, y = np.stack([m for two in halves for m in two]), found.maps[last]
+    plain = sum(len(two) for two in halves[: len(first) - slopes])
+    search = LagSearch(x, y, found.known, (reach[0] + MARGIN, reach[1] + MARGIN))
     allowed = within(reach)
     peak = find_peak(search.share, allowed, 1)
     limit = search.limit(reach)
     middle = search.share.shape[0] // 2, search.share.shape[1] // 2
-    lag = Lag(silence="texture", null_99=math.sqrt(limit), r_at_zero=math.sqrt(max(search.share[middle], 0)), **known)
+    lag = made(silence="texture", null_99=math.sqrt(limit), r_at_zero=math.sqrt(max(search.share[middle], 0)))
     if peak is None:
         return lag
     model = search.weights(peak.pixel)
-    lag = replace(lag, r=math.copysign(math.sqrt(max(peak.r, 0.0)), model[0]))
+    sign = float(np.vdot(np.tensordot(model[: len(halves[0])], x[: len(halves[0])], 1), found.maps[first[0]]))
+    lag = replace(lag, r=math.copysign(math.sqrt(max(peak.r, 0.0)), sign))
     if not peak.r > limit:
         return lag
     if not peak.inner:
@@ -237,7 +231,7 @@ def texture_lag(
     spread = search.covariance(peak, pixel)[::-1, ::-1] * np.outer(step, step)
     spread += (_FLOOR_PIXELS * max(pixel)) ** 2 * np.eye(2)
     if slopes:
-        lag = replace(lag, light=1.0 - search.share_of(slice(0, len(first) - slopes), peak.pixel) / peak.r)
+        lag = replace(lag, light=1.0 - search.share_of(slice(0, plain), peak.pixel) / peak.r)
     if not math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) < _VAGUE * reach_um:
         return replace(lag, silence="light" if slopes else "texture")
     lag = replace(
@@ -249,110 +243,6 @@ def texture_lag(
     rng, unrelated = np.random.default_rng(_SEED), Unrelated(y, found.known)
     draws = [unrelated.draw(rng) for _ in range(19)]
     return replace(lag, field=lag_field(pair, reach=reach, tile_um=tiles_um, sign=1, unrelated=draws))
-
-
-class _Search:
-    """Regression of y (rows, cols) on the maps x (k, rows, cols) at every lag within ``wide``."""
-
-    def __init__(self, x: Array, y: Array, known: Mask, wide: tuple[int, int]) -> None:
-        self._x, self._y, self._known, self._wide = x, y, known, wide
-        self._size = [fft.next_fast_len(n + m, real=True) for n, m in zip(y.shape, wide, strict=True)]
-        mask, self._y_hat = self._transform(known.astype(np.float64)), self._transform(y)
-        self._x_hat = [self._transform(m) for m in x]
-        pairs = np.rint(self._lags(np.abs(mask) ** 2))
-        self._pairs = np.maximum(pairs, 1.0)
-        enough = pairs >= LEAST_PAIRS * pairs.max()
-        self._g = np.stack([self._lags(np.conj(m) * self._y_hat) / self._pairs for m in self._x_hat])
-        n = int(np.count_nonzero(known))
-        self._inner = np.tensordot(x, x, ((1, 2), (1, 2))) / n
-        self._inverse = np.linalg.pinv(self._inner, rcond=1e-6, hermitian=True)
-        share = np.einsum("iyx,ij,jyx->yx", self._g, self._inverse, self._g)
-        self.share: Array = np.where(enough, share, np.nan)
-
-    def weights(self, pixel: tuple[int, int]) -> Array:
-        """Weights of the maps at a lag, (k,)."""
-        return self._inverse @ self._at(pixel)
-
-    def share_of(self, some: slice, pixel: tuple[int, int]) -> float:
-        """R² at a lag with some of the maps only."""
-        g = self._at(pixel)[some]
-        return float(g @ np.linalg.pinv(self._inner[some, some], rcond=1e-6, hermitian=True) @ g)
-
-    def limit(self, reach: tuple[int, int]) -> float:
-        """R² that unrelated textures exceed within reach in 1 of 100 cases."""
-        power_y = np.abs(self._y_hat) ** 2
-        auto_y = self._lags(power_y)
-        # Independent combinations of the maps, each of spread 1.
-        values, vectors = np.linalg.eigh(self._inner)
-        use = values > 1e-6 * values[-1]
-        across = (vectors[:, use] / np.sqrt(values[use])).T
-        n = float(np.count_nonzero(self._known))
-        variance, power = [], np.zeros(power_y.shape)
-        for weights in across:
-            own = np.abs(sum(w * m for w, m in zip(weights, self._x_hat, strict=True))) ** 2
-            variance.append(float(np.sum(self._lags(own) * auto_y / self._pairs)) / n**2)
-            power += own * power_y
-        fy = 2 * np.pi * fft.fftfreq(self._size[0])[:, None]
-        fx = 2 * np.pi * fft.rfftfreq(self._size[1])[None, :]
-        twice = np.where((np.arange(power.shape[1]) > 0), 2.0, 1.0)
-        total = float(np.sum(power * twice))
-        if not total > 0:
-            return math.inf
-        moments = [float(np.sum(power * twice * m)) / total for m in (fy * fy, fx * fx, fy * fx)]
-        root = math.sqrt(max(moments[0] * moments[1] - moments[2] ** 2, 0.0))
-        return max(variance) * _chi2_limit(int(use.sum()), reach, root)
-
-    def covariance(self, peak: Peak, pixel_um: tuple[float, float]) -> Array:
-        """Covariance of the peak's place, (2, 2) in pixels squared, from the scatter of tiles.
-
-        The slope of R²/2 at the peak is the mean of ``(m - R² y) grad y + e x·w`` over the pixels, with the fitted map
-        m, the rest e = y - m and w = G⁻¹ times the slopes of the products of x and y: the second part is what the
-        weights of the maps, which are fitted as well, add.
-        """
-        here, there = overlap(self._y.shape, peak.pixel)
-        both = self._known[here] & self._known[there]
-        x, y = self._x[:, here[0], here[1]], self._y[there]
-        slopes = np.stack([np.where(both, s, 0.0) for s in (m[there] for m in np.gradient(self._y))])
-        n = int(np.count_nonzero(both))
-        fitted = np.tensordot(self.weights(peak.pixel), x, 1)
-        rest = np.where(both, y - fitted, 0.0)
-        w = np.tensordot(slopes, x, ((1, 2), (1, 2))) / n @ self._inverse  # (2, k)
-        scores = (fitted - peak.r * y) * slopes + rest * np.tensordot(w, x, 1)
-        scores = np.where(both, scores - scores.sum(axis=(1, 2), keepdims=True) / n, 0.0)
-        parts = tile_sums(scores, pixel_um, _TILE_UM).reshape(2, -1)
-        back = np.linalg.inv(-0.5 * peak.curvature)
-        return back @ (parts @ parts.T / n**2) @ back
-
-    def _at(self, pixel: tuple[int, int]) -> Array:
-        return self._g[:, pixel[0] + self._wide[0], pixel[1] + self._wide[1]]
-
-    def _transform(self, values: Array) -> NDArray[np.complex128]:
-        return np.asarray(fft.rfft2(values, self._size), dtype=np.complex128)
-
-    def _lags(self, spectrum: NDArray[np.complex128] | Array) -> Array:
-        return cropped(np.asarray(fft.irfft2(spectrum, self._size), dtype=np.float64), self._wide)
-
-
-def _chi2_limit(k: int, reach: tuple[int, int], root: float) -> float:
-    """Height that a smooth chi-square field of k degrees exceeds in the ellipse ``reach`` in 1 of 100 cases.
-
-    By its expected Euler characteristic; ``root`` is the root of the determinant of the covariance of the slopes of the
-    Gaussian fields that it is made of, per pixel squared.
-    """
-    area = math.pi * reach[0] * reach[1] * root
-    half_round = math.pi * math.sqrt(reach[0] * reach[1] * root)
-
-    def expected(u: float) -> float:
-        scale = math.exp(-u / 2 - special.gammaln(k / 2) - (k - 2) / 2 * math.log(2.0))
-        along = u ** ((k - 1) / 2) * scale / math.sqrt(2 * math.pi)
-        over = u ** ((k - 2) / 2) * scale * (u - (k - 1)) / (2 * math.pi)
-        return float(special.gammaincc(k / 2, u / 2)) + half_round * along + area * over
-
-    low, high = 2.0 * k + 2.0, 400.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if expected(middle) > _CHANCE else (low, middle)
-    return high
 
 
 def _reach(shape: tuple[int, ...], pixel_um: tuple[float, float], reach_um: float) -> tuple[int, int]:

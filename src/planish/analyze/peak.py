@@ -16,6 +16,7 @@ Mask = NDArray[np.bool_]
 
 MARGIN = 4  # pixels of r that have to be known around the lags that are searched
 _STEPS = 20
+_FROM_PIXEL = 2.0  # on a ridge, the summit is not within the pixel that is highest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +72,7 @@ def find_peak(r: Array, allowed: Mask, sign: int) -> Peak | None:
             return flat
         step = np.clip(-np.linalg.solve(curvature, slope), -0.5, 0.5)
         at = at + step
-        if np.abs(at).max() > 1.0:
+        if np.abs(at).max() > _FROM_PIXEL:
             return flat
         if np.abs(step).max() < 1e-10:
             break

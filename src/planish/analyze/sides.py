@@ -52,8 +52,9 @@ def image_of_sheet(found: Textures, *, coated: Iterable[Side], side: Side, given
     thin paper: what the other coating explains is taken off first (partial correlation). A face is the one if its
     ``|z|`` is above 4.5 and that of the other below 3, or smaller by 3 standard deviations of the difference.
     """
-    seen = [k for k in coated if f"coating_{k}" in found.maps]
-    coatings = _faces(found, {k: [f"coating_{k}"] for k in seen})
+    seen: list[Side] = [k for k in coated if f"coating_{k}" in found.maps]
+    names: dict[Side, list[str]] = {k: [f"coating_{k}"] for k in seen}
+    coatings = _faces(found, names)
     words = f"The {side} side was {'given' if given else 'assumed (--image-side not given)'}"
     other: Side = "bottom" if side == "top" else "top"
     shown = f"the coating of the {side} side ({coatings[side]})" if side in coatings else ""

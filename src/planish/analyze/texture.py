@@ -18,6 +18,7 @@ Mask = NDArray[np.bool_]
 
 BAND_UM = (15.0, 250.0)  # shorter waves are noise, longer ones light, print and too few to count
 _MOST_PIXELS = 300_000
+_SPLIT_UM = math.sqrt(BAND_UM[0] * BAND_UM[1])
 _LEAST_SHARE = 0.7  # of the pixels of the map that is known best; maps with fewer are left out
 _LOCAL_UM = 1000.0  # neighbourhood in which all maps are given the same spread
 _LEAST_LOCAL = 0.3  # of the spread of the whole map
@@ -49,6 +50,13 @@ class Textures:
         slopes = {f"{name}_{way}": np.gradient(self.maps[name], axis=axis) for way, axis in (("x", 1), ("y", 0))}
         maps = {k: standard(m, known) for k, m in (self.maps | slopes).items()}
         return replace(self, maps=maps, known=known)
+
+    def halves(self, name: str) -> list[Array]:
+        """The waves of a map above and below 60 um, each of standard deviation 1; without one that is empty."""
+        weight = low_pass(self.known.astype(np.float64), _SPLIT_UM, self.pixel_um)
+        low = low_pass(self.maps[name], _SPLIT_UM, self.pixel_um) / np.maximum(weight, 1e-9)
+        low = np.where(self.known, low, 0.0)
+        return [m for m in (standard(k, self.known) for k in (low, self.maps[name] - low)) if m.any()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +147,7 @@ def relate(a: Array, b: Array, known: Mask, pixel_um: tuple[float, float]) -> Re
     a, b = standard(a, known), standard(b, known)
     r = float(np.vdot(a, b)) / n
     size = [fft.next_fast_len(k, real=True) for k in a.shape]
-    power = np.prod([np.abs(np.asarray(fft.rfft2(m, size))) ** 2 for m in (a, b)], axis=0)
+    power = np.abs(np.asarray(fft.rfft2(a, size)) * np.asarray(fft.rfft2(b, size))) ** 2
     power[:, 1 : (size[1] + 1) // 2] *= 2.0  # waves that run the other way
     alike = float(np.sum(power)) / (size[0] * size[1] * n)
     parts = tile_sums(a * b - 0.5 * r * (a * a + b * b), pixel_um)
@@ -161,6 +169,12 @@ def apart(values: Array, other: Array) -> Array:
     return values - float(np.vdot(values, other)) / square * other if square > 0 else values
 
 
+def low_pass(values: Array, half_um: float, pixel_um: tuple[float, float]) -> Array:
+    """Gaussian filter that halves a wave of a length; 0 beyond the borders."""
+    sigma = [half_um * math.sqrt(math.log(2.0) / 2) / math.pi / p for p in pixel_um]
+    return ndimage.gaussian_filter(values, sigma, mode="constant", truncate=3.0)
+
+
 def tile_sums(values: Array, pixel_um: tuple[float, float], tile_um: float = _TILE_UM) -> Array:
     """Sums over square tiles of a map (..., rows, cols); the last ones may be incomplete."""
     for axis, pixel in ((-2, pixel_um[0]), (-1, pixel_um[1])):
@@ -173,8 +187,7 @@ class _Band:
     """The band of maps with one mask; its filters' weights are computed once."""
 
     def __init__(self, shown: Mask, pixel_um: tuple[float, float]) -> None:
-        # A Gaussian that halves a wave of this length.
-        self._sigma = [[k * math.sqrt(math.log(2.0) / 2) / math.pi / p for p in pixel_um] for k in BAND_UM]
+        self._pixel_um = pixel_um
         self._local = [max(round(_LOCAL_UM / 2 / p), 1) for p in pixel_um]
         self._shown, self._fine = shown, self._smooth(shown.astype(np.float64), 0)
         # Single missing pixels are bridged.
@@ -191,6 +204,6 @@ class _Band:
 
     def _smooth(self, values: Array, k: int) -> Array:
         if k < 2:
-            return ndimage.gaussian_filter(values, self._sigma[k], mode="constant", truncate=3.0)
+            return low_pass(values, BAND_UM[k], self._pixel_um)
         twice = ndimage.uniform_filter(values, self._local, mode="constant")
         return ndimage.uniform_filter(twice, self._local, mode="constant")

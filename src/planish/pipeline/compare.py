@@ -1,33 +1,19 @@
-"""Layers on one grid against each other: correlation, differences of equal quantities, lag, other registrations."""
+"""Layers on one grid against each other: correlation, differences of equal quantities, other registrations."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.analyze import (
-    SIDES,
-    CorrelateParams,
-    Correlation,
-    Lag,
-    correlate,
-    correlate_at,
-    image_of_sheet,
-    texture_lag,
-    textures,
-    two_images,
-    two_sheets,
-)
-from planish.core.checks import Check
-from planish.core.errors import MarkError, SizeError
+from planish.analyze import CorrelateParams, Correlation, correlate, correlate_at
+from planish.core.errors import MarkError
 from planish.core.grid import Grid, pitch, values_at
-from planish.core.results import ComparisonRow, CorrelationRow, LagFacts, LagTile, Side
+from planish.core.results import ComparisonRow, CorrelationRow, Side
 from planish.measure import PROPERTIES
 from planish.register import FittedTransform, fit_transform
 from planish.resample import find_places, resample
@@ -35,12 +21,6 @@ from planish.resample import find_places, resample
 Array = NDArray[np.float64]
 
 _LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
-_REACH_UM, _TILE_UM = 150.0, 1000.0
-_SEEN_SHARE, _SEEN = 0.5, 3.0  # of the valid pixels; standard errors
-_TEXTURED = (
-    "coating_top", "coating_bottom", "thickness", "base_thickness", "topography_top", "topography_bottom"
-)  # fmt: skip
-
 WAYS = (
     ("projection, no scale", ("projected_u", "projected_v"), "rigid"),
     ("projection, similarity", ("projected_u", "projected_v"), "similarity"),
@@ -126,101 +106,6 @@ def _differences(a: Array, b: Array, units: str) -> dict[str, Any]:
     sd = float(off.std(ddof=1)) if off.size > 1 else None
     limits = None if mean is None or sd is None else (mean - _LIMITS * sd, mean + _LIMITS * sd)
     return {"same_quantity": True, "difference_mean": mean, "difference_sd": sd, "limits": limits, "units": units}
-
-
-class TextureFound(NamedTuple):
-    """What two layers say by their own texture: how they lie on each other, and whether they belong together."""
-
-    lag: LagFacts | None
-    checks: tuple[Check, ...]
-
-
-def texture_of(
-    a: xr.Dataset, b: xr.Dataset, names: tuple[str, str], *, side: Side = "top", given: bool = True
-) -> TextureFound:  # fmt: skip
-    """Compare two layers on one grid by their own texture.
-
-    ``side`` is that of the sheet which an image of the two shows, ``given`` or assumed. The lag is None where there are
-    too few pixels.
-    """
-    maps = [
-        {k: d[k].values for k in (*_TEXTURED, "image") if k in d and np.isfinite(d[k].values).any()} for d in (a, b)
-    ]
-    if "image" in maps[0] and "image" not in maps[1]:
-        return texture_of(b, a, (names[1], names[0]), side=side, given=given)
-    sheets = ["image" not in k for k in maps]
-    valid, grid = a["valid"].values & b["valid"].values, Grid.of(a)
-    if sheets == [True, False]:
-        both = maps[0] | {"image": maps[1]["image"]}
-    else:
-        both = maps[0] | {f"other {k}": m for k, m in maps[1].items()}
-    try:
-        found = textures(both, valid, grid.pixel_um)
-    except SizeError as error:
-        text = f"Specimen and position by texture: inconclusive, because of the pixel. {error}"
-        return TextureFound(None, (Check(name="side and specimen", state="unknown", sentence=text),))
-    coated = [
-        k for k in SIDES if all(_coating_seen(d, k) for d, is_sheet in zip((a, b), sheets, strict=True) if is_sheet)
-    ]
-    name, first, slopes = "image", ["image"], 0
-    if sheets == [True, False]:
-        judged = image_of_sheet(found, coated=coated, side=side, given=given, image=names[1])
-        check, shown = judged.check, judged.side or side
-        name = f"coating_{shown}" if shown in coated else "thickness"
-        first = [k for k in (name, f"topography_{shown}") if k in found.maps][: 1 if shown in coated else 2]
-        if f"topography_{shown}" in found.maps:
-            found, slopes = found.with_slopes(f"topography_{shown}"), 2
-            first += [f"topography_{shown}_x", f"topography_{shown}_y"]
-    elif sheets == [True, True]:
-        check = two_sheets(found, names, coated=coated)
-        name = next((f"coating_{k}" for k in coated), "thickness")
-        first = [name]
-    else:
-        check = two_images(found, names)
-    last = "image" if sheets == [True, False] else f"other {name}"
-    error = next((d["expected_error"].values for d in (a, b) if "expected_error" in d), np.empty(0))
-    shown_error = error[np.isfinite(error) & valid].astype(np.float64) if error.size else error
-    expected_um = float(np.sqrt(np.mean(shown_error**2))) if shown_error.size else None
-    short = min(n * um for n, um in zip(found.known.shape, found.pixel_um, strict=True))
-    try:
-        lag = texture_lag(
-            found, [k for k in first if k in found.maps], last, reach_um=min(_REACH_UM, short / 4), slopes=slopes,
-            tiles_um=_TILE_UM if short >= 2 * _TILE_UM else None,
-        )  # fmt: skip
-    except SizeError:
-        return TextureFound(None, (check,))
-    return TextureFound(lag_facts(lag, expected_um=expected_um, name=name), (check, lag.check(expected_um)))
-
-
-def _coating_seen(sheet: xr.Dataset, side: Side) -> bool:
-    """Whether a coating is measured on most of a sheet, and thicker than its error."""
-    name = f"coating_{side}"
-    if name not in sheet:
-        return False
-    values = sheet[name].values[sheet["valid"].values]
-    known = values[np.isfinite(values)].astype(np.float64)
-    if known.size == 0 or known.size < _SEEN_SHARE * values.size:
-        return False
-    error = sheet[f"{name}_se"].values[sheet["valid"].values] if f"{name}_se" in sheet else np.empty(0)
-    error = error[np.isfinite(error)]
-    return float(np.median(known)) > (_SEEN * float(np.median(error)) if error.size else 0.0)
-
-
-def lag_facts(lag: Lag, *, expected_um: float | None, name: str) -> LagFacts:
-    """What two maps say of their registration by their own texture.
-
-    ``expected_um`` is the expected error of the registration over the map, rms; ``name`` the property of the first map.
-    """
-    expected = expected_um if expected_um is not None and math.isfinite(expected_um) else None
-    field = lag.field
-    tiles = () if field is None else tuple(
-        LagTile(x=float(x), y=float(y), lag_um=tuple(found), distinct=bool(distinct))
-        for (x, y), found, distinct in zip(field.at_um, field.lag_um, field.distinct, strict=True)
-    )  # fmt: skip
-    return LagFacts.of(
-        lag, property=name, expected_um=expected, agrees=None if expected is None else lag.agrees(expected),
-        sentence=lag.sentence(expected), tiles=tiles, tile_um=None if field is None else float(field.tile_um),
-    )  # fmt: skip
 
 
 def comparison_rows(

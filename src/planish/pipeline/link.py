@@ -21,7 +21,7 @@ from planish.core.checks import Check
 from planish.core.results import LayerFacts, Results, Side
 from planish.io import read_image
 from planish.pipeline.checks import about, area_check, field_check, registration_checks, with_trust
-from planish.pipeline.compare import comparison_rows, correlate_layers, texture_of
+from planish.pipeline.compare import comparison_rows, correlate_layers
 from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, parameters, versions
 from planish.pipeline.layers import Layer
 from planish.pipeline.onto import hole_circles, merged, on_reference
@@ -29,6 +29,7 @@ from planish.pipeline.refinement import refine_link
 from planish.pipeline.registration import Registration, read_design, register_layers
 from planish.pipeline.run import Run, open_run
 from planish.pipeline.sheet import changed, map_layer
+from planish.pipeline.texture import texture_of
 from planish.pipeline.through_scale import NAME as THROUGH_SCALE
 from planish.pipeline.through_scale import marks_scale_check
 from planish.register import Chain

@@ -1,0 +1,127 @@
+"""Regression of one map on others at every lag: the share that they explain, and what unrelated maps reach."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, special
+
+from planish.analyze.ncc import LEAST_PAIRS, cropped
+from planish.analyze.peak import Peak, overlap
+from planish.analyze.texture import tile_sums
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_CHANCE = 0.01  # that unrelated textures give a lag
+_TILE_UM = 150.0
+
+
+class LagSearch:
+    """Regression of y (rows, cols) on the maps x (k, rows, cols), all standardised, at every lag within ``wide``.
+
+    ``share`` (2 n + 1, 2 m + 1) is R² at each lag; NaN where few pairs are left.
+    """
+
+    def __init__(self, x: Array, y: Array, known: Mask, wide: tuple[int, int]) -> None:
+        self._x, self._y, self._known, self._wide = x, y, known, wide
+        self._size = [fft.next_fast_len(n + m, real=True) for n, m in zip(y.shape, wide, strict=True)]
+        mask, self._y_hat = self._transform(known.astype(np.float64)), self._transform(y)
+        self._x_hat = np.stack([self._transform(m) for m in x])
+        pairs = np.rint(self._lags(np.abs(mask) ** 2))
+        self._pairs = np.maximum(pairs, 1.0)
+        enough = pairs >= LEAST_PAIRS * pairs.max()
+        self._g = np.stack([self._lags(np.conj(m) * self._y_hat) / self._pairs for m in self._x_hat])
+        n = int(np.count_nonzero(known))
+        self._inner = np.tensordot(x, x, ((1, 2), (1, 2))) / n
+        self._inverse = np.linalg.pinv(self._inner, rcond=1e-6, hermitian=True)
+        share = np.einsum("iyx,ij,jyx->yx", self._g, self._inverse, self._g)
+        self.share: Array = np.where(enough, share, np.nan)
+
+    def weights(self, pixel: tuple[int, int]) -> Array:
+        """Weights of the maps at a lag, (k,)."""
+        return self._inverse @ self._at(pixel)
+
+    def share_of(self, some: slice, pixel: tuple[int, int]) -> float:
+        """R² at a lag with some of the maps only."""
+        g = self._at(pixel)[some]
+        return float(g @ np.linalg.pinv(self._inner[some, some], rcond=1e-6, hermitian=True) @ g)
+
+    def limit(self, reach: tuple[int, int]) -> float:
+        """R² that unrelated textures exceed within reach in 1 of 100 cases."""
+        power_y = np.abs(self._y_hat) ** 2
+        auto_y = self._lags(power_y)
+        # Independent combinations of the maps, each of spread 1.
+        values, vectors = np.linalg.eigh(self._inner)
+        use = values > 1e-6 * values[-1]
+        across = (vectors[:, use] / np.sqrt(values[use])).T
+        n = float(np.count_nonzero(self._known))
+        variance, power = list[float](), np.zeros(power_y.shape)
+        for weights in across:
+            own = np.abs(np.tensordot(weights, self._x_hat, 1)) ** 2
+            variance.append(float(np.sum(self._lags(own) * auto_y / self._pairs)) / n**2)
+            power += own * power_y
+        fy = 2 * np.pi * fft.fftfreq(self._size[0])[:, None]
+        fx = 2 * np.pi * fft.rfftfreq(self._size[1])[None, :]
+        twice = np.full(self._size[1] // 2 + 1, 2.0)
+        twice[0] = 1.0
+        total = float(np.sum(power * twice))
+        if not total > 0:
+            return math.inf
+        moments = [float(np.sum(power * twice * m)) / total for m in (fy * fy, fx * fx, fy * fx)]
+        root = math.sqrt(max(moments[0] * moments[1] - moments[2] ** 2, 0.0))
+        return max(variance) * _chi2_limit(int(use.sum()), reach, root)
+
+    def covariance(self, peak: Peak, pixel_um: tuple[float, float]) -> Array:
+        """Covariance of the peak's place, (2, 2) in pixels squared, from the scatter of tiles.
+
+        The slope of R²/2 at the peak is the mean of ``(m - R² y) grad y + e x·w`` over the pixels, with the fitted map
+        m, the rest e = y - m and w = G⁻¹ times the slopes of the products of x and y: the second part is what the
+        weights of the maps, which are fitted as well, add.
+        """
+        here, there = overlap(self._y.shape, peak.pixel)
+        both = self._known[here] & self._known[there]
+        x, y = self._x[:, here[0], here[1]], self._y[there]
+        slopes = np.stack([np.where(both, np.gradient(self._y, axis=k)[there], 0.0) for k in (0, 1)])
+        n = int(np.count_nonzero(both))
+        fitted = np.tensordot(self.weights(peak.pixel), x, 1)
+        rest = np.where(both, y - fitted, 0.0)
+        w = np.tensordot(slopes, x, ((1, 2), (1, 2))) / n @ self._inverse  # (2, k)
+        scores = (fitted - peak.r * y) * slopes + rest * np.tensordot(w, x, 1)
+        scores = np.where(both, scores - scores.sum(axis=(1, 2), keepdims=True) / n, 0.0)
+        parts = tile_sums(scores, pixel_um, _TILE_UM).reshape(2, -1)
+        back = np.linalg.inv(-0.5 * peak.curvature)
+        return back @ (parts @ parts.T / n**2) @ back
+
+    def _at(self, pixel: tuple[int, int]) -> Array:
+        return self._g[:, pixel[0] + self._wide[0], pixel[1] + self._wide[1]]
+
+    def _transform(self, values: Array) -> NDArray[np.complex128]:
+        return np.asarray(fft.rfft2(values, self._size), dtype=np.complex128)
+
+    def _lags(self, spectrum: NDArray[np.complex128] | Array) -> Array:
+        return cropped(np.asarray(fft.irfft2(spectrum, self._size), dtype=np.float64), self._wide)
+
+
+def _chi2_limit(k: int, reach: tuple[int, int], root: float) -> float:
+    """Height that a smooth chi-square field of k degrees exceeds in the ellipse ``reach`` in 1 of 100 cases.
+
+    By its expected Euler characteristic; ``root`` is the root of the determinant of the covariance of the slopes of the
+    Gaussian fields that it is made of, per pixel squared.
+    """
+    area = math.pi * reach[0] * reach[1] * root
+    half_round = math.pi * math.sqrt(reach[0] * reach[1] * root)
+
+    def expected(u: float) -> float:
+        scale = math.exp(-u / 2 - special.gammaln(k / 2) - (k - 2) / 2 * math.log(2.0))
+        along = u ** ((k - 1) / 2) * scale / math.sqrt(2 * math.pi)
+        over = u ** ((k - 2) / 2) * scale * (u - (k - 1)) / (2 * math.pi)
+        return float(special.gammaincc(k / 2, u / 2)) + half_round * along + area * over
+
+    low, high = 2.0 * k + 2.0, 400.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if expected(middle) > _CHANCE else (low, middle)
+    return high

@@ -1,0 +1,139 @@
+"""What two layers on one grid say by their own texture: whether they belong together, and where they lie."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.analyze import (
+    SIDES,
+    Lag,
+    Textures,
+    image_of_sheet,
+    texture_lag,
+    textures,
+    two_images,
+    two_sheets,
+)
+from planish.core.checks import Check
+from planish.core.errors import SizeError
+from planish.core.grid import Grid
+from planish.core.results import LagFacts, LagTile, Side
+
+Array = NDArray[np.float64]
+
+_REACH_UM, _TILE_UM = 150.0, 1000.0
+_SEEN_SHARE, _SEEN = 0.5, 3.0  # of the valid pixels; standard errors
+_MAPS = ("coating_top", "coating_bottom", "thickness", "base_thickness", "topography_top", "topography_bottom", "image")
+
+
+class TextureFound(NamedTuple):
+    """Where the texture of two layers puts them, None where there are too few pixels; and what was judged."""
+
+    lag: LagFacts | None
+    checks: tuple[Check, ...]
+
+
+class _Compared(NamedTuple):
+    """Maps that another map is registered by: the first, what it may need beside it, and the other one."""
+
+    found: Textures
+    first: list[str]
+    slopes: int
+    last: str
+
+
+def texture_of(
+    a: xr.Dataset, b: xr.Dataset, names: tuple[str, str], *, side: Side = "top", given: bool = True
+) -> TextureFound:  # fmt: skip
+    """Compare two layers on one grid by their own texture.
+
+    ``side`` is that of the sheet which an image of the two shows, ``given`` or assumed.
+    """
+    if "thickness" in b and "thickness" not in a:
+        a, b, names = b, a, (names[1], names[0])
+    valid, one_sheet = a["valid"].values & b["valid"].values, "thickness" in a and "thickness" not in b
+    first, second = (
+        {k: d[k].values for k in _MAPS if k in d and np.isfinite(d[k].values[valid]).any()} for d in (a, b)
+    )  # fmt: skip
+    maps = first | ({"image": second["image"]} if one_sheet else {f"other {k}": m for k, m in second.items()})
+    try:
+        found = textures(maps, valid, Grid.of(a).pixel_um)
+    except SizeError as error:
+        text = f"Specimen and position by texture: inconclusive. {error}"
+        return TextureFound(None, (Check(name="side and specimen", state="unknown", sentence=text),))
+    seen = [_coated(d) for d in (a, b) if "thickness" in d]
+    coated: list[Side] = [k for k in SIDES if all(k in sides for sides in seen)]
+    if one_sheet:
+        judged = image_of_sheet(found, coated=coated, side=side, given=given, image=names[1])
+        check, compared = judged.check, _by_face(found, judged.side or side, coated)
+    elif seen:
+        check = two_sheets(found, names, coated=coated)
+        name = next((f"coating_{k}" for k in coated), "thickness")
+        compared = _Compared(found, [name], 0, f"other {name}")
+    else:
+        check, compared = two_images(found, names), _Compared(found, ["image"], 0, "other image")
+    expected_um = _expected_um(a if "expected_error" in a else b, valid)
+    short = min(n * um for n, um in zip(found.known.shape, found.pixel_um, strict=True))
+    try:
+        lag = texture_lag(
+            *compared[:2], compared.last, slopes=compared.slopes, reach_um=min(_REACH_UM, short / 4),
+            tiles_um=_TILE_UM if short >= 2 * _TILE_UM else None,
+        )  # fmt: skip
+    except SizeError:
+        return TextureFound(None, (check,))
+    facts = lag_facts(lag, expected_um=expected_um, name=compared.first[0])
+    return TextureFound(facts, (check, lag.check(expected_um)))
+
+
+def _by_face(found: Textures, side: Side, coated: list[Side]) -> _Compared:
+    """What an image of a face follows: its coating, or thickness and height, and slopes under light from one side."""
+    face = f"topography_{side}"
+    first = [f"coating_{side}"] if side in coated else ["thickness", *([face] if face in found.maps else [])]
+    if face not in found.maps:
+        return _Compared(found, first, 0, "image")
+    return _Compared(found.with_slopes(face), [*first, f"{face}_x", f"{face}_y"], 2, "image")
+
+
+def _coated(sheet: xr.Dataset) -> list[Side]:
+    """Sides on which a coating is measured in most of a sheet, and thicker than its error."""
+    found: list[Side] = []
+    for side in SIDES:
+        name = f"coating_{side}"
+        values, errors = (
+            sheet[k].values[sheet["valid"].values].astype(np.float64) if k in sheet else np.empty(0)
+            for k in (name, f"{name}_se")
+        )
+        known, errors = values[np.isfinite(values)], errors[np.isfinite(errors)]
+        limit = _SEEN * float(np.median(errors)) if errors.size else 0.0
+        if known.size and known.size >= _SEEN_SHARE * values.size and float(np.median(known)) > limit:
+            found.append(side)
+    return found
+
+
+def _expected_um(maps: xr.Dataset, valid: NDArray[np.bool_]) -> float | None:
+    """Expected error of the registration over the map, rms."""
+    error = maps["expected_error"].values[valid].astype(np.float64) if "expected_error" in maps else np.empty(0)
+    error = error[np.isfinite(error)]
+    return float(np.sqrt(np.mean(error**2))) if error.size else None
+
+
+def lag_facts(lag: Lag, *, expected_um: float | None, name: str) -> LagFacts:
+    """What two maps say of their registration by their own texture.
+
+    ``expected_um`` is the expected error of the registration over the map, rms; ``name`` the property of the first map.
+    """
+    expected = expected_um if expected_um is not None and math.isfinite(expected_um) else None
+    field = lag.field
+    tiles = () if field is None else tuple(
+        LagTile(x=float(x), y=float(y), lag_um=tuple(found), distinct=bool(distinct))
+        for (x, y), found, distinct in zip(field.at_um, field.lag_um, field.distinct, strict=True)
+    )  # fmt: skip
+    return LagFacts.of(
+        lag, property=name, expected_um=expected, agrees=None if expected is None else lag.agrees(expected),
+        sentence=lag.sentence(expected), tiles=tiles, tile_um=None if field is None else float(field.tile_um),
+    )  # fmt: skip
