@@ -221,9 +221,9 @@ def _report(name: str, cases: list[tuple[Drawn, xr.Dataset | None]], show: bool)
     ratio = np.abs(off / se)
     print(
         f"{name}, lag: answered in {len(errors)} of {len(cases)} ({dict(positions)}), error rms "
-        f"{np.sqrt(np.mean(off**2)):.2f} um, over standard error {np.sqrt(np.mean(ratio**2)):.2f}, within 2 se {np.mean(ratio < 2):.2f}; "
-        f"unrelated images with a lag: {false_lags}; {seconds:.2f} s CPU a judgement"
-    )  # fmt: skip
+        f"{np.sqrt(np.mean(off**2)):.2f} um, over its standard error {np.sqrt(np.mean(ratio**2)):.2f}, within 2 of them "
+        f"{np.mean(ratio < 2):.2f}; unrelated images with a lag: {false_lags}; {seconds:.2f} s CPU a judgement"
+    )
     wrong = told["right"]["other"] + told["exchanged"]["stated"] + told["foreign"]["stated"] + told["foreign"]["other"]
     print(f"{name}: {wrong} wrong answers")
     few = told["right"]["stated"] < 0.8 * len(cases) or len(errors) < 0.8 * len(cases)
