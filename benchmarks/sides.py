@@ -25,6 +25,7 @@ import planish as pl
 from planish.core.checks import Check
 from planish.core.errors import PlanishError
 from planish.core.results import LagFacts
+from planish.pipeline.build import link
 from planish.pipeline.texture import texture_of
 from planish.synthetic import PRESETS, HoleParams, SpecimenParams, Warp, draw_params
 
@@ -159,7 +160,7 @@ def our_sheets(count: int) -> Iterator[Drawn]:
             assert files.volume is not None
             assert files.image is not None
             try:
-                linked = pl.link(files.volume, files.image).linked
+                linked = link(files.volume, files.image).linked
             except PlanishError as error:
                 print(f"  specimen {seed}: {error}")
                 continue
@@ -221,7 +222,7 @@ def _report(name: str, cases: list[tuple[Drawn, xr.Dataset | None]], show: bool)
     ratio = np.abs(off / se)
     print(
         f"{name}, lag: answered in {len(errors)} of {len(cases)} ({dict(positions)}), error rms "
-        f"{np.sqrt(np.mean(off**2)):.2f} um, over its standard error {np.sqrt(np.mean(ratio**2)):.2f}, within 2 of them "
+        f"{np.sqrt(np.mean(off**2)):.2f} um, over standard error {np.sqrt(np.mean(ratio**2)):.2f}, within 2 se "
         f"{np.mean(ratio < 2):.2f}; unrelated images with a lag: {false_lags}; {seconds:.2f} s CPU a judgement"
     )
     wrong = told["right"]["other"] + told["exchanged"]["stated"] + told["foreign"]["stated"] + told["foreign"]["other"]

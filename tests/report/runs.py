@@ -173,7 +173,7 @@ def lag_of(**values: Any) -> Run:
     """Return what the results hold of a lag."""
     return {
         "property": "coating_top", "lag_um": [0.5, -0.2], "se_um": [0.3, 0.2], "length_um": 0.67, "length_se_um": 0.3,
-        "r": 0.5, "r_at_zero": 0.4, "null_99": 0.2, "n": 5000, "reach_um": 100.0, "agrees": True,
+        "r": 0.5, "r_at_zero": 0.4, "limit_r": 0.2, "n": 5000, "reach_um": 100.0, "agrees": True,
         "silence": None, "expected_um": 0.9, "sentence": "lag 0.5 ± 0.3 um: agrees", "pixel_um": [6.0, 6.0],
         "tile_um": 300.0, "light": 0.1,
         "tiles": [{"x": 200.0, "y": 150.0, "lag_um": [0.6, -0.3], "distinct": True},

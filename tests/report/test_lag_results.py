@@ -32,7 +32,7 @@ def a_lag(*, silence: Any = None, tiles: bool = True) -> Lag:
     return Lag(
         lag_um=NOWHERE if quiet else (3.0, -4.0),
         covariance_um2=np.full((2, 2), NAN) if quiet else np.diag([0.36, 0.64]),
-        r=-0.5, r_at_zero=-0.4, null_99=0.15, silence=silence, light=NAN, reach_um=150.0, pixel_um=(8.0, 8.0),
+        r=-0.5, r_at_zero=-0.4, limit_r=0.15, silence=silence, light=NAN, reach_um=150.0, pixel_um=(8.0, 8.0),
         n=5000, field=field if tiles else None,
     )  # fmt: skip
 

@@ -56,8 +56,8 @@ class Lag:
         It was searched for: no measure of the relation of the maps.
     r_at_zero : float
         The same without any lag.
-    null_99 : float
-        ``|r|`` that 99 of 100 unrelated maps of the same texture stay below in the whole search.
+    limit_r : float
+        ``|r|`` that unrelated maps of the same texture exceed somewhere in the search in 1 of 1000 cases.
     silence : {"few", "texture", "border", "rival", "light"} or None
         Why the lag is inconclusive; None if the peak is distinct.
     light : float
@@ -80,7 +80,7 @@ class Lag:
     covariance_um2: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
     r: float = math.nan
     r_at_zero: float = math.nan
-    null_99: float = math.nan
+    limit_r: float = math.nan
     light: float = math.nan
     field: LagField | None = None
 
@@ -195,7 +195,7 @@ def texture_lag(
     At every lag the last map is regressed on the first ones, each in two halves at 60 um, so that either may be more
     blurred than the other; the peak of R² is the lag. What follows the slopes of a surface is an odd relation, which
     alone would move the peak of r. The limit is what R² of unrelated textures exceeds
-    anywhere in the search in 1 of 100 cases (chi-square field of as many degrees as maps; Worsley 1994). The standard
+    anywhere in the search in 1 of 1000 cases (chi-square field of as many degrees as maps; Worsley 1994). The standard
     error is that of an M-estimator, from the scatter of tiles.
 
     References
@@ -211,17 +211,17 @@ def texture_lag(
     x, y = np.stack([m for two in halves for m in two]), found.maps[last]
     plain = sum(len(two) for two in halves[: len(first) - slopes])
     search = LagSearch(x, y, found.known, (reach[0] + MARGIN, reach[1] + MARGIN))
-    allowed = within(reach)
-    peak = find_peak(search.share, allowed, 1)
-    limit = search.limit(reach)
+    allowed, limit = within(reach), search.limit(reach)
+    above = allowed & (search.height > limit)
+    peak = find_peak(search.share, above if above.any() else allowed, 1)
     middle = search.share.shape[0] // 2, search.share.shape[1] // 2
-    lag = made(silence="texture", null_99=math.sqrt(limit), r_at_zero=math.sqrt(max(search.share[middle], 0)))
+    lag = made(silence="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(search.share[middle], 0)))
     if peak is None:
         return lag
     model = search.weights(peak.pixel)
     sign = float(np.vdot(np.tensordot(model[: len(halves[0])], x[: len(halves[0])], 1), found.maps[first[0]]))
     lag = replace(lag, r=math.copysign(math.sqrt(max(peak.r, 0.0)), sign))
-    if not peak.r > limit:
+    if not above.any():
         return lag
     if not peak.inner:
         return replace(lag, silence="border")

@@ -15,14 +15,15 @@ from planish.analyze.texture import tile_sums
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_CHANCE = 0.01  # that unrelated textures give a lag
+_CHANCE = 0.001  # that unrelated textures give a lag; of those that are not alike everywhere, more do
 _TILE_UM = 150.0
 
 
 class LagSearch:
     """Regression of y (rows, cols) on the maps x (k, rows, cols), all standardised, at every lag within ``wide``.
 
-    ``share`` (2 n + 1, 2 m + 1) is R² at each lag; NaN where few pairs are left.
+    ``share`` (2 n + 1, 2 m + 1) is R² at each lag, NaN where few pairs are left; ``height`` the same, less where pairs
+    are fewer, as it is compared with chance.
     """
 
     def __init__(self, x: Array, y: Array, known: Mask, wide: tuple[int, int]) -> None:
@@ -39,6 +40,7 @@ class LagSearch:
         self._inverse = np.linalg.pinv(self._inner, rcond=1e-6, hermitian=True)
         share = np.einsum("iyx,ij,jyx->yx", self._g, self._inverse, self._g)
         self.share: Array = np.where(enough, share, np.nan)
+        self.height: Array = np.where(enough, share * pairs / max(n, 1), 0.0)
 
     def weights(self, pixel: tuple[int, int]) -> Array:
         """Weights of the maps at a lag, (k,)."""
@@ -50,29 +52,27 @@ class LagSearch:
         return float(g @ np.linalg.pinv(self._inner[some, some], rcond=1e-6, hermitian=True) @ g)
 
     def limit(self, reach: tuple[int, int]) -> float:
-        """R² that unrelated textures exceed within reach in 1 of 100 cases."""
-        power_y = np.abs(self._y_hat) ** 2
-        auto_y = self._lags(power_y)
+        """Height that unrelated textures exceed within reach in 1 of 1000 cases."""
         # Independent combinations of the maps, each of spread 1.
         values, vectors = np.linalg.eigh(self._inner)
         use = values > 1e-6 * values[-1]
         across = (vectors[:, use] / np.sqrt(values[use])).T
         n = float(np.count_nonzero(self._known))
-        variance, power = list[float](), np.zeros(power_y.shape)
-        for weights in across:
-            own = np.abs(np.tensordot(weights, self._x_hat, 1)) ** 2
-            variance.append(float(np.sum(self._lags(own) * auto_y / self._pairs)) / n**2)
-            power += own * power_y
-        fy = 2 * np.pi * fft.fftfreq(self._size[0])[:, None]
-        fx = 2 * np.pi * fft.rfftfreq(self._size[1])[None, :]
         twice = np.full(self._size[1] // 2 + 1, 2.0)
         twice[0] = 1.0
-        total = float(np.sum(power * twice))
+        power_y = np.abs(self._y_hat) ** 2 * twice
+        powers = [np.abs(np.tensordot(weights, self._x_hat, 1)) ** 2 * power_y for weights in across]
+        # As in `relate`.
+        variance = max(float(np.sum(m)) for m in powers) / (self._size[0] * self._size[1] * n**3)
+        fy = 2 * np.pi * fft.fftfreq(self._size[0])[:, None]
+        fx = 2 * np.pi * fft.rfftfreq(self._size[1])[None, :]
+        power = np.sum(powers, axis=0)
+        total = float(np.sum(power))
         if not total > 0:
             return math.inf
-        moments = [float(np.sum(power * twice * m)) / total for m in (fy * fy, fx * fx, fy * fx)]
+        moments = [float(np.sum(power * m)) / total for m in (fy * fy, fx * fx, fy * fx)]
         root = math.sqrt(max(moments[0] * moments[1] - moments[2] ** 2, 0.0))
-        return max(variance) * _chi2_limit(int(use.sum()), reach, root)
+        return variance * _chi2_limit(int(use.sum()), reach, root)
 
     def covariance(self, peak: Peak, pixel_um: tuple[float, float]) -> Array:
         """Covariance of the peak's place, (2, 2) in pixels squared, from the scatter of tiles.
@@ -106,7 +106,7 @@ class LagSearch:
 
 
 def _chi2_limit(k: int, reach: tuple[int, int], root: float) -> float:
-    """Height that a smooth chi-square field of k degrees exceeds in the ellipse ``reach`` in 1 of 100 cases.
+    """Height that a smooth chi-square field of k degrees exceeds in the ellipse ``reach`` in 1 of 1000 cases.
 
     By its expected Euler characteristic; ``root`` is the root of the determinant of the covariance of the slopes of the
     Gaussian fields that it is made of, per pixel squared.

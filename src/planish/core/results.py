@@ -299,7 +299,7 @@ class LagFacts(Facts):
     length_se_um: Number
     r: Number
     r_at_zero: Number
-    null_99: Number
+    limit_r: Number = Field(None, description="|r| that unrelated maps exceed in the search in 1 of 1000 cases.")
     silence: str | None
     agrees: bool | None
     expected_um: Number
