@@ -76,6 +76,9 @@ def test_light_from_one_side_tells_the_side_where_the_coating_does_not():
     found = image_of_sheet(prepared(**(maps | lit)), coated=("top", "bottom"), side="top", given=True, image="image")
     assert found.check.state == "pass"
     assert "slopes of the top face" in found.check.sentence
+    turned = image_of_sheet(prepared(**(maps | lit)), coated=(), side="bottom", given=True, image="image").check
+    assert turned.state == "look"
+    assert turned.advice.startswith("Top and bottom are exchanged")
 
 
 def test_two_images_and_two_sheets():
@@ -146,6 +149,8 @@ def test_the_variance_of_unrelated_textures_is_the_sum_over_lags():
     found = relate(a, b, known, (1.0, 1.0))  # all in one tile, whose sum is 0
     assert found.r == pytest.approx(float(np.vdot(a, b)) / n)
     assert found.sd == pytest.approx(np.sqrt(total / n**3))
+    # Half of a spread of 2 that is explained is as much as all of a spread of 1.
+    assert relate(a, b, known, (1.0, 1.0), of=2.0 * b).part == pytest.approx(0.5 * found.r)
 
 
 def test_maps_that_are_known_in_little_of_the_field_are_left_out():

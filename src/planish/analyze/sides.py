@@ -89,10 +89,15 @@ def _by_the_rest(
             found = found.with_slopes(f"topography_{k}")
     slopes = _faces(found, {k: [f"topography_{k}_{way}" for way in "xy"] for k in SIDES})
     tried = "; ".join(f"coating of the {k} side {relation}" for k, relation in coatings.items())
-    if side in slopes and _stands_out(slopes[side], slopes.get(other)):
-        text = f"The {image} goes with the slopes of the {side} face, as light from one side shows them "
-        text += f"({slopes[side]}), not with the coatings ({tried}). " if tried else f"({slopes[side]}). "
-        return SideFound(_check("pass", f"{text}{words}.", slopes[side]), side)
+    rivals: dict[Side, Side] = {side: other, other: side}
+    for face, rival in rivals.items():
+        if face in slopes and _stands_out(slopes[face], slopes.get(rival)):
+            text = f"The {image} goes with the slopes of the {face} face, as light from one side shows them "
+            text += f"({slopes[face]}), not with the coatings ({tried}). " if tried else f"({slopes[face]}). "
+            if face == side:
+                return SideFound(_check("pass", f"{text}{words}.", slopes[face]), face)
+            advice = _TURN.format(side=face)
+            return SideFound(_check("look", f"{text}{words}.", slopes[face], advice=advice, figures=_OF_SIDES), face)
     plain = {k: relate(found.maps[k], found.maps["image"], found.known, found.pixel_um) for k in found.maps if k in (
         "thickness", "base_thickness", f"topography_{side}")}  # fmt: skip
     plain |= {f"slopes of the {k} face": relation for k, relation in slopes.items()}
@@ -174,7 +179,8 @@ def _stands_out(one: Relation, other: Relation | None) -> bool:
     """Whether a face goes with the image, and the other one does not, or clearly less."""
     if not abs(one.z) > GOES:
         return False
-    return other is None or abs(other.z) < STAYS or abs(one.r) - abs(other.r) > STAYS * math.hypot(one.sd, other.sd)
+    return other is None or abs(other.z) < STAYS or abs(one.part) - abs(other.part) > STAYS * math.hypot(
+        one.part_se, other.part_se)  # fmt: skip
 
 
 def _than(other: Relation) -> str:
@@ -193,7 +199,7 @@ def _faces(found: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Relat
             for rival in (maps[k] for of, maps in names.items() if of != side):
                 if rival in found.maps:
                     a, b = apart(a, found.maps[rival]), apart(b, found.maps[rival])
-            r = relate(a, b, found.known, found.pixel_um)
+            r = relate(a, b, found.known, found.pixel_um, of=image)
             if best is None or abs(r.z) > abs(best.z):
                 best = r
         if best is not None:
@@ -207,4 +213,5 @@ def _mean(relations: Iterable[Relation | None]) -> Relation | None:
     if not known:
         return None
     n = len(known)
-    return Relation(sum(k.r for k in known) / n, math.sqrt(sum(k.sd**2 for k in known)) / n)
+    r, sd = sum(k.r for k in known) / n, math.sqrt(sum(k.sd**2 for k in known)) / n
+    return Relation(r, sd, r, sd)

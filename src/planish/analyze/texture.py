@@ -61,10 +61,16 @@ class Textures:
 
 @dataclass(frozen=True, slots=True)
 class Relation:
-    """Correlation of two textures, and the standard deviation that it has where they are unrelated."""
+    """Correlation of two textures, and the standard deviation that it has where they are unrelated.
+
+    ``part`` is the share of the second texture's spread that the first one explains, with the standard error that what
+    it does not explain leaves.
+    """
 
     r: float
     sd: float
+    part: float
+    part_se: float
 
     @property
     def z(self) -> float:
@@ -125,8 +131,12 @@ def textures(maps: Mapping[str, Array], valid: Mask, pixel_um: tuple[float, floa
     return Textures(maps={k: band(m) for k, m in shown.items()}, known=band.known, pixel_um=pixel_um)
 
 
-def relate(a: Array, b: Array, known: Mask, pixel_um: tuple[float, float]) -> Relation:
+def relate(
+    a: Array, b: Array, known: Mask, pixel_um: tuple[float, float], *, of: Array | None = None
+) -> Relation:  # fmt: skip
     """Correlate two textures (rows, cols) and state how far r scatters about 0 where they are unrelated.
+
+    ``of`` is the texture whose spread ``part`` is a share of, where that is not b.
 
     Notes
     -----
@@ -143,15 +153,24 @@ def relate(a: Array, b: Array, known: Mask, pixel_um: tuple[float, float]) -> Re
     """
     n = int(np.count_nonzero(known))
     if n == 0:
-        return Relation(0.0, math.inf)
+        return Relation(0.0, math.inf, 0.0, math.inf)
+    whole = float(np.std((b if of is None else of)[known]))
+    share = float(np.std(b[known])) / whole if whole > 0 else 0.0
     a, b = standard(a, known), standard(b, known)
     r = float(np.vdot(a, b)) / n
+    rest = math.sqrt(max(1.0 - r * r, 0.0))
+    sd, part_se = _scatter(a, b, r, n, pixel_um), _scatter(a, standard(b - r * a, known), 0.0, n, pixel_um)
+    return Relation(r, sd, share * r, share * rest * part_se)
+
+
+def _scatter(a: Array, b: Array, r: float, n: int, pixel_um: tuple[float, float]) -> float:
+    """Standard deviation of r of unrelated textures like these two; 0 where they are not known."""
     size = [fft.next_fast_len(k, real=True) for k in a.shape]
     power = np.abs(np.asarray(fft.rfft2(a, size)) * np.asarray(fft.rfft2(b, size))) ** 2
     power[:, 1 : (size[1] + 1) // 2] *= 2.0  # waves that run the other way
     alike = float(np.sum(power)) / (size[0] * size[1] * n)
     parts = tile_sums(a * b - 0.5 * r * (a * a + b * b), pixel_um)
-    return Relation(r, math.sqrt(max(alike, float(np.vdot(parts, parts)), 0.0)) / n)
+    return math.sqrt(max(alike, float(np.vdot(parts, parts)), 0.0)) / n
 
 
 def standard(values: Array, known: Mask) -> Array:
