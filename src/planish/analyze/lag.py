@@ -144,7 +144,7 @@ class Lag:
         if self.length_um <= limit:
             vague = math.hypot(*self.se_um) > max(expected_error_um, max(self.pixel_um))
             end = "agrees, but is less certain than the marks" if vague else "agrees"
-            return made(state="pass", sentence=f"Image-based check: {found}, {expected}: {end}.")
+            return made(state="pass", sentence=f"B{found[1:]}, {expected}: {end}.")
         if self.length_um <= _SURE * self.length_se_um:
             sentence = (
                 f"Image-based check: inconclusive, because {found}, which is more than the marks allow ({expected}) "
@@ -152,8 +152,8 @@ class Lag:
             )
             return made(state="unknown", sentence=sentence)
         return made(
-            state="look", sentence=f"Image-based check: {found}, more than the marks allow ({expected}). Such a shift "
-            "of all marks together shows nowhere else.", advice="Compare the outlines of maps and image; if it is "
+            state="look", sentence=f"B{found[1:]}, more than the marks allow ({expected}). Such a shift of all "
+            "marks together shows nowhere else.", advice="Compare the outlines of maps and image; if it is "
             "real, take it off, or use marks at the face that the image shows.",
         )  # fmt: skip
 
