@@ -1,0 +1,81 @@
+"""What layers of a link say by their own texture."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import ndimage
+
+from planish.pipeline.texture import texture_of
+
+PIXEL_UM = 5.0
+
+
+def field(seed, shape=(180, 220), sigma=3.0):
+    made = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), sigma, mode="wrap")
+    return made / made.std()
+
+
+def layer(expected_um=None, **maps):
+    shape = next(iter(maps.values())).shape
+    y, x = (PIXEL_UM * np.arange(n) for n in shape)
+    data = {k: (("y", "x"), m) for k, m in maps.items()}
+    if expected_um is not None:
+        data["expected_error"] = (("y", "x"), np.full(shape, expected_um))
+    return xr.Dataset(data | {"valid": (("y", "x"), np.ones(shape, dtype=bool))}, coords={"y": y, "x": x})
+
+
+def a_sheet(expected_um=2.0):
+    top, bottom, base = field(0), field(1), field(2)
+    return layer(
+        expected_um, coating_top=12 + 3 * top, coating_bottom=12 + 3 * bottom, thickness=80 + 3 * (top + bottom + base),
+        topography_top=40 + 3 * top + 2 * base, topography_bottom=40 + 3 * bottom + 2 * base,
+    )  # fmt: skip
+
+
+def test_a_sheet_and_its_image_in_either_order():
+    sheet = a_sheet()
+    image = layer(image=200 - 20 * np.roll(field(0), 3, axis=1) + 10 * field(9))  # 15 um to the right
+    for a, b, names in ((sheet, image, ("sheet", "photo")), (image, sheet, ("photo", "sheet"))):
+        lag, (side, position) = texture_of(a, b, names)
+        assert side.state == "pass"
+        assert side.sentence.startswith("The photo goes with the coating of the top side (r = -0.6")
+        assert position.state == "look"
+        assert position.figures == ("position", "correlation")
+        assert lag.lag_um == pytest.approx((15.0, 0.0), abs=1.0)
+        assert lag.property == "coating_top"
+    turned = texture_of(sheet, image, ("sheet", "photo"), side="bottom")
+    assert [check.state for check in turned.checks] == ["fail", "look"]  # the lag is that of the face that goes with it
+
+
+def test_a_coating_that_is_no_thicker_than_its_error_is_not_seen():
+    sheet = a_sheet()
+    noise = sheet.assign(
+        coating_top_se=sheet["coating_top"] * 0 + 5.0, coating_bottom_se=sheet["coating_bottom"] * 0 + 5.0
+    )
+    side = texture_of(noise, layer(image=field(30)), ("sheet", "photo")).checks[0]
+    assert side.state == "unknown"
+    assert "no coating is seen on the top side" in side.sentence
+    assert texture_of(sheet, layer(image=field(30)), ("sheet", "photo")).checks[0].state == "look"
+
+
+def test_pixels_that_are_too_large_for_texture_are_named():
+    coarse = layer(image=field(0)).assign_coords(y=80.0 * np.arange(180), x=80.0 * np.arange(220))
+    lag, (only,) = texture_of(coarse, coarse, ("a", "b"))
+    assert lag is None
+    assert only.state == "unknown"
+    assert "pixels of 62.5 um or less" in only.sentence
+
+
+def test_two_real_images_and_one_of_them_flipped(shared_data):
+    with np.load(shared_data("heightmaps/sur-2_sur.npz")) as found:
+        heights = np.nan_to_num(found["heights_m"][:300, :300] * 1e6)
+    grain = ndimage.gaussian_filter(np.random.default_rng(4).standard_normal(heights.shape), 1.0)
+    first, second = layer(image=heights), layer(2.0, image=-heights + heights.std() * grain)
+    lag, checks = texture_of(first, second, ("one", "two"))
+    assert [check.state for check in checks] == ["pass", "pass"]
+    assert lag.length_um < 2.0
+    flipped = layer(2.0, image=second["image"].values[:, ::-1].copy())
+    lag, checks = texture_of(first, flipped, ("one", "two"))
+    assert [check.state for check in checks] == ["look", "unknown"]
+    assert checks[0].sentence.endswith("nothing beside the marks says that both show one specimen.")
+    assert lag.lag_um is None
