@@ -82,7 +82,7 @@ def registration_checks(
     )  # fmt: skip
     strain = fit.strain
     yield Check.at_most(
-        "strain of the registration", strain.largest, look=_STRAIN, units="share", figures=(POSITION,),
+        "strain of the registration", strain.largest, look=_STRAIN, units="share", figures=(POSITION, PROPERTIES),
         sentence=f"Between the marks, the registration strains the sheet by up to {100 * strain.largest:.2g} %.",
         advice="Paper strains by less than 1 %. Check the marks there, and the order of the slices.",
     )  # fmt: skip
