@@ -69,6 +69,60 @@ def follow(inside, row, col, start, stop, most, low, high, merged):
                 low[i, j] = high[i, j] = -1
 
 
+@njit(cache=True, nogil=True)
+def blend(grey, slope, weights, down, right, out):
+    """Mean of neighbouring columns along rows or columns, each moved along its depth by the sheet's slope.
+
+    Without the move a sheet at 40 degrees would be blurred by 0.8 voxels a column. Between voxels Keys' cubic is used:
+    it passes parabolas, and so adds nothing to the width of an edge.
+
+    Parameters
+    ----------
+    grey, out : (rows, cols, depth) float32
+    slope : (rows, cols)
+        Rise of the sheet from one column to the next in this direction, in voxels.
+    weights : (n,) float32
+        Of the column itself and of its neighbours on either side; the border's column stands for those beyond it.
+    down, right : int
+        1, 0 or 0, 1.
+    """
+    rows, cols, depth = grey.shape
+    reach = len(weights) - 1
+    for r in range(rows):
+        for c in range(cols):
+            total = out[r, c]
+            total[:] = 0.0
+            for i in range(-reach, reach + 1):
+                rr, cc = min(max(r + down * i, 0), rows - 1), min(max(c + right * i, 0), cols - 1)
+                beside, weight = grey[rr, cc], weights[abs(i)]
+                move = slope[r, c] * (rr - r + cc - c)
+                k = int(floor(move + 0.5))
+                f = np.float32(move - k)  # -0.5 to 0.5 about voxel k
+                if abs(f) < 0.01:
+                    a, b = min(max(-k, 0), depth), max(min(depth - k, depth), 0)
+                    for d in range(a, b):
+                        total[d] += weight * beside[d + k]
+                else:
+                    if f < 0:
+                        k, f = k - 1, f + np.float32(1.0)
+                    w0 = weight * f * (np.float32(-0.5) + f * (np.float32(1.0) - np.float32(0.5) * f))
+                    w1 = weight * (np.float32(1.0) + f * f * (np.float32(-2.5) + np.float32(1.5) * f))
+                    w2 = weight * f * (np.float32(0.5) + f * (np.float32(2.0) - np.float32(1.5) * f))
+                    w3 = weight * f * f * (np.float32(-0.5) + np.float32(0.5) * f)
+                    a, b = min(max(1 - k, 0), depth), max(min(depth - 2 - k, depth), 0)
+                    for d in range(a, b):
+                        total[d] += (
+                            w0 * beside[d + k - 1]
+                            + w1 * beside[d + k]
+                            + w2 * beside[d + k + 1]
+                            + w3 * beside[d + k + 2]
+                        )
+                for d in range(a):
+                    total[d] += weight * beside[min(max(d + k, 0), depth - 1)]
+                for d in range(max(b, a), depth):
+                    total[d] += weight * beside[min(max(d + k, 0), depth - 1)]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def trilinear(flat, shape, first, deep, r, c, d, fr, fc):
     """Value of a flat slab of shape (rows, cols, depth) at the indices r + fr, c + fc and d - first; NaN outside.

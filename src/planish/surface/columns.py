@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from planish.core.frame import Frame
 from planish.core.tiles import Engine, Tile, tiles_of
@@ -190,6 +189,10 @@ def oriented(columns: Columns, tile: Tile, guide: Guide, scale: Scale) -> NDArra
         part *= np.float32(-1)
     if not scale.halo:
         return part
-    part = ndimage.gaussian_filter(part, (scale.blend, scale.blend, 0), mode="nearest", truncate=3.0)
+    weights = np.exp(-0.5 * (np.arange(scale.halo + 1) / scale.blend) ** 2)
+    weights = (weights / (2 * weights.sum() - 1)).astype(np.float32)
+    other, rise_r, rise_c = np.empty_like(part), guide.slope_r * columns.step, guide.slope_c * columns.step
+    _kernels.blend(part, rise_r, weights, 1, 0, other)
+    _kernels.blend(other, rise_c, weights, 0, 1, part)
     inner = tile.within(outside)
     return np.ascontiguousarray(part[inner.rows, inner.cols])

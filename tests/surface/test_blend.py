@@ -1,0 +1,54 @@
+"""Columns that are averaged with their neighbours follow the sheet: a slope does not widen its edges."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import ndimage
+from scipy.special import ndtr
+
+from planish.surface._kernels import blend
+
+SIGMA = 1.3
+
+
+def blended(grey, slope_r, slope_c):
+    weights = np.exp(-0.5 * (np.arange(5) / SIGMA) ** 2)
+    weights = (weights / (2 * weights.sum() - 1)).astype(np.float32)
+    one, both = np.empty_like(grey), np.empty_like(grey)
+    blend(grey, np.broadcast_to(slope_r, grey.shape[:2]).astype(float), weights, 1, 0, one)
+    blend(one, np.broadcast_to(slope_c, grey.shape[:2]).astype(float), weights, 0, 1, both)
+    return both
+
+
+def edge(slope_r, slope_c, width):
+    r, c, d = np.meshgrid(np.arange(15.0), np.arange(15.0), np.arange(60.0), indexing="ij")
+    return ndtr((d - 28 - slope_r * (r - 7) - slope_c * (c - 7)) / width).astype(np.float32)
+
+
+@pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.8, 0.33), (-1.4, 0.5), (0.0, -2.0)])
+def test_an_inclined_edge_keeps_its_width(slopes):
+    grey = edge(*slopes, 1.0)
+    assert_allclose(blended(grey, *slopes)[7, 7], grey[7, 7], atol=0.012)  # cubic between voxels
+    if slopes[0]:  # what it was without the move
+        assert np.abs(blended(grey, 0.0, 0.0)[7, 7] - grey[7, 7]).max() > 0.1
+
+
+def test_a_level_sheet_is_averaged_as_by_a_plain_gaussian():
+    grey = np.random.default_rng(0).normal(size=(9, 11, 20)).astype(np.float32)
+    plain = ndimage.gaussian_filter(grey, (SIGMA, SIGMA, 0), truncate=3.0, mode="nearest")
+    assert_allclose(blended(grey, 0.0, 0.0), plain, atol=2e-6)
+
+
+def test_every_column_is_the_sum_of_its_moved_neighbours():
+    """The slow twin, at whole voxels; beyond the ends of a column its last voxel stands."""
+    rng = np.random.default_rng(1)
+    grey = rng.normal(size=(5, 4, 12)).astype(np.float32)
+    slope = rng.integers(-3, 4, size=(5, 4)).astype(float)
+    weights = np.array([0.5, 0.2, 0.05], np.float32)
+    found = np.empty_like(grey)
+    blend(grey, slope, weights, 1, 0, found)
+    for r in range(5):
+        for c in range(4):
+            beside = [(min(max(r + i, 0), 4), weights[abs(i)]) for i in range(-2, 3)]
+            rows = [w * grey[k, c, np.clip(np.arange(12) + int(slope[r, c]) * (k - r), 0, 11)] for k, w in beside]
+            assert_allclose(found[r, c], np.sum(rows, axis=0), atol=1e-6)
