@@ -44,7 +44,8 @@ class ThroughScale:
     stretch_deg : float
         That direction in the moving plane, from u towards v.
     over_stretch : float
-        By how many variances the stretch fits worse than the scale; below zero where it fits better.
+        By how many variances the stretch fits worse than the scale, with a logarithm of their number for the parameter
+        that it has more (Schwarz 1978, doi:10.1214/aos/1176344136); below zero where it fits better.
     marks : int
         Those that were used.
     """
@@ -101,24 +102,26 @@ def find_through_scale(scales: Floats, places: Floats, pairs: Pairs, *, mirrored
     if not across > _LINE * long:
         return None
     spread = float(np.sqrt(np.mean(np.sum(target**2, axis=1))))
-    fine = np.unique(np.append(np.geomspace(scales[0], scales[-1], _STEPS), 1.0))
-    one = int(np.searchsorted(fine, 1.0))
     # Lengths go with the square of the slope.
-    moved = make_interp_spline(scales**2, places[:, which], k=3)(fine**2)
-    away = _columns(moved - moved.mean(axis=1, keepdims=True), mirrored) / spread
-    bare, strained = _precisions(away, target, some, spread)
+    moved = make_interp_spline(scales**2, places[:, which], k=3)
+    fine = np.unique(np.append(np.geomspace(scales[0], scales[-1], _STEPS), 1.0))
+    bare, strained = _precisions(_centred(moved(fine**2), mirrored) / spread, target, some, spread)
+    best = int(np.argmin(_solved(_centred(moved(fine**2), mirrored) / spread, target, strained)[1]))
+    near = np.linspace(fine[max(best - 2, 0)], fine[min(best + 2, fine.size - 1)], _STEPS)
+    fine = np.unique(np.concatenate([fine, near]))
+    away = _centred(moved(fine**2), mirrored) / spread
     rest = _solved(away, target, strained)[1]
-    best = int(np.argmin(rest))
+    best, one = int(np.argmin(rest)), int(np.searchsorted(fine, 1.0))
     limit = float(f_distribution.isf(CHANCE, 1, 2 * which.size - 5))
     wider = float(np.sqrt(limit / chi2.isf(CHANCE, 1)))
-    source = (moved[one] - moved[one].mean(axis=0)) / spread
-    affine, missed = _solved(_affine_columns(source)[None], target, bare)
+    source = moved(1.0) - moved(1.0).mean(axis=0)
+    affine, missed = _solved(_affine_columns(source / spread)[None], target, bare)
     _, (most, least), turned = np.linalg.svd(affine[0, 2:].reshape(2, 2))
     return ThroughScale(
-        scale=_lowest(fine, rest, best), error=wider * _toward_one(fine, rest, best, one),
+        scale=float(fine[best]), error=wider * _toward_one(fine, rest, best, one),
         evidence=float(rest[one] - rest[best]), limit=limit, without_any=_without_any(away, target, strained, one),
         stretch=float(most / least - 1), stretch_deg=float(np.degrees(np.arctan2(turned[0, 1], turned[0, 0]))) % 180,
-        over_stretch=float(missed[0] - _solved(away[[best]], target, bare)[1][0]), marks=int(which.size),
+        over_stretch=float(missed[0] + np.log(2 * which.size) - rest[best]), marks=int(which.size),
     )  # fmt: skip
 
 
@@ -135,8 +138,9 @@ def _without_any(away: Floats, target: Floats, precision: Floats, one: int) -> f
     return min(found, default=0.0)
 
 
-def _columns(at: Floats, mirrored: bool) -> Floats:
-    """Derivatives of a similarity of points (..., n, 2) by shift, stretch and turn: (..., n, 2, 4)."""
+def _centred(at: Floats, mirrored: bool) -> Floats:
+    """Derivatives of a similarity of points (m, n, 2), from their middle, by shift, stretch, turn: (m, n, 2, 4)."""
+    at = at - at.mean(axis=1, keepdims=True)
     x, y = -at[..., 0] if mirrored else at[..., 0], at[..., 1]
     one, none = np.ones(x.shape), np.zeros(x.shape)
     rows = [np.stack(row, axis=-1) for row in ([one, none, x, -y], [none, one, y, x])]
@@ -212,11 +216,3 @@ def _toward_one(fine: Floats, rest: Floats, best: int, one: int) -> float:
             at = int(np.argmax(above > 0))
             ends[k] = float(abs(np.interp(0.0, above[at - 1 : at + 1], s[at - 1 : at + 1]) - fine[best]))
     return ends[0] if best < one else ends[1] if best > one else max(ends)
-
-
-def _lowest(fine: Floats, rest: Floats, best: int) -> float:
-    """Where the parabola through the lowest value and its neighbours is lowest."""
-    if not 0 < best < fine.size - 1:
-        return float(fine[best])
-    a, b, _ = np.polyfit(fine[best - 1 : best + 2] - fine[best], rest[best - 1 : best + 2] - rest[best], 2)
-    return float(fine[best] - b / (2 * a)) if a > 0 else float(fine[best])
