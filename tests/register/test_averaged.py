@@ -43,7 +43,7 @@ def dense(field, pairs, mirrored, where):
     y, free = pairs.fixed.reshape(-1), 2 * len(pairs) - 4
     logs, means, spreads, variances = [], [], [], []
     for kernel in KERNELS:
-        near, far = (covariance(kernel, np.sum((p[:, None] - nodes) ** 2, axis=-1))[0] for p in (nodes, at))
+        near, far = (covariance(kernel, np.sum((p[:, None] - nodes) ** 2, axis=-1)) for p in (nodes, at))
         for stretch in of_field._AFFINE:
             for size in of_field._FIELD:
                 v = noise + stretch * a @ a.T + size * both(near)
@@ -98,7 +98,7 @@ def test_marks_left_out_are_missed_as_by_the_others_with_the_same_probabilities(
     mixture = np.zeros_like(field.mixture)
     mixture[2, 1, 3] = 1.0
     missed, _ = Field(pairs, False, mixture).left_out()
-    near = covariance(KERNELS[2], np.sum((field.nodes[:, None] - field.nodes) ** 2, axis=-1))[0]
+    near = covariance(KERNELS[2], np.sum((field.nodes[:, None] - field.nodes) ** 2, axis=-1))
     design = field._columns(field.nodes).reshape(-1, 6)
     v = np.eye(16) + 3.0 * design[:, 4:] @ design[:, 4:].T + of_field._FIELD[3] * np.kron(near, np.eye(2))
     y = pairs.fixed.reshape(-1)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planish.core.transform import Pair
 from planish.register.bent import Bent, Kernel
-from planish.register.field import Field, covariance
+from planish.register.field import Field, covariance, covariance_slope
 from planish.register.model import Model
 from planish.register.pairs import Pairs
 
@@ -46,15 +46,7 @@ class Averaged(Bent):
         """Gaussian and Matern kernels."""
         kernels = [("gauss", float(v)) for v in self.gauss] + [("matern", float(v)) for v in self.matern]
         for kernel, bend in zip(kernels, self.bend, strict=True):
-            yield partial(_value, kernel), partial(_slope, kernel), bend
-
-
-def _value(kernel: tuple[str, float], squares: Floats) -> Floats:
-    return covariance(kernel, squares)[0]
-
-
-def _slope(kernel: tuple[str, float], squares: Floats) -> Floats:
-    return covariance(kernel, squares)[1]
+            yield partial(covariance, kernel), partial(covariance_slope, kernel), bend
 
 
 class AveragedModel(Model):

@@ -54,7 +54,8 @@ class Bent(NearSimilarity):
         bends = [(value, bend) for value, _, bend in self.bends() if np.any(bend)]
         step = max(1, _AT_ONCE // len(self.nodes))
         for k in range(0, len(at) if bends else 0, step):
-            squares = np.sum((at[k : k + step, None] - self.nodes) ** 2, axis=-1)
+            x, y = (at[k : k + step, None, i] - self.nodes[:, i] for i in range(2))
+            squares = x**2 + y**2
             for value, bend in bends:
                 out[k : k + step] += value(squares) @ bend
         return out.reshape(given.shape)
@@ -65,19 +66,39 @@ class Bent(NearSimilarity):
         at = (given.reshape(-1, 2) - self.source) / self.size
         out = np.broadcast_to(self.affine[1:].T, (len(at), 2, 2)).copy()
         step = max(1, _AT_ONCE // len(self.nodes))
-        for k in range(0, len(at), step):
-            away = at[k : k + step, None] - self.nodes
-            squares = np.sum(away**2, axis=-1)
-            for _, slope, bend in self.bends():
-                out[k : k + step] += np.einsum("km,kmj,mi->kij", slope(squares), away, bend, optimize=True)
+        bends = [(slope, bend) for _, slope, bend in self.bends() if np.any(bend)]
+        for k in range(0, len(at) if bends else 0, step):
+            x, y = (at[k : k + step, None, i] - self.nodes[:, i] for i in range(2))
+            squares = x**2 + y**2
+            for slope, bend in bends:
+                by = slope(squares)
+                out[k : k + step, :, 0] += (by * x) @ bend
+                out[k : k + step, :, 1] += (by * y) @ bend
         return (out / self.size).reshape(*given.shape[:-1], 2, 2)
 
     @property
     def inverse(self) -> Callable[[ArrayLike], Floats]:
         """The transformation back, by Newton's method from the nearest image of a grid; NaN where it finds no point."""
-        return self._back
+        return _Back(self)
 
-    def _back(self, points: ArrayLike) -> Floats:
+
+class _Back:
+    """The way back through a bent map: where to begin is worked out once."""
+
+    def __init__(self, bent: Bent) -> None:
+        from scipy.spatial import KDTree
+
+        nodes = bent.nodes * bent.size + np.array(bent.source)
+        low, high = nodes.min(axis=0), nodes.max(axis=0)
+        self.bent, self.around = bent, _AROUND * float(np.max(high - low))
+        self.low, self.high = low - self.around, high + self.around
+        axes = [np.linspace(a, b, _GRID) for a, b in zip(self.low, self.high, strict=True)]
+        self.grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        self.images, self.slopes = bent(self.grid), bent.jacobian(self.grid)
+        self.tree, self.largest = KDTree(self.images), float(np.abs(self.images).max())
+
+    def __call__(self, points: ArrayLike) -> Floats:
+        """Take points ``(..., 2)`` back, in um; NaN where there is none."""
         given = np.asarray(points, dtype=np.float64)
         wanted = given.reshape(-1, 2)
         found = np.full(wanted.shape, np.nan)
@@ -87,32 +108,26 @@ class Bent(NearSimilarity):
         return found.reshape(given.shape)
 
     def _newton(self, wanted: Floats) -> Floats:
-        from scipy.spatial import KDTree
-
-        nodes = self.nodes * self.size + np.array(self.source)
-        low, high = nodes.min(axis=0), nodes.max(axis=0)
-        around = _AROUND * float(np.max(high - low))
-        axes = [np.linspace(a - around, b + around, _GRID) for a, b in zip(low, high, strict=True)]
-        grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        images = self(grid)
-        nearest = KDTree(images).query(wanted)[1]
-        at = grid[nearest]
-        if self.everywhere:
-            edge = np.any((at == grid[0]) | (at == grid[-1]), axis=1)
-            at[edge] = (wanted[edge] - self.affine[0]) @ np.linalg.inv(self.affine[1:]) * self.size + self.source
-        error = self(at) - wanted
+        bent = self.bent
+        nearest = np.asarray(self.tree.query(wanted)[1])
+        step = _solve(self.slopes[nearest], self.images[nearest] - wanted)
+        at = self.grid[nearest] - np.clip(step, -0.125 * self.around, 0.125 * self.around)
+        if bent.everywhere:
+            edge = np.any((self.grid[nearest] == self.low) | (self.grid[nearest] == self.high), axis=1)
+            at[edge] = (wanted[edge] - bent.affine[0]) @ np.linalg.inv(bent.affine[1:]) * bent.size + bent.source
+        error = bent(at) - wanted
         # What rounding leaves of the sum of kernels.
-        enough = 4e-15 * (np.abs(images).max() + np.abs(wanted).max())
+        enough = 4e-15 * (self.largest + np.abs(wanted).max())
         active = np.arange(len(wanted))
         for _ in range(_STEPS):
             now = at[active]
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                step = _solve(self.jacobian(now), error[active])
-            # Far from the answer a whole step may overshoot a bend: no further than an eighth of the extent.
+                step = _solve(bent.jacobian(now), error[active])
+            # Far from the answer a whole step may overshoot a bend.
             length = np.linalg.norm(step, axis=1, keepdims=True)
-            step *= np.minimum(1.0, 0.125 * around / np.maximum(length, 1e-300))
+            step *= np.minimum(1.0, 0.125 * self.around / np.maximum(length, 1e-300))
             trial = now - step
-            missed = self(trial) - wanted[active]
+            missed = bent(trial) - wanted[active]
             before, after = (np.linalg.norm(e, axis=1) for e in (error[active], missed))
             good = after < before
             at[active[good]], error[active[good]] = trial[good], missed[good]
@@ -120,15 +135,15 @@ class Bent(NearSimilarity):
             worse = np.flatnonzero(~good & (before > enough))
             if worse.size:
                 trial = now[worse] - 0.25 * step[worse]
-                missed = self(trial) - wanted[active[worse]]
+                missed = bent(trial) - wanted[active[worse]]
                 better = np.linalg.norm(missed, axis=1) < before[worse]
                 at[active[worse[better]]], error[active[worse[better]]] = trial[better], missed[better]
                 good[worse[better]] = True
             left = np.linalg.norm(error[active], axis=1)
-            active = active[good & (left > 0.0)]
+            active = active[good & (left > enough)]
             if not active.size:
                 break
-        outside = not self.everywhere and np.any((at < low - around) | (at > high + around), axis=1)
+        outside = not bent.everywhere and np.any((at < self.low) | (at > self.high), axis=1)
         at[outside | (np.linalg.norm(error, axis=1) > 100 * enough)] = np.nan
         return at
 

@@ -38,15 +38,21 @@ _LEAST = 1e-3
 _AT_ONCE = 1 << 18
 
 
-def covariance(kernel: tuple[str, float], squares: Floats) -> tuple[Floats, Floats]:
-    """Covariance at squared distances, 1 at 0, and its derivative by half the squared distance."""
+def covariance(kernel: tuple[str, float], squares: Floats) -> Floats:
+    """Covariance at squared distances: 1 at 0."""
     name, length = kernel
     if name == "gauss":
-        value = np.exp(squares * (-0.5 / length**2))
-        return value, value / -(length**2)
-    away = np.sqrt(squares) * (np.sqrt(3.0) / length)
-    fall = np.exp(-away)
-    return (1.0 + away) * fall, fall * (-3.0 / length**2)
+        return np.exp(squares * (-0.5 / length**2))
+    away = np.sqrt(squares * (3.0 / length**2))
+    return (1.0 + away) * np.exp(-away)
+
+
+def covariance_slope(kernel: tuple[str, float], squares: Floats) -> Floats:
+    """Derivative of the covariance by half the squared distance."""
+    name, length = kernel
+    if name == "gauss":
+        return np.exp(squares * (-0.5 / length**2)) / -(length**2)
+    return np.exp(-np.sqrt(squares * (3.0 / length**2))) * (-3.0 / length**2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -93,15 +99,10 @@ class Field:
         floor = (COINCIDENT * float(np.hypot(*self._first[2:4]))) ** 2
         which = [k for k in range(len(KERNELS)) if mixture is None or mixture[k].any()]
         fits = {k: self._fit(KERNELS[k], squares, columns, y, floor) for k in which}
-        if mixture is None:
-            logs = np.array([v.log for v in fits.values()])
-            mixture = np.exp(logs - logs.max())
-            mixture[mixture.sum(axis=(1, 2)) < _LEAST * mixture.sum()] = 0.0
-            mixture /= mixture.sum()
-        self.mixture: Floats = mixture
-        self._likely = {k: v for k, v in fits.items() if mixture[k].any()}
+        self.mixture = _shares(np.array([v.log for v in fits.values()])) if mixture is None else mixture
+        self._likely = {k: v for k, v in fits.items() if self.mixture[k].any()}
         self._variance = {k: v.rest / max(self.freedom, 1) for k, v in self._likely.items()}
-        total = sum(float(np.sum(mixture[k] * v)) for k, v in self._variance.items())
+        total = sum(float(np.sum(self.mixture[k] * v)) for k, v in self._variance.items())
         self.mark_variance = total * self._unit if self.freedom > 0 else float("nan")
 
     def _columns(self, at: Floats) -> Floats:
@@ -116,14 +117,14 @@ class Field:
         return (self._whitening @ rows.reshape(len(self._pairs), 2, -1)).reshape(rows.shape)
 
     def _fit(self, kernel: tuple[str, float], squares: Floats, columns: Floats, y: Floats, floor: float) -> _Likely:
-        between = covariance(kernel, squares)[0]
+        between = covariance(kernel, squares)
         if self._pairs.isotropic:
             root = self._whitening[:, 0, 0]
             both: Any = np.linalg.eigh(root[:, None] * between * root)
             values: Floats = np.repeat(both[0], 2)
-            turn: Floats = np.kron(both[1], np.eye(2))
+            turn = np.asarray(np.kron(both[1], np.eye(2)), dtype=np.float64)
         else:
-            rows: Floats = np.kron(between, np.eye(2))
+            rows = np.asarray(np.kron(between, np.eye(2)), dtype=np.float64)
             values, turn = (np.asarray(v) for v in np.linalg.eigh(self._whitened(self._whitened(rows).T)))
         values = np.maximum(values, 0.0)
         columns, y = turn.T @ columns, turn.T @ y
@@ -225,7 +226,7 @@ class Field:
             off = images[part] - self._columns(at) @ self._first
             total = np.sum(off**2, axis=1)
             for k, (form, mean, more) in self._squares.items():
-                row = np.concatenate([plane, covariance(KERNELS[k], squares)[0]], axis=1)
+                row = np.concatenate([plane, covariance(KERNELS[k], squares)], axis=1)
                 total += np.sum(row * (row @ form), axis=1) + more - 2.0 * np.sum(off * (row @ mean), axis=1)
             out[part] = np.maximum(total, 0.0)
         return out
@@ -265,3 +266,10 @@ class Field:
 def _log_prior(ratios: Floats) -> Floats:
     """Logarithm of the probability of each ratio before the marks are seen: one half of none."""
     return np.log(np.where(ratios > 0, 0.5 / (len(ratios) - 1), 0.5))
+
+
+def _shares(logs: Floats) -> Floats:
+    """Probabilities (kernels, affine ratios, field ratios) from logarithms, none for kernels that are unlikely."""
+    shares = np.exp(logs - logs.max())
+    shares[shares.sum(axis=(1, 2)) < _LEAST * shares.sum()] = 0.0
+    return shares / shares.sum()
