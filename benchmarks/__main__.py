@@ -6,6 +6,7 @@ import sys
 
 from benchmarks import (
     artefacts,
+    errors,
     faces,
     flattening,
     holes,
@@ -43,6 +44,7 @@ _MODULES = (
     wrong,
     right,
     through_scale,
+    errors,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
 

@@ -10,7 +10,7 @@ from planish.synthetic import PRESETS, HoleParams, PaperParams, SpecimenParams, 
 from planish.synthetic.draws import generator
 from planish.synthetic.fields import PITCH_UM, fibres, lowpass, noise, streaks
 from planish.synthetic.holes import hole_pattern
-from planish.synthetic.sheet import make_sheet
+from planish.synthetic.sheet import make_sheet, neutral_height
 
 LOW, HIGH = np.zeros(2), np.array([6000.0, 4500.0])
 QUARTER = HIGH / 2
@@ -206,3 +206,22 @@ def test_half_closed_holes_are_half_open_at_the_bottom():
     sheet = make_specimen(replace(SpecimenParams(size_um=(2500.0, 2000.0)), holes=holes)).sheet
     top, bottom = (np.count_nonzero(rim < 0) for rim in sheet.rim_um)
     assert bottom / top == pytest.approx(0.5, abs=0.05)
+
+
+def test_the_unstrained_surface_of_a_bent_laminate():
+    """No force along the sheet: the integral of modulus times distance vanishes; the middle of the base with 0."""
+    base, top, bottom = 55.0, 17.0, 12.0
+    z = np.linspace(-base / 2 - bottom, base / 2 + top, 400_001)
+    for ratio in (0.0, 0.5, 1.0, 3.0):
+        modulus = np.where(np.abs(z) < base / 2, 1.0, ratio)
+        expected = float(np.sum(modulus * z) / np.sum(modulus))
+        assert neutral_height(base, top, bottom, ratio) == pytest.approx(expected, abs=1e-3)
+    assert neutral_height(base, top, bottom, 1.0) == pytest.approx((top - bottom) / 2)
+    soft, stiff = (
+        make_sheet(PaperParams(coating_bottom_um=5.0), HoleParams(), low=LOW, high=LOW + 3000, centres=NO_HOLES, seed=0,
+                   stiffness=ratio)
+        for ratio in (0.0, 2.0)
+    )  # fmt: skip
+    moved = soft.faces - stiff.faces
+    assert np.ptp(moved) < 1e-4
+    assert 2.0 < moved.mean() < 12.0

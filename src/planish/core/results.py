@@ -204,6 +204,7 @@ class FlattenFacts(Facts):
     edge_strain_p95: Number
     edge_strain_max: Number
     method: str
+    neutral: Literal["base", "faces"] = Field("faces", description="Surface that was taken to stay unstrained.")
     springs: int
     straight_share: Number
     distortion: DistortionFacts
@@ -258,6 +259,18 @@ class HoleTiltFacts(Facts):
     sentence: str
 
 
+class ErrorShares(Facts):
+    """Where the expected error of the places comes from: root mean squares over the map, in um."""
+
+    marks_um: Number = Field(None, description="Marks, and what the model of the registration leaves open.")
+    neutral_um: Number = Field(None, description="Which surface stays unstrained where the sheet is bent.")
+    smoothing_um: Number = Field(None, description="Smoothing of the centre surface, and its bridges over holes.")
+    sections_um: Number = Field(None, description="What is left of the poses of serial sections.")
+    rms_um: float
+    largest: Literal["marks", "neutral", "smoothing", "sections"]
+    sentence: str
+
+
 class ExpectedError(Facts):
     """How far a pixel may be off, rms, over the map."""
 
@@ -266,6 +279,7 @@ class ExpectedError(Facts):
     median_um: Number
     largest_um: Number
     trust: Trust = "ok"
+    shares: ErrorShares | None = Field(None, description="Where it comes from; of a sheet only.")
 
 
 class OrientationFacts(Facts):

@@ -17,6 +17,11 @@ class FlattenParams(Params):
         "multigrid",
         help="multigrid: straight to the least spring energy; relaxation: the damped motion of Hirn et al. (2009).",
     )
+    neutral: Literal["base", "faces"] | None = option(
+        None,
+        help="Surface that stays unstrained where the sheet is bent: the middle of the base, or the mean of the faces; "
+        "base where not given and both interfaces are measured.",
+    )
     rest: Literal["arc", "chord"] = option(
         "arc",
         help="Rest lengths of the springs: along the curved surface, or straight through space as in Hirn et al. "

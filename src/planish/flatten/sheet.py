@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -11,7 +12,7 @@ from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
 from planish.core.frame import Frame
-from planish.core.grid import bilinear, pitch
+from planish.core.grid import bilinear, filled, pitch
 from planish.core.outcome import Outcome
 from planish.flatten.curvature import CurvatureCheck, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
@@ -19,6 +20,7 @@ from planish.flatten.params import FlattenParams
 from planish.flatten.relax import Relaxed, relax_grid
 
 Array = NDArray[np.float64]
+Neutral = Literal["base", "faces"]
 
 _MOST_NODES = 4_000_000  # of the mesh: half a second and half a gigabyte
 # Weight of the centre surface where it was bridged over holes and gaps, against 1 where both faces were found: it holds
@@ -42,6 +44,8 @@ class Flattened:
     distortion : Distortion
     curvature : CurvatureCheck
     method : str
+    neutral : {"base", "faces"}
+        Surface that was taken to stay unstrained.
     outcome : Outcome
     steps : int
     energy : float
@@ -60,6 +64,7 @@ class Flattened:
     distortion: Distortion
     curvature: CurvatureCheck
     method: str
+    neutral: Neutral
     outcome: Outcome
     steps: int
     energy: float
@@ -72,7 +77,11 @@ class Flattened:
 
 
 def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams = FlattenParams()) -> Flattened:  # noqa: B008  # frozen
-    """Develop the centre surface into the plane.
+    """Develop the sheet into the plane: the surface that stays unstrained where it is bent.
+
+    That surface is taken at a distance from the centre surface, along its normals: the middle of the base
+    (``base_middle`` in the surfaces), or none for the mean of the faces. A column's place in the plane is that of the
+    point below its centre.
 
     The mesh takes every n-th column (``params.mesh_um``): the centre surface holds no detail below its cut-off of
     400 um, so that a mesh of 12 um loses nothing. Every column is carried along.
@@ -90,26 +99,19 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams = FlattenParams
     Raises
     ------
     CannotFlatten
-        If the centre surface is too small or falls into pieces.
+        If the centre surface is too small or falls into pieces, or the middle of the base is asked for and not known.
     """
     frame = Frame.of(surfaces)
+    neutral = neutral_of(surfaces, params)
     y, x = surfaces["y"].values, surfaces["x"].values
-    centre = surfaces["centre"].values
-    known = _largest_piece(np.isfinite(centre))
-    step = _strides(surfaces, int(np.count_nonzero(known)), params.mesh_um)
-    rows, cols = _every(y.size, step[0]), _every(x.size, step[1])
-    mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
-    height = np.where(known, centre, np.nan)[np.ix_(rows, cols)]
-    points = np.stack([mesh_x, mesh_y, height], axis=-1)
-    points[~_largest_piece(np.isfinite(height))] = np.nan
-    weights = None
-    if "status" in surfaces:
-        weights = np.where(surfaces["status"].values[np.ix_(rows, cols)] == 0, 1.0, _DOUBT)
-    relaxed = relax_grid(points, method=params.method, rest=params.rest, weights=weights)
+    mesh = sheet_mesh(surfaces, params.mesh_um)
+    rows, cols, known = mesh.rows, mesh.cols, mesh.known
+    points = mesh.points if neutral == "faces" else mesh.raised(surfaces["base_middle"].values)
+    relaxed = relax_grid(points, method=params.method, rest=params.rest, weights=mesh.weights)
     flip = -1.0 if frame.mirrored else 1.0
     offset = float(x[-1] + x[0]) if frame.mirrored else 0.0
     fine_y, fine_x = np.meshgrid(y, x, indexing="ij")
-    moved = [_carried(relaxed.uv[..., i] - points[..., i], rows, cols, (y.size, x.size)) for i in range(2)]
+    moved = [_carried(relaxed.uv[..., i] - mesh.points[..., i], rows, cols, (y.size, x.size)) for i in range(2)]
     bad = _fold_mask(relaxed.folded, rows, cols, (y.size, x.size))
     inside = known & ~bad
     values = {
@@ -121,7 +123,7 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams = FlattenParams
     flat = xr.Dataset(
         {k: (("y", "x"), np.where(inside, v, np.nan), {"units": "um", "long_name": t}) for k, (v, t) in values.items()},
         coords=surfaces.coords,
-        attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored)},
+        attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored), "neutral": neutral, "rest": params.rest},
     )
     strain = cell_strain(points, relaxed.uv).assign_coords(
         y=("row", 0.5 * (y[rows][1:] + y[rows][:-1])), x=("col", 0.5 * (x[cols][1:] + x[cols][:-1]))
@@ -139,16 +141,74 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams = FlattenParams
         distortion=distortion,
         curvature=curvature,
         method=params.method,
+        neutral=neutral,
         outcome=relaxed.outcome,
         steps=relaxed.steps,
         energy=relaxed.energy,
         springs=relaxed.springs,
         straight_share=relaxed.straight_share,
-        mesh_um=step[0] * pitch(surfaces)[0],
+        mesh_um=mesh.step[0] * pitch(surfaces)[0],
         folded_cells=int(np.count_nonzero(relaxed.folded)),
         edge_strain_p95=float(np.percentile(edges, 95)),
         edge_strain_max=float(edges.max()),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SheetMesh:
+    """Nodes of the spring mesh on the centre surface.
+
+    ``rows``, ``cols``: the columns that it takes, at ``y_um``, ``x_um``; ``step``: how many between two; ``known``
+    (y, x): columns of the sheet's largest piece; ``points`` (rows, cols, 3): x, y and height, NaN where there is no
+    sheet; ``weights``: of the nodes, less where the surface was bridged.
+    """
+
+    rows: NDArray[np.intp]
+    cols: NDArray[np.intp]
+    y_um: Array
+    x_um: Array
+    step: tuple[int, int]
+    known: NDArray[np.bool_]
+    points: Array
+    weights: Array | None
+
+    def raised(self, offset: NDArray[np.floating]) -> Array:
+        """Nodes moved along the normals onto the surface that lies ``offset`` (y, x) above, vertically, in um."""
+        over = np.where(np.isfinite(self.points[..., 2]), offset[np.ix_(self.rows, self.cols)], np.nan)
+        order = 2 if min(over.shape) > 2 else 1
+        down, across = np.gradient(filled(self.points[..., 2]), self.y_um, self.x_um, edge_order=order)
+        along = np.stack([-across, -down, np.ones(over.shape)], axis=-1)
+        return self.points + along * (np.nan_to_num(over) / (1 + down**2 + across**2))[..., None]
+
+
+def neutral_of(surfaces: xr.Dataset, params: FlattenParams) -> Neutral:
+    """Surface that is taken to stay unstrained; CannotFlatten where it is asked for and not known."""
+    if params.neutral == "base" and "base_middle" not in surfaces:
+        raise CannotFlatten(
+            "The middle of the base is asked for (--neutral base), and its interfaces with the coatings were not found "
+            "on both sides. Leave --neutral out."
+        )
+    usual: Neutral = "base" if "base_middle" in surfaces and "method" not in surfaces.attrs else "faces"
+    return params.neutral or usual
+
+
+def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
+    """Choose the nodes of the mesh; :func:`flatten_sheet` says what is raised."""
+    y, x = surfaces["y"].values, surfaces["x"].values
+    centre = surfaces["centre"].values
+    known = _largest_piece(np.isfinite(centre))
+    step = _strides(surfaces, int(np.count_nonzero(known)), mesh_um)
+    rows, cols = _every(y.size, step[0]), _every(x.size, step[1])
+    mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
+    height = np.where(known, centre, np.nan)[np.ix_(rows, cols)]
+    points = np.stack([mesh_x, mesh_y, height], axis=-1)
+    points[~_largest_piece(np.isfinite(height))] = np.nan
+    weights = None
+    if "status" in surfaces:
+        weights = np.where(surfaces["status"].values[np.ix_(rows, cols)] == 0, 1.0, _DOUBT)
+    return SheetMesh(
+        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], step=step, known=known, points=points, weights=weights,
+    )  # fmt: skip
 
 
 def _at_cells(nodes: Array) -> Array:

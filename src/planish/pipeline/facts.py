@@ -28,6 +28,7 @@ from planish.flatten import Flattened
 from planish.io import fingerprint
 from planish.pipeline.compare import headline_of, is_property
 from planish.pipeline.layers import Layer
+from planish.pipeline.position_error import error_shares
 from planish.pipeline.registration import Registration
 from planish.register import Chain, FittedTransform
 from planish.study import Study, to_dict, with_paths
@@ -147,7 +148,9 @@ def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagFact
         found_moving=found.count("moving"), found_fixed=found.count("fixed"),
         matched=int(np.count_nonzero(fit.robust_weights)),
         match_sentence=found.sentence, model_sentence=fit.sentence,
-        expected_error=ExpectedError(median_um=np.median(known), largest_um=known.max()) if known.size else None,
+        expected_error=ExpectedError(
+            median_um=np.median(known), largest_um=known.max(), shares=error_shares(maps)
+        ) if known.size else None,
         rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)), shift_um=tuple(fit.transform.shift_um),
         orientation=orientation_facts(layer, link.path[1], fit), lag=lag,
     )  # fmt: skip

@@ -12,9 +12,10 @@ from planish.core.errors import CannotRegister, InputError, MarkError
 from planish.core.grid import Grid, check_same_grid
 from planish.marks import cut_holes, hole_mask
 from planish.marks.files import holes_of
+from planish.pipeline.position_error import position_errors
 from planish.pipeline.registration import Registration
 from planish.register import Chain
-from planish.resample import expected_error, image_attrs, resample_image
+from planish.resample import image_attrs, resample_image
 from planish.resample import resample_maps as flat_maps
 
 Array = NDArray[np.float64]
@@ -33,7 +34,8 @@ def on_reference(
     """Bring sheets and images onto a grid and mark what is valid there.
 
     ``circles`` (n, 3: x, y, radius in um) are the holes on the reference with their burnt rims. Returned are all maps
-    of each sheet, or ``image``, with ``valid``, and ``expected_error`` of what was moved; and what is away from holes.
+    of each sheet, or ``image``, with ``valid``, and ``expected_error`` of what was moved with its shares; and what is
+    away from holes.
     """
     away = np.ones(grid.shape, dtype=bool)
     for found in circles:
@@ -60,7 +62,7 @@ def _brought(name: str, shown: Shown, chain: Chain | None, grid: Grid, memory_by
         raise CannotRegister(
             f"The layer {name} does not meet the reference: by its marks it lies beside it. Check the marks."
         )
-    return data.assign(expected_error=expected_error(chain, grid, present))
+    return data.assign(position_errors(None if isinstance(shown, xr.DataArray) else shown, chain, grid, present))
 
 
 def hole_circles(

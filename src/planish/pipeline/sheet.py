@@ -26,7 +26,7 @@ from planish.pipeline.through_scale import thickness_scale_check
 from planish.pipeline.volume import read_sheet_volume, some_slices
 from planish.resample import resample_maps
 from planish.study import LayerParams
-from planish.surface import find_surfaces
+from planish.surface import cutoff_check, find_surfaces
 
 P = TypeVar("P", bound=Params)
 
@@ -88,7 +88,7 @@ def map_layer(
     )
     return Layer(
         params=changed(layer, **used), source=input_file(volume, v.path), groups=groups, facts=facts,
-        checks=(*sheet_checks(facts), thickness_scale_check(measured), *scan),
+        checks=(*sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured), *scan),
         md_deg=v.md_deg if layer.md_deg is None else layer.md_deg,
     )  # fmt: skip
 

@@ -128,17 +128,26 @@ def image_attrs(image: xr.DataArray) -> dict[str, str]:
 
 
 def expected_error(transform: Any, grid: Grid, known: Array) -> xr.DataArray:
-    """How far each pixel of a reference may be off, in um, where ``known`` (y, x) is finite.
+    """How far each pixel of a reference may be off by its marks, in um, where ``known`` (y, x) is finite.
 
     It is worked out on a lattice of at most some 200 x 200 places and interpolated between.
     """
+    errors = transform.expected_error_um(transform.inverse(lattice(grid)))
+    return between_lattice(errors, grid, known, "Expected error of the place, rms")
+
+
+def lattice(grid: Grid) -> Array:
+    """Some of a grid's places (rows, cols, 2), evenly from border to border, as (x, y)."""
     at = [np.linspace(v[0], v[-1], min(v.size, _LATTICE)) for v in (grid.y_um, grid.x_um)]
-    places = transform.inverse(np.stack(np.meshgrid(at[1], at[0]), axis=-1))
-    coarse = xr.DataArray(transform.expected_error_um(places), dims=("y", "x"), coords={"y": at[0], "x": at[1]})
-    fine = coarse.interp(y=grid.y_um, x=grid.x_um).values
-    values = np.where(np.isfinite(known), fine, np.nan).astype(np.float32)
-    attrs = {"long_name": "Expected error of the place, rms", "units": "um"}
-    return xr.DataArray(values, dims=("y", "x"), coords=grid.coords, attrs=attrs)
+    return np.stack(np.meshgrid(at[1], at[0]), axis=-1)
+
+
+def between_lattice(values: Array, grid: Grid, known: Array, title: str) -> xr.DataArray:
+    """Values in um at the places of :func:`lattice`, on all pixels where ``known`` (y, x) is finite."""
+    at = lattice(grid)
+    coarse = xr.DataArray(values, dims=("y", "x"), coords={"y": at[:, 0, 1], "x": at[0, :, 0]})
+    fine = np.where(np.isfinite(known), coarse.interp(y=grid.y_um, x=grid.x_um).values, np.nan).astype(np.float32)
+    return xr.DataArray(fine, dims=("y", "x"), coords=grid.coords, attrs={"long_name": title, "units": "um"})
 
 
 def _measured(surfaces: xr.Dataset) -> tuple[list[str], list[str], list[str]]:

@@ -22,6 +22,7 @@ from planish.surface.regions import half_closed, regions
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_SHORTER = 0.625  # of the cut-off: 250 for 400 um
 _MOST_BRIDGED = 0.02  # of the columns away from holes and rims
 
 
@@ -79,6 +80,9 @@ def assemble(
     data: dict[str, tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]] = {
         name: (("y", "x"), values, {"units": "um", "long_name": title}) for name, (values, title) in heights.items()
     }
+    between = 0.5 * (inner_top + inner_bottom) - middle
+    for name, (values, title) in _other_surfaces(between, middle, centre, outline, pitch[:2], params).items():
+        data[name] = (("y", "x"), values.astype(np.float32), {"units": "um", "long_name": title})
     for name, share in present.items():
         layer: dict[str, object] = {"units": "1", "long_name": TITLES[name], "layer": list(LAYERS[name])}
         data[name] = (("y", "x"), share, layer)
@@ -131,6 +135,29 @@ def _status(
     status[touching & sheet] = Status.TOUCHING
     status[runs_out & (status > 0)] = Status.LEAVES_VOLUME
     return status
+
+
+def _other_surfaces(
+    between: Array, middle: Array, centre: Array, outline: Mask, pitch: tuple[float, float], params: SurfaceParams
+) -> dict[str, tuple[Array, str]]:  # fmt: skip
+    """How far over the centre surface other surfaces lie that could stand for it, smoothed alike and carried on.
+
+    ``between``: from the mean of the faces to the middle of the base; left out where an interface is missing.
+    """
+    known = np.isfinite(centre)
+    shorter = params.model_copy(update={"cutoff_um": _SHORTER * params.cutoff_um})
+    found = {
+        "centre_shorter": (
+            _centre(middle, outline, pitch, shorter)[0] - centre,
+            f"Centre surface of {_SHORTER:g} of the cut-off, over the centre surface",
+        )
+    }
+    if np.isfinite(between).mean() >= 0.5 * np.isfinite(middle).mean():
+        found["base_middle"] = (
+            _centre(between, outline, pitch, params)[0],
+            "Middle of the base, over the centre surface",
+        )
+    return {name: (np.where(known, filled(values), np.nan), title) for name, (values, title) in found.items()}
 
 
 def _centre(middle: Array, outline: Mask, pitch: tuple[float, float], params: SurfaceParams) -> tuple[Array, Array]:

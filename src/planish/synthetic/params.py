@@ -149,3 +149,6 @@ class SpecimenParams(Strict):
     sections: SectionsParams = field(default_factory=SectionsParams)
     camera: CameraParams = field(default_factory=CameraParams)
     seed: int = 0
+    stiffness: float = drawn(
+        0.0, 0.0, 3.0
+    )  # modulus of the coatings over the base's: says what a bend leaves unstrained

@@ -35,7 +35,7 @@ class Sheet:
     Attributes
     ----------
     faces : (4, rows, cols)
-        Signed distance from the centre surface in um: s_T, s_TI, s_BI, s_B.
+        Signed distance in um from the surface that keeps its lengths where the sheet is bent: s_T, s_TI, s_BI, s_B.
     rim_um : (2, rows, cols)
         Signed distance to the nearest hole's rim at the top and the bottom face, negative inside.
     char : (rows, cols)
@@ -93,9 +93,13 @@ class Sheet:
 
 
 def make_sheet(
-    paper: PaperParams, holes: HoleParams, *, low: Array, high: Array, centres: Array, seed: int
+    paper: PaperParams, holes: HoleParams, *, low: Array, high: Array, centres: Array, seed: int,
+    stiffness: float = 0.0,
 ) -> Sheet:  # fmt: skip
-    """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um."""
+    """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um.
+
+    ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its lengths.
+    """
     shape = (int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2, int(np.ceil((high[0] - low[0]) / PITCH_UM)) + 2)
     thickness, own = _base(paper, shape, seed)
     mass = thickness / thickness.mean() * (1 + 0.03 * noise(shape, 500.0, generator(seed, "mass")))
@@ -111,17 +115,29 @@ def make_sheet(
     depth = float(np.mean(faces[0] + faces[2]))
     rim, char = burn(holes, centres, shape, (float(low[0]), float(low[1])), depth, seed)
     grain = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * noise(shape, 300.0, generator(seed, "grain"))
+    layers = (float(np.mean(faces[k] - faces[k + 1])) for k in (0, 2))
+    above = neutral_height(float(np.mean(faces[1] + faces[3])), *layers, stiffness)
     return Sheet(
         params=paper,
         seed=seed,
         origin=(float(low[0]), float(low[1])),
-        faces=np.stack([faces[0], faces[1], -faces[3], -faces[2]]).astype(np.float32),
+        faces=np.stack([faces[0], faces[1], -faces[3], -faces[2]]).astype(np.float32) - np.float32(above),
         rim_um=rim,
         char=char,
         coating_density=(1 + paper.coating_density_sd * grain).astype(np.float32),
         base_mass=mass.astype(np.float32),
         holes=centres,
     )
+
+
+def neutral_height(base_um: float, top_um: float, bottom_um: float, stiffness: float) -> float:
+    """Height of a bent laminate's unstrained surface over the middle of its base, in um.
+
+    The layers bend together and no force acts along the sheet: the mean of their middles, weighted with thickness times
+    modulus; ``stiffness`` is the coatings' modulus over the base's. With 1 it is the mean of the outer faces.
+    """
+    moment = top_um * (base_um + top_um) - bottom_um * (base_um + bottom_um)
+    return 0.5 * stiffness * moment / (base_um + stiffness * (top_um + bottom_um))
 
 
 def _base(p: PaperParams, shape: tuple[int, int], seed: int) -> tuple[Array, Array]:

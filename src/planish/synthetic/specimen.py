@@ -217,7 +217,10 @@ def make_specimen(
         inner_low = np.array([under[:, 0, 0].max(), under[0, :, 1].max()])
         inner_high = np.array([under[:, -1, 0].min(), under[-1, :, 1].min()])
         centres = hole_pattern(params.holes, inner_low, inner_high, params.seed)
-        sheet = make_sheet(p, params.holes, low=low, high=high, centres=centres, seed=params.seed)
+        sheet = make_sheet(
+            p, params.holes, low=low, high=high, centres=centres, seed=params.seed,
+            stiffness=params.stiffness,
+        )  # fmt: skip
     elif not sheet.covers(spread[:2], spread[2:]):
         raise ValueError("the given sheet does not reach as far as the volume shows it; bend it more or make it larger")
     made = Specimen(

@@ -1,0 +1,162 @@
+"""How far a pixel may be off: marks and model, the neutral surface, the smoothing, the poses of sections.
+
+None of them sees the others. Marks and model are the registration's own statement. Which surface of a bent sheet stays
+unstrained is not known: it is the middle of the base or the mean of the faces where the coating is 0 and 1 times as
+stiff as the base, and it may be 3. What the other surface moves, registered to the same marks, is the measure D of
+that; the error is c D, one c for all sheets (below). In the same way the smoothing of the centre surface is judged by
+what five eighths of its cut-off move. What is left of the poses of serial sections displaces their pixels as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.frame import Frame
+from planish.core.grid import Grid, bilinear, filled, pitch
+from planish.core.results import ErrorShares
+from planish.flatten import flat_moves
+from planish.register import Chain
+from planish.resample import between_lattice, covering_grid, expected_error, find_places, lattice, resample
+
+Array = NDArray[np.float64]
+
+# Root mean square over stiffness ratios coating/base drawn evenly from 0 to 3 of the neutral surface's distance from
+# the one that was flattened, in distances of the two: e(r) = r sum(t z) / (b + r sum(t)), e(0) = 0, e(1) = 1; for a base
+# of 50-60 um with coatings of 9-20 um, e(3) = 1.7-1.9.
+NEUTRAL = {"base": 1.25, "faces": 0.55}
+_UNSEEN = 0.01  # of the thickness: how far the neutral surface lies off where no coating is seen
+_TITLES = {
+    "marks": "marks and model",
+    "neutral": "the surface that is taken to stay unstrained",
+    "smoothing": "smoothing of the centre surface",
+    "sections": "poses of the sections",
+}
+_LOWER = {
+    "marks": "more marks, spread over the field",
+    "neutral": "a flatter specimen, or the surface that stays unstrained known from elsewhere (--neutral)",
+    "smoothing": "a shorter --cutoff-um, or fewer holes with narrower rims",
+    "sections": "a volume in place of sections, or sections with more in common",
+}
+
+
+def position_errors(
+    sheet: Mapping[str, xr.Dataset] | None, chain: Chain, grid: Grid, known: Array
+) -> dict[str, xr.DataArray]:  # fmt: skip
+    """Work out all shares and their sum for the pixels of a reference.
+
+    Parameters
+    ----------
+    sheet : mapping of Dataset, or None
+        ``surfaces``, ``flat`` and, of serial sections, ``sections``; None for an image that was moved.
+    chain : Chain
+        From the sheet's map to the reference.
+    grid : Grid
+        Pixels of the reference.
+    known : (y, x)
+        Finite where a pixel shows the layer.
+
+    Returns
+    -------
+    dict of DataArray (y, x), in um
+        ``expected_error``, and of a sheet ``error_marks``, ``error_neutral``, ``error_smoothing``, ``error_sections``
+        where they exist; root mean square, of the distance.
+    """
+    marks = expected_error(chain, grid, known)
+    if sheet is None:
+        return {"expected_error": marks}
+    shares = {"marks": marks.values.astype(np.float64)}
+    for name, moved in _moved(sheet, chain, lattice(grid)).items():
+        shares[name] = between_lattice(moved, grid, known, "").values.astype(np.float64)
+    jitter = _jitter_um(sheet)
+    if jitter is not None:
+        shares["sections"] = np.where(np.isfinite(known), jitter * chain.similarity.scale, np.nan)
+    total = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
+    found = {"expected_error": marks.copy(data=total.astype(np.float32))}
+    for name, share in shares.items():
+        about = {"long_name": f"Expected error by {_TITLES[name]}", "units": "um"}
+        found[f"error_{name}"] = marks.copy(data=share.astype(np.float32)).assign_attrs(about)
+    return found
+
+
+def error_shares(maps: xr.Dataset) -> ErrorShares | None:
+    """Root mean square of each share over the pixels, which is the largest, and what would lower it."""
+    rms: dict[str, float] = {}
+    for name in _TITLES:
+        if f"error_{name}" in maps:
+            values = maps[f"error_{name}"].values
+            values = values[np.isfinite(values)].astype(np.float64)
+            rms[name] = float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+    if not rms:
+        return None
+    whole, largest = float(np.sqrt(sum(v**2 for v in rms.values()))), max(rms, key=lambda name: rms[name])
+    parts = ", ".join(f"{_TITLES[name]} {value:.2g}" for name, value in rms.items())
+    sentence = f"Expected error {whole:.2g} um rms over the map: {parts} um. "
+    if whole > 0:
+        share = 100 * (rms[largest] / whole) ** 2
+        sentence += f"{share:.0f} % of its square is {_TITLES[largest]}; {_LOWER[largest]} would lower it. "
+    sentence += "A shift that all marks share is not in it: no mark can show that, only the maps themselves."
+    return ErrorShares(
+        **{f"{name}_um": value for name, value in rms.items()}, rms_um=whole, largest=largest, sentence=sentence
+    )
+
+
+def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Array) -> dict[str, Array]:
+    """What other surfaces move at places (rows, cols, 2) of the reference, registered to the same marks; um."""
+    surfaces, attrs = sheet["surfaces"], sheet["flat"].attrs
+    if "centre_shorter" not in surfaces or "neutral" not in attrs:
+        return {}  # of a run that does not say what was flattened
+    main, zero = str(attrs["neutral"]), np.zeros(surfaces["centre"].shape)
+    base = surfaces["base_middle"].values.astype(np.float64) if "base_middle" in surfaces else None
+    own = base if main == "base" and base is not None else zero
+    other, factor = zero if main == "base" else base, NEUTRAL[main]
+    if other is None:
+        other, factor = zero + _UNSEEN * float(surfaces.attrs["thickness_um"]), 1.0
+    shorter = own + surfaces["centre_shorter"].values
+    moves = flat_moves(surfaces, {"neutral": other, "smoothing": shorter}, neutral=own, rest=attrs["rest"])
+    fit, uv = chain.fits[0], chain.inverse(places)
+    found: dict[str, Array] = {}
+    for name, by in (("neutral", factor), ("smoothing", 1.0)):
+        field = _MovesOfMap.of(moves, name, sheet["flat"])
+        again = fit.refitted(fit.moving + field(fit.moving))
+        at = again(uv + field(uv))
+        for link in chain.fits[1:]:
+            at = link(at)
+        found[name] = by * filled(np.linalg.norm(at - chain(uv), axis=-1))
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _MovesOfMap:
+    """Moves (u, v) of places in the flat map, from those of columns of the volume."""
+
+    grid: Grid
+    moves: Array
+
+    @classmethod
+    def of(cls, moves: xr.Dataset, name: str, flat: xr.Dataset) -> _MovesOfMap:
+        """Carry them from the nodes of their mesh to the pixels of a map, and beyond the sheet."""
+        nodes = flat[["u", "v"]].sel(y=moves["y"], x=moves["x"])
+        uv = np.stack([nodes[axis].values for axis in "uv"], axis=-1)
+        grid = covering_grid(uv, min(pitch(moves)))
+        places = find_places(uv, grid)
+        found = [filled(resample(moves[f"{name}_{axis}"].values, places)) for axis in "uv"]
+        return cls(grid=grid, moves=np.stack(found, axis=-1))
+
+    def __call__(self, uv: Array) -> Array:
+        (x, y), (down, across), (rows, cols) = self.grid.origin_um, self.grid.pixel_um, self.grid.shape
+        row, col = np.clip((uv[..., 1] - y) / down, 0, rows - 1), np.clip((uv[..., 0] - x) / across, 0, cols - 1)
+        return np.stack([bilinear(self.moves[..., k], row, col) for k in range(2)], axis=-1)
+
+
+def _jitter_um(sheet: Mapping[str, xr.Dataset]) -> float | None:
+    """What is left of the sections' shifts in the plane of the sheet, rms; None for a volume that was not cut."""
+    if "sections" not in sheet:
+        return None
+    jitter = dict(zip(("y", "x"), sheet["sections"].attrs["jitter_left_um"], strict=True))
+    through = Frame.of(sheet["surfaces"]).through
+    return float(np.sqrt(sum(float(v) ** 2 for axis, v in jitter.items() if axis != through)))
