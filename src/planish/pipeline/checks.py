@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, concerned
 from planish.core.results import CorrelationRow, LayerFacts, LinkedArea, RegistrationFacts, Results, SheetFacts, Trust
 from planish.register import FittedTransform
@@ -58,7 +60,8 @@ def registration_checks(
     """
     limit = max(_OF_A_HOLE * hole_um, pixel_um)
     loo = facts.leave_one_out_rms_um
-    left_out = bool((fit.robust_weights < 1.0).any())
+    # A hole that is badly found is left out now and then; one that lies elsewhere is worth a look.
+    left_out = bool((np.hypot(*fit.residuals_um[fit.robust_weights < 1.0].T) > limit).any())
     if loo is None:
         yield Check(
             name="marks", state="unknown", figures=(POSITION,), units="um",
