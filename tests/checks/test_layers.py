@@ -43,7 +43,7 @@ def layered(*, extra=None, depth=40, seed=0, noise=5.0, shape=(190, 200)):
         {k: (("y", "x"), (v + np.zeros(shape)) * VOXEL) for k, v in heights.items()},
         coords={k: coords[k] for k in "yx"},
         attrs={"through": "z", "top_side": "high", "grey_air": 40.0, "grey_base": 90.0, "grey_coating_top": 200.0,
-               "grey_coating_bottom": 200.0, "grey_noise": 5.0},
+               "grey_coating_bottom": 200.0, "grey_noise": 5.0, "blur_um": 2.4},
     )  # fmt: skip
     coating = ndimage.gaussian_filter(rng.normal(size=shape), 5)
     for side in ("top", "bottom"):
@@ -75,6 +75,12 @@ def test_second_sheet_fails(through):
     assert found.value == pytest.approx(0.35, abs=0.06)
     assert "second sheet" in found.sentence
     assert set(found.figures) == {"properties", "position"}
+
+
+def test_second_sheet_is_seen_where_its_coatings_were_learnt_as_base():
+    volume, measured = layered(extra=lambda t, _r, _c: np.where(abs(t - 0.5) < 0.12, 200.0, np.nan))
+    measured = measured.assign_attrs(grey_base=150.0, grey_coating_top=np.nan, grey_coating_bottom=np.nan)
+    assert by_name(check_scan(volume, measured))["one sheet"].state == "fail"
 
 
 def test_delamination_fails():

@@ -21,7 +21,8 @@ LEAST_VOXELS = 5.0  # 114 um are measured of 80 um with 2 voxels, 130 of 120 um 
 _TILE_UM = 60.0
 _COLUMNS = 7  # along the edge of a tile, at most
 _LEAST_COLUMNS = 5  # in a tile
-_INNER = (0.2, 0.8)  # of the base: beyond, blur mixes in what lies beside it
+_INNER = (0.2, 0.45)  # of the base on either side, least and most, that is left out, and
+_BLURS = 2.5  # widths of the blur: there it mixes in what lies beside the base
 _DEPTHS = (9, 48)  # fewest and most places across the base
 _TILES = 2500  # at most
 _LEAST_TILES = 10
@@ -57,8 +58,9 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     voxel = [float(v) for v in volume.attrs["voxel_um"]]
     along = voxel["zyx".index(frame.through)]
     thickness = float(np.nanmedian(np.abs(high - low)[good])) if good.any() else 0.0
-    depths = int(np.clip(np.ceil((_INNER[1] - _INNER[0]) * thickness / along), *_DEPTHS))
-    share = np.linspace(*_INNER, depths)
+    margin = float(np.clip(_BLURS * float(measured.attrs["blur_um"]) / max(thickness, along), *_INNER))
+    depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / along), *_DEPTHS))
+    share = np.linspace(margin, 1 - margin, depths)
     height = high[r, c][..., None] * (1 - share) + low[r, c][..., None] * share
     heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
     at = np.rint((np.nan_to_num(height) - heights[0]) / along).astype(np.int64)
@@ -104,14 +106,14 @@ def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys) -> Check:
     median = np.nanmedian(profiles[enough], axis=1)
     base = float(np.median(median))
     dark = float(np.mean(((base - median) / (base - greys.air)).max(axis=1) > DARK))
-    bright = 0.0
-    if np.isfinite(greys.coating):
-        bright = float(np.mean(((median - base) / (greys.coating - base)).max(axis=1) > BRIGHT))
+    # A second sheet whose coatings lie in the middle may be learnt as base; what is brighter is then told by the air.
+    brighter = (greys.coating if np.isfinite(greys.coating) else 2 * base - greys.air) - base
+    bright = float(np.mean(((median - base) / brighter).max(axis=1) > BRIGHT))
     if bright > BRIGHT_SHARE:
         return Check(
             name=name, state="fail", value=bright, limit=BRIGHT_SHARE, units="share", figures=_SHEET,
-            sentence=f"In {100 * bright:.0f} % of the sheet a coating lies in the middle of the base: a second sheet "
-            "lies on the first.",
+            sentence=f"In {100 * bright:.0f} % of the sheet something as dense as a coating lies in the middle of the "
+            "base: a second sheet lies on the first.",
             advice="Crop the volume to one sheet, or choose it with --seed-um.",
         )  # fmt: skip
     return Check.at_most(
