@@ -43,6 +43,10 @@ def test_a_sheet_and_its_image_in_either_order():
         assert position.figures == ("position", "correlation")
         assert lag.lag_um == pytest.approx((15.0, 0.0), abs=1.0)
         assert lag.property == "coating_top"
+    far = layer(image=200 - 20 * np.roll(field(0), 16, axis=1) + 10 * field(9))
+    lost, displaced = texture_of(sheet, far, ("sheet", "photo")).checks
+    assert (lost.state, displaced.state) == ("look", "look")
+    assert lost.sentence.endswith("Moved by 81 um they do go together (position by texture).")
     turned = texture_of(sheet, image, ("sheet", "photo"), side="bottom")
     assert [check.state for check in turned.checks] == ["fail", "look"]  # the lag is that of the face that goes with it
 
