@@ -57,26 +57,10 @@ def test_residuals_have_the_expected_size():
     n, noise, squares = 8, 3.0, []
     for _ in range(600):
         points = rng.uniform(0, 3000, (n, 2))
-        fit = fit_transform(points, points + rng.normal(0, noise, (n, 2)))
+        fit = fit_transform(points, points + rng.normal(0, noise, (n, 2)), robust=False)
         squares.append(np.mean(fit.residuals_um**2))
     # 600 fits of 12 free residuals each: standard error 1.2 %
     assert np.sqrt(np.mean(squares)) == pytest.approx(noise * np.sqrt(1 - 2 / n), rel=0.04)
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("model", ["similarity", "rigid"])
-def test_expected_against_true_error(model):
-    rng = np.random.default_rng(3)
-    where = rng.uniform(-500, 3500, (50, 2))
-    expected, true = [], []
-    for _ in range(200):
-        points = rng.uniform(0, 3000, (12, 2))
-        fit = fit_transform(points, points + rng.normal(0, 3.0, (12, 2)), model=model)
-        expected.append(np.mean(fit.expected_error_um(where) ** 2))
-        true.append(np.mean(np.sum((fit(where) - where) ** 2, axis=1)))
-    ratio = np.sqrt(np.mean(expected) / np.mean(true))
-    print(f"{model}: expected over true error {ratio:.3f}")
-    assert 0.8 < ratio < 1.25
 
 
 def test_order_does_not_matter():

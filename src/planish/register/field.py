@@ -232,35 +232,53 @@ class Field:
         return out
 
     def left_out(self) -> tuple[Floats, Floats]:
-        """How the marks are missed by the others: vectors (n, 2) in um, and the chance of being missed by more (n,).
+        """How the others miss the marks: vectors (n, 2) in um, and the log of the chance of being missed by more (n,).
 
         The vectors hold the mixture; the chances are those of the others alone. With the residual operator ``P`` the
         vector is ``(P_ii)**-1 (P y)_i`` and the chance ``(1 - q / rest)**(freedom / 2 - 1)``, the tail of a t
         distribution in the plane, where ``q = (P y)_i' (P_ii)**-1 (P y)_i``.
         """
         n, tail = len(self._pairs), 0.5 * self.freedom - 1.0
-        missed, chance, total = np.zeros((n, 2)), np.zeros(n), np.zeros(n)
-        for k, likely in self._likely.items():
-            share, rows = self.mixture[k], likely.turn.reshape(n, 2, -1)
-            weighted = rows * likely.shrink[:, None, None]  # (g, n, 2, 2n)
-            onto = weighted @ likely.columns
-            block = weighted @ rows.swapaxes(1, 2) - onto @ likely.inner[:, :, None] @ onto.swapaxes(2, 3)
-            det = block[..., 0, 0] * block[..., 1, 1] - block[..., 0, 1] ** 2
-            # Without this mark the others leave the similarity free.
-            block[det < COINCIDENT**2 * (block[..., 0, 0] + block[..., 1, 1]) ** 2] = np.nan
-            left = (self._left(likely) @ likely.turn.T).reshape(*share.shape, n, 2)
-            error = (inverse_of(block.reshape(-1, 2, 2)).reshape(block.shape) @ left[..., None])[..., 0]
-            missed += np.einsum("ag,agni->ni", share, error)
-            if tail <= 0:
-                continue
-            rest = likely.rest[..., None]
-            kept = np.clip(1.0 - np.sum(left * error, axis=-1) / rest, 1e-14, 1.0)
-            others = share[..., None] / np.sqrt(det) * kept**-tail * rest
-            total += np.sum(others, axis=(0, 1))
-            chance += np.sum(others * kept**tail, axis=(0, 1))
-        with np.errstate(invalid="ignore"):
-            chance = np.where(total > 0, chance / np.where(total > 0, total, 1.0), 1.0)
+        missed, likely, chances = np.zeros((n, 2)), list[Floats](), list[Floats]()
+        for k, one in self._likely.items():
+            error, det, share = self._missed(one)
+            missed += np.einsum("ag,agni->ni", self.mixture[k], error)
+            kept = np.log(np.clip(1.0 - share / one.rest[..., None], 1e-14, 1.0))
+            with np.errstate(divide="ignore"):
+                prior = np.log(self.mixture[k] * one.rest)[..., None]
+            likely.append((prior - 0.5 * np.log(det) - tail * kept).reshape(-1, n))
+            chances.append((tail * kept).reshape(-1, n))
+        chance = np.zeros(n)
+        if tail > 0:
+            known = np.concatenate(likely)
+            known = np.where(np.isfinite(missed).all(axis=1), known, 0.0)
+            chance = np.nan_to_num(_log_sum(known + np.concatenate(chances)) - _log_sum(known))
         return np.linalg.solve(self._whitening, missed[..., None])[..., 0], chance
+
+    def _missed(self, one: _Likely) -> tuple[Floats, Floats, Floats]:
+        """Errors (a, g, n, 2) of the marks left out, determinants (a, g, n) of ``P_ii``, and ``q`` (a, g, n)."""
+        n = len(self._pairs)
+        rows = one.turn.reshape(n, 2, -1)
+        left = (self._left(one) @ one.turn.T).reshape(*one.rest.shape, n, 2)
+        blocks: list[Floats] = []
+        step = max(1, 16 * _AT_ONCE // (n * one.shrink.shape[0]))
+        for part in (rows[k : k + step] for k in range(0, n, step)):
+            weighted = part * one.shrink[:, None, None]  # (g, marks, 2, 2n)
+            onto = weighted @ one.columns
+            blocks.append(weighted @ part.swapaxes(1, 2) - onto @ one.inner[:, :, None] @ onto.swapaxes(2, 3))
+        block = np.concatenate(blocks, axis=2)
+        det = block[..., 0, 0] * block[..., 1, 1] - block[..., 0, 1] ** 2
+        # Without this mark the others leave the similarity free.
+        lonely = det < COINCIDENT**2 * (block[..., 0, 0] + block[..., 1, 1]) ** 2
+        block[lonely], det[lonely] = np.nan, np.nan
+        error = (inverse_of(block.reshape(-1, 2, 2)).reshape(block.shape) @ left[..., None])[..., 0]
+        return error, det, np.sum(left * error, axis=-1)
+
+
+def _log_sum(logs: Floats) -> Floats:
+    """Logarithm of the sum of exponentials along the first axis."""
+    top = logs.max(axis=0)
+    return np.asarray(top + np.log(np.sum(np.exp(logs - top), axis=0)), dtype=np.float64)
 
 
 def _log_prior(ratios: Floats) -> Floats:

@@ -17,6 +17,7 @@ _LEAST = 4
 _HIDDEN = 3
 # Right ones that may be taken out before them.
 _MORE = 2
+_MANY = 150
 
 
 def agreeing(pairs: Pairs, mirrored: bool) -> tuple[NDArray[np.bool_], Field]:
@@ -35,21 +36,24 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[NDArray[np.bool_], Field]:
     field = best = Field(pairs, mirrored)
     keep = np.ones(n, dtype=np.bool_)
     order, wrong = [], 0
-    more = _MORE if n >= 2 * _LEAST else 0
-    while n >= _LEAST and len(order) < max(1, n // 4) + more and len(order) - wrong < _HIDDEN + more:
+    more, hidden = (_MORE, _HIDDEN) if 2 * _LEAST <= n <= _MANY else (0, 1)
+    while n >= _LEAST and len(order) < max(1, n // 4) + more and len(order) - wrong < hidden + more:
         left, chance = np.flatnonzero(keep), field.left_out()[1]
-        order.append(int(left[np.argmin(chance)]))
-        keep[order[-1]] = False
-        field = Field(pairs.take(keep), mirrored)
         # The more marks were taken out without need, the more choices there were.
-        if chance.min() < _CHANCE / left.size ** (len(order) - wrong):
+        limit = np.log(_CHANCE) - (1 + len(order) - wrong) * np.log(left.size)
+        # Among many marks a few wrong ones accuse no right ones: all that stand out at once.
+        count = max(1, int(np.count_nonzero(chance < limit))) if n > _MANY else 1
+        order += left[np.argsort(chance, kind="stable")[:count]].tolist()
+        keep[order] = False
+        field = Field(pairs.take(keep), mirrored)
+        if chance.min() < limit:
             wrong, best = len(order), field
     keep[:] = True
     keep[order[:wrong]] = False
-    for mark in reversed(order[:wrong]):
+    for mark in reversed(order[:wrong]) if n <= _MANY else ():
         keep[mark] = True
         field = Field(pairs.take(keep), mirrored)
-        if field.left_out()[1][np.count_nonzero(keep[:mark])] < _CHANCE / np.count_nonzero(keep):
+        if field.left_out()[1][np.count_nonzero(keep[:mark])] < np.log(_CHANCE / np.count_nonzero(keep)):
             keep[mark] = False
         else:
             best = field
