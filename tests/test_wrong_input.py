@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
 import tifffile
+
+from planish.pipeline import open_run
 
 
 def write_volume(path, volume, voxel=4.0):
@@ -83,15 +86,119 @@ def test_six_pairs_by_hand_with_one_that_is_80_um_off(ended, specimen, specimen_
     assert strict[0] == 4
 
 
-def test_slices_in_the_order_of_their_names_without_zeros(ended, specimen, tmp_path):
-    """Neighbours exchanged along z: coating -6, base +15 um."""
-    order = np.arange(len(specimen.volume)) ^ 1
-    volume = specimen.volume.values[np.clip(order, 0, len(order) - 1)]
-    code, results, checks, _ = ended("map", write_volume(tmp_path / "v.tif", volume))
-    check = checks["slices along z"]
-    assert (code, check["state"]) == (4, "fail"), check
-    assert "exchanged" in check["sentence"]
-    assert {p["trust"] for p in results["layers"][0]["sheet"]["properties"].values()} == {"withheld"}
+# --- volumes ---------------------------------------------------------------------------------------------------------
+
+
+def pair_after_pair(volume, _top):
+    return volume[np.clip(np.arange(len(volume)) ^ 1, 0, len(volume) - 1)]
+
+
+def five_twice(volume, _top):
+    k = len(volume) // 2
+    return np.concatenate([volume[:k], volume[k - 5 : k], volume[k:]])
+
+
+def three_missing(volume, _top):
+    return np.delete(volume, np.arange(3) + len(volume) // 2, axis=0)
+
+
+def five_rows_twice(volume, _top):
+    return np.concatenate([volume[:, :100], volume[:, 95:100], volume[:, 100:]], axis=1)
+
+
+def blocks_of_rows_exchanged(volume, _top):
+    return np.concatenate([volume[:, :80], volume[:, 120:160], volume[:, 80:120], volume[:, 160:]], axis=1)
+
+
+def cut_off(volume, _top):
+    """Grey clipped where the coating begins."""
+    return np.minimum(volume, np.percentile(volume, 97)).astype(volume.dtype)
+
+
+def cut_off_as_floats(volume, _top):
+    return cut_off(volume, None).astype(np.float32) / 200
+
+
+def second_sheet(volume, top):
+    """The same sheet once more, lying on the first."""
+    shift = 24  # its thickness in voxels
+    low = np.full((shift, *volume.shape[1:]), np.median(volume[-3:]), dtype=volume.dtype)
+    first, second = np.concatenate([volume, low]), np.concatenate([low, volume])
+    return np.maximum(first, second)
+
+
+def dusty(volume, top):
+    """Sixty balls of coating of 30 to 50 um on the top face."""
+    rng, volume = np.random.default_rng(4), volume.copy()
+    rows, cols = (rng.integers(8, n - 8, 60) for n in top.shape)
+    z, y, x = np.indices((13, 13, 13)) - 6
+    grey = np.percentile(volume, 99)
+    for row, col in zip(rows, cols, strict=True):
+        if np.isfinite(top[row, col]):
+            radius, at = rng.uniform(3.7, 6.2), round(top[row, col] / 4)
+            part = volume[at - 4 : at + 9, row - 6 : row + 7, col - 6 : col + 7]
+            part[np.hypot(np.hypot(z, y), x)[: len(part)] < radius] = grey
+    return volume
+
+
+MAPPED = {
+    pair_after_pair: ("slices along z", "fail", "exchanged"),
+    second_sheet: ("one sheet", "fail", "sheets? lies? on"),
+    five_twice: ("slices along z", "look", "are copies of"),
+    three_missing: ("slices along z", "look", "missing"),
+    five_rows_twice: ("slices along y", "look", "are copies of"),
+    blocks_of_rows_exchanged: ("slices along y", "fail", "not in order"),
+    cut_off: ("clipped grey", "look", "where the scale was cut off"),
+    cut_off_as_floats: ("clipped grey", "look", "where the scale was cut off"),
+    dusty: ("dust, top", "look", "particles stand out of the top coating"),
+}
+_FEW = (pair_after_pair, second_sheet)
+
+
+@pytest.mark.parametrize("change", [k if k in _FEW else pytest.param(k, marks=pytest.mark.study) for k in MAPPED])
+def test_a_wrong_volume(change, ended, specimen, linked_run, tmp_path):
+    """What fails is withheld and ends with 4; what is doubtful is said, and with --strict it ends with 4 too."""
+    top = open_run(linked_run).sheet().groups["surfaces"]["top"].values
+    volume = write_volume(tmp_path / "v.tif", np.ascontiguousarray(change(specimen.volume.values, top)))
+    name, state, words = MAPPED[change]
+    code, results, checks, printed = ended("map", volume)
+    check = checks[name]
+    assert check["state"] == state, [c for c in checks.values() if c["state"] != "pass"]
+    assert re.search(words, check["sentence"])
+    assert check["sentence"] in " ".join(printed.split())
+    assert check["advice"]
+    assert check["figures"]
+    assert code == (4 if "fail" in {c["state"] for c in checks.values()} else 0)
+    trusts = {p["trust"] for p in results["layers"][0]["sheet"]["properties"].values()}
+    if check["figures"] != ["position"]:
+        assert ("withheld" if state == "fail" else "doubtful") in trusts or "withheld" in trusts
+
+
+@pytest.mark.parametrize("slices", [32, 48])
+def test_a_sheet_of_two_or_three_voxels(slices, ended, specimen, tmp_path):
+    """Thinner than four voxels every thickness is too large."""
+    every = slices // 4
+    values = specimen.volume.values[: len(specimen.volume) // every * every]
+    coarse = values.reshape(-1, every, *values.shape[1:]).mean(axis=1).astype(values.dtype)
+    volume = write_volume(tmp_path / "v.tif", coarse)
+    code, results, checks, _ = ended("map", volume, "--voxel-um", f"{slices},4,4", "--override-size")
+    check = checks["voxels through the sheet"]
+    assert (code, check["state"]) == (0, "look")
+    assert check["sentence"].startswith("The sheet is ")
+    assert results["layers"][0]["sheet"]["properties"]["thickness"]["trust"] in ("doubtful", "withheld")
+
+
+def test_a_short_cut_off_is_the_one_that_is_stated(ended, specimen_files, linked_run):
+    """250 um gave the surface of 500 um: now it differs from that of 400, and where it is wider is counted."""
+    _, results, checks, _ = ended("map", specimen_files[0], "--cutoff-um", "250")
+    assert checks["cut-off"]["state"] == "pass"
+    assert "the stated cut-off of 250 um" in checks["cut-off"]["sentence"]
+    usual = json.loads((linked_run / "results.json").read_text())
+    short, long = (k["layers"][0]["sheet"]["properties"]["topography_top"]["sd"] for k in (results, usual))
+    assert short < 0.95 * long  # waves of 250 to 400 um belong to the centre surface now
+
+
+# --- sides and specimens ---------------------------------------------------------------------------------------------
 
 
 def test_a_stack_of_the_wrong_hand(ended, specimen, specimen_files, tmp_path):

@@ -1,4 +1,4 @@
-"""Where points of the flat sheet would lie if the spacing of the volume along the axis through the sheet were another."""
+"""Where points of the flat sheet would lie if the spacing of the volume through the sheet were another."""
 
 from __future__ import annotations
 

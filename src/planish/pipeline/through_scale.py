@@ -41,6 +41,7 @@ class SlopeScale:
         return self.error <= _UNCERTAIN and abs(self.scale - 1) > _BEYOND * np.hypot(self.error, _NATURAL)
 
     def __str__(self) -> str:
+        """Scale and error."""
         return f"{self.scale:.2f} ± {self.error:.2f}"
 
 

@@ -1,4 +1,4 @@
-"""Which scale of the heights of a sheet the marks ask for: marks of a sheet flattened anew at each of several scales."""
+"""Which scale of the heights of a sheet the marks ask for: flattened anew at several scales, it has to fit them."""
 
 from __future__ import annotations
 
