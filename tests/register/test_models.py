@@ -18,7 +18,7 @@ from planish.register.models import MODELS
 from planish.register.pairs import Pairs
 
 PARAMETRIC = ("rigid", "similarity", "affine", "projective")
-ALL = (*PARAMETRIC, "tps")
+ALL = (*PARAMETRIC, "tps", "averaged")
 TURN = Similarity(scale=1.013, rotation_rad=2.1, shift_um=(4200.0, -1700.0))
 TRUTHS = {
     "rigid": Similarity(rotation_rad=-0.7, shift_um=(300.0, 9000.0)),
@@ -29,6 +29,7 @@ TRUTHS = {
         source=(1500, 1200), target=(3000, 2000), source_size=1000, target_size=1010,
     ),
     "tps": TURN,
+    "averaged": TURN,
 }  # fmt: skip
 
 

@@ -132,7 +132,7 @@ def register_marks(
     at, to = a[pairs[:, 0]], b[pairs[:, 1]]
     weights, spread = None, [_covariance_um2(h, pairs[:, k]) for k, h in enumerate((moving, fixed))]
     if spread[0] is not None and spread[1] is not None:
-        turn = fit_transform(at, to, mirrored=mirrored).transform.matrix()
+        turn = fit_transform(at, to, mirrored=mirrored, robust=False).transform.matrix()
         weights = turn @ spread[0] @ turn.T + spread[1]
     fit = fit_transform(at, to, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity")
     off = abs(fit.transform.scale - 1)
