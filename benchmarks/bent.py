@@ -127,6 +127,7 @@ class Bent:
 
     surface: Surface
     surfaces: xr.Dataset
+    known: xr.Dataset  # the same, with the true neutral surface smoothed in place of the middle of the base
     columns: Array  # (n, 2): x and y of the columns over the holes' middles on the centre surface
     holes: Array  # (n, 2)
 
@@ -150,9 +151,12 @@ class Bent:
             sd = 0.3 if "face" not in name else 0.6
             heights[name] = heights[name] + sd * _noise(rng, y.size, x.size, 1.2)
         where = _scattered(rng, holes, height)
-        found = _found(heights, y, x, where, float(base + top + bottom))
+        thickness = float(base + top + bottom)
+        found = _found(heights, y, x, where, thickness)
+        neutral = fields.under(places, uv, np.zeros(layers[0].shape))[1]
+        known = _found(heights | {"interface_top": neutral, "interface_bottom": neutral}, y, x, where, thickness)
         at = np.concatenate([where, _height_at(found, where)[:, None]], axis=1)
-        return cls(surface, found, where, material(surface, at)[:, :2])
+        return cls(surface, found, known, where, material(surface, at)[:, :2])
 
 
 class _Fields:

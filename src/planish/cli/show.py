@@ -125,7 +125,8 @@ def _registration(layer: LayerFacts) -> None:
         f"{number(r.leave_one_out_rms_um, 2)} um{error}; {r.model}, scale {r.scale:.4f}, rotation {r.rotation_deg:.2f} "
         f"deg{', mirrored' if r.mirrored else ''}"
     )
-    for sentence in (*r.warnings, r.orientation.sentence):
+    shares = () if e is None or e.shares is None else (e.shares.sentence,)
+    for sentence in (*r.warnings, *shares, r.orientation.sentence):
         click.echo(f"  {sentence}")
 
 

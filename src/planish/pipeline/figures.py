@@ -25,7 +25,7 @@ def figures_text(results: Results) -> str:
 def _of_layer(layer: LayerFacts, checks: Sequence[Check]) -> Iterator[Row]:
     for name, p in ({} if layer.sheet is None else layer.sheet.properties).items():
         why = _names(checks, (layer.name,), (name,))
-        yield layer.name, name, "mean", _text(p.mean), "", p.units, p.n, p.trust, why
+        yield layer.name, name, "mean", _text(p.mean), _text(p.mean_standard_error), p.units, p.n, p.trust, why
         yield layer.name, name, "sd", _text(p.sd), "", p.units, p.n, p.trust, why
         if p.standard_error is not None:
             yield (

@@ -26,8 +26,8 @@ from planish.resample import between_lattice, covering_grid, expected_error, fin
 Array = NDArray[np.float64]
 
 # Root mean square over stiffness ratios coating/base drawn evenly from 0 to 3 of the neutral surface's distance from
-# the one that was flattened, in distances of the two: e(r) = r sum(t z) / (b + r sum(t)), e(0) = 0, e(1) = 1; for a base
-# of 50-60 um with coatings of 9-20 um, e(3) = 1.7-1.9.
+# the one that was flattened, in distances of the two: e(r) = r sum(t z) / (b + r sum(t)), e(0) = 0, e(1) = 1; with a
+# base of 50-60 um and coatings of 9-20 um, e(3) = 1.7-1.9.
 NEUTRAL = {"base": 1.25, "faces": 0.55}
 _UNSEEN = 0.01  # of the thickness: how far the neutral surface lies off where no coating is seen
 _TITLES = {
@@ -100,9 +100,8 @@ def error_shares(maps: xr.Dataset) -> ErrorShares | None:
         share = 100 * (rms[largest] / whole) ** 2
         sentence += f"{share:.0f} % of its square is {_TITLES[largest]}; {_LOWER[largest]} would lower it. "
     sentence += "A shift that all marks share is not in it: no mark can show that, only the maps themselves."
-    return ErrorShares(
-        **{f"{name}_um": value for name, value in rms.items()}, rms_um=whole, largest=largest, sentence=sentence
-    )
+    shares = {f"{name}_um": value for name, value in rms.items()}
+    return ErrorShares.model_validate({**shares, "rms_um": whole, "largest": largest, "sentence": sentence})
 
 
 def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Array) -> dict[str, Array]:

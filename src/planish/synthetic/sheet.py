@@ -115,8 +115,8 @@ def make_sheet(
     depth = float(np.mean(faces[0] + faces[2]))
     rim, char = burn(holes, centres, shape, (float(low[0]), float(low[1])), depth, seed)
     grain = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * noise(shape, 300.0, generator(seed, "grain"))
-    layers = (float(np.mean(faces[k] - faces[k + 1])) for k in (0, 2))
-    above = neutral_height(float(np.mean(faces[1] + faces[3])), *layers, stiffness)
+    top, bottom = (float(np.mean(faces[k] - faces[k + 1])) for k in (0, 2))
+    above = neutral_height(float(np.mean(faces[1] + faces[3])), top, bottom, stiffness)
     return Sheet(
         params=paper,
         seed=seed,
