@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.errors import CannotRegister
+from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
 from planish.register import fit_transform
 from planish.register.models import MODELS
@@ -127,7 +127,7 @@ def judged(one: Drawn, models: Sequence[str] = (*MODELS, "auto")) -> Row:
     for model in models:
         try:
             fit = fit_transform(one.marks, one.seen, model=model, weights=weights, robust=False)
-        except CannotRegister:
+        except (CannotRegister, MarkError):
             true[model], stated[model], warned[model] = np.nan, np.nan, False
             continue
         true[model] = float(np.sqrt(np.mean(np.sum((fit(grid) - truth) ** 2, axis=1))))
