@@ -23,6 +23,7 @@ _LEAST_SHARE = 0.7  # of the pixels of the map that is known best; maps with few
 _LOCAL_UM = 1000.0  # neighbourhood in which all maps are given the same spread
 _LEAST_LOCAL = 0.3  # of the spread of the whole map
 _MOST = 3.0  # standard deviations: a stain is one event, however dark it is
+_AROUND_UM, _RING_UM = 300.0, 15.0  # around holes, the mean at each distance is taken off
 _LEAST_FINE = 0.5  # of a pixel's neighbourhood has to be known
 _TILE_UM = 250.0  # waves of the band say nothing of each other over this distance
 
@@ -108,7 +109,8 @@ def textures(maps: Mapping[str, Array], valid: Mask, pixel_um: tuple[float, floa
     Notes
     -----
     Missing pixels have no weight in the Gaussian filters, so holes and borders leave no edge. The spread within 1 mm is
-    made equal, which takes uneven light off, and what lies beyond 3 standard deviations is clipped.
+    made equal, which takes uneven light off, what lies beyond 3 standard deviations is clipped, and the mean at each
+    distance from holes is taken off, since burnt rims of one laser program are alike in all specimens.
     """
     if any(m.shape != valid.shape for m in maps.values()):
         raise CannotMeasure("The maps and the mask do not lie on one grid. Link them first.")
@@ -212,6 +214,10 @@ class _Band:
         # Single missing pixels are bridged.
         self.known: Mask = self._fine >= _LEAST_FINE
         self._weights = [np.maximum(self._smooth(self.known.astype(np.float64), k), 1e-9) for k in (1, 2)]
+        distance = ndimage.distance_transform_edt(self.known, sampling=pixel_um)
+        ring = np.minimum(distance, _AROUND_UM) / max(_RING_UM, *pixel_um)
+        self._ring = np.asarray(ring, dtype=np.intp)
+        self._in_ring = np.maximum(np.bincount(self._ring[self.known]), 1)
 
     def __call__(self, values: Array) -> Array:
         known = self.known
@@ -219,7 +225,10 @@ class _Band:
         out = standard(np.divide(out, self._fine, out=out, where=known), known)
         out = standard(np.where(known, out - self._smooth(out, 1) / self._weights[0], 0.0), known)
         spread = np.sqrt(np.maximum(self._smooth(out * out, 2) / self._weights[1], _LEAST_LOCAL**2))
-        return standard(np.clip(out / spread, -_MOST, _MOST), known)
+        out = np.where(known, np.clip(out / spread, -_MOST, _MOST), 0.0)
+        # What holes by one laser program do to their surroundings is no sign of one specimen.
+        ring_mean = np.bincount(self._ring[known], weights=out[known]) / self._in_ring
+        return standard(np.where(known, out - ring_mean[self._ring], 0.0), known)
 
     def _smooth(self, values: Array, k: int) -> Array:
         if k < 2:
