@@ -120,7 +120,7 @@ def cut_off_as_floats(volume, _top):
     return cut_off(volume, None).astype(np.float32) / 200
 
 
-def second_sheet(volume, top):
+def second_sheet(volume, _top):
     """The same sheet once more, lying on the first."""
     shift = 24  # its thickness in voxels
     low = np.full((shift, *volume.shape[1:]), np.median(volume[-3:]), dtype=volume.dtype)
