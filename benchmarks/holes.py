@@ -1,6 +1,6 @@
 """How well laser holes are found and centred: diameters of 8 to 80 pixels on eleven papers, among ten look-alikes each.
 
-``python -m benchmarks holes [synthetic | rims | speed]``
+``python -m benchmarks holes [synthetic | rims | scorched | speed]``
 
 Two truths: the centre the laser aimed at, and the area centroid of the outline it cut. The rim's roughness moves the
 second against the first, and no image shows by how much.
@@ -130,7 +130,7 @@ def make_hole(rng: np.random.Generator, x: float, y: float, rough_um: float = 4.
 # --- papers: grey (rows, columns), mean about 1 ---------------------------------------------------------------------
 
 
-def _gauss(rng: np.random.Generator, shape: tuple[int, int], length_um: float, pixel: float, sd: float) -> Floats:
+def gauss(rng: np.random.Generator, shape: tuple[int, int], length_um: float, pixel: float, sd: float) -> Floats:
     """Gaussian mottle; made on a coarse raster where it is smooth."""
     step = max(1, int(length_um / 6 / pixel))
     small = tuple(-(-n // step) + 4 for n in shape)
@@ -172,7 +172,7 @@ def _screen(rng: np.random.Generator, shape: tuple[int, int], pixel: float, spre
     dots = (wave > np.quantile(wave[:: max(1, wave.shape[0] // 300)], 0.6)).astype(np.float64)
     dots = dots.reshape(shape[0], sub, shape[1], sub).mean((1, 3))
     dots = ndimage.gaussian_filter(dots, spread_um / pixel)
-    return (1 - (1 - ink) * dots) * (1 + _gauss(rng, shape, 60, pixel, 0.02))
+    return (1 - (1 - ink) * dots) * (1 + gauss(rng, shape, 60, pixel, 0.02))
 
 
 def _text(rng: np.random.Generator, shape: tuple[int, int], pixel: float, ink: float) -> Floats:
@@ -196,11 +196,11 @@ def _text(rng: np.random.Generator, shape: tuple[int, int], pixel: float, ink: f
             else:
                 away = np.hypot(u, v - 200) - 60  # a full stop, 190 um across
             page[rows, cols] = np.maximum(page[rows, cols], np.clip((35 - away) / max(pixel, 4.0) + 0.5, 0, 1))
-    return (1 - (1 - ink) * page) * (1 + _gauss(rng, shape, 80, pixel, 0.03))
+    return (1 - (1 - ink) * page) * (1 + gauss(rng, shape, 80, pixel, 0.03))
 
 
 def _scratched(rng: np.random.Generator, shape: tuple[int, int], pixel: float) -> Floats:
-    paper = 1 + _gauss(rng, shape, 80, pixel, 0.03)
+    paper = 1 + gauss(rng, shape, 80, pixel, 0.03)
     y, x = _plane(shape, pixel)
     for _ in range(14):
         turn, off, width = rng.uniform(0, np.pi), rng.uniform(0, 4000), rng.uniform(3, 10)
@@ -235,16 +235,16 @@ Paper = Callable[[np.random.Generator, tuple[int, int], float, float], Floats]
 
 PAPERS: dict[str, Paper] = {
     "plain": lambda _r, s, _p, _i: np.ones(s),
-    "mottle": lambda r, s, p, _i: 1 + _gauss(r, s, 120, p, 0.08) + _gauss(r, s, 500, p, 0.05),
+    "mottle": lambda r, s, p, _i: 1 + gauss(r, s, 120, p, 0.08) + gauss(r, s, 500, p, 0.05),
     "fibres": lambda r, s, p, _i: _fibres(r, s, p),
-    "gloss": lambda r, s, p, _i: 1 + _gauss(r, s, 60, p, 0.02) + 0.3 * np.maximum(_gauss(r, s, 25, p, 1.0) - 2.2, 0),
+    "gloss": lambda r, s, p, _i: 1 + gauss(r, s, 60, p, 0.02) + 0.3 * np.maximum(gauss(r, s, 25, p, 1.0) - 2.2, 0),
     "screen": lambda r, s, p, i: _screen(r, s, p, 4.0, max(i, 0.6)),
     "unresolved": lambda r, s, p, i: _screen(r, s, p, 45.0, i),
     "text": lambda r, s, p, i: _text(r, s, p, i),
-    "light": lambda r, s, p, _i: 1 + _gauss(r, s, 80, p, 0.04),
+    "light": lambda r, s, p, _i: 1 + gauss(r, s, 80, p, 0.04),
     "scratches": lambda r, s, p, _i: _scratched(r, s, p),
-    "noise": lambda r, s, p, _i: 1 + _gauss(r, s, 60, p, 0.02),
-    "blocks": lambda r, s, p, _i: 1 + _gauss(r, s, 80, p, 0.04),
+    "noise": lambda r, s, p, _i: 1 + gauss(r, s, 60, p, 0.02),
+    "blocks": lambda r, s, p, _i: 1 + gauss(r, s, 80, p, 0.04),
 }
 
 
@@ -320,6 +320,14 @@ def _window(hole: Hole, pixel: float, shape: tuple[int, int], beyond: float) -> 
     return slice(i0, max(i1, i0)), slice(j0, max(j1, j0))
 
 
+def fine_window(
+    hole: Hole, pixel: float, shape: tuple[int, int], beyond: float
+) -> tuple[tuple[slice, slice], Floats, Floats, int]:
+    """Pixels around a hole, coordinates of their sub-pixels from its centre, and how many those are along a side."""
+    box, sub = _window(hole, pixel, shape, beyond), int(np.clip(np.ceil(pixel / 1.5), 3, 15))
+    return box, *_fine(hole, pixel, box, sub), sub
+
+
 def _fine(hole: Hole, pixel: float, at: tuple[slice, slice], sub: int) -> tuple[Floats, Floats]:
     """Coordinates of sub-pixels from the hole's centre at the top."""
     offsets = (np.arange(sub) + 0.5) / sub - 0.5
@@ -328,7 +336,8 @@ def _fine(hole: Hole, pixel: float, at: tuple[slice, slice], sub: int) -> tuple[
     return v[:, None], u[None]
 
 
-def _polar(v: Floats, u: Floats) -> tuple[Floats, NDArray[np.intp]]:
+def polar(v: Floats, u: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    """Radius, and which of the 720 angles."""
     return np.hypot(v, u), (np.arctan2(v, u) % (2 * np.pi) / np.pi * 360).astype(np.intp) % _ANGLES.size
 
 
@@ -344,12 +353,10 @@ def make_scene(seed: int, paper: str, across: float, *, bright: bool = False, ro
     cut = [make_hole(rng, rng.uniform(-30, 30), rng.uniform(300, FIELD_UM[0] - 300)),
            make_hole(rng, rng.uniform(300, FIELD_UM[1] - 300), FIELD_UM[0] + rng.uniform(-30, 30))]  # fmt: skip
     floor = rng.uniform(2.0, 3.0) if bright else rng.uniform(0.05, 0.15)
-    sub = int(np.clip(np.ceil(pixel / 1.5), 3, 15))
     for hole in [*holes, *(h for h in cut if np.min(np.hypot(*(at - [h.x, h.y]).T)) > 400)]:
-        box = _window(hole, pixel, shape, hole.char.max() + 2 * pixel)
-        v, u = _fine(hole, pixel, box, sub)
-        r, k = _polar(v, u)
-        r2, k2 = _polar(v - hole.lean[1], u - hole.lean[0])
+        box, v, u, sub = fine_window(hole, pixel, shape, hole.char.max() + 2 * pixel)
+        r, k = polar(v, u)
+        r2, k2 = polar(v - hole.lean[1], u - hole.lean[0])
         under = np.repeat(np.repeat(image[box], sub, 0), sub, 1)
         past = r - hole.outline[k]
         values = np.where(past < hole.char[k], under * 0.6, under)
@@ -376,10 +383,8 @@ def make_presence(seed: int, across: float, depth: float, *, rough_um: float = 4
     holes = [make_hole(rng, float(p[0]), float(p[1]), rough_um) for p in places(rng)[0]]
     share = np.ones(shape)
     for hole in holes:
-        box = _window(hole, pixel, shape, 3 * pixel)
-        sub = int(np.clip(np.ceil(pixel / 1.5), 3, 15))
-        v, u = _fine(hole, pixel, box, sub)
-        r, k = _polar(v - depth * hole.lean[1], u - depth * hole.lean[0])
+        box, v, u, sub = fine_window(hole, pixel, shape, 3 * pixel)
+        r, k = polar(v - depth * hole.lean[1], u - depth * hole.lean[0])
         open_ = r < (1 - TAPER * depth) * hole.outline[k]
         share[box] *= 1 - open_.reshape(share[box].shape[0], sub, share[box].shape[1], sub).mean((1, 3))
     seen = share + rng.normal(0, 0.2, shape) > 0.5
@@ -472,7 +477,7 @@ def _speed() -> int:
     for pixel in (2.6, 10.0, 20.0):
         rng = np.random.default_rng(0)
         shape = (2000, 3000)
-        image = (1 + _gauss(rng, shape, 80, pixel, 0.1) + _gauss(rng, shape, max(20.0, pixel), pixel, 0.03)).astype(
+        image = (1 + gauss(rng, shape, 80, pixel, 0.1) + gauss(rng, shape, max(20.0, pixel), pixel, 0.03)).astype(
             np.float32
         )
         for y in np.arange(400.0, shape[0] * pixel - 300, 900.0)[:5]:
@@ -494,6 +499,10 @@ def main(part: str = "all", seeds: int = 1) -> int:
         failed += _synthetic(seeds)
     if part in ("all", "rims"):
         failed += _rims(4 * seeds)
+    if part in ("all", "scorched"):
+        from benchmarks import scorched
+
+        failed += scorched.main(3 * seeds)
     if part in ("all", "speed"):
         failed += _speed()
     return int(failed > 0)

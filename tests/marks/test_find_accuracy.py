@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from benchmarks.holes import DIAMETER_UM, Score, around, least_error, look, make_presence, make_scene
 
+from benchmarks.scorched import LOOKS, beyond, make_scorched
+
 from planish.marks import find_holes
 
 
@@ -93,3 +95,17 @@ def test_a_target_of_another_size_is_its_magnified_picture():
     unit = find_holes(scene.image, pixel_um=1.0, diameter_um=(100.0 / scene.pixel, 300.0 / scene.pixel))
     np.testing.assert_allclose(unit.x * scene.pixel, laser.x, atol=0.1)
     np.testing.assert_allclose(unit.cov_xx * scene.pixel**2, laser.cov_xx, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("look", "seed"),
+    [(look, 0) for look in ("ring", "one-sided", "patch", "soot", "flap")]
+    + [pytest.param(look, seed, marks=pytest.mark.study) for look in LOOKS for seed in (0, 2)],
+)
+def test_a_scorched_rim_misleads_no_centre_unsaid(look, seed):
+    """No centre is off by more than three times its stated error, whichever of two edges was taken; nothing is false."""
+    error, stated, false = beyond(make_scorched(seed, look))
+    print(f"{look}: {len(error)} of 12, {np.sqrt(np.mean(error**2)):.2f} um, at most {stated.max():.1f} stated errors")
+    assert false == 0
+    assert len(error) >= 10
+    assert stated.max() < 3.0

@@ -18,11 +18,26 @@ from planish.marks._edge_kernels import (
     levels,
     waves,
 )
+from planish.marks._rim_kernels import (
+    ENOUGH,
+    OUTWARDS,
+    closed_path,
+    edge_worth,
+    floor_middle,
+    polar_rises,
+    rim_radius,
+)
 
 # Columns of the results.
 X, Y, RADIUS, HALF_DIFFERENCE, COV_XX, COV_YY, COV_XY, COVERAGE, STEP, INSIDE = range(10)
 OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS, UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAVES, BURNT, STANDING = range(10, 20)
-COLUMNS = 20
+DOUBT_X, DOUBT_Y = 20, 21
+COLUMNS = 22
+
+# Least step of another edge inside the rim, share of the whole step; how far the centres of floor, wall and rim of a
+# tilted hole may be apart, share of the radius; standard deviation of a centre where either of two closed edges may be
+# the rim, share of what their centres are apart; the same for the centre of the floor, which the wall moves less.
+LEAST_INNER, CONCENTRIC, EITHER, FLOOR = 0.06, 0.02, 0.6, 1.3
 
 RAYS = 96
 # Orders of an outline; a number written in the call would be a type of its own, and compiled once more.
@@ -44,37 +59,100 @@ def measure(image, px, py, xs, ys, sign, low, high, least, contrast):
     pixel = max(px, py)
     out = np.full((xs.size, COLUMNS), np.nan)
     for h in range(xs.size):
-        cx, cy, radius, scale = _circle(image, px, py, xs[h], ys[h], sign, low, high, least[h], contrast[h])
+        cx, cy, radius, _scale = _circle(image, px, py, xs[h], ys[h], sign, low, high, least[h], contrast[h])
         if radius != radius:
             continue
-        found = True
-        model = np.full(RAYS, radius)
-        search = max(0.15 * radius, 2 * pixel, 10.0, min(3 * scale, 0.3 * radius))
+        cx, cy, model, inner, around = _closed_rims(image, px, py, cx, cy, sign, radius, low)
+        radius = np.mean(model)
         dt = max(0.5 * pixel, 0.5)
-        radii, steps, far_steps, nears = (np.empty(RAYS), np.empty(RAYS), np.empty(RAYS), np.empty(RAYS))
-        fit, weight = np.zeros(5), np.zeros(RAYS)
-        inverse = np.zeros((5, 5))
-        for _turn in range(3):
-            radii, steps, far_steps, nears = half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel)
-            step = np.nanmedian(steps)
-            for k in range(RAYS):
-                if not (steps[k] >= 0.35 * step):
-                    radii[k] = np.nan
-            fit, weight, scale, inverse = fit_outline(radii, _TWO, 0.3 + 0.1 * pixel)
-            if np.sum(weight) == 0.0 or np.hypot(fit[1], fit[2]) > 0.5 * radius:
-                found = False
-                break
-            cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]
-            for k in range(RAYS):
-                angle = 4 * np.pi * k / RAYS
-                model[k] = fit[0] + fit[3] * np.cos(angle) + fit[4] * np.sin(angle)
-            search = max(1.2 * pixel, 6.0, 4 * scale)
-        if not found or not (0.5 * low < radius < 1.5 * high):
+        search = max(1.2 * pixel, 6.0)
+        ok, x, y, fit, weight, inverse, radii, steps, far_steps, nears = _refined(
+            image, px, py, cx, cy, sign, model, search, dt, 0.35
+        )
+        if not ok or not (0.5 * low < fit[0] < 1.5 * high):
             continue
-        _describe(out[h], image, px, py, cx, cy, sign, radii, fit, weight, inverse)
+        _describe(out[h], image, px, py, x, y, sign, radii, fit, weight, inverse)
         out[h, STEP], out[h, FAR_STEP] = np.nanmedian(steps), np.nanmedian(far_steps)
         out[h, BURNT] = out[h, OUTSIDE] - np.nanmedian(nears)
+        if around == 0.0:
+            continue
+        # Another closed edge inside: the rim of a hole with a scorched ring around, or that of the other face.
+        ok, x2, y2, fit, weight, inverse, radii, steps, far_steps, nears = _refined(
+            image, px, py, cx, cy, around * sign, inner, search, dt, LEAST_INNER
+        )
+        if ok and fit[0] > 0.5 * low and fit[0] < out[h, RADIUS] and np.sum(weight > 0) > 0.6 * RAYS:
+            if around < 0.0 or np.hypot(x2 - x, y2 - y) > CONCENTRIC * fit[0] + 0.05 * pixel:
+                _outline(out[h], x2, y2, radii, fit, weight, inverse)
+                x2, y2 = x, y
+            _set_doubt(out[h], image, px, py, sign, x2, y2)
     return out
+
+
+@njit(cache=True, nogil=True)
+def _refined(image, px, py, cx, cy, sign, model, search, dt, share):
+    """Return the outline at half level near a modelled one, with its centre, weights and steps; whether there is one.
+
+    Steps below a ``share`` of the median are left out.
+    """
+    pixel = max(px, py)
+    fit, weight, inverse = np.zeros(5), np.zeros(RAYS), np.zeros((5, 5))
+    radii, steps, far_steps, nears = np.empty(RAYS), np.empty(RAYS), np.empty(RAYS), np.empty(RAYS)
+    radius = np.mean(model)
+    for _turn in range(3):
+        radii, steps, far_steps, nears = half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel)
+        step = np.nanmedian(steps)
+        for k in range(RAYS):
+            if not (steps[k] >= share * step):
+                radii[k] = np.nan
+        fit, weight, _, inverse = fit_outline(radii, _TWO, 0.3 + 0.1 * pixel)
+        if np.sum(weight) == 0.0 or np.hypot(fit[1], fit[2]) > 0.5 * radius:
+            return False, cx, cy, fit, weight, inverse, radii, steps, far_steps, nears
+        cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]
+        # What was found is followed, so that a rough rim needs no wide search, in which lies another edge.
+        before, model = radii, np.empty(RAYS)
+        for k in range(RAYS):
+            angle = 2 * np.pi * k / RAYS
+            model[k] = fit[0] + fit[3] * np.cos(2 * angle) + fit[4] * np.sin(2 * angle)
+            if weight[k] > 0.0:
+                model[k] = before[k] - fit[1] * np.cos(angle) - fit[2] * np.sin(angle)
+    return True, cx, cy, fit, weight, inverse, radii, steps, far_steps, nears
+
+
+@njit(cache=True, nogil=True)
+def _closed_rims(image, px, py, cx, cy, sign, radius, low):
+    """Return a centre, the radii of the closed rim about it, those of another one inside, and the sign of that.
+
+    The sign is 1 where the other edge rises as the rim does, -1 where it falls, and 0 where there is none.
+    """
+    pixel = max(px, py)
+    dt = max(0.5 * pixel, 2.5)
+    reach = max(1, int(round(max(14.0, 1.4 * pixel) / dt)))
+    inside, spread, _, outside, _ = levels(image, px, py, cx, cy, sign, radius, pixel)
+    total = outside - inside
+    x, y = floor_middle(image, px, py, cx, cy, sign, radius, inside, max(3 * spread, 0.1 * total))
+    count = int((radius + np.hypot(x - cx, y - cy) + 0.3 * radius) / dt) + 2 * reach
+    band = max(1, int(round(1.5 * pixel / dt)))
+    first = max(reach, int(0.5 * low / dt))
+    rises = polar_rises(image, px, py, x, y, sign, dt, count, reach, RAYS)
+    at, half, _ = rim_radius(edge_worth(rises, ENOUGH * total), first, count - reach, band, OUTWARDS * dt / radius)
+    path = closed_path(edge_worth(rises, ENOUGH * total), max(0, at - half), at + half)
+    model = path * dt
+    weak = max(LEAST_INNER * total, 2.5 * spread)
+    # A ring darker than what the hole shows: the rim is where the grey falls.
+    last = int(np.min(path)) - reach
+    if last > first:
+        worth = edge_worth(-rises, weak)
+        at, half, share = rim_radius(worth, first, last - band, band, 0.0)
+        if share > 0.7:
+            return x, y, model, closed_path(worth, max(0, at - half), min(at + half, last)) * dt, -1.0
+    # Weaker edges inside, where there are any.
+    worth = edge_worth(rises, weak)
+    for k in range(RAYS):
+        for t in range(count):
+            worth[k, t] = worth[k, t] - OUTWARDS * dt * t / radius if t < path[k] + 2 else -np.inf
+    within = closed_path(worth, min(first, int(np.min(path))), int(np.max(path)) + 1)
+    inside_by = np.sum(path - within >= max(reach // 2, 2))
+    return x, y, model, within * dt, 1.0 if inside_by > 0.1 * RAYS else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -192,6 +270,36 @@ def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
 def _describe(row, image, px, py, cx, cy, sign, radii, fit, weight, inverse):
     """Write the figures of a fitted outline into a row; steps at the rim are left out."""
     pixel = max(px, py)
+    inside, spread, flatness, outside, texture = levels(image, px, py, cx, cy, sign, fit[0], pixel)
+    row[:] = np.nan
+    _outline(row, cx, cy, radii, fit, weight, inverse)
+    row[INSIDE], row[OUTSIDE], row[TEXTURE] = inside, outside, texture
+    row[FLATNESS], row[UNEVENNESS] = flatness, spread
+    _set_doubt(row, image, px, py, sign, cx, cy)
+
+
+@njit(cache=True, nogil=True)
+def _set_doubt(row, image, px, py, sign, x, y):
+    """Write what another edge may move the centre by: towards the middle of the floor, or of an outline at ``x, y``.
+
+    The floor lies in the middle of a hole, unless a part of what is around was taken for the hole.
+    """
+    tolerance = max(3 * row[UNEVENNESS], LEAST_INNER * (row[OUTSIDE] - row[INSIDE]))
+    fx, fy = floor_middle(image, px, py, row[X], row[Y], sign, row[RADIUS], row[INSIDE], tolerance)
+    apart = np.hypot(fx - row[X], fy - row[Y])
+    usual = (0.5 * CONCENTRIC * row[RADIUS]) ** 2 + (0.15 * max(px, py)) ** 2
+    beyond = FLOOR * np.sqrt(max(apart**2 - usual, 0.0))
+    other = EITHER * np.hypot(x - row[X], y - row[Y])
+    if other > beyond:
+        row[DOUBT_X], row[DOUBT_Y] = EITHER * (x - row[X]), EITHER * (y - row[Y])
+    else:
+        share = beyond / max(apart, 1e-30)
+        row[DOUBT_X], row[DOUBT_Y] = share * (fx - row[X]), share * (fy - row[Y])
+
+
+@njit(cache=True, nogil=True)
+def _outline(row, cx, cy, radii, fit, weight, inverse):
+    """Write centre and shape of a fitted outline into a row."""
     # Share of the rim that is there; and how rough it is.
     error = np.zeros(RAYS)
     used, squares = 0, 0.0
@@ -202,8 +310,6 @@ def _describe(row, image, px, py, cx, cy, sign, radii, fit, weight, inverse):
             error[k] = radii[k] - (first + fit[3] * np.cos(2 * angle) + fit[4] * np.sin(2 * angle))
             squares += error[k] ** 2
             used += 1
-    inside, spread, flatness, outside, texture = levels(image, px, py, cx, cy, sign, fit[0], pixel)
-    row[:] = np.nan
     row[X], row[Y], row[RADIUS], row[HALF_DIFFERENCE] = (cx, cy, fit[0], np.hypot(fit[3], fit[4]))
     # Waves 3 and 4, and 5 to 8 of the rim. The first moves the centre; its size can only be estimated from them.
     row[LOW_WAVES], row[HIGH_WAVES] = waves(error, weight)
@@ -212,5 +318,3 @@ def _describe(row, image, px, py, cx, cy, sign, radii, fit, weight, inverse):
     row[COV_XX], row[COV_YY] = variance * inverse[1, 1], variance * inverse[2, 2]
     row[COV_XY] = variance * inverse[1, 2]
     row[COVERAGE], row[ROUGHNESS] = used / RAYS, np.sqrt(squares / max(1, used))
-    row[INSIDE], row[OUTSIDE], row[TEXTURE] = inside, outside, texture
-    row[FLATNESS], row[UNEVENNESS] = flatness, spread

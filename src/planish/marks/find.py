@@ -114,7 +114,7 @@ def find_holes(
     wide = min(n * step for n, step in zip(grey.shape, size, strict=True)) > low
     if wide and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
         sign, rows, counts = _holes(grey, as_holes, low / 2 * times, high / 2 * times, signs)
-    rows[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE]] /= times
+    rows[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE, k.DOUBT_X, k.DOUBT_Y]] /= times
     rows[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= times**2
     return _dataset(rows, sign).assign_attrs(not_taken=counts)
 

@@ -27,6 +27,8 @@ LEAST_STANDING = 10.0
 LARGEST_FLATNESS = 0.25
 LARGEST_UNEVENNESS = 0.2
 LEAST_STEP = 0.28
+# Darker char leaves less of the step to the rim: enough where it is sharp and the floor as flat as below.
+LEAST_SCORCHED = 0.15
 # Step over +-10 um across the rim as a share of that over +-25 um: a gentle slope makes less.
 LEAST_SHARPNESS = 0.45
 # Char so narrow that its outer edge comes within the wider distance makes less, too; but no slope has a floor so flat.
@@ -87,7 +89,7 @@ def faults(rows: Floats, size: tuple[float, float], low: float, high: float) -> 
             "too_large": radius <= high,
             "not_round": _is_round(rows, size),
             "too_faint": (total > LEAST_CONTRAST * rows[:, k.TEXTURE]) | (rows[:, k.STANDING] > LEAST_STANDING),
-            "no_rim": (step > LEAST_STEP * total)
+            "no_rim": ((step > LEAST_STEP * total) | ((step > LEAST_SCORCHED * total) & sharp & flat))
             & (sharp | ((step > SHARP_ENOUGH * rows[:, k.FAR_STEP]) & flat))
             & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * total)
             & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * total),
@@ -301,9 +303,10 @@ def joined(rows: Floats, floors: Floats) -> Floats:
 
 
 def _quality(rows: Floats) -> Floats:
-    """Share of the rim that is there less its rms about the circle over the radius."""
+    """Share of the rim that is there less its rms about the circle over the radius, and less the doubt about it."""
     rough = np.sqrt(rows[:, k.ROUGHNESS] ** 2 + 0.5 * rows[:, k.HALF_DIFFERENCE] ** 2)
-    return rows[:, k.COVERAGE] - rough / rows[:, k.RADIUS]
+    doubt = np.hypot(rows[:, k.DOUBT_X], rows[:, k.DOUBT_Y])
+    return rows[:, k.COVERAGE] - (rough + doubt) / rows[:, k.RADIUS]
 
 
 def set_covariance(rows: Floats, size: tuple[float, float]) -> None:
@@ -324,3 +327,8 @@ def set_covariance(rows: Floats, size: tuple[float, float]) -> None:
     rows[:, k.COV_XX] = rows[:, k.COV_XX] * variance + (PIXEL_ERROR * size[1]) ** 2
     rows[:, k.COV_YY] = rows[:, k.COV_YY] * variance + (PIXEL_ERROR * size[0]) ** 2
     rows[:, k.COV_XY] *= variance
+    # Of two edges either may be the rim.
+    x, y = np.nan_to_num(rows[:, [k.DOUBT_X, k.DOUBT_Y]]).T
+    rows[:, k.COV_XX] += x**2
+    rows[:, k.COV_YY] += y**2
+    rows[:, k.COV_XY] += x * y

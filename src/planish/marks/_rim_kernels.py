@@ -1,0 +1,118 @@
+# pyright: standard
+"""Closed outlines around a hole: of several edges on a ray, one all the way round.
+
+Numpy and numba only, arrays in, arrays out; images and ``sign`` as in `_edge_kernels`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from planish.marks._edge_kernels import sample
+
+# A step of this share of the whole one makes a rim as good as any; the innermost of those is taken, where going out by
+# a radius costs as much as this share of the rays without an edge. A rim lies within a band of this share of the radius.
+ENOUGH, OUTWARDS, BAND = 0.22, 0.5, 0.12
+# What a step sideways costs, of the worth of an edge, and how many a ray may make.
+SIDEWAYS, MOST_STEPS = 0.1, 1
+
+
+@njit(cache=True, nogil=True)
+def polar_rises(image, px, py, cx, cy, sign, dt, count, reach, rays):
+    """Return the rise (rays, count) of the mean over ``reach`` samples outside a radius against that inside.
+
+    Radii are multiples of ``dt``; NaN where a sample is missing.
+    """
+    rises = np.full((rays, count), np.nan)
+    sums = np.empty(count + 1)
+    for k in range(rays):
+        angle = 2 * np.pi * k / rays
+        sx, sy = np.cos(angle) * dt / px, np.sin(angle) * dt / py
+        sums[0] = 0.0
+        for t in range(count):
+            sums[t + 1] = sums[t] + sign * sample(image, cx / px + sx * t, cy / py + sy * t)
+        for t in range(reach, count - reach):
+            rises[k, t] = (sums[t + reach + 1] - sums[t + 1] - sums[t] + sums[t - reach]) / reach
+    return rises
+
+
+@njit(cache=True, nogil=True)
+def edge_worth(rises, step):
+    """Return what it is worth to pass each place (rays, count): edges up to 1 where they rise by ``step``, others 0.
+
+    Edges are maxima along a ray, and the places beside them.
+    """
+    rays, count = rises.shape
+    worth = np.zeros((rays, count))
+    for k in range(rays):
+        for t in range(1, count - 1):
+            here = rises[k, t]
+            if here > 0.0 and here >= rises[k, t - 1] and here >= rises[k, t + 1]:
+                value = min(here / step, 1.0)
+                for s in range(t - 1, t + 2):
+                    worth[k, s] = max(worth[k, s], value)
+    return worth
+
+
+@njit(cache=True, nogil=True)
+def rim_radius(worth, first, last, least_band, outwards):
+    """Return the radius (index) in a range in whose band most rays have an edge, its half band and that share."""
+    rays, count = worth.shape
+    best, at, half = -np.inf, -1, 0
+    for t in range(first, min(last, count - 1) + 1):
+        band = max(least_band, int(round(BAND * t)))
+        total = 0.0
+        for k in range(rays):
+            top = 0.0
+            for s in range(max(0, t - band), min(count, t + band + 1)):
+                top = max(top, worth[k, s])
+            total += top
+        if total / rays - outwards * t > best:
+            best, at, half = total / rays - outwards * t, t, band
+    return at, half, best + outwards * at
+
+
+@njit(cache=True, nogil=True)
+def closed_path(worth, first, last):
+    """Return the place on each ray of the closed path of the largest worth between two radii, both included.
+
+    Dynamic programming over two turns.
+    """
+    rays, count = worth.shape[0], min(last, worth.shape[1] - 1) + 1 - first
+    worth = worth[:, first : first + count]
+    best = worth[0].copy()
+    came = np.zeros((2 * rays, count), np.int64)
+    after = np.empty(count)
+    for k in range(1, 2 * rays):
+        for t in range(count):
+            after[t] = -np.inf
+            for s in range(max(0, t - MOST_STEPS), min(count, t + MOST_STEPS + 1)):
+                value = best[s] - SIDEWAYS * abs(t - s)
+                if value > after[t]:
+                    after[t], came[k, t] = value, s
+            after[t] += worth[k % rays, t]
+        best[:] = after
+    path = np.zeros(rays, np.int64)
+    t = np.argmax(best)
+    # The middle of the two turns: its ends do not know where the other is.
+    for k in range(2 * rays - 1, rays // 2 - 1, -1):
+        if k < rays // 2 + rays:
+            path[k % rays] = first + t
+        t = came[k, t]
+    return path
+
+
+@njit(cache=True, nogil=True)
+def floor_middle(image, px, py, cx, cy, sign, radius, level, tolerance):
+    """Return the centroid of what is as dark as the floor within a circle; its centre where that is nothing."""
+    total, tx, ty = 0, 0.0, 0.0
+    i0, i1 = max(int((cy - radius) / py) + 1, 0), min(int((cy + radius) / py) + 1, image.shape[0])
+    j0, j1 = max(int((cx - radius) / px) + 1, 0), min(int((cx + radius) / px) + 1, image.shape[1])
+    for i in range(i0, i1):
+        for j in range(j0, j1):
+            if abs(sign * image[i, j] - level) <= tolerance and np.hypot(j * px - cx, i * py - cy) <= radius:
+                total += 1
+                tx += j * px
+                ty += i * py
+    return (tx / total, ty / total) if total > 0 else (cx, cy)
