@@ -63,7 +63,6 @@ def apart(rows, row):
 
 def quality(rows):
     rough = np.sqrt(rows[:, k.ROUGHNESS] ** 2 + 0.5 * rows[:, k.HALF_DIFFERENCE] ** 2)
-    rough += np.hypot(rows[:, k.DOUBT_X], rows[:, k.DOUBT_Y])
     return rows[:, k.COVERAGE] - rough / rows[:, k.RADIUS]
 
 

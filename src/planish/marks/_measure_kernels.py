@@ -37,7 +37,7 @@ COLUMNS = 22
 # Least step of another edge inside the rim, share of the whole step; how far the centres of floor, wall and rim of a
 # tilted hole may be apart, share of the radius; standard deviation of a centre where either of two closed edges may be
 # the rim, share of what their centres are apart; the same for the centre of the floor, which the wall moves less.
-LEAST_INNER, CONCENTRIC, EITHER, FLOOR = 0.06, 0.02, 0.6, 1.3
+LEAST_INNER, CONCENTRIC, EITHER, FLOOR = 0.06, 0.035, 0.6, 1.3
 
 RAYS = 96
 # Orders of an outline; a number written in the call would be a type of its own, and compiled once more.
@@ -109,12 +109,12 @@ def _refined(image, px, py, cx, cy, sign, model, search, dt, share):
             return False, cx, cy, fit, weight, inverse, radii, steps, far_steps, nears
         cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]
         # What was found is followed, so that a rough rim needs no wide search, in which lies another edge.
-        before, model = radii, np.empty(RAYS)
+        model = np.empty(RAYS)
         for k in range(RAYS):
             angle = 2 * np.pi * k / RAYS
             model[k] = fit[0] + fit[3] * np.cos(2 * angle) + fit[4] * np.sin(2 * angle)
             if weight[k] > 0.0:
-                model[k] = before[k] - fit[1] * np.cos(angle) - fit[2] * np.sin(angle)
+                model[k] = radii[k] - fit[1] * np.cos(angle) - fit[2] * np.sin(angle)
     return True, cx, cy, fit, weight, inverse, radii, steps, far_steps, nears
 
 
@@ -134,7 +134,9 @@ def _closed_rims(image, px, py, cx, cy, sign, radius, low):
     band = max(1, int(round(1.5 * pixel / dt)))
     first = max(reach, int(0.5 * low / dt))
     rises = polar_rises(image, px, py, x, y, sign, dt, count, reach, RAYS)
-    at, half, _ = rim_radius(edge_worth(rises, ENOUGH * total), first, count - reach, band, OUTWARDS * dt / radius)
+    # Not beyond the circle of the innermost strong edges: a hole that is half closed has char all the way round.
+    last = min(count - reach, int(1.1 * radius / dt) + 1)
+    at, half, _ = rim_radius(edge_worth(rises, ENOUGH * total), first, last, band, OUTWARDS * dt / radius)
     path = closed_path(edge_worth(rises, ENOUGH * total), max(0, at - half), at + half)
     model = path * dt
     weak = max(LEAST_INNER * total, 2.5 * spread)
@@ -151,7 +153,7 @@ def _closed_rims(image, px, py, cx, cy, sign, radius, low):
         for t in range(count):
             worth[k, t] = worth[k, t] - OUTWARDS * dt * t / radius if t < path[k] + 2 else -np.inf
     within = closed_path(worth, min(first, int(np.min(path))), int(np.max(path)) + 1)
-    inside_by = np.sum(path - within >= max(reach // 2, 2))
+    inside_by = np.sum(path - within >= reach)
     return x, y, model, within * dt, 1.0 if inside_by > 0.1 * RAYS else 0.0
 
 
@@ -287,7 +289,7 @@ def _set_doubt(row, image, px, py, sign, x, y):
     tolerance = max(3 * row[UNEVENNESS], LEAST_INNER * (row[OUTSIDE] - row[INSIDE]))
     fx, fy = floor_middle(image, px, py, row[X], row[Y], sign, row[RADIUS], row[INSIDE], tolerance)
     apart = np.hypot(fx - row[X], fy - row[Y])
-    usual = (0.5 * CONCENTRIC * row[RADIUS]) ** 2 + (0.15 * max(px, py)) ** 2
+    usual = (0.3 * CONCENTRIC * row[RADIUS]) ** 2 + (0.15 * max(px, py)) ** 2
     beyond = FLOOR * np.sqrt(max(apart**2 - usual, 0.0))
     other = EITHER * np.hypot(x - row[X], y - row[Y])
     if other > beyond:

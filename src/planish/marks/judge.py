@@ -303,10 +303,9 @@ def joined(rows: Floats, floors: Floats) -> Floats:
 
 
 def _quality(rows: Floats) -> Floats:
-    """Share of the rim that is there less its rms about the circle over the radius, and less the doubt about it."""
+    """Share of the rim that is there less its rms about the circle over the radius."""
     rough = np.sqrt(rows[:, k.ROUGHNESS] ** 2 + 0.5 * rows[:, k.HALF_DIFFERENCE] ** 2)
-    doubt = np.hypot(rows[:, k.DOUBT_X], rows[:, k.DOUBT_Y])
-    return rows[:, k.COVERAGE] - (rough + doubt) / rows[:, k.RADIUS]
+    return rows[:, k.COVERAGE] - rough / rows[:, k.RADIUS]
 
 
 def set_covariance(rows: Floats, size: tuple[float, float]) -> None:
