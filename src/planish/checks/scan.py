@@ -47,7 +47,7 @@ def check_scan(
         greys = Greys.of(measured)
         checks += [
             clipping_check(found.sample, greys),
-            steadiness_check([w for w in found.windows if w.axis not in made], greys),
+            steadiness_check([w for w in found.windows if w.axis not in (*made, frame.through)], greys),
             layers_check(core, found.grey, greys),
         ]
     checks.append(voxels_check(volume, measured))

@@ -18,15 +18,18 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Kind = Literal["exchanged", "moved", "repeated", "filled", "foreign", "empty", "jump"]
 
-# Largest values on 56 axes of right volumes, measured and synthetic: .70, 1.51, 1.06, 1.24, .71.
-ALIKE, FILLED, EXCHANGED, FOREIGN, JUMP = 1.0, 2.0, 1.2, 2.0, 0.8
+# Largest values on some 80 axes of right volumes, measured and synthetic: .70, 1.51, 1.06, 1.24, .82.
+ALIKE, FILLED, EXCHANGED, FOREIGN, JUMP = 1.0, 2.0, 1.2, 2.0, 0.9
 _SIGMA = 4.0  # standard errors by which a statistic stands out as well: matters where a window is small
-_SAME_GREYS = 0.3  # of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet, no fault
+_SAME_GREYS, _HIGH = (
+    (0.3, 0.5),
+    1.2,
+)  # of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet, no fault
 _EMPTY, _FULL = 0.05, 0.5  # of the usual spread of a slice's greys: it shows next to nothing; it shows the body
 _COPY = 0.5  # of the difference of neighbours: that of a slice and its copy with noise of its own
 _BACK, _FAR = 0.25, 64  # rise of ln d1 above its median at a jump that may lead back, by so many slices at most
 _FITS = 1.3  # times the difference of neighbours: a slice fits there
-_RUN = 4  # slices that are filled, or nearly the same, at most
+_RUN = 10  # slices that are filled, or nearly the same, at most
 _LEAST = 8  # slices that are needed
 
 
@@ -220,7 +223,7 @@ def _dips(values: Array, good: Mask, slices: int, depth: float) -> list[tuple[in
     while k < values.size - 1:
         for last in range(k, min(k + _RUN, values.size - 1)):
             limit = values[k : last + 1].max() + depth
-            if min(values[k - 1], values[last + 1]) > limit and np.median(values[max(k - 8, 0) : last + 9]) > limit:
+            if min(values[k - 1], values[last + 1]) > limit and np.median(values[max(k - 12, 0) : last + 13]) > limit:
                 if not good[k - 1 : last + 1 + slices].all():
                     continue
                 found.append((k, last))
@@ -254,9 +257,10 @@ def _far_copies(t: _Stack) -> list[Fault]:
         back = log[k - 1] - np.median(log[max(k - 6, 0) : k + 5])
         if back < _BACK or not t.good[k - 1 : k + 1].all():
             continue
-        usual = t.usual(k - 1)
-        away = ((t.s[max(k - _FAR, 0) : k - 1] - t.s[k]) ** 2).mean(axis=1)
-        at = int(away.argmin()) + max(k - _FAR, 0)
+        low = max(k - _FAR, 0)
+        away = np.array([_square(a - t.s[k]) for a in t.s[low : k - 1]])
+        at = int(away.argmin()) + low
+        usual = min(t.usual(k - 1), t.usual(at))
         if away.min() < _COPY * usual:
             same = _differences(t.s[at : k + _FAR], k - at) < _COPY * usual
             last = k + int(np.argmin(np.append(same, False))) - 1
@@ -274,7 +278,8 @@ def _jumps(t: _Stack) -> list[Fault]:
     found: list[Fault] = []
     for at in k[hit]:
         a, b = t.s[at], t.s[at + 1]
-        if t.good[at] and ((np.sort(a) - np.sort(b)) ** 2).mean() < _SAME_GREYS * t.d1[at]:
+        high = log[at] - max(log[at - 1], log[at + 1]) > _HIGH
+        if t.good[at] and _square(np.sort(a) - np.sort(b)) < _SAME_GREYS[int(high)] * t.d1[at]:
             found.append(_jump(t, int(at)))
             t.good[found[-1].first : found[-1].last + 1] = False
     return found
@@ -288,7 +293,7 @@ def _jump(t: _Stack, k: int) -> Fault:
     at, other = int(back.argmin()), int(onward.argmin())
     far = 0.6 * t.d1[k]
     fits = at if back[at] < onward[other] else other
-    if min(back[at], onward[other]) < min(_FITS * usual, far) and _breaks(t.d1, fits):
+    if min(back[at], onward[other]) < min(_FITS * min(usual, t.usual(fits)), far) and _breaks(t.d1, fits):
         return Fault(kind="moved", first=k + 1, last=k + 1, other=fits)
     return Fault(kind="jump", first=k, last=k + 1, steps=_steps(t.s, k, float(t.d1[k])))
 
