@@ -127,12 +127,12 @@ def find_through_scale(scales: Floats, places: Floats, pairs: Pairs, *, mirrored
 
 def _without_any(away: Floats, target: Floats, precision: Floats, one: int) -> float:
     """Evidence against a scale of 1, the mark left out that speaks most for it; of four marks none can be spared."""
-    covariance: Floats = np.linalg.inv(precision)
+    covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
     found: list[float] = []
     for k in range(len(target)) if len(target) > _LEAST else ():
         others = np.arange(len(target)) != k
         both = np.repeat(others, 2)
-        without: Floats = np.linalg.inv(covariance[np.ix_(both, both)])
+        without = np.asarray(np.linalg.inv(covariance[np.ix_(both, both)]), dtype=np.float64)
         rest = _solved(away[:, others], target[others], without)[1]
         found.append(float(rest[one] - rest.min()))
     return min(found, default=0.0)
@@ -163,7 +163,7 @@ def _solved(design: Floats, target: Floats, precision: Floats) -> tuple[Floats, 
     columns, wanted = np.moveaxis(white[:, :-1].reshape(2 * n, m, p), 1, 0), white[:, -1]
     toward = wanted @ columns
     normal = columns.transpose(0, 2, 1) @ columns
-    found: Floats = np.linalg.solve(normal, toward[..., None])[..., 0]
+    found = np.asarray(np.linalg.solve(normal, toward[..., None])[..., 0], dtype=np.float64)
     rest: Floats = np.maximum(wanted @ wanted - np.sum(toward * found, axis=1), 0.0)
     return found, rest
 
