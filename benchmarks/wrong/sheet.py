@@ -233,7 +233,7 @@ def _uncoated_other(case: Case, _: np.random.Generator) -> None:
     case.by_nature = ("position", "correlation")
 
 
-@kind("uncoated-spacing-z", "uncoated, spacing along z half or 50 % too large", coated=False)
+@kind("uncoated-spacing-z", "uncoated, spacing along z half or 50 % too large, bent", coated=False, slope=0.4)
 def _uncoated_spacing(case: Case, rng: np.random.Generator) -> None:
     z, y, x = case.voxel_um
     case.voxel_um = (z * float(rng.choice([0.5, 1.5])), y, x)
