@@ -100,7 +100,7 @@ def _real(name: str) -> Row:
     """A measured volume, as far as it is at hand: mapped, without an image."""
     place, options = _REAL[name]
     row: Row = {"kind": name, "seed": 0, "maker": "real", "specimen": 0, "note": place, "figures": {}, "wrong": [],
-                "silent": [], "lights": [], "made_s": 0.0}  # fmt: skip
+                "lights": [], "made_s": 0.0}  # fmt: skip
     started = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -12,6 +12,7 @@ from benchmarks.wrong.specimens import Draw, drawn
 
 Array = NDArray[np.float64]
 ALL = ("position", "correlation")
+_SCALE = "scale through the sheet"
 
 
 def spacing(axis: int, factors: tuple[float, ...]) -> Change:
@@ -263,8 +264,14 @@ def _in_plane(factors: tuple[float, ...]) -> Change:
     return change
 
 
-enter("spacing-z-10", "spacing along z wrong by 10 %, flat", spacing(0, (0.9, 1.1)), hidden="needs 26 degrees")
-enter("spacing-z-50", "spacing along z half or 50 % too large", spacing(0, (0.5, 1.5)), grave=True)
+enter(
+    "spacing-z-10",
+    "spacing along z wrong by 10 %, flat",
+    spacing(0, (0.9, 1.1)),
+    hidden="needs 26 degrees",
+    answer=_SCALE,
+)
+enter("spacing-z-50", "spacing along z half or 50 % too large", spacing(0, (0.5, 1.5)), grave=True, answer=_SCALE)
 enter("spacing-xy-10", "spacing along y or x wrong by 10 %", _in_plane((0.9, 1.1)))
 enter("spacing-xy-50", "spacing along y or x half or 50 % too large", _in_plane((0.5, 1.5)))
 enter("spacing-z-10-steep", "spacing along z wrong by 10 %, 30-45 deg", spacing(0, (0.9, 1.1)), steep=True, large=True)

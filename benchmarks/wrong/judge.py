@@ -48,7 +48,7 @@ class Light:
     figures: tuple[str, ...]
 
     def covers(self, figure: str) -> bool:
-        """Whether it warns of the figure, as the run itself marks figures; ``unknown`` does where it names it."""
+        """Whether it names the figure, as the run itself marks figures."""
         name = figure.split()[0]
         about = {name, *((PROPERTIES,) if name in NAMES else ())}
         if name == CORRELATION:  # made of a map and its place

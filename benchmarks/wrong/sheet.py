@@ -225,7 +225,8 @@ def _bulge(case: Case, rng: np.random.Generator) -> None:
     case.back.append(back)
 
 
-@kind("uncoated-wrong-specimen", "uncoated, an image of another specimen of the same program", coated=False, large=True)
+@kind("uncoated-wrong-specimen", "uncoated, an image of another specimen of the same program", coated=False, large=True,
+      answer="side and specimen")  # fmt: skip
 def _uncoated_other(case: Case, _: np.random.Generator) -> None:
     own = case.right
     other = drawn(Draw(maker=own.maker, seed=own.seed + 1000, large=True, coated=False, program=own.seed, slope=0.2))
@@ -233,7 +234,8 @@ def _uncoated_other(case: Case, _: np.random.Generator) -> None:
     case.by_nature = ("position", "correlation")
 
 
-@kind("uncoated-spacing-z", "uncoated, spacing along z half or 50 % too large, bent", coated=False, slope=0.4)
+@kind("uncoated-spacing-z", "uncoated, spacing along z half or 50 % too large, bent", coated=False, slope=0.4,
+      answer="scale through the sheet")  # fmt: skip
 def _uncoated_spacing(case: Case, rng: np.random.Generator) -> None:
     z, y, x = case.voxel_um
     case.voxel_um = (z * float(rng.choice([0.5, 1.5])), y, x)

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.wrong import geometry, grey, sheet, slices
 from benchmarks.wrong.case import Case
-from benchmarks.wrong.judge import figures, lights
+from benchmarks.wrong.judge import Light, figures, lights
 from benchmarks.wrong.kinds import KINDS, Kind
 from benchmarks.wrong.specimens import Draw, drawn
 from planish.core.errors import PlanishError
@@ -87,14 +87,24 @@ def judged_case(case: Case) -> Row:
         except Exception as error:  # noqa: BLE001 - a crash is a finding
             return {"crash": f"{type(error).__name__}: {error}"}
         found, spoken = figures(case, run), lights(run)
-    failed = any(light.state == "fail" for light in spoken)
     wrong = [f for f in found if f.wrong]
     return {
         "figures": {f.name: [_short(f.error), _short(f.stated)] for f in found},
         "wrong": [f.name for f in wrong],
-        "silent": [f.name for f in wrong if not (failed or any(k.covers(f.name) for k in spoken))],
         "lights": [[k.state, k.name, k.sentence, list(k.figures)] for k in spoken],
     }
+
+
+def silent_of(row: Row) -> list[str]:
+    """Wrong figures that nothing warned of; a run that failed is not silent, an ``unknown`` counts where it answers."""
+    kind = KINDS.get(row["kind"])
+    spoken = [
+        Light(name=name, state=state, sentence="", figures=tuple(on)) for state, name, _, on in row.get("lights", ())
+    ]
+    if any(light.state == "fail" for light in spoken):
+        return []
+    heard = [k for k in spoken if k.state == "look" or (kind is not None and k.name == kind.answer)]
+    return [name for name in row.get("wrong", ()) if not any(k.covers(name) for k in heard)]
 
 
 def _short(value: float) -> float | None:
@@ -117,9 +127,8 @@ def line_of(row: Row) -> str:
     elif "crash" in row:
         said = "CRASH " + row["crash"][:90]
     else:
-        state = (
-            "SILENT " + ", ".join(row["silent"]) if row["silent"] else "wrong, said" if row["wrong"] else "not wrong"
-        )
+        silent = silent_of(row)
+        state = "SILENT " + ", ".join(silent) if silent else "wrong, said" if row["wrong"] else "not wrong"
         said = f"{state}; {worst_of(row)}; " + "; ".join(f"{k[0]} {k[1]}" for k in row["lights"])
     name = f"{row['kind']} {row['seed']} ({row['maker'][0]}{row['specimen']})"
     return f"{name} {row['note']}: {said}  [{row['run_s']:.1f} s]"
@@ -136,7 +145,7 @@ def shown(rows: list[Row], *, markdown: bool = False) -> int:
             continue
         kind = KINDS[name]
         wrong = [r for r in own if r.get("wrong")]
-        quiet = [r for r in own if r.get("silent")]
+        quiet = [r for r in own if silent_of(r)]
         crashes = [r for r in own if "crash" in r]
         said = Counter("refused" for r in own if "refused" in r)
         said.update(f"{state} *{check}*" for r in own for state, check, *_ in r.get("lights", ()))
