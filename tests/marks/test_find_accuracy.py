@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from benchmarks.holes import DIAMETER_UM, Score, around, least_error, look, make_presence, make_scene
-
 from benchmarks.scorched import LOOKS, beyond, make_scorched
 
 from planish.marks import find_holes
@@ -103,7 +102,7 @@ def test_a_target_of_another_size_is_its_magnified_picture():
     + [pytest.param(look, seed, marks=pytest.mark.study) for look in LOOKS for seed in (0, 2)],
 )
 def test_a_scorched_rim_misleads_no_centre_unsaid(look, seed):
-    """No centre is off by more than three times its stated error, whichever of two edges was taken; nothing is false."""
+    """No centre is off by more than three times its stated error, whichever edge was taken; nothing is false."""
     error, stated, false = beyond(make_scorched(seed, look))
     print(f"{look}: {len(error)} of 12, {np.sqrt(np.mean(error**2)):.2f} um, at most {stated.max():.1f} stated errors")
     assert false == 0

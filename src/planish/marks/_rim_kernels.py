@@ -12,7 +12,7 @@ from numba import njit
 from planish.marks._edge_kernels import sample
 
 # A step of this share of the whole one makes a rim as good as any; the innermost of those is taken, where going out by
-# a radius costs as much as this share of the rays without an edge. A rim lies within a band of this share of the radius.
+# a radius costs as much as this share of the rays without an edge. A rim lies in a band of this share of the radius.
 ENOUGH, OUTWARDS, BAND = 0.22, 0.5, 0.12
 # What a step sideways costs, of the worth of an edge, and how many a ray may make.
 SIDEWAYS, MOST_STEPS = 0.1, 1
