@@ -45,7 +45,7 @@ def test_the_mean_of_the_faces_where_no_middle_of_the_base_is_known():
 @pytest.mark.parametrize("frame", [Frame(), Frame(top="low")])
 def test_what_another_surface_moves(frame, monkeypatch):
     """From the base to the faces: minus the offset times the angle; the same on a mesh of four times the pitch."""
-    surfaces, angle = rolled(frame=frame)
+    surfaces, _angle = rolled(frame=frame)
     base = surfaces["base_middle"].values
     found = []
     for nodes in (40_000, 500):
@@ -61,7 +61,7 @@ def test_what_another_surface_moves(frame, monkeypatch):
 
 
 def test_shares_of_the_error_of_a_place():
-    surfaces, angle = rolled()
+    surfaces, _angle = rolled()
     flat = flatten_sheet(surfaces, params=FlattenParams(mesh_um=24.0)).flat
     rng = np.random.default_rng(0)
     marks = np.stack([rng.uniform(-800, 800, 9), rng.uniform(50, 750, 9)], axis=1)

@@ -42,15 +42,16 @@ def check_scan(
         volume, through=frame.through, sheet=_reach(volume, measured, frame),
         points=None if core is None else core.points, missing=air, threads=threads,
     )  # fmt: skip
+    voxels = voxels_check(volume, measured)
     checks = [*slice_checks(found.windows, through=frame.through, made=made)]
     if core is not None:
         greys = Greys.of(measured)
         checks += [
             clipping_check(found.sample, greys),
             steadiness_check([w for w in found.windows if w.axis not in (*made, frame.through)], greys),
-            layers_check(core, found.grey, greys),
+            layers_check(core, found.grey, greys, resolved=voxels.state == "pass"),
         ]
-    checks.append(voxels_check(volume, measured))
+    checks.append(voxels)
     checks += [check for side in ("top", "bottom") if (check := dust_check(measured, side)) is not None]
     return tuple(checks)
 

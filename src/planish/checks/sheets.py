@@ -88,11 +88,17 @@ def _voxel(measured: xr.Dataset, volume: xr.DataArray, dim: str, axis: str) -> N
     return np.rint((measured[dim].values - places[0]) / step).astype(np.int64)
 
 
-def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys) -> Check:
+def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, resolved: bool = True) -> Check:
     """Judge whether a coating, or air, lies inside the base.
 
-    ``grey`` (points,) of the core, NaN where it was not read.
+    ``grey`` (points,) of the core, NaN where it was not read; ``resolved``: whether enough voxels lie across the sheet
+    to tell a second coating from the first.
     """
+    if not resolved:
+        return Check(
+            name="one sheet", state="unknown", figures=_SHEET,
+            sentence="There are too few voxels across the sheet to tell one sheet from two.",
+        )  # fmt: skip
     profiles = grey.reshape(core.shape).astype(np.float64)
     profiles[~core.known] = np.nan
     enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= _LEAST_COLUMNS

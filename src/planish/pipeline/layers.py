@@ -55,6 +55,11 @@ class Layer:
         """Side of the sheet that it shows: the top for flat maps, and for an image where nothing is given."""
         return self.side_given or "top"
 
+    @property
+    def holes_found(self) -> list[xr.Dataset]:
+        """Holes that were looked for so far."""
+        return [*self._holes.values()]
+
     def holes(self, params: HoleParams, side: Side) -> xr.Dataset:
         """Its laser holes; those of a sheet as the face ``side`` shows them."""
         key: Side = side if self.image is None else self.side

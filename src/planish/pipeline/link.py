@@ -20,6 +20,7 @@ from planish.compute import Compute, Progress
 from planish.core.checks import Check
 from planish.core.results import LayerFacts, Results, Side
 from planish.io import read_image
+from planish.marks import check_holes
 from planish.pipeline.checks import about, area_check, field_check, registration_checks, with_trust
 from planish.pipeline.compare import comparison_rows, correlate_layers
 from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, parameters, versions
@@ -195,6 +196,11 @@ def _checks(layer: Layer, facts: LayerFacts, links: dict[str, Link], study: Stud
         hole_um=sum(study.holes.hole_um) / 2, pixel_um=max(*layer.grid.pixel_um, *to.grid.pixel_um),
     )  # fmt: skip
     yield from about(found, layer.name, to.name)
+    if link.registration.source == "found":
+        holes = ((one.name, check_holes(found)) for one in (layer, to) for found in one.holes_found)
+        yield from about(
+            (check.model_copy(update={"name": f"holes in {name}"}) for name, check in holes), layer.name, to.name
+        )
     reference = facts.registration.path[-1]
     yield from about([field_check(facts.share_of_reference or 0.0, layer.name, reference)], layer.name, reference)
 
