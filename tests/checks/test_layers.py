@@ -93,6 +93,12 @@ def test_delamination_fails():
     assert "split" in found.sentence
 
 
+def test_strong_noise_is_no_gap():
+    """Noise of 1.2 of the step from base to air leaves the median of 49 columns open by a fifth of it."""
+    volume, measured = layered(noise=60.0)
+    assert by_name(check_scan(volume, measured))["one sheet"].state == "pass"
+
+
 def test_too_few_columns_of_the_base_are_said():
     volume, measured = layered(shape=(190, 200))
     measured["status"].values[20:] = 3
@@ -133,7 +139,7 @@ def test_clipping_at_any_level_in_any_type(dtype, scale, sign):
         greys = Greys(air=air, base=base, coating=min(coating, at * scale) if sign > 0 else coating, noise=8 * scale)
         check = clipping_check(histogram(dtype, scale, at=at, sign=sign), greys)
         assert check.state == ("pass" if np.isinf(at) else "look"), (at, check.sentence)
-    assert set(check.figures) == {"coating_top", "coating_bottom", "base_thickness"}
+    assert set(check.figures) == {"coating_top", "coating_bottom", "base_thickness", "thickness"}
 
 
 def test_clipping_well_above_the_coating_is_said_and_passes():

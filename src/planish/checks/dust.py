@@ -79,7 +79,8 @@ def dust_check(measured: xr.Dataset, side: str) -> Check | None:
         return None
     covered = 100 * float(found.mask.sum()) / max(int(np.isfinite(measured[name].values).sum()), 1)
     return Check.at_most(
-        f"dust, {side}", found.a_mm2, look=MOST, units="1/mm2", figures=(name,),
+        f"dust, {side}", found.a_mm2, look=MOST, units="1/mm2",
+        figures=(name, "base_thickness", "thickness"),
         sentence=f"{found.number} particles stand out of the {side} coating, {found.a_mm2:.2g} a mm², "
         f"on {covered:.2g} % of it.",
         advice="Blow the specimen clean and scan it again, or leave the particles out of the map.",

@@ -21,7 +21,7 @@ _BINS = 256  # between the air and the end of the grey scale
 _REST = range(1, 7)  # bins that the histogram is continued from
 _NEAR = 1.0  # standard deviations of the noise: so near to the layer's own level, a limit moves it
 _LEVELS = (5.0, 50.0, 95.0)  # percentiles of the block means of a slice
-_COATINGS = ("coating_top", "coating_bottom", "base_thickness")
+_COATINGS = ("coating_top", "coating_bottom", "base_thickness", "thickness")
 
 
 @dataclass(frozen=True, slots=True)

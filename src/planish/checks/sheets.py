@@ -26,6 +26,7 @@ _BLURS = 2.5  # widths of the blur: there it mixes in what lies beside the base
 _DEPTHS = (9, 48)  # fewest and most places across the base
 _TILES = 2500  # at most
 _LEAST_TILES = 10
+_SURE = 3.0  # standard errors of a median; 1.86 is 1.4826 of the median deviation, 1.253 of the median
 _SHEET = (PROPERTIES, POSITION)
 
 
@@ -110,11 +111,14 @@ def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, resolve
             "one sheet from two.",
         )  # fmt: skip
     median = np.nanmedian(profiles[enough], axis=1)
+    # What the scatter of a tile's columns leaves open of their median: strong noise is no gap.
+    spread = np.nanmedian(np.abs(profiles[enough] - median[:, None]), axis=1)
+    open_ = _SURE * 1.86 * spread / np.sqrt(np.isfinite(profiles[enough]).sum(axis=1))
     base = float(np.median(median))
-    dark = float(np.mean(((base - median) / (base - greys.air)).max(axis=1) > DARK))
+    dark = float(np.mean(((base - median - open_) / (base - greys.air)).max(axis=1) > DARK))
     # A second sheet whose coatings lie in the middle may be learnt as base; what is brighter is then told by the air.
     brighter = (greys.coating if np.isfinite(greys.coating) else 2 * base - greys.air) - base
-    bright = float(np.mean(((median - base) / brighter).max(axis=1) > BRIGHT))
+    bright = float(np.mean(((median - base - open_) / brighter).max(axis=1) > BRIGHT))
     if bright > BRIGHT_SHARE:
         return Check(
             name=name, state="fail", value=bright, limit=BRIGHT_SHARE, units="share", figures=_SHEET,
