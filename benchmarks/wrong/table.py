@@ -103,7 +103,9 @@ def silent_of(row: Row) -> list[str]:
     ]
     if any(light.state == "fail" for light in spoken):
         return []
-    heard = [k for k in spoken if k.state == "look" or (kind is not None and k.name == kind.answer)]
+    if kind is not None and any(k.name == kind.answer for k in spoken):
+        return []
+    heard = [k for k in spoken if k.state == "look"]
     return [name for name in row.get("wrong", ()) if not any(k.covers(name) for k in heard)]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from planish.analyze.texture import Relation, Textures, apart, relate
-from planish.core.checks import CORRELATION, Check
+from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.facts import Side
 
 NAME = "side and specimen"
@@ -15,6 +15,8 @@ GOES, STAYS = 4.5, 3.0
 """|z| above which two textures go together, and below which they do not."""
 
 SIDES: tuple[Side, Side] = ("top", "bottom")
+_OF_A_SPECIMEN = (POSITION, CORRELATION)
+"""Where nothing says that both show one specimen, a pixel may have no place in it."""
 _OF_SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom", CORRELATION)
 _NO_WORD = "nothing beside the marks says that both show one specimen"
 _ONE = "so both show one specimen"
@@ -110,7 +112,8 @@ def _by_the_rest(
         text = f"The {image} goes with no coating ({tried}; {GOES} is needed), and {rest}."
         advice = "Compare map and image by eye: is it this specimen, this place, and a side that shows its coating?"
         one = max(coatings.values(), key=lambda k: abs(k.z))
-        return SideFound(_check("look", text, one, advice=advice, figures=(CORRELATION,)))
+        figures = _OF_A_SPECIMEN if rest == _NO_WORD else (CORRELATION,)
+        return SideFound(_check("look", text, one, advice=advice, figures=figures))
     text = f"Side: inconclusive, because no coating is seen on the {side} side; {rest}."
     return SideFound(_check("unknown", text, plain[best] if best else None))
 
@@ -125,7 +128,7 @@ def two_images(found: Textures, names: tuple[str, str]) -> Check:
         return _check("pass", f"The textures of {names[0]} and {names[1]} go together ({r}), {_ONE}.", r)
     text = f"The textures of {names[0]} and {names[1]} do not go together ({r}; {GOES} is needed): {_NO_WORD}."
     advice = "Compare both by eye: are they one specimen, one side, and is one of them a mirror image?"
-    return _check("look", text, r, advice=advice, figures=(CORRELATION,))
+    return _check("look", text, r, advice=advice, figures=_OF_A_SPECIMEN)
 
 
 def two_sheets(found: Textures, names: tuple[str, str], *, coated: Iterable[Side]) -> Check:
@@ -162,7 +165,7 @@ def two_sheets(found: Textures, names: tuple[str, str], *, coated: Iterable[Side
         return _check("unknown", f"Specimen: inconclusive, because {a} and {b} have no map in common.", None)
     text = f"No map of {a} goes with that of {b} ({tried}; {GOES} is needed): {_NO_WORD}."
     advice = "Either they are not the same piece of paper, or they do not lie on each other, or one is measured badly."
-    return _check("look", text, same or whole, advice=advice, figures=(CORRELATION,))
+    return _check("look", text, same or whole, advice=advice, figures=_OF_A_SPECIMEN)
 
 
 def _check(

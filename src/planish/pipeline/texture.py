@@ -19,7 +19,7 @@ from planish.analyze import (
     two_images,
     two_sheets,
 )
-from planish.core.checks import CORRELATION, Check
+from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
 from planish.core.grid import Grid
 from planish.core.results import LagFacts, LagTile, Side
@@ -86,7 +86,7 @@ def texture_of(
         )  # fmt: skip
     except SizeError:
         return TextureFound(None, (check,))
-    if lag.distinct and check.state == "look" and check.figures == (CORRELATION,):
+    if lag.distinct and check.state == "look" and set(check.figures) <= {POSITION, CORRELATION}:
         text = f"{check.sentence} Moved by {lag.length_um:.0f} um they do go together (position by texture)."
         check = check.model_copy(update={"sentence": text})
     facts = lag_facts(lag, expected_um=expected_um, name=compared.first[0])
