@@ -34,10 +34,16 @@ OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS, UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAV
 DOUBT_X, DOUBT_Y = 20, 21
 COLUMNS = 22
 
-# Least step of another edge inside the rim, share of the whole step; how far the centres of floor, wall and rim of a
-# tilted hole may be apart, share of the radius; standard deviation of a centre where either of two closed edges may be
-# the rim, share of what their centres are apart; the same for the centre of the floor, which the wall moves less.
-LEAST_INNER, CONCENTRIC, EITHER, FLOOR = 0.06, 0.035, 0.6, 1.3
+# Least step of another edge inside the rim, share of the whole step; standard deviation of a centre where either of two
+# closed edges may be the rim, share of what their centres are apart; the same for the centre of the floor, which the
+# wall moves less.
+LEAST_INNER, EITHER, FLOOR = 0.06, 0.6, 1.3
+# How far the middle of a floor usually is from that of its rim, as holes are tilted: share of the radius, and pixels.
+# Less is usual where the step at the rim has a first wave above this share of the whole step, as uneven char makes it.
+USUAL, EXACT, ONE_SIDED = (0.045, 0.3), (0.0105, 0.15), 0.1
+# Another edge inside the strongest is the rim where this share of the rays has it, it is smaller by this share of the
+# radius, and on this share of the rays the two are apart by this share of the radius: what lies between is char.
+CLOSED, SMALLER, PART, APART = 0.9, 0.05, 0.25, 0.08
 
 RAYS = 96
 # Orders of an outline; a number written in the call would be a type of its own, and compiled once more.
@@ -58,41 +64,60 @@ def measure(image, px, py, xs, ys, sign, low, high, least, contrast):
     """
     pixel = max(px, py)
     out = np.full((xs.size, COLUMNS), np.nan)
+    dt, near = max(0.5 * pixel, 0.5), max(1.2 * pixel, 6.0)
     for h in range(xs.size):
-        cx, cy, radius, _scale = _circle(image, px, py, xs[h], ys[h], sign, low, high, least[h], contrast[h])
+        cx, cy, radius, scale = _circle(image, px, py, xs[h], ys[h], sign, low, high, least[h], contrast[h])
         if radius != radius:
             continue
-        cx, cy, model, inner, around = _closed_rims(image, px, py, cx, cy, sign, radius, low)
-        radius = np.mean(model)
-        dt = max(0.5 * pixel, 0.5)
-        search = max(1.2 * pixel, 6.0)
+        search = max(0.15 * radius, 2 * pixel, 10.0, min(3 * scale, 0.3 * radius))
         ok, x, y, fit, weight, inverse, radii, steps, far_steps, nears = _refined(
-            image, px, py, cx, cy, sign, model, search, dt, 0.35
+            image, px, py, cx, cy, sign, np.full(RAYS, radius), search, dt, 0.35, False
         )
         if not ok or not (0.5 * low < fit[0] < 1.5 * high):
             continue
+        # The strongest edge, but where another one goes round inside: then that around is the end of the char.
+        cx, cy, model, inner, around = _closed_rims(image, px, py, cx, cy, sign, radius, low)
+        closed = _refined(image, px, py, cx, cy, sign, model, near, dt, 0.35, True)
+        if closed[0] and closed[3][0] > 0.5 * low and _is_inside(closed[1:5], closed[6], x, y, fit, radii):
+            _, x, y, fit, weight, inverse, radii, steps, far_steps, nears = closed
         _describe(out[h], image, px, py, x, y, sign, radii, fit, weight, inverse)
         out[h, STEP], out[h, FAR_STEP] = np.nanmedian(steps), np.nanmedian(far_steps)
         out[h, BURNT] = out[h, OUTSIDE] - np.nanmedian(nears)
+        _set_doubt(out[h], image, px, py, sign, x, y, steps)
         if around == 0.0:
             continue
         # Another closed edge inside: the rim of a hole with a scorched ring around, or that of the other face.
-        ok, x2, y2, fit, weight, inverse, radii, steps, far_steps, nears = _refined(
-            image, px, py, cx, cy, around * sign, inner, search, dt, LEAST_INNER
+        ok, x2, y2, fit, weight, inverse, radii, _, _, _ = _refined(
+            image, px, py, cx, cy, around * sign, inner, near, dt, LEAST_INNER, True
         )
         if ok and fit[0] > 0.5 * low and fit[0] < out[h, RADIUS] and np.sum(weight > 0) > 0.6 * RAYS:
-            if around < 0.0 or np.hypot(x2 - x, y2 - y) > CONCENTRIC * fit[0] + 0.05 * pixel:
+            # Of two that rise either may be the rim; where the grey falls, char is darker than the hole.
+            if around < 0.0:
                 _outline(out[h], x2, y2, radii, fit, weight, inverse)
                 x2, y2 = x, y
-            _set_doubt(out[h], image, px, py, sign, x2, y2)
+            _set_doubt(out[h], image, px, py, sign, x2, y2, steps)
     return out
 
 
 @njit(cache=True, nogil=True)
-def _refined(image, px, py, cx, cy, sign, model, search, dt, share):
+def _is_inside(closed, closed_radii, x, y, fit, radii):
+    """Return whether a closed outline lies inside another one, away from it on a good part of its rays."""
+    x2, y2, fit2, weight2 = closed
+    away = 0
+    for k in range(RAYS):
+        # As far as a shift of the centre goes, the two are compared on the same ray.
+        angle = 2 * np.pi * k / RAYS
+        shift = (x2 - x) * np.cos(angle) + (y2 - y) * np.sin(angle)
+        away += radii[k] - (closed_radii[k] + shift) > APART * fit[0]
+    return fit2[0] < (1 - SMALLER) * fit[0] and away > PART * RAYS and np.sum(weight2 > 0) > CLOSED * RAYS
+
+
+@njit(cache=True, nogil=True)
+def _refined(image, px, py, cx, cy, sign, model, search, dt, share, follow):
     """Return the outline at half level near a modelled one, with its centre, weights and steps; whether there is one.
 
-    Steps below a ``share`` of the median are left out.
+    Steps below a ``share`` of the median are left out. With ``follow`` what was found is followed, so that a rough rim
+    needs no wide search, in which lies another edge.
     """
     pixel = max(px, py)
     fit, weight, inverse = np.zeros(5), np.zeros(RAYS), np.zeros((5, 5))
@@ -104,16 +129,17 @@ def _refined(image, px, py, cx, cy, sign, model, search, dt, share):
         for k in range(RAYS):
             if not (steps[k] >= share * step):
                 radii[k] = np.nan
-        fit, weight, _, inverse = fit_outline(radii, _TWO, 0.3 + 0.1 * pixel)
+        fit, weight, scale, inverse = fit_outline(radii, _TWO, 0.3 + 0.1 * pixel)
         if np.sum(weight) == 0.0 or np.hypot(fit[1], fit[2]) > 0.5 * radius:
             return False, cx, cy, fit, weight, inverse, radii, steps, far_steps, nears
         cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]
-        # What was found is followed, so that a rough rim needs no wide search, in which lies another edge.
+        if not follow:
+            search = max(1.2 * pixel, 6.0, 4 * scale)
         model = np.empty(RAYS)
         for k in range(RAYS):
             angle = 2 * np.pi * k / RAYS
             model[k] = fit[0] + fit[3] * np.cos(2 * angle) + fit[4] * np.sin(2 * angle)
-            if weight[k] > 0.0:
+            if follow and weight[k] > 0.0:
                 model[k] = radii[k] - fit[1] * np.cos(angle) - fit[2] * np.sin(angle)
     return True, cx, cy, fit, weight, inverse, radii, steps, far_steps, nears
 
@@ -233,10 +259,11 @@ def measure_floors(image, px, py, xs, ys, sign, radius, floor, depth, shares):
                         model[k] = fit[0] + fit[3] * np.cos(angle) + fit[4] * np.sin(angle)
         if best < np.inf:
             search = max(1.2 * pixel, 6.0)
-            _, _, _, nears = half_level_edges(
+            _, steps, _, nears = half_level_edges(
                 image, px, py, out[h, X], out[h, Y], sign, model, search, max(0.5 * pixel, 0.5), pixel
             )
             out[h, BURNT] = out[h, OUTSIDE] - np.nanmedian(nears)
+            _set_doubt(out[h], image, px, py, sign, out[h, X], out[h, Y], steps)
     return out
 
 
@@ -277,19 +304,27 @@ def _describe(row, image, px, py, cx, cy, sign, radii, fit, weight, inverse):
     _outline(row, cx, cy, radii, fit, weight, inverse)
     row[INSIDE], row[OUTSIDE], row[TEXTURE] = inside, outside, texture
     row[FLATNESS], row[UNEVENNESS] = flatness, spread
-    _set_doubt(row, image, px, py, sign, cx, cy)
 
 
 @njit(cache=True, nogil=True)
-def _set_doubt(row, image, px, py, sign, x, y):
+def _set_doubt(row, image, px, py, sign, x, y, steps):
     """Write what another edge may move the centre by: towards the middle of the floor, or of an outline at ``x, y``.
 
-    The floor lies in the middle of a hole, unless a part of what is around was taken for the hole.
+    The floor lies in the middle of a hole, unless a part of what is around was taken for the hole; so it may be where
+    the rim's step is another on one side.
     """
-    tolerance = max(3 * row[UNEVENNESS], LEAST_INNER * (row[OUTSIDE] - row[INSIDE]))
+    total = row[OUTSIDE] - row[INSIDE]
+    tolerance = max(3 * row[UNEVENNESS], LEAST_INNER * total)
     fx, fy = floor_middle(image, px, py, row[X], row[Y], sign, row[RADIUS], row[INSIDE], tolerance)
     apart = np.hypot(fx - row[X], fy - row[Y])
-    usual = (0.3 * CONCENTRIC * row[RADIUS]) ** 2 + (0.15 * max(px, py)) ** 2
+    a, b, used = 0.0, 0.0, 0
+    for k in range(RAYS):
+        if steps[k] == steps[k]:
+            a += steps[k] * np.cos(2 * np.pi * k / RAYS)
+            b += steps[k] * np.sin(2 * np.pi * k / RAYS)
+            used += 1
+    share, pixels = EXACT if 2 * np.hypot(a, b) > ONE_SIDED * max(used, 1) * total else USUAL
+    usual = (share * row[RADIUS]) ** 2 + (pixels * max(px, py)) ** 2
     beyond = FLOOR * np.sqrt(max(apart**2 - usual, 0.0))
     other = EITHER * np.hypot(x - row[X], y - row[Y])
     if other > beyond:
