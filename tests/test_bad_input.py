@@ -154,18 +154,18 @@ def test_nan_voxels_everywhere_and_in_part(planish, corner, tmp_path):
     part = corner.astype(np.float32)
     part[:, :15] = np.nan
     path = write_volume(tmp_path / "part.tif", part)
-    code, _, err = planish("map", path, "-o", tmp_path / "run")
+    code, _, err = planish("map", path, "-o", tmp_path / "run", "--strict")
     assert code == 4
-    assert "missing voxels" in err
+    assert "look: missing voxels" in err
     assert "12.0 %" in err
     assert (tmp_path / "run" / "report.html").is_file()
 
 
 def test_saturated_voxels(planish, corner, tmp_path):
     bright = np.clip(corner.astype(float) * 1.6, 0, 255).astype(np.uint8)
-    code, _, err = planish("map", write_volume(tmp_path / "bright.tif", bright), "-o", tmp_path / "run")
+    code, _, err = planish("map", write_volume(tmp_path / "bright.tif", bright), "-o", tmp_path / "run", "--strict")
     assert code == 4
-    assert "saturation" in err
+    assert "look: clipped grey" in err
     assert "wider grey window" in err
 
 
