@@ -222,14 +222,16 @@ def upright(specimen_files) -> Files:
 
 @pytest.fixture(scope="session")
 def laid(specimen, tmp_path_factory) -> Files:
-    """The small specimen turned about x: its sheet through y, the top at the low end; the image shows the bottom."""
+    """The small specimen turned about x: its sheet through y; the side at the low end is called the top.
+
+    That is the underside of the specimen: the image, of its upper side, shows the bottom.
+    """
     folder = tmp_path_factory.mktemp("laid")
     voxel, pixel = specimen.params.scanner.voxel_um, specimen.params.camera.pixel_um
-    volume = np.ascontiguousarray(specimen.volume.values[::-1].transpose(1, 0, 2))
+    volume = np.ascontiguousarray(specimen.volume.values[:, ::-1].transpose(1, 0, 2))
     meta = {"spacing": voxel, "unit": "um", "axes": "ZYX"}
     tifffile.imwrite(folder / "volume.tif", volume, imagej=True, resolution=(1 / voxel, 1 / voxel), metadata=meta)
-    # From below the sheet is mirrored.
-    grey = np.rint(specimen.image.values * 60000).clip(0, 65535).astype(np.uint16)[:, ::-1]
+    grey = np.rint(specimen.image.values * 60000).clip(0, 65535).astype(np.uint16)
     size = (1e4 / pixel, 1e4 / pixel)
     tifffile.imwrite(folder / "image.tif", grey, resolution=size, resolutionunit="CENTIMETER")
     options = ("--through", "y", "--top", "low", "--image-side", "bottom")
