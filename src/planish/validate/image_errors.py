@@ -21,6 +21,7 @@ from planish.synthetic import InstrumentFiles, Specimen
 from planish.validate.figures import Values
 from planish.validate.scenario import PAIR
 from planish.validate.truth import (
+    FITTED,
     THICKNESSES,
     Comparison,
     mean_of,
@@ -155,7 +156,7 @@ def _true_scale(both: Comparison) -> float | None:
     uv = np.stack([values[both.valid] for values in both.true_uv], axis=1)
     if len(uv) < 3:
         return None
-    uv = uv[:: max(1, len(uv) // 20_000)]
+    uv = uv[:: max(1, len(uv) // FITTED)]
     return fit_transform(uv, both.specimen.pose(uv), mirrored=None, robust=False).transform.scale
 
 

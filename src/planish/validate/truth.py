@@ -28,6 +28,9 @@ THICKNESSES = {"coating_top": (0, 1), "base_thickness": (1, 2), "thickness": (0,
 _MOST_COLUMNS = 400_000  # more columns do not make a percentile any surer
 _FINEST_UM = 4.0  # of a pixel that counts as a point: the sheet holds little below
 
+FITTED = 400
+"""Places that a similarity is fitted to: more make it no better, and their square is held in memory."""
+
 
 @dataclass(frozen=True)
 class Comparison:
