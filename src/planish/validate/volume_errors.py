@@ -135,7 +135,8 @@ def flattening_errors(both: truth.Comparison) -> Values:
         fit_transform(flat[known][::every], true[known][::every], model=model, mirrored=None, robust=False)
         for model in ("rigid", "similarity")
     )
-    away = np.hypot(*(true[known] - rigid.transform(flat[known])).T)
+    off = true[known] - rigid.transform(flat[known])
+    away = np.hypot(*(off - off.mean(axis=0)).T)
     strains: list[Array] = []
     for axis, step in enumerate(both.pitch_um):
         n = max(1, round(_EDGE_UM / step))
