@@ -107,4 +107,4 @@ def test_a_scorched_rim_misleads_no_centre_unsaid(look, seed):
     print(f"{look}: {len(error)} of 12, {np.sqrt(np.mean(error**2)):.2f} um, at most {stated.max():.1f} stated errors")
     assert false == 0
     assert len(error) >= 10
-    assert stated.max() < 3.1  # the third flap reaches 3.05
+    assert stated.max() < 3.0

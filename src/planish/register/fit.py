@@ -19,7 +19,7 @@ from planish.register.robust import agreeing
 from planish.register.strain import NOTABLE, inside
 
 _FEW = 6
-_AVERAGED = 4
+_AVERAGED = 6
 _SCALES = (0.8, 1.25)
 # A model is warned of where it is off by this many times what the likely map is known to.
 _STRUCTURE = 2.0
@@ -48,8 +48,8 @@ def fit_transform(
     model : str
         One of :data:`planish.register.models.MODELS`: ``rigid``, ``similarity``, ``affine``, ``projective``, ``tps``
         (thin-plate spline with the smoothing under which marks left out are missed least), ``averaged`` (similarity
-        with as much affine and smooth deviation as the marks show); or ``auto``, which is ``averaged`` from 4 marks in
-        use on and a similarity for 3.
+        with as much affine and smooth deviation as the marks show); or ``auto``, which is ``averaged`` from 6 marks in
+        use on, a similarity for 3 to 5 and ``lowest`` for 2.
     mirrored : bool or None
         Whether the moving x axis runs in the opposite direction, as when the two maps show opposite sides of the
         sheet. ``None`` takes the hand that fits better.
@@ -118,7 +118,7 @@ def fit_transform(
     final = pairs.times(share)
     held = final.take(final.weights > 0)
     if model == "auto":
-        model = AVERAGED.name if len(held) >= _AVERAGED else "similarity" if len(held) == 3 else lowest
+        model = AVERAGED.name if len(held) >= _AVERAGED else "similarity" if len(held) >= 3 else lowest
     transform: Transform = AVERAGED.of(field) if model == AVERAGED.name else MODELS[model].fit(held, mirrored)
     residuals = pairs.fixed - transform(pairs.moving)
     lengths = np.linalg.norm(residuals, axis=1)

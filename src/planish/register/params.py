@@ -36,7 +36,7 @@ class RegistrationParams(Params):
     )
     model: ModelChoice = option(
         "auto",
-        help="Transformation from the moving to the fixed layer. auto is averaged from 4 marks on: a similarity with "
+        help="Transformation from the moving to the fixed layer. auto is averaged from 6 marks on: a similarity with "
         "as much affine and smooth deviation as the marks show.",
     )
     refine: Literal["affine", "bspline"] | None = option(
