@@ -79,8 +79,10 @@ def test_two_volumes_show_the_same_material_at_the_same_pixel(specimen, other, o
     assert values["pair_median"] < 1.5
     assert values["pair_p95"] < 3.0
     assert values["pair_r"] > 0.97
-    compared = [check.name for check in found.checks if check.name in ("one sheet", "sides")]
-    assert compared == ["one sheet", "sides"]
+    compared = [check for check in found.checks if check.name == "side and specimen"]
+    assert [check.state for check in compared] == ["pass"]
+    assert "coatings of first and second go together side by side" in compared[0].sentence
+    assert [check.state for check in found.checks if check.name == "one sheet"] == ["pass", "pass"]
     registration = found.results.layers[0].registration
     assert registration.path == ("first", "second")
     assert registration.orientation.mirrored_volume is False

@@ -64,11 +64,18 @@ def test_every_pixel_knows_its_place_in_the_volume(tree, specimen):
     ok = linked.valid.values
     place = np.stack([linked[f"volume_{a}"].values for a in "xyz"], axis=-1)[ok]
     found = specimen.warp.material(place)
-    error = np.hypot(found[:, 0] - truth.u.values[ok], found[:, 1] - truth.v.values[ok])
-    print(f"position error: median {np.median(error):.2f} um, 95 % {np.percentile(error, 95):.2f} um")
-    assert np.median(error) <= 0.6
-    assert np.sqrt(np.mean(error**2)) <= 1.5 * np.sqrt(np.nanmean(linked.expected_error.values[ok] ** 2))
-    assert np.percentile(error, 95) <= 2.0
+    true = np.stack([truth.u.values[ok], truth.v.values[ok]], axis=-1)
+    error = np.linalg.norm(found[:, :2] - true, axis=1)
+    rms = np.sqrt(np.mean(error**2))
+    print(f"position error: median {np.median(error):.2f} um, rms {rms:.2f}, 95 % {np.percentile(error, 95):.2f} um")
+    assert rms <= 1.5 * np.sqrt(np.nanmean(linked.expected_error.values[ok] ** 2))
+    # Most of it is that of five holes, the same everywhere or growing evenly ...
+    assert np.median(error) <= 0.7
+    assert rms <= 0.75
+    assert np.percentile(error, 95) <= 1.2
+    # ... so the flattening is seen where the best similarity of all pixels is taken off; 0.22 um through the faces.
+    left = fit_transform(true[::50], found[::50, :2], model="similarity", mirrored=False, robust=False)
+    assert np.median(np.linalg.norm(left.residuals_um, axis=1)) <= 0.12
 
 
 @pytest.mark.parametrize(("name", "bias", "rmse"), [("coating_top", 0.3, 1.0), ("base_thickness", 0.6, 1.5)])

@@ -61,6 +61,8 @@ BURNT = 0.15
 MORE_OF_THE_STEP = 0.15
 
 # Of the variance of a centre, the part of a rim's own roughness; the rest is that of all rims.
+# What another edge adds across the line of the two centres, of what it adds along it.
+ACROSS = 0.35
 OWN_WAVES = 0.5
 # Error that the raster adds, in pixels.
 PIXEL_ERROR = 0.02
@@ -326,8 +328,8 @@ def set_covariance(rows: Floats, size: tuple[float, float]) -> None:
     rows[:, k.COV_XX] = rows[:, k.COV_XX] * variance + (PIXEL_ERROR * size[1]) ** 2
     rows[:, k.COV_YY] = rows[:, k.COV_YY] * variance + (PIXEL_ERROR * size[0]) ** 2
     rows[:, k.COV_XY] *= variance
-    # Of two edges either may be the rim.
+    # Of two edges either may be the rim, and each is found where the other disturbs it: a part goes any way.
     x, y = np.nan_to_num(rows[:, [k.DOUBT_X, k.DOUBT_Y]]).T
-    rows[:, k.COV_XX] += x**2
-    rows[:, k.COV_YY] += y**2
-    rows[:, k.COV_XY] += x * y
+    rows[:, k.COV_XX] += x**2 + (ACROSS * y) ** 2
+    rows[:, k.COV_YY] += y**2 + (ACROSS * x) ** 2
+    rows[:, k.COV_XY] += (1 - ACROSS**2) * x * y
