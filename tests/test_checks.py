@@ -4,14 +4,16 @@ import csv
 import io
 import json
 
+import numpy as np
 import pytest
+import xarray as xr
 from tests.report.runs import a_run
 
 from planish.cli.show import run_facts, run_lines
 from planish.core.checks import Check
 from planish.core.errors import FileError
 from planish.core.results import Results
-from planish.pipeline.checks import with_trust
+from planish.pipeline.checks import alone_check, with_trust
 from planish.pipeline.figures import figures_text
 
 ALL = ("coating_top", "coating_bottom", "base_thickness", "thickness")
@@ -102,3 +104,21 @@ def test_limits_belong_to_what_passes_and_nan_never_does(value, state):
     if value == value:
         mirrored = Check.at_least("x", -value, look=-1.0, fail=-5.0, sentence="x.")
         assert (mirrored.state, mirrored.limit) == (state, -found.limit)
+
+
+@pytest.mark.parametrize(
+    ("at", "state"), [((200.0, 300.0), "pass"), ((500.0, 100.0), "look"), ((850.0, 100.0), "pass")]
+)
+def test_a_hole_of_the_image_lies_where_the_sheet_is_whole(at, state):
+    """The sheet has holes at (200, 300) and (600, 500) and ends at x = 800 um; the second hole is paired."""
+    y, x = np.arange(120) * 5.0, np.arange(200) * 5.0
+    thick = np.full((120, 200), 80.0)
+    for u, v in ((200, 300), (600, 500)):
+        thick[np.hypot(y[:, None] - v, x - u) < 90] = np.nan
+    thick[:, x > 800] = np.nan
+    sheet = xr.Dataset({"thickness": (("y", "x"), thick)}, coords={"y": y, "x": x})
+    pairs = {"label": ["hole 1", "fixed 2"], "moving_x": [1.0, np.nan], "fixed_x": [600.0, at[0]],
+             "fixed_y": [500.0, at[1]], "fixed_diameter": [175.0, 175.0]}  # fmt: skip
+    found = alone_check(sheet, xr.Dataset({k: ("mark", v) for k, v in pairs.items()}), "sheet", "image")
+    assert found.state == state
+    assert ("fixed 2 of the image lies where the sheet has no hole" in found.sentence) == (state == "look")

@@ -60,7 +60,7 @@ def test_right_sheet_passes_every_check_and_threads_change_nothing():
     volume, measured = layered()
     checks = check_scan(volume, measured, threads=1)
     assert [c.name for c in checks if c.state != "pass"] == []
-    assert len(checks) == 9
+    assert len(checks) == 11
     assert checks == check_scan(volume, measured, threads=3)
 
 
@@ -91,6 +91,34 @@ def test_delamination_fails():
     assert found.state == "fail"
     assert found.value == pytest.approx(0.09, abs=0.03)
     assert "split" in found.sentence
+
+
+@pytest.mark.parametrize("through", ["z", "x"])
+@pytest.mark.parametrize(("fades_by", "state"), [(0.3, "look"), (0.03, "pass")])
+def test_a_fading_beam_is_a_look(through, fades_by, state):
+    """All grey falls along y; of the base's step from the air, 40 of 90, that is 2.25 times as much."""
+    volume, measured = layered()
+    fade = xr.DataArray(np.linspace(1, 1 - fades_by, volume.sizes["y"]), dims="y")
+    volume = (volume * fade).transpose("z", "y", "x").assign_attrs(volume.attrs)
+    greys = {f"grey_{k}": v * (1 - fades_by / 2) for k, v in (("air", 40.0), ("base", 90.0))}
+    if through == "x":
+        volume = volume.rename({"z": "x", "x": "z"}).transpose("z", "y", "x")
+    found = by_name(check_scan(volume, measured.assign_attrs(greys, through=through)))["grey across the sheet"]
+    assert found.state == state
+    # From the first tile's middle to the last one's, which is less than the whole.
+    whole = fades_by * 90 / (50 * (1 - fades_by / 2))
+    assert 0.8 * whole - 0.02 < found.value < whole + 0.02
+    assert found.figures == ("properties",)
+    assert "Along y" in found.sentence or state == "pass"
+
+
+def test_a_blur_wider_than_the_coating_is_a_look():
+    volume, measured = layered()
+    for blur, state in ((5.5, "pass"), (7.5, "look")):
+        found = by_name(check_scan(volume, measured.assign_attrs(blur_um=blur)))["blur of the scan"]
+        assert (found.state, found.value) == (state, pytest.approx(2.3548 * blur / 15, rel=0.02))
+    bare = measured.drop_vars(["coating_top", "coating_bottom"]).assign_attrs(grey_coating_top=np.nan)
+    assert "blur of the scan" not in by_name(check_scan(volume, bare))
 
 
 def test_strong_noise_is_no_gap():

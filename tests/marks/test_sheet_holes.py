@@ -7,7 +7,7 @@ import xarray as xr
 from planish.core.errors import MarkError, SizeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
-from planish.marks import HoleParams, find_holes, find_sheet_holes, hole_tilt
+from planish.marks import HoleParams, check_holes, find_holes, find_sheet_holes, hole_tilt
 from planish.surface.columns import Columns
 from planish.surface.presence import LAYERS, find_presence
 from surface.sheets import volume
@@ -227,3 +227,18 @@ def test_oblique_holes_in_a_volume(slope):
     np.testing.assert_allclose(found.attrs["offset_um"], expected, atol=0.3 * voxel)
     np.testing.assert_allclose(xy(found, "_centre"), sorted(((u * long, v) for u, v in holes), key=lambda p: p[1]),
                                atol=0.3 * voxel)  # fmt: skip
+
+
+def test_stretched_openings_are_counted_and_many_are_a_look():
+    """Half of the sheet is squeezed to a half along x, as where every second slice is missing."""
+    maps = layer_maps(np.zeros(2))
+    right = find_sheet_holes(dataset(*maps))
+    assert (right.attrs["openings"], check_holes(right).state) == (0, "pass")
+    column = np.arange(SHAPE[1])
+    keep = np.flatnonzero((column < 140) | (column % 2 == 0))
+    found = find_sheet_holes(dataset(*(layer[:, keep] for layer in maps)))
+    assert found.attrs["openings"] == 6 - found.sizes["mark"] >= 3
+    check = check_holes(found)
+    assert check.state == "look"
+    assert "openings as large as holes are not round enough" in check.sentence
+    assert {"position", "properties", "correlation"} == set(check.figures)

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.checks import POSITION, Check
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check
 from planish.marks import judge
 from planish.marks.candidates import Floats
 
@@ -21,6 +21,9 @@ REASONS = {
     "no_rim": "without a sharp rim",
     "unlike": "unlike the other holes",
 }
+
+# Of all openings: so many that are not round are no single holes that are half closed.
+MANY = 0.25
 
 
 def count_not_taken(
@@ -56,7 +59,13 @@ def check_holes(holes: xr.Dataset) -> Check:
     count = holes.sizes["mark"]
     sentence = f"{count} {'hole' if count == 1 else 'holes'} found"
     sentence += f"; seen and not taken: {', '.join(listed)}." if listed else "."
-    return Check.at_most(
-        "holes", counts.get("not_measured", 0), look=0, sentence=sentence, figures=(POSITION,),
-        advice="More places look like holes than fit into the area. Give a closer range of diameters (--hole-um).",
-    )  # fmt: skip
+    dropped, openings = counts.get("not_measured", 0), int(holes.attrs.get("openings", 0))
+    advice = "More places look like holes than fit into the area. Give a closer range of diameters (--hole-um)."
+    many = openings if openings > max(1, MANY * (count + openings)) else 0
+    if openings:
+        some = "1 opening as large as a hole is" if openings == 1 else f"{openings} openings as large as holes are"
+        sentence += f" {some} not round enough for one."
+    if many:
+        advice = "Look at the maps there: a stretched or torn hole says that slices or voxel sizes are wrong."
+    figures = (POSITION, PROPERTIES, CORRELATION) if many else (POSITION,)
+    return Check.at_most("holes", dropped + many, look=0, sentence=sentence, figures=figures, advice=advice)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError
@@ -24,6 +27,8 @@ OTHER_SIDE = {THROUGH: "through", CLOSED: "closed", UNCLEAR: "unclear"}
 
 # A tapered hole is narrower, or wider, on the other side than what was asked for.
 OTHER_DIAMETER = 1.4
+# What is as large as a circle of this share of the holes' diameter is an opening that should be one.
+OPENING = 0.6
 # From one layer to another a hole moves by less than this share of its diameter: one that is more oblique is not round.
 REACH = 0.5
 # The middle of a hole, as a share of its diameter, and how much material in it closes a hole.
@@ -58,6 +63,7 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
         the bottom, um. ``other_side``: 0 found on the other side, 1 closed there, 2 neither. Attributes:
 
         - ``side``, that was searched, and ``layers``, those that are there;
+        - ``openings``: how many openings within the sheet are as large as a hole and were not taken for one;
         - ``through``, ``closed``, ``unclear``: counts of ``other_side``; ``other_side_only``: what was found on
           the other side and has no partner on this one;
         - ``offset_count``, ``offset_um``, ``offset_spread_um``, ``offset_error_um``: holes found on both sides, the
@@ -140,6 +146,7 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
     out.attrs |= {
         "side": side,
         "layers": list(layers),
+        "openings": _openings(layers[side], pixel, at, OPENING * float(np.median(diameters if len(at) else [low]))),
         **{word: int(np.count_nonzero(state == k)) for k, word in OTHER_SIDE.items()},
         "other_side_only": alone,
         "offset_count": len(known),
@@ -191,6 +198,20 @@ def _partners(holes: Floats, found: Floats, reach: Floats) -> Ints:
     agreed = (back[nearest] == np.arange(len(holes))) & (away <= reach)
     rows[agreed] = nearest[agreed]
     return rows
+
+
+def _openings(share: NDArray[np.generic], pixel: tuple[float, float], at: Floats, least_um: float) -> int:
+    """Count openings away from the border, as large as a circle of a diameter or larger, in which no hole was found."""
+    material = share.astype(np.float64)
+    known = np.isfinite(material)
+    labelled: Any = ndimage.label((material < MATERIAL) | ~known)
+    regions: Ints = labelled[0]
+    count = int(labelled[1])
+    sizes = np.bincount(regions.ravel(), minlength=count + 1) * pixel[0] * pixel[1]
+    sizes[np.unique(np.concatenate([regions[[0, -1]].ravel(), regions[:, [0, -1]].ravel(), regions[~known]]))] = 0.0
+    taken = tuple(np.clip(np.rint(at[:, k] / pixel[1 - k]).astype(int), 0, share.shape[1 - k] - 1) for k in (1, 0))
+    sizes[regions[taken]] = 0.0
+    return int(np.count_nonzero(sizes[1:] > np.pi / 4 * least_um**2))
 
 
 def _middle(share: NDArray[np.generic], pixel: tuple[float, float], at: Floats, radius: float) -> Floats:

@@ -6,8 +6,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, concerned
+from planish.core.grid import Grid
 from planish.core.results import CorrelationRow, LayerFacts, LinkedArea, RegistrationFacts, Results, SheetFacts, Trust
 from planish.register import FittedTransform
 
@@ -17,6 +19,7 @@ _MOST_MISSING, _MOST_ALONE = 0.05, 0.05
 _SCALE = 0.03
 _STRAIN = 0.01  # paper strains by less between two measurements
 _OF_A_HOLE = 0.1  # share of a hole's diameter within which marks that were found well agree
+_CORE, _WHOLE = 0.35, 0.7  # of a hole's diameter: its middle, where no sheet is; share measured that says there is one
 _FAR = 5.0  # times the limit from which on marks give no position
 
 
@@ -98,6 +101,33 @@ def registration_checks(
         "machine direction", off, look=_MD_LIMIT_DEG, units="deg", figures=(POSITION,),
         sentence=f"The machine directions of {layer} and {facts.to} differ by {off:.1f}°.",
         advice="One of them is wrong, or the marks were matched wrongly.",
+    )  # fmt: skip
+
+
+def alone_check(sheet: xr.Dataset, marks: xr.Dataset, layer: str, reference: str) -> Check:
+    """Holes of a reference without a partner: where they lie the sheet has a hole, too, or is not measured.
+
+    ``sheet`` holds its maps on the pixels of the reference, ``marks`` those of its registration.
+    """
+    grid, seen = Grid.of(sheet), np.isfinite(sheet["thickness"].values)
+    dy, dx = grid.pixel_um
+    alone = marks.isel(mark=np.flatnonzero(np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"])))
+    whole: list[str] = []
+    for label, x, y, diameter in zip(
+        *(alone[k].values for k in ("label", "fixed_x", "fixed_y", "fixed_diameter")), strict=True
+    ):  # fmt: skip
+        i, j = (np.arange(n) for n in seen.shape)
+        inside = np.hypot((i * dy - y)[:, None], j * dx - x) < _CORE * diameter
+        if inside.any() and seen[inside].mean() > _WHOLE:
+            whole.append(str(label))
+    count = alone.sizes["mark"]
+    some = f"{', '.join(whole)} of the {reference} {'lies' if len(whole) == 1 else 'lie'} where the {layer} has no hole"
+    return Check.at_most(
+        "holes without partner", len(whole), look=0, figures=(POSITION, CORRELATION),
+        sentence=f"{some}." if whole else
+        f"None of the {reference}'s {count} holes without a partner lies where the {layer} is whole.",
+        advice="Either that is no hole, or the two do not lie on each other there. Look at both, and at the order and "
+        "spacing of the slices.",
     )  # fmt: skip
 
 

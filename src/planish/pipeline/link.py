@@ -21,7 +21,7 @@ from planish.core.checks import Check
 from planish.core.results import LayerFacts, Results, Side
 from planish.io import read_image
 from planish.marks import check_holes
-from planish.pipeline.checks import about, area_check, field_check, registration_checks, with_trust
+from planish.pipeline.checks import about, alone_check, area_check, field_check, registration_checks, with_trust
 from planish.pipeline.compare import comparison_rows, correlate_layers
 from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, parameters, versions
 from planish.pipeline.layers import Layer
@@ -135,6 +135,10 @@ def _gathered(
         for lag in [found.lag if found else None]
     ]
     checks = [check for layer, own in zip(layers, facts, strict=True) for check in _checks(layer, own, links, study)]
+    for name, one in links.items():
+        if one.path[0].kind == "sheet" and one.path[1] is reference and one.registration.source == "found":
+            alone = alone_check(maps[name], one.registration.marks, name, reference.name)
+            checks += about([alone], name, reference.name)
     for (a, b), found in textures.items():
         # Where two layers lie is judged where one of them is the reference.
         checks += about(found.checks if b == reference.name else found.checks[:1], a, b)
