@@ -120,6 +120,12 @@ def cut_off_as_floats(volume, _top):
     return cut_off(volume, None).astype(np.float32) / 200
 
 
+def cut_off_in_12_bits(volume, _top):
+    """4095 of 65535: the scale of the file says nothing."""
+    level = float(np.percentile(volume, 97))
+    return np.minimum(volume * (4095 / level), 4095).astype(np.uint16)
+
+
 def second_sheet(volume, _top):
     """The same sheet once more, lying on the first."""
     shift = 24  # its thickness in voxels
@@ -151,6 +157,7 @@ MAPPED = {
     blocks_of_rows_exchanged: ("slices along y", "fail", "not in order"),
     cut_off: ("clipped grey", "look", "where the scale was cut off"),
     cut_off_as_floats: ("clipped grey", "look", "where the scale was cut off"),
+    cut_off_in_12_bits: ("clipped grey", "look", "have the grey 4095, where the scale was cut off"),
     dusty: ("dust, top", "look", "particles stand out of the top coating"),
 }
 _FEW = (pair_after_pair, second_sheet)
@@ -209,3 +216,36 @@ def test_a_stack_of_the_wrong_hand(ended, specimen, specimen_files, tmp_path):
     assert (code, [c["state"] for c in found]) == (4, ["fail"]), found
     assert "goes with the coating of the bottom side" in found[0]["sentence"]
     assert all(row["r"] is None for row in results["correlations"])
+
+
+@pytest.fixture(scope="module")
+def foreign_image(specimen, specimen_files, tmp_path_factory):
+    """An image of another specimen with the same laser program: other paper around the same holes."""
+    image = tifffile.imread(specimen_files[1])
+    rows, cols = np.indices(image.shape)
+    far = np.min([np.hypot(rows - y, cols - x) for x, y in specimen.pose(specimen.sheet.holes) / 5.0], axis=0)
+    sheet = image[far > 34]
+    other = np.where(far > 34, image, np.random.default_rng(1).choice(sheet, image.shape)).astype(image.dtype)
+    made = np.where(far > 34, other[::-1, ::-1], image)
+    path = tmp_path_factory.mktemp("foreign") / "other.tif"
+    tifffile.imwrite(path, made, resolution=(1e4 / 5.0, 1e4 / 5.0), resolutionunit="CENTIMETER")
+    return path
+
+
+def test_an_image_of_another_specimen_with_the_same_holes(ended, linked_run, foreign_image):
+    code, results, checks, printed = ended("link", linked_run, foreign_image)
+    check = checks["side and specimen"]
+    assert (code, check["state"]) == (0, "look"), check
+    assert "nothing beside the marks says that both show one specimen" in check["sentence"]
+    assert check["sentence"] in " ".join(printed.split())
+    assert checks["marks"]["state"] == "pass"
+    assert {row["trust"] for row in results["correlations"]} == {"doubtful"}
+    assert ended("link", linked_run, foreign_image, "--strict")[0] == 4
+
+
+def test_two_images_of_different_specimens_with_the_same_holes(ended, specimen_files, foreign_image):
+    code, results, checks, _ = ended("link", specimen_files[1], foreign_image)
+    check = checks["side and specimen"]
+    assert (code, check["state"]) == (0, "look"), check
+    assert "nothing beside the marks says that both show one specimen" in check["sentence"]
+    assert {row["trust"] for row in results["correlations"]} == {"doubtful"}
