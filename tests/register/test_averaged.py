@@ -170,3 +170,31 @@ def test_an_affine_sheet_is_followed():
     fit = fit_transform(points, truth(points) + np.random.default_rng(4).normal(0, 1, (14, 2)), model="auto")
     # Six parameters of 14 marks with 1.4 um: 0.9 um rms
     assert np.sqrt(np.mean(np.sum((fit(where) - truth(where)) ** 2, axis=1))) < 2.0
+
+
+def test_many_marks_are_taken_together_and_lose_nothing(monkeypatch):
+    """460 marks in 256 groups, beside all of them; covariances differ from mark to mark."""
+    rng, points, where = np.random.default_rng(5), marks(460), marks(300, 7)
+    half = rng.normal(0, 1, (460, 2, 2)) + 2 * np.eye(2)
+    spread = half @ half.swapaxes(1, 2)
+    seen = wavy(points) + (half @ rng.normal(0, 1, (460, 2, 1)))[..., 0]
+    together = fit_transform(points, seen, model="auto", weights=spread, robust=False)
+    assert len(together.field.nodes) == 256
+    monkeypatch.setattr(of_field, "MOST", 1000)
+    alone = fit_transform(points, seen, model="auto", weights=spread, robust=False)
+    assert len(alone.field.nodes) == 460
+    apart = np.sqrt(np.mean(np.sum((together(where) - alone(where)) ** 2, axis=1)))
+    stated = [np.sqrt(np.mean(fit.expected_error_um(where) ** 2)) for fit in (together, alone)]
+    assert apart < 0.5 * stated[1]
+    assert stated[0] == pytest.approx(stated[1], rel=0.15)
+    assert together.localisation_error_um == pytest.approx(alone.localisation_error_um, rel=0.1)
+    assert together.leave_one_out_rms_um == pytest.approx(alone.leave_one_out_rms_um, rel=0.1)
+
+
+def test_wrong_marks_among_thousands():
+    rng, points = np.random.default_rng(6), marks(3000)
+    seen = wavy(points) + rng.normal(0, 2, (3000, 2))
+    wrong = rng.choice(3000, 60, replace=False)
+    seen[wrong] += rng.choice([-1, 1], (60, 2)) * rng.uniform(40, 200, (60, 2))
+    fit = fit_transform(points, seen, model="auto")
+    np.testing.assert_array_equal(np.flatnonzero(fit.robust_weights == 0), np.sort(wrong))

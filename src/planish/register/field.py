@@ -36,6 +36,8 @@ _FIELD = np.array([0.0, *np.logspace(-1, 4, 6)])
 # Kernels that are less likely count for nothing.
 _LEAST = 1e-3
 _AT_ONCE = 1 << 18
+# Of more marks, those that lie together are one with their mean: the field is smooth, and the time grows with the cube.
+MOST = 400
 
 
 def covariance(kernel: tuple[str, float], squares: Floats) -> Floats:
@@ -79,10 +81,14 @@ class Field:
         Probability of each assumption.
     mark_variance : float
         Variance of one coordinate of a pair with information 1, in um**2; NaN where no residual is left.
+    group : ndarray, shape (n,)
+        Which marks were taken together; more than `MOST` are.
     """
 
     def __init__(self, pairs: Pairs, mirrored: bool, mixture: Floats | None = None) -> None:
-        self._pairs, self.mirrored = pairs, mirrored
+        self._given, self.mirrored = pairs, mirrored
+        self.group = _groups(pairs.fixed, MOST)
+        self._pairs = pairs = pairs if len(pairs) <= MOST else _gathered(pairs, self.group)
         self.middle, self.size = pairs.frame()
         self.nodes = (pairs.moving - self.middle) / self.size
         self._unit = float(np.median(pairs.weights))
@@ -236,8 +242,11 @@ class Field:
 
         The vectors hold the mixture; the chances are those of the others alone. With the residual operator ``P`` the
         vector is ``(P_ii)**-1 (P y)_i`` and the chance ``(1 - q / rest)**(freedom / 2 - 1)``, the tail of a t
-        distribution in the plane, where ``q = (P y)_i' (P_ii)**-1 (P y)_i``.
+        distribution in the plane, where ``q = (P y)_i' (P_ii)**-1 (P y)_i``. A mark of a group is missed by its
+        residual.
         """
+        if len(self._given) > len(self._pairs):
+            return self._residuals()
         n, tail = len(self._pairs), 0.5 * self.freedom - 1.0
         missed, likely, chances = np.zeros((n, 2)), list[Floats](), list[Floats]()
         for k, one in self._likely.items():
@@ -254,6 +263,18 @@ class Field:
             known = np.where(np.isfinite(missed).all(axis=1), known, 0.0)
             chance = np.nan_to_num(_log_sum(known + np.concatenate(chances)) - _log_sum(known))
         return np.linalg.solve(self._whitening, missed[..., None])[..., 0], chance
+
+    def _residuals(self) -> tuple[Floats, Floats]:
+        """Residuals of all marks, and the logarithm of the chance of larger ones."""
+        at = (self._given.moving - self.middle) / self.size
+        plane, kernels, bends = self.mean()
+        images = np.column_stack([np.ones(len(at)), at]) @ plane
+        squares = np.sum((at[:, None] - self.nodes) ** 2, axis=-1)
+        for kernel, bend in zip(kernels, bends, strict=True):
+            images += covariance(kernel, squares) @ bend
+        missed = self._given.fixed - images
+        share = np.einsum("ni,nij,nj->n", missed, self._given.information, missed) / self.mark_variance
+        return missed, -0.5 * share
 
     def _missed(self, one: _Likely) -> tuple[Floats, Floats, Floats]:
         """Errors (a, g, n, 2) of the marks left out, determinants (a, g, n) of ``P_ii``, and ``q`` (a, g, n)."""
@@ -273,6 +294,36 @@ class Field:
         block[lonely], det[lonely] = np.nan, np.nan
         error = (inverse_of(block.reshape(-1, 2, 2)).reshape(block.shape) @ left[..., None])[..., 0]
         return error, det, np.sum(left * error, axis=-1)
+
+
+def _groups(places: Floats, most: int) -> NDArray[np.intp]:
+    """Number of the group of each place (n, 2): halves of halves along their longer side, at most ``most``."""
+    group = np.zeros(len(places), dtype=np.intp)
+    if len(places) <= most:
+        return np.arange(len(places))
+    parts = [np.arange(len(places))]
+    while 2 * len(parts) <= most:
+        halves: list[NDArray[np.intp]] = []
+        for part in parts:
+            axis = int(np.argmax(np.ptp(places[part], axis=0)))
+            sorted_ = part[np.argsort(places[part, axis], kind="stable")]
+            halves += [sorted_[: part.size // 2], sorted_[part.size // 2 :]]
+        parts = halves
+    for number, part in enumerate(parts):
+        group[part] = number
+    return group
+
+
+def _gathered(pairs: Pairs, group: NDArray[np.intp]) -> Pairs:
+    """One pair for each group: the mean place on either side, which any affine map keeps, and its information."""
+    count, weights = int(group.max()) + 1, pairs.weights
+    share = weights / np.bincount(group, weights)[group]
+    means = [np.stack([np.bincount(group, share * side[:, k], count) for k in range(2)], axis=1)
+             for side in (pairs.moving, pairs.fixed)]  # fmt: skip
+    spread = inverse_of(pairs.information) * (share**2)[:, None, None]
+    covariances = np.zeros((count, 2, 2))
+    np.add.at(covariances, group, spread)
+    return Pairs(moving=means[0], fixed=means[1], information=inverse_of(covariances))
 
 
 def _log_sum(logs: Floats) -> Floats:

@@ -43,7 +43,10 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[NDArray[np.bool_], Field]:
         limit = np.log(_CHANCE) - (1 + len(order) - wrong) * np.log(left.size)
         # Among many marks a few wrong ones accuse no right ones: all that stand out at once.
         count = max(1, int(np.count_nonzero(chance < limit))) if n > _MANY else 1
-        order += left[np.argsort(chance, kind="stable")[:count]].tolist()
+        out = np.argsort(chance, kind="stable")[:count]
+        # Of marks that were taken together, the one that stands out most: it moves the mean of the others.
+        out = out[np.sort(np.unique(field.group[out], return_index=True)[1])]
+        order += left[out].tolist()
         keep[order] = False
         field = Field(pairs.take(keep), mirrored)
         if chance.min() < limit:
