@@ -75,7 +75,7 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
     facts: dict[str, Any] = {
         "surfaces": frame | {
             "thickness_um": 90.0, "blur_um": 4.0, "fringe": None, "fringe_um": None, "cutoff_um": 400.0,
-            "rim_um": 100.0, "saturated_share": 0.0, "missing_share": 0.0, "polarity": 1.0, "grey_air": 30.0,
+            "rim_um": 100.0, "missing_share": 0.0, "polarity": 1.0, "grey_air": 30.0,
             "grey_base": 150.0, "grey_coating_top": 200.0 if coated else None, "grey_coating_bottom": None,
             "grey_noise": 4.0, "columns": 12_600, "particles_removed": 0, "half_closed_holes": 0, "shares": shares,
         },

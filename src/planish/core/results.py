@@ -52,7 +52,6 @@ class SurfaceFacts(Facts):
     bridged_share: Number = Field(None, description="Share of the columns where gaps needed a wider cut-off.")
     bridged_off_rims_share: Number = Field(None, description="The same away from holes and their rims.")
     rim_um: Number
-    saturated_share: Number = Field(description="Share of the sheet's voxels at the end of the grey scale.")
     missing_share: Number
     polarity: Number
     grey_air: Number

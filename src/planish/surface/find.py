@@ -17,7 +17,7 @@ from planish.surface.learn import learn
 from planish.surface.params import SurfaceParams
 from planish.surface.regions import doubtful
 from planish.surface.slices import find_faces_by_slice
-from planish.surface.survey import Survey, take_survey
+from planish.surface.survey import take_survey
 
 Array = NDArray[np.float64]
 
@@ -94,21 +94,7 @@ def find_surfaces(
         (air, learnt.scale.polarity * learnt.base + air), engine,
     )  # fmt: skip
     surfaces.attrs |= learnt.attrs(columns.pitch[2], frame)
-    top, bottom = surfaces["top"].values, surfaces["bottom"].values
-    surfaces.attrs["saturated_share"] = _saturated(survey, columns.depth_um, top, bottom)
     surfaces.attrs["missing_share"] = survey.missing_share
     if survey.padding is not None:
         surfaces.attrs["padding"] = survey.padding
     return surfaces
-
-
-def _saturated(survey: Survey, depth_um: Array, top: Array, bottom: Array) -> float:
-    """Share of the sheet's voxels at the largest value of their type (or at its smallest for a dark sheet)."""
-    part, n = survey.sample, survey.stride
-    if not np.issubdtype(part.dtype, np.integer):
-        return 0.0
-    limits = np.iinfo(part.dtype)
-    limit = limits.max if survey.polarity > 0 else limits.min
-    lower, upper = (f(top, bottom)[:: n[0], :: n[1], None] for f in (np.fmin, np.fmax))
-    inside = (depth_um >= lower) & (depth_um <= upper)
-    return float(np.mean(part[inside] == limit)) if inside.any() else 0.0
