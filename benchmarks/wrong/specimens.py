@@ -123,7 +123,11 @@ def _ours(order: Draw) -> Right:
     )  # fmt: skip
     if order.program is not None:  # the pattern of another specimen: the same seed for the holes, another for the paper
         return _reprogrammed(params, order)
-    return _right(make_specimen(params), order)
+    while True:
+        try:
+            return _right(make_specimen(params), order)
+        except ValueError:  # so many holes do not fit
+            params = replace(params, holes=replace(params.holes, count=params.holes.count - 2))
 
 
 def _reprogrammed(params: SpecimenParams, order: Draw) -> Right:
