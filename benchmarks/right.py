@@ -15,9 +15,11 @@ import time
 import warnings
 from collections import Counter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import tifffile
 
 from benchmarks.wrong.case import Case
 from benchmarks.wrong.specimens import Draw, drawn
@@ -27,10 +29,18 @@ from planish.core.errors import PlanishError
 from planish.pipeline.build import map_sheet
 
 _DATA = Path(os.environ.get("PLANISH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
-_REAL: dict[str, tuple[str, dict[str, Any]]] = {
-    "letter": ("letterpacket_ct/volume_zyx_uint8.tif", {"voxel_um": (30.0, 30.0, 30.0)}),
-    "battery": ("battery_sector_right", {"voxel_um": (10.0, 10.0, 10.0), "through": "x"}),
-}
+# Path, part (y, x) of it, and options.
+_REAL: dict[str, tuple[str, tuple[slice, slice] | None, dict[str, dict[str, Any]]]] = {
+    "letter": (
+        "letterpacket_ct/volume_zyx_uint8.tif", (slice(0, 30), slice(0, 30)),
+        {"volume": {"voxel_um": (1.0, 1.0, 1.0), "through": "y"},
+         "surface": {"seed_um": (8.0, 9.0, 3.0), "cutoff_um": 12.0, "rim_um": 2.0}},
+    ),
+    "battery": (
+        "battery_sector_right", None,
+        {"volume": {"voxel_um": (1.0, 1.0, 1.0), "through": "x"}, "surface": {"sheet_grey": (100.0, 255.0)}},
+    ),
+}  # fmt: skip
 
 
 def order_of(k: int) -> tuple[Draw, str]:
@@ -98,7 +108,7 @@ def _slopes(right: Any) -> tuple[Any, Any]:
 
 def _real(name: str) -> Row:
     """A measured volume, as far as it is at hand: mapped, without an image."""
-    place, options = _REAL[name]
+    place, part, options = _REAL[name]
     row: Row = {"kind": name, "seed": 0, "maker": "real", "specimen": 0, "note": place, "figures": {}, "wrong": [],
                 "lights": [], "made_s": 0.0}  # fmt: skip
     started = time.process_time()
@@ -107,7 +117,12 @@ def _real(name: str) -> Row:
         try:
             if not (_DATA / place).exists():
                 return row | {"refused": "data are absent", "run_s": 0.0}
-            run = map_sheet(str(_DATA / place), compute=Compute(threads=1), volume=options)
+            with TemporaryDirectory() as folder:
+                path = _DATA / place
+                if part is not None:
+                    path = Path(folder, "part.tif")
+                    tifffile.imwrite(path, tifffile.imread(_DATA / place)[:, *part], metadata={"axes": "ZYX"})
+                run = map_sheet(path, compute=Compute(threads=1), **options)
             row["lights"] = [[c.state, c.name, c.sentence, list(c.figures)] for c in run.checks if c.state != "pass"]
         except PlanishError as error:
             row["refused"] = str(error)
