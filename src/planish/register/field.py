@@ -37,7 +37,7 @@ _FIELD = np.array([0.0, *np.logspace(-1, 4, 6)])
 _LEAST = 1e-3
 _AT_ONCE = 1 << 18
 # Of more marks, those that lie together are one with their mean: the field is smooth, and the time grows with the cube.
-MOST = 400
+MOST = 256
 
 
 def covariance(kernel: tuple[str, float], squares: Floats) -> Floats:

@@ -119,8 +119,8 @@ def thickness_errors(both: truth.Comparison) -> Values:
     for name in truth.THICKNESSES:
         found = both.take(both.groups["surfaces"][name].values)
         values |= truth.three(f"column_{name}", found - truth.true_thickness(both.specimen.sheet, name, u, v))
-        stated = both.take(both.groups["surfaces"][f"{name}_se"].values)
-        values[f"predicted_{name}"] = truth.rms(stated[np.isfinite(found)])
+        if (stated := both.groups["surfaces"].get(f"{name}_se")) is not None:
+            values[f"predicted_{name}"] = truth.rms(both.take(stated.values)[np.isfinite(found)])
     return values
 
 
