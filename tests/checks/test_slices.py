@@ -100,7 +100,7 @@ def test_what_a_fault_concerns():
     order = [*N[:40], *N[43:]]
     window = window_of(body()[order])
     through, across = (slice_checks([window], through=axis)[0] for axis in ("z", "y"))
-    assert set(through.figures) == {"properties", "correlation"}
+    assert set(through.figures) == {"properties", "position", "correlation"}
     assert set(across.figures) == {"position", "correlation"}
 
 

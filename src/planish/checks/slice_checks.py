@@ -54,7 +54,7 @@ def axis_check(axis: Axis, faults: Sequence[Fault], *, slices: int, through: Axi
     figures = {CORRELATION}
     if order or axis == through or kinds & {"filled", "foreign", "empty"}:
         figures.add(PROPERTIES)
-    if order or (axis != through and kinds & {"repeated", "jump"}):
+    if order or axis == through or kinds & {"repeated", "jump"}:  # heights that are wrong displace on every slope
         figures.add(POSITION)
     advice = _ADVICE["order" if order else _advice_of(faults)]
     count = sum(1 if f.kind == "jump" else f.count for f in faults)
