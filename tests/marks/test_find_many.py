@@ -6,6 +6,7 @@ from scipy import ndimage
 
 from planish.marks import _measure_kernels as k
 from planish.marks import candidates, find_holes
+from planish.marks._edge_kernels import half_level_edges
 from planish.marks.judge import BETTER, DEEPER, joined, strongest_apart
 
 
@@ -97,3 +98,14 @@ def test_overlaps_are_judged_as_pair_by_pair(count):
     np.testing.assert_array_equal(both, naive_joined(clear, floors))
     if count == 300:
         assert len(clear) < len(both) < len(clear) + len(floors)
+
+
+def test_an_outline_that_bends_through_its_centre_has_no_edge_there():
+    """Torn holes of a stack in the wrong order: the ellipse of a floor had a half axis below zero."""
+    image = np.ones((60, 60), np.float32)
+    y, x = np.indices(image.shape)
+    image[np.hypot(x - 30, y - 30) < 12] = 0.0
+    model = np.where(np.arange(96) < 48, 48.0, -60.0)
+    radii, *_ = half_level_edges(image, 4.0, 4.0, 120.0, 120.0, 1.0, model, 8.0, 2.0, 4.0)
+    np.testing.assert_allclose(radii[:48], 48.0, atol=4.0)
+    assert np.isnan(radii[48:]).all()

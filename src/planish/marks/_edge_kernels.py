@@ -106,7 +106,8 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
         x0, y0 = cx / px, cy / py
         sx, sy = np.cos(angle) / px, np.sin(angle) / py
         start = max(0.0, model[k] - search - reach * dt)
-        count = int((model[k] + search + reach * dt - start) / dt) + 2
+        # A model that bends to the other side of its centre has no edge there.
+        count = max(0, int((model[k] + search + reach * dt - start) / dt) + 2)
         values = np.empty(count)
         sums = np.zeros(count + 1)
         rises = np.zeros(count)
