@@ -12,8 +12,8 @@ from tests.report.runs import a_run
 from planish.cli.show import run_facts, run_lines
 from planish.core.checks import Check
 from planish.core.errors import FileError
-from planish.core.results import Results
-from planish.pipeline.checks import alone_check, with_trust
+from planish.core.results import HoleTiltFacts, Results
+from planish.pipeline.checks import _tilt_check, alone_check, with_trust
 from planish.pipeline.figures import figures_text
 
 ALL = ("coating_top", "coating_bottom", "base_thickness", "thickness")
@@ -122,3 +122,25 @@ def test_a_hole_of_the_image_lies_where_the_sheet_is_whole(at, state):
     found = alone_check(sheet, xr.Dataset({k: ("mark", v) for k, v in pairs.items()}), "sheet", "image")
     assert found.state == state
     assert ("fixed 2 of the image lies where the sheet has no hole" in found.sentence) == (state == "look")
+
+
+@pytest.mark.parametrize(
+    ("degrees", "error_um", "count", "state"),
+    [
+        ((4.0, 3.0), 0.3, 7, "look"),
+        ((0.4, 0.3), 0.05, 7, "pass"),
+        ((4.0, 3.0), 4.0, 7, "pass"),
+        ((4.0, 3.0), 0.3, 3, None),
+    ],
+)
+def test_holes_that_all_lean_to_one_side(degrees, error_um, count, state):
+    """Tilts of holes: 50 um from layer to layer; the error of the tilt is that of the offset."""
+    offset = 50.0 * np.tan(np.deg2rad(degrees))
+    facts = HoleTiltFacts(
+        through=count, closed=0, unclear=0, other_side_only=0, offset_count=count, offset_um=tuple(offset),
+        offset_spread_um=(1.0, 1.0), offset_error_um=(error_um, error_um), tilt_deg=degrees, side="top", sentence="x.",
+    )  # fmt: skip
+    found = _tilt_check(facts)
+    assert (found and found.state) == state
+    assert state is None or found.value == pytest.approx(np.hypot(*degrees))
+    assert state != "look" or found.sentence.startswith("The holes run through the sheet at 5 ± 0.3° from its normal")

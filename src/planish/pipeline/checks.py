@@ -10,7 +10,16 @@ import xarray as xr
 
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, concerned
 from planish.core.grid import Grid
-from planish.core.results import CorrelationRow, LayerFacts, LinkedArea, RegistrationFacts, Results, SheetFacts, Trust
+from planish.core.results import (
+    CorrelationRow,
+    HoleTiltFacts,
+    LayerFacts,
+    LinkedArea,
+    RegistrationFacts,
+    Results,
+    SheetFacts,
+    Trust,
+)
 from planish.register import FittedTransform
 
 _MD_LIMIT_DEG = 10.0
@@ -20,6 +29,8 @@ _SCALE = 0.03
 _STRAIN = 0.01  # paper strains by less between two measurements
 _OF_A_HOLE = 0.1  # share of a hole's diameter within which marks that were found well agree
 _CORE, _WHOLE = 0.35, 0.7  # of a hole's diameter: its middle, where no sheet is; share measured that says there is one
+_TILT_DEG, _SURE = 1.5, 4.0  # of holes burnt from above; and in standard errors
+_LEAST_TILTED = 4
 _FAR = 5.0  # times the limit from which on marks give no position
 
 
@@ -92,6 +103,8 @@ def registration_checks(
         sentence=f"Between the marks, the registration strains the sheet by up to {100 * strain.largest:.2g} %.",
         advice="Paper strains by less than 1 %. Check the marks there, and the order of the slices.",
     )  # fmt: skip
+    if facts.tilt is not None and (found := _tilt_check(facts.tilt)) is not None:
+        yield found
     o = facts.orientation
     if o.md_deg_fixed is None or o.md_deg_fixed_from_moving is None:
         return
@@ -101,6 +114,23 @@ def registration_checks(
         "machine direction", off, look=_MD_LIMIT_DEG, units="deg", figures=(POSITION,),
         sentence=f"The machine directions of {layer} and {facts.to} differ by {off:.1f}°.",
         advice="One of them is wrong, or the marks were matched wrongly.",
+    )  # fmt: skip
+
+
+def _tilt_check(tilt: HoleTiltFacts) -> Check | None:
+    """Holes run along the normal of the sheet, all together; None where too few were found on both sides."""
+    if tilt.tilt_deg is None or tilt.offset_count < _LEAST_TILTED:
+        return None
+    angle, offset, error = (
+        float(np.linalg.norm(np.array(v, dtype=np.float64)))
+        for v in (tilt.tilt_deg, tilt.offset_um, tilt.offset_error_um)
+    )
+    error *= angle / max(offset, 1e-9) / np.sqrt(2)
+    return Check.at_most(
+        "tilt of the holes", angle, look=max(_TILT_DEG, _SURE * error), units="deg", figures=(POSITION,),
+        sentence=f"The holes run through the sheet at {angle:.2g} ± {error:.1g}° from its normal, all to one side.",
+        advice="Either the laser was not perpendicular to the sheet, or slices drift sideways through the volume, and "
+        "then all places do. Ask how the holes were burnt.",
     )  # fmt: skip
 
 
