@@ -6,6 +6,7 @@ import xarray as xr
 from scipy import ndimage
 
 from planish.checks import check_scan
+from planish.checks.blur import blur_check, noise_width
 from planish.checks.dust import find_particles
 from planish.checks.greys import Greys, clipping, clipping_check, steadiness_check, unsteady
 from planish.checks.sheets import voxels_check
@@ -52,6 +53,12 @@ def layered(*, extra=None, depth=40, seed=0, noise=5.0, shape=(190, 200)):
     return volume, measured
 
 
+def turned(volume, through):
+    """The same with the axis through the sheet along another one."""
+    dims = {"z": ("z", "y", "x"), "y": ("y", "z", "x"), "x": ("x", "z", "y")}[through]
+    return volume.rename(dict(zip(("z", "y", "x"), dims, strict=True))).transpose("z", "y", "x")
+
+
 def by_name(checks):
     return {check.name: check for check in checks}
 
@@ -68,9 +75,7 @@ def test_right_sheet_passes_every_check_and_threads_change_nothing():
 def test_second_sheet_fails(through):
     """A coating of 10 voxels in the middle of the base in a third of the sheet, through any axis."""
     volume, measured = layered(extra=lambda t, _r, c: np.where((abs(t - 0.5) < 0.12) & (c < 70), 200.0, np.nan))
-    dims = {"z": ("z", "y", "x"), "y": ("y", "z", "x"), "x": ("x", "z", "y")}[through]
-    turned = volume.rename(dict(zip(("z", "y", "x"), dims, strict=True))).transpose("z", "y", "x")
-    found = by_name(check_scan(turned, measured.assign_attrs(through=through)))["one sheet"]
+    found = by_name(check_scan(turned(volume, through), measured.assign_attrs(through=through)))["one sheet"]
     assert found.state == "fail"
     assert found.value == pytest.approx(0.35, abs=0.06)
     assert "second sheet" in found.sentence
@@ -101,15 +106,15 @@ def test_a_fading_beam_is_a_look(through, fades_by, state):
     fade = xr.DataArray(np.linspace(1, 1 - fades_by, volume.sizes["y"]), dims="y")
     volume = (volume * fade).transpose("z", "y", "x").assign_attrs(volume.attrs)
     greys = {f"grey_{k}": v * (1 - fades_by / 2) for k, v in (("air", 40.0), ("base", 90.0))}
-    if through == "x":
-        volume = volume.rename({"z": "x", "x": "z"}).transpose("z", "y", "x")
-    found = by_name(check_scan(volume, measured.assign_attrs(greys, through=through)))["grey across the sheet"]
+    seen = check_scan(turned(volume, through), measured.assign_attrs(greys, through=through))
+    found = by_name(seen)["grey across the sheet"]
     assert found.state == state
     # From the first tile's middle to the last one's, which is less than the whole.
     whole = fades_by * 90 / (50 * (1 - fades_by / 2))
     assert 0.8 * whole - 0.02 < found.value < whole + 0.02
     assert found.figures == ("properties",)
-    assert "Along y" in found.sentence or state == "pass"
+    along = {"z": "y", "x": "z"}[through]
+    assert f"Along {along}" in found.sentence or state == "pass"
 
 
 def test_a_blur_wider_than_the_coating_is_a_look():
@@ -119,6 +124,26 @@ def test_a_blur_wider_than_the_coating_is_a_look():
         assert (found.state, found.value) == (state, pytest.approx(2.3548 * blur / 15, rel=0.02))
     bare = measured.drop_vars(["coating_top", "coating_bottom"]).assign_attrs(grey_coating_top=np.nan)
     assert "blur of the scan" not in by_name(check_scan(volume, bare))
+
+
+@pytest.mark.parametrize("through", ["z", "x"])
+@pytest.mark.parametrize(("sigma", "state"), [(1.0, "pass"), (2.5, "look")])
+def test_a_filter_is_seen_in_the_noise_of_the_air(sigma, state, through):
+    """White noise smoothed by a Gaussian, with streaks that go on: the width is that of the filter."""
+    volume, measured = layered(shape=(120, 130))
+    rng = np.random.default_rng(1)
+    smooth = ndimage.gaussian_filter(rng.normal(size=(260, *volume.shape[1:])), sigma)
+    streaks = ndimage.gaussian_filter(rng.normal(size=(260, *volume.shape[1:])), 15)
+    air = 40 + 5 * smooth / smooth.std() + 2 * streaks / streaks.std()
+    air[100 : 100 + volume.sizes["z"]][volume.values > 60] = 90
+    coords = {k: np.arange(n) * VOXEL for k, n in zip("zyx", air.shape, strict=True)}
+    tall = xr.DataArray(air.astype(np.float32), dims=("z", "y", "x"), coords=coords, attrs=volume.attrs)
+    heights = {k: measured[k] + 100 * VOXEL for k in ("top", "bottom")}
+    tall, moved = turned(tall, through), measured.assign(heights).assign_attrs(through=through)
+    assert noise_width(tall, moved) == pytest.approx(2.3548 * sigma * VOXEL, rel=0.12)
+    found = blur_check(tall, moved)  # the coating has 15 um
+    assert found.state == state
+    assert found.sentence.startswith("The noise is smoothed over ")
 
 
 def test_strong_noise_is_no_gap():

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from planish.checks.blur import blur_check
 from planish.checks.dust import dust_check
 from planish.checks.greys import Greys, clipping_check, steadiness_check
 from planish.checks.shading import shading_check
-from planish.checks.sheets import blur_check, core_places, layers_check, voxels_check
+from planish.checks.sheets import core_places, layers_check, voxels_check
 from planish.checks.slice_checks import slice_checks
 from planish.checks.windows import gather
 from planish.core.checks import Check
@@ -53,7 +54,7 @@ def check_scan(
             shading_check(core, found.grey, greys, through=frame.through),
             layers_check(core, found.grey, greys, resolved=voxels.state == "pass"),
         ]
-        blur = blur_check(measured)
+        blur = blur_check(volume, measured)
         checks += [] if blur is None else [blur]
     checks.append(voxels)
     checks += [check for side in ("top", "bottom") if (check := dust_check(measured, side)) is not None]

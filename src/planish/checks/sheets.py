@@ -26,7 +26,6 @@ _BLURS = 2.5  # widths of the blur: there it mixes in what lies beside the base
 _DEPTHS = (9, 48)  # fewest and most places across the base
 _TILES = 2500  # at most
 _LEAST_TILES = 10
-_FWHM = 2.3548  # of a Gaussian, in standard deviations
 _SURE = 3.0  # standard errors of a median; 1.86 is 1.4826 of the median deviation, 1.253 of the median
 _SHEET = (PROPERTIES, POSITION)
 
@@ -153,20 +152,4 @@ def voxels_check(volume: xr.DataArray, measured: xr.Dataset) -> Check:
         sentence=f"The sheet is {count:.1f} voxels thick."
         + (" It may be thinner: sheets of 2 or 3 voxels are measured too thick." if count < LEAST_VOXELS else ""),
         advice="Scan with smaller voxels: five through the sheet are needed, and two through a coating.",
-    )  # fmt: skip
-
-
-def blur_check(measured: xr.Dataset) -> Check | None:
-    """Judge whether a coating is thicker than the blur of the scan is wide; None where none is seen."""
-    names = [k for k in ("coating_top", "coating_bottom") if k in measured and np.isfinite(measured[k].values).any()]
-    if not names:
-        return None
-    thin = min(float(np.nanmedian(measured[k].values)) for k in names)
-    width = _FWHM * float(measured.attrs["blur_um"])
-    return Check.at_most(
-        "blur of the scan", width / max(thin, 1e-9), look=1.0, units="of the coating", figures=(PROPERTIES,),
-        sentence=f"An edge is blurred over {width:.3g} um, full width at half maximum; the coating is {thin:.3g} um "
-        "thick.",
-        advice="Thickness and grey level of a layer that is thinner than the blur cannot be told apart. Scan with "
-        "smaller voxels, and leave out filters that smooth.",
     )  # fmt: skip
