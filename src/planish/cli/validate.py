@@ -10,6 +10,7 @@ import click
 
 from planish.cli.options import json_option, made, options, verb
 from planish.cli.show import table
+from planish.compute import Compute
 from planish.synthetic.presets import SpecimenOptions
 
 if TYPE_CHECKING:
@@ -70,10 +71,11 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     help="Folder to make for certificate.html, .md and .json, one in it for each of several scenarios.",
 )  # fmt: skip
 @click.option("--list", "listed", is_flag=True, help="Name the scenarios and end.")
+@options(Compute, "compute", "Resources")
 @json_option
 def validate(
     scenarios: tuple[str, ...], seeds: int | None, like: Path | None, alone: bool, out: Path | None, listed: bool,
-    as_json: bool,
+    as_json: bool, **values: Any,
 ) -> int:  # fmt: skip
     """Calibrate planish: make specimens with known answers, run on their files, report the error of every stage.
 
@@ -102,9 +104,12 @@ def validate(
         click.echo(f"{stage}: {detail}", err=True)
 
     results: list[tuple[Certificate, Sensitivity | None]] = []
+    compute = made(Compute, values, "compute")
     for scenario in chosen:
-        certificate = replace(run_scenario(scenario, seeds, progress=report), notes=notes)
-        grown = sensitivity(scenario, 1, progress=report) if alone and scenario.kind == "line" else None
+        certificate = replace(run_scenario(scenario, seeds, progress=report, compute=compute), notes=notes)
+        grown = (
+            sensitivity(scenario, 1, progress=report, compute=compute) if alone and scenario.kind == "line" else None
+        )
         results.append((certificate, grown))
         if not as_json:
             _show(certificate, grown)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planish.compute import Progress, silent
+from planish.compute import Compute, Progress, silent
 from planish.core.errors import InputError, PlanishError, ResourceError
 from planish.pipeline import run_study
 from planish.report.draw import Picture
@@ -132,8 +132,9 @@ class Certificate:
 
 
 def run_scenario(
-    scenario: Scenario, seeds: int | Sequence[int] | None = None, progress: Progress = silent
-) -> Certificate:
+    scenario: Scenario, seeds: int | Sequence[int] | None = None, progress: Progress = silent,
+    compute: Compute | None = None,
+) -> Certificate:  # fmt: skip
     """Make the specimens of a scenario, run the program on their files, and measure its errors.
 
     Parameters
@@ -143,6 +144,8 @@ def run_scenario(
         How many, or which; the scenario's own number where not given.
     progress : callable, optional
         Called with (stage, detail).
+    compute : Compute, optional
+        Memory and threads of each run.
 
     Returns
     -------
@@ -157,13 +160,14 @@ def run_scenario(
             entries.append(Entry(seed=seed, values=in_order(mesh_values(seed, once=k == 0))))
         else:
             drawn = any(entry.pictures for entry in entries)
-            entries.append(run_specimen(scenario, scenario.params(seed), seed, progress, draw=not drawn))
+            entries.append(run_specimen(scenario, scenario.params(seed), seed, progress, compute, draw=not drawn))
     return Certificate(scenario=scenario, entries=tuple(entries))
 
 
 def run_specimen(
-    scenario: Scenario, params: SpecimenParams, seed: int, progress: Progress = silent, *, draw: bool = False
-) -> Entry:
+    scenario: Scenario, params: SpecimenParams, seed: int, progress: Progress = silent,
+    compute: Compute | None = None, *, draw: bool = False,
+) -> Entry:  # fmt: skip
     """Make one specimen, or a pair, run the program on its files, remove them; with ``draw``, also its pictures."""
     with tempfile.TemporaryDirectory(prefix="planish-validate-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
@@ -173,7 +177,7 @@ def run_specimen(
             raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
         study = scenario.study_of([(files.volume, files.through) for _, files in made], made[0][1].image)
         try:
-            run = run_study(study, folder / "run", progress=progress)
+            run = run_study(study, folder / "run", progress=progress, compute=compute)
         except ResourceError:
             raise  # a matter of this machine, not of the specimen
         except PlanishError as error:

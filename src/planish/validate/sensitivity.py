@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planish.compute import Progress, silent
+from planish.compute import Compute, Progress, silent
 from planish.core.errors import InputError
 from planish.synthetic.presets import NUISANCES
 from planish.validate.certify import Entry, run_specimen, seed_numbers
@@ -54,6 +54,7 @@ def sensitivity(
     scenario: Scenario,
     seeds: int | Sequence[int] = 1,
     progress: Progress = silent,
+    compute: Compute | None = None,
 ) -> Sensitivity:
     """Run a scenario without nuisances, with each alone, and with all; figures are rms over the seeds.
 
@@ -75,7 +76,7 @@ def sensitivity(
         entries: list[Entry] = []
         for seed in numbers:
             progress("sensitivity", f"{what}, seed {seed}")
-            entries.append(run_specimen(scenario, scenario.params(seed, chosen), seed))
+            entries.append(run_specimen(scenario, scenario.params(seed, chosen), seed, compute=compute))
         found = {
             name: rms(np.array([entry.values.get(name) for entry in entries], dtype=np.float64))
             for name in {name for entry in entries for name in entry.values}
