@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from planish.measure import measure_properties
 from planish.measure.greys import Greys
-from planish.measure.uncertainty import Shared
+from planish.measure.uncertainty import Shared, common_errors
 from planish.pipeline.facts import property_facts
 from planish.resample.maps import _of_mean
 from planish.surface import find_surfaces
@@ -103,3 +103,7 @@ def test_averaging_and_shared_noise_leave_fewer_independent_values():
     shared = Shared.of(Greys(noise=8.0, single_noise=8.0, **plain), noise_um=3 * white.noise_um, **layout)
     assert shared.noise_um == pytest.approx(3 * white.noise_um)
     assert shared.patch_um2 == pytest.approx((14 + 8) * 9.0)
+    # Without noise, what little scatters in the air is no measure of anything: it made 2.5 mm of a coating's error.
+    clean = Shared.of(Greys(noise=4e-5, single_noise=4e-5, **plain), noise_um=0.05, **layout)
+    assert clean.patch_um2 == pytest.approx(14 * 9.0)
+    assert clean.common_um == common_errors(3.0)

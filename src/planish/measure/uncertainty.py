@@ -26,6 +26,7 @@ _LEVELS = (0.05, 0.10)  # spread of the coating's and the base's level from plac
 _NODES = 61
 COMMON = {"face": 0.025, "interface": 0.07}  # voxels: what pores at a boundary and the levels leave, besides noise
 _SHARED = 14.0  # columns of one voxel that an independent value stands for: the sum of the errors' autocorrelation
+_NO_NOISE = 0.003  # of the contrast of air and base, in a single voxel
 _WHITE = 1.2  # voxels: noise with a longer autocorrelation is shared by neighbours
 _LARGEST = 12.0  # layers thicker than so many blurs have two edges that know nothing of each other
 
@@ -40,7 +41,7 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
     white = frame.greys.noise**2 * frame.voxel_um
     rows = np.flatnonzero((frame.status == 0).any(axis=1))
     picked = rows[np.unique(np.linspace(0, rows.size - 1, min(_ROWS, rows.size)).astype(int))]
-    beside = 3 * frame.greys.blur_um
+    beside = 3 * frame.greys.blur_um + frame.voxel_um
     found: list[Array] = []
     length = 0.0
     for row in picked:
@@ -89,8 +90,10 @@ class Shared:
         single rays, as from :func:`ray_noise`; NaN for white noise.
         """
         white = (greys.single_noise * wide) ** 2 * voxel_um
-        # The integral of the noise's autocorrelation along one axis, in voxels; the same is taken for all axes.
-        length = max(1.0, noise_um / max(white, 1e-12)) if np.isfinite(noise_um) else 1.0
+        # The integral of the noise's autocorrelation along one axis, in voxels; the same is taken for all axes. Beside
+        # noise that moves no face, what scatters in the air says nothing of it.
+        least = (_NO_NOISE * (greys.base - greys.air)) ** 2 * voxel_um
+        length = max(1.0, noise_um / max(white, least)) if np.isfinite(noise_um) else 1.0
         averaged = 4 * np.pi * (greys.averaged * wide) ** 2  # voxels under the Gaussian of the averaging
         patch = _SHARED + length**2 - 1 + averaged
         column = pitch_um[0] * pitch_um[1]

@@ -127,10 +127,11 @@ def _tilt_check(tilt: HoleTiltFacts) -> Check | None:
     )
     error *= angle / max(offset, 1e-9) / np.sqrt(2)
     return Check.at_most(
-        "tilt of the holes", angle, look=max(_TILT_DEG, _SURE * error), units="deg", figures=(POSITION,),
+        "tilt of the holes", angle, look=max(_TILT_DEG, _SURE * error), units="deg",
+        figures=(POSITION, PROPERTIES),
         sentence=f"The holes run through the sheet at {angle:.2g} ± {error:.1g}° from its normal, all to one side.",
         advice="Either the laser was not perpendicular to the sheet, or slices drift sideways through the volume, and "
-        "then all places do. Ask how the holes were burnt.",
+        "then places and thicknesses are wrong. Ask how the holes were burnt.",
     )  # fmt: skip
 
 
