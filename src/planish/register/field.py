@@ -318,12 +318,11 @@ def _gathered(pairs: Pairs, group: NDArray[np.intp]) -> Pairs:
     """One pair for each group: the mean place on either side, which any affine map keeps, and its information."""
     count, weights = int(group.max()) + 1, pairs.weights
     share = weights / np.bincount(group, weights)[group]
-    means = [np.stack([np.bincount(group, share * side[:, k], count) for k in range(2)], axis=1)
-             for side in (pairs.moving, pairs.fixed)]  # fmt: skip
-    spread = inverse_of(pairs.information) * (share**2)[:, None, None]
-    covariances = np.zeros((count, 2, 2))
-    np.add.at(covariances, group, spread)
-    return Pairs(moving=means[0], fixed=means[1], information=inverse_of(covariances))
+    moving, fixed, covariances = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 2, 2))
+    np.add.at(moving, group, share[:, None] * pairs.moving)
+    np.add.at(fixed, group, share[:, None] * pairs.fixed)
+    np.add.at(covariances, group, inverse_of(pairs.information) * (share**2)[:, None, None])
+    return Pairs(moving=moving, fixed=fixed, information=inverse_of(covariances))
 
 
 def _log_sum(logs: Floats) -> Floats:
