@@ -237,8 +237,11 @@ def unlike_removed(rows: Floats, sign: float) -> Floats:
         return rows
     typical = family(rows)
     outside, step = rows[:, k.OUTSIDE], rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
-    depth = step / np.maximum(outside - typical.floor_at(outside), step)
-    fits = depth >= 1 - np.clip(FAR * typical.scatter, *UNLIKE_FLOORS)
+    whole = np.maximum(outside - typical.floor_at(outside), step)
+    depth = step / whole
+    # Of a hole that is half closed farther down, the other half is as deep as all.
+    uneven = np.maximum(rows[:, k.UNEVENNESS] - np.median(rows[:, k.UNEVENNESS]), 0.0)
+    fits = depth + uneven / whole >= 1 - np.clip(FAR * typical.scatter, *UNLIKE_FLOORS)
     if sign < 0:
         # In transmitted light floors fade with the lamp, and nothing but a hole shines.
         fits |= step >= LEAST_SHARE_OF_MEDIAN * np.median(step)
