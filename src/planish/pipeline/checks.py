@@ -126,10 +126,12 @@ def _tilt_check(tilt: HoleTiltFacts) -> Check | None:
         for v in (tilt.tilt_deg, tilt.offset_um, tilt.offset_error_um)
     )
     error *= angle / max(offset, 1e-9) / np.sqrt(2)
+    limit = max(_TILT_DEG, _SURE * error)
+    end = " from its normal, all to one side" if angle > limit else " from its normal on average"
     return Check.at_most(
-        "tilt of the holes", angle, look=max(_TILT_DEG, _SURE * error), units="deg",
+        "tilt of the holes", angle, look=limit, units="deg",
         figures=(POSITION, PROPERTIES),
-        sentence=f"The holes run through the sheet at {angle:.2g} ± {error:.1g}° from its normal, all to one side.",
+        sentence=f"The holes run through the sheet at {angle:.2g} ± {error:.1g}°{end}.",
         advice="Either the laser was not perpendicular to the sheet, or slices drift sideways through the volume, and "
         "then places and thicknesses are wrong. Ask how the holes were burnt.",
     )  # fmt: skip
@@ -155,8 +157,8 @@ def alone_check(sheet: xr.Dataset, marks: xr.Dataset, layer: str, reference: str
     some = f"{', '.join(whole)} of the {reference} {'lies' if len(whole) == 1 else 'lie'} where the {layer} has no hole"
     return Check.at_most(
         "holes without partner", len(whole), look=0, figures=(POSITION, CORRELATION),
-        sentence=f"{some}." if whole else
-        f"None of the {reference}'s {count} holes without a partner lies where the {layer} is whole.",
+        sentence=f"{some}." if whole else f"Every hole of the {reference} has a partner." if count == 0 else
+        f"{count} of the {reference}'s holes have no partner, and none of them lies where the {layer} is whole.",
         advice="Either that is no hole, or the two do not lie on each other there. Look at both, and at the order and "
         "spacing of the slices.",
     )  # fmt: skip
