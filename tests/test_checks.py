@@ -106,19 +106,20 @@ def test_limits_belong_to_what_passes_and_nan_never_does(value, state):
         assert (mirrored.state, mirrored.limit) == (state, -found.limit)
 
 
+@pytest.mark.parametrize("origin", [0.0, -400.0])
 @pytest.mark.parametrize(
     ("at", "state"), [((200.0, 300.0), "pass"), ((500.0, 100.0), "look"), ((850.0, 100.0), "pass")]
 )
-def test_a_hole_of_the_image_lies_where_the_sheet_is_whole(at, state):
+def test_a_hole_of_the_image_lies_where_the_sheet_is_whole(at, state, origin):
     """The sheet has holes at (200, 300) and (600, 500) and ends at x = 800 um; the second hole is paired."""
     y, x = np.arange(120) * 5.0, np.arange(200) * 5.0
     thick = np.full((120, 200), 80.0)
     for u, v in ((200, 300), (600, 500)):
         thick[np.hypot(y[:, None] - v, x - u) < 90] = np.nan
     thick[:, x > 800] = np.nan
-    sheet = xr.Dataset({"thickness": (("y", "x"), thick)}, coords={"y": y, "x": x})
-    pairs = {"label": ["hole 1", "fixed 2"], "moving_x": [1.0, np.nan], "fixed_x": [600.0, at[0]],
-             "fixed_y": [500.0, at[1]], "fixed_diameter": [175.0, 175.0]}  # fmt: skip
+    sheet = xr.Dataset({"thickness": (("y", "x"), thick)}, coords={"y": y + origin, "x": x - origin})
+    pairs = {"label": ["hole 1", "fixed 2"], "moving_x": [1.0, np.nan], "fixed_x": [600.0 - origin, at[0] - origin],
+             "fixed_y": [500.0 + origin, at[1] + origin], "fixed_diameter": [175.0, 175.0]}  # fmt: skip
     found = alone_check(sheet, xr.Dataset({k: ("mark", v) for k, v in pairs.items()}), "sheet", "image")
     assert found.state == state
     assert ("fixed 2 of the image lies where the sheet has no hole" in found.sentence) == (state == "look")

@@ -117,6 +117,15 @@ def test_a_fading_beam_is_a_look(through, fades_by, state):
     assert f"Along {along}" in found.sentence or state == "pass"
 
 
+def test_a_strip_is_followed_along_its_length_alone():
+    """One tile across: no parabola can be laid through it that way."""
+    volume, measured = layered(shape=(24, 700))
+    found = by_name(check_scan(volume, measured))["grey across the sheet"]
+    assert found.state == "pass"
+    assert found.sentence.startswith("Along x, ")
+    assert np.isfinite(found.value)
+
+
 def test_a_blur_wider_than_the_coating_is_a_look():
     volume, measured = layered()
     for blur, state in ((5.5, "pass"), (7.5, "look")):

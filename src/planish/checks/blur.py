@@ -70,7 +70,7 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
             variance = float(np.mean(values**2))
             if np.isfinite(variance) and variance > _QUIET**2 * (volume.dtype.kind != "f"):
                 lags += _products(values)
-    if not lags[0] > 0:
+    if not lags[0] > lags[-1]:
         return float("nan")
     # What goes on farther is no noise but streaks and shading.
     share = (lags - lags[-1]) / (lags[0] - lags[-1])

@@ -12,7 +12,7 @@ from planish.core.frame import Axis
 
 SHADED = 0.15  # of base - air: change of the base's grey across the sheet
 _NOTABLE = 9.0  # times the standard error of a mean: range of a fitted parabola that chance does not make
-_LEAST_TILES = 20
+_LEAST_TILES, _LEAST_PLACES = 20, 4  # of all, and different ones along an axis
 
 
 def shading_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, through: Axis) -> Check:
@@ -34,6 +34,8 @@ def shading_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, throug
         if axis == through:
             continue
         place = np.nanmean(np.where(core.known[tiles], points[tiles, :, 0, k], np.nan), axis=1)
+        if np.unique(place).size < _LEAST_PLACES:
+            continue
         fit = np.polynomial.Polynomial.fit(place, level, 2)
         change = float(np.ptp(fit(fit.linspace(41)[0]))) / contrast
         chance = _NOTABLE * float(np.std(level - fit(place))) / contrast / np.sqrt(level.size)
