@@ -120,6 +120,7 @@ def _ours(order: Draw) -> Right:
             pixel_um=float(rng.uniform(4.0, 5.5)), shading=0.004, nuisance_sd=0.005, radial=float(rng.uniform(0, 4e-4)),
             vignetting=float(rng.uniform(0, 0.04)), scale_range=0.005,
         ),
+        stiffness=float(np.random.default_rng([9, order.seed]).uniform(0, 3)),
     )  # fmt: skip
     if order.program is not None:  # the pattern of another specimen: the same seed for the holes, another for the paper
         return _reprogrammed(params, order)
@@ -139,8 +140,9 @@ def _reprogrammed(params: SpecimenParams, order: Draw) -> Right:
     high = np.array(first.sheet.origin) + 3.0 * np.array(first.sheet.faces.shape[:0:-1]) + 400.0
     stage = np.random.default_rng([8, order.seed]).normal(0, params.holes.stage_um, first.sheet.holes.shape)
     sheet = make_sheet(
-        params.paper, first.params.holes, low=low, high=high, centres=first.sheet.holes + stage, seed=order.seed
-    )
+        params.paper, first.params.holes, low=low, high=high, centres=first.sheet.holes + stage, seed=order.seed,
+        stiffness=params.stiffness,
+    )  # fmt: skip
     params = replace(params, holes=first.params.holes, size_um=first.params.size_um)
     return _right(make_specimen(params, sheet=sheet), order)
 
