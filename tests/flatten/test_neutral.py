@@ -98,9 +98,14 @@ def test_no_coating_seen_leaves_a_hundredth_of_the_thickness_and_sections_their_
     marks = np.array([[-700, 100.0], [600, 80], [-500, 700], [750, 650], [0, 300]])
     fit = fit_transform(marks, marks + np.array([[0.5, 0], [0, 0.5], [-0.5, 0], [0, -0.5], [0, 0]]))
     grid = Grid(y_um=np.arange(100, 700, 50.0), x_um=np.arange(-800, 800, 50.0))
-    cut = {"sections": xr.Dataset(attrs={"jitter_left_um": [0.3, 0.4]})}
-    found = position_errors({"surfaces": bare, "flat": flat} | cut, Chain(fits=(fit,)), grid, np.zeros(grid.shape))
-    np.testing.assert_allclose(found["error_sections"].values, 0.5 * fit.transform.scale, rtol=1e-6)
+    shifts = {f"shift_{k}": ("section", np.resize([-s, s], 600)) for k, s in (("row", 1.0), ("col", 2.0))}
+    # What the alignment left, more than it sees of it; and a wander of a tenth of the shifts a section, held at sqrt(5)
+    # places by 5 marks, unless the stage showed it.
+    for fixed, wander in (([], np.hypot(0.1, 0.2)), (["col"], 0.1), (["row", "col"], 0.0)):
+        cut = {"sections": xr.Dataset(shifts, attrs={"jitter_left_um": [0.3, 0.4], "fixed": fixed})}
+        found = position_errors({"surfaces": bare, "flat": flat} | cut, Chain(fits=(fit,)), grid, np.zeros(grid.shape))
+        left = np.hypot(1.3 * 0.5, wander * np.sqrt(600 / np.sqrt(5) / 6)) * fit.transform.scale
+        np.testing.assert_allclose(found["error_sections"].values, left, rtol=1e-6)
     stated = position_errors({"surfaces": surfaces, "flat": flat}, Chain(fits=(fit,)), grid, np.zeros(grid.shape))
     # an offset of 0.8 um against one of 4 um, of which faces state NEUTRAL["faces"]
     ratio = found["error_neutral"].values / stated["error_neutral"].values

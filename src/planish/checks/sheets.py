@@ -20,7 +20,8 @@ BRIGHT_SHARE, DARK_SHARE = 0.10, 0.02  # of the tiles
 LEAST_VOXELS = 5.0  # 114 um are measured of 80 um with 2 voxels, 130 of 120 um with 3; with 4 it is right
 _TILE_UM = 60.0
 _COLUMNS = 7  # along the edge of a tile, at most
-_LEAST_COLUMNS = 5  # in a tile
+_LEAST_COLUMNS = 5  # in a tile, and
+_LEAST_SHARE = 1 / 3  # of its columns: a few side by side may lie in one pore
 _INNER = (0.2, 0.45)  # of the base on either side, least and most, that is left out, and
 _BLURS = 2.5  # widths of the blur: there it mixes in what lies beside the base
 _DEPTHS = (9, 48)  # fewest and most places across the base
@@ -102,7 +103,7 @@ def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, resolve
         )  # fmt: skip
     profiles = grey.reshape(core.shape).astype(np.float64)
     profiles[~core.known] = np.nan
-    enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= _LEAST_COLUMNS
+    enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(_LEAST_COLUMNS, _LEAST_SHARE * core.shape[1])
     name = "one sheet"
     if np.count_nonzero(enough) < _LEAST_TILES:
         return Check(

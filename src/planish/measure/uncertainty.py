@@ -71,12 +71,16 @@ class Shared:
         Variance of the grey's integral over one um of a column as the fit saw it; grey^2 um.
     common_um : dict
         Error of each thickness and topography that averaging does not lessen.
+    place_um : dict
+        The same with what differs from place to place: a column of voxels that are longer across than along it takes in
+        more of the boundary's detail.
     patch_um2 : float
         Area that one independent value stands for.
     """
 
     noise_um: float
     common_um: Mapping[str, float]
+    place_um: Mapping[str, float]
     patch_um2: float
 
     @classmethod
@@ -102,8 +106,9 @@ class Shared:
         # costs as much as is gained.
         gain = (1 + averaged) ** 0.7 if length < _WHITE else 1.0
         noise = greys.single_noise**2 * voxel_um * length / gain
+        longest, shared = max(voxel_um, max(pitch_um) / wide), float(np.sqrt(length))
         return cls(
-            noise_um=float(noise), common_um=common_errors(voxel_um * float(np.sqrt(length))),
+            noise_um=float(noise), common_um=common_errors(shared * voxel_um), place_um=common_errors(shared * longest),
             patch_um2=column * max(patch / wide**2, 1.0),
         )  # fmt: skip
 
@@ -124,7 +129,7 @@ def thickness_errors(
         "thickness": np.hypot(top[0], bottom[0]),
     }  # fmt: skip
     found |= {f"topography_{k}": of[0] for k, of in sides.items()}
-    return {name: np.hypot(se, shared.common_um[name]) for name, se in found.items()}
+    return {name: np.hypot(se, shared.place_um[name]) for name, se in found.items()}
 
 
 def common_errors(unit_um: float) -> dict[str, float]:
