@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.checks import PROPERTIES, Check
+from planish.core.checks import POSITION, PROPERTIES, Check
 from planish.core.frame import Frame
 
 Array = NDArray[np.float64]
@@ -23,6 +23,8 @@ _LAGS = 12  # voxels
 def blur_check(volume: xr.DataArray, measured: xr.Dataset) -> Check | None:
     """Judge whether a coating is thicker than the blur of the scan is wide; None where none is seen.
 
+    What is flattened lies between the faces: where they are moved, so are its places.
+
     A filter that keeps edges, as a median, takes thin layers away all the same. The noise of the air shows it.
     """
     names = [k for k in ("coating_top", "coating_bottom") if k in measured and np.isfinite(measured[k].values).any()]
@@ -33,7 +35,7 @@ def blur_check(volume: xr.DataArray, measured: xr.Dataset) -> Check | None:
     width = max(edge, noise) if np.isfinite(noise) else edge
     what = "An edge is blurred" if width == edge else "The noise is smoothed"
     return Check.at_most(
-        "blur of the scan", width / max(thin, 1e-9), look=1.0, units="of the coating", figures=(PROPERTIES,),
+        "blur of the scan", width / max(thin, 1e-9), look=1.0, units="of the coating", figures=(PROPERTIES, POSITION),
         sentence=f"{what} over {width:.3g} um, full width at half maximum; the coating is {thin:.3g} um thick.",
         advice="Thickness and grey level of a layer that is thinner than the blur cannot be told apart. Scan with "
         "smaller voxels, and leave out filters that smooth.",
