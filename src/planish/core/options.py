@@ -74,3 +74,9 @@ def options_of(model: type[Params]) -> Iterator[tuple[str, FieldInfo, Shown]]:
             continue
         flags = f"--{name.replace('_', '-')}" if noted["cli"] == _FROM_NAME else str(noted["cli"])
         yield name, field, Shown(flags=tuple(flags.split()), metavar=noted["metavar"], repeat=noted["repeat"])
+
+
+def spoken(model: type[Params], *names: str) -> str:
+    """Name fields for a message: by their flag, or as keys of a study file where the command line has none."""
+    flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
+    return " or ".join(flags.get(name, f"{name} in a study file") for name in names)

@@ -48,7 +48,7 @@ def _check(params: MeasureParams, _greys: Greys) -> None:
     if params.ink_grey is None:
         raise CannotMeasure(
             "The depth of ink needs the grey values that are ink. Give their range as ink_grey = [low, high] in "
-            "[properties]; look at a printed and an unprinted spot in the slices."
+            "[properties] of a study file; look at a printed and an unprinted spot in the slices."
         )
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from planish.core.errors import CannotMeasure
-from planish.core.options import Params, option
+from planish.core.options import Params, option, spoken
 from planish.measure.registry import SIDES, Measured, Sheet, Side, ray_property, sheet_property
 from planish.measure.topography import smoothed
 
@@ -64,10 +64,9 @@ class Densities(Params):
             value = getattr(self, name)
             if value is not None:
                 return value
-        options = " or ".join(names)
+        one = "neither is" if len(names) > 1 else "that is not"
         raise CannotMeasure(
-            f"{what} in grams needs {options}, and none is known. Give {'one of them' if len(names) > 1 else 'it'} "
-            f"in [properties] of the study file, or leave {what.lower()} out."
+            f"{what} in grams needs {spoken(Densities, *names)}, and {one} given. Give it, or leave {what.lower()} out."
         )
 
     def known(self) -> dict[str, float]:
@@ -254,7 +253,7 @@ def grammage(sheet: Sheet) -> Measured:
         if not rest > coats:
             raise CannotMeasure(
                 f"The coatings weigh {coats:.4g} g/m2 and the whole sheet {rest:g} g/m2: nothing is left for the base. "
-                "Check grammage_g_m2 and the coat weights."
+                "Check --grammage and the coat weights."
             )
         rest -= coats
     parts.append(_in_grams(maps["absorption_base"], sheet, "Grammage", rest, "base_g_cm3"))

@@ -95,7 +95,7 @@ def _filler_level(params: MeasureParams, greys: Greys) -> float:
     if not coats:
         raise CannotMeasure(
             "Filler needs the grey level from which on the base counts as filler; without a coating there is none to "
-            "tell it from. Give filler_grey in [properties]."
+            "tell it from. Give filler_grey in [properties] of a study file."
         )
     return 0.5 * (greys.base + float(np.mean(coats)))
 

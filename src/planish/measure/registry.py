@@ -219,6 +219,32 @@ def find_property(name: str | Property) -> Property:
     return _REGISTERED[name]
 
 
+def check_maps(params: MeasureParams) -> None:
+    """Refuse maps that no sheet can have with these parameters, before a volume is read.
+
+    Raises
+    ------
+    CannotMeasure
+        If a map is unknown, or needs a number that is not given whether the sheet is coated or not.
+    """
+    from planish.measure.greys import Greys
+
+    bare = Greys(air=0.0, base=1.0, coating_top=np.nan, coating_bottom=np.nan, noise=0.01, polarity=1.0, blur_um=1.0,
+                 padding=np.nan)  # fmt: skip
+    coated = replace(bare, coating_top=2.0, coating_bottom=2.0)
+    for name in map(find_property, params.maps):
+        faults: list[CannotMeasure] = []
+        for greys in (coated, bare):
+            try:
+                for one in in_order([name], params, greys):
+                    if one.check is not None:
+                        one.check(params, greys)
+            except CannotMeasure as fault:
+                faults.append(fault)
+        if len(faults) == 2:
+            raise faults[0]
+
+
 def chosen(params: MeasureParams, greys: Greys) -> list[str]:
     """Names of the maps to measure: those that cost nothing, those whose numbers are given, those asked for."""
     names = [one.name for one in registered().values() if one.when is not None and one.when(params, greys)]

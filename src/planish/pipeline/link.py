@@ -27,7 +27,7 @@ from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, p
 from planish.pipeline.layers import Layer
 from planish.pipeline.onto import hole_circles, merged, on_reference
 from planish.pipeline.refinement import refine_link
-from planish.pipeline.registration import Registration, read_design, register_layers
+from planish.pipeline.registration import Registration, check_marks, register_layers
 from planish.pipeline.run import Run, open_run
 from planish.pipeline.sheet import changed, map_layer
 from planish.pipeline.texture import texture_of
@@ -35,20 +35,24 @@ from planish.pipeline.through_scale import NAME as THROUGH_SCALE
 from planish.pipeline.through_scale import marks_scale_check
 from planish.register import Chain
 from planish.resample import resample_maps
-from planish.study import Study
+from planish.study import LayerParams, Study
 
 Array = NDArray[np.float64]
 
 _RIM_UM = 100.0  # around holes of images, where no sheet says otherwise
 
 
-def link_study(study: Study, *, compute: Compute, progress: Progress, kept: Path | None = None) -> Run:
+def link_study(
+    study: Study, *, compute: Compute, progress: Progress, kept: Path | None = None,
+    mapped: dict[str, Layer] | None = None,
+) -> Run:  # fmt: skip
     """Register layers to the last one, bring all onto its pixels, and correlate them in pairs.
 
-    ``kept`` is the folder for the results of single tiles of volumes that are mapped.
+    ``kept`` is the folder for the results of single tiles of volumes that are mapped; ``mapped`` holds the sheets of
+    volumes that need not be mapped again, and is given those that were mapped, whatever becomes of the link.
     """
-    read_design(study.registration)  # what is wrong with it should not cost the time of a volume
-    layers = _open_layers(study, compute=compute, progress=progress, kept=kept)
+    mapped = {} if mapped is None else mapped
+    layers = _open_layers(study, mapped, compute=compute, progress=progress, kept=kept)
     links = _registered(layers, study, progress)
     reference = layers[-1]
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
@@ -62,33 +66,46 @@ def link_study(study: Study, *, compute: Compute, progress: Progress, kept: Path
     return _gathered(study, layers, links, maps, away)
 
 
-def _open_layers(study: Study, *, compute: Compute, progress: Progress, kept: Path | None) -> list[Layer]:
-    """Read all layers of a study and map its volumes.
+def _open_layers(
+    study: Study, mapped: dict[str, Layer], *, compute: Compute, progress: Progress, kept: Path | None
+) -> list[Layer]:
+    """Read all layers of a study and map its volumes, into ``mapped``.
 
-    Images come first: they are quick, and a missing pixel size or too few holes should not cost the time of a volume.
+    Volumes come last: what is wrong with images, runs and marks should not cost their time.
     """
     found: dict[str, Layer] = {}
-    for params in sorted(study.layers, key=lambda layer: ("image", "run", "volume").index(layer.kind)):
+    for params in study.layers:
+        if params.kind != "volume":
+            progress("read", Path(params.path).name)
+            found[params.name] = _read_image(params) if params.image is not None else _read_run(params, study)
+    names = [layer.name for layer in study.layers]
+    for k, params in enumerate(study.layers[:-1]):
+        to = names[k + 1] if study.chain else names[-1]
+        check_marks(found.get(params.name, params.name), found.get(to, to), study, params.marks)
+    for params in study.layers:
         name = params.name
-        if params.kind == "volume":
-            found[name] = map_layer(params, compute=compute, progress=progress, kept=kept and kept / name)
-            continue
-        progress("read", Path(params.path).name)
-        if params.image is not None:
-            image = read_image(params.path, **params.image.model_dump(include={"pixel_um", "channel", "override_size"}))
-            pixel = tuple(float(v) for v in image.attrs["pixel_um"])
-            used = changed(params, image=changed(params.image, pixel_um=pixel))
-            source, md_deg = input_file(image, params.path), params.image.md_deg
-            found[name] = Layer(params=used, source=source, image=image, md_deg=md_deg)
-            continue
-        sheet = open_run(params.path).sheet()
-        md_deg = sheet.md_deg if params.md_deg is None else params.md_deg
-        if study.is_sheet_on_image and sheet.params.volume is not None:
-            # The study of the run becomes part of this one: the volume linked to the image has the same bytes.
-            volume = changed(sheet.params.volume, md_deg=md_deg)
-            params = changed(sheet.params, name=name, marks=params.marks, volume=volume)
-        found[name] = replace(sheet, params=params, md_deg=md_deg)
-    return [found[layer.name] for layer in study.layers]
+        if params.kind == "volume" and name not in mapped:
+            mapped[name] = map_layer(params, compute=compute, progress=progress, kept=kept and kept / name)
+    return [mapped[name] if name in mapped else found[name] for name in names]
+
+
+def _read_image(params: LayerParams) -> Layer:
+    assert params.image is not None
+    image = read_image(params.path, **params.image.model_dump(include={"pixel_um", "channel", "override_size"}))
+    pixel = tuple(float(v) for v in image.attrs["pixel_um"])
+    used = changed(params, image=changed(params.image, pixel_um=pixel))
+    return Layer(params=used, source=input_file(image, params.path), image=image, md_deg=params.image.md_deg)
+
+
+def _read_run(params: LayerParams, study: Study) -> Layer:
+    sheet = open_run(params.path).sheet()
+    md_deg = sheet.md_deg if params.md_deg is None else params.md_deg
+    name = params.name
+    if study.is_sheet_on_image and sheet.params.volume is not None:
+        # The study of the run becomes part of this one: the volume linked to the image has the same bytes.
+        volume = changed(sheet.params.volume, md_deg=md_deg)
+        params = changed(sheet.params, name=name, marks=params.marks, volume=volume)
+    return replace(sheet, params=params, md_deg=md_deg)
 
 
 def _registered(layers: list[Layer], study: Study, progress: Progress) -> dict[str, Link]:

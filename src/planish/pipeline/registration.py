@@ -23,6 +23,7 @@ from planish.register import (
     DesignedHoles,
     FittedTransform,
     RegistrationParams,
+    need_holes,
     registration_from_json,
     registration_to_json,
 )
@@ -193,7 +194,8 @@ def _all_marks(moving: xr.Dataset, fixed: xr.Dataset, pairs: NDArray[np.intp], l
 
 def paired(marks: xr.Dataset) -> NDArray[np.bool_]:
     """Marks that are in use and lie in both layers."""
-    there = [np.isfinite(marks[f"{side}_x"].values) for side in ("moving", "fixed")]
+    moving = "volume" if "volume_x" in marks else "moving"  # places in a volume become places on the map of its sheet
+    there = [np.isfinite(marks[f"{side}_x"].values) for side in (moving, "fixed")]
     return np.asarray(marks["used"].values, dtype=bool) & there[0] & there[1]
 
 
@@ -234,16 +236,35 @@ def register_layers(layer: Layer, to: Layer, study: Study) -> Registration:
     return Registration(fit=fit, marks=_with_residuals(marks, fit), source=source)
 
 
+def check_marks(layer: Layer | str, to: Layer | str, study: Study, marks: str | None) -> None:
+    """Refuse what cannot be registered, before a volume is mapped: too few holes in an image, or marks of no use.
+
+    ``layer`` and ``to`` are names where they are volumes that were not read yet; ``marks`` is the file of this layer.
+    """
+    path = marks or study.registration.marks
+    if path is not None:
+        _read_pairs(path, layer, to)
+        return
+    for one in (layer, to):
+        if isinstance(one, Layer) and one.kind == "image":
+            need_holes(one.holes(study.holes, one.side), study.holes.hole_um)
+
+
 def read_given(path: str, moving: Layer, fixed: Layer) -> xr.Dataset:
     """Read marks from a file of any known format and put them into the planes of two layers."""
+    marks = _read_pairs(path, moving, fixed)
+    return _volume_to_map(marks, moving) if "volume_x" in marks else marks
+
+
+def _read_pairs(path: str, moving: Layer | str, fixed: Layer | str) -> xr.Dataset:
+    """Read three pairs or more."""
     about = [
-        LayerPixels() if layer.image is None else LayerPixels(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
+        LayerPixels(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
+        if isinstance(layer, Layer) and layer.image is not None else LayerPixels()
         for layer in (moving, fixed)
-    ]
+    ]  # fmt: skip
     marks = read_any(path, moving=about[0], fixed=about[1])
     pair_of_layers(marks, name=Path(path).name)  # one layer alone is refused
-    if "volume_x" in marks:
-        marks = _volume_to_map(marks, moving)
     if int(paired(marks).sum()) < 3:
         raise MarkError(
             f"{Path(path).name} holds {int(paired(marks).sum())} pairs of marks in use; a registration needs 3 to say "

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from planish import __version__
 from planish.compute import Compute, Progress, run_key, silent
-from planish.core.errors import PlanishError
+from planish.core.errors import CannotRegister, PlanishError
 from planish.core.results import LayerFacts, Results
 from planish.core.threads import limit_threads
 from planish.io import fingerprint
@@ -15,12 +16,14 @@ from planish.marks import write_marks
 from planish.pipeline.checks import about, with_trust
 from planish.pipeline.facts import parameters, versions
 from planish.pipeline.figures import figures_text
+from planish.pipeline.kept import KeptMaps
 from planish.pipeline.layers import Layer
 from planish.pipeline.link import link_study
+from planish.pipeline.request import check_request
 from planish.pipeline.run import Run, marks_file
 from planish.pipeline.sheet import map_layer
 from planish.report import write_report
-from planish.study import Study, to_dict, write_study
+from planish.study import LayerParams, Study, to_dict, write_study
 
 
 def run_study(
@@ -48,22 +51,64 @@ def run_study(
     compute = compute or Compute()
     with limit_threads(compute.threads):
         if out is None:
+            check_request(study)
             return _done(study, compute=compute, progress=progress, kept=None)
         out = Path(out)
         refuse_existing(out)
-        key = run_key(to_dict(study), [_hash(layer.path) for layer in study.layers])
-        with work_folder(out, key) as work:
-            run = _done(study, compute=compute, progress=progress, kept=work / "tiles")
+        check_request(study)
+        hashes = [_hash(layer.path) for layer in study.layers]
+        with work_folder(out, run_key(to_dict(study), hashes)) as work:
+            maps = {
+                layer.name: KeptMaps.of(layer, sha256, _of_layer(out, layer, study), compute)
+                for layer, sha256 in zip(study.layers, hashes, strict=True)
+                if layer.kind == "volume" and len(study.layers) > 1
+            }
+            before = {name: sheet for name, kept in maps.items() if (sheet := kept.read()) is not None}
+            for name in before:
+                progress("read", f"{maps[name].path.name}, mapped before")
+            mapped = dict(before)
+            try:
+                run = _done(study, compute=compute, progress=progress, kept=work / "tiles", mapped=mapped)
+            except PlanishError as error:
+                for name in mapped.keys() - before.keys():
+                    sheet, place = mapped[name], maps[name]
+                    with new_folder(place.path, inside=work) as folder:
+                        save_run(_run_of_sheet(sheet, Study(layers=(sheet.params,))), folder, home=place.path)
+                        place.note(folder)
+                raise _with_next_step(error, [maps[k].path for k in mapped], maps, study) from error
             progress("write", str(out))
             with new_folder(out, inside=work) as folder:
                 save_run(run, folder, home=out)
             return run
 
 
-def _done(study: Study, *, compute: Compute, progress: Progress, kept: Path | None) -> Run:
+def _of_layer(out: Path, layer: LayerParams, study: Study) -> Path:
+    several = sum(one.kind == "volume" for one in study.layers) > 1
+    return out.with_name(f"{out.name}-{layer.name}") if several else out
+
+
+def _with_next_step(error: PlanishError, kept: list[Path], maps: Mapping[str, KeptMaps], study: Study) -> PlanishError:
+    """Say where maps are kept of a link that was refused; where none are, how to get them without the image."""
+    if kept:
+        names = " and ".join(map(str, kept))
+        return type(error)(f"{error} The maps of the volume are kept in {names}; the same command goes on from there.")
+    volume = next((layer for layer in study.layers if layer.kind == "volume"), None)
+    if volume is None or not isinstance(error, CannotRegister):
+        return error
+    command = f"planish map {_quoted(volume.path)} --out {_quoted(str(maps[volume.name].path))}"
+    return type(error)(f"{error} To map the volume without it, with the same options: {command}")
+
+
+def _quoted(path: str) -> str:
+    return f'"{path}"' if " " in path else path
+
+
+def _done(
+    study: Study, *, compute: Compute, progress: Progress, kept: Path | None, mapped: dict[str, Layer] | None = None
+) -> Run:
     first, *others = study.layers
     if others:
-        return link_study(study, compute=compute, progress=progress, kept=kept)
+        return link_study(study, compute=compute, progress=progress, kept=kept, mapped=mapped)
     return _run_of_sheet(map_layer(first, compute=compute, progress=progress, kept=kept), study)
 
 

@@ -101,8 +101,8 @@ def register_marks(
     facing = moving.attrs.get("seen_from", "top") != fixed.attrs.get("seen_from", "top")
     facts: dict[str, Any] = {}
     if pairs is None:
-        for places, name in zip((a, b), names, strict=True):
-            _check_enough(places, name, hole_um)
+        for holes, name in zip((moving, fixed), names, strict=True):
+            need_holes(holes, hole_um, name=name)
         turned = a * (-1.0, 1.0) if facing else a
         how: dict[str, Any] = {
             "scale_tolerance": params.scale_tolerance, "tolerance_um": params.tolerance_um, "mirror": params.mirror,
@@ -151,13 +151,20 @@ def _covariance_um2(holes: xr.Dataset, which: Ints) -> Floats | None:
     return np.stack([holes[f"cov_{k}"].values[which] for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(-1, 2, 2)
 
 
-def _check_enough(places: Floats, name: str, hole_um: tuple[float, float]) -> None:
-    """Stop early where there cannot be a match."""
-    count = len(places)
+def need_holes(holes: xr.Dataset, hole_um: tuple[float, float], *, name: str | None = None) -> None:
+    """Stop early where there cannot be a match; ``name`` is that of the layer, if its attributes do not say it.
+
+    Raises
+    ------
+    CannotRegister
+        If there are fewer than 3 holes.
+    """
+    count = holes.sizes["mark"]
     if count >= 3:
         return
+    name = name or str(holes.attrs["layer"])
     what = "No hole" if count == 0 else f"Only {count} hole{'s' * (count > 1)}"
-    at = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in places)
+    at = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in zip(holes["x"].values, holes["y"].values, strict=True))
     raise CannotRegister(
         f"{what} found in the {name}{' at' + at if at else ''}; at least 3 are needed, and 4 to notice a wrong "
         f"match. Searched for round holes of {hole_um[0]:g} to {hole_um[1]:g} um (--hole-um). Check the "

@@ -1,0 +1,124 @@
+"""No work is thrown away: cheap faults come before the volume is read, and maps outlive a refused link."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import numpy as np
+import pytest
+import tifffile
+
+from planish.core.errors import InputError
+from planish.pipeline import open_run
+
+
+def tree(folder):
+    """Every file below a folder with its bytes."""
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def image_with(path, holes, shape=(200, 260), pixel=5.0):
+    """A grey sheet with dark discs of 170 um."""
+    y, x = np.mgrid[0 : shape[0], 0 : shape[1]] * pixel
+    grey = 0.8 + 0.01 * np.random.default_rng(0).normal(size=shape)
+    for at in holes:
+        grey = np.where(np.hypot(x - at[0], y - at[1]) < 85, 0.05, grey)
+    size = (1e4 / pixel, 1e4 / pixel)
+    tifffile.imwrite(path, np.rint(grey * 60000).astype(np.uint16), resolution=size, resolutionunit="CENTIMETER")
+    return path
+
+
+def instead_of_mapping(monkeypatch, work):
+    """Put ``work`` where volumes are mapped; the package hides its modules behind functions of the same names."""
+    for module in ("link", "save"):
+        monkeypatch.setattr(import_module(f"planish.pipeline.{module}"), "map_layer", work)
+
+
+def mapped(*_args, **_more):
+    """Whoever maps a volume fails the test."""
+    pytest.fail("the volume was mapped")
+
+
+@pytest.fixture
+def unread(monkeypatch):
+    """No volume may be mapped."""
+    instead_of_mapping(monkeypatch, mapped)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--property", "coating_tpo"), ("no property 'coating_tpo'", "coating_top")),
+        (("--property", "grammage"), ("--grammage or --base-density",)),
+        (("--property", "coat_weight_top"), ("--coat-weight-top or --coating-density",)),
+        (("--property", "ink_depth_50"), ("ink_grey", "in [properties] of a study file")),
+        (("--property", "porosity", "--labels"), ("labels has none", "--property")),
+    ],
+)
+@pytest.mark.usefixtures("unread")
+def test_what_a_map_lacks_is_said_before_the_volume_is_read(planish, specimen_files, tmp_path, options, words):
+    for verb in (("map", specimen_files[0]), ("link", *specimen_files)):
+        code, _, err = planish(*verb, "-o", tmp_path / "run", *options)
+        assert code == 3
+        assert all(word in err for word in words), err
+        assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("unread")
+def test_too_few_holes_or_useless_marks_are_said_before_the_volume_is_mapped(planish, specimen_files, tmp_path):
+    two = image_with(tmp_path / "two.tif", [(300, 300), (900, 600)])
+    code, _, err = planish("link", specimen_files[0], two, "-o", tmp_path / "run")
+    assert code == 3
+    assert "Only 2 holes found in the image" in err
+    assert f"planish map {specimen_files[0]} --out {tmp_path / 'run-map'}" in err
+    rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um", "a,1,1,1,1,1", "b,9,9,9,9,9"]
+    (tmp_path / "m.csv").write_text("\n".join(rows))
+    code, _, err = planish("link", *specimen_files, "--marks", tmp_path / "m.csv", "-o", tmp_path / "run")
+    assert code == 3
+    assert "2 pairs of marks in use" in err
+    assert {p.name for p in tmp_path.iterdir()} == {"two.tif", "m.csv"}
+
+
+def test_maps_of_a_refused_link_are_kept_and_taken_up(planish, specimen_files, linked_run, tmp_path, monkeypatch):
+    volume, image = specimen_files
+    wrong = image_with(tmp_path / "wrong.tif", [(200, 200), (1100, 250), (700, 850), (350, 700), (950, 600)])
+    out, maps = tmp_path / "run", tmp_path / "run-map"
+    maps.mkdir()
+    (maps / "thesis.txt").write_text("years")  # another's
+    code, _, err = planish("link", volume, wrong, "-o", out)
+    assert code == 3
+    assert "no match found" in err
+    assert f"kept in {tmp_path / 'run-map-2'}; the same command goes on" in err
+    assert {p.name for p in tmp_path.iterdir()} == {"wrong.tif", "run-map", "run-map-2"}
+    assert tree(maps) == {"thesis.txt": b"years"}
+    kept = tree(tmp_path / "run-map-2")
+    assert open_run(tmp_path / "run-map-2").results.passed
+
+    with monkeypatch.context() as patch:
+        instead_of_mapping(patch, mapped)
+        code, _, err = planish("link", volume, wrong, "-o", out)
+        assert code == 3
+        assert "run-map-2, mapped before" in err
+        code, _, err = planish("link", volume, image, "-o", out)
+        assert code == 0, err
+    # The same bytes as without the detour; what was kept is left as it is.
+    assert tree(out) == tree(linked_run)
+    assert tree(tmp_path / "run-map-2") == kept
+    code, _, err = planish("link", volume, wrong, "-o", tmp_path / "run-3", "--cutoff-um", "500")
+    assert f"kept in {tmp_path / 'run-3-map'};" in err
+
+
+def test_other_parameters_are_mapped_anew(planish, specimen_files, tmp_path, monkeypatch):
+    wrong = image_with(tmp_path / "wrong.tif", [(200, 200), (1100, 250), (700, 850), (350, 700), (950, 600)])
+    assert planish("link", specimen_files[0], wrong, "-o", tmp_path / "run")[0] == 3
+    calls: list[float] = []
+
+    def stopped(params, **_more):
+        calls.append(params.surface.cutoff_um)
+        raise InputError("stop here")
+
+    instead_of_mapping(monkeypatch, stopped)
+    code, _, err = planish("link", specimen_files[0], wrong, "-o", tmp_path / "run", "--cutoff-um", "500")
+    assert (code, calls) == (3, [500.0])
+    assert "stop here" in err
+    assert {p.name for p in tmp_path.iterdir()} == {"wrong.tif", "run-map"}
