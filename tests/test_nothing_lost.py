@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import stat
+import sys
 from importlib import import_module
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import tifffile
@@ -122,3 +128,71 @@ def test_other_parameters_are_mapped_anew(planish, specimen_files, tmp_path, mon
     assert (code, calls) == (3, [500.0])
     assert "stop here" in err
     assert {p.name for p in tmp_path.iterdir()} == {"wrong.tif", "run-map"}
+
+
+def test_results_are_never_written_into_an_input(planish, linked_run, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(linked_run, run)
+    before = tree(run)
+    image_with(tmp_path / "image.tif", [])
+    for arguments in (
+        ("link", run, tmp_path / "image.tif", "-o", run / "more"),
+        ("map", run / "maps.zarr", "-o", run / "maps.zarr" / "more" / "still"),
+        ("import", run / "maps.zarr", "-o", run / "maps.zarr" / "s.zarr"),
+        ("surface", run, "-o", run / "s.zarr"),
+        ("report", run, "-o", run / "page.html"),
+    ):
+        code, _, err = planish(*arguments)
+        assert code == 3
+        assert "which is read; nothing is written there" in err, arguments
+    assert tree(run) == before
+
+
+def test_a_run_that_lost_a_part_is_no_run_with_missing_values(planish, linked_run, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(linked_run, run)
+    part = next(p for p in (run / "maps.zarr" / "linked" / "coating_top" / "c").rglob("*") if p.is_file())
+    data = part.read_bytes()
+    for cut in (None, b"", data[: len(data) // 2]):
+        part.unlink() if cut is None else part.write_bytes(cut)
+        for arguments in (("report", run, "-o", tmp_path / "page.html"), ("correlate", run)):
+            code, _, err = planish(*arguments)
+            assert code == 3
+            assert "damaged" in err
+        assert not (tmp_path / "page.html").exists()
+    part.write_bytes(data)
+    for text in ("[]", "[" * 100_000, '{"planish"', ""):
+        (run / "results.json").write_text(text)
+        for arguments in (("report", run, "-o", tmp_path / "page.html"), ("info", run)):
+            code, _, err = planish(*arguments)
+            assert code == 3
+            assert "results.json" in err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no modes there")
+def test_results_have_the_mode_that_the_user_asks_for(planish, tmp_path):
+    before = os.umask(0o027)
+    try:
+        assert planish("specimen", "-o", tmp_path / "s", "--size", "T0")[0] == 0
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "s").stat().st_mode) == 0o750
+
+
+@pytest.mark.skipif(os.name == "nt" or sys.platform == "darwin", reason="such names are not possible there")
+def test_names_that_are_no_text_do_not_reach_the_terminal(planish, specimen_files, tmp_path):
+    for name in (b"a\x1b[31mred.tif", b"b\xff.tif"):
+        path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + name))
+        shutil.copy(specimen_files[1], path)
+        for arguments in (("info", path), ("map", path, "-o", tmp_path / "run")):
+            code, out, err = planish(*arguments)
+            assert code == 3
+            assert "no text" in err
+            assert "\x1b" not in out + err
+    path = tmp_path / "sets.h5"
+    with h5py.File(path, "w") as file:
+        for name in "ab":
+            file.create_dataset(f"{name}\x1b[31m", data=np.zeros((20, 20, 20), np.uint8))
+    code, _, err = planish("info", path)
+    assert code == 3
+    assert r"a\x1b[31m" in err

@@ -1,5 +1,6 @@
 """The working store: what goes in comes out, whatever stops it half-way."""
 
+import errno
 import hashlib
 
 import numpy as np
@@ -76,7 +77,7 @@ def test_neither_memory_nor_threads_change_a_byte(tmp_path):
     assert store_fingerprint(tmp_path / "a.zarr") == store_fingerprint(tmp_path / "b.zarr")
 
 
-class Stop(Exception):
+class Stop(BaseException):
     pass
 
 
@@ -112,6 +113,34 @@ def test_another_volume_does_not_go_on_with_it(tmp_path, monkeypatch):
         write_store(volume(), tmp_path / "s.zarr")
     with pytest.raises(InputError, match="another volume stopped"):
         write_store(volume(shape=(70, 130, 201)), tmp_path / "s.zarr")
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), RuntimeError("wires crossed")])
+def test_an_import_that_fails_leaves_nothing_and_blocks_nothing(tmp_path, monkeypatch, error):
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "_coarser", lambda *_a: (_ for _ in ()).throw(error))
+        with pytest.raises(RuntimeError if isinstance(error, RuntimeError) else ResourceError) as raised:
+            write_store(volume(), tmp_path / "s.zarr")
+        if isinstance(error, OSError):
+            assert "MB are free" in str(raised.value)
+            assert "it takes about" in str(raised.value)
+    assert list(tmp_path.iterdir()) == []
+    write_store(volume(shape=(70, 130, 201)), tmp_path / "s.zarr")
+    assert [p.name for p in tmp_path.iterdir()] == ["s.zarr"]
+    assert not list((tmp_path / "s.zarr").glob("*lock*"))
+
+
+def test_two_imports_at_once_do_not_meet(tmp_path, monkeypatch):
+    inner = module._first_two
+
+    def second(*args, **more):
+        with pytest.raises(FileError, match="Another planish is writing"):
+            write_store(volume(), tmp_path / "s.zarr")
+        inner(*args, **more)
+
+    monkeypatch.setattr(module, "_first_two", second)
+    write_store(volume(), tmp_path / "s.zarr")
+    assert [p.name for p in tmp_path.iterdir()] == ["s.zarr"]
 
 
 @pytest.mark.parametrize("note", [None, "", "[1]", '{"shape": [1, 2, 3]}'])

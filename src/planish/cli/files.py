@@ -11,6 +11,7 @@ import click
 from planish.cli.options import existing, json_option, made, options, out_option, verb
 from planish.compute import Compute
 from planish.core.errors import FileError
+from planish.core.text import printable
 from planish.correct.params import CorrectParams
 from planish.io.params import VolumeParams
 
@@ -25,6 +26,10 @@ def info(path: Path, as_json: bool) -> None:
     from planish.cli.show import fact_lines, run_facts, run_lines
 
     run = run_facts(path)
+    if run is None and (path / "run.toml").is_file():
+        from planish.pipeline.run import open_results
+
+        open_results(path)  # says what is wrong with it
     if run is None:
         from planish.io import describe
 
@@ -32,7 +37,7 @@ def info(path: Path, as_json: bool) -> None:
         lines = fact_lines(facts)
     else:
         facts, lines = run, run_lines(run)
-    click.echo(json.dumps(facts, indent=2, allow_nan=False) if as_json else "\n".join(lines))
+    click.echo(json.dumps(facts, indent=2, allow_nan=False) if as_json else printable("\n".join(lines)))
 
 
 @verb(

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
 import tempfile
 import traceback
@@ -18,6 +19,7 @@ import click
 
 from planish import __version__
 from planish.core.errors import PlanishError, ResourceError
+from planish.core.text import printable
 
 _MODULES = {
     "link": "runs", "map": "runs", "demo": "runs", "run": "runs", "info": "files", "import": "files",
@@ -59,6 +61,7 @@ def planish() -> None:
 def main(args: list[str] | None = None) -> None:
     """Run the command line and end the process with its exit code."""
     arguments = sys.argv[1:] if args is None else args
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # of zarr, about reads that a damaged chunk cut short
     try:
         code = planish.main(args=arguments, prog_name="planish", standalone_mode=False)
     except click.exceptions.Exit as error:
@@ -72,7 +75,7 @@ def main(args: list[str] | None = None) -> None:
     except Exception as error:  # noqa: BLE001  a user gets a sentence, and a log of our own faults, never a traceback
         known = _known(error)
         code = known.exit_code
-        click.echo(f"planish: {known}", err=True)
+        click.echo(f"planish: {printable(str(known))}", err=True)
         if "--json" in arguments:
             click.echo(json.dumps({"error": str(known), "exit_code": code}))
     sys.exit(code if isinstance(code, int) else 0)
@@ -85,7 +88,7 @@ def _known(error: Exception) -> PlanishError:
         text = "The memory is used up. Use a smaller or coarser volume, or a machine with more memory."
         return ResourceError(text)
     if isinstance(error, OSError):
-        from planish.io.run_folder import as_planish
+        from planish.core.files import as_planish
 
         return as_planish(error, Path(error.filename or "the results"))
     with tempfile.NamedTemporaryFile("w", prefix="planish-", suffix=".log", delete=False, encoding="utf-8") as log:

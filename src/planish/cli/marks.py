@@ -11,6 +11,7 @@ from pydantic import Field
 
 from planish.cli.options import Option, Value, Verb, existing, json_option, made, options, out_option
 from planish.cli.show import table
+from planish.core.files import write_whole
 from planish.marks.design.params import DesignParams, ImagingParams, StageParams
 from planish.marks.files.formats import FORMATS, TARGETS, target_of
 
@@ -134,7 +135,7 @@ def simulate(
     difference = None if pattern is None else _compared(run, read_pattern(pattern))
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_bytes(path_picture(run, out.suffix.lower().lstrip("."), title=f"Path of the stage: {program.name}"))
+        write_whole(out, path_picture(run, out.suffix.lower().lstrip("."), title=f"Path of the stage: {program.name}"))
     if as_json:
         data = {
             "shots": len(run.fired_um), "pulse_s": sorted(set(run.pulse_s.tolist())), "time_s": run.time_s,

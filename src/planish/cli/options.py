@@ -40,6 +40,15 @@ class Verb(click.Command):
                 for line in self.examples:
                     formatter.write(f"  {line}\n")
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Call it, unless the results would lie in an input."""
+        from planish.io.run_folder import refuse_inside
+
+        if isinstance(out := ctx.params.get("out"), Path):
+            inputs = [value for name, value in ctx.params.items() if name != "out" and isinstance(value, Path)]
+            refuse_inside(out, inputs)
+        return super().invoke(ctx)
+
 
 class Option(click.Option):
     """An option that belongs to a group of the help."""

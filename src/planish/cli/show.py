@@ -14,6 +14,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from planish.core.text import printable
+
 if TYPE_CHECKING:
     from planish.compute import Progress as Tell
     from planish.core.checks import State
@@ -28,7 +30,7 @@ _SPOKEN: tuple[State, ...] = ("fail", "look", "unknown")
 def stages(total: int) -> Generator[Tell]:
     """Show a progress bar on a terminal, one line a stage otherwise; always on standard error."""
     if not sys.stderr.isatty():
-        yield lambda stage, detail: click.echo(f"{stage}: {detail}", err=True)
+        yield lambda stage, detail: click.echo(f"{stage}: {printable(detail)}", err=True)
         return
     columns = (
         SpinnerColumn(),
@@ -41,7 +43,7 @@ def stages(total: int) -> Generator[Tell]:
         task = bar.add_task("start", total=total)
 
         def tell(stage: str, detail: str) -> None:
-            bar.update(task, advance=1, description=f"{stage}: {detail}")
+            bar.update(task, advance=1, description=f"{stage}: {printable(detail)}")
 
         yield tell
 
@@ -83,7 +85,8 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
     for state in _SPOKEN:
         for check in results.spoken(state):
             name = f"{check.name} ({' and '.join(check.layers)})" if several and check.layers else check.name
-            click.echo(f"planish: {state}: {name}: {check.sentence} {check.advice}".rstrip(), err=True)
+            text = f"planish: {state}: {name}: {check.sentence} {check.advice}".rstrip()
+            click.echo(printable(text), err=True)
     return exit_code(results, strict=strict)
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, InputError, VolumeError
+from planish.core.text import printable
 from planish.io.guard import quiet
 from planish.io.lazy import FileArray, settle
 from planish.io.sizes import Stated
@@ -92,6 +93,11 @@ def find_place(path: str | Path) -> Place:
     ''
     """
     text = str(path)
+    if printable(text) != text:
+        raise FileError(
+            f"The name {printable(text)} holds what is no text. Planish writes names of inputs into its results: give "
+            "the file another name."
+        )
     if not exists(Path(text)):
         for at in range(len(text) - 1, 0, -1):
             front = text[:at]

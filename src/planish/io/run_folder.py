@@ -5,36 +5,37 @@ A run that fails half way leaves nothing behind that could be taken for a result
 
 from __future__ import annotations
 
-import errno
 import json
 import os
+import secrets
 import shutil
-import tempfile
 import time
 import warnings
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
+import zarr
 from filelock import FileLock, Timeout
 from zarr.codecs import ZstdCodec
 from zarr.errors import ZarrUserWarning
 
-from planish.core.errors import FileError, ResourceError
+from planish.core.errors import FileError
+from planish.core.files import DiskFull, disk_full, writing
 
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
 _WORK_TEXT = "Results of single tiles of a run that planish is working on. It removes this folder at the end.\n"
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_COMPLETE = "every_chunk_is_written"  # attribute of a store: one that is not there is a damage, not a missing value
 
 
 @contextmanager
-def new_folder(path: Path, *, inside: Path | None = None) -> Generator[Path]:
+def new_folder(path: Path, *, inside: Path | None = None, needed: int | None = None) -> Generator[Path]:
     """Give a hidden folder to write into; it becomes ``path`` when the block ends well, and vanishes when not.
 
     ``inside`` is an existing folder beside ``path`` where it may stand meanwhile, such as that of :func:`work_folder`,
-    which sweeps up what a killed process has left.
+    which sweeps up what a killed process has left. ``needed`` is about how many bytes it takes.
 
     Raises
     ------
@@ -44,16 +45,18 @@ def new_folder(path: Path, *, inside: Path | None = None) -> Generator[Path]:
         If the disk is full.
     """
     refuse_existing(path)
-    with writing(path):
+    with writing(path, needed=needed):
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=inside or path.parent))
+        partial = (inside or path.parent) / f".{path.name}.{secrets.token_hex(4)}.partial"
+        partial.mkdir()  # by the user's umask, and never one that is there
         try:
             yield partial
             refuse_existing(path)
-            partial.chmod(0o755)
             partial.rename(path)
+        except DiskFull as error:
+            raise disk_full(path, needed) from error
         finally:
-            _remove(partial)
+            remove(partial)
 
 
 @contextmanager
@@ -73,13 +76,7 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     with writing(path):
         claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
         _check_work_folder(work, path)
-        lock = FileLock(work / "lock")
-        try:
-            lock.acquire(timeout=0)
-        except Timeout as error:
-            raise FileError(
-                f"Another planish is writing {path} at this moment. Wait for it, or give another name."
-            ) from error
+        lock = locked(work / "lock", path)
         try:
             (work / WORK_MARKER).write_text(_WORK_TEXT, encoding="utf-8", newline="\n")
             note = work / "key"
@@ -92,6 +89,18 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
         finally:
             lock.release()
             _remove_work(work)
+
+
+def locked(lock: Path, path: Path) -> FileLock:
+    """Take the lock of a folder in which ``path`` is made; FileError where another process has it."""
+    taken = FileLock(lock)
+    try:
+        taken.acquire(timeout=0)
+    except Timeout as error:
+        raise FileError(
+            f"Another planish is writing {path} at this moment. Wait for it, or give another name."
+        ) from error
+    return taken
 
 
 def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> None:
@@ -111,10 +120,10 @@ def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> Non
     if folder.exists():
         return
     folder.parent.mkdir(parents=True, exist_ok=True)
-    made = Path(tempfile.mkdtemp(prefix=f"{folder.name}.", dir=folder.parent))
+    made = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}")
+    made.mkdir()
     try:
         (made / marker).write_text(text, encoding="utf-8", newline="\n")
-        made.chmod(0o755)
         made.rename(folder)
     except OSError:
         shutil.rmtree(made, ignore_errors=True)
@@ -156,14 +165,14 @@ def _remove_work(work: Path) -> None:
     for entry in sorted(work.iterdir(), key=lambda entry: entry.name == WORK_MARKER):
         if _is_work_name(entry.name):
             if entry.is_dir() and not is_link(entry):
-                _remove(entry)
+                remove(entry)
             else:
                 entry.unlink(missing_ok=True)
     with suppress(OSError):
         work.rmdir()
 
 
-def _remove(folder: Path) -> None:
+def remove(folder: Path) -> None:
     """Remove a folder for good.
 
     zarr writes chunks from threads of its own. When one of them fails, the others still finish theirs and make
@@ -173,6 +182,16 @@ def _remove(folder: Path) -> None:
     while folder.exists() and time.monotonic() < end:
         shutil.rmtree(folder, ignore_errors=True)
         time.sleep(0.2)
+
+
+def refuse_inside(path: Path, inputs: Iterable[str | Path]) -> None:
+    """Raise FileError if ``path`` lies in a folder that is an input."""
+    place = path.absolute().resolve()
+    for given in map(Path, inputs):
+        if given.is_dir() and given.resolve() in (place, *place.parents):
+            raise FileError(
+                f"{path} lies in {given}, which is read; nothing is written there. Give another name with --out."
+            )
 
 
 def refuse_existing(path: Path) -> None:
@@ -185,11 +204,12 @@ def refuse_existing(path: Path) -> None:
 
 def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     """Write datasets as groups of one zarr store that ``xarray.open_datatree(path, engine="zarr")`` opens."""
-    tree = xr.DataTree.from_dict({f"/{name}": data for name, data in groups.items()})
+    root = xr.Dataset(attrs={_COMPLETE: True})
+    tree = xr.DataTree.from_dict({"/": root} | {f"/{name}": data for name, data in groups.items()})
     # Maps hold noise: a higher level takes half as long again and saves nothing.
     codec = {"compressors": (ZstdCodec(level=1),)}
     encoding = {f"/{name}": dict.fromkeys(data.variables, codec) for name, data in groups.items()}
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), zarr.config.set({"array.write_empty_chunks": True}):
         # zarr 3 warns that consolidated metadata are no part of its specification yet; without them every open warns.
         warnings.simplefilter("ignore", ZarrUserWarning)
         tree.to_zarr(path, zarr_format=3, consolidated=True, write_inherited_coords=False, encoding=encoding)
@@ -207,6 +227,8 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
         raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
     try:
         with xr.open_datatree(path, engine="zarr") as tree:
+            if tree.attrs.get(_COMPLETE):
+                _check_chunks(path)
             return {
                 node.path.strip("/"): node.to_dataset(inherit=False).load() for node in tree.subtree if node.data_vars
             }
@@ -214,26 +236,16 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
         raise FileError(f"{path} cannot be read: {error}. It may be damaged; repeat the run.") from error
 
 
+def _check_chunks(path: Path) -> None:
+    """Raise FileError where a chunk was lost: zarr takes it for missing values."""
+    for name, found in zarr.open_group(path, mode="r").members(max_depth=None):
+        if isinstance(found, zarr.Array) and found.nchunks_initialized < found.nchunks:
+            raise FileError(
+                f"{path} is damaged: {found.nchunks - found.nchunks_initialized} of {found.nchunks} chunks of {name} "
+                "are not there. Copy it once more, or repeat the run."
+            )
+
+
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write JSON with sorted keys off, two spaces, and no NaN (they are errors: use None)."""
     path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
-
-
-@contextmanager
-def writing(path: Path) -> Generator[None]:
-    """Turn a failed write into the error that says what to do about it."""
-    try:
-        yield
-    except OSError as error:
-        raise as_planish(error, path) from error
-
-
-def as_planish(error: OSError, path: Path) -> FileError | ResourceError:
-    """The error that says what to do about a failed write."""
-    if error.errno in _FULL:
-        free = shutil.disk_usage(path.parent if path.parent.exists() else Path.cwd()).free
-        return ResourceError(
-            f"The disk is full while writing {path} ({free / 1e6:.0f} MB are free). Nothing was kept of it. "
-            "Free some space or give --out on another disk."
-        )
-    return FileError(f"{path} cannot be written: {os.strerror(error.errno) if error.errno else error}.")

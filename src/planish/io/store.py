@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
 from planish.core.errors import InputError, ResourceError
+from planish.core.files import writing
 from planish.core.threads import count_threads, limit_threads, thread_pool
-from planish.io.run_folder import claim_folder, is_link, refuse_existing, writing
+from planish.io.run_folder import claim_folder, is_link, locked, refuse_existing, remove
 
 CHUNK = (64, 96, 96)
 """Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to 4 voxels."""
@@ -35,6 +36,7 @@ CHECKSUMS = "checksums.sha256"
 """List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it."""
 
 _SOURCE = "source.json"
+_LOCK = "lock"
 _SMALLEST = 256  # voxels along the longest axis of the last level
 _LEAST_DEPTH = 16
 _AT_WORK = 2  # blocks: one is read while the other is compressed
@@ -63,7 +65,7 @@ def write_store(
         Read in blocks; it need not fit into memory.
     path : Path
         Folder to make. While it is written it stands beside its place under a hidden name, where a second call with
-        the same volume finds it and goes on.
+        the same volume finds it and goes on if the first one was killed.
     memory_bytes : int
         What the blocks in memory may take.
     threads : int, optional
@@ -76,7 +78,7 @@ def write_store(
     Raises
     ------
     FileError
-        If ``path`` exists or cannot be written.
+        If ``path`` exists or cannot be written, or another process is writing it.
     InputError
         If an import of another volume stopped half-way under this name.
     ResourceError
@@ -85,17 +87,26 @@ def write_store(
     refuse_existing(path)
     partial = path.with_name(f".{path.name}.partial")
     source = _identity(volume)
-    with writing(path):
+    with writing(path, needed=int(1.2 * volume.nbytes)):
         claim_folder(partial, _SOURCE, json.dumps(source), for_what=path)
         _same_source(partial, source)
-        levels = _make_levels(partial, volume, ome)
-        done = Journal(partial, ome)
-        with limit_threads(threads):
-            _first_two(volume, levels, done, memory_bytes=memory_bytes, progress=progress)
-            for fine, coarse in pairwise(levels[1:]):
-                _coarser(fine, coarse, done)
-        done.settle()
-        (partial / _SOURCE).unlink()
+        lock = locked(partial / _LOCK, path)
+        try:
+            levels = _make_levels(partial, volume, ome)
+            done = Journal(partial, ome)
+            with limit_threads(threads):
+                _first_two(volume, levels, done, memory_bytes=memory_bytes, progress=progress)
+                for fine, coarse in pairwise(levels[1:]):
+                    _coarser(fine, coarse, done)
+            done.settle()
+        except Exception:  # only an import that was killed or interrupted is gone on with
+            lock.release()
+            remove(partial)
+            raise
+        finally:
+            lock.release()
+        for note in (_LOCK, _SOURCE):
+            (partial / note).unlink(missing_ok=True)
         partial.rename(path)
 
 

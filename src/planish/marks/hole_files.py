@@ -12,8 +12,9 @@ import xarray as xr
 from pydantic import Field, TypeAdapter, ValidationError
 
 from planish.core.errors import FileError, MarkError
+from planish.core.files import write_whole
 from planish.core.tables import model_faults, parse_table, read_text
-from planish.marks.files.content import Part, json_text, read_object, refuse, write_new
+from planish.marks.files.content import Part, json_text, read_object, refuse
 from planish.marks.files.csv_marks import holes_text
 
 FORMAT, VERSION = "planish-holes", 1
@@ -151,7 +152,7 @@ def write_holes(holes: xr.Dataset, path: str | Path) -> None:
         top = "".join(f' "{key}": {json_text(value)},\n' for key, value in content.items())
         listed = ",\n".join(f"  {json_text(key)}: {json_text(value)}" for key, value in variables.items())
         text = f'{{\n{top} "variables": {{\n{listed}\n }}\n}}\n'
-    write_new(place, text.encode())
+    write_whole(place, text.encode())
 
 
 def read_holes(path: str | Path) -> xr.Dataset:

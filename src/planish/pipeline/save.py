@@ -11,7 +11,7 @@ from planish.core.errors import CannotRegister, PlanishError
 from planish.core.results import LayerFacts, Results
 from planish.core.threads import limit_threads
 from planish.io import fingerprint
-from planish.io.run_folder import new_folder, refuse_existing, work_folder, write_tree
+from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, work_folder, write_tree
 from planish.marks import write_marks
 from planish.pipeline.checks import about, with_trust
 from planish.pipeline.facts import parameters, versions
@@ -24,6 +24,8 @@ from planish.pipeline.run import Run, marks_file
 from planish.pipeline.sheet import map_layer
 from planish.report import write_report
 from planish.study import LayerParams, Study, to_dict, write_study
+
+_PAGES = 5_000_000  # bytes of report.html and the tables
 
 
 def run_study(
@@ -55,6 +57,7 @@ def run_study(
             return _done(study, compute=compute, progress=progress, kept=None)
         out = Path(out)
         refuse_existing(out)
+        refuse_inside(out, [layer.path for layer in study.layers])
         check_request(study)
         hashes = [_hash(layer.path) for layer in study.layers]
         with work_folder(out, run_key(to_dict(study), hashes)) as work:
@@ -77,7 +80,7 @@ def run_study(
                         place.note(folder)
                 raise _with_next_step(error, [maps[k].path for k in mapped], maps, study) from error
             progress("write", str(out))
-            with new_folder(out, inside=work) as folder:
+            with new_folder(out, inside=work, needed=_size(run)) as folder:
                 save_run(run, folder, home=out)
             return run
 
@@ -124,6 +127,11 @@ def _run_of_sheet(sheet: Layer, study: Study) -> Run:
         parameters=parameters(study),
     )  # fmt: skip
     return Run(study=study, results=with_trust(results), groups=sheet.groups)
+
+
+def _size(run: Run) -> int:
+    """About how many bytes its folder takes: those of its maps, which hold noise, and of its pages."""
+    return _PAGES + sum(data.nbytes for data in run.groups.values())
 
 
 def save_run(run: Run, folder: Path, *, home: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.files import write_whole
 from planish.core.results import LayerFacts, RegistrationFacts, Results
 from planish.report import flattening, maps, registration, relation, slices, summary, tables, text
 from planish.report.draw import FULL, HALF, Picture
@@ -69,7 +70,7 @@ def write_report(
     -----
     The same input gives the same bytes: no dates, no random names.
     """
-    path.write_bytes(render_report(groups=groups, marks=marks, results=results).encode("utf-8"))
+    write_whole(path, render_report(groups=groups, marks=marks, results=results).encode())
 
 
 def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from planish import __version__
+from planish.core.files import write_whole
 from planish.report.page import template
 from planish.synthetic.presets import NUISANCES, PRESETS
 from planish.validate import table as tables
@@ -18,7 +19,7 @@ _GROWN = 3.0  # times the baseline: the darkest cell of the heat table
 
 def write_page(path: Path, certificate: Certificate, table: Sensitivity | None = None) -> None:
     """Write the certificate; the same certificate gives the same bytes."""
-    path.write_bytes(render_page(certificate, table).encode("utf-8"))
+    write_whole(path, render_page(certificate, table).encode())
 
 
 def render_page(certificate: Certificate, table: Sensitivity | None = None) -> str:

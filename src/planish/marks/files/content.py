@@ -70,18 +70,6 @@ def refuse(name: str, faults: Sequence[str], remedy: str) -> None:
     raise_faults(name, faults, remedy, error=MarkError)
 
 
-def write_new(place: Path, data: bytes) -> None:
-    """Write a file that is not there yet."""
-    try:
-        with place.open("xb") as file:
-            file.write(data)
-    except FileExistsError as error:
-        raise FileError(f"{place} is already there; nothing is overwritten. Choose another name.") from error
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise FileError(f"{place} cannot be written: {why}. Choose another place.") from error
-
-
 def json_text(value: object) -> str:
     """JSON in one line."""
     return json.dumps(value, ensure_ascii=False, allow_nan=False)

@@ -9,8 +9,9 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import FileError, MarkError, SizeError
+from planish.core.files import write_whole
 from planish.marks.files import model
-from planish.marks.files.content import Content, read_content, write_new
+from planish.marks.files.content import Content, read_content
 from planish.marks.files.formats import FORMATS, MarkFormat, Unit, known_formats, module_of, target_of
 from planish.marks.files.lists import LayerPixels, PointList, join_lists
 from planish.marks.files.model import Floats, about_layer, layer_names
@@ -162,7 +163,7 @@ def write_any(
         if file.exists():
             raise FileError(f"{file} is already there; nothing is overwritten. Choose another name.")
     for file, data in files.items():
-        write_new(file, data)
+        write_whole(file, data)
     return list(files)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
+from planish.core.files import write_whole
 from planish.core.tables import Table, parse_table, table_text
 from planish.marks.files.content import Content
 from planish.marks.files.lists import PointList
@@ -82,12 +83,12 @@ def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
 
     Raises
     ------
-    OSError
-        If the file cannot be written.
+    FileError
+        If the file is there already or cannot be written.
     MarkError
         If a variable is missing.
     """
-    Path(path).write_text(pairs_text(dataset), encoding="utf-8", newline="\n")
+    write_whole(Path(path), pairs_text(dataset).encode())
 
 
 def pairs_text(dataset: xr.Dataset) -> str:

@@ -1,0 +1,74 @@
+"""Files that are written whole or not at all, and what is said of a write that failed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+from planish.core.errors import FileError, ResourceError
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_CUT_SHORT = re.compile(r"\d+ requested and \d+ written")  # numpy's words where the system gives no reason
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file that is not there yet; where that fails, nothing is left.
+
+    Raises
+    ------
+    FileError
+        If the file is there already or cannot be written.
+    ResourceError
+        If the disk is full.
+    """
+    if path.exists() or path.is_symlink():
+        raise FileError(f"{path} is already there; nothing is overwritten. Choose another name.")
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    with writing(path, needed=len(data)):
+        try:
+            partial.write_bytes(data)
+            partial.rename(path)
+        except BaseException:
+            partial.unlink(missing_ok=True)
+            raise
+
+
+@contextmanager
+def writing(path: Path, *, needed: int | None = None) -> Generator[None]:
+    """Turn a failed write into the error that says what to do about it; ``needed``: bytes, where known."""
+    try:
+        yield
+    except OSError as error:
+        raise as_planish(error, path, needed=needed) from error
+    except ValueError as error:  # of a name that no system allows
+        if "null" not in str(error):
+            raise
+        raise FileError(f"{path!r} cannot be written: {error}. Choose another name.") from error
+
+
+def as_planish(error: OSError, path: Path, *, needed: int | None = None) -> FileError | DiskFull:
+    """The error that says what to do about a failed write."""
+    if error.errno in _FULL or (error.errno is None and _CUT_SHORT.search(str(error))):
+        return disk_full(path, needed)
+    return FileError(f"{path} cannot be written: {os.strerror(error.errno) if error.errno else error}.")
+
+
+class DiskFull(ResourceError):
+    """The disk is full."""
+
+
+def disk_full(path: Path, needed: int | None = None) -> DiskFull:
+    """The error that says how much is free, and needed."""
+    place = next((one for one in path.absolute().parents if one.is_dir()), Path.cwd())
+    free = f"{shutil.disk_usage(place).free / 1e6:.0f} MB are free in {place}"
+    need = "" if needed is None else f"; it takes about {max(needed / 1e6, 1):.0f} MB"
+    return DiskFull(
+        f"The disk is full while writing {path}: {free}{need}. Nothing was kept of it. Free some space, or give "
+        "--out on another disk."
+    )
