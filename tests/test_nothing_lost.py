@@ -15,6 +15,7 @@ import pytest
 import tifffile
 
 from planish.core.errors import InputError
+from planish.io import likely_through
 from planish.pipeline import open_run
 
 
@@ -196,3 +197,36 @@ def test_names_that_are_no_text_do_not_reach_the_terminal(planish, specimen_file
     code, _, err = planish("info", path)
     assert code == 3
     assert r"a\x1b[31m" in err
+
+
+def test_a_wrong_axis_is_named(planish, specimen_files, laid, tmp_path):
+    for path, wrong, right in ((specimen_files[0], "y", "z"), (laid.volume, "z", "y")):
+        code, _, err = planish("map", path, "--through", wrong, "-o", tmp_path / "run")
+        assert code == 3
+        assert f"try --through {right}" in err
+        assert f"sheet: across {right}" in planish("info", path)[1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_said_of_an_axis_where_the_grey_tells_none():
+    rng = np.random.default_rng(0)
+    assert likely_through(rng.normal(size=(40, 50, 60))) is None
+    z, y, x = np.mgrid[0:40, 0:50, 0:60]
+    box = (abs(z - 20) < 10) & (abs(y - 25) < 12) & (abs(x - 30) < 15)
+    assert likely_through(200 * box.astype(np.uint8)) is None
+    assert likely_through(np.zeros((9, 9, 9))) is None
+    holed = np.where(abs(y - 25) < 4, 200.0, 10.0)
+    holed[:, :, :6] = np.nan
+    assert likely_through(holed) == "y"
+
+
+def test_a_scale_beyond_the_calibration_has_a_way_through(planish, specimen_files, tmp_path):
+    volume, image = specimen_files
+    asked = ("link", volume, image, "--pixel-um", "5.25", "--override-size", "-o", tmp_path / "run")
+    code, _, err = planish(*asked)
+    assert code == 3
+    assert "--scale-tolerance" in err
+    code, _, err = planish(*asked, "--scale-tolerance", "0.08")
+    assert code in (0, 4), err
+    registration = open_run(tmp_path / "run").results.moving[0].registration
+    assert abs(registration.scale - 1.05) < 0.01

@@ -41,6 +41,7 @@ _WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps tha
 
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 _LEAST_BYTES = 2**20
+_TIMES = 3  # the size of a volume that is held as a whole: what the memory has to be for it
 
 
 def _bytes_of(text: Any) -> Any:
@@ -81,7 +82,12 @@ class Compute(Params):
     @property
     def volume_bytes(self) -> int:
         """Largest volume that is held in memory as a whole."""
-        return self.memory // 3
+        return self.memory // _TIMES
+
+    @staticmethod
+    def to_hold(volume_bytes: int) -> int:
+        """Memory that has to be allowed for a volume to be held as a whole."""
+        return _TIMES * volume_bytes + 10**8
 
     @property
     def memory(self) -> int:

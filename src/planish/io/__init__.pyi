@@ -1,3 +1,4 @@
+from .axis import likely_through as likely_through
 from .formats import find_place as find_place
 from .hashes import fingerprint as fingerprint
 from .image import read_image as read_image

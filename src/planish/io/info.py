@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from planish.core.errors import FileError, InputError, SizeError
+from planish.io.axis import likely_through
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
@@ -62,8 +63,9 @@ def describe(
         ``dims``, ``shape``, ``dtype``, ``size_um`` (None where unknown), ``size_source``, ``size_problem``,
         ``extent_um``, ``min``, ``max``, ``percentiles``, ``nan_share``, ``saturated_share`` (values at the largest the
         type can store), ``bottom_share`` (values of 0), ``sampled`` (which slices were looked at; None for all), and
-        ``warnings``, a list of sentences. For volumes also ``format``, ``stored`` (how they are read), ``run_bytes``
-        and ``run_seconds`` (rough estimates for ``planish map``), ``metadata`` (what a log states, and choices made).
+        ``warnings``, a list of sentences. For volumes also ``format``, ``stored`` (how they are read),
+        ``through`` (the axis that seems to run through the sheet; None where the grey does not tell), ``run_bytes`` and
+        ``run_seconds`` (rough estimates for ``planish map``), ``metadata`` (what a log states, and choices made).
 
     Raises
     ------
@@ -107,6 +109,7 @@ def describe(
         **facts,
         **size,
         **_holding(values),
+        "through": likely_through(values),
         "metadata": dict(loaded.attrs),
         "warnings": warnings,
     }

@@ -17,7 +17,7 @@ from planish.core.options import Params
 from planish.core.results import SheetFacts
 from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
-from planish.io import find_place
+from planish.io import find_place, likely_through
 from planish.measure import measure_properties, sheet_numbers
 from planish.pipeline.checks import sheet_checks
 from planish.pipeline.facts import flatten_facts, input_file, property_facts, section_facts, surface_facts
@@ -49,9 +49,15 @@ def map_layer(
     step = column_step(volume, frame, v.column_um, compute)
     wide = f", columns of {step} x {step}" if step > 1 else ""
     progress("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
-    with engine(compute, kept=None if kept is None else kept / str(step)) as tiles:
-        surfaces = find_surfaces(volume, frame=frame, params=layer.surface, step=step, engine=tiles)
-    _check_thickness(surfaces)
+    try:
+        with engine(compute, kept=None if kept is None else kept / str(step)) as tiles:
+            surfaces = find_surfaces(volume, frame=frame, params=layer.surface, step=step, engine=tiles)
+        _check_thickness(surfaces)
+    except VolumeError as error:
+        axis = likely_through(volume.values)
+        if axis in (None, v.through):
+            raise
+        raise VolumeError(f"{error} The grey changes most along {axis}: try --through {axis}.") from error
     progress("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
     tiles = Engine(threads=compute.threads, memory_bytes=compute.memory // 2)
     measured = measure_properties(surfaces, volume=volume, params=layer.properties, engine=tiles)

@@ -75,10 +75,11 @@ def _how(params: VolumeParams, memory_bytes: int) -> dict[str, Any]:
 def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, options: str = "") -> None:
     """Refuse a volume that is neither in memory nor can be read in parts."""
     if volume.encoding.get("whole_slices"):
+        size = volume.size * volume.dtype.itemsize
         raise ResourceError(
-            f"{path.name} has {volume.size * volume.dtype.itemsize / 1e9:.1f} GB, of the memory "
-            f"{compute.volume_bytes / 1e9:.1f} GB may hold a volume, and its slices can only be decoded whole. Bring "
-            f"it into a store first: planish import {path.name}{options} --out {path.stem}.zarr"
+            f"{path.name} has {size / 1e9:.1f} GB, and its slices can only be decoded whole. To hold it, give --memory "
+            f"{compute.to_hold(size) / 1e9:.1f}GB ({compute.memory / 1e9:.1f} GB are allowed), or bring it into a "
+            f"store first: planish import {path.name}{options} --out {path.stem}.zarr"
         )
 
 

@@ -139,7 +139,8 @@ def register_marks(
     if off > params.scale_tolerance:
         raise CannotRegister(
             f"The marks fit at a scale of {fit.transform.scale:.4f}, which is {100 * off:.1f} % off the calibration; "
-            f"{100 * params.scale_tolerance:.0f} % are allowed. Check --voxel-um and --pixel-um, and the marks."
+            f"{100 * params.scale_tolerance:.2g} % are allowed. Check --voxel-um and --pixel-um, and the marks; if a "
+            "calibration is that uncertain, allow more with --scale-tolerance."
         )
     return Registration(fit=fit, pairs=pairs, **facts)
 

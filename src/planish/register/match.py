@@ -194,9 +194,9 @@ def _no_match(count: int, need: int, smaller: int, mirror: bool) -> str:
     turned = "" if mirror else "; if the slices are numbered against the usual sense pass --mirror"
     return (
         f"no match found: {count} agree at best, and {needed}, closer than chance would bring them. Printed dots as "
-        "large as holes count as marks: raise the lower end of --hole-um. Check the pixel and voxel sizes, --top, and "
-        f"--image-side: the side that the image shows{turned}; find more of the marks, give the pattern that was burnt "
-        "(--design) or pairs (--marks)."
+        "large as holes count as marks: raise the lower end of --hole-um. Check the pixel and voxel sizes (if they "
+        "are uncertain, allow more with --scale-tolerance), --top, and --image-side: the side that the image shows"
+        f"{turned}; find more of the marks, give the pattern that was burnt (--design) or pairs (--marks)."
     )
 
 
@@ -346,7 +346,8 @@ def _refuse_scale(sides: str, found: Choice, scale: float, tolerance: float) -> 
     if abs(scale - 1.0) > tolerance:
         raise CannotRegister(
             f"{sides}: {len(found.pairs)} match, but at a scale of {scale:.4f}, which is {100 * abs(scale - 1.0):.1f} "
-            f"% off the calibration; {100 * tolerance:.3g} % are allowed. Check the pixel and voxel sizes."
+            f"% off the calibration; {100 * tolerance:.3g} % are allowed. Check the pixel and voxel sizes; if they "
+            "are that uncertain, allow more with --scale-tolerance."
         )
 
 

@@ -28,7 +28,11 @@ class RegistrationParams(Params):
         "by their position in it.",
     )
     scale_tolerance: float = option(
-        0.03, gt=0, lt=0.5, cli=None, help="Largest deviation of the scale from 1 that the calibrations allow."
+        0.03,
+        gt=0,
+        lt=0.5,
+        metavar="SHARE",
+        help="Largest deviation of the scale from 1 that the calibrations allow, such as 0.05.",
     )
     tolerance_um: float = option(25.0, gt=0, help="Largest distance in um between two marks that match.")
     mirror: bool = option(
