@@ -250,14 +250,36 @@ def test_weights_are_stiffness():
     np.testing.assert_allclose(doubled.uv, even.uv, atol=1e-4)
 
 
-def test_pieces_are_counted():
+def test_pieces_are_named_with_their_places():
     points = cylinder(10, 30, 400.0, 6.0)
     points[:, 14:16] = np.nan
     points[2, 15] = np.nan
-    with pytest.raises(CannotFlatten, match="2 unconnected pieces of 140, 140 nodes"):
+    named = "140 nodes in rows 0-9 and columns 0-13, 140 nodes in rows 0-9 and columns 16-29"
+    with pytest.raises(CannotFlatten, match=f"2 unconnected pieces: {named}"):
         relax_grid(points)
     with pytest.raises(CannotFlatten, match="at least"):
         relax_grid(points[:1])
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_specks_are_dropped_and_counted(weighted):
+    points = cylinder(20, 60, 400.0, 6.0)
+    points[:, 48:] = np.nan
+    weights = np.ones((20, 60)) if not weighted else np.linspace(1, 2, 1200).reshape(20, 60)
+    alone = relax_grid(points, weights=weights)
+    whole = cylinder(20, 60, 400.0, 6.0)
+    points[3:5, 52:56], points[15, 59] = whole[3:5, 52:56], whole[15, 59]  # 8 nodes and 1 of 969
+    found = relax_grid(points, weights=weights)
+    assert found.dropped.sum() == 9
+    assert found.dropped[3:5, 52:56].all()
+    assert np.isnan(found.uv[found.dropped]).all()
+    np.testing.assert_array_equal(found.uv, alone.uv)
+    assert (found.energy, found.springs) == (alone.energy, alone.springs)
+    assert not alone.dropped.any()
+    with pytest.raises(CannotFlatten, match=r"3 unconnected pieces: 960 nodes .*, 8 nodes in rows 3-4 and col"):
+        relax_grid(points, weights=weights, least_share=0.0)
+    with pytest.raises(CannotFlatten, match="least share"):
+        relax_grid(points, least_share=1.0)
 
 
 def test_pieces_that_hang_together_by_a_node_are_refused():

@@ -50,6 +50,8 @@ class Relaxed:
         ``rest="chord"``.
     pitch : float
         Mean distance of neighbours along rows and columns.
+    dropped : (rows, cols) bool
+        Nodes of specks beside the sheet, which were left out.
     """
 
     uv: Array
@@ -62,6 +64,7 @@ class Relaxed:
     made_up: NDArray[np.bool_]
     straight_share: float
     pitch: float
+    dropped: NDArray[np.bool_]
 
 
 def relax_grid(
@@ -72,6 +75,7 @@ def relax_grid(
     start: Array | None = None,
     weights: Array | None = None,
     tolerance: float = 1e-6,
+    least_share: float = 0.02,
 ) -> Relaxed:
     """Flatten a grid of points in space.
 
@@ -97,6 +101,8 @@ def relax_grid(
     tolerance : float
         ``multigrid`` is at rest when its energy is expected to exceed the minimum by less than this share, or places to
         be wrong by less than 3e-6 pitches in the mean (root of the mean square).
+    least_share : float
+        Pieces with a smaller share of the nodes are dropped as specks; ``dropped`` says which.
 
     Returns
     -------
@@ -106,12 +112,13 @@ def relax_grid(
     Raises
     ------
     CannotFlatten
-        If an argument does not fit, there are fewer than two by two nodes, or the sheet falls into unconnected pieces.
+        If an argument does not fit, there are fewer than two by two nodes, or the sheet falls into unconnected pieces
+        that are no specks.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
-    _check(points, start, weights, tolerance, method=method, rest=rest)
+    _check(points, start, weights, tolerance, least_share, method=method, rest=rest)
     braces = None
-    made_up = np.zeros(points.shape[:2], dtype=bool)
+    made_up = dropped = np.zeros(points.shape[:2], dtype=bool)
     if weights is not None:
         points, weights, made_up = _weigh(points, np.asarray(weights, dtype=np.float64))
     pitch = mean_pitch(points)
@@ -120,6 +127,12 @@ def relax_grid(
         gaps = springs < 4 * level.rows * level.cols - 3 * (level.rows + level.cols) + 2
         if gaps:
             known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
+            dropped = _specks(known, least_share)
+            if dropped.any():
+                known &= ~dropped
+                points = np.where(known[..., None], points, np.nan)
+                pitch = mean_pitch(points)
+                level, springs, straight = make_springs(points, pitch, rest, team)
             if (loose := _check_whole(known)).any():
                 braces = ~known & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
                 points, weights = make_up(points, weights, known, braces)
@@ -152,11 +165,13 @@ def relax_grid(
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
     return Relaxed(uv=uv, energy=float(energy) * pitch * pitch, springs=springs, outcome=outcome, steps=steps,
-                   history=history, folded=folded, made_up=made_up, straight_share=straight, pitch=pitch)  # fmt: skip
+                   history=history, folded=folded, made_up=made_up, straight_share=straight, pitch=pitch,
+                   dropped=dropped)  # fmt: skip
 
 
 def _check(
-    points: Array, start: Array | None, weights: Array | None, tolerance: float, *, method: object, rest: object
+    points: Array, start: Array | None, weights: Array | None, tolerance: float, least_share: float, *, method: object,
+    rest: object,
 ) -> None:  # fmt: skip
     faults: list[str] = []
     for name, value, known in (("method", method, ("multigrid", "relaxation")), ("rest", rest, ("arc", "chord"))):
@@ -177,8 +192,18 @@ def _check(
         faults.append(f"the weights have the shape {np.shape(weights)}, needed is {points.shape[:2]}")
     if not 0 < tolerance < 1:
         faults.append(f"the tolerance is {tolerance}, needed is a share between 0 and 1")
+    if not 0 <= least_share < 1:
+        faults.append(f"the least share is {least_share}, needed is a share from 0 to 1")
     if faults:
         raise CannotFlatten("; ".join(faults).capitalize() + ".")
+
+
+def _specks(known: NDArray[np.bool_], least_share: float) -> NDArray[np.bool_]:
+    """Nodes of pieces with less than ``least_share`` of all nodes."""
+    labels, count = ndimage.label(known, structure=np.ones((3, 3)))
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    small = sizes < least_share * sizes.sum()
+    return np.concatenate([[False], small])[labels] if small.any() else np.zeros(known.shape, dtype=bool)
 
 
 def _check_whole(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -188,18 +213,26 @@ def _check_whole(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
             f"The mesh has {np.count_nonzero(known)} nodes in {known.shape[0]} rows and {known.shape[1]} columns; at "
             f"least 2 rows and 2 columns are needed. Use a finer mesh."
         )
-    pieces = np.bincount(ndimage.label(known, structure=np.ones((3, 3)))[0].ravel())[1:]
+    labels, count = ndimage.label(known, structure=np.ones((3, 3)))
     loose, stiff = loose_nodes(known)
     stiff = stiff[stiff > 0.02 * stiff.sum()]
-    apart = "unconnected pieces of {} nodes. Flatten each piece apart: their distance in the plane is not known."
-    hinged = (
-        "pieces of {} cells that hang together by single nodes at most. Flatten each piece apart: how they are turned "
-        "against each other is not known."
-    )
-    for sizes, words in ((pieces, apart), (stiff, hinged)):
-        if sizes.size != 1:
-            listed = ", ".join(map(str, np.sort(sizes)[:-7:-1])) + (" ..." if sizes.size > 6 else "")
-            raise CannotFlatten(f"The sheet falls into {sizes.size} {words.format(listed)}")
+    if count > 1:
+        found = zip(ndimage.find_objects(labels), np.bincount(labels.ravel())[1:], strict=True)
+        largest = sorted(found, key=lambda piece: -piece[1])[:6]
+        places = ", ".join(
+            f"{n} nodes in rows {at[0].start}-{at[0].stop - 1} and columns {at[1].start}-{at[1].stop - 1}"
+            for at, n in largest
+        ) + (" ..." if count > 6 else "")  # fmt: skip
+        raise CannotFlatten(
+            f"The sheet falls into {count} unconnected pieces: {places}. Their distance in the plane is not known: "
+            "flatten each of them by itself, or drop the smaller ones with least_share."
+        )
+    if stiff.size != 1:
+        listed = ", ".join(map(str, np.sort(stiff)[:-7:-1])) + (" ..." if stiff.size > 6 else "")
+        raise CannotFlatten(
+            f"The sheet falls into {stiff.size} pieces of {listed} cells that hang together by single nodes at most. "
+            "How they are turned against each other is not known: cut them apart there, and flatten each by itself."
+        )
     return loose
 
 
