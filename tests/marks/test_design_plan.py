@@ -163,3 +163,9 @@ def test_the_matching_recognises_what_crops_leave():
         matched = match_marks(pattern.imaged_um, found, tolerance_um=25.0)
         assert len(matched.pairs) >= 0.8 * len(order)
         assert all(order[j] == i for i, j in matched.pairs)
+
+
+@pytest.mark.parametrize("holes", [6, 8, 10])
+def test_too_few_holes_are_refused_by_their_rule(holes):
+    with pytest.raises(MarkError, match="rule 'count'.*at least 12 holes: burn more holes"):
+        design_pattern(DesignParams(field_um=(6000.0, 4000.0), holes=holes))

@@ -52,6 +52,8 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     with new_folder(out) as folder:
         write_specimen(ordered, folder, progress=lambda name: click.echo(f"write: {name}", err=True))
     click.echo(f"specimen: {out}", err=True)
+    if ordered.size == "T0":
+        click.echo("Its 3 holes are too few for 'planish link': take --size T1 or larger for that.", err=True)
     return 0
 
 

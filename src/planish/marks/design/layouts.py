@@ -139,5 +139,6 @@ def _drawn(ruler: Ruler, count: int, rng: np.random.Generator) -> Ints:
 def _distances(marks: Ints) -> Ints:
     """All distances (batch, n (n - 1) / 2) between positions (batch, n) but that from corner to corner."""
     n = marks.shape[1]
-    first, last = np.array([pair for pair in combinations(range(n), 2) if pair != (0, n - 1)]).T
+    pairs = [pair for pair in combinations(range(n), 2) if pair != (0, n - 1)]
+    first, last = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     return marks[:, last] - marks[:, first]
