@@ -167,5 +167,5 @@ def test_the_matching_recognises_what_crops_leave():
 
 @pytest.mark.parametrize("holes", [6, 8, 10])
 def test_too_few_holes_are_refused_by_their_rule(holes):
-    with pytest.raises(MarkError, match="rule 'count'.*at least 12 holes: burn more holes"):
+    with pytest.raises(MarkError, match=r"rule 'count'.*at least 12 holes: burn more holes"):
         design_pattern(DesignParams(field_um=(6000.0, 4000.0), holes=holes))
