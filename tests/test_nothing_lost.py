@@ -17,6 +17,7 @@ import tifffile
 from planish.core.errors import InputError
 from planish.io import likely_through
 from planish.pipeline import open_run
+from planish.study import read_study, with_values, write_study
 
 
 def tree(folder):
@@ -230,3 +231,48 @@ def test_a_scale_beyond_the_calibration_has_a_way_through(planish, specimen_file
     assert code in (0, 4), err
     registration = open_run(tmp_path / "run").results.moving[0].registration
     assert abs(registration.scale - 1.05) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "again"),
+    [
+        ("registration.model=affine", False),
+        ("correlate.point_um=50", False),
+        ("holes.hole_um=[110, 290]", False),
+        ("image.md_deg=12", False),
+        ("sheet.surface.cutoff_um=450", True),
+    ],
+)
+def test_a_changed_parameter_repeats_what_depends_on_it(planish, linked_run, tmp_path, monkeypatch, change, again):
+    study = tmp_path / "study" / "run.toml"
+    study.parent.mkdir()
+    text = (linked_run / "run.toml").read_text()
+    edited = with_values(read_study(linked_run / "run.toml"), [change])
+    write_study(edited, study.parent, home=study.parent, version="")
+    assert study.read_text() != text
+    code, _, err = planish("run", study, "-o", tmp_path / "fresh")
+    assert code in (0, 4), err
+    with monkeypatch.context() as patch:
+        if not again:
+            instead_of_mapping(patch, mapped)
+        code, _, err = planish("run", linked_run / "run.toml", "--set", change, "-o", tmp_path / "set")
+    assert code in (0, 4), err
+    assert ("mapped before" in err) is not again
+    assert tree(tmp_path / "set") == tree(tmp_path / "fresh")
+
+
+def test_changes_are_checked_and_named(planish, linked_run, tmp_path):
+    for changes, words in (
+        (["surface.cutoff=600", "registration.tolerance_um=-1"], ["surface.cutoff: Extra", "tolerance_um"]),
+        (["bla=3", "surface.cutoff_um"], ["'bla=3': write SECTION.NAME=VALUE", "'surface.cutoff_um'"]),
+        (["image.surface.cutoff_um=3"], ["no layer of this study has it"]),
+    ):
+        options = [word for change in changes for word in ("--set", change)]
+        code, _, err = planish("run", linked_run / "run.toml", *options, "-o", tmp_path / "run")
+        assert code == 2
+        assert all(word in err for word in words), err
+    study = read_study(linked_run / "run.toml")
+    assert with_values(study, ["surface.seed_um=[1, 2, 3]"]).layers[0].surface.seed_um == (1.0, 2.0, 3.0)
+    assert with_values(study, ["volume.voxel_um="]).layers[0].volume.voxel_um is None
+    assert with_values(study, ["registration.model=affine"]).registration.model == "affine"
+    assert list(tmp_path.iterdir()) == []

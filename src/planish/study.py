@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -12,7 +12,7 @@ import tomli_w
 from pydantic import Field, ValidationError, model_validator
 
 from planish.analyze.params import CorrelateParams
-from planish.core.errors import FileError, InputError
+from planish.core.errors import FileError, InputError, StudyError
 from planish.core.options import Params
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
@@ -26,6 +26,8 @@ P = TypeVar("P", bound=Params)
 
 _PATHS = {"path", "run", "marks", "design"}
 _OF_A_VOLUME = ("surface", "properties", "flatten")
+_OF_A_LAYER = ("volume", "image", *_OF_A_VOLUME)
+_OF_A_STUDY = ("holes", "registration", "correlate")
 
 
 class LayerParams(Params):
@@ -157,6 +159,56 @@ def _flat_layer(layer: Any) -> Any:
         return layer
     rest: dict[str, Any] = {str(k): v for k, v in layer.items() if k != "map"}  # type: ignore[reportUnknownVariableType]
     return rest | {k: v for k, v in layer["map"].items() if k in ("volume", *_OF_A_VOLUME)}
+
+
+def with_values(study: Study, changes: Sequence[str]) -> Study:
+    """Change single parameters: ``surface.cutoff_um=600``, for one layer only ``NAME.surface.cutoff_um=600``.
+
+    Values are written as in a study file; text needs no quotes, and nothing behind the sign takes a parameter out.
+
+    Raises
+    ------
+    StudyError
+        If a name means nothing in this study, or a value does not fit; all faults are named.
+    """
+    data = to_dict(study)
+    kinds = {layer.name: layer.kind for layer in study.layers}
+    faults: list[str] = []
+    for text in changes:
+        key, sign, value = (part.strip() for part in text.partition("="))
+        path = key.split(".")
+        name = path.pop(0) if len(path) > 2 and path[0] in kinds else None
+        if path[0] in _OF_A_LAYER:
+            kind = "image" if path[0] == "image" else "volume"
+            roots = [at for at in data["layers"] if name in (None, at["name"]) and kinds[at["name"]] == kind]
+        else:
+            roots = [data] if name is None and path[0] in Study.model_fields and path[0] != "layers" else []
+        if not (sign and roots):
+            sections = ", ".join((*_OF_A_LAYER, *_OF_A_STUDY))
+            why = "; no layer of this study has it" if sign and path[0] in _OF_A_LAYER else ""
+            faults.append(f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}{why}")
+            continue
+        for root in roots:
+            at = root
+            for part in path[:-1]:
+                at = at.setdefault(part, {}) if isinstance(at, dict) else {}
+            if value:
+                at[path[-1]] = _value(value)
+            else:
+                at.pop(path[-1], None)
+    if faults:
+        raise StudyError("; ".join(faults) + ".")
+    try:
+        return Study.model_validate(data)
+    except ValidationError as error:
+        raise StudyError(f"{faults_of(error)}.") from error
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
 
 
 def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None:

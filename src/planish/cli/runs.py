@@ -69,12 +69,14 @@ def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain:
         raise click.UsageError(str(error)) from error
 
 
-def _run_and_show(study: Study, out: Path, values: dict[str, Any], *, as_json: bool, strict: bool) -> int:
+def _run_and_show(
+    study: Study, out: Path, values: dict[str, Any], *, as_json: bool, strict: bool, old: Path | None = None
+) -> int:
     """Do what a study says, show it, and return the exit code."""
     from planish.pipeline import run_study
 
     with stages(8 + 3 * len(study.layers)) as progress:
-        run = run_study(study, out, progress=progress, compute=made(Compute, values, "compute"))
+        run = run_study(study, out, progress=progress, compute=made(Compute, values, "compute"), old=old)
     return finish(run, out, as_json=as_json, strict=strict)
 
 
@@ -126,23 +128,40 @@ def map_(volume: Path, out: Path, strict: bool, as_json: bool, **values: Any) ->
     return _run_and_show(study_from((volume,), values), out, values, as_json=as_json, strict=strict)
 
 
-@verb("planish run run/run.toml", "planish run run/run.toml --out again --threads 2", name="run")
+@verb(
+    "planish run run/run.toml",
+    "planish run run/run.toml --out again --threads 2",
+    "planish run run/run.toml --set correlate.point_um=50 --out run-50",
+    name="run",
+)
 @existing("study")
 @_folder_option
+@click.option(
+    "--set", "changes", multiple=True, metavar="SECTION.NAME=VALUE",
+    help="Change a parameter, such as registration.model=affine, or of one layer sheet.surface.cutoff_um=600; may be "
+    "given again. Sheets whose parameters stay are taken from the run beside STUDY.",
+)  # fmt: skip
 @compute_options
 @strict_option
 @json_option
-def run(study: Path, out: Path | None, strict: bool, as_json: bool, **values: Any) -> int:
-    """Repeat the run described by STUDY, the run.toml of a run folder.
+def run(study: Path, out: Path | None, changes: tuple[str, ...], strict: bool, as_json: bool, **values: Any) -> int:
+    """Repeat the run described by STUDY, the run.toml of a run folder, or make another one of it with --set.
 
-    The result has the same bytes; files that differ from those beside STUDY are named.
+    Without changes the result has the same bytes; files that differ from those beside STUDY are named.
     """
-    from planish.study import read_study
+    from planish.study import read_study, with_values
 
     if study.is_dir():
         study = study / "run.toml"
     checked = read_study(study)
     old = study.absolute().parent
+    if changes:
+        try:
+            checked = with_values(checked, changes)
+        except StudyError as error:
+            raise click.UsageError(f"--set: {error}") from error
+        target = out or free_path(old.with_name(f"{old.name}-2"))
+        return _run_and_show(checked, target, values, as_json=as_json, strict=strict, old=old)
     target = out or free_path(old.with_name(f"{old.name}-again"))
     code = _run_and_show(checked, target, values, as_json=as_json, strict=strict)
     before = run_facts(old)

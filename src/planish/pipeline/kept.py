@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from planish import __version__
 from planish.compute import Compute, run_key
 from planish.core.errors import PlanishError
 from planish.pipeline.layers import Layer
-from planish.pipeline.run import is_run, open_run
-from planish.study import LayerParams, Study, to_dict
+from planish.pipeline.run import is_run, open_results, open_run
+from planish.study import LayerParams, Study, read_study, to_dict
 
 _REQUEST = ".request"  # file of such a run: what was asked for, as a hash
 
@@ -42,6 +44,29 @@ class KeptMaps:
     def note(self, folder: Path) -> None:
         """Mark the folder that will stand there with what was asked for."""
         (folder / _REQUEST).write_text(self.key, encoding="utf-8")
+
+
+def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> dict[str, Layer]:
+    """Sheets of a run that a study asks for with the same parameters, of the same files, by this version of planish."""
+    try:
+        results, asked = open_results(old), {layer.name: layer for layer in read_study(old / "run.toml").layers}
+    except PlanishError:
+        return {}
+    sources = {layer.name: layer.source.sha256 for layer in results.layers}
+    whole = sum(layer.sheet is not None for layer in results.layers) == 1 and len(results.layers) == 2
+    found: dict[str, Layer] = {}
+    for layer, sha256 in zip(study.layers, hashes, strict=True):
+        before = asked.get(layer.name)
+        if layer.kind != "volume" or before is None or results.planish != __version__:
+            continue
+        same = before.model_copy(update={"marks": layer.marks}) == layer and sources.get(layer.name) == sha256
+        place = old if whole else old / "layers" / layer.name
+        if same and is_run(place):
+            try:
+                found[layer.name] = open_run(place).sheet()
+            except PlanishError:  # damaged: it is mapped again
+                continue
+    return found
 
 
 def _noted(path: Path) -> str:

@@ -16,7 +16,7 @@ from planish.marks import write_marks
 from planish.pipeline.checks import about, with_trust
 from planish.pipeline.facts import parameters, versions
 from planish.pipeline.figures import figures_text
-from planish.pipeline.kept import KeptMaps
+from planish.pipeline.kept import KeptMaps, sheets_of
 from planish.pipeline.layers import Layer
 from planish.pipeline.link import link_study
 from planish.pipeline.request import check_request
@@ -29,8 +29,9 @@ _PAGES = 5_000_000  # bytes of report.html and the tables
 
 
 def run_study(
-    study: Study, out: str | Path | None = None, *, compute: Compute | None = None, progress: Progress = silent
-) -> Run:
+    study: Study, out: str | Path | None = None, *, compute: Compute | None = None, progress: Progress = silent,
+    old: Path | None = None,
+) -> Run:  # fmt: skip
     """Do what a study says, and write the run folder ``out`` where it is given.
 
     A run that was killed goes on where it stood when it is started again.
@@ -44,6 +45,8 @@ def run_study(
         What the run may use.
     progress : callable, optional
         Called with the name of a stage and a few words.
+    old : Path, optional
+        A run of which the sheets are taken whose volume and parameters are the same.
 
     Raises
     ------
@@ -67,8 +70,10 @@ def run_study(
                 if layer.kind == "volume" and len(study.layers) > 1
             }
             before = {name: sheet for name, kept in maps.items() if (sheet := kept.read()) is not None}
+            if old is not None and maps:
+                before |= sheets_of(old, study, hashes)
             for name in before:
-                progress("read", f"{maps[name].path.name}, mapped before")
+                progress("read", f"{name}, mapped before")
             mapped = dict(before)
             try:
                 run = _done(study, compute=compute, progress=progress, kept=work / "tiles", mapped=mapped)
