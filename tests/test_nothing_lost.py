@@ -233,32 +233,50 @@ def test_a_scale_beyond_the_calibration_has_a_way_through(planish, specimen_file
     assert abs(registration.scale - 1.05) < 0.01
 
 
-@pytest.mark.parametrize(
-    ("change", "again"),
-    [
-        ("registration.model=affine", False),
-        ("correlate.point_um=50", False),
-        ("holes.hole_um=[110, 290]", False),
-        ("image.md_deg=12", False),
-        ("sheet.surface.cutoff_um=450", True),
-    ],
-)
-def test_a_changed_parameter_repeats_what_depends_on_it(planish, linked_run, tmp_path, monkeypatch, change, again):
-    study = tmp_path / "study" / "run.toml"
-    study.parent.mkdir()
-    text = (linked_run / "run.toml").read_text()
-    edited = with_values(read_study(linked_run / "run.toml"), [change])
-    write_study(edited, study.parent, home=study.parent, version="")
-    assert study.read_text() != text
+NOT_REPEATED = {
+    "all": [("link", "map_layer")],
+    "measurement": [("sheet", "read_sheet_volume"), ("sheet", "find_surfaces"), ("sheet", "measure_properties")],
+    "search": [("sheet", "find_surfaces")],
+    "nothing": [],
+}
+CHANGES = [
+    ("registration.model=affine", "all"),
+    ("correlate.point_um=50", "all"),
+    ("holes.hole_um=[110, 290]", "all"),
+    ("image.md_deg=12", "all"),
+    ("flatten.rest=chord", "measurement"),
+    ('properties.maps=["porosity", "roughness_top"]', "search"),
+    ("sheet.surface.cutoff_um=450", "nothing"),
+    ("volume.md_deg=5", "nothing"),
+]
+
+
+@pytest.mark.parametrize(("change", "kept"), CHANGES, ids=[change for change, _ in CHANGES])
+def test_a_changed_parameter_repeats_what_depends_on_it(planish, linked_run, tmp_path, monkeypatch, change, kept):
+    again(planish, linked_run, tmp_path, monkeypatch, change, NOT_REPEATED[kept])
+
+
+@pytest.mark.parametrize(("change", "kept"), [CHANGES[4], CHANGES[5]], ids=["flatten", "properties"])
+def test_a_changed_map_repeats_what_depends_on_it(planish, specimen_files, tmp_path, monkeypatch, change, kept):
+    assert planish("map", specimen_files[0], "-o", tmp_path / "map", "--property", "porosity")[0] == 0
+    again(planish, tmp_path / "map", tmp_path, monkeypatch, change, NOT_REPEATED[kept])
+
+
+def again(planish, run, tmp_path, monkeypatch, change, not_repeated):
+    """A run with a changed parameter has the bytes of a fresh one, whatever it takes from the old one."""
+    edited = with_values(read_study(run / "run.toml"), [change])
+    study = tmp_path / "study"
+    study.mkdir()
+    write_study(edited, study, home=study, version="")
     code, _, err = planish("run", study, "-o", tmp_path / "fresh")
     assert code in (0, 4), err
     with monkeypatch.context() as patch:
-        if not again:
-            instead_of_mapping(patch, mapped)
-        code, _, err = planish("run", linked_run / "run.toml", "--set", change, "-o", tmp_path / "set")
+        for module, name in not_repeated:
+            patch.setattr(import_module(f"planish.pipeline.{module}"), name, mapped)
+        code, _, err = planish("run", run / "run.toml", "--set", change, "-o", tmp_path / "set")
     assert code in (0, 4), err
-    assert ("mapped before" in err) is not again
     assert tree(tmp_path / "set") == tree(tmp_path / "fresh")
+    assert tree(tmp_path / "set") != tree(run)
 
 
 def test_changes_are_checked_and_named(planish, linked_run, tmp_path):

@@ -139,7 +139,7 @@ def map_(volume: Path, out: Path, strict: bool, as_json: bool, **values: Any) ->
 @click.option(
     "--set", "changes", multiple=True, metavar="SECTION.NAME=VALUE",
     help="Change a parameter, such as registration.model=affine, or of one layer sheet.surface.cutoff_um=600; may be "
-    "given again. Sheets whose parameters stay are taken from the run beside STUDY.",
+    "given again. Stages whose parameters stay are taken from the run beside STUDY.",
 )  # fmt: skip
 @compute_options
 @strict_option

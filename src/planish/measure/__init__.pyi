@@ -9,6 +9,7 @@ from .params import MeasureParams as MeasureParams
 from .phases import depth_profiles as depth_profiles
 from .properties import further_maps as further_maps
 from .properties import measure_properties as measure_properties
+from .properties import surfaces_of as surfaces_of
 from .rays import Rays as Rays
 from .registry import PROPERTIES as PROPERTIES
 from .registry import Measured as Measured

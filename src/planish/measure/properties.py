@@ -85,6 +85,16 @@ def measure_properties(
     return _with_errors(found, float(further.attrs["ray_noise_um"]))
 
 
+def surfaces_of(measured: xr.Dataset) -> xr.Dataset:
+    """The surfaces that :func:`measure_properties` was given, of what it gave."""
+    own = {*PROPERTIES, *further_maps(measured)}
+    own |= {name for name in measured.data_vars if str(name).removesuffix("_se") in own}
+    surfaces = measured.drop_vars(own)
+    status = surfaces["status"]
+    found = np.where(status.values == Status.NORMAL_LEAVES_SHEET, 0, status.values).astype(status.dtype)
+    return surfaces.assign(status=status.copy(data=found))
+
+
 def further_maps(measured: xr.Dataset) -> list[str]:
     """Names of the maps in a dataset beside the six of the faces, and of their standard errors where there are any."""
     maps = [str(name) for name, data in measured.data_vars.items() if "support_um" in data.attrs]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,26 +47,29 @@ class KeptMaps:
         (folder / _REQUEST).write_text(self.key, encoding="utf-8")
 
 
-def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> dict[str, Layer]:
-    """Sheets of a run that a study asks for with the same parameters, of the same files, by this version of planish."""
+def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str, Layer], dict[str, Layer]]:
+    """Sheets of a run that a study asks for, of the same files and by this version of planish.
+
+    First those whose parameters are the same, then those of the same surface with other properties or flattening.
+    """
     try:
         results, asked = open_results(old), {layer.name: layer for layer in read_study(old / "run.toml").layers}
     except PlanishError:
-        return {}
+        return {}, {}
     sources = {layer.name: layer.source.sha256 for layer in results.layers}
-    whole = sum(layer.sheet is not None for layer in results.layers) == 1 and len(results.layers) == 2
-    found: dict[str, Layer] = {}
+    whole = len(results.layers) == 1 or [layer.kind for layer in results.layers] == ["sheet", "image"]
+    found: tuple[dict[str, Layer], dict[str, Layer]] = ({}, {})
     for layer, sha256 in zip(study.layers, hashes, strict=True):
         before = asked.get(layer.name)
         if layer.kind != "volume" or before is None or results.planish != __version__:
             continue
-        same = before.model_copy(update={"marks": layer.marks}) == layer and sources.get(layer.name) == sha256
         place = old if whole else old / "layers" / layer.name
-        if same and is_run(place):
-            try:
-                found[layer.name] = open_run(place).sheet()
-            except PlanishError:  # damaged: it is mapped again
-                continue
+        near = (before.volume, before.surface) == (layer.volume, layer.surface) and sources.get(layer.name) == sha256
+        if not (near and is_run(place)):
+            continue
+        same = before.model_copy(update={"marks": layer.marks}) == layer
+        with suppress(PlanishError):  # damaged: it is mapped again
+            found[0 if same else 1][layer.name] = open_run(place).sheet()
     return found
 
 

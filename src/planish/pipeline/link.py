@@ -5,7 +5,7 @@ The sheets themselves are never registered in space; their flat maps are (Hirn e
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -44,15 +44,16 @@ _RIM_UM = 100.0  # around holes of images, where no sheet says otherwise
 
 def link_study(
     study: Study, *, compute: Compute, progress: Progress, kept: Path | None = None,
-    mapped: dict[str, Layer] | None = None,
+    mapped: dict[str, Layer] | None = None, near: Mapping[str, Layer] | None = None,
 ) -> Run:  # fmt: skip
     """Register layers to the last one, bring all onto its pixels, and correlate them in pairs.
 
     ``kept`` is the folder for the results of single tiles of volumes that are mapped; ``mapped`` holds the sheets of
-    volumes that need not be mapped again, and is given those that were mapped, whatever becomes of the link.
+    volumes that need not be mapped again, and is given those that were mapped, whatever becomes of the link; ``near``
+    holds sheets of the same volumes whose surfaces are the same.
     """
     mapped = {} if mapped is None else mapped
-    layers = _open_layers(study, mapped, compute=compute, progress=progress, kept=kept)
+    layers = _open_layers(study, mapped, near or {}, compute=compute, progress=progress, kept=kept)
     links = _registered(layers, study, progress)
     reference = layers[-1]
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
@@ -67,8 +68,9 @@ def link_study(
 
 
 def _open_layers(
-    study: Study, mapped: dict[str, Layer], *, compute: Compute, progress: Progress, kept: Path | None
-) -> list[Layer]:
+    study: Study, mapped: dict[str, Layer], near: Mapping[str, Layer], *, compute: Compute, progress: Progress,
+    kept: Path | None,
+) -> list[Layer]:  # fmt: skip
     """Read all layers of a study and map its volumes, into ``mapped``.
 
     Volumes come last: what is wrong with images, runs and marks should not cost their time.
@@ -85,7 +87,9 @@ def _open_layers(
     for params in study.layers:
         name = params.name
         if params.kind == "volume" and name not in mapped:
-            mapped[name] = map_layer(params, compute=compute, progress=progress, kept=kept and kept / name)
+            mapped[name] = map_layer(
+                params, compute=compute, progress=progress, kept=kept and kept / name, before=near.get(name)
+            )
     return [mapped[name] if name in mapped else found[name] for name in names]
 
 

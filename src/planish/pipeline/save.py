@@ -25,6 +25,7 @@ from planish.pipeline.sheet import map_layer
 from planish.report import write_report
 from planish.study import LayerParams, Study, to_dict, write_study
 
+_NONE: Mapping[str, Layer] = {}
 _PAGES = 5_000_000  # bytes of report.html and the tables
 
 
@@ -70,13 +71,13 @@ def run_study(
                 if layer.kind == "volume" and len(study.layers) > 1
             }
             before = {name: sheet for name, kept in maps.items() if (sheet := kept.read()) is not None}
-            if old is not None and maps:
-                before |= sheets_of(old, study, hashes)
+            same, near = sheets_of(old, study, hashes) if old is not None else ({}, {})
+            before |= same if len(study.layers) > 1 else {}
             for name in before:
                 progress("read", f"{name}, mapped before")
             mapped = dict(before)
             try:
-                run = _done(study, compute=compute, progress=progress, kept=work / "tiles", mapped=mapped)
+                run = _done(study, compute=compute, progress=progress, kept=work / "tiles", mapped=mapped, near=near)
             except PlanishError as error:
                 for name in mapped.keys() - before.keys():
                     sheet, place = mapped[name], maps[name]
@@ -112,12 +113,14 @@ def _quoted(path: str) -> str:
 
 
 def _done(
-    study: Study, *, compute: Compute, progress: Progress, kept: Path | None, mapped: dict[str, Layer] | None = None
-) -> Run:
+    study: Study, *, compute: Compute, progress: Progress, kept: Path | None, mapped: dict[str, Layer] | None = None,
+    near: Mapping[str, Layer] = _NONE,
+) -> Run:  # fmt: skip
     first, *others = study.layers
     if others:
-        return link_study(study, compute=compute, progress=progress, kept=kept, mapped=mapped)
-    return _run_of_sheet(map_layer(first, compute=compute, progress=progress, kept=kept), study)
+        return link_study(study, compute=compute, progress=progress, kept=kept, mapped=mapped, near=near)
+    sheet = map_layer(first, compute=compute, progress=progress, kept=kept, before=near.get(first.name))
+    return _run_of_sheet(sheet, study)
 
 
 def _run_of_sheet(sheet: Layer, study: Study) -> Run:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -18,7 +18,7 @@ from planish.core.results import SheetFacts
 from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
 from planish.io import find_place, likely_through
-from planish.measure import measure_properties, sheet_numbers
+from planish.measure import measure_properties, sheet_numbers, surfaces_of
 from planish.pipeline.checks import sheet_checks
 from planish.pipeline.facts import flatten_facts, input_file, property_facts, section_facts, surface_facts
 from planish.pipeline.layers import Layer
@@ -35,16 +35,84 @@ _LEAST_SHARE = 0.15  # of the columns: with less there is no map
 
 
 def map_layer(
-    layer: LayerParams, *, compute: Compute, progress: Progress, kept: Path | None = None
+    layer: LayerParams, *, compute: Compute, progress: Progress, kept: Path | None = None, before: Layer | None = None
 ) -> Layer:  # fmt: skip
     """Go from a volume to flattened maps of its properties.
 
-    ``kept`` is the folder for the results of single tiles, where a run that was killed finds them again.
+    ``kept`` is the folder for the results of single tiles, where a run that was killed finds them again. ``before`` is
+    a sheet of the same volume with the same surface: only what other parameters change is done anew.
     """
     v = layer.volume
     assert v is not None
-    progress("read", find_place(v.path).path.name)
-    volume, sections = read_sheet_volume(v, compute, progress)
+    measured_before = before is not None and before.params.properties == layer.properties
+    volume = sections = None
+    if not measured_before:
+        progress("read", find_place(v.path).path.name)
+        volume, sections = read_sheet_volume(v, compute, progress)
+    tiles = Engine(threads=compute.threads, memory_bytes=compute.memory // 2)
+    if before is not None:
+        surfaces = surfaces_of(before.groups["surfaces"])
+        sections = before.groups.get("sections")
+    else:
+        assert volume is not None
+        surfaces = _search(volume, layer, compute=compute, progress=progress, kept=kept)
+    if before is not None and measured_before:
+        measured = before.groups["surfaces"]
+    else:
+        progress("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
+        measured = measure_properties(surfaces, volume=volume, params=layer.properties, engine=tiles)
+    progress("flatten", "eight-spring mesh")
+    # Before the properties: a column whose normal meets no face still has its place in the sheet.
+    flattened = flatten_sheet(surfaces, params=layer.flatten)
+    columns = pitch(surfaces)
+    map_um = layer.flatten.map_um or float(np.sqrt(columns[0] * columns[1]))
+    progress("resample", f"{map_um:.3g} um pixels")
+    maps = resample_maps(measured, flattened.flat, map_um=map_um)
+    groups = {"surfaces": measured, "flat": flattened.flat, "strain": flattened.strain, "maps": maps}
+    if sections is not None:
+        groups["sections"] = sections
+    params = changed(layer, flatten=changed(layer.flatten, mesh_um=flattened.mesh_um, map_um=map_um))
+    seen: dict[str, Any] = {
+        "surfaces": surface_facts(measured), "properties": property_facts(measured),
+        "flatten": flatten_facts(flattened), "sections": None if sections is None else section_facts(sections),
+    }  # fmt: skip
+    md_deg = v.md_deg if layer.md_deg is None else layer.md_deg
+    if volume is None:
+        assert before is not None
+        assert before.facts is not None
+        seen["properties"] = {
+            name: seen["properties"][name] for name in before.facts.properties
+        }  # a store has no order
+        facts = SheetFacts(numbers=before.facts.numbers, **seen)
+        own = (*sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured))
+        names = {check.name for check in own}
+        return Layer(
+            params=params, source=before.source, groups=groups | {"slices": before.groups["slices"]}, facts=facts,
+            checks=(*own, *(check for check in before.checks if check.name not in names)), md_deg=md_deg,
+        )  # fmt: skip
+    frame = Frame(through=v.through, top=v.top)
+    step = column_step(volume, frame, v.column_um, compute)
+    groups["slices"] = some_slices(volume, frame, step)
+    # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
+    wider = {"column_um": float(np.sqrt(columns[0] * columns[1]))} if step > 1 and v.column_um is None else {}
+    sizes = changed(v, voxel_um=tuple(float(s) for s in volume.attrs["voxel_um"]), **wider)
+    progress("check", "slices, grey, layers")
+    labels = layer.surface.labels is not None
+    scan = check_scan(volume, measured, sections=sections is not None, labels=labels, threads=compute.threads)
+    numbers = sheet_numbers(measured, volume=volume, params=layer.properties, engine=tiles)
+    facts = SheetFacts(numbers=numbers, **seen)
+    return Layer(
+        params=changed(params, volume=sizes), source=input_file(volume, v.path), groups=groups, facts=facts,
+        checks=(*sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured), *scan), md_deg=md_deg,
+    )  # fmt: skip
+
+
+def _search(
+    volume: xr.DataArray, layer: LayerParams, *, compute: Compute, progress: Progress, kept: Path | None
+) -> xr.Dataset:
+    """Find the surfaces of a sheet; where there is none, name the axis that looks like its normal."""
+    v = layer.volume
+    assert v is not None
     frame = Frame(through=v.through, top=v.top)
     step = column_step(volume, frame, v.column_um, compute)
     wide = f", columns of {step} x {step}" if step > 1 else ""
@@ -58,45 +126,7 @@ def map_layer(
         if axis in (None, v.through):
             raise
         raise VolumeError(f"{error} The grey changes most along {axis}: try --through {axis}.") from error
-    progress("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
-    tiles = Engine(threads=compute.threads, memory_bytes=compute.memory // 2)
-    measured = measure_properties(surfaces, volume=volume, params=layer.properties, engine=tiles)
-    progress("flatten", "eight-spring mesh")
-    # Before the properties: a column whose normal meets no face still has its place in the sheet.
-    flattened = flatten_sheet(surfaces, params=layer.flatten)
-    columns = pitch(surfaces)
-    map_um = layer.flatten.map_um or float(np.sqrt(columns[0] * columns[1]))
-    progress("resample", f"{map_um:.3g} um pixels")
-    groups = {
-        "surfaces": measured,
-        "flat": flattened.flat,
-        "strain": flattened.strain,
-        "maps": resample_maps(measured, flattened.flat, map_um=map_um),
-        "slices": some_slices(volume, frame, step),
-    }
-    if sections is not None:
-        groups["sections"] = sections
-    # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
-    wider = {"column_um": float(np.sqrt(columns[0] * columns[1]))} if step > 1 and v.column_um is None else {}
-    used = {
-        "volume": changed(v, voxel_um=tuple(float(s) for s in volume.attrs["voxel_um"]), **wider),
-        "flatten": changed(layer.flatten, mesh_um=flattened.mesh_um, map_um=map_um),
-    }
-    progress("check", "slices, grey, layers")
-    labels = layer.surface.labels is not None
-    scan = check_scan(volume, measured, sections=sections is not None, labels=labels, threads=compute.threads)
-    facts = SheetFacts(
-        surfaces=surface_facts(measured),
-        properties=property_facts(measured),
-        numbers=sheet_numbers(measured, volume=volume, params=layer.properties, engine=tiles),
-        flatten=flatten_facts(flattened),
-        sections=None if sections is None else section_facts(sections),
-    )
-    return Layer(
-        params=changed(layer, **used), source=input_file(volume, v.path), groups=groups, facts=facts,
-        checks=(*sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured), *scan),
-        md_deg=v.md_deg if layer.md_deg is None else layer.md_deg,
-    )  # fmt: skip
+    return surfaces
 
 
 def changed(params: P, **values: object) -> P:
