@@ -141,20 +141,37 @@ def measure(gvoxel: float, folder: str, asked: argparse.Namespace) -> None:
     shutil.rmtree(out, ignore_errors=True)
     command = [sys.executable, "-m", "planish", "map", str(store), "--out", str(out), "--column-um", asked.column_um]
     command += ["--memory", asked.memory, *(["--scheduler", asked.scheduler] if asked.scheduler else [])]
-    start = time.perf_counter()
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    took = time.perf_counter() - start
+    done, stages, said = timed(command)
+    took = sum(stages.values())
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
     print(f"  surfaces and six maps {took:.1f} s, {voxels / took / 1e6:.0f} Mvoxel/s, {took / read:.1f} plain passes")
-    print(f"  peak memory {peak / 1e9:.2f} GB (of this and all smaller ones before), exit code {done.returncode}")
-    if done.returncode not in (0, 4):
-        print(done.stderr)
+    print("  " + ", ".join(f"{name} {seconds:.1f} s" for name, seconds in stages.items()))
+    rest = took - stages.get("check", 0.0)
+    print(f"  the checks add {100 * stages.get('check', 0.0) / rest:.0f} % to the rest")
+    print(f"  peak memory {peak / 1e9:.2f} GB (of this and all smaller ones before), exit code {done}")
+    if done not in (0, 4):
+        print(said)
         return
-    results = json.loads((out / "results.json").read_text(encoding="utf-8"))
-    coat = results["properties"]["coating_top"]
-    print(
-        f"  coating {coat['mean_um']:.3f} um (true {COAT_UM:g}), measured {results['surfaces']['share_measured']:.3f}"
-    )
+    sheet = json.loads((out / "results.json").read_text(encoding="utf-8"))["layers"][0]["sheet"]
+    coat = sheet["properties"]["coating_top"]
+    print(f"  coating {coat['mean']:.3f} um (true {COAT_UM:g}), measured {sheet['surfaces']['shares']['measured']:.3f}")
+
+
+def timed(command: list[str]) -> tuple[int, dict[str, float], str]:
+    """Run planish; exit code, seconds from each stage that it names to the next one, and all that it said."""
+    stages = {"start": 0.0}
+    said: list[str] = []
+    last, name = time.perf_counter(), "start"
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as run:
+        assert run.stderr is not None
+        for line in run.stderr:
+            said.append(line)
+            now = time.perf_counter()
+            stages[name] = stages.get(name, 0.0) + now - last
+            last, name = now, line.partition(":")[0]
+        code = run.wait()
+    stages[name] = stages.get(name, 0.0) + time.perf_counter() - last
+    return code, stages, "".join(said)
 
 
 def volume(shape: tuple[int, int, int]) -> xr.DataArray:
