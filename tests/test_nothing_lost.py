@@ -106,7 +106,7 @@ def test_maps_of_a_refused_link_are_kept_and_taken_up(planish, specimen_files, l
         instead_of_mapping(patch, mapped)
         code, _, err = planish("link", volume, wrong, "-o", out)
         assert code == 3
-        assert "run-map-2, mapped before" in err
+        assert "sheet, mapped before" in err
         code, _, err = planish("link", volume, image, "-o", out)
         assert code == 0, err
     # The same bytes as without the detour; what was kept is left as it is.

@@ -117,5 +117,5 @@ def test_writing_needs_both_sides_and_a_place(tmp_path):
     with pytest.raises(MarkError, match="either moving_x"):
         write_marks(xr.Dataset({"fixed_x": ("mark", [1.0])}), tmp_path / "a.csv")
     whole = xr.Dataset({name: ("mark", [1.0]) for name in ("moving_x", "moving_y", "fixed_x", "fixed_y")})
-    with pytest.raises(OSError, match="No such file"):
+    with pytest.raises(FileError, match="cannot be written: No such file"):
         write_marks(whole, tmp_path / "no" / "a.csv")

@@ -246,7 +246,7 @@ def check_marks(layer: Layer | str, to: Layer | str, study: Study, marks: str | 
         _read_pairs(path, layer, to)
         return
     for one in (layer, to):
-        if isinstance(one, Layer) and one.kind == "image":
+        if not isinstance(one, str) and one.kind == "image":
             need_holes(one.holes(study.holes, one.side), study.holes.hole_um)
 
 
@@ -259,10 +259,11 @@ def read_given(path: str, moving: Layer, fixed: Layer) -> xr.Dataset:
 def _read_pairs(path: str, moving: Layer | str, fixed: Layer | str) -> xr.Dataset:
     """Read three pairs or more."""
     about = [
-        LayerPixels(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
-        if isinstance(layer, Layer) and layer.image is not None else LayerPixels()
+        LayerPixels()
+        if isinstance(layer, str) or layer.image is None
+        else LayerPixels(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
         for layer in (moving, fixed)
-    ]  # fmt: skip
+    ]
     marks = read_any(path, moving=about[0], fixed=about[1])
     pair_of_layers(marks, name=Path(path).name)  # one layer alone is refused
     if int(paired(marks).sum()) < 3:
