@@ -101,6 +101,9 @@ def test_maps_of_a_refused_link_are_kept_and_taken_up(planish, specimen_files, l
     assert tree(maps) == {"thesis.txt": b"years"}
     kept = tree(tmp_path / "run-map-2")
     assert open_run(tmp_path / "run-map-2").results.passed
+    code, _, err = planish("run", tmp_path / "run-map-2" / "run.toml", "-o", tmp_path / "same")
+    assert (code, f"same bytes as {tmp_path / 'run-map-2'}" in err) == (0, True), err
+    shutil.rmtree(tmp_path / "same")
 
     with monkeypatch.context() as patch:
         instead_of_mapping(patch, mapped)

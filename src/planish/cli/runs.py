@@ -176,7 +176,11 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], strict: bool, a
 
 def _different(old: Path, new: Path) -> list[str]:
     """Name the files of either folder that are not the same in both."""
-    files = {p.relative_to(root).as_posix() for root in (old, new) for p in root.rglob("*") if p.is_file()}
+    # Not the hidden note of maps that outlived a refused link: it says what was asked, not what came out.
+    files = {
+        p.relative_to(root).as_posix() for root in (old, new) for p in root.rglob("*")
+        if p.is_file() and not p.name.startswith(".")
+    }  # fmt: skip
     _, other, missing = filecmp.cmpfiles(old, new, files, shallow=False)
     return sorted([*other, *missing])
 
