@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from planish import __version__
@@ -79,12 +80,16 @@ def run_study(
             try:
                 run = _done(study, compute=compute, progress=progress, kept=work / "tiles", mapped=mapped, near=near)
             except PlanishError as error:
-                for name in mapped.keys() - before.keys():
-                    sheet, place = mapped[name], maps[name]
-                    with new_folder(place.path, inside=work) as folder:
-                        save_run(_run_of_sheet(sheet, Study(layers=(sheet.params,))), folder, home=place.path)
-                        place.note(folder)
-                raise _with_next_step(error, [maps[k].path for k in mapped], maps, study) from error
+                with suppress(PlanishError):  # a disk that is full now does not hide what was wrong before
+                    for name in mapped.keys() - before.keys():
+                        sheet, place = mapped[name], maps[name]
+                        with new_folder(place.path, inside=work) as folder:
+                            save_run(_run_of_sheet(sheet, Study(layers=(sheet.params,))), folder, home=place.path)
+                            place.note(folder)
+                more = _next_step(error, maps, study)
+                if not more:
+                    raise
+                raise type(error)(f"{error} {more}") from error
             progress("write", str(out))
             with new_folder(out, inside=work, needed=_size(run)) as folder:
                 save_run(run, folder, home=out)
@@ -96,16 +101,16 @@ def _of_layer(out: Path, layer: LayerParams, study: Study) -> Path:
     return out.with_name(f"{out.name}-{layer.name}") if several else out
 
 
-def _with_next_step(error: PlanishError, kept: list[Path], maps: Mapping[str, KeptMaps], study: Study) -> PlanishError:
+def _next_step(error: PlanishError, maps: Mapping[str, KeptMaps], study: Study) -> str:
     """Say where maps are kept of a link that was refused; where none are, how to get them without the image."""
+    kept = [str(one.path) for one in maps.values() if one.path.exists()]
     if kept:
-        names = " and ".join(map(str, kept))
-        return type(error)(f"{error} The maps of the volume are kept in {names}; the same command goes on from there.")
+        return f"The maps of the volume are kept in {' and '.join(kept)}; the same command goes on from there."
     volume = next((layer for layer in study.layers if layer.kind == "volume"), None)
     if volume is None or not isinstance(error, CannotRegister):
-        return error
+        return ""
     command = f"planish map {_quoted(volume.path)} --out {_quoted(str(maps[volume.name].path))}"
-    return type(error)(f"{error} To map the volume without it, with the same options: {command}")
+    return f"To map the volume without it, with the same options: {command}"
 
 
 def _quoted(path: str) -> str:
