@@ -87,6 +87,7 @@ def test_too_few_holes_or_useless_marks_are_said_before_the_volume_is_mapped(pla
     assert {p.name for p in tmp_path.iterdir()} == {"two.tif", "m.csv"}
 
 
+@pytest.mark.study
 def test_maps_of_a_refused_link_are_kept_and_taken_up(planish, specimen_files, linked_run, tmp_path, monkeypatch):
     volume, image = specimen_files
     wrong = image_with(tmp_path / "wrong.tif", [(200, 200), (1100, 250), (700, 850), (350, 700), (950, 600)])
@@ -256,11 +257,18 @@ CHANGES = [
 ]
 
 
-@pytest.mark.parametrize(("change", "kept"), CHANGES, ids=[change for change, _ in CHANGES])
+_FAST = "flatten.rest=chord"  # one of them; the others run with the studies
+
+
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [pytest.param(*one, id=one[0], marks=() if one[0] == _FAST else pytest.mark.study) for one in CHANGES],
+)
 def test_a_changed_parameter_repeats_what_depends_on_it(planish, linked_run, tmp_path, monkeypatch, change, kept):
     again(planish, linked_run, tmp_path, monkeypatch, change, NOT_REPEATED[kept])
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("change", "kept"), [CHANGES[4], CHANGES[5]], ids=["flatten", "properties"])
 def test_a_changed_map_repeats_what_depends_on_it(planish, specimen_files, tmp_path, monkeypatch, change, kept):
     assert planish("map", specimen_files[0], "-o", tmp_path / "map", "--property", "porosity")[0] == 0
