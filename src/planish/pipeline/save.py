@@ -48,12 +48,13 @@ def run_study(
     progress : callable, optional
         Called with the name of a stage and a few words.
     old : Path, optional
-        A run of which the sheets are taken whose volume and parameters are the same.
+        A run of which stages are taken whose volume and parameters are the same.
 
     Raises
     ------
     PlanishError
-        Any of the tree in :mod:`planish.core.errors`; nothing is left at ``out`` then.
+        Any of the tree in :mod:`planish.core.errors`; nothing is left at ``out`` then. What was mapped of a
+        link stays beside it, as ``OUT-map``.
     """
     compute = compute or Compute()
     with limit_threads(compute.threads):
