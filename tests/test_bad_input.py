@@ -127,6 +127,7 @@ def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, tmp_path
     )
 
 
+@pytest.mark.study
 def test_symmetric_pattern(planish, tmp_path):
     """Four holes on a square fit in four ways."""
     square = [(400.0, 400.0), (900.0, 400.0), (900.0, 900.0), (400.0, 900.0)]

@@ -256,6 +256,7 @@ def test_the_design_names_the_holes(planish, specimen, linked_run, specimen_file
     assert len(set(labels)) == registration["matched"] == 5
 
 
+@pytest.mark.study
 def test_a_refined_link_stands_beside_that_of_the_marks(planish, linked_run, specimen_files, tmp_path):
     """Marks that somebody has clicked, 4 um off: the maps bring them nearer to where they belong."""
     marks = read_any(linked_run / "marks.csv")

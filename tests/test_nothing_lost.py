@@ -122,6 +122,7 @@ def test_maps_of_a_refused_link_are_kept_and_taken_up(planish, specimen_files, l
     assert f"kept in {tmp_path / 'run-3-map'};" in err
 
 
+@pytest.mark.study
 def test_other_parameters_are_mapped_anew(planish, specimen_files, tmp_path, monkeypatch):
     wrong = image_with(tmp_path / "wrong.tif", [(200, 200), (1100, 250), (700, 850), (350, 700), (950, 600)])
     assert planish("link", specimen_files[0], wrong, "-o", tmp_path / "run")[0] == 3
@@ -181,7 +182,7 @@ def test_a_run_that_lost_a_part_is_no_run_with_missing_values(planish, linked_ru
 def test_results_have_the_mode_that_the_user_asks_for(planish, tmp_path):
     before = os.umask(0o027)
     try:
-        assert planish("specimen", "-o", tmp_path / "s", "--size", "T0")[0] == 0
+        assert planish("marks", "design", "--field-um", "9000,7000", "-o", tmp_path / "s")[0] == 0
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "s").stat().st_mode) == 0o750
@@ -227,9 +228,8 @@ def test_nothing_is_said_of_an_axis_where_the_grey_tells_none():
     assert likely_through(holed) == "y"
 
 
-def test_a_scale_beyond_the_calibration_has_a_way_through(planish, specimen_files, tmp_path):
-    volume, image = specimen_files
-    asked = ("link", volume, image, "--pixel-um", "5.25", "--override-size", "-o", tmp_path / "run")
+def test_a_scale_beyond_the_calibration_has_a_way_through(planish, linked_run, specimen_files, tmp_path):
+    asked = ("link", linked_run, specimen_files[1], "--pixel-um", "5.25", "--override-size", "-o", tmp_path / "run")
     code, _, err = planish(*asked)
     assert code == 3
     assert "--scale-tolerance" in err
@@ -257,7 +257,7 @@ CHANGES = [
 ]
 
 
-_FAST = "flatten.rest=chord"  # one of them; the others run with the studies
+_FAST = "correlate.point_um=50"  # one of them; the others run with the studies
 
 
 @pytest.mark.parametrize(

@@ -143,6 +143,7 @@ def test_a_sheet_across_the_axis_is_corrected_too():
     assert [r.height / CONTRAST for r in found.record.rings] == pytest.approx([s for _, s in RINGS], rel=0.12)
 
 
+@pytest.mark.study
 def test_the_centre_can_be_told_and_may_lie_outside():
     centre = (250.0, 330.0)
     rings = ring(SHAPE, 200.0, 0.05, centre_um=centre)
@@ -255,6 +256,7 @@ def test_the_store_says_what_was_corrected_and_does_not_go_on_with_other_options
     assert "corrections" not in zarr.open_group(tmp_path / "c.zarr", mode="r").attrs["planish"]
 
 
+@pytest.mark.study
 def test_the_same_picture_has_the_same_bytes(tmp_path):
     given = volume(sheet() * cup(0.06), rings=both_rings())
     found = correct(given, axis="y")

@@ -119,6 +119,7 @@ def test_centres_stay_when_the_picture_is_turned_or_blurred(photograph, angle, b
     assert np.sqrt(np.mean(away[same] ** 2) / 2) < 0.1
 
 
+@pytest.mark.study
 def test_the_published_distortion_straightens_the_lattice(photograph, shared_data):
     """Radius in the picture = radius without distortion times a polynomial in the latter (Vo et al. 2015)."""
     points = dots(photograph("05"), "05")

@@ -104,6 +104,7 @@ def test_threads_direction_and_type_do_not_matter(series: Series) -> None:
     np.testing.assert_array_equal(one.shift_um, back.shift_um)
 
 
+@pytest.mark.study
 def test_drift_of_colour_is_taken_off() -> None:
     # Fibres of 4 % over 30 um in 2.9 mm: their mean goes up and down by 0.3 %, which no anchor can tell from a drift.
     drifting = make_series(sections=60, cols=1200, texture=4.0, drift=0.03)
