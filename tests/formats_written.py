@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import mrcfile
+import nibabel
 import nrrd
 import numpy as np
 import scipy.io
@@ -230,6 +233,37 @@ def write_raw(folder: Path, values: Volume, size: tuple[float, float, float] | N
     return path
 
 
+def write_nifti(folder: Path, values: Volume, size: tuple[float, float, float] | None, kind: str) -> Path:
+    image = nibabel.Nifti1Image(values.T, np.diag([*(size or CUBE)[::-1], 1.0]))
+    if size is not None:
+        image.header.set_xyzt_units("micron")
+    nibabel.save(image, folder / f"{NAME}{kind}")
+    return folder / f"{NAME}{kind}"
+
+
+def write_mrc(folder: Path, values: Volume, size: tuple[float, float, float] | None, kind: str) -> Path:
+    path = folder / f"{NAME}{kind}"
+    compression = {".gz": "gzip", ".bz2": "bzip2"}.get(path.suffix)
+    with mrcfile.new(path, compression=compression) as file:
+        file.set_data(values)
+        if size is not None:
+            file.voxel_size = tuple(1e4 * v for v in size[::-1])
+    return path
+
+
+def resize_at(name: str, at: int) -> Callable[[Path], None]:
+    """Let one byte of a header, in a gzip or not, declare two more slices."""
+
+    def change(folder: Path) -> None:
+        path = next(folder.rglob(name))
+        packed = path.suffix == ".gz"
+        data = bytearray(gzip.decompress(path.read_bytes()) if packed else path.read_bytes())
+        data[at] += 2
+        path.write_bytes(gzip.compress(bytes(data)) if packed else bytes(data))
+
+    return change
+
+
 def swap(name: str, old: bytes, new: bytes) -> Callable[[Path], None]:
     """Replace bytes in the file with this name, which has to hold them."""
 
@@ -368,6 +402,31 @@ CASES: dict[str, Case] = {
     "MATLAB 5": Case(write=lambda f, v, s: write_mat(f, v, s, False), source="voxel_um", lazy=False),
     "MATLAB 7": Case(write=lambda f, v, s: write_mat(f, v, s, True), source="voxel_um", lazy=False),
     "MATLAB 7.3": Case(write=write_mat73, source="voxel_um", resize=reshape_hdf5),
+    "NIfTI": Case(
+        write=lambda f, v, s: write_nifti(f, v, s, ".nii"),
+        source="NIfTI pixdim",
+        lazy=False,
+        resize=resize_at("*.nii", 46),
+    ),
+    "NIfTI gzip": Case(
+        write=lambda f, v, s: write_nifti(f, v, s, ".nii.gz"),
+        source="NIfTI pixdim",
+        lazy=False,
+        resize=resize_at("*.nii.gz", 46),
+    ),
+    "MRC": Case(
+        write=lambda f, v, s: write_mrc(f, v, s, ".mrc"),
+        source="MRC cell",
+        lazy=False,
+        resize=resize_at("*.mrc", 8),
+    ),
+    "MRC gzip": Case(
+        write=lambda f, v, s: write_mrc(f, v, s, ".mrc.gz"),
+        source="MRC cell",
+        lazy=False,
+        resize=resize_at("*.mrc.gz", 8),
+    ),
+    "MRC bzip2": Case(write=lambda f, v, s: write_mrc(f, v, s, ".mrc.bz2"), source="MRC cell", lazy=False),
     "raw": Case(
         write=write_raw,
         source="TOML",

@@ -182,7 +182,7 @@ def test_black_and_repeated_slices_are_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("z", "yx", "words"), [(0.1, 0.1, "unusual for a scan of paper"), (20.0, 2.0, "differ by a factor of 10")]
+    ("z", "yx", "words"), [(0.1, 0.1, "unusual for paper"), (20.0, 2.0, "differ by a factor of 10")]
 )
 def test_doubtful_sizes_are_mentioned(tmp_path: Path, z: float, yx: float, words: str) -> None:
     told = describe(write_sized(tmp_path / "v.tif", noise((9, 40, 50)), z=z, yx=yx))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import h5py
+import mrcfile
+import nibabel
 import nrrd
 import numpy as np
 import pymatreader
@@ -15,6 +18,7 @@ import pytest
 import scipy.io
 import tifffile
 import zarr
+from mrcfile import dtypes
 from PIL import Image
 
 from formats_written import (
@@ -400,3 +404,71 @@ def test_several_variables_are_listed(tmp_path: Path, new: bool) -> None:
     np.testing.assert_array_equal(read_volume(f"{path}:V").values, VALUES)
     with pytest.raises(VolumeError, match="has no volume 'X'"):
         read_volume(f"{path}:X")
+
+
+# NIfTI and MRC
+
+
+def test_a_scaled_nifti_gives_true_values_in_parts_and_at_once(tmp_path: Path) -> None:
+    path, true = tmp_path / "v.nii", VALUES * 0.01 - 3.0
+    image = nibabel.Nifti1Image(VALUES.T.astype(np.int32), np.diag([2.0, 2.0, 2.0, 1.0]))
+    image.header.set_xyzt_units("micron")
+    nibabel.save(image, path)
+    data = bytearray(path.read_bytes())
+    data[112:120] = np.array([0.01, -3.0], "<f4").tobytes()
+    path.write_bytes(data)
+    for packed in (False, True):
+        if packed:
+            (tmp_path / "v.nii.gz").write_bytes(gzip.compress(bytes(data)))
+        volume = read_volume(tmp_path / ("v.nii.gz" if packed else "v.nii"))
+        assert volume.dtype == np.float32
+        np.testing.assert_allclose(volume.values, true, rtol=1e-6, atol=1e-4)
+
+
+def test_a_left_handed_nifti_says_so(tmp_path: Path) -> None:
+    for name, affine, told in (("l", np.diag([-2.0, 2.0, 2.0, 1.0]), True), ("r", np.diag([2.0, 2, 2, 1]), False)):
+        image = nibabel.Nifti1Image(VALUES.T.astype(np.int32), affine)
+        image.header.set_xyzt_units("mm")
+        nibabel.save(image, tmp_path / f"{name}.nii")
+        assert any("mirror image" in note for note in describe(tmp_path / f"{name}.nii")["warnings"]) is told
+
+
+def test_a_nifti_without_its_values_or_without_unit(tmp_path: Path) -> None:
+    nibabel.save(nibabel.Nifti1Pair(VALUES.T.astype(np.int32), np.eye(4)), tmp_path / "p.img")
+    (tmp_path / "p.hdr").rename(tmp_path / "p.nii")
+    with pytest.raises(FileError, match=r"another file \(.img\)"):
+        read_volume(tmp_path / "p.nii")
+    nibabel.save(nibabel.Nifti1Image(VALUES.T.astype(np.int32), np.eye(4)), tmp_path / "u.nii")
+    with pytest.raises(SizeError, match="without a unit"):
+        read_volume(tmp_path / "u.nii")
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_bytes_of_imod_are_unsigned_where_it_says_so(tmp_path: Path, order: str) -> None:
+    grey = (VALUES >> 8).astype(np.uint8)
+    head = np.zeros((), dtypes.HEADER_DTYPE.newbyteorder(order))
+    head["nz"], head["ny"], head["nx"] = grey.shape
+    head["mapc"], head["mapr"], head["maps"] = 1, 2, 3
+    for flags, dtype in ((0, np.uint8), (1, np.int8)):
+        data = bytearray(head.tobytes())
+        data[152:160] = np.array([1146047817, flags], f"{order}i4").tobytes()
+        (tmp_path / "v.mrc").write_bytes(bytes(data) + grey.tobytes())
+        volume = read_volume(tmp_path / "v.mrc", voxel_um=2.0)
+        assert volume.dtype == dtype
+        np.testing.assert_array_equal(volume.values, grey.view(dtype))
+
+
+def test_a_turned_cell_of_mrc_and_a_default_of_it(tmp_path: Path) -> None:
+    with mrcfile.new(tmp_path / "v.mrc") as file:
+        file.set_data(VALUES)
+        file.voxel_size = (2e4, 2.5e4, 3e4)  # along x, y, z of the cell
+        file.header.mapc, file.header.mapr, file.header.maps = 3, 2, 1
+        shape = VALUES.shape
+        file.header.mx, file.header.my, file.header.mz = shape
+        file.header.cella = (2e4 * shape[0], 2.5e4 * shape[1], 3e4 * shape[2])
+    assert read_volume(tmp_path / "v.mrc").attrs["voxel_um"] == pytest.approx((2.0, 2.5, 3.0))
+    with mrcfile.new(tmp_path / "d.mrc") as file:
+        file.set_data(VALUES)
+        file.voxel_size = 1.0
+    with pytest.raises(SizeError, match="when they do not know"):
+        read_volume(tmp_path / "d.mrc")

@@ -109,6 +109,15 @@ def test_a_size_out_of_range_says_which_unit_it_looks_like(size: float, unit: st
         agreed_size([], size, file_name="v.tif", asked=VOXEL)
 
 
+def test_an_unusual_size_is_asked_for_and_an_impossible_one_refused() -> None:
+    nm = [Stated(source="OME metadata", um=(0.0046,) * 3)]
+    with pytest.raises(SizeError, match=r"usual are 0.01 to 100 um.* If it is meant, add --unusual-size"):
+        agreed_size(nm, None, file_name="v.tif", asked=VOXEL)
+    assert agreed_size(nm, None, file_name="v.tif", asked=VOXEL, unusual=True)[0] == (0.0046,) * 3
+    with pytest.raises(SizeError, match=r"possible are 0.0001 to 1000 um.*in um\.$"):
+        agreed_size([], 2000.0, file_name="v.tif", asked=VOXEL, unusual=True)
+
+
 def test_metadata_out_of_range_are_refused_too() -> None:
     with pytest.raises(SizeError, match=r"looks like nm .*--override-size"):
         agreed_size([Stated(source="OME metadata", um=(3e3,) * 3)], None, file_name="v.tif", asked=VOXEL)

@@ -15,7 +15,7 @@ from planish.core.text import printable
 from planish.correct.params import CorrectParams
 from planish.io.params import VolumeParams
 
-_OF_IMPORT = ("voxel_um", "override_size", "through", "channel", "fixed_rows", "fixed_cols")
+_OF_IMPORT = ("voxel_um", "override_size", "unusual_size", "through", "channel", "fixed_rows", "fixed_cols")
 
 
 @verb("planish info volume.tif", "planish info run --json", name="info")

@@ -70,9 +70,10 @@ def _volume(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, VolumePar
 
 def _image(path: Path, values: dict[str, Any]) -> xr.DataArray:
     from planish.io import read_image
+    from planish.io.params import HOW_IMAGES_ARE_READ
 
     said = given(values, "image")
-    return read_image(path, **{k: said[k] for k in ("pixel_um", "channel", "override_size") if k in said})
+    return read_image(path, **{k: v for k, v in said.items() if k in HOW_IMAGES_ARE_READ})
 
 
 @verb("planish surface volume.tif -o surfaces.zarr", "planish surface scan/ -o s.zarr --through y --voxel-um 1.37",

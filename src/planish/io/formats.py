@@ -48,6 +48,7 @@ class Format:
 
 
 ZARR_MEMBERS = ("zarr.json", ".zgroup", ".zarray")
+MRC_SUFFIXES = (".mrc", ".rec", ".st", ".ali", ".map", ".mrc.gz", ".mrc.bz2")
 HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".nx")
 
 # The first line that fits is taken, so longer suffixes stand before shorter ones.
@@ -57,6 +58,8 @@ FORMATS = (
     Format(name="NRRD", module="header_volume", suffixes=(".nrrd", ".nhdr")),
     Format(name="MetaImage", module="header_volume", suffixes=(".mha", ".mhd")),
     Format(name="HDF5 or NeXus", module="hdf5_volume", suffixes=HDF5_SUFFIXES, parts=True),
+    Format(name="NIfTI", module="nifti_volume", suffixes=(".nii", ".nii.gz")),
+    Format(name="MRC", module="mrc_volume", suffixes=MRC_SUFFIXES),
     Format(name="MATLAB", module="matlab_volume", suffixes=(".mat",), parts=True),
 )
 TIFF = Format(name="TIFF", module="tiff_volume", suffixes=(".tif", ".tiff", ".btf", ".tf8"))

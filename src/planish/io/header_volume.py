@@ -6,12 +6,7 @@ parts by SimpleITK.
 
 from __future__ import annotations
 
-import bz2
-import math
-import zlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -21,15 +16,14 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.formats import ADVICE, LoadedVolume, Place, extra, inside
-from planish.io.guard import check_blown_up, default_memory_limit, reading, size_of_file
-from planish.io.lazy import FileArray, WholeArray, mapped
+from planish.io.formats import LoadedVolume, Place, extra, inside
+from planish.io.guard import default_memory_limit, reading
+from planish.io.headed import Header, axes_of, head_of, unpacked_parts, values_behind
+from planish.io.lazy import FileArray
 from planish.io.sizes import Stated, stated_in
-from planish.io.tiff import damaged, size_words
+from planish.io.tiff import damaged
 
 LARGEST_HEADER = 2**20
-READ_BYTES = 4 * 2**20
-UNPACKED_BYTES = 64 * 2**20
 
 TYPES = {
     "int8": "signed char, int8, int8_t, MET_CHAR",
@@ -48,107 +42,19 @@ PACKINGS = {"raw": "", "gzip": "deflate", "gz": "deflate", "bzip2": "bzip2", "bz
 SPATIAL = frozenset({"domain", "space", "???", "none", ""})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Header:
-    """What a header says."""
-
-    shape: tuple[int, ...]  # z, y, x
-    stored: np.dtype[Any]
-    data: Path  # file with the values
-    offset: int  # byte at which they begin; -1 where they end with the file
-    packing: str  # "", "deflate" or "bzip2"
-    stated: list[Stated]
-
-    @property
-    def needed_bytes(self) -> int:
-        """Size of the values without compression."""
-        return math.prod(self.shape) * self.stored.itemsize
-
-
 def load(place: Place, _channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Map the values, or leave them to be unpacked."""
     path = place.path
-    size_of_file(path)
-    with reading(path), path.open("rb") as file:
-        head = file.read(LARGEST_HEADER)
+    head = head_of(path, LARGEST_HEADER)
     header = (_nrrd if path.suffix.lower() in (".nrrd", ".nhdr") else _meta)(head, path)
-    data, needed, native = header.data, header.needed_bytes, header.stored.newbyteorder("=")
-    values: NDArray[Any] | FileArray
-    if not header.packing:
-        offset = max(size_of_file(data) - needed, 0) if header.offset < 0 else header.offset
-        values = raw_values(path, data, header.shape, header.stored, offset=offset)
-    else:
-        check_blown_up(data, decoded_bytes=needed, stored_bytes=max(size_of_file(data) - header.offset, 0))
-        limit = default_memory_limit() if memory_bytes is None else memory_bytes
-        if needed > limit and path.suffix.lower() in (".mha", ".mhd"):
-            # SimpleITK reads on behind the end of values that are shorter than declared.
-            for _ in _unpacked_parts(path, header):
-                pass
-            values = MetaArray(path, header.shape, native)
-        else:
-            values = WholeArray(path, header.shape, native, partial(_unpacked, path, header))
-    return LoadedVolume(values=values, stated=header.stated, files=[path, data])
-
-
-def raw_values(
-    path: Path, data: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int
-) -> NDArray[Any] | FileArray:
-    """Map values that lie in a file as they are and fill it from an offset to its end."""
-    needed = math.prod(shape) * stored.itemsize
-    there = size_of_file(data) - offset
-    if there != needed:
-        fault = "It was cut off" if there < needed else "The header is wrong"
-        raise FileError(
-            f"{path.name} declares {size_words(shape)} values of {stored.itemsize} bytes, {needed} bytes; {data.name} "
-            f"has {max(there, 0)} from byte {offset} on. {fault}: copy or export it again, or correct the header."
-        )
-    return mapped(data, shape, stored, offset=offset)
-
-
-def _unpacked(path: Path, header: Header) -> NDArray[Any]:
-    """Unpack values that fill a file from an offset to its end."""
-    values = np.empty(header.needed_bytes, np.uint8)
-    filled = 0
-    for part in _unpacked_parts(path, header):
-        values[filled : filled + len(part)] = np.frombuffer(part, np.uint8)
-        filled += len(part)
-    return values.view(header.stored).reshape(header.shape).astype(header.stored.newbyteorder("="), copy=False)
-
-
-def _unpacked_parts(path: Path, header: Header) -> Iterator[bytes]:
-    """Unpack values bit by bit; in the end they were as many as declared, or an error is raised."""
-    bzip2, needed = header.packing == "bzip2", header.needed_bytes
-    unpacker: Any = bz2.BZ2Decompressor() if bzip2 else zlib.decompressobj(wbits=47)
-    filled = 0
-    with reading(header.data), header.data.open("rb") as file:
-        file.seek(header.offset)
-        packed = b""
-        while not unpacker.eof and filled <= needed:
-            # What is unpacked at once is limited, and so some input may be left, here or inside the unpacker.
-            if not packed and not (bzip2 and not unpacker.needs_input):
-                packed = file.read(READ_BYTES)
-                if not packed:
-                    break
-            part = unpacker.decompress(packed, min(needed - filled + 1, UNPACKED_BYTES))
-            packed = b"" if bzip2 else unpacker.unconsumed_tail
-            filled += len(part)
-            if filled <= needed:
-                yield part
-    if filled != needed or not unpacker.eof:
-        found = f"more than the {needed}" if filled > needed else f"{filled} of the {needed}"
-        raise FileError(
-            f"{path.name}: the packed values in {header.data.name} hold {found} bytes declared. It is cut off or "
-            "damaged, or its header is wrong: copy or export it again."
-        )
-
-
-def _axes(sizes: tuple[int, ...], several: str, path: Path) -> tuple[int, ...]:
-    """Which axes are z, y, x: the three that are longer than 1, the slowest first."""
-    long = tuple(axis for axis, n in enumerate(sizes) if n > 1)
-    if several or len(long) != 3:
-        what = f"has {several}" if several else "is no volume"
-        raise VolumeError(f"{path.name} {what}: {size_words(sizes)} (fastest axis first). {ADVICE}")
-    return long[::-1]
+    limit = default_memory_limit() if memory_bytes is None else memory_bytes
+    values: NDArray[Any] | FileArray = values_behind(path, header)
+    if header.packing and header.needed_bytes > limit and path.suffix.lower() in (".mha", ".mhd"):
+        # SimpleITK reads on behind the end of values that are shorter than declared.
+        for _ in unpacked_parts(path, header):
+            pass
+        values = MetaArray(path, header.shape, header.stored.newbyteorder("="))
+    return LoadedVolume(values=values, stated=header.stated, files=[path, header.data])
 
 
 def _type_of(word: str, path: Path) -> np.dtype[Any]:
@@ -184,7 +90,7 @@ def _nrrd(head: bytes, path: Path) -> Header:
     if not sizes or len(sizes) != keys.get("dimension") or len(kinds) != len(sizes):
         raise damaged(path, f"its sizes are {keys.get('sizes')}, its dimension is {keys.get('dimension')}")
     several = [f"{n} of kind {kind!r}" for n, kind in zip(sizes, kinds, strict=True) if n > 1 and kind not in SPATIAL]
-    order = _axes(sizes, f"{' and '.join(several)} in each voxel" if several else "", path)
+    order = axes_of(sizes, f"{' and '.join(several)} in each voxel" if several else "", path)
     dtype = _type_of(str(keys.get("type", "")).strip(), path)
     if dtype.itemsize > 1 and keys.get("endian") not in ("little", "big"):
         raise damaged(path, "its header does not state the byte order (endian)")
@@ -249,7 +155,7 @@ def _meta(head: bytes, path: Path) -> Header:
         raise damaged(path, f"its sizes are {keys.get('dimsize', '')[:40]!r}, its dimension is {keys.get('ndims')}")
     sizes = tuple(int(word) for word in words)
     channels = keys.get("elementnumberofchannels", "1")
-    order = _axes(sizes, f"{channels} channels" if channels != "1" else "", path)
+    order = axes_of(sizes, f"{channels} channels" if channels != "1" else "", path)
     dtype = _type_of(keys.get("elementtype", ""), path)
     if not switched("binarydata", "True"):
         raise FileError(f"{path.name} has its values written as text. Save it with binary values.")

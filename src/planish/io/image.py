@@ -26,6 +26,7 @@ def read_image(
     pixel_um: float | tuple[float, float] | None = None,
     channel: str = "luminance",
     override_size: bool = False,
+    unusual_size: bool = False,
     memory_bytes: int | None = None,
 ) -> xr.DataArray:
     """Read the 2D image of a sheet.
@@ -40,6 +41,8 @@ def read_image(
         "luminance", "red", "green", "blue", or the number of a channel, counted from 0.
     override_size : bool
         Whether `pixel_um` is taken although the metadata state another size.
+    unusual_size : bool
+        Whether a size is taken that paper does not have, from 0.1 nm to 1 mm.
     memory_bytes : int, optional
         Largest decoded size; default: three quarters of the memory available.
 
@@ -71,7 +74,12 @@ def read_image(
     path = Path(path)
     picture = load_picture(path, memory_bytes=memory_bytes)
     size, source = agreed_size(
-        across(picture.stated), pixel_um, file_name=path.name, asked=PIXEL, override=override_size
+        across(picture.stated),
+        pixel_um,
+        file_name=path.name,
+        asked=PIXEL,
+        override=override_size,
+        unusual=unusual_size,
     )
     height, width = picture.values.shape[:2]
     check_memory(path, needed_bytes=4 * height * width, limit_bytes=memory_bytes)

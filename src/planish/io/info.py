@@ -74,7 +74,7 @@ def describe(
     """
     place = find_place(path)
     path = place.path
-    options: dict[str, Any] = {"file_name": path.name, "override": override_size}
+    options: dict[str, Any] = {"file_name": path.name, "override": override_size, "unusual": True}
     if is_image(place):
         return _image(path, partial(agreed_size, given=pixel_um, asked=PIXEL, **options), memory_bytes)
     if is_section_folder(path):
@@ -88,7 +88,7 @@ def describe(
             warnings.append(f"The slices are numbered in steps of {step}: the z size must be that of {step} slices.")
     facts = inspect_values(values, loaded.full_scale, warnings, dims=VOXEL.axes)
     size = _size_facts(partial(agreed_size, loaded.stated, voxel_um, asked=VOXEL, **options), values.shape, warnings)
-    warnings += _size_doubts(size["size_um"])
+    warnings += _size_doubts(size["size_um"], "Voxels", USUAL_VOXEL_UM)
     window = loaded.attrs.get("attenuation_window")
     if window is not None and values.dtype == np.uint8:
         warnings.append(
@@ -129,18 +129,19 @@ def _holding(values: Values) -> dict[str, Any]:
     }
 
 
-def _size_doubts(size_um: Sequence[float] | None) -> list[str]:
-    """Sentences about voxel sizes that are possible but unusual."""
+def _size_doubts(size_um: Sequence[float] | None, what: str, usual_um: tuple[float, float]) -> list[str]:
+    """Sentences about sizes that are possible but unusual."""
     found: list[str] = []
-    low, high = USUAL_VOXEL_UM
+    low, high = usual_um
     if size_um is not None and (min(size_um) < low or max(size_um) > high):
         found.append(
-            f"Voxels of {' x '.join(f'{v:g}' for v in size_um)} um are unusual for a scan of paper ({low:g} to "
-            f"{high:g} um). Is the unit right?"
+            f"{what} of {' x '.join(f'{v:g}' for v in size_um)} um are unusual for paper ({low:g} to {high:g} um). Is "
+            "the unit right?"
         )
     if size_um is not None and max(size_um) > MOST_UNEQUAL * min(size_um):
+        edge = "z size" if what == "Voxels" else "size"
         found.append(
-            f"The edges of a voxel differ by a factor of {max(size_um) / min(size_um):.3g}. Is the z size right?"
+            f"The edges of {what.lower()} differ by a factor of {max(size_um) / min(size_um):.3g}. Is the {edge} right?"
         )
     return found
 
@@ -156,7 +157,7 @@ def _sections(
     missing = np.rint(steps / step).astype(int) - 1
     warnings: list[str] = []
     shape = sections.values.shape
-    size = _size_facts(partial(sections.agreed_size, given, override=override_size), shape, warnings)
+    size = _size_facts(partial(sections.agreed_size, given, override=override_size, unusual=True), shape, warnings)
     if size["extent_um"] is not None:
         size["extent_um"][0] = float(np.ptp(sections.positions_um)) + step
     if missing.sum():
@@ -187,6 +188,8 @@ def _image(path: Path, agreed: partial[Any], memory_bytes: int | None) -> dict[s
         warnings.append("JPEG loses detail and adds block edges. Use TIFF or PNG if there is one.")
     if picture.orientation != 1:
         warnings.append(f"An orientation tag ({picture.orientation}) asks viewers to turn the image; planish does not.")
+    size = _size_facts(partial(agreed, across(picture.stated)), values.shape, warnings)
+    warnings += _size_doubts(size["size_um"], "Pixels", PIXEL.usual_um)
     return {
         "kind": "image",
         "file_name": path.name,
@@ -195,7 +198,7 @@ def _image(path: Path, agreed: partial[Any], memory_bytes: int | None) -> dict[s
         "dtype": str(picture.values.dtype),
         "colour": picture.colour,
         "channels": picture.values.shape[2] if picture.values.ndim == 3 else 1,
-        **_size_facts(partial(agreed, across(picture.stated)), values.shape, warnings),
+        **size,
         "warnings": warnings,
     }
 

@@ -12,6 +12,10 @@ Size = Annotated[float, Field(gt=0)]
 Index = Annotated[int, Field(ge=0)]
 Channel = Literal["luminance", "red", "green", "blue"]
 
+HOW_VOLUMES_ARE_READ = {"voxel_um", "channel", "override_size", "unusual_size"}
+HOW_IMAGES_ARE_READ = {"pixel_um", "channel", "override_size", "unusual_size"}
+"""Options that the reading functions take."""
+
 
 class VolumeParams(Params):
     """A volume and how the sheet lies in it."""
@@ -25,6 +29,9 @@ class VolumeParams(Params):
         "high", help="End of that axis at which the top side lies. Maps are displayed as seen from there."
     )
     override_size: bool = option(False, help="Take the sizes given here where a file states others.")
+    unusual_size: bool = option(
+        False, help="Take sizes that paper does not have: pixels of 0.1 nm to 1 mm, sheets of 50 nm to 50 mm."
+    )
     channel: Channel | None = option(
         None,
         cli="--volume-channel",
@@ -62,6 +69,7 @@ class ImageParams(Params):
         "luminance", help="Channel of a colour image: luminance, red, green, blue or a number from 0."
     )
     override_size: bool = option(False, cli=None, help="Take the size given here where the file states another.")
+    unusual_size: bool = option(False, cli=None, help="Take a pixel size that images of paper do not have.")
     side: Literal["top", "bottom"] | None = option(
         None,
         cli="--image-side",

@@ -21,7 +21,7 @@ import numpy as np
 from planish.core.errors import FileError
 from planish.io.formats import LoadedVolume, Place, inside
 from planish.io.guard import reading, size_of_file
-from planish.io.header_volume import raw_values
+from planish.io.headed import raw_values
 from planish.io.sizes import Stated
 
 TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")

@@ -58,6 +58,7 @@ def read_section_stack(
     voxel_um: float | tuple[float, float, float] | None = None,
     channel: str | None = None,
     override_size: bool = False,
+    unusual_size: bool = False,
     memory_bytes: int | None = None,
 ) -> SectionStack:
     """Read a folder of section photographs with its cut counter.
@@ -69,7 +70,7 @@ def read_section_stack(
     voxel_um : float or (z, y, x), optional
         One number is the pixel size in um; of three, z has to be the median step of the counter. Not needed where the
         metadata state the pixel size.
-    channel, override_size, memory_bytes
+    channel, override_size, unusual_size, memory_bytes
         As in :func:`planish.io.read_volume`. The counter cannot be overridden; more than fits stays in the files.
 
     Returns
@@ -95,7 +96,7 @@ def read_section_stack(
     Colour becomes luminance as `read_image` makes it: 0.2126 red + 0.7152 green + 0.0722 blue of the stored values.
     """
     sections = open_sections(Path(path), channel=channel, memory_bytes=memory_bytes)
-    size, source = sections.agreed_size(voxel_um, override=override_size)
+    size, source = sections.agreed_size(voxel_um, override=override_size, unusual=unusual_size)
     folder = sections.folder
     return SectionStack(
         values=sections.values,
@@ -130,7 +131,9 @@ class Sections:
         """Largest value the files can store; None for floating point."""
         return full_scale(self.values.dtype, self.first.bits)
 
-    def agreed_size(self, given: float | Sequence[float] | None, *, override: bool) -> tuple[tuple[float, ...], str]:
+    def agreed_size(
+        self, given: float | Sequence[float] | None, *, override: bool, unusual: bool
+    ) -> tuple[tuple[float, ...], str]:
         """Join the median step of the counter with the pixel size of metadata and user."""
         name = self.folder.name
         pitch_um = float(np.median(np.diff(self.positions_um)))
@@ -145,7 +148,7 @@ class Sections:
                 )
             given = (pitch_um, values[1], values[2])
         stated = [Stated(source="the cut counter", um=(pitch_um, None, None)), *flat]
-        return agreed_size(stated, given, file_name=name, asked=VOXEL, override=override)
+        return agreed_size(stated, given, file_name=name, asked=VOXEL, override=override, unusual=unusual)
 
 
 def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None) -> Sections:

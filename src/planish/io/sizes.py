@@ -34,6 +34,8 @@ UNITS_UM = {
 TOLERANCE = 0.01  # sizes that differ by more than this share are different sizes; less is rounding in the metadata
 WEB_DPI = (72.0, 96.0)  # what programs write when they do not know the resolution
 OVERRIDE = "--override-size"
+UNUSUAL = "--unusual-size"
+POSSIBLE_UM = (1e-4, 1000.0)  # of any pixel; outside of it there is no instrument
 RESOLUTION_UNITS = {2: "inch", 3: "cm"}
 UNKNOWN_NOTE = "missing, or a default such as 72 dpi"
 
@@ -49,16 +51,16 @@ class Stated:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asked:
-    """What the sizes are for: names, option, and range; outside of it the unit is wrong."""
+    """What the sizes are for: names, option, and the usual range; outside of it the unit is probably wrong."""
 
     name: str
     axes: tuple[str, ...]
     option: str
-    range_um: tuple[float, float]
+    usual_um: tuple[float, float]
 
 
-VOXEL = Asked(name="voxel", axes=("z", "y", "x"), option="--voxel-um", range_um=(0.01, 100.0))
-PIXEL = Asked(name="pixel", axes=("y", "x"), option="--pixel-um", range_um=(0.01, 500.0))
+VOXEL = Asked(name="voxel", axes=("z", "y", "x"), option="--voxel-um", usual_um=(0.01, 100.0))
+PIXEL = Asked(name="pixel", axes=("y", "x"), option="--pixel-um", usual_um=(0.01, 500.0))
 
 
 def unit_um(unit: str) -> float | None:
@@ -118,10 +120,12 @@ def agreed_size(
     file_name: str,
     asked: Asked,
     override: bool = False,
+    unusual: bool = False,
 ) -> tuple[tuple[float, ...], str]:
     """Find the one size, in um along each axis, that metadata and user agree on, and where it comes from.
 
-    What is `given`, one value for all axes or one each, is taken with `override` whatever the metadata state.
+    What is `given`, one value for all axes or one each, is taken with `override` whatever the metadata state. A size
+    that paper does not have is taken with `unusual` only.
 
     Raises
     ------
@@ -141,7 +145,7 @@ def agreed_size(
                 f"{asked.option} SIZE (or {','.join(a.upper() for a in asked.axes)}), in um."
             )
         size = tuple(value for value in found if value is not None)
-        _check_range(size, file_name=file_name, asked=asked, more=f", and add {OVERRIDE}")
+        _check_range(size, file_name=file_name, asked=asked, unusual=unusual, more=f", and add {OVERRIDE}")
         return size, sources
     size = as_given(given, asked)
     other = [s for s in spoken if any(v is not None and not agree(v, g) for v, g in zip(s.um, size, strict=True))]
@@ -150,7 +154,7 @@ def agreed_size(
             f"{file_name}: {asked.option} gives {_axes_words(size, asked)}, but {_in_words(other, asked)}. "
             f"Correct one of them, or add {OVERRIDE} to take the given size."
         )
-    _check_range(size, file_name=file_name, asked=asked)
+    _check_range(size, file_name=file_name, asked=asked, unusual=unusual)
     if other:
         return size, f"given, in place of {_and_join(f'{s.source} ({_axes_words(s.um, asked)})' for s in other)}"
     # A repeated run gives the very size that the metadata stated the first time; it still comes from there.
@@ -188,20 +192,23 @@ def _merged(spoken: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[
     return tuple(found)
 
 
-def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, more: str = "") -> None:
-    """Refuse sizes that no image of a sheet has."""
-    low, high = asked.range_um
+def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, unusual: bool, more: str = "") -> None:
+    """Ask about sizes that no image of paper has, and refuse those that no image has."""
+    low, high = asked.usual_um
     for axis, value in zip(asked.axes, size, strict=True):
-        if low <= value <= high:
+        possible = POSSIBLE_UM[0] <= value <= POSSIBLE_UM[1]
+        if low <= value <= high or (unusual and possible):
             continue
         guess = "The unit is probably wrong"
         for unit, factor in (("nm", 1e-3), ("mm", 1e3), ("m", 1e6)):
             if low <= value * factor <= high:
                 guess = f"It looks like {unit} given as um ({value:g} {unit} is {value * factor:g} um)"
                 break
+        what = f"usual are {low:g} to {high:g} um" if possible else f"possible are {POSSIBLE_UM[0]:g} to 1000 um"
+        meant = f" If it is meant, add {UNUSUAL}." if possible else ""
         raise SizeError(
-            f"{file_name}: the {asked.name} size along {axis} is {value:g} um, possible are {low:g} to {high:g} um. "
-            f"{guess}. Give the right one with {asked.option}, in um{more}."
+            f"{file_name}: the {asked.name} size along {axis} is {value:g} um, {what}. {guess}. Give the right one "
+            f"with {asked.option}, in um{more}.{meant}"
         )
 
 

@@ -23,6 +23,7 @@ def read_topography(
     *,
     pixel_um: float | tuple[float, float] | None = None,
     override_size: bool = False,
+    unusual_size: bool = False,
     memory_bytes: int | None = None,
 ) -> xr.DataArray:
     """Read a map of heights.
@@ -35,6 +36,8 @@ def read_topography(
         Pixel size in um; not needed where the file states it.
     override_size : bool
         Whether `pixel_um` is taken although the file states another size.
+    unusual_size : bool
+        Whether a size is taken that paper does not have, from 0.1 nm to 1 mm.
     memory_bytes : int, optional
         Largest decoded size; default: three quarters of the memory available.
 
@@ -80,7 +83,9 @@ def read_topography(
         known = all(v is not None for v in sizes)
         across = tuple(float(v) / n * length for v, n in zip(sizes, grid, strict=True))[::-1] if known else (None, None)
         stated = Stated(source="the topography file", um=across)
-        size, source = agreed_size([stated], pixel_um, file_name=path.name, asked=PIXEL, override=override_size)
+        size, source = agreed_size(
+            [stated], pixel_um, file_name=path.name, asked=PIXEL, override=override_size, unusual=unusual_size
+        )
         given: dict[str, Any] = {}
         if not known:
             y, x = as_given(size, PIXEL)

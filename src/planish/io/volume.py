@@ -20,6 +20,7 @@ def read_volume(
     voxel_um: float | tuple[float, float, float] | None = None,
     channel: str | None = None,
     override_size: bool = False,
+    unusual_size: bool = False,
     memory_bytes: int | None = None,
 ) -> xr.DataArray:
     """Read the 3D image of a sheet.
@@ -28,14 +29,16 @@ def read_volume(
     ----------
     path : path
         A TIFF stack (classic, BigTIFF, ImageJ, OME), a folder of numbered slices (TIFF, PNG, BMP, JPEG; with the log of
-        NRecon or without), OME-Zarr, NRRD, MetaImage, HDF5 or NeXus, MATLAB, or raw values with a TOML header. Where a
-        file holds several volumes, ``file.h5:/entry/data`` chooses one.
+        NRecon or without), OME-Zarr, NRRD, MetaImage, HDF5 or NeXus, NIfTI, MRC, MATLAB, or raw values with a TOML
+        header. Where a file holds several volumes, ``file.h5:/entry/data`` chooses one.
     voxel_um : float or (z, y, x), optional
         Voxel size in um; not needed where the metadata state it.
     channel : {"luminance", "red", "green", "blue"}, optional
         What is taken from TIFF stacks and slices in colour; luminance where not given.
     override_size : bool
         Whether `voxel_um` is taken although the metadata state another size.
+    unusual_size : bool
+        Whether a size is taken that paper does not have, from 0.1 nm to 1 mm.
     memory_bytes : int, optional
         Largest decoded size; default: three quarters of the memory available. An uncompressed stack in one
         piece is mapped from its file and needs none; what is larger than the limit stays in its file.
@@ -67,7 +70,9 @@ def read_volume(
     place = find_place(path)
     loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
     name = place.path.name
-    size, source = agreed_size(loaded.stated, voxel_um, file_name=name, asked=VOXEL, override=override_size)
+    size, source = agreed_size(
+        loaded.stated, voxel_um, file_name=name, asked=VOXEL, override=override_size, unusual=unusual_size
+    )
     attrs = {
         "units": "1",
         "long_name": "Grey value",

@@ -21,6 +21,7 @@ from planish.study import Kind, LayerParams, Study
 
 Section = Mapping[str, Any] | Params
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
+_OF_BOTH = ("override_size", "unusual_size")  # said once, of volumes and images
 _OF_A_VOLUME = ("surface", "properties", "flatten")
 _NO_OPTION = ("layers", "volume", "image")
 _OF_THE_LINK = ("holes", "registration", "correlate")
@@ -118,7 +119,7 @@ def study_of(layers: Sequence[str | Path], sections: Mapping[str, Section], *, c
     names = _all_names(parts, kinds)
     # What is given and means nothing without a volume.
     unused = [name for group in _OF_A_VOLUME for name in options.get(group, {})]
-    unused += [name for name in options.get("volume", {}) if name not in ("override_size", "md_deg")]
+    unused += [name for name in options.get("volume", {}) if name not in (*_OF_BOTH, "md_deg")]
     if "volume" not in kinds and unused:
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
         raise StudyError(
@@ -148,7 +149,7 @@ def _layer(name: str, kind: Kind, path: Path, options: Mapping[str, dict[str, An
     if kind == "run":
         return LayerParams.model_validate({"name": name, "run": place, "md_deg": volume.get("md_deg")})
     if kind == "image":
-        own = {"override_size": volume["override_size"]} if "override_size" in volume else {}
+        own = {name: volume[name] for name in _OF_BOTH if name in volume}
         return LayerParams.model_validate({"name": name, "image": own | options.get("image", {}) | {"path": place}})
     mapping = {k: options[k] for k in _OF_A_VOLUME if k in options}
     return LayerParams.model_validate({"name": name, "volume": volume | {"path": place}, **mapping})

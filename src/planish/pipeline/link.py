@@ -20,6 +20,7 @@ from planish.compute import Compute, Progress
 from planish.core.checks import Check
 from planish.core.results import LayerFacts, Results, Side
 from planish.io import read_image
+from planish.io.params import HOW_IMAGES_ARE_READ
 from planish.marks import check_holes
 from planish.pipeline.checks import about, alone_check, area_check, field_check, registration_checks, with_trust
 from planish.pipeline.compare import comparison_rows, correlate_layers
@@ -95,7 +96,7 @@ def _open_layers(
 
 def _read_image(params: LayerParams) -> Layer:
     assert params.image is not None
-    image = read_image(params.path, **params.image.model_dump(include={"pixel_um", "channel", "override_size"}))
+    image = read_image(params.path, **params.image.model_dump(include=HOW_IMAGES_ARE_READ))
     pixel = tuple(float(v) for v in image.attrs["pixel_um"])
     used = changed(params, image=changed(params.image, pixel_um=pixel))
     return Layer(params=used, source=input_file(image, params.path), image=image, md_deg=params.image.md_deg)

@@ -31,6 +31,7 @@ from planish.surface import cutoff_check, find_surfaces
 P = TypeVar("P", bound=Params)
 
 _THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room on both sides
+_UNUSUAL_UM = (0.05, 50_000.0)  # where the user says that it is no paper
 _LEAST_SHARE = 0.15  # of the columns: with less there is no map
 
 
@@ -120,7 +121,7 @@ def _search(
     try:
         with engine(compute, kept=None if kept is None else kept / str(step)) as tiles:
             surfaces = find_surfaces(volume, frame=frame, params=layer.surface, step=step, engine=tiles)
-        _check_thickness(surfaces)
+        _check_thickness(surfaces, *(_UNUSUAL_UM if v.unusual_size else _THICKNESS_UM))
     except VolumeError as error:
         axis = likely_through(volume.values)
         if axis in (None, v.through):
@@ -134,15 +135,14 @@ def changed(params: P, **values: object) -> P:
     return params.model_copy(update=values)
 
 
-def _check_thickness(surfaces: xr.Dataset) -> None:
+def _check_thickness(surfaces: xr.Dataset, low: float, high: float) -> None:
     thickness = float(surfaces.attrs["thickness_um"])
-    low, high = _THICKNESS_UM
     if not low <= thickness <= high:
         voxel = ", ".join(f"{v:g}" for v in surfaces.attrs["voxel_um"])
         raise VolumeError(
-            f"The sheet would be {thickness:.3g} um thick; paper and board have {low:g} to {high:g} um. The voxel size "
+            f"The sheet would be {thickness:.3g} um thick; sheets of {low:g} to {high:g} um are mapped. The voxel size "
             f"of {voxel} um (z, y, x) is probably in another unit. Give the right one with --voxel-um and "
-            "--override-size."
+            "--override-size, or add --unusual-size if it is no paper."
         )
     measured = float((surfaces["status"].values == 0).mean())
     if measured < _LEAST_SHARE:

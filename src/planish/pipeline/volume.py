@@ -15,7 +15,7 @@ from planish.core.errors import InputError, ResourceError, VolumeError
 from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, Where, replaced
 from planish.io import find_place, read_volume
-from planish.io.params import VolumeParams
+from planish.io.params import HOW_VOLUMES_ARE_READ, VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.pipeline.facts import section_facts
 from planish.sections import SectionSeries, align_sections, fixed_places, normalise_sections, regular_volume
@@ -69,7 +69,7 @@ def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr
 
 
 def _how(params: VolumeParams, memory_bytes: int) -> dict[str, Any]:
-    return params.model_dump(include={"voxel_um", "channel", "override_size"}) | {"memory_bytes": memory_bytes}
+    return params.model_dump(include=HOW_VOLUMES_ARE_READ) | {"memory_bytes": memory_bytes}
 
 
 def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, options: str = "") -> None:

@@ -1,0 +1,139 @@
+"""Values behind a header, in its file or another one: mapped where they lie as they are, or unpacked at once."""
+
+from __future__ import annotations
+
+import bz2
+import math
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.errors import FileError, VolumeError
+from planish.io.formats import ADVICE
+from planish.io.guard import check_blown_up, reading, size_of_file
+from planish.io.lazy import FileArray, WholeArray, mapped
+from planish.io.sizes import Stated
+from planish.io.tiff import size_words
+
+READ_BYTES = 4 * 2**20
+UNPACKED_BYTES = 64 * 2**20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Header:
+    """What a header says."""
+
+    shape: tuple[int, ...]  # z, y, x
+    stored: np.dtype[Any]
+    data: Path  # file with the values
+    offset: int  # byte at which they begin; -1 where they end with the file
+    packing: str  # "", "deflate" or "bzip2"
+    stated: list[Stated]
+    skip: int = 0  # unpacked bytes before the values
+
+    @property
+    def needed_bytes(self) -> int:
+        """Size of the values without compression."""
+        return math.prod(self.shape) * self.stored.itemsize
+
+
+def head_of(path: Path, most: int) -> bytes:
+    """First bytes of a file that is there and not empty."""
+    size_of_file(path)
+    with reading(path), path.open("rb") as file:
+        return file.read(most)
+
+
+def unpacked_head(path: Path, most: int) -> bytes:
+    """First bytes of a file, unpacked where the end of its name says that it is packed."""
+    packing = packing_of(path)
+    if not packing:
+        return head_of(path, most)
+    with reading(path):
+        return _unpacker(packing).decompress(head_of(path, READ_BYTES), most)
+
+
+def packing_of(path: Path) -> str:
+    """How a whole file is packed by the end of its name."""
+    return {".gz": "deflate", ".bz2": "bzip2"}.get(path.suffix.lower(), "")
+
+
+def values_behind(path: Path, header: Header) -> NDArray[Any] | FileArray:
+    """Map values, or leave them to be unpacked."""
+    data, needed = header.data, header.needed_bytes
+    if not header.packing:
+        offset = max(size_of_file(data) - needed, 0) if header.offset < 0 else header.offset
+        return raw_values(path, data, header.shape, header.stored, offset=offset)
+    check_blown_up(data, decoded_bytes=needed, stored_bytes=max(size_of_file(data) - header.offset, 0))
+    return WholeArray(path, header.shape, header.stored.newbyteorder("="), partial(_unpacked, path, header))
+
+
+def raw_values(
+    path: Path, data: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int
+) -> NDArray[Any] | FileArray:
+    """Map values that lie in a file as they are and fill it from an offset to its end."""
+    needed = math.prod(shape) * stored.itemsize
+    there = size_of_file(data) - offset
+    if there != needed:
+        fault = "It was cut off" if there < needed else "The header is wrong"
+        raise FileError(
+            f"{path.name} declares {size_words(shape)} values of {stored.itemsize} bytes, {needed} bytes; {data.name} "
+            f"has {max(there, 0)} from byte {offset} on. {fault}: copy or export it again, or correct the header."
+        )
+    return mapped(data, shape, stored, offset=offset)
+
+
+def _unpacked(path: Path, header: Header) -> NDArray[Any]:
+    """Unpack values that fill a file from an offset to its end."""
+    values = np.empty(header.needed_bytes, np.uint8)
+    filled = 0
+    for part in unpacked_parts(path, header):
+        values[filled : filled + len(part)] = np.frombuffer(part, np.uint8)
+        filled += len(part)
+    return values.view(header.stored).reshape(header.shape).astype(header.stored.newbyteorder("="), copy=False)
+
+
+def unpacked_parts(path: Path, header: Header) -> Iterator[bytes]:
+    """Unpack values bit by bit; in the end they were as many as declared, or an error is raised."""
+    bzip2, needed = header.packing == "bzip2", header.needed_bytes
+    unpacker = _unpacker(header.packing)
+    filled = -header.skip
+    with reading(header.data), header.data.open("rb") as file:
+        file.seek(header.offset)
+        packed = b""
+        while not unpacker.eof and filled <= needed:
+            # What is unpacked at once is limited, and so some input may be left, here or inside the unpacker.
+            if not packed and not (bzip2 and not unpacker.needs_input):
+                packed = file.read(READ_BYTES)
+                if not packed:
+                    break
+            part = unpacker.decompress(packed, min(needed - filled + 1, UNPACKED_BYTES))
+            packed = b"" if bzip2 else unpacker.unconsumed_tail
+            filled += len(part)
+            if 0 < filled <= needed:
+                yield part[-filled:] if filled < len(part) else part
+    if filled != needed or not unpacker.eof:
+        found = f"more than the {needed}" if filled > needed else f"{max(filled, 0)} of the {needed}"
+        raise FileError(
+            f"{path.name}: the packed values in {header.data.name} hold {found} bytes declared. It is cut off or "
+            "damaged, or its header is wrong: copy or export it again."
+        )
+
+
+def axes_of(sizes: tuple[int, ...], several: str, path: Path) -> tuple[int, ...]:
+    """Which axes are z, y, x: the three that are longer than 1, the slowest first."""
+    long = tuple(axis for axis, n in enumerate(sizes) if n > 1)
+    if several or len(long) != 3:
+        what = f"has {several}" if several else "is no volume"
+        raise VolumeError(f"{path.name} {what}: {size_words(sizes)} (fastest axis first). {ADVICE}")
+    return long[::-1]
+
+
+def _unpacker(packing: str) -> Any:
+    return bz2.BZ2Decompressor() if packing == "bzip2" else zlib.decompressobj(wbits=47)
