@@ -239,6 +239,24 @@ def test_a_scale_beyond_the_calibration_has_a_way_through(planish, linked_run, s
     assert abs(registration.scale - 1.05) < 0.01
 
 
+def test_a_piece_that_fills_a_third_of_its_box_is_covered(planish, specimen, tmp_path):
+    """Beside a small specimen lies air, which is no sheet that was lost."""
+    grey = specimen.volume.values
+    y, x = grey.shape[1:]
+    rows, cols = np.ogrid[:y, :x]
+    piece = ((rows / y - 0.5) / 0.45) ** 2 + ((cols / x - 0.5) / 0.22) ** 2 < 1
+    assert piece.mean() < 0.32
+    air = np.random.default_rng(0).choice(grey[:4].ravel(), grey.shape)
+    path = tmp_path / "piece.tif"
+    tifffile.imwrite(path, np.where(piece, grey, air))
+    code, _, err = planish("map", path, "--voxel-um", 4, "-o", tmp_path / "run")
+    assert code == 0, err
+    results = open_run(tmp_path / "run").results
+    check = next(check for check in results.checks if check.name == "coverage")
+    assert (check.state, check.value > 0.8) == ("pass", True), check
+    assert 0.6 < results.layers[0].sheet.surfaces.empty_share < 0.75
+
+
 NOT_REPEATED = {
     "all": [("link", "map_layer")],
     "measurement": [("sheet", "read_sheet_volume"), ("sheet", "find_surfaces"), ("sheet", "measure_properties")],

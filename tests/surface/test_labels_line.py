@@ -6,7 +6,7 @@ import tifffile
 from scipy import ndimage
 
 from planish.core.errors import InputError
-from planish.pipeline import run_study
+from planish.pipeline import open_run, run_study
 from planish.study import as_study
 from planish.surface import LabelParams, SurfaceParams
 
@@ -41,3 +41,17 @@ def test_labels_are_mapped_and_linked_to_the_end(labels, specimen_files, tmp_pat
 def test_grey_properties_of_labels_are_refused(labels, tmp_path):
     with pytest.raises(InputError, match="measured in grey values"):
         run_study(study(labels, properties={"maps": ("porosity",)}), tmp_path / "run")
+
+
+def test_labels_without_a_coating_are_said_on_the_command_line(planish, labels, tmp_path):
+    """The base is then the whole sheet; the same label may not mean both."""
+    out = tmp_path / "run"
+    meaning = ("--labels", "--label-base", "1,2", "--voxel-um", "4")
+    code, _, err = planish("map", labels, *meaning, "-o", out)
+    assert code == 3
+    assert "The label 2 was given two meanings" in err
+    code, _, err = planish("map", labels, *meaning, "--label-coating", "none", "-o", out)
+    assert code == 0, err
+    maps = open_run(out).groups["maps"]
+    np.testing.assert_allclose(maps["base_thickness"], maps["thickness"], atol=1e-3)
+    assert open_run(out).study.layers[0].surface.labels.coating == ()

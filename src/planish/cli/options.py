@@ -61,7 +61,8 @@ class Option(click.Option):
 class Value(click.ParamType[Any]):
     """A value of a field's own type, checked by its limits.
 
-    Several numbers are separated by commas; one stands for all of them where ``repeat`` is set.
+    Several numbers are separated by commas; one stands for all of them where ``repeat`` is set, and the word none for
+    no number where any count will do.
     """
 
     name = "value"
@@ -70,6 +71,7 @@ class Value(click.ParamType[Any]):
         self.adapter, self.repeat = TypeAdapter[Any](kind), repeat
         parts = _alternatives(kind)
         self.count = next((len(get_args(p)) for p in parts if get_origin(p) is tuple), 0)
+        self.any_count = any(get_args(p)[1:] == (...,) for p in parts if get_origin(p) is tuple)
         words = [str(w) for p in parts if get_origin(p) is Literal for w in get_args(p)]
         number = "N,..." if self.count else "NUMBER" if float in parts else "INTEGER" if int in parts else ""
         self.metavar = metavar or "|".join([*words, *filter(None, [number])]) or "TEXT"
@@ -83,6 +85,8 @@ class Value(click.ParamType[Any]):
         if not isinstance(value, str):
             return value
         given: Any = [part.strip() for part in value.split(",")] if self.count else value
+        if self.any_count and value.strip().casefold() == "none":
+            given = []
         if self.repeat and len(given) == 1:
             given = given * self.count
         try:
@@ -134,6 +138,7 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
         return click.option(*shown.flags, name, is_flag=True, default=None, **how)
     how["help"] += _default(field.get_default())
     if kinds == [tuple[str, ...]]:
+        how["callback"] = lambda _context, _parameter, value: value or None  # not said, and not "none of them"
         return click.option(*shown.flags, name, multiple=True, metavar=shown.metavar, **how)
     if len(kinds) == 1 and get_origin(kinds[0]) is Literal:
         return click.option(*shown.flags, name, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
@@ -157,7 +162,7 @@ def given(values: dict[str, Any], section: str) -> dict[str, Any]:
     """What was said on the command line for a section, as its model takes it."""
     mark = f"{section}__"
     own = {k.removeprefix(mark): v for k, v in values.items() if k.startswith(mark)}
-    said = {k: v for k, v in own.items() if v not in (None, (), False)}
+    said = {k: v for k, v in own.items() if v not in (None, False)}
     found: dict[str, Any] = {k: v for k, v in said.items() if "__" not in k}
     for name, sign, inner in (k.partition("__") for k in own):
         if sign and name in found:

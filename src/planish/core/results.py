@@ -53,6 +53,7 @@ class SurfaceFacts(Facts):
     bridged_off_rims_share: Number = Field(None, description="The same away from holes and their rims.")
     rim_um: Number
     missing_share: Number
+    empty_share: Number = Field(None, description="Share of the columns that hold nothing but air.")
     polarity: Number
     grey_air: Number
     grey_base: Number

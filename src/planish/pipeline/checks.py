@@ -37,11 +37,12 @@ _FAR = 5.0  # times the limit from which on marks give no position
 def sheet_checks(sheet: SheetFacts) -> Iterator[Check]:
     """Checks of one mapped sheet."""
     s, folded, sections = sheet.surfaces, sheet.flatten.folded_cells, sheet.sections
-    # Rims of holes are left out on purpose; what counts is how much of the rest was measured.
-    share = s.shares["measured"] / max(1.0 - s.shares["rim"], 1e-9)
+    # Rims of holes are left out on purpose, and beside a small specimen is air: what counts is the rest.
+    air = min(s.empty_share or 0.0, s.shares["no_sheet"])
+    share = s.shares["measured"] / max(1.0 - s.shares["rim"] - air, 1e-9)
     yield Check.at_least(
         "coverage", share, look=_LEAST_COVERAGE, units="share", figures=(PROPERTIES,),
-        sentence=f"{100 * share:.0f} % of the columns away from rims are measured.",
+        sentence=f"{100 * share:.0f} % of the columns with a sheet, away from rims, are measured.",
         advice="The maps are mostly blank, and what is left may not stand for the sheet. Look at the slices.",
     )  # fmt: skip
     if s.missing_share is not None:

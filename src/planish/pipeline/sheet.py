@@ -32,7 +32,7 @@ P = TypeVar("P", bound=Params)
 
 _THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room on both sides
 _UNUSUAL_UM = (0.05, 50_000.0)  # where the user says that it is no paper
-_LEAST_SHARE = 0.15  # of the columns: with less there is no map
+_LEAST_SHARE = 0.15  # of the columns with more than air: with less there is no map
 
 
 def map_layer(
@@ -145,9 +145,10 @@ def _check_thickness(surfaces: xr.Dataset, low: float, high: float) -> None:
             "--override-size, or add --unusual-size if it is no paper."
         )
     measured = float((surfaces["status"].values == 0).mean())
+    measured /= max(1.0 - float(surfaces.attrs.get("empty_share", 0.0)), measured)
     if measured < _LEAST_SHARE:
         raise VolumeError(
-            f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns only; "
+            f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns only that are not all air; "
             f"{100 * _LEAST_SHARE:.0f} % are needed for a map. Check --through and --sheet-grey, and that the sheet "
             "does not leave the volume."
         )

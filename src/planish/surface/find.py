@@ -94,7 +94,7 @@ def find_surfaces(
         (air, learnt.scale.polarity * learnt.base + air), engine,
     )  # fmt: skip
     surfaces.attrs |= learnt.attrs(columns.pitch[2], frame)
-    surfaces.attrs["missing_share"] = survey.missing_share
+    surfaces.attrs |= {"missing_share": survey.missing_share, "empty_share": survey.empty_share}
     if survey.padding is not None:
         surfaces.attrs["padding"] = survey.padding
     return surfaces

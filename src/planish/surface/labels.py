@@ -58,7 +58,7 @@ def surfaces_from_labels(
             f"Labels are integers; this volume holds {labels.dtype}. Give the label volume, not the grey."
         )
     columns = LabelColumns(volume=labels, frame=frame, codes=_codes(meaning))
-    coarse = survey_labels(columns, params, engine)
+    coarse, empty_share = survey_labels(columns, params, engine)
     guide = make_guide(coarse, columns)
     coded = LabelColumns(volume=labels, frame=frame, codes=columns.codes, sheet=False)
     shape = columns.shape[:2]
@@ -75,6 +75,7 @@ def surfaces_from_labels(
         columns, params, placed(found, columns, coated, particles=coarse.specks),
         doubtful(guide, coarse, 0.0, columns.shape[2]), (0.0, 1.0), engine,
     )  # fmt: skip
+    surfaces.attrs["empty_share"] = empty_share
     surfaces.attrs["from_labels"] = " ".join(f"{label}:{code}" for label, code in columns.codes)
     return surfaces
 

@@ -18,7 +18,7 @@ def _label(default: int | None, what: str) -> tuple[Label, ...]:
         given,
         cli=f"--label-{what.split()[0]}",
         metavar="N[,N...]",
-        help=f"Labels that mean {what}; several with commas.",
+        help=f"Labels that mean {what}; several with commas, none for no such label.",
     )
 
 

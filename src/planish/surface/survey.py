@@ -24,6 +24,7 @@ _SAMPLE = 40_000  # columns of the sample, and blocks wanted
 _WIDEST = 4  # columns along the edge of a block
 _LARGE = 1_500_000  # columns from which on fewer rows are sampled
 _SAMPLE_ROWS = 24
+_ABOVE_AIR = 6.0  # standard deviations of block means in air: what is nowhere above that is air from end to end
 _MOST = 2**25  # block means that are kept; above it the blocks get wider
 
 
@@ -39,6 +40,7 @@ class Survey:
     sample: NDArray[Any]  # (rows, cols, depth): voxels as stored of every ``stride``-th column
     stride: tuple[int, int]  # along rows and columns
     missing_share: float  # voxels that are NaN or infinite
+    empty_share: float  # columns with nothing but air, beside the sheet or in a hole
     # Whether a seed chose the sheet among other material, which it does not stand out from as it does from air.
     amid: bool = False
 
@@ -73,14 +75,15 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     air = mode(ends)
     noise = voxel_noise(voxels, air)
     coarse, amid, polarity = choose_sheet(blocks, sharp, air, block, params, choice, scatter)
+    empty = ~(polarity * (blocks - air) > _ABOVE_AIR * spread(ends)).any(axis=2)
     return Survey(
         coarse=coarse, air=air, noise=noise, polarity=polarity, padding=padding, sample=sample, stride=stride,
-        missing_share=missing, amid=amid,
+        missing_share=missing, empty_share=float(empty.mean()), amid=amid,
     )  # fmt: skip
 
 
-def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> CoarseSheet:
-    """Find the sheet roughly where every voxel is labelled as sheet (1) or not (0).
+def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> tuple[CoarseSheet, float]:
+    """Find the sheet roughly where every voxel is labelled as sheet (1) or not (0); and the share of empty columns.
 
     Raises
     ------
@@ -91,7 +94,7 @@ def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> Co
     _, shares, _ = _blocks(columns, block, engine)
     choice = make_choice(columns, block, shares.shape, params)
     search = coarse_sheet if choice.seed is None else followed_sheet
-    return search(shares, shares > 0.5, 0.5, block, choice)
+    return search(shares, shares > 0.5, 0.5, block, choice), float(1.0 - (shares > 0).any(axis=2).mean())
 
 
 def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
