@@ -107,3 +107,32 @@ def test_a_tilted_sheet_through_another_axis():
     seed = (25 * 3.0, float(middle[25, 27]), 27 * 3.0)
     found = find_surfaces(grey, frame=Frame(through="y"), params=SurfaceParams(seed_um=seed))
     assert abs(np.nanmean(found["top"].values - sheet.surfaces()["top"])) < 0.2
+
+
+@pytest.mark.parametrize("voxels", [3, 4, 6])
+def test_a_point_in_the_only_sheet_changes_nothing(voxels):
+    """However thin and sharp it is: nothing beside it has to be told apart from it."""
+    z, y, x = np.ogrid[:60, :70, :80]
+    middle = 30 + 8 * np.sin(x / 30) * np.cos(y / 40)
+    grey = np.where(abs(z - middle) <= voxels / 2, 100.0, 40.0) + np.random.default_rng(0).normal(0, 4, (60, 70, 80))
+    data = volume(np.clip(np.rint(grey), 0, 255).astype(np.uint8), 4.0)
+    plain = find_surfaces(data)
+    for row, col in ((35, 40), (10, 70)):
+        at = (4.0 * float(middle[0, row, col]), 4.0 * row, 4.0 * col)
+        found = find_surfaces(data, params=SurfaceParams(seed_um=at))
+        assert (found["status"].values == plain["status"].values).mean() > 0.999
+        for name in ("top", "bottom", "centre"):
+            np.testing.assert_allclose(found[name], plain[name], atol=0.1)
+
+
+def test_thin_sheets_on_top_of_each_other_are_told_apart_by_a_point():
+    z, y, x = np.ogrid[:80, :70, :80]
+    middle = 25 + 4 * np.sin(x / 30) * np.cos(y / 40)
+    inside = (abs(z - middle) <= 2) | (abs(z - middle - 25) <= 2)
+    grey = np.where(inside, 100.0, 40.0) + np.random.default_rng(0).normal(0, 4, inside.shape)
+    data = volume(np.clip(np.rint(grey), 0, 255).astype(np.uint8), 4.0)
+    for offset in (0, 25):
+        at = (4.0 * float(middle[0, 35, 40] + offset), 4.0 * 35, 4.0 * 40)
+        found = find_surfaces(data, params=SurfaceParams(seed_um=at))
+        assert (found["status"].values == 0).mean() > 0.9
+        assert abs(np.nanmedian(found["centre"].values - 4.0 * (middle[0] + offset))) < 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +16,15 @@ from planish.surface.levels import material
 from planish.surface.params import SurfaceParams
 
 Array = NDArray[np.float64]
+Beside = Literal["air", "others", "material"]
+"""What lies beside a sheet: air alone, other objects beyond air, or material from which a grey has to separate it."""
 
 _SHARES = np.linspace(0.5, 0.95, 19)  # of the grey at the seed, tried as threshold
 _BRIGHTER = 1.6  # times that grey: not the same object
 _MERGED_SHARE = 0.15  # of the sheet that may touch others; with a higher threshold it may be less
 _CLEAR = 0.1  # of the brightest: below it there is nothing at the seed
+_SAME_DEPTH = 2.0  # voxels by which the thickness of one sheet may differ, found with the seed and without
+_LEAST_GAP, _NEAR_SHARE = 12, 0.001  # voxels of air beside a sheet that stands apart; columns that may have less
 _MOST_MERGED = 0.6  # above it the sheet cannot be followed
 
 
@@ -62,8 +67,8 @@ def choose_sheet(
     params: SurfaceParams,
     choice: Choice,
     scatter: float | None,
-) -> tuple[CoarseSheet, bool, float]:
-    """Find the sheet in the block means; return it, whether it lies amid other material, and its polarity."""
+) -> tuple[CoarseSheet, Beside, float]:
+    """Find the sheet in the block means; return it, what lies beside it, and its polarity."""
     if params.sheet_grey is not None:
         low, high = params.sheet_grey
         inside = (blocks >= low) & (blocks <= high)
@@ -71,21 +76,33 @@ def choose_sheet(
         edge = (low if polarity > 0 else high) - air
         if choice.seed is not None:
             inside = (sharp >= low) & (sharp <= high)
-            return followed_sheet(polarity * (sharp - air), inside, abs(edge), block, choice), True, polarity
-        return coarse_sheet(polarity * (blocks - air), inside, abs(edge), block, choice), False, polarity
+            return followed_sheet(polarity * (sharp - air), inside, abs(edge), block, choice), "material", polarity
+        return coarse_sheet(polarity * (blocks - air), inside, abs(edge), block, choice), "air", polarity
     polarity, threshold, least = material(blocks, air, scatter)
     oriented = np.where(np.isfinite(blocks), polarity * (blocks - air), 0.0).astype(np.float32)
     if choice.seed is not None:
         # Layers may be thinner than what the blocks are smoothed over.
         above = np.where(np.isfinite(sharp), polarity * (sharp - air), 0.0).astype(np.float32)
-        return *_chosen(oriented, above, threshold, block, choice), polarity
+        alone: CoarseSheet | None = None
+        with suppress(VolumeError):
+            alone = _refined(oriented, threshold, block, Choice(named=choice.named))
+        try:
+            sheet, amid = _chosen(oriented, above, threshold, block, choice)
+        except VolumeError:
+            if alone is None or not _holds(alone, choice.seed):
+                raise
+            return alone, "air", polarity
+        if alone is not None and _holds(alone, choice.seed) and _shows_as_much(alone, sheet):
+            return alone, "air", polarity
+        far = not amid and _stands_apart(oriented > sheet.threshold, sheet)
+        return sheet, "material" if amid else "air" if far else "others", polarity
     try:
-        return _refined(oriented, threshold, block, choice), False, polarity
+        return _refined(oriented, threshold, block, choice), "air", polarity
     except VolumeError:
         # Two bright coatings on a dim base look like two sheets. With a lower threshold they are one, if they are one.
         if least < 0.7 * threshold:
             with suppress(VolumeError):
-                return _refined(oriented, least, block, choice), False, polarity
+                return _refined(oriented, least, block, choice), "air", polarity
         raise
 
 
@@ -140,6 +157,35 @@ def _chosen(
         "it cannot be separated from them. Crop the volume to a part where it stands alone, or "
         "choose another point with --seed-um."
     ) from found
+
+
+def _holds(sheet: CoarseSheet, seed: tuple[int, int, int]) -> bool:
+    """Whether the seed lies inside a sheet."""
+    row, col, depth = seed
+    return bool(sheet.low[row, col] - 0.5 <= depth <= sheet.high[row, col] + 0.5)
+
+
+def _shows_as_much(alone: CoarseSheet, sheet: CoarseSheet) -> bool:
+    """Whether a sheet that was found without the seed is the one at the seed, in as many columns.
+
+    Then nothing lies beside it, and its faces need not be told from those of others, which takes sheets of few voxels
+    for their own blur.
+    """
+    first, second = (np.isfinite(s.low) & np.isfinite(s.high) for s in (alone, sheet))
+    thick = [float(np.median((s.high - s.low)[shown])) for s, shown in ((alone, first), (sheet, second)) if shown.any()]
+    same = len(thick) < 2 or abs(thick[0] - thick[1]) <= _SAME_DEPTH
+    return same and np.count_nonzero(first) >= np.count_nonzero(second)
+
+
+def _stands_apart(material: NDArray[np.bool_], sheet: CoarseSheet) -> bool:
+    """Whether so much air lies beside a sheet that no search for its faces meets another object."""
+    apart = max(_LEAST_GAP, 4 + 3 * sheet.block)
+    depth = np.arange(material.shape[2])
+    near = np.zeros(sheet.low.shape, dtype=bool)
+    for face, sign in ((sheet.low, -1), (sheet.high, 1)):
+        away = sign * (depth - face[..., None])
+        near |= (material & (away > 2) & (away < apart)).any(axis=2)
+    return float(near.mean()) < _NEAR_SHARE
 
 
 def _merged(sheet: CoarseSheet) -> float:

@@ -34,7 +34,7 @@ def learn(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams)
     VolumeError
         If the core of the sheet does not stand out from the air.
     """
-    return _Learner(Sampler(columns, guide, survey, params), survey, params).learnt()
+    return _Learner(Sampler(columns, guide, survey), survey, params).learnt()
 
 
 class _Learner:
@@ -115,7 +115,7 @@ class _Learner:
         profile = np.nanmedian(np.take_along_axis(sample.grey[0][good], depth, axis=1), axis=0)
         peak = float(profile[: max(2, int(0.8 * half))].max())
         solid = base + 1.28 * min(base_sd, 0.3 * base)
-        given = self.params.sheet_grey is not None or self.survey.amid
+        given = self.params.sheet_grey is not None or self.survey.beside == "material"
         coated = peak > _COATING_RATIO * (1.2 * solid if given else solid)
         # Without a coating the third level is what lies outside: the air, unless the sheet was separated from other
         # material.

@@ -15,7 +15,6 @@ from planish.surface import _fit_kernels
 from planish.surface.columns import Columns, Guide, Scale, oriented
 from planish.surface.learnt import Edge, Side
 from planish.surface.levels import spread
-from planish.surface.params import SurfaceParams
 from planish.surface.survey import Survey
 
 Array = NDArray[np.float64]
@@ -67,9 +66,9 @@ class Sampler:
         Grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet.
     """
 
-    def __init__(self, columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> None:
+    def __init__(self, columns: Columns, guide: Guide, survey: Survey) -> None:
         self.columns, self.guide = columns, guide
-        self.amid = survey.coarse.threshold if params.seed_um is not None else 0.0
+        self.amid = survey.coarse.threshold if survey.beside != "air" else 0.0
         self.depth = columns.shape[2]
         self.pitch = columns.pitch
         self.scale = Scale(air=survey.air, polarity=survey.polarity)

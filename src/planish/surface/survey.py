@@ -12,7 +12,7 @@ from scipy import ndimage
 from planish.core.errors import VolumeError
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
-from planish.surface.choose import choose_sheet, make_choice, seed_grey
+from planish.surface.choose import Beside, choose_sheet, make_choice, seed_grey
 from planish.surface.coarse import CoarseSheet, coarse_sheet, followed_sheet
 from planish.surface.columns import Columns
 from planish.surface.levels import mode, padding_value, spread, voxel_noise
@@ -41,8 +41,7 @@ class Survey:
     stride: tuple[int, int]  # along rows and columns
     missing_share: float  # voxels that are NaN or infinite
     empty_share: float  # columns with nothing but air, beside the sheet or in a hole
-    # Whether a seed chose the sheet among other material, which it does not stand out from as it does from air.
-    amid: bool = False
+    beside: Beside = "air"
 
 
 def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Survey:
@@ -74,11 +73,11 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
         scatter = spread(ends)
     air = mode(ends)
     noise = voxel_noise(voxels, air)
-    coarse, amid, polarity = choose_sheet(blocks, sharp, air, block, params, choice, scatter)
+    coarse, beside, polarity = choose_sheet(blocks, sharp, air, block, params, choice, scatter)
     empty = ~(polarity * (blocks - air) > _ABOVE_AIR * spread(ends)).any(axis=2)
     return Survey(
         coarse=coarse, air=air, noise=noise, polarity=polarity, padding=padding, sample=sample, stride=stride,
-        missing_share=missing, empty_share=float(empty.mean()), amid=amid,
+        missing_share=missing, empty_share=float(empty.mean()), beside=beside,
     )  # fmt: skip
 
 
