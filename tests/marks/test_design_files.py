@@ -218,7 +218,7 @@ def test_check(planish, made, tmp_path):
         (("design", *FIELD, "-o", "OUT", "--power", "9", "--pulse-code", "m64"), 2, "m3 only"),
         (("design", *FIELD, "-o", "OUT", "--range-um", "5,5,0,0"), 2, "larger"),
         (("design", *FIELD, "-o", "OUT", "--pulse-s", "-1"), 2, "pulse-s"),
-        (("design", "--field-um", "3000,2000", "-o", "OUT"), 3, "rule 'area'"),
+        (("design", "--field-um", "3000,2000", "--margin-um", "300", "-o", "OUT"), 3, "rule 'area'"),
         (("design", *FIELD, "-o", "OUT", "--range-um", "0,0,5000,5000"), 3, "out of the stage's range"),
         (("design", *FIELD, "-o", "HERE"), 3, "exists already"),
         (("check", "none.json"), 3, "cannot be read"),

@@ -86,13 +86,21 @@ def test_the_same_seed_gives_the_same_pattern():
     assert first.holes != other.holes
 
 
+@pytest.mark.parametrize("field_um", [(500.0, 500.0), (3_000.0, 2_000.0), (6_000.0, 4_000.0)])
+def test_a_small_field_gets_a_margin_with_room_for_its_holes(field_um):
+    pattern, rules = design_pattern(DesignParams(field_um=field_um))
+    assert all(rule.passed for rule in rules)
+    assert len(pattern.holes) >= 20
+    assert max(pattern.margin_um) < 2_600
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"field_um": (5_000.0, 4_000.0)}, ("rule 'area'", "at most 3 %", "larger field")),
+        ({"field_um": (4_000.0, 3_000.0), "margin_um": 300.0}, ("rule 'area'", "at most 3 %", "larger margin")),
         ({"field_um": (20_000.0, 15_000.0), "holes": 11}, ("rule 'count'", "at least 12")),
         ({"field_um": (20_000.0, 15_000.0), "holes": 14}, ("rule 'crop'", "20 or more")),
-        ({"field_um": (8_000.0, 8_000.0), "layout": "line"}, ("rule 'spacing'", "layout 'coded'")),
+        ({"field_um": (8_000.0, 8_000.0), "layout": "line", "margin_um": 300.0}, ("rule 'spacing'", "layout 'coded'")),
         ({"field_um": (20_000.0, 15_000.0), "spacing_um": 4_000.0}, ("rule 'spacing'", "--spacing-um")),
         ({"field_um": (20_000.0, 15_000.0), "spacing_um": 300.0}, ("below 3 diameters, 525 um",)),
         ({"field_um": (20_000.0, 15_000.0), "margin_um": 100.0}, ("below 127.5 um",)),

@@ -65,10 +65,12 @@ def test_spacing(good):
 
 
 def test_area(good):
-    # 24 holes of 175 um with rims of 40 um: 24 * pi / 4 * 255^2 um2; the field of which that is 3 %
+    # holes of 175 um with rims of 40 um, pi / 4 * 255^2 um2 each; the view of which that is 3 %
     side = np.sqrt(len(good.holes) * np.pi / 4 * 255**2 / 0.03)
+    around = 2 * (good.margin_um[0] + good.border_um)
     for factor, passed in ((1.001, True), (0.999, False)):
-        rules = simple_rules(good.model_copy(update={"field_um": (factor * side, factor * side)}))
+        field = factor * side - around
+        rules = simple_rules(good.model_copy(update={"field_um": (field, field)}))
         assert next(rule.passed for rule in rules if rule.name == "area") == passed
 
 

@@ -138,13 +138,18 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
         return click.option(*shown.flags, name, is_flag=True, default=None, **how)
     how["help"] += _default(field.get_default())
     if kinds == [tuple[str, ...]]:
-        how["callback"] = lambda _context, _parameter, value: value or None  # not said, and not "none of them"
+        how["callback"] = _said
         return click.option(*shown.flags, name, multiple=True, metavar=shown.metavar, **how)
     if len(kinds) == 1 and get_origin(kinds[0]) is Literal:
         return click.option(*shown.flags, name, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
     unit = next((u for ending, u in _UNITS.items() if name.endswith(ending)), None) if kinds == [float] else None
     kind = Annotated.__class_getitem__((field.annotation, *field.metadata)) if field.metadata else field.annotation  # pyright: ignore
     return click.option(*shown.flags, name, type=Value(kind, shown.metavar or unit, repeat=shown.repeat), **how)
+
+
+def _said(_context: click.Context, _parameter: click.Parameter, value: tuple[str, ...]) -> tuple[str, ...] | None:
+    """An option that may be repeated and was not given is not said, which is other than none of them."""
+    return value or None
 
 
 def _default(value: Any) -> str:

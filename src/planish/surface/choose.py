@@ -174,7 +174,7 @@ def _shows_as_much(alone: CoarseSheet, sheet: CoarseSheet) -> bool:
     first, second = (np.isfinite(s.low) & np.isfinite(s.high) for s in (alone, sheet))
     thick = [float(np.median((s.high - s.low)[shown])) for s, shown in ((alone, first), (sheet, second)) if shown.any()]
     same = len(thick) < 2 or abs(thick[0] - thick[1]) <= _SAME_DEPTH
-    return same and np.count_nonzero(first) >= np.count_nonzero(second)
+    return bool(same and np.count_nonzero(first) >= np.count_nonzero(second))
 
 
 def _stands_apart(material: NDArray[np.bool_], sheet: CoarseSheet) -> bool:

@@ -30,7 +30,8 @@ class DesignParams(Params):
     )
     margin_um: float | None = option(
         None, gt=0, le=1e6,
-        help="From the field to the middle of the holes, widened to whole steps of 50 um; 1.5 diameters if not given.",
+        help="From the field to the middle of the holes, widened to whole steps of 50 um; if not given 1.5 diameters, "
+        "or as much as a small field needs.",
     )  # fmt: skip
     origin_um: tuple[float, float] = option(
         (0.0, 0.0), metavar="X,Y", help="Where on the stage the lower left corner of the view lies."

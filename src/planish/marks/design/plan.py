@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from planish.core.errors import MarkError
@@ -25,6 +27,8 @@ _ATTEMPTS = {"coded": 40, "line": 250}  # lines are quick to draw and seldom tol
 _LARGEST_SEARCH = 25  # patterns whose rivals are looked for
 _COMPARED = 6  # patterns that keep the rules; the one with the weakest rival is taken
 _LEAST_A_SIDE = 4
+_WIDER_UM, _WIDEST_UM = 250.0, 3000.0  # steps by which a margin that was not given gives holes more room
+_NO_ROOM = ("rule 'area'", "rule 'spacing'")
 _HOPELESS = ("count", "spacing", "area", "around")  # of these no other draw is better
 
 
@@ -47,17 +51,33 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
     MarkError
         If spacing or margin are too small for the holes, or no pattern keeps the rules: the message names the rule and
         what helps.
+
+    Notes
+    -----
+    A small field has no room around it for so many holes: unless the margin is given, it widens until there is.
     """
-    blank = _blank(params)
     reasons: dict[int, str] = {}
-    for count in (params.holes,) if params.holes is not None else _COUNTS[params.layout]:
-        found, reason = _search(blank, count, np.random.default_rng([params.seed, count]))
-        if found is not None:
-            return found
-        reasons[count] = reason
+    for blank in _blanks(params):
+        reasons.clear()
+        for count in (params.holes,) if params.holes is not None else _COUNTS[params.layout]:
+            found, reason = _search(blank, count, np.random.default_rng([params.seed, count]))
+            if found is not None:
+                return found
+            reasons[count] = reason
+        if not any(rule in reason for rule in _NO_ROOM for reason in reasons.values()):
+            break
     size = " x ".join(f"{v / 1000:g}" for v in params.field_um)
     more = " The layout 'coded' takes less room." if params.layout == "line" else ""
     raise MarkError(f"No {params.layout} pattern around {size} mm keeps the rules. {reasons[min(reasons)]}{more}")
+
+
+def _blanks(params: DesignParams) -> Iterator[Pattern]:
+    """Patterns without holes, the margin as it is given, or wider and wider."""
+    blank = _blank(params)
+    yield blank
+    if params.margin_um is None:
+        for more_um in np.arange(_WIDER_UM, _WIDEST_UM + 1, _WIDER_UM):
+            yield _blank(params.model_copy(update={"margin_um": min(blank.margin_um) + float(more_um)}))
 
 
 def _blank(params: DesignParams) -> Pattern:

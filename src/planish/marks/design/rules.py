@@ -29,6 +29,7 @@ _FEW = 6  # of so few survivors, three may meet by chance; four are needed to be
 
 _REMEDY = "use unequal pitches, or another seed"
 _FEWER = "take fewer or smaller holes, or a larger field"
+_LARGER = "take fewer or smaller holes, a larger field, or a larger margin"
 _MEET = "share of the holes that meet holes when the pattern is"
 # Sense, unit, what is measured, and what to change where the rule is broken.
 _RULES: dict[str, tuple[Sense, str, str, str]] = {
@@ -42,7 +43,7 @@ _RULES: dict[str, tuple[Sense, str, str, str]] = {
         "put more holes near the corners, widen the margin, or take another number of holes",
     ),
     "spacing": ("at least", "um", "least distance of two holes; burnt zones must not touch", _FEWER),
-    "area": ("at most", "%", "area of holes and rims, as a share of the field's", _FEWER),
+    "area": ("at most", "%", "area of holes and rims, as a share of the view's", _LARGER),
     "marker": (
         "at least", "um", "how much farther one corner of the frame is from its nearest hole than the others",
         "put holes into three corners of the frame and end the last line short of the fourth",
@@ -137,9 +138,9 @@ def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
 
 
 def area_rule(pattern: Pattern, count: int) -> Rule:
-    """Apply the rule on the area that is burnt, for so many holes."""
+    """Apply the rule on the area that is burnt, for so many holes; the field itself loses none of it."""
     burnt = count * np.pi / 4 * (pattern.diameter_um + 2 * pattern.rim_um) ** 2
-    return _rule("area", 100 * burnt / (pattern.field_um[0] * pattern.field_um[1]), 100 * AREA_SHARE)
+    return _rule("area", 100 * burnt / (pattern.view_um[0] * pattern.view_um[1]), 100 * AREA_SHARE)
 
 
 def code_rules(pattern: Pattern) -> tuple[Rule, ...]:
