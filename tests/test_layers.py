@@ -68,6 +68,20 @@ def test_a_run_linked_to_an_image_is_the_volume_linked_to_it(planish, linked_run
     assert (different, missing) == ([], [])
 
 
+def test_a_size_may_be_that_of_one_layer_alone(planish, specimen_files, other_files, tmp_path):
+    """Two scans of uncertain resolution: --pixel-um would hold for both."""
+    layers = ("link", f"small={specimen_files[1]}", f"large={other_files.image}", "--override-size")
+    wide = ("--set", "small.image.pixel_um=5.5,5.5", "--scale-tolerance", "0.12")
+    code, _, err = planish(*layers, *wide, "-o", tmp_path / "run")
+    assert code in (0, 4), err
+    run = open_run(tmp_path / "run")
+    assert run.study.layers[0].image.pixel_um[0] == 5.5
+    assert run.results.moving[0].registration.scale == pytest.approx(5 / 5.5, abs=0.02)
+    code, _, err = planish(*layers, "--set", "tiny.image.pixel_um=5.5,5.5", "-o", tmp_path / "other")
+    assert code == 2
+    assert "--set: 'tiny.image.pixel_um=5.5,5.5'" in err
+
+
 @pytest.mark.study
 def test_two_volumes_show_the_same_material_at_the_same_pixel(specimen, other, other_files, specimen_files, other_run):
     files = write_instruments_of(specimen, specimen_files)

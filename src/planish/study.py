@@ -205,10 +205,13 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
 
 
 def _value(text: str) -> Any:
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
+    # As in a study file; numbers with commas stand without their brackets too, which shells treat as their own.
+    for written in (text, f"[{text}]"):
+        try:
+            return tomllib.loads(f"value = {written}")["value"]
+        except tomllib.TOMLDecodeError:
+            continue
+    return text
 
 
 def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None:

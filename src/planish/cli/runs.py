@@ -10,6 +10,7 @@ import click
 
 from planish.analyze.params import CorrelateParams
 from planish.cli.options import (
+    Command,
     Option,
     existing,
     given,
@@ -52,10 +53,17 @@ _folder_option = click.option(
     "--out", "-o", type=click.Path(path_type=Path), help="Folder to make; a new one where not given."
 )
 
+
+def _set_option(text: str) -> Command:
+    return click.option("--set", "changes", multiple=True, metavar="[LAYER.]SECTION.NAME=VALUE", help=text)
+
+
 _SECTIONS = ("volume", "image", "surface", "properties", "flatten", "holes", "registration", "correlate")
 
 
-def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain: bool = False) -> Study:
+def study_from(
+    layers: tuple[str | Path, ...], values: dict[str, Any], *, chain: bool = False, changes: tuple[str, ...] = ()
+) -> Study:
     """Build a study from the command line; what is wrong with it is wrong usage."""
     from planish.pipeline.build import study_of
 
@@ -64,9 +72,19 @@ def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain:
         if path := sections.get("registration", {}).get(name):
             sections["registration"][name] = str(Path(path).absolute())
     try:
-        return study_of(layers, sections, chain=chain)
+        study = study_of(layers, sections, chain=chain)
     except StudyError as error:
         raise click.UsageError(str(error)) from error
+    return _changed(study, changes)
+
+
+def _changed(study: Study, changes: tuple[str, ...]) -> Study:
+    from planish.study import with_values
+
+    try:
+        return with_values(study, changes) if changes else study
+    except StudyError as error:
+        raise click.UsageError(f"--set: {error}") from error
 
 
 def _run_and_show(
@@ -92,11 +110,17 @@ def _run_and_show(
     "--chain", is_flag=True, cls=Option, group="Marks and registration",
     help="Register each layer to the next one, and carry it on from there.",
 )  # fmt: skip
+@_set_option(
+    "Set a parameter of one layer, such as large.image.pixel_um=5.3,5.3 for the layer large=PATH; may be given again."
+)
 @sheet_options
 @compute_options
 @strict_option
 @json_option
-def link(layers: tuple[str, ...], out: Path, chain: bool, strict: bool, as_json: bool, **values: Any) -> int:
+def link(
+    layers: tuple[str, ...], out: Path, chain: bool, changes: tuple[str, ...], strict: bool, as_json: bool,
+    **values: Any,
+) -> int:  # fmt: skip
     """Link layers of one specimen to the last of them: all maps on its pixels, correlation, report.
 
     A layer is a volume (TIFF stack, folder of slices or sections, store), the folder of a run that planish made of one,
@@ -105,11 +129,12 @@ def link(layers: tuple[str, ...], out: Path, chain: bool, strict: bool, as_json:
     'planish link VOLUME IMAGE --out RUN' is the usual case: all 3D properties on the image's own pixels. RUN gets
     maps.zarr, marks.json, results.json, report.html and run.toml. With two volumes, two images or more than two layers,
     the flattened maps and images are laid onto the last layer (docs/linking.md). Options of volumes hold for all of
-    them; where two need different ones, map each first with 'planish map' and give the runs.
+    them; --set gives one layer another value.
     """
     if len(layers) < 2:
         raise click.UsageError("Something to link it to is missing: give two layers or more, the reference last.")
-    return _run_and_show(study_from(layers, values, chain=chain), out, values, as_json=as_json, strict=strict)
+    study = study_from(layers, values, chain=chain, changes=changes)
+    return _run_and_show(study, out, values, as_json=as_json, strict=strict)
 
 
 @verb(
@@ -136,11 +161,10 @@ def map_(volume: Path, out: Path, strict: bool, as_json: bool, **values: Any) ->
 )
 @existing("study")
 @_folder_option
-@click.option(
-    "--set", "changes", multiple=True, metavar="SECTION.NAME=VALUE",
-    help="Change a parameter, such as registration.model=affine, or of one layer sheet.surface.cutoff_um=600; may be "
-    "given again. Stages whose parameters stay are taken from the run beside STUDY.",
-)  # fmt: skip
+@_set_option(
+    "Change a parameter, such as registration.model=affine, or of one layer sheet.surface.cutoff_um=600; may be "
+    "given again. Stages whose parameters stay are taken from the run beside STUDY."
+)
 @compute_options
 @strict_option
 @json_option
@@ -149,17 +173,14 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], strict: bool, a
 
     Without changes the result has the same bytes; files that differ from those beside STUDY are named.
     """
-    from planish.study import read_study, with_values
+    from planish.study import read_study
 
     if study.is_dir():
         study = study / "run.toml"
     checked = read_study(study)
     old = study.absolute().parent
     if changes:
-        try:
-            checked = with_values(checked, changes)
-        except StudyError as error:
-            raise click.UsageError(f"--set: {error}") from error
+        checked = _changed(checked, changes)
         target = out or free_path(old.with_name(f"{old.name}-2"))
         return _run_and_show(checked, target, values, as_json=as_json, strict=strict, old=old)
     target = out or free_path(old.with_name(f"{old.name}-again"))
