@@ -209,3 +209,38 @@ def test_a_fuzzing_corpus_needs_no_memory(shared_data: Callable[[str], Path]) ->
     print(f"peak memory over that before: {peak_mib:.1f} MiB")
     assert peak_mib < 300
     assert done.stderr == ""
+
+
+OME = (
+    '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels ID="Pixels:0" '
+    'DimensionOrder="XYZCT" Type="uint8" SizeX="{}" SizeY="50" SizeC="{}" SizeZ="{}" SizeT="1"><TiffData/></Pixels>'
+    "</Image></OME>"
+)
+
+
+@pytest.mark.parametrize(
+    "description",
+    [
+        OME.format(50, 1, 2 * 10**9),
+        OME.format(50, 2 * 10**9, 4),
+        OME.format(2 * 10**9, 1, 4),
+        "ImageJ=1.54f\nimages=2000000000\nslices=2000000000\nunit=um\nspacing=2\n",
+        '{"shape": [2000000000, 50, 50]}',
+    ],
+    ids=["OME planes", "OME channels", "OME columns", "ImageJ", "tifffile"],
+)
+def test_declared_sizes_are_compared_with_the_file_before_anything_is_made(tmp_path: Path, description: str) -> None:
+    """A list of 2e9 planes would fill the memory; another process shows that nothing of the kind is made."""
+    path = tmp_path / "v.tif"
+    data = np.zeros((4, 50, 50), np.uint8)
+    tifffile.imwrite(path, data, photometric="minisblack", description=description, metadata=None)
+    code = (
+        "import resource, sys; from planish.io import describe; from planish.core.errors import FileError\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (4 * 2**30,) * 2)\n"
+        "try: describe(sys.argv[1])\nexcept FileError as error: print(error)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
+    said, peak = done.stdout.splitlines()
+    assert "is cut off or damaged" in said
+    assert int(peak) < 512 * 1024

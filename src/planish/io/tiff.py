@@ -8,6 +8,7 @@ return the pages found so far, which would be a shorter volume without a word. H
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
@@ -53,8 +54,8 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
         if found != pages:
             raise damaged(path, f"{pages} pages are chained, {found} can be read")
         with reading(path):
-            every = list(tif.series)
             _check_declared_images(tif, path)
+            every = list(tif.series)
         full = [s for s in every if not s.keyframe.is_reduced] or every
         if not full:
             raise damaged(path, "it holds no image")
@@ -131,7 +132,19 @@ def damaged(path: Path, what: str) -> FileError:
 
 
 def _check_declared_images(tif: TiffFile, path: Path) -> None:
-    """Compare the images that ImageJ declares with what is there: a cut file still has their one table of pages."""
+    """Compare the images that are declared with what is there, before a list of them is made.
+
+    A file of ImageJ that was cut still has its one table of pages.
+    """
+    first = tif.pages.first
+    for tag in re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or ""):
+        sizes = {k: int(n) for k, n in re.findall(r"\bSize([ZCTYX])\s*=\s*[\"'](\d{1,18})[\"']", tag)}
+        planes = math.prod(sizes.get(k, 1) for k in "ZCT")
+        if planes > MOST_PAGES or any(
+            sizes.get(k, 1) > 10 * n for k, n in (("Y", first.imagelength), ("X", first.imagewidth))
+        ):
+            declared = " x ".join(str(n) for n in sizes.values())
+            raise damaged(path, f"its OME metadata declare {declared} values, the file has {_pages_words(tif)}")
     meta: Any = tif.imagej_metadata
     images = meta.get("images", 1) if meta else 1
     page = tif.pages.first
@@ -141,6 +154,11 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
         raise damaged(
             path, f"{images} images are declared, the file has {len(tif.pages)} pages and {tif.filehandle.size} bytes"
         )
+
+
+def _pages_words(tif: TiffFile) -> str:
+    """Pages of a file, in words."""
+    return f"{len(tif.pages)} pages of {' x '.join(map(str, tif.pages.first.shape))}"
 
 
 def _check_data(series: TiffPageSeries, path: Path) -> None:
