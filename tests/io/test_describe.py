@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import subprocess
+import sys
+import zlib
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 import tifffile
@@ -231,3 +236,32 @@ def test_every_byte_is_read_once_for_its_hash(tmp_path: Path, monkeypatch: pytes
     (tmp_path / "s0.tif").write_bytes(b"y" * 1000)  # another time of change
     assert fingerprint(tmp_path) != first
     assert sum(read) == 1000 + 1001 + 1002 + 1000
+
+
+@pytest.mark.study
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of the memory is not known")
+def test_a_look_takes_little_memory_whatever_is_declared(tmp_path: Path) -> None:
+    """What can only be decoded whole is described by its header; the rest is read in parts."""
+    row = np.random.default_rng(0).integers(0, 255, 1000, dtype=np.uint8)
+    raw = np.tile(row, (50, 1000, 1))
+    header = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 1000 1000 400\nencoding: gzip\n\n"
+    packer = zlib.compressobj(1, wbits=31)
+    parts = [packer.compress(raw.tobytes()) for _ in range(8)] + [packer.flush()]
+    (tmp_path / "packed.nrrd").write_bytes(header.encode() + b"".join(parts))
+    tifffile.imwrite(tmp_path / "plain.tif", np.concatenate([raw] * 8))
+    Image.fromarray(np.zeros((20_000, 20_000), np.uint8)).save(tmp_path / "image.png")
+    tifffile.imwrite(tmp_path / "image.tif", np.zeros((20_000, 20_000), np.uint8), compression="zlib")
+    with h5py.File(tmp_path / "chunk.h5", "w") as file:
+        packed = {"chunks": (400, 1000, 1000), "compression": "gzip", "compression_opts": 1}
+        file.create_dataset("d", shape=(400, 1000, 1000), dtype="u1", **packed)[:50] = raw
+    for path in sorted(tmp_path.iterdir()):
+        code = (
+            "import json, re, sys; from planish.io import describe; told = describe(sys.argv[1])\n"
+            "peak = re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1]\n"
+            "print(json.dumps([int(peak), told['shape'], told['min']]))"
+        )
+        done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
+        peak, shape, low = json.loads(done.stdout)
+        assert peak < 400 * 1024, path.name
+        assert math.prod(shape) >= 4 * 10**8
+        assert (low is None) == (path.name != "plain.tif")

@@ -217,8 +217,9 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     else:
         lines.append(f"{what} size: not stated")
     levels = facts["percentiles"]
-    middle = ", ".join(f"{levels[k]:.5g} ({k} %)" for k in levels)
-    lines.append(f"grey: {facts['min']:.5g} to {facts['max']:.5g}; percentiles {middle}")
+    if facts["min"] is not None:
+        middle = ", ".join(f"{levels[k]:.5g} ({k} %)" for k in levels)
+        lines.append(f"grey: {facts['min']:.5g} to {facts['max']:.5g}; percentiles {middle}")
     if facts["nan_share"]:
         lines.append(f"missing: {100 * facts['nan_share']:.2f} % of the values are NaN or infinite")
     if facts["saturated_share"]:
@@ -226,7 +227,7 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
             f"saturated: {100 * facts['saturated_share']:.2f} % of the values are the largest the type can store"
         )
     if facts.get("sampled"):
-        lines.append("grey values: of some slices only")
+        lines.append(f"grey values: of {facts['sampled']}")
     if facts.get("through"):
         option = "" if facts["through"] == "z" else f": --through {facts['through']}"
         lines.append(f"sheet: across {facts['through']}, along which the grey changes most{option}")

@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from planish.core.errors import FileError, InputError, SizeError
+from planish.core.errors import FileError, InputError, ResourceError, SizeError
 from planish.io.axis import likely_through
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
-from planish.io.lazy import FileArray
-from planish.io.look import Values, inspect_values
+from planish.io.lazy import FileArray, MappedArray
+from planish.io.look import Values, inspect_values, unseen
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import is_section_folder, open_sections
 from planish.io.sizes import PIXEL, VOXEL, agreed_size
 from planish.io.slices import list_slices, slice_numbers, slice_step
 from planish.io.tiff import open_series
-from planish.io.volume import load_volume
+from planish.io.volume import declared_volume, load_volume
 
 USUAL_VOXEL_UM = (0.3, 20.0)
 """Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred."""
@@ -31,6 +32,9 @@ MOST_UNEQUAL = 5.0  # longest over shortest edge of a voxel; beyond, one of them
 # What ``planish map`` needs for each column through the sheet and in any case, on two busy cores.
 COLUMN_BYTES, BASE_BYTES = 520, 530 * 10**6
 COLUMN_SECONDS, BASE_SECONDS = 35e-6, 15.0
+
+LOOK_BYTES = 64 * 2**20  # what is decoded at once for a look: several copies of it, and the program, take 400 MiB
+LOOK_PIXELS = 4_000_000  # of a larger image, some rows and columns are looked at
 
 Size = Callable[[], tuple[tuple[float, ...], str]]  # finds the size and its source, or raises SizeError
 
@@ -44,7 +48,7 @@ def describe(
     override_size: bool = False,
     memory_bytes: int | None = None,
 ) -> dict[str, Any]:
-    """Inspect a volume or an image and report what it holds; of large volumes, a few slices are read.
+    """Inspect a volume or an image and report what it holds, in little memory: parts of large ones are read.
 
     Parameters
     ----------
@@ -55,6 +59,7 @@ def describe(
         As in :func:`planish.io.read_volume`, for volumes and sections.
     override_size : bool
     memory_bytes : int, optional
+        What may be decoded at once; of files that can only be decoded whole and have more, values are not looked at.
 
     Returns
     -------
@@ -62,7 +67,8 @@ def describe(
         Plain numbers and words, ready for JSON: ``kind`` ("volume", "sections" or "image"), ``file_name``, ``bytes``,
         ``dims``, ``shape``, ``dtype``, ``size_um`` (None where unknown), ``size_source``, ``size_problem``,
         ``extent_um``, ``min``, ``max``, ``percentiles``, ``nan_share``, ``saturated_share`` (values at the largest the
-        type can store), ``bottom_share`` (values of 0), ``sampled`` (which slices were looked at; None for all), and
+        type can store), ``bottom_share`` (values of 0), all None where no value was looked at, ``sampled`` (which
+        slices, or rows and columns, were looked at; None for all), and
         ``warnings``, a list of sentences. For volumes also ``format``, ``stored`` (how they are read),
         ``through`` (the axis that seems to run through the sheet; None where the grey does not tell), ``run_bytes`` and
         ``run_seconds`` (rough estimates for ``planish map``), ``metadata`` (what a log states, and choices made).
@@ -74,23 +80,31 @@ def describe(
     """
     place = find_place(path)
     path = place.path
+    memory_bytes = LOOK_BYTES if memory_bytes is None else memory_bytes
     options: dict[str, Any] = {"file_name": path.name, "override": override_size, "unusual": True}
     if is_image(place):
         return _image(path, partial(agreed_size, given=pixel_um, asked=PIXEL, **options), memory_bytes)
     if is_section_folder(path):
         return _sections(path, voxel_um, channel, override_size=override_size, memory_bytes=memory_bytes)
-    loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
-    values, warnings = loaded.values, list(loaded.notes)
+    seen = True
+    try:
+        loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
+    except ResourceError:
+        loaded, seen = declared_volume(place, channel=channel), False
+    values, warnings = _in_parts(loaded.values), list(loaded.notes)
     found = format_of(place)
     if found is SLICES and "nrecon" not in loaded.attrs:
         step = slice_step(slice_numbers(list_slices(path), path))
         if step > 1:
             warnings.append(f"The slices are numbered in steps of {step}: the z size must be that of {step} slices.")
-    facts = inspect_values(values, loaded.full_scale, warnings, dims=VOXEL.axes)
+    if seen:
+        facts = inspect_values(values, loaded.full_scale, warnings, dims=VOXEL.axes)
+    else:
+        facts = unseen(values, warnings, dims=VOXEL.axes)
     size = _size_facts(partial(agreed_size, loaded.stated, voxel_um, asked=VOXEL, **options), values.shape, warnings)
     warnings += _size_doubts(size["size_um"], "Voxels", USUAL_VOXEL_UM)
     window = loaded.attrs.get("attenuation_window")
-    if window is not None and values.dtype == np.uint8:
+    if window is not None and seen and values.dtype == np.uint8:
         warnings.append(
             f"NRecon wrote 8 bits: grey 0 to 255 is attenuation {window[0]:g} to {window[1]:g}, and what lies outside "
             f"was cut ({100 * facts['bottom_share']:.3g} % of the values are 0, {100 * facts['saturated_share']:.3g} % "
@@ -108,11 +122,18 @@ def describe(
         "format": found.name,
         **facts,
         **size,
-        **_holding(values),
-        "through": likely_through(values),
+        **_holding(loaded.values),
+        "through": likely_through(values) if seen else None,
         "metadata": dict(loaded.attrs),
         "warnings": warnings,
     }
+
+
+def _in_parts(values: Values) -> Values:
+    """The same values, read from their file again for each part: what was read does not stay in memory."""
+    if not isinstance(values, np.memmap) or values.filename is None:
+        return values
+    return MappedArray(Path(values.filename), values.shape, values.dtype, offset=values.offset)
 
 
 def _holding(values: Values) -> dict[str, Any]:
@@ -175,8 +196,15 @@ def _sections(
 
 def _image(path: Path, agreed: partial[Any], memory_bytes: int | None) -> dict[str, Any]:
     """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
-    picture = load_picture(path, memory_bytes=memory_bytes)
     warnings: list[str] = []
+    seen = True
+    try:
+        picture = load_picture(path, memory_bytes=memory_bytes)
+    except ResourceError:
+        picture, seen = load_picture(path, decode=False), False
+    whole, shape = picture.values, picture.values.shape[:2]
+    step = max(1, math.ceil(math.sqrt(math.prod(shape) / LOOK_PIXELS)))
+    picture = replace(picture, values=whole[::step, ::step])
     try:
         values, _ = pick_channel(picture, "luminance", file_name=path.name)
     except FileError:
@@ -188,13 +216,19 @@ def _image(path: Path, agreed: partial[Any], memory_bytes: int | None) -> dict[s
         warnings.append("JPEG loses detail and adds block edges. Use TIFF or PNG if there is one.")
     if picture.orientation != 1:
         warnings.append(f"An orientation tag ({picture.orientation}) asks viewers to turn the image; planish does not.")
-    size = _size_facts(partial(agreed, across(picture.stated)), values.shape, warnings)
+    if seen:
+        facts = inspect_values(values, picture.full_scale, warnings, dims=PIXEL.axes)
+        facts |= {"sampled": f"every {step} rows and columns"} if step > 1 else {}
+    else:
+        facts = unseen(whole, warnings, dims=PIXEL.axes)
+    size = _size_facts(partial(agreed, across(picture.stated)), shape, warnings)
     warnings += _size_doubts(size["size_um"], "Pixels", PIXEL.usual_um)
     return {
         "kind": "image",
         "file_name": path.name,
         "bytes": size_of_file(path),
-        **inspect_values(values, picture.full_scale, warnings, dims=PIXEL.axes),
+        **facts,
+        "shape": list(shape),
         "dtype": str(picture.values.dtype),
         "colour": picture.colour,
         "channels": picture.values.shape[2] if picture.values.ndim == 3 else 1,

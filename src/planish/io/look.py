@@ -129,6 +129,17 @@ def inspect_values(
     }
 
 
+def unseen(values: Values, warnings: list[str], *, dims: tuple[str, ...]) -> dict[str, Any]:
+    """The same facts of values that can only be decoded whole, which would take too much memory for a look."""
+    warnings.append(
+        f"Its {math.prod(values.shape) * values.dtype.itemsize / 1e9:.2g} GB can only be decoded whole, so no grey was "
+        "looked at."
+    )
+    of_values = ("min", "max", "percentiles", "nan_share", "saturated_share", "bottom_share")
+    found: dict[str, Any] = {"dims": list(dims), "shape": list(values.shape), "dtype": str(values.dtype)}
+    return found | dict.fromkeys(of_values) | {"sampled": "none"}
+
+
 def _planes_to_read(values: Values) -> list[int]:
     """Numbers of the planes to look at: all, or evenly spread ones where reading all would take long."""
     total = values.shape[0]

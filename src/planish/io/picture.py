@@ -32,6 +32,9 @@ PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
     "png": PngImagePlugin.PngImageFile, "jpeg": JpegImagePlugin.JpegImageFile, "bmp": BmpImagePlugin.BmpImageFile
 }  # fmt: skip
 
+RASTER_TYPES = {"1": np.bool_, "I": np.int32, "I;16": np.uint16, "I;16B": np.uint16, "F": np.float32}
+"""Types of Pillow's modes; all others have 8 bits."""
+
 ADVICE = "One picture is needed: save it alone."
 
 PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
@@ -73,16 +76,19 @@ def kind_of(path: Path) -> str:
     raise FileError(f"{path.name} is no TIFF, PNG, JPEG or BMP file. Export the image in one of these formats.")
 
 
-def load_picture(path: Path, *, memory_bytes: int | None = None) -> Picture:
-    """Decode a picture."""
+def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = True) -> Picture:
+    """Decode a picture, or give its shape and type alone: then all values are one 0 that takes no memory."""
     if kind_of(path) != "tiff":
-        return _load_raster(path, memory_bytes=memory_bytes)
+        return _load_raster(path, memory_bytes=memory_bytes, decode=decode)
     with open_series(path, error=FileError, advice=ADVICE) as (tif, series):
         axes = long_axes(series)
         if axes not in PICTURE_AXES:
             raise FileError(f"{path.name} is not one picture but {shape_words(series)}. {ADVICE}")
         page = series.keyframe
-        values = map_or_decode(series, path, memory_bytes=memory_bytes)
+        if decode:
+            values = map_or_decode(series, path, memory_bytes=memory_bytes)
+        else:
+            values = nothing(series.shape, series.dtype)
         values = values.reshape([n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes])
         if axes[0] in "SC" and len(axes) == 3:
             values = np.moveaxis(values, 0, -1)
@@ -96,6 +102,11 @@ def load_picture(path: Path, *, memory_bytes: int | None = None) -> Picture:
             orientation = page.tags.valueof(274, default=1)
         stated = stated_by_tiff(tif, page, path)
     return _picture(values, colour, bits, stated, orientation)
+
+
+def nothing(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """An array of any size in no memory; all its values are the same 0."""
+    return np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), tuple(shape))
 
 
 def _picture(values: NDArray[Any], colour: Colour, bits: int, stated: Sequence[Stated], orientation: Any) -> Picture:
@@ -133,7 +144,7 @@ def _look_up(index: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any],
     return np.moveaxis(colormap[:, index.astype(np.intp)], 0, -1), bits, "rgb"
 
 
-def _load_raster(path: Path, *, memory_bytes: int | None) -> Picture:
+def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Picture:
     """Decode a PNG, JPEG or BMP file.
 
     The classes of Pillow are called directly: its own limit of pixels, which is a global, does not apply then,
@@ -149,12 +160,18 @@ def _load_raster(path: Path, *, memory_bytes: int | None) -> Picture:
     bands = len(image.getbands())
     needed = image.width * image.height * max(bands, 3 if image.mode == "P" else 1) * (2 if deep else 1)
     check_blown_up(path, decoded_bytes=needed, stored_bytes=len(data))
-    check_memory(path, needed_bytes=needed, limit_bytes=memory_bytes)
+    if decode:
+        check_memory(path, needed_bytes=needed, limit_bytes=memory_bytes)
     with reading(path):
-        orientation = image.getexif().get(274, 1)
+        # Pillow decodes a PNG to look for the tag behind its pixels.
+        orientation = image.getexif().get(274, 1) if decode or kind != "png" else 1
         dpi: Any = image.info.get("dpi")
-        image.load()
-        if deep:  # Pillow cuts 16-bit colour to 8 bits
+        if decode:
+            image.load()
+        if not decode:
+            dtype = np.dtype(np.uint16) if deep else np.dtype(RASTER_TYPES.get(image.mode, np.uint8))
+            values = nothing((image.height, image.width, bands)[: 2 + (bands > 1)], dtype)
+        elif deep:  # Pillow cuts 16-bit colour to 8 bits
             values = np.asarray(imagecodecs.png_decode(data))
         elif image.mode in {"P", "PA"}:
             lut = np.asarray(image.convert("RGB"))

@@ -89,6 +89,11 @@ def read_volume(
     return labelled(loaded.values, VOXEL.axes, size, name="volume", attrs=attrs, encoding=encoding)
 
 
+def declared_volume(place: Place, *, channel: str | None = None) -> LoadedVolume:
+    """What a volume declares, where its values do not fit into the memory; these are not read."""
+    return loader(format_of(place))(place, check_channel(channel), None)
+
+
 def load_volume(place: Place, *, channel: str | None = None, memory_bytes: int | None = None) -> LoadedVolume:
     """Read the values of a volume, whatever its voxel size; errors as those of :func:`read_volume`."""
     load = loader(format_of(place))
