@@ -107,10 +107,14 @@ def test_white_is_zero_is_turned_round(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["plain", "tifffile", "BigTIFF", "OME"])
-def test_an_uncompressed_stack_is_mapped_not_copied(tmp_path: Path, kind: str) -> None:
+def test_an_uncompressed_stack_is_mapped_or_read_in_parts_but_not_copied(tmp_path: Path, kind: str) -> None:
+    """What is mapped counts as memory that is used, so that only what may be held is mapped."""
     tifffile.imwrite(tmp_path / "v.tif", stack(), photometric="minisblack", **KINDS[kind])
-    volume = read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=0)
+    volume = read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=stack().nbytes)
     assert isinstance(volume.data, np.memmap)
+    small = read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=stack().nbytes - 1)
+    assert not small.variable._in_memory
+    np.testing.assert_array_equal(small[1:3, ::2, 3:].values, stack()[1:3, ::2, 3:])
 
 
 @pytest.mark.parametrize("options", [{}, {"compression": "zlib"}, {"planarconfig": "separate"}, {"byteorder": ">"}])

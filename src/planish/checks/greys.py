@@ -61,25 +61,29 @@ def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
     float, float, float
         Height of the spike over what the bins beside it lead to; share of the voxels in it; its grey.
     """
-    values = sample[np.isfinite(sample)] if sample.dtype.kind == "f" else sample
+    # Whole numbers are counted once: a large part of a volume is looked at.
+    whole = sample.dtype.kind != "f"
+    values, counts = np.unique(sample, return_counts=True) if whole else (sample[np.isfinite(sample)], None)
     if values.size == 0:
         return 0.0, 0.0, float("nan")
-    sign, whole = greys.polarity, values.dtype.kind != "f"
+    sign = greys.polarity
     end = float(values.max() if sign > 0 else values.min())
     reach = abs(end - greys.air)
     width = reach / _BINS
     if whole:  # a bin holds as many steps of the scale as any other
-        near = np.unique(values[np.abs(values.astype(np.float64) - end) <= 0.25 * reach])
+        near = values[np.abs(values.astype(np.float64) - end) <= 0.25 * reach]
         step = float(np.diff(near.astype(np.float64)).min()) if near.size > 1 else 1.0
         width = max(np.ceil(width / step - 1e-9), 1.0) * step
     # Away from the end; half a step keeps rounding out of the places of the bins.
     bins = np.floor(sign * (end - values.astype(np.float64)) / width + (1e-6 if not whole else 1e-9))
-    h = np.bincount(bins[bins <= _REST[-1]].astype(np.int64), minlength=_REST[-1] + 1).astype(np.float64)
+    some = bins <= _REST[-1]
+    weights = None if counts is None else counts[some]
+    h = np.bincount(bins[some].astype(np.int64), weights, _REST[-1] + 1).astype(np.float64)
     # Of real numbers, what was cut off lies at one value exactly; the rest of its bin is as wide as the others.
     first = float(h[0] if whole else np.count_nonzero(values == end))
     k = np.array(_REST, dtype=np.float64)
     x = float(np.exp(np.polyfit(k, np.log(h[1:] + 0.5), 1, w=np.sqrt(h[1:] + 0.5))[1]))
-    return first / (x + 3 * np.sqrt(x) + 1), first / values.size, end
+    return first / (x + 3 * np.sqrt(x) + 1), first / (values.size if counts is None else int(counts.sum())), end
 
 
 def clipping_check(sample: NDArray[Any], greys: Greys) -> Check:

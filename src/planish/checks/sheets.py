@@ -35,9 +35,7 @@ _SHEET = (PROPERTIES, POSITION)
 class Core:
     """Places in the middle part of the base, in tiles."""
 
-    points: NDArray[
-        np.int64
-    ]  # (tiles * columns * depths, 3): voxels z, y, x; of columns without a base the voxel 0, 0, 0
+    points: NDArray[np.int32]  # (tiles * columns * depths, 3): voxels z, y, x; (0, 0, 0) in columns without a base
     shape: tuple[int, int, int]  # tiles, columns, depths
     known: NDArray[np.bool_]  # (tiles, columns)
 
@@ -65,7 +63,7 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     share = np.linspace(margin, 1 - margin, depths)
     height = high[r, c][..., None] * (1 - share) + low[r, c][..., None] * share
     heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
-    at = np.rint((np.nan_to_num(height) - heights[0]) / along).astype(np.int64)
+    at = np.rint((np.nan_to_num(height) - heights[0]) / along).astype(np.int32)
     index = {
         frame.through: np.clip(at, 0, heights.size - 1),
         frame.rows: np.broadcast_to(_voxel(measured, volume, "y", frame.rows)[r][..., None], at.shape),
@@ -83,11 +81,11 @@ def _of_tiles(n: int, edge: int, count: int) -> NDArray[np.intp]:
     return np.minimum(np.arange(count)[:, None] * edge + inside, n - 1)
 
 
-def _voxel(measured: xr.Dataset, volume: xr.DataArray, dim: str, axis: str) -> NDArray[np.int64]:
+def _voxel(measured: xr.Dataset, volume: xr.DataArray, dim: str, axis: str) -> NDArray[np.int32]:
     """Voxel in the middle of every column."""
     places = np.asarray(volume.coords[axis].values, dtype=np.float64)
     step = places[1] - places[0] if places.size > 1 else 1.0
-    return np.rint((measured[dim].values - places[0]) / step).astype(np.int64)
+    return np.rint((measured[dim].values - places[0]) / step).astype(np.int32)
 
 
 def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, resolved: bool = True) -> Check:

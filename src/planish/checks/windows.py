@@ -18,14 +18,14 @@ from planish.core.threads import map_threads
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-Places = NDArray[np.int64]
+Places = NDArray[np.int32]
 Sums = tuple[Array, Array, NDArray[np.float32]]
 
 BLOCK = 5  # voxels along the edge of a block mean
 _COLUMNS = 90_000  # voxels of a slice that are looked at
 _EDGE = 300  # voxels along the edge of a window, more where it is narrow the other way
 _EVERY = 3  # voxels: of every third one along each axis, the grey is kept for a histogram
-_PIECE = 24e6  # bytes of a piece of a window
+_PIECE = 8e6  # bytes of a piece of a window
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +89,7 @@ def gather(
     """
     axes: tuple[Axis, ...] = ("z", "y", "x")
     places: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet) for axis in axes}
-    points = np.empty((0, 3), np.int64) if points is None else points
+    points = np.empty((0, 3), np.int32) if points is None else points
     taken = _taken(points, places)
     reach = slice(min(p["z"].start for p in places.values()), max(p["z"].stop for p in places.values()))
 

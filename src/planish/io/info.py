@@ -16,7 +16,7 @@ from planish.io.axis import likely_through
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
-from planish.io.lazy import FileArray, MappedArray
+from planish.io.lazy import FileArray, unmapped
 from planish.io.look import Values, inspect_values, unseen
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import is_section_folder, open_sections
@@ -91,7 +91,10 @@ def describe(
         loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
     except ResourceError:
         loaded, seen = declared_volume(place, channel=channel), False
-    values, warnings = _in_parts(loaded.values), list(loaded.notes)
+    values, warnings = (
+        unmapped(loaded.values) if isinstance(loaded.values, np.memmap) else loaded.values,
+        list(loaded.notes),
+    )
     found = format_of(place)
     if found is SLICES and "nrecon" not in loaded.attrs:
         step = slice_step(slice_numbers(list_slices(path), path))
@@ -127,13 +130,6 @@ def describe(
         "metadata": dict(loaded.attrs),
         "warnings": warnings,
     }
-
-
-def _in_parts(values: Values) -> Values:
-    """The same values, read from their file again for each part: what was read does not stay in memory."""
-    if not isinstance(values, np.memmap) or values.filename is None:
-        return values
-    return MappedArray(Path(values.filename), values.shape, values.dtype, offset=values.offset)
 
 
 def _holding(values: Values) -> dict[str, Any]:

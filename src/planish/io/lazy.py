@@ -69,17 +69,42 @@ class PagedArray(FileArray):
         return self.rows(page, number * self.unit_rows, min((number + 1) * self.unit_rows, self.shape[1]))
 
 
-class MappedArray(FileArray):
-    """Values that lie in a file as they are, in whatever byte order; the file is open only while it is read."""
+class StoredArray(FileArray):
+    """Values that lie in a file as they are, in whatever byte order; the file is open only while it is read.
+
+    Mapping it would count all that was ever touched, and its surroundings, as memory in use.
+    """
 
     def __init__(self, path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> None:
         self.path, self.shape, self.stored, self.offset = path, shape, stored, offset
         self.dtype = stored.newbyteorder("=")
 
     def read(self, where: Where) -> NDArray[Any]:
-        """Map the file and copy a part."""
-        mapped = np.memmap(self.path, self.stored, mode="r", offset=self.offset, shape=self.shape)
-        return np.asarray(mapped[where], self.dtype)
+        """Read whole rows, plane by plane, and keep a part of them."""
+        planes, rows, *rest = where
+        out = np.empty([len(range(w.start, w.stop, w.step)) for w in where], self.dtype)
+        last = range(rows.start, rows.stop, rows.step)[-1] + 1
+        part = np.empty((last - rows.start, *self.shape[2:]), self.stored)
+        row_bytes = part.nbytes // len(part)
+        view = memoryview(part.reshape(-1).view(np.uint8))
+        with self.path.open("rb", buffering=0) as file:
+            for i, k in enumerate(range(planes.start, planes.stop, planes.step)):
+                file.seek(self.offset + (k * self.shape[1] + rows.start) * row_bytes)
+                done = 0
+                while done < len(view):
+                    count = file.readinto(view[done:])
+                    if not count:
+                        raise EOFError("it ends too early")
+                    done += count
+                out[i] = part[(slice(None, None, rows.step), *rest)]
+        return out
+
+
+def unmapped(array: NDArray[Any] | FileArray) -> NDArray[Any] | FileArray:
+    """The values of a mapped file, read part by part; anything else as it is."""
+    if not isinstance(array, np.memmap) or array.filename is None:
+        return array
+    return StoredArray(Path(array.filename), array.shape, array.dtype, offset=array.offset)
 
 
 def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> NDArray[Any] | FileArray:
@@ -87,7 +112,7 @@ def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset:
     if stored == stored.newbyteorder("=") and stored != np.float16:
         with reading(path):
             return np.memmap(path, stored, mode="r", offset=offset, shape=shape)
-    return MappedArray(path, shape, stored, offset=offset)
+    return StoredArray(path, shape, stored, offset=offset)
 
 
 class WholeArray(FileArray):
@@ -158,6 +183,9 @@ def supported_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
 def settle(array: FileArray | NDArray[Any], *, memory_bytes: int | None) -> FileArray | NDArray[Any]:
     """Read an array at once where it is small, and leave it in its file otherwise; float16 becomes float32."""
     wide = supported_type(array.dtype)
+    limit = default_memory_limit() if memory_bytes is None else memory_bytes
+    if not isinstance(array, FileArray) and array.nbytes > limit:
+        array = unmapped(array)
     if not isinstance(array, FileArray):
         return array.astype(wide, copy=False)
     if wide != array.dtype:

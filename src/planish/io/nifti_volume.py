@@ -13,7 +13,7 @@ from planish.core.errors import FileError
 from planish.io.formats import LoadedVolume, Place
 from planish.io.guard import quiet, reading
 from planish.io.headed import Header, axes_of, packing_of, unpacked_head, values_behind
-from planish.io.lazy import ChangedArray, FileArray, MappedArray
+from planish.io.lazy import ChangedArray, FileArray, StoredArray
 from planish.io.sizes import stated_in
 from planish.io.tiff import damaged
 
@@ -49,7 +49,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     )  # fmt: skip
     values = values_behind(path, header)
     if slope is not None and intercept is not None and (slope, intercept) != (1.0, 0.0):
-        inner = values if isinstance(values, FileArray) else MappedArray(path, header.shape, stored, offset=offset)
+        inner = values if isinstance(values, FileArray) else StoredArray(path, header.shape, stored, offset=offset)
         values = ChangedArray(inner, partial(_scaled, slope=slope, intercept=intercept), np.dtype(np.float32))
     notes = [MIRRORED.format(path.name)] if mirrored else []
     return LoadedVolume(values=values, stated=header.stated, files=[path], notes=notes)

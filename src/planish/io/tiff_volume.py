@@ -18,7 +18,7 @@ from tifffile import PHOTOMETRIC, TiffFrame, TiffPage, TiffPageSeries
 from planish.core.errors import FileError, VolumeError
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, reading
-from planish.io.lazy import ChangedArray, FileArray, MappedArray, PagedArray, is_small, mapped, turned
+from planish.io.lazy import ChangedArray, FileArray, PagedArray, StoredArray, is_small, mapped, turned
 from planish.io.picture import kind_of
 from planish.io.sizes import stated_by_tiff
 from planish.io.tiff import (
@@ -77,10 +77,10 @@ def _stack(
         return mapped(path, shape, stored, offset=offset)
     if offset is not None and colour is not None:
         order = (0, 2, 3, 1) if axes[1] == "S" else (0, 1, 2, 3)
-        inner = turned(MappedArray(path, shape, stored, offset=offset), order)
+        inner = turned(StoredArray(path, shape, stored, offset=offset), order)
         return ChangedArray(inner, colour, inner.dtype)
     if offset is not None and series.dtype.kind == "u":
-        inner = MappedArray(path, shape, stored, offset=offset)
+        inner = StoredArray(path, shape, stored, offset=offset)
         return ChangedArray(inner, partial(turn_white, path=path, bits=key.bitspersample), inner.dtype)
     if paged:
         with reading(path):

@@ -79,10 +79,10 @@ def choose_sheet(
             return followed_sheet(polarity * (sharp - air), inside, abs(edge), block, choice), "material", polarity
         return coarse_sheet(polarity * (blocks - air), inside, abs(edge), block, choice), "air", polarity
     polarity, threshold, least = material(blocks, air, scatter)
-    oriented = np.where(np.isfinite(blocks), polarity * (blocks - air), 0.0).astype(np.float32)
+    oriented = _above_air(blocks, air, polarity)
     if choice.seed is not None:
         # Layers may be thinner than what the blocks are smoothed over.
-        above = np.where(np.isfinite(sharp), polarity * (sharp - air), 0.0).astype(np.float32)
+        above = _above_air(sharp, air, polarity)
         alone: CoarseSheet | None = None
         with suppress(VolumeError):
             alone = _refined(oriented, threshold, block, Choice(named=choice.named))
@@ -104,6 +104,14 @@ def choose_sheet(
             with suppress(VolumeError):
                 return _refined(oriented, least, block, choice), "air", polarity
         raise
+
+
+def _above_air(blocks: NDArray[np.float32], air: float, polarity: float) -> NDArray[np.float32]:
+    """Grey above the air, 0 where it is missing; in place, because block means fill a good part of the memory."""
+    above = np.where(np.isfinite(blocks), blocks, np.float32(air))
+    above -= np.float32(air)
+    above *= np.float32(polarity)
+    return above
 
 
 def _refined(oriented: NDArray[np.float32], threshold: float, block: int, choice: Choice) -> CoarseSheet:

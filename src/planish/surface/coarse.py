@@ -108,7 +108,7 @@ def coarse_sheet(
     return CoarseSheet(
         low=low, high=high, block=block,
         leaves=mask[..., 0] | mask[..., -1], threshold=threshold, touching=np.zeros(some.shape, bool),
-        specks=int(np.count_nonzero(np.bincount(labels.ravel())[1:] >= _SPECK)) - 1,
+        specks=int(np.count_nonzero(_sizes(labels, count) >= _SPECK)) - 1,
     )  # fmt: skip
 
 
@@ -206,6 +206,11 @@ def _cover(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
         fresh[..., 1:] = ordered[..., 1:] != ordered[..., :-1]
         cover += np.bincount(ordered[fresh], minlength=count + 1)
     return cover[1:]
+
+
+def _sizes(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
+    """Count the blocks of each object."""
+    return np.sum([np.bincount(row.ravel(), minlength=count + 1) for row in labels], axis=0)[1:]
 
 
 def _extent(

@@ -74,7 +74,8 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     air = mode(ends)
     noise = voxel_noise(voxels, air)
     coarse, beside, polarity = choose_sheet(blocks, sharp, air, block, params, choice, scatter)
-    empty = ~(polarity * (blocks - air) > _ABOVE_AIR * spread(ends)).any(axis=2)
+    limit = _ABOVE_AIR * spread(ends)
+    empty = np.array([~(polarity * (row - air) > limit).any(axis=1) for row in blocks])
     return Survey(
         coarse=coarse, air=air, noise=noise, polarity=polarity, padding=padding, sample=sample, stride=stride,
         missing_share=missing, empty_share=float(empty.mean()), beside=beside,
