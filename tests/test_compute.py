@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -192,3 +193,33 @@ def test_sections_that_do_not_fit_are_imported_in_parts(tmp_path):
     np.testing.assert_array_equal(read_volume(tmp_path / "sheet.zarr").values, whole.values)
     with pytest.raises(ResourceError, match=r"planish import .* --through y"):
         map_sheet(files.volume, volume={"through": "y"}, compute=small)
+
+
+@pytest.mark.study
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of the memory is not known")
+def test_a_mapped_volume_counts_as_memory_and_the_limit_is_kept(tmp_path):
+    """600 million voxels in 1 GB, columns widened; with columns of that width the bytes do not depend on it."""
+    shape = (300, 1414, 1414)
+    rng = np.random.default_rng(0)
+    y, x = np.ogrid[: shape[1], : shape[2]]
+    middle = (150 + 30 * np.sin(x / 200) + 10 * np.cos(y / 150)).astype(np.float32)
+    with (tmp_path / "v.raw").open("wb") as file:
+        for z in range(shape[0]):
+            away = abs(z - middle)
+            grey = np.where(away < 40, np.where(away > 30, 200, 110), 50).astype(np.float32)
+            file.write((grey + rng.normal(0, 6, shape[1:]).astype(np.float32)).clip(0, 255).astype(np.uint8).tobytes())
+    header = f'shape = [{", ".join(map(str, shape))}]\ndtype = "uint8"\nvoxel_um = 1.5\n'
+    (tmp_path / "v.raw.toml").write_text(header)
+    code = (
+        "import re, sys; from planish.cli.main import main\n"
+        "try: main(sys.argv[1:])\nexcept SystemExit as end: assert end.code in (0, 4), end.code\n"
+        "print('peak', re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1])"
+    )
+    peaks = []
+    for name, memory in (("low", "1GB"), ("high", "4GB")):
+        # The width that 1 GB asks for.
+        command = ("map", str(tmp_path / "v.raw"), "-o", str(tmp_path / name), "--memory", memory, "--column-um", "3")
+        done = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, check=True)
+        peaks.append(1024 * int(done.stdout.splitlines()[-1].split()[1]))
+    assert peaks[0] < 1.0e9
+    assert bytes_of(tmp_path / "low") == bytes_of(tmp_path / "high")

@@ -86,7 +86,7 @@ class StoredArray(FileArray):
         last = range(rows.start, rows.stop, rows.step)[-1] + 1
         part = np.empty((last - rows.start, *self.shape[2:]), self.stored)
         row_bytes = part.nbytes // len(part)
-        view = memoryview(part.reshape(-1).view(np.uint8))
+        view = part.reshape(-1).view(np.uint8).data
         with self.path.open("rb", buffering=0) as file:
             for i, k in enumerate(range(planes.start, planes.stop, planes.step)):
                 file.seek(self.offset + (k * self.shape[1] + rows.start) * row_bytes)
