@@ -27,6 +27,8 @@ from planish.core.files import DiskFull, disk_full, writing
 
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
 _WORK_TEXT = "Results of single tiles of a run that planish is working on. It removes this folder at the end.\n"
+OVERVIEWS = "overviews"  # group of a store with smaller copies of its maps, which are read where they are shown
+CHUNK = 512  # pixels along the edge of a chunk of a map
 _COMPLETE = "every_chunk_is_written"  # attribute of a store: one that is not there is a damage, not a missing value
 
 
@@ -208,7 +210,13 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     tree = xr.DataTree.from_dict({"/": root} | {f"/{name}": data for name, data in groups.items()})
     # Maps hold noise: a higher level takes half as long again and saves nothing.
     codec = {"compressors": (ZstdCodec(level=1),)}
-    encoding = {f"/{name}": dict.fromkeys(data.variables, codec) for name, data in groups.items()}
+    encoding = {
+        f"/{name}": {
+            str(key): codec | ({"chunks": tuple(min(n, CHUNK) for n in values.shape)} if values.ndim > 1 else {})
+            for key, values in data.variables.items()
+        }
+        for name, data in groups.items()
+    }
     with warnings.catch_warnings(), zarr.config.set({"array.write_empty_chunks": True}):
         # zarr 3 warns that consolidated metadata are no part of its specification yet; without them every open warns.
         warnings.simplefilter("ignore", ZarrUserWarning)
@@ -216,7 +224,7 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
 
 def read_tree(path: Path) -> dict[str, xr.Dataset]:
-    """Read all groups of a store into memory.
+    """Read all groups of a store into memory, without the smaller copies of maps.
 
     Raises
     ------
@@ -230,7 +238,9 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
             if tree.attrs.get(_COMPLETE):
                 _check_chunks(path)
             return {
-                node.path.strip("/"): node.to_dataset(inherit=False).load() for node in tree.subtree if node.data_vars
+                node.path.strip("/"): node.to_dataset(inherit=False).load()
+                for node in tree.subtree
+                if node.data_vars and not node.path.startswith(f"/{OVERVIEWS}/")
             }
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         raise FileError(f"{path} cannot be read: {error}. It may be damaged; repeat the run.") from error

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
+
+import xarray as xr
 
 from planish import __version__
 from planish.compute import Compute, Progress, run_key, silent
@@ -12,7 +14,7 @@ from planish.core.errors import CannotRegister, PlanishError
 from planish.core.results import LayerFacts, Results
 from planish.core.threads import limit_threads
 from planish.io import fingerprint
-from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, work_folder, write_tree
+from planish.io.run_folder import OVERVIEWS, new_folder, refuse_existing, refuse_inside, work_folder, write_tree
 from planish.marks import write_marks
 from planish.pipeline.checks import about, with_trust
 from planish.pipeline.facts import parameters, versions
@@ -24,6 +26,7 @@ from planish.pipeline.request import check_request
 from planish.pipeline.run import Run, marks_file
 from planish.pipeline.sheet import map_layer
 from planish.report import write_report
+from planish.resample import overviews
 from planish.study import LayerParams, Study, to_dict, write_study
 
 _NONE: Mapping[str, Layer] = {}
@@ -144,8 +147,16 @@ def _run_of_sheet(sheet: Layer, study: Study) -> Run:
 
 
 def _size(run: Run) -> int:
-    """About how many bytes its folder takes: those of its maps, which hold noise, and of its pages."""
-    return _PAGES + sum(data.nbytes for data in run.groups.values())
+    """About how many bytes its folder takes: those of its maps, which hold noise, of overviews, and of its pages."""
+    return _PAGES + sum(data.nbytes for data in run.groups.values()) * 4 // 3
+
+
+def _overviews(run: Run) -> Iterator[tuple[str, xr.Dataset]]:
+    """Smaller copies of large maps, ``overviews/GROUP/1`` half as fine, ``/2`` half of that, and so on."""
+    for name, data in run.groups.items():
+        if name in ("maps", "linked", "refined") or name.startswith("layers/"):
+            for k, smaller in enumerate(overviews(data), 1):
+                yield f"{OVERVIEWS}/{name}/{k}", smaller
 
 
 def save_run(run: Run, folder: Path, *, home: Path) -> None:
@@ -157,7 +168,7 @@ def save_run(run: Run, folder: Path, *, home: Path) -> None:
         inner = folder / "layers" / name
         inner.mkdir(parents=True)
         save_run(_run_of_sheet(sheet, run.study), inner, home=home / "layers" / name)
-    write_tree(folder / "maps.zarr", run.groups)
+    write_tree(folder / "maps.zarr", run.groups | dict(_overviews(run)))
     for name, registration in run.registrations.items():
         path = folder / marks_file(run.results, name)
         registration.save(path)

@@ -8,6 +8,7 @@ from .maps import image_attrs as image_attrs
 from .maps import lattice as lattice
 from .maps import resample_image as resample_image
 from .maps import resample_maps as resample_maps
+from .overviews import overviews as overviews
 from .places import Places as Places
 from .places import covering_grid as covering_grid
 from .places import find_places as find_places
