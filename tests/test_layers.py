@@ -200,7 +200,7 @@ def test_an_image_of_the_bottom_is_mirrored_when_that_is_said_and_refused_when_n
     assert "bottom side of the sheet, as given" in registration["orientation"]["sentence"]
 
 
-@pytest.mark.parametrize(("given", "code"), [("-7.0", 0), ("60", 4)])
+@pytest.mark.parametrize(("given", "code"), [pytest.param("-7.0", 0, marks=pytest.mark.study), ("60", 4)])
 def test_machine_directions_that_contradict_each_other_are_seen(
     planish, linked_run, specimen_files, tmp_path, given, code
 ):

@@ -111,6 +111,7 @@ def test_the_marks_of_a_run_given_back_give_its_bytes(planish, linked_run, speci
     assert of_holes == {c.name for c in first.checks} - {c.name for c in again.checks}
 
 
+@pytest.mark.study
 def test_a_mark_that_is_not_used_is_still_masked(planish, linked_run, specimen_files, tmp_path):
     text = json.loads((linked_run / "marks.json").read_text())
     text["marks"][0]["used"] = False

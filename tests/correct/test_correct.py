@@ -276,6 +276,7 @@ def tiff(tmp_path):
     return path
 
 
+@pytest.mark.study
 def test_import_corrects_on_the_way(planish, tmp_path, tiff):
     from planish.io import read_volume
 

@@ -93,6 +93,7 @@ def test_torn_sections_are_flagged_and_disturb_nothing(series: Series, alignment
     assert found.pairs_refused >= 20
 
 
+@pytest.mark.study
 def test_threads_direction_and_type_do_not_matter(series: Series) -> None:
     stack, positions = series.stack[:60], series.positions_um[:60]
     with limit_threads(1):

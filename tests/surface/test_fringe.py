@@ -97,6 +97,7 @@ def test_a_fringe_of_told_size_is_taken():
     assert np.abs(biases(found, sheet)).max() < 0.04
 
 
+@pytest.mark.study
 def test_neither_threads_nor_memory_change_a_byte():
     grey = replace(COARSE, fringe=0.2).volume()
     one = find_surfaces(grey, engine=Engine(threads=1))
