@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -44,7 +45,7 @@ def _middles(at: NDArray[np.float64]) -> NDArray[np.float64]:
     return at[0] + (at[1] - at[0]) * (0.5 + 2 * np.arange((at.size + 1) // 2))
 
 
-def _means(values: NDArray[np.generic]) -> NDArray[np.generic]:
+def _means(values: NDArray[Any]) -> NDArray[Any]:
     known = np.isfinite(values)
     count, total = (_sums(part) for part in (known, np.where(known, values, 0)))
     if values.dtype == np.bool_:
@@ -53,7 +54,7 @@ def _means(values: NDArray[np.generic]) -> NDArray[np.generic]:
         return (total / np.where(count > 0, count, np.nan)).astype(values.dtype)
 
 
-def _sums(values: NDArray[np.generic]) -> NDArray[np.float64]:
+def _sums(values: NDArray[Any]) -> NDArray[np.float64]:
     """Sums over 2 x 2 pixels."""
     rows, cols = values.shape
     out = np.zeros(((rows + 1) // 2, (cols + 1) // 2))
