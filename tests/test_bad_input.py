@@ -107,6 +107,7 @@ def test_too_few_holes_in_the_image(planish, linked_run, holes_um, tmp_path, cou
     stop(planish("link", linked_run, image, "-o", tmp_path / "run"), 3, *words, out=tmp_path / "run")
 
 
+@pytest.mark.study
 def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, tmp_path):
     """Fill all holes of the volume but two with the sheet beside them."""
     volume = specimen.volume.values.copy()
@@ -162,6 +163,7 @@ def test_nan_voxels_everywhere_and_in_part(planish, corner, tmp_path):
     assert (tmp_path / "run" / "report.html").is_file()
 
 
+@pytest.mark.study
 def test_saturated_voxels(planish, corner, tmp_path):
     bright = np.clip(corner.astype(float) * 1.6, 0, 255).astype(np.uint8)
     code, _, err = planish("map", write_volume(tmp_path / "bright.tif", bright), "-o", tmp_path / "run", "--strict")

@@ -228,6 +228,7 @@ def test_nothing_is_said_of_an_axis_where_the_grey_tells_none():
     assert likely_through(holed) == "y"
 
 
+@pytest.mark.study
 def test_a_scale_beyond_the_calibration_has_a_way_through(planish, linked_run, specimen_files, tmp_path):
     asked = ("link", linked_run, specimen_files[1], "--pixel-um", "5.25", "--override-size", "-o", tmp_path / "run")
     code, _, err = planish(*asked)
@@ -275,13 +276,8 @@ CHANGES = [
 ]
 
 
-_FAST = "correlate.point_um=50"  # one of them; the others run with the studies
-
-
-@pytest.mark.parametrize(
-    ("change", "kept"),
-    [pytest.param(*one, id=one[0], marks=() if one[0] == _FAST else pytest.mark.study) for one in CHANGES],
-)
+@pytest.mark.study
+@pytest.mark.parametrize(("change", "kept"), [pytest.param(*one, id=one[0]) for one in CHANGES])
 def test_a_changed_parameter_repeats_what_depends_on_it(planish, linked_run, tmp_path, monkeypatch, change, kept):
     again(planish, linked_run, tmp_path, monkeypatch, change, NOT_REPEATED[kept])
 

@@ -180,6 +180,7 @@ def test_a_mirrored_image_is_refused_and_found_when_declared(planish, specimen, 
     assert json.loads(out)["layers"][0]["registration"]["mirrored"] is True
 
 
+@pytest.mark.study
 def test_map_stops_after_the_flat_maps(planish, specimen_files, tmp_path):
     code, out, err = planish("map", specimen_files[0], "-o", tmp_path / "run", "--json")
     assert code == 0, err

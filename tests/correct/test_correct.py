@@ -62,6 +62,7 @@ def test_known_cupping_is_taken_off_and_the_mean_grey_stays(noise):
     assert middle / edge == pytest.approx(1.0, abs=0.006 if noise else 0.012)
 
 
+@pytest.mark.study
 def test_rings_and_cupping_together_leave_little_of_either():
     clean = sheet()
     given = volume(clean * cup(0.05), rings=both_rings())
@@ -123,6 +124,7 @@ def test_a_ring_that_fades_along_the_axis_is_followed():
     assert np.std(left) < 0.2 * np.std(ring(shape, 120.0, 0.05) * fade)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("axis", ["z", pytest.param("x", marks=pytest.mark.study)])
 def test_the_axis_may_be_any_of_the_array(axis):
     """The same scan with its axes in another order: the same rings, the same voxels."""
@@ -154,6 +156,7 @@ def test_the_centre_can_be_told_and_may_lie_outside():
     assert found.record.centre_um == centre
 
 
+@pytest.mark.study
 def test_neither_memory_nor_threads_nor_blocks_change_a_byte():
     given = volume(sheet() * cup(0.05), rings=both_rings(), dtype=np.uint16)
     a = correct(given, axis="y", threads=1)

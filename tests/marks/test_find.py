@@ -204,6 +204,7 @@ def test_half_closed_holes_are_left_out():
     np.testing.assert_allclose(positions(found), sheet.centres[:1], atol=2.0)
 
 
+@pytest.mark.study
 def test_the_covariance_is_of_the_right_size():
     """The rim's own roughness is in it: against the designed place, where roughness is an error, it has to fit."""
     away, stated = [], []

@@ -81,6 +81,7 @@ def left_out(image, points, places):
     return np.count_nonzero(ndimage.map_coordinates(image, at.T[::-1], order=1) < 0.5 * (typical + paper)), len(at)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["02", pytest.param("05", marks=pytest.mark.study)])
 def test_every_dot_is_found(photograph, name):
     """98 % of the lattice's places that hold a dot, and nothing that is not on the lattice."""
@@ -149,7 +150,9 @@ def lit(image, light):
     return np.round(image * light)
 
 
-@pytest.mark.parametrize("light", ["across", "vignette", "bright quarter"])
+@pytest.mark.parametrize(
+    "light", ["across", *(pytest.param(k, marks=pytest.mark.study) for k in ("vignette", "bright quarter"))]
+)
 @pytest.mark.parametrize(
     ("name", "part"),
     [("05", (400, 640)), *(pytest.param(name, None, marks=pytest.mark.study) for name in ("02", "05"))],

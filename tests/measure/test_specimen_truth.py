@@ -7,6 +7,8 @@ import xarray as xr
 from planish.measure import MeasureParams, measure_along_rays
 from planish.surface import find_surfaces
 
+pytestmark = pytest.mark.study
+
 
 @pytest.fixture(scope="module")
 def measured(specimen):

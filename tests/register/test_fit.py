@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planish.core.errors import MarkError
@@ -19,6 +19,7 @@ def marks(n, seed=0):
     mirrored=st.booleans(),
     n=st.integers(3, 20),
 )
+@settings(max_examples=30)
 def test_a_known_similarity_is_recovered(scale, angle, shift, mirrored, n):
     truth = Similarity(scale=scale, rotation_rad=angle, shift_um=(shift, -shift), mirrored=mirrored)
     points = marks(n)

@@ -170,6 +170,7 @@ def test_a_thicker_coating_prints_lighter():
     assert left - right == pytest.approx(0.01 * 4.0, abs=0.003)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("printed", [False, pytest.param(True, marks=pytest.mark.study)])
 def test_a_nuisance_that_is_off_leaves_the_others_as_they_are(sheet, printed):
     usual = replace(CameraParams(bits=16), screen=PrintParams())
@@ -197,6 +198,7 @@ def test_vignetting_is_a_factor_and_shading_follows_the_slope(sheet):
     np.testing.assert_allclose(lit[away], 1 + 0.2 * slope[away], atol=5 * STEP)
 
 
+@pytest.mark.study
 def test_nuisance_has_its_size_and_both_images_show_the_same_paper(sheet):
     away = truth(sheet)[1] > 200.0
     extra = seen(sheet, replace(CLEAN, nuisance_sd=0.012)).astype(float) - seen(sheet)

@@ -12,6 +12,8 @@ from planish.synthetic.fields import PITCH_UM, fibres, lowpass, noise, streaks
 from planish.synthetic.holes import hole_pattern
 from planish.synthetic.sheet import make_sheet, neutral_height
 
+pytestmark = pytest.mark.study
+
 LOW, HIGH = np.zeros(2), np.array([6000.0, 4500.0])
 QUARTER = HIGH / 2
 NO_HOLES = np.zeros((0, 2))
