@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 
+import nibabel
 import numpy as np
 import pytest
 import tifffile
@@ -255,3 +256,16 @@ def test_two_images_of_different_specimens_with_the_same_holes(ended, specimen_f
     assert (code, check["state"]) == (0, "look"), check
     assert "nothing beside the marks says that both show one specimen" in check["sentence"]
     assert {row["trust"] for row in results["correlations"]} == {"doubtful"}
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_left_handed_volume_is_marked(sign, ended, specimen, tmp_path):
+    """The affine of a NIfTI file may say that its slices are a mirror image; every map of it would be one."""
+    image = nibabel.Nifti1Image(specimen.volume.values.T, np.diag([4.0 * sign, 4.0, 4.0, 1.0]))
+    image.header.set_xyzt_units("micron")
+    nibabel.save(image, tmp_path / "v.nii")
+    code, _, checks, printed = ended("map", tmp_path / "v.nii")
+    assert code == 0
+    assert ("hand of the volume" in checks) == (sign < 0)
+    assert ("mirror image of the specimen" in printed) == (sign < 0)

@@ -91,10 +91,7 @@ def describe(
         loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
     except ResourceError:
         loaded, seen = declared_volume(place, channel=channel), False
-    values, warnings = (
-        unmapped(loaded.values) if isinstance(loaded.values, np.memmap) else loaded.values,
-        list(loaded.notes),
-    )
+    values, warnings = unmapped(loaded.values), list(loaded.notes)
     found = format_of(place)
     if found is SLICES and "nrecon" not in loaded.attrs:
         step = slice_step(slice_numbers(list_slices(path), path))

@@ -102,7 +102,8 @@ class StoredArray(FileArray):
 
 def unmapped(array: NDArray[Any] | FileArray) -> NDArray[Any] | FileArray:
     """The values of a mapped file, read part by part; anything else as it is."""
-    if not isinstance(array, np.memmap) or array.filename is None:
+    # A part or a turned view of a mapped file still carries its name and offset, but lies elsewhere in it.
+    if not isinstance(array, np.memmap) or array.filename is None or not array.flags.c_contiguous:
         return array
     return StoredArray(Path(array.filename), array.shape, array.dtype, offset=array.offset)
 

@@ -51,8 +51,9 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     if slope is not None and intercept is not None and (slope, intercept) != (1.0, 0.0):
         inner = values if isinstance(values, FileArray) else StoredArray(path, header.shape, stored, offset=offset)
         values = ChangedArray(inner, partial(_scaled, slope=slope, intercept=intercept), np.dtype(np.float32))
+    hand = {"hand": "left, by the affine"} if mirrored else {}
     notes = [MIRRORED.format(path.name)] if mirrored else []
-    return LoadedVolume(values=values, stated=header.stated, files=[path], notes=notes)
+    return LoadedVolume(values=values, stated=header.stated, files=[path], attrs=hand, notes=notes)
 
 
 def _header(head: bytes, path: Path) -> tuple[Any, int]:

@@ -34,6 +34,17 @@ _LEAST_TILTED = 4
 _FAR = 5.0  # times the limit from which on marks give no position
 
 
+def hand_check(volume: xr.DataArray) -> Iterator[Check]:
+    """Whether the file says that its slices are a mirror image of the specimen."""
+    if hand := volume.attrs.get("hand"):
+        yield Check(
+            name="hand of the volume", state="look", figures=(POSITION, CORRELATION),
+            sentence=f"The axes of the volume make a left-handed system ({hand}): its slices and maps are a mirror "
+            "image of the specimen.",
+            advice="Flip one axis where you export the volume, and map it again.",
+        )  # fmt: skip
+
+
 def sheet_checks(sheet: SheetFacts) -> Iterator[Check]:
     """Checks of one mapped sheet."""
     s, folded, sections = sheet.surfaces, sheet.flatten.folded_cells, sheet.sections

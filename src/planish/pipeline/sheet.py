@@ -19,7 +19,7 @@ from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
 from planish.io import find_place, likely_through
 from planish.measure import measure_properties, sheet_numbers, surfaces_of
-from planish.pipeline.checks import sheet_checks
+from planish.pipeline.checks import hand_check, sheet_checks
 from planish.pipeline.facts import flatten_facts, input_file, property_facts, section_facts, surface_facts
 from planish.pipeline.layers import Layer
 from planish.pipeline.through_scale import thickness_scale_check
@@ -104,7 +104,10 @@ def map_layer(
     facts = SheetFacts(numbers=numbers, **seen)
     return Layer(
         params=changed(params, volume=sizes), source=input_file(volume, v.path), groups=groups, facts=facts,
-        checks=(*sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured), *scan), md_deg=md_deg,
+        checks=(
+            *sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured), *hand_check(volume), *scan,
+        ),
+        md_deg=md_deg,
     )  # fmt: skip
 
 

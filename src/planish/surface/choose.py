@@ -189,11 +189,11 @@ def _stands_apart(material: NDArray[np.bool_], sheet: CoarseSheet) -> bool:
     """Whether so much air lies beside a sheet that no search for its faces meets another object."""
     apart = max(_LEAST_GAP, 4 + 3 * sheet.block)
     depth = np.arange(material.shape[2])
-    near = np.zeros(sheet.low.shape, dtype=bool)
-    for face, sign in ((sheet.low, -1), (sheet.high, 1)):
-        away = sign * (depth - face[..., None])
-        near |= (material & (away > 2) & (away < apart)).any(axis=2)
-    return float(near.mean()) < _NEAR_SHARE
+    near = 0
+    for inside, low, high in zip(material, sheet.low, sheet.high, strict=True):  # row by row: it takes less memory
+        away = np.fmax(low[:, None] - depth, depth - high[:, None])
+        near += np.count_nonzero((inside & (away > 2) & (away < apart)).any(axis=1))
+    return bool(near < _NEAR_SHARE * sheet.low.size)
 
 
 def _merged(sheet: CoarseSheet) -> float:
