@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from benchmarks.bent import Bent, material
 from planish.core.grid import Grid, values_at
 from planish.flatten import flatten_sheet
-from planish.pipeline.position_error import position_errors
+from planish.pipeline.position_error import PositionErrors
 from planish.register import Chain, fit_transform
 from planish.resample import find_places, resample
 from planish.synthetic import CameraParams
@@ -58,7 +58,7 @@ def one(slope: str, marks: str, seed: int) -> dict[str, Any]:
     got = np.stack([resample(true[..., k], places) for k in range(2)], axis=-1)
     asked = pose.inverse(np.stack(np.meshgrid(grid.x_um, grid.y_um), axis=-1))
     error = np.linalg.norm(got - asked, axis=-1)
-    stated = position_errors({"surfaces": surfaces, "flat": flat}, Chain(fits=(found,)), grid, got[..., 0])
+    stated = PositionErrors({"surfaces": surfaces, "flat": flat}, Chain(fits=(found,)), grid).on(grid, got[..., 0])
     shares = {name: _rms(part.values) for name, part in stated.items()}
     return {
         "slope": slope, "marks": marks, "seed": seed, "n": len(sheet.holes), "model": found.model, "true": _rms(error),

@@ -9,7 +9,7 @@ from planish.core.frame import Frame
 from planish.core.grid import Grid
 from planish.flatten import FlattenParams, flat_moves, flatten_sheet
 from planish.flatten import others as others_module
-from planish.pipeline.position_error import NEUTRAL, error_shares, position_errors
+from planish.pipeline.position_error import NEUTRAL, PositionErrors, error_shares
 from planish.register import Chain, fit_transform
 
 RADIUS, OFFSET = 1500.0, 4.0
@@ -70,7 +70,7 @@ def test_shares_of_the_error_of_a_place():
     known = np.zeros(grid.shape)
     known[:3] = np.nan
     groups = {"surfaces": surfaces, "flat": flat}
-    found = position_errors(groups, Chain(fits=(fit,)), grid, known)
+    found = PositionErrors(groups, Chain(fits=(fit,)), grid).on(grid, known)
     assert set(found) == {"expected_error", "error_marks", "error_neutral", "error_smoothing"}
     squares = sum(found[f"error_{name}"].values.astype(float) ** 2 for name in ("marks", "neutral", "smoothing"))
     np.testing.assert_allclose(found["expected_error"].values ** 2, squares, rtol=1e-5)
@@ -103,10 +103,14 @@ def test_no_coating_seen_leaves_a_hundredth_of_the_thickness_and_sections_their_
     # places by 5 marks, unless the stage showed it.
     for fixed, wander in (([], np.hypot(0.1, 0.2)), (["col"], 0.1), (["row", "col"], 0.0)):
         cut = {"sections": xr.Dataset(shifts, attrs={"jitter_left_um": [0.3, 0.4], "fixed": fixed})}
-        found = position_errors({"surfaces": bare, "flat": flat} | cut, Chain(fits=(fit,)), grid, np.zeros(grid.shape))
+        found = PositionErrors({"surfaces": bare, "flat": flat} | cut, Chain(fits=(fit,)), grid).on(
+            grid, np.zeros(grid.shape)
+        )
         left = np.hypot(1.3 * 0.5, wander * np.sqrt(600 / np.sqrt(5) / 6)) * fit.transform.scale
         np.testing.assert_allclose(found["error_sections"].values, left, rtol=1e-6)
-    stated = position_errors({"surfaces": surfaces, "flat": flat}, Chain(fits=(fit,)), grid, np.zeros(grid.shape))
+    stated = PositionErrors({"surfaces": surfaces, "flat": flat}, Chain(fits=(fit,)), grid).on(
+        grid, np.zeros(grid.shape)
+    )
     # an offset of 0.8 um against one of 4 um, of which faces state NEUTRAL["faces"]
     ratio = found["error_neutral"].values / stated["error_neutral"].values
     np.testing.assert_allclose(np.median(ratio), 0.8 / (OFFSET * NEUTRAL["faces"]), rtol=0.05)

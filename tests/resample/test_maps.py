@@ -7,7 +7,8 @@ import xarray as xr
 from planish.core.errors import SurfaceError
 from planish.core.grid import Grid
 from planish.core.transform import Similarity, axial_angle
-from planish.resample import expected_error, resample_image, resample_maps
+from planish.pipeline.position_error import PositionErrors
+from planish.resample import resample_image, resample_maps
 
 
 class Placed(Similarity):
@@ -101,7 +102,7 @@ def test_an_image_on_a_reference_and_its_expected_error():
     known = np.isfinite(found.values)
     assert known.mean() > 0.5
     np.testing.assert_allclose(found.values[known], (3 * points[..., 0] - points[..., 1])[known], atol=1e-8)
-    error = expected_error(way, grid, found.values)
+    error = PositionErrors(None, way, grid).on(grid, found.values)["expected_error"]
     np.testing.assert_array_equal(np.isfinite(error.values), known)
     np.testing.assert_allclose(error.values[known], (1 + 0.01 * points[..., 0])[known], rtol=1e-6)
 

@@ -1,4 +1,6 @@
 from .correlation import Correlation as Correlation
+from .correlation import PairAtSizes as PairAtSizes
+from .correlation import PairSums as PairSums
 from .correlation import correlate as correlate
 from .correlation import correlate_at as correlate_at
 from .cross_fit import CrossFitted as CrossFitted

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-from planish.core.area import area_mean
+from planish.core.area import AreaMeans
+from planish.core.bands import Rows, band_of, bands
 from planish.core.errors import CannotMeasure, SizeError
 
 Array = NDArray[np.float64]
@@ -83,13 +84,14 @@ class Relation:
         return f"r = {self.r:.2f}, z = {self.z:.1f}"
 
 
-def textures(maps: Mapping[str, Array], valid: Mask, pixel_um: tuple[float, float]) -> Textures:
+def textures(maps: Mapping[str, Rows], valid: Mask, pixel_um: tuple[float, float]) -> Textures:
     """Keep the waves of 15 to 250 um of maps, with the same spread everywhere.
 
     Parameters
     ----------
-    maps : mapping of ndarray, shape (rows, cols)
-        NaN is missing. Maps that are known in much less of the field than the others are left out.
+    maps : mapping of ndarray or DataArray, shape (rows, cols)
+        NaN is missing; they are read band by band. Maps that are known in much less of the field than the others are
+        left out.
     valid : ndarray of bool, shape (rows, cols)
         Pixels that may be looked at.
     pixel_um : (float, float)
@@ -120,9 +122,8 @@ def textures(maps: Mapping[str, Array], valid: Mask, pixel_um: tuple[float, floa
             f"pixels of {BAND_UM[1] / 4:g} um or less is needed."
         )
     factor = math.ceil(math.sqrt(valid.size / _MOST_PIXELS))
-    shown = {k: np.where(valid, m, np.nan).astype(np.float64) for k, m in maps.items()}
+    shown = {k: _means(m, valid, factor) for k, m in maps.items()}
     if factor > 1:
-        shown = {k: area_mean(m, (factor, factor)) for k, m in shown.items()}
         pixel_um = (factor * pixel_um[0], factor * pixel_um[1])
     count = {k: int(np.count_nonzero(np.isfinite(m))) for k, m in shown.items()}
     most = max(count.values(), default=0)
@@ -131,6 +132,17 @@ def textures(maps: Mapping[str, Array], valid: Mask, pixel_um: tuple[float, floa
         return Textures(maps={}, known=np.zeros(valid.shape, dtype=bool), pixel_um=pixel_um)
     band = _Band(np.logical_and.reduce([np.isfinite(m) for m in shown.values()]), pixel_um)
     return Textures(maps={k: band(m) for k, m in shown.items()}, known=band.known, pixel_um=pixel_um)
+
+
+def _means(data: Rows, valid: Mask, factor: int) -> Array:
+    """Means of a map over so many valid pixels a side."""
+    if factor == 1:
+        return np.where(valid, data, np.nan).astype(np.float64)
+    found = AreaMeans((valid.shape[0], valid.shape[1]), (factor, factor))
+    for rows in bands(valid.shape[0]):
+        part = band_of(data, rows)
+        found.add(rows.start, valid[rows] & np.isfinite(part), part)
+    return found.means()[0]
 
 
 def relate(

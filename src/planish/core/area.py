@@ -2,18 +2,53 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from planish.core.bands import Rows, band_of, bands
+
 Array = NDArray[np.float64]
 
 
-def area_mean(values: Array, factor: tuple[float, float], *, least: float = 0.5) -> Array:
-    """Mean of ``values`` (rows, cols) over cells of ``factor`` pixels, which need not be whole numbers.
+class AreaMeans:
+    """Means of maps on one grid over cells of ``factor`` pixels, of which some rows are added at a time.
 
     Every pixel counts with the share of its area that lies in the cell. Cells start at the border of the first pixel;
-    an incomplete last one is dropped.
+    an incomplete last one is dropped. A cell is NaN unless at least ``least`` of its area is known.
+    """
+
+    def __init__(self, shape: tuple[int, int], factor: tuple[float, float], *, least: float = 0.5) -> None:
+        self._down, self._across = (_overlap(n, f) for n, f in zip(shape, factor, strict=True))
+        self._enough = least * factor[0] * factor[1] - 1e-9
+        self._weight = np.zeros((self._down.shape[0], self._across.shape[0]))
+        self._totals: list[Array] = []
+
+    def add(self, begin: int, known: NDArray[np.bool_], *maps: NDArray[Any]) -> None:
+        """Add the rows from ``begin`` on of maps, which count where ``known``."""
+        self._totals = self._totals or [np.zeros(self._weight.shape) for _ in maps]
+        down = self._down[:, begin : begin + known.shape[0]]
+        touched = np.flatnonzero(np.diff(down.indptr))
+        if not touched.size:
+            return
+        cells = slice(touched[0], touched[-1] + 1)
+        self._weight[cells] += self._summed(down[cells], known.astype(np.float64))
+        for total, values in zip(self._totals, maps, strict=True):
+            total[cells] += self._summed(down[cells], np.where(known, values, 0.0))
+
+    def means(self) -> list[Array]:
+        """The means of each map."""
+        enough, weight = self._weight >= self._enough, np.maximum(self._weight, 1e-12)
+        return [np.where(enough, total / weight, np.nan) for total in self._totals]
+
+    def _summed(self, down: sparse.csr_array, values: Array) -> Array:
+        return (self._across @ (down @ values).T).T
+
+
+def area_mean(values: Rows, factor: tuple[float, float], *, least: float = 0.5) -> Array:
+    """Mean of ``values`` (rows, cols) over cells of ``factor`` pixels, which need not be whole numbers.
 
     Parameters
     ----------
@@ -27,12 +62,13 @@ def area_mean(values: Array, factor: tuple[float, float], *, least: float = 0.5)
     Returns
     -------
     (int(rows / factor), int(cols / factor))
+        Cells as of :class:`AreaMeans`.
     """
-    down, across = (_overlap(n, f) for n, f in zip(values.shape, factor, strict=True))
-    known = np.isfinite(values)
-    total = (across @ (down @ np.where(known, values, 0.0)).T).T
-    weight = (across @ (down @ known.astype(np.float64)).T).T
-    return np.where(weight >= least * factor[0] * factor[1] - 1e-9, total / np.maximum(weight, 1e-12), np.nan)
+    found = AreaMeans((values.shape[0], values.shape[1]), factor, least=least)
+    for rows in bands(values.shape[0]):
+        part = band_of(values, rows)
+        found.add(rows.start, np.isfinite(part), part)
+    return found.means()[0] if values.shape[0] else np.empty((0, int(values.shape[1] / factor[1] + 1e-9)))
 
 
 def _overlap(count: int, factor: float) -> sparse.csr_array:

@@ -14,6 +14,8 @@ from planish.core.errors import SizeError, SurfaceError
 
 Array = NDArray[np.float64]
 
+_ALL = slice(None)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grid:
@@ -46,6 +48,10 @@ class Grid:
         """Return the grid of maps (y, x), or (v, u)."""
         rows, cols = ("y", "x") if "y" in data.dims else ("v", "u")
         return cls(y_um=data[rows].values, x_um=data[cols].values)
+
+    def part(self, rows: slice, cols: slice = _ALL) -> Grid:
+        """Some of its pixels, with its pitch."""
+        return Grid(y_um=self.y_um[rows], x_um=self.x_um[cols], step_um=self.pixel_um)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -82,20 +82,21 @@ def labelled(
         axis: (axis, np.arange(n) * um, {"units": "um"})
         for axis, n, um in zip(dims, values.shape, size_um, strict=True)
     }
-    held = xr.DataArray(xr.Variable(tuple(dims), _held(values)), coords=coords, name=name, attrs=dict(attrs))
-    held.encoding.update(encoding or {})
-    return held
+    array = xr.DataArray(xr.Variable(tuple(dims), held(values)), coords=coords, name=name, attrs=dict(attrs))
+    array.encoding.update(encoding or {})
+    return array
 
 
 def replaced(volume: xr.DataArray, values: LazyArray) -> xr.DataArray:
     """Give the same volume with other values."""
-    variable = xr.Variable(volume.dims, _held(values), volume.attrs)
-    held = xr.DataArray(variable, coords=volume.coords, name=volume.name)
-    held.encoding.update(volume.encoding)
-    return held
+    variable = xr.Variable(volume.dims, held(values), volume.attrs)
+    array = xr.DataArray(variable, coords=volume.coords, name=volume.name)
+    array.encoding.update(volume.encoding)
+    return array
 
 
-def _held(values: NDArray[Any] | LazyArray) -> Any:
+def held(values: NDArray[Any] | LazyArray) -> Any:
+    """What a variable takes as its values: an array, or a lazy one that stays one."""
     return LazilyIndexedArray(_Backend(values)) if isinstance(values, LazyArray) else values
 
 

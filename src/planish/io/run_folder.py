@@ -24,12 +24,10 @@ from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError
 from planish.core.files import DiskFull, disk_full, writing
+from planish.io.map_store import CHUNK, COMPLETE, OVERVIEWS, large_groups, stored_group
 
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
 _WORK_TEXT = "Results of single tiles of a run that planish is working on. It removes this folder at the end.\n"
-OVERVIEWS = "overviews"  # group of a store with smaller copies of its maps, which are read where they are shown
-CHUNK = 512  # pixels along the edge of a chunk of a map
-_COMPLETE = "every_chunk_is_written"  # attribute of a store: one that is not there is a damage, not a missing value
 
 
 @contextmanager
@@ -205,8 +203,11 @@ def refuse_existing(path: Path) -> None:
 
 
 def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
-    """Write datasets as groups of one zarr store that ``xarray.open_datatree(path, engine="zarr")`` opens."""
-    root = xr.Dataset(attrs={_COMPLETE: True})
+    """Write datasets as groups of one zarr store that ``xarray.open_datatree(path, engine="zarr")`` opens.
+
+    Groups that are in the store already stay.
+    """
+    root = xr.Dataset(attrs={COMPLETE: True})
     tree = xr.DataTree.from_dict({"/": root} | {f"/{name}": data for name, data in groups.items()})
     # Maps hold noise: a higher level takes half as long again and saves nothing.
     codec = {"compressors": (ZstdCodec(level=1),)}
@@ -220,11 +221,14 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     with warnings.catch_warnings(), zarr.config.set({"array.write_empty_chunks": True}):
         # zarr 3 warns that consolidated metadata are no part of its specification yet; without them every open warns.
         warnings.simplefilter("ignore", ZarrUserWarning)
-        tree.to_zarr(path, zarr_format=3, consolidated=True, write_inherited_coords=False, encoding=encoding)
+        tree.to_zarr(path, mode="a", zarr_format=3, consolidated=True, write_inherited_coords=False, encoding=encoding)
 
 
 def read_tree(path: Path) -> dict[str, xr.Dataset]:
     """Read all groups of a store into memory, without the smaller copies of maps.
+
+    Groups of half a gigabyte and more stay in the store, with their smaller copies: of those, each part is read when it
+    is asked for.
 
     Raises
     ------
@@ -235,12 +239,13 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
         raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
     try:
         with xr.open_datatree(path, engine="zarr") as tree:
-            if tree.attrs.get(_COMPLETE):
+            if tree.attrs.get(COMPLETE):
                 _check_chunks(path)
-            return {
+            large = {name: stored_group(path, name) for name in large_groups(path)}
+            return large | {
                 node.path.strip("/"): node.to_dataset(inherit=False).load()
                 for node in tree.subtree
-                if node.data_vars and not node.path.startswith(f"/{OVERVIEWS}/")
+                if node.data_vars and not node.path.startswith(f"/{OVERVIEWS}/") and node.path.strip("/") not in large
             }
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         raise FileError(f"{path} cannot be read: {error}. It may be damaged; repeat the run.") from error

@@ -154,7 +154,7 @@ def alone_check(sheet: xr.Dataset, marks: xr.Dataset, layer: str, reference: str
 
     ``sheet`` holds its maps on the pixels of the reference, ``marks`` those of its registration.
     """
-    grid, seen = Grid.of(sheet), np.isfinite(sheet["thickness"].values)
+    grid, seen = Grid.of(sheet), sheet["thickness"]
     alone = marks.isel(mark=np.flatnonzero(np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"])))
     whole: list[str] = []
     for label, x, y, diameter in zip(
@@ -163,7 +163,10 @@ def alone_check(sheet: xr.Dataset, marks: xr.Dataset, layer: str, reference: str
         down, across = grid.y_um - y, grid.x_um - x
         rows, cols = (np.flatnonzero(np.abs(away) < _CORE * diameter) for away in (down, across))
         inside = np.hypot(down[rows][:, None], across[cols]) < _CORE * diameter
-        if inside.any() and seen[np.ix_(rows, cols)][inside].mean() > _WHOLE:
+        if not inside.any():
+            continue
+        window = seen[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].values
+        if np.isfinite(window)[inside].mean() > _WHOLE:
             whole.append(str(label))
     count = alone.sizes["mark"]
     some = f"{', '.join(whole)} of the {reference} {'lies' if len(whole) == 1 else 'lie'} where the {layer} has no hole"

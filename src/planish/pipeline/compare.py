@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import product
 from typing import Any
 
@@ -10,15 +10,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.analyze import CorrelateParams, Correlation, correlate, correlate_at
+from planish.analyze import CorrelateParams, PairAtSizes, PairSums
+from planish.core.bands import any_finite, band_of, bands
 from planish.core.errors import MarkError
 from planish.core.grid import Grid, pitch, values_at
 from planish.core.results import ComparisonRow, CorrelationRow, Side
 from planish.measure import PROPERTIES
 from planish.register import FittedTransform, fit_transform
-from planish.resample import find_places, resample
-
-Array = NDArray[np.float64]
+from planish.resample import Mesh, resample
 
 _LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
 WAYS = (
@@ -76,49 +75,41 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     first, second = maps[a], maps[b]
     names = [_maps_to_correlate(data) for data in (first, second)]
     sheets = all("image" not in n for n in names)
-    for of_a, of_b in [(n, n) for n in names[0] if n in names[1]] if sheets else product(*names):
-        p, q = _valid(first, second, of_a, of_b)
-        if (np.isfinite(p) & np.isfinite(q)).any():
-            for found, u, v in _at_both_sizes(p, q, Grid.of(first).pixel_um, point_um):
-                more = _differences(u, v, str(first[of_a].attrs.get("units", "1"))) if sheets else {}
+    pairs = [(n, n) for n in names[0] if n in names[1]] if sheets else [*product(*names)]
+    grid = Grid.of(first)
+    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um) for _ in pairs]
+    for rows in bands(grid.shape[0]):
+        valid = band_of(first["valid"], rows) & band_of(second["valid"], rows)
+        shown = [{n: np.where(valid, band_of(d[n], rows), np.nan) for n in of} for d, of in
+                 zip((first, second), (dict(pairs), {n for _, n in pairs}), strict=True)]  # fmt: skip
+        for one, (of_a, of_b) in zip(sums, pairs, strict=True):
+            one.add(rows.start, shown[0][of_a], shown[1][of_b])
+    for one, (of_a, of_b) in zip(sums, pairs, strict=True):
+        at_sizes = [*one.sizes()]
+        if at_sizes[0][0].n:
+            for found, own in at_sizes:
+                more = _differences(own, str(first[of_a].attrs.get("units", "1"))) if sheets else {}
                 yield CorrelationRow.of(found, a=a, a_map=of_a, b=b, b_map=of_b, **more)
 
 
-def _valid(a: xr.Dataset, b: xr.Dataset, of_a: str, of_b: str) -> tuple[Array, Array]:
-    """A map of each of two layers, NaN where one of them is not valid."""
-    valid = a["valid"].values & b["valid"].values
-    p, q = (np.where(valid, d[n].values.astype(np.float64), np.nan) for d, n in ((a, of_a), (b, of_b)))
-    return p, q
-
-
-def _at_both_sizes(
-    a: Array, b: Array, pixel_um: tuple[float, float], point_um: float
-) -> tuple[tuple[Correlation, Array, Array], ...]:
-    """Correlation per pixel and over larger points, each with the values that it was made of."""
-    fine = correlate(a, b, point_um=float(np.sqrt(pixel_um[0] * pixel_um[1])))
-    return (fine, a, b), correlate_at(a, b, pixel_um=pixel_um, point_um=point_um)
-
-
-def _differences(a: Array, b: Array, units: str) -> dict[str, Any]:
+def _differences(sums: PairSums, units: str) -> dict[str, Any]:
     """Mean and spread of b - a, and the limits of agreement."""
-    off = (b - a)[np.isfinite(a) & np.isfinite(b)]
-    mean = float(off.mean()) if off.size else None
-    sd = float(off.std(ddof=1)) if off.size > 1 else None
+    mean, sd = (float(v) if np.isfinite(v) else None for v in sums.difference)
     limits = None if mean is None or sd is None else (mean - _LIMITS * sd, mean + _LIMITS * sd)
     return {"same_quantity": True, "difference_mean": mean, "difference_sd": sd, "limits": limits, "units": units}
 
 
 def comparison_rows(
     linked: xr.Dataset, sheet: Mapping[str, xr.Dataset], fit: FittedTransform, *, name: str, point_um: float,
-    away: NDArray[np.bool_],
+    away: Callable[[Grid], NDArray[np.bool_]],
 ) -> Iterator[ComparisonRow]:  # fmt: skip
     """The headline correlation by the registrations that the paper compares, and by that of the run.
 
+    ``away`` says of the pixels of a grid whether they are away from holes.
     Least squares of all marks, as in the paper: marks that do not fit are what shows that a registration is wrong.
     """
-    grid, pixel = Grid.of(linked), Grid.of(linked).pixel_um
-    measured, image = sheet["surfaces"], linked["image"].values.astype(np.float64)
-    ways: list[tuple[str, float, Array]] = []
+    grid, measured = Grid.of(linked), sheet["surfaces"]
+    ways: list[tuple[str, float, Mesh | None]] = []
     for title, names, model in WAYS:
         if model == fit.model and names == ("u", "v"):
             continue  # the run's own
@@ -127,11 +118,20 @@ def comparison_rows(
             raise MarkError("A mark lies outside the flattened sheet. Remove it from the table of marks.")
         way = fit_transform(marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False)
         uv = np.stack([sheet["flat"][axis].values for axis in names], axis=-1)
-        places = find_places(way.transform(uv), grid, least_um=min(pitch(measured)))
-        ways.append((title, way.rms_um, np.where(away, resample(measured[name].values, places), np.nan)))
-    own = np.where(linked["valid"].values, linked[name].values.astype(np.float64), np.nan)
-    for title, rms_um, values in (*ways, (f"flattened, {fit.model}", fit.rms_um, own)):
-        for found, *_ in _at_both_sizes(values, image, pixel, point_um):
+        ways.append((title, way.rms_um, Mesh.of(way.transform(uv), least_um=min(pitch(measured)))))
+    ways.append((f"flattened, {fit.model}", fit.rms_um, None))
+    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um) for _ in ways]
+    for rows in bands(grid.shape[0]):
+        part, image = grid.part(rows), band_of(linked["image"], rows)
+        for (_, _, mesh), one in zip(ways, sums, strict=True):
+            if mesh is None:
+                values, use = band_of(linked[name], rows), band_of(linked["valid"], rows)
+            else:
+                under = mesh.under(part)
+                values, use = resample(measured[name].values[under.nodes], under.places), away(part)
+            one.add(rows.start, np.where(use, values, np.nan), image)
+    for (title, rms_um, _), one in zip(ways, sums, strict=True):
+        for found, _ in one.sizes():
             yield ComparisonRow.of(found, registration=title, property=name, marks_rms_um=rms_um)
 
 
@@ -140,4 +140,4 @@ def headline_of(maps: xr.Dataset, side: Side = "top") -> str:
     if "thickness" not in maps:
         return "image"
     coating = f"coating_{side}"
-    return coating if np.isfinite(maps[coating].values).any() else "thickness"
+    return coating if any_finite(maps[coating]) else "thickness"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -9,7 +10,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.grid import pitch
+from planish.core.bands import band_of, bands, thinned
+from planish.core.grid import Grid, pitch
 from planish.core.results import (
     ExpectedError,
     FlattenFacts,
@@ -132,16 +134,18 @@ def layer_facts(
     layer: Layer, maps: xr.Dataset, link: Link | None, side: Side, lag: LagFacts | None
 ) -> LayerFacts:  # fmt: skip
     """What a layer is, how much of the reference it covers, and how it was registered; ``side`` is that which shows."""
-    shown = maps["volume_z" if layer.kind == "sheet" else "image"].values
+    shown = maps["volume_z" if layer.kind == "sheet" else "image"]
+    known = sum(int(np.count_nonzero(np.isfinite(band_of(shown, rows)))) for rows in bands(shown.shape[0]))
     return LayerFacts(
         name=layer.name, kind=layer.kind, source=layer.source, headline=headline_of(maps, side),
-        share_of_reference=float(np.isfinite(shown).mean()), sheet=layer.facts,
+        share_of_reference=known / shown.size, sheet=layer.facts,
         registration=None if link is None else _registration_facts(layer, link, maps, lag),
     )  # fmt: skip
 
 
 def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagFacts | None) -> RegistrationFacts:
-    found, fit, error = link.registration, link.registration.fit, maps["expected_error"].values
+    found, fit = link.registration, link.registration.fit
+    _, (error,) = thinned(maps["expected_error"])
     known = error[np.isfinite(error)]
     return RegistrationFacts.of(
         found, fit, fit.transform, to=link.path[1].name, path=tuple(at.name for at in link.path),
@@ -200,16 +204,19 @@ def _angle(deg: float | None) -> str:
     return f"{(deg or 0.0) % 180.0:.1f}".removesuffix(".0") + "°"
 
 
-def linked_area(linked: xr.Dataset, away: NDArray[np.bool_]) -> LinkedArea:
+def linked_area(linked: xr.Dataset, away: Callable[[Grid], NDArray[np.bool_]]) -> LinkedArea:
     """How much of the reference shows the sheet, and how much of that is valid."""
-    on_sheet, valid = np.isfinite(linked["u"].values), linked["valid"].values
+    grid, on_sheet, valid, on_sheet_away = Grid.of(linked), 0, 0, 0
+    for rows in bands(grid.shape[0]):
+        here = np.isfinite(band_of(linked["u"], rows))
+        on_sheet += int(np.count_nonzero(here))
+        on_sheet_away += int(np.count_nonzero(here & away(grid.part(rows))))
+        valid += int(np.count_nonzero(band_of(linked["valid"], rows)))
+    pixels = grid.shape[0] * grid.shape[1]
     return LinkedArea(
-        pixels=int(on_sheet.size),
-        share_on_sheet=float(on_sheet.mean()),
-        share_valid=float(valid.mean()),
-        share_valid_of_sheet=float(valid.sum() / max(int(on_sheet.sum()), 1)),
-        share_valid_away_from_holes=float(valid.sum() / max(int((on_sheet & away).sum()), 1)),
-    )
+        pixels=pixels, share_on_sheet=on_sheet / pixels, share_valid=valid / pixels,
+        share_valid_of_sheet=valid / max(on_sheet, 1), share_valid_away_from_holes=valid / max(on_sheet_away, 1),
+    )  # fmt: skip
 
 
 def parameters(study: Study) -> dict[str, Any]:

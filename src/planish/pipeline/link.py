@@ -20,13 +20,14 @@ from planish.compute import Compute, Progress
 from planish.core.checks import Check
 from planish.core.results import LayerFacts, Results, Side
 from planish.io import read_image
+from planish.io.map_store import HeldMaps, MapSink, map_tiles
 from planish.io.params import HOW_IMAGES_ARE_READ
 from planish.marks import check_holes
 from planish.pipeline.checks import about, alone_check, area_check, field_check, registration_checks, with_trust
 from planish.pipeline.compare import comparison_rows, correlate_layers
 from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, parameters, versions
 from planish.pipeline.layers import Layer
-from planish.pipeline.onto import hole_circles, merged, on_reference
+from planish.pipeline.onto import Away, bring, hole_circles
 from planish.pipeline.refinement import refine_link
 from planish.pipeline.registration import Registration, check_marks, register_layers
 from planish.pipeline.run import Run, open_run
@@ -35,23 +36,27 @@ from planish.pipeline.texture import texture_of
 from planish.pipeline.through_scale import NAME as THROUGH_SCALE
 from planish.pipeline.through_scale import marks_scale_check
 from planish.register import Chain
-from planish.resample import resample_maps
+from planish.resample import SheetOnto
 from planish.study import LayerParams, Study
 
 Array = NDArray[np.float64]
+
+LINKED = "linked"
+"""Name of the group that holds a sheet and an image on the image's pixels."""
 
 _RIM_UM = 100.0  # around holes of images, where no sheet says otherwise
 
 
 def link_study(
     study: Study, *, compute: Compute, progress: Progress, kept: Path | None = None,
-    mapped: dict[str, Layer] | None = None, near: Mapping[str, Layer] | None = None,
+    mapped: dict[str, Layer] | None = None, near: Mapping[str, Layer] | None = None, sink: MapSink | None = None,
 ) -> Run:  # fmt: skip
     """Register layers to the last one, bring all onto its pixels, and correlate them in pairs.
 
-    ``kept`` is the folder for the results of single tiles of volumes that are mapped; ``mapped`` holds the sheets of
-    volumes that need not be mapped again, and is given those that were mapped, whatever becomes of the link; ``near``
-    holds sheets of the same volumes whose surfaces are the same.
+    ``sink`` takes the maps on those pixels: in memory where not given. ``kept`` is the folder for the results of single
+    tiles of volumes that are mapped; ``mapped`` holds the sheets of volumes that need not be mapped again, and is given
+    those that were mapped, whatever becomes of the link; ``near`` holds sheets of the same volumes whose surfaces are
+    the same.
     """
     mapped = {} if mapped is None else mapped
     layers = _open_layers(study, mapped, near or {}, compute=compute, progress=progress, kept=kept)
@@ -62,10 +67,10 @@ def link_study(
         one.name: (one.groups if one.image is None else one.image, links[one.name].chain if one.name in links else None)
         for one in layers
     }
-    circles = _circles(layers, links)
-    maps, away = on_reference(parts, circles, reference.grid, memory_bytes=compute.volume_bytes)
+    sink, away = sink or HeldMaps(), Away.of(_circles(layers, links))
+    maps = bring(parts, away, reference.grid, sink, together=LINKED if study.is_sheet_on_image else None)
     progress("correlate", f"{len(maps) * (len(maps) - 1) // 2} pairs of layers")
-    return _gathered(study, layers, links, maps, away)
+    return _gathered(study, layers, links, maps, away, sink)
 
 
 def _open_layers(
@@ -141,8 +146,8 @@ def _circles(layers: list[Layer], links: dict[str, Link]) -> list[Array]:
 
 
 def _gathered(
-    study: Study, layers: list[Layer], links: dict[str, Link], maps: dict[str, xr.Dataset], away: NDArray[np.bool_]
-) -> Run:  # fmt: skip
+    study: Study, layers: list[Layer], links: dict[str, Link], maps: dict[str, xr.Dataset], away: Away, sink: MapSink
+) -> Run:
     """Correlations, results, checks and groups of a link."""
     reference, point_um = layers[-1], study.correlate.point_um
     pairs = list(combinations(layers, 2))
@@ -168,8 +173,8 @@ def _gathered(
     more: dict[str, Any] = {}
     if study.is_sheet_on_image:
         sheet, link = layers[0], links[layers[0].name]
-        linked = merged(maps[sheet.name], maps[reference.name])
-        groups = sheet.groups | {"linked": linked}
+        linked = sink.group(LINKED)
+        groups = sheet.groups | {LINKED: linked}
         more["linked"] = linked_area(linked, away)
         checks += about([area_check(more["linked"])], sheet.name, reference.name)
         more["comparison"] = tuple(
@@ -182,9 +187,11 @@ def _gathered(
                 linked, facts[0].headline, reference.grid, link.registration.fit, study.registration.refine
             )
             # Beside the marks' own: nothing that the page correlates was fitted to what it is correlated with.
-            groups["refined"] = resample_maps(
-                sheet.groups["surfaces"], sheet.groups["flat"], onto=reference.grid, transform=transform
-            )
+            moved = SheetOnto(sheet.groups["surfaces"], sheet.groups["flat"], transform=transform)
+            for tile in map_tiles(reference.grid.shape):
+                sink.add("refined", reference.grid, tile, moved.on(reference.grid.part(tile.rows, tile.cols)))
+            groups["refined"] = sink.group("refined")
+    groups |= sink.overviews()
     study = changed(study, layers=tuple(layer.params for layer in layers))
     results = Results(
         planish=__version__, versions=versions(), layers=tuple(facts), chain=study.chain, correlations=tuple(rows),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -10,12 +11,14 @@ from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, InputError, MarkError
 from planish.core.grid import Grid, check_same_grid
+from planish.core.tiles import Tile
+from planish.io.map_store import HeldMaps, MapSink, map_tiles
 from planish.marks import cut_holes, hole_mask
 from planish.marks.files import holes_of
-from planish.pipeline.position_error import position_errors
+from planish.pipeline.position_error import PositionErrors
 from planish.pipeline.registration import Registration
 from planish.register import Chain
-from planish.resample import image_attrs, resample_image
+from planish.resample import SheetOnto, image_attrs, resample_image
 from planish.resample import resample_maps as flat_maps
 
 Array = NDArray[np.float64]
@@ -27,42 +30,101 @@ Shown = xr.DataArray | Mapping[str, xr.Dataset]
 """What is brought to the reference: an image, or the groups of a sheet; the maps only where it is the reference."""
 
 
-def on_reference(
-    parts: Mapping[str, tuple[Shown, Chain | None]], circles: Iterable[Array], grid: Grid, *,
-    memory_bytes: int = 2**31,
-) -> tuple[dict[str, xr.Dataset], Mask]:  # fmt: skip
-    """Bring sheets and images onto a grid and mark what is valid there.
+@dataclass(frozen=True, slots=True, eq=False)
+class Away:
+    """Which pixels of a reference are away from holes and their burnt rims: ``circles`` (n, 3: x, y, radius in um)."""
 
-    ``circles`` (n, 3: x, y, radius in um) are the holes on the reference with their burnt rims. Returned are all maps
-    of each sheet, or ``image``, with ``valid``, and ``expected_error`` of what was moved with its shares; and what is
-    away from holes.
+    circles: Array
+
+    @classmethod
+    def of(cls, circles: Iterable[Array]) -> Away:
+        """From the circles of all layers."""
+        return cls(np.concatenate([np.empty((0, 3)), *circles]))
+
+    def __call__(self, part: Grid) -> Mask:
+        """Say it of some pixels."""
+        return ~hole_mask(part, self.circles[:, :2], self.circles[:, 2])
+
+
+class _Layer:
+    """A layer that is brought onto the pixels of a reference, tile by tile."""
+
+    def __init__(self, name: str, shown: Shown, chain: Chain | None, grid: Grid) -> None:
+        self.name, self._met = name, chain is None
+        if isinstance(shown, xr.DataArray):
+            self._on = self._own_image(shown) if chain is None else self._image(shown, chain)
+        elif chain is None:
+            maps = shown["maps"].rename({"v": "y", "u": "x"})
+            left = [n for n in maps.data_vars if str(n).startswith(("projected_", "presence", "valid"))]
+            maps = maps.drop_vars(left)
+            self._on = lambda tile, _part: maps.isel(y=tile.rows, x=tile.cols)
+        else:
+            sheet = SheetOnto(shown["surfaces"], shown["flat"], transform=chain)
+            self._on = lambda _tile, part: sheet.on(part)
+        sheet_or_none = None if isinstance(shown, xr.DataArray) else shown
+        self._errors = None if chain is None else PositionErrors(sheet_or_none, chain, grid)
+
+    def on(self, tile: Tile, part: Grid) -> xr.Dataset:
+        """Its maps on a tile of the reference, ``expected_error`` and its shares where it was moved."""
+        data = self._on(tile, part)
+        if self._errors is None:
+            return data
+        present = data["image" if "image" in data else "u"].values
+        self._met |= bool(np.isfinite(present).any())
+        return data.assign(self._errors.on(part, present))
+
+    def check_met(self) -> None:
+        """Raise CannotRegister where no tile shows it."""
+        if not self._met:
+            raise CannotRegister(
+                f"The layer {self.name} does not meet the reference: by its marks it lies beside it. Check the marks."
+            )
+
+    @staticmethod
+    def _own_image(image: xr.DataArray) -> Callable[[Tile, Grid], xr.Dataset]:
+        attrs = image_attrs(image)
+
+        def on(tile: Tile, part: Grid) -> xr.Dataset:
+            return xr.Dataset({"image": (("y", "x"), image.values[tile.rows, tile.cols], attrs)}, coords=part.coords)
+
+        return on
+
+    @staticmethod
+    def _image(image: xr.DataArray, chain: Chain) -> Callable[[Tile, Grid], xr.Dataset]:
+        return lambda _tile, part: resample_image(image, part, chain, must_meet=False)
+
+
+def bring(
+    parts: Mapping[str, tuple[Shown, Chain | None]], away: Away, grid: Grid, sink: MapSink, *,
+    together: str | None = None,
+) -> dict[str, xr.Dataset]:  # fmt: skip
+    """Bring sheets and images onto a grid, tile by tile, and mark what is valid there.
+
+    Put into ``sink`` are all maps of each sheet, or ``image``, with ``valid``, and ``expected_error`` of what was moved
+    with its shares: as ``layers/NAME``, or a sheet and an image as one group ``together``. Returned are the maps of
+    each layer.
     """
-    away = np.ones(grid.shape, dtype=bool)
-    for found in circles:
-        away &= ~hole_mask(grid, found[:, :2], found[:, 2])
-    maps = {name: _brought(name, *part, grid, memory_bytes) for name, part in parts.items()}
-    for name, data in maps.items():
-        known = np.isfinite(data["thickness" if "thickness" in data else "image"].values) & away
-        maps[name] = data.assign(valid=(("y", "x"), known, VALID))
-    return maps, away
+    layers = [_Layer(name, *part, grid) for name, part in parts.items()]
+    for tile in map_tiles(grid.shape):
+        part = grid.part(tile.rows, tile.cols)
+        use = away(part)
+        found = {layer.name: _with_valid(layer.on(tile, part), use) for layer in layers}
+        if together is not None:
+            sink.add(together, grid, tile, merged(*found.values()))
+        else:
+            for name, data in found.items():
+                sink.add(f"layers/{name}", grid, tile, data)
+    for layer in layers:
+        layer.check_met()
+    if together is None:
+        return {name: sink.group(f"layers/{name}") for name in parts}
+    both = sink.group(together)
+    return dict(zip(parts, (both.drop_vars("image"), both[["image", "valid"]]), strict=True))
 
 
-def _brought(name: str, shown: Shown, chain: Chain | None, grid: Grid, memory_bytes: int) -> xr.Dataset:
-    if isinstance(shown, xr.DataArray):
-        if chain is None:
-            return xr.Dataset({"image": (("y", "x"), shown.values, image_attrs(shown))}, coords=grid.coords)
-        data = resample_image(shown, grid, chain, memory_bytes=memory_bytes)
-    elif chain is None:
-        maps = shown["maps"].rename({"v": "y", "u": "x"})
-        return maps.drop_vars([n for n in maps.data_vars if str(n).startswith(("projected_", "presence", "valid"))])
-    else:
-        data = flat_maps(shown["surfaces"], shown["flat"], onto=grid, transform=chain)
-    present = data["image" if "image" in data else "u"].values
-    if not np.isfinite(present).any():
-        raise CannotRegister(
-            f"The layer {name} does not meet the reference: by its marks it lies beside it. Check the marks."
-        )
-    return data.assign(position_errors(None if isinstance(shown, xr.DataArray) else shown, chain, grid, present))
+def _with_valid(data: xr.Dataset, use: Mask) -> xr.Dataset:
+    known = np.isfinite(data["thickness" if "thickness" in data else "image"].values) & use
+    return data.assign(valid=(("y", "x"), known, VALID))
 
 
 def hole_circles(
@@ -142,10 +204,12 @@ def resample_maps(
         hole_circles(registration.marks, "moving", rim_um, chain=chain),
         hole_circles(registration.marks, "fixed", rim_um, image=onto),
     )
-    maps, _ = on_reference(
-        {"sheet": ({"surfaces": measured, "flat": flat}, chain), "image": (onto, None)}, circles, grid
-    )
-    return merged(maps["sheet"], maps["image"])
+    parts: dict[str, tuple[Shown, Chain | None]] = {
+        "sheet": ({"surfaces": measured, "flat": flat}, chain), "image": (onto, None),
+    }  # fmt: skip
+    sink = HeldMaps()
+    bring(parts, Away.of(circles), grid, sink, together="linked")
+    return sink.group("linked")
 
 
 def _refuse_other_image(registration: Registration, grid: Grid) -> None:

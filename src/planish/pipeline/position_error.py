@@ -17,12 +17,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.bands import rms_of
 from planish.core.frame import Frame
 from planish.core.grid import Grid, bilinear, filled, pitch
 from planish.core.results import ErrorShares
 from planish.flatten import flat_moves
 from planish.register import Chain
-from planish.resample import between_lattice, covering_grid, expected_error, find_places, lattice, resample
+from planish.resample import Lattice, covering_grid, find_places, resample
 
 Array = NDArray[np.float64]
 
@@ -49,10 +50,8 @@ _LOWER = {
 }
 
 
-def position_errors(
-    sheet: Mapping[str, xr.Dataset] | None, chain: Chain, grid: Grid, known: Array
-) -> dict[str, xr.DataArray]:  # fmt: skip
-    """Work out all shares and their sum for the pixels of a reference.
+class PositionErrors:
+    """How far the pixels of a reference may be off, worked out at the places of a lattice.
 
     Parameters
     ----------
@@ -62,40 +61,51 @@ def position_errors(
         From the sheet's map to the reference.
     grid : Grid
         Pixels of the reference.
-    known : (y, x)
-        Finite where a pixel shows the layer.
-
-    Returns
-    -------
-    dict of DataArray (y, x), in um
-        ``expected_error``, and of a sheet ``error_marks``, ``error_neutral``, ``error_smoothing``, ``error_sections``
-        where they exist; root mean square, of the distance.
     """
-    marks = expected_error(chain, grid, known)
-    if sheet is None:
-        return {"expected_error": marks}
-    shares = {"marks": marks.values.astype(np.float64)}
-    for name, moved in _moved(sheet, chain, lattice(grid)).items():
-        shares[name] = between_lattice(moved, grid, known, "").values.astype(np.float64)
-    poses = _poses_um(sheet, chain.fits[0].moving.shape[0])
-    if poses is not None:
-        shares["sections"] = np.where(np.isfinite(known), poses * chain.similarity.scale, np.nan)
-    total = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
-    found = {"expected_error": marks.copy(data=total.astype(np.float32))}
-    for name, share in shares.items():
-        about = {"long_name": f"Expected error by {_TITLES[name]}", "units": "um"}
-        found[f"error_{name}"] = marks.copy(data=share.astype(np.float32)).assign_attrs(about)
-    return found
+
+    def __init__(self, sheet: Mapping[str, xr.Dataset] | None, chain: Chain, grid: Grid) -> None:
+        self._lattice = Lattice(grid)
+        places = self._lattice.places
+        self._shares = {"marks": np.asarray(chain.expected_error_um(chain.inverse(places)), dtype=np.float64)}
+        self._whole = sheet is None
+        if sheet is None:
+            return
+        self._shares |= _moved(sheet, chain, places)
+        poses = _poses_um(sheet, chain.fits[0].moving.shape[0])
+        if poses is not None:
+            self._shares["sections"] = np.full(places.shape[:2], poses * chain.similarity.scale)
+
+    def on(self, part: Grid, known: Array) -> dict[str, xr.DataArray]:
+        """All shares and their sum for some pixels of the reference.
+
+        Parameters
+        ----------
+        part : Grid
+        known : (y, x)
+            Finite where a pixel shows the layer.
+
+        Returns
+        -------
+        dict of DataArray (y, x), in um
+            ``expected_error``, and of a sheet ``error_marks``, ``error_neutral``, ``error_smoothing``,
+            ``error_sections`` where they exist; root mean square, of the distance.
+        """
+        inside = np.isfinite(known)
+        shares = {k: np.where(inside, self._lattice.between(v, part), np.nan) for k, v in self._shares.items()}
+        total = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
+        found = {"expected_error": (total, "Expected error of the place, rms")}
+        if not self._whole:
+            found |= {f"error_{k}": (share, f"Expected error by {_TITLES[k]}") for k, share in shares.items()}
+        return {
+            name: xr.DataArray(values.astype(np.float32), part.coords, ("y", "x"), attrs={
+                "long_name": title, "units": "um"
+            }) for name, (values, title) in found.items()
+        }  # fmt: skip
 
 
 def error_shares(maps: xr.Dataset) -> ErrorShares | None:
     """Root mean square of each share over the pixels, which is the largest, and what would lower it."""
-    rms: dict[str, float] = {}
-    for name in _TITLES:
-        if f"error_{name}" in maps:
-            values = maps[f"error_{name}"].values
-            values = values[np.isfinite(values)].astype(np.float64)
-            rms[name] = float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+    rms = {k: rms_of(maps[f"error_{k}"]) or 0.0 for k in _TITLES if f"error_{k}" in maps}
     if not rms:
         return None
     whole, largest = float(np.sqrt(sum(v**2 for v in rms.values()))), max(rms, key=lambda name: rms[name])

@@ -16,6 +16,9 @@ from planish.pipeline.layers import Layer
 from planish.pipeline.registration import Registration
 from planish.study import Study, read_study
 
+MAPS = "maps.zarr"
+"""Name of the store with the groups of a run."""
+
 _OF_A_SHEET = ("surfaces", "flat", "strain", "maps", "slices")
 
 
@@ -119,7 +122,7 @@ class Run:
 
 def is_run(path: Path) -> bool:
     """Whether a folder holds a run."""
-    return (path / "run.toml").is_file() and (path / "maps.zarr").is_dir()
+    return (path / "run.toml").is_file() and (path / MAPS).is_dir()
 
 
 def open_run(path: str | Path) -> Run:
@@ -148,7 +151,7 @@ def open_run(path: str | Path) -> Run:
         layer.name: Registration.read(folder / marks_file(results, layer.name)) for layer in results.moving
     }
     return Run(
-        study=read_study(folder / "run.toml"), results=results, groups=read_tree(folder / "maps.zarr"),
+        study=read_study(folder / "run.toml"), results=results, groups=read_tree(folder / MAPS),
         registrations=registrations, folder=folder,
     )  # fmt: skip
 

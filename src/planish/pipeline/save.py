@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import secrets
+from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import xarray as xr
@@ -11,22 +13,23 @@ import xarray as xr
 from planish import __version__
 from planish.compute import Compute, Progress, run_key, silent
 from planish.core.errors import CannotRegister, PlanishError
+from planish.core.overviews import overviews
 from planish.core.results import LayerFacts, Results
 from planish.core.threads import limit_threads
 from planish.io import fingerprint
-from planish.io.run_folder import OVERVIEWS, new_folder, refuse_existing, refuse_inside, work_folder, write_tree
+from planish.io.map_store import OVERVIEWS, MapSink, StoredMaps, stored_group
+from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, work_folder, write_tree
 from planish.marks import write_marks
 from planish.pipeline.checks import about, with_trust
 from planish.pipeline.facts import parameters, versions
 from planish.pipeline.figures import figures_text
 from planish.pipeline.kept import KeptMaps, sheets_of
 from planish.pipeline.layers import Layer
-from planish.pipeline.link import link_study
+from planish.pipeline.link import LINKED, link_study
 from planish.pipeline.request import check_request
-from planish.pipeline.run import Run, marks_file
+from planish.pipeline.run import MAPS, Run, marks_file
 from planish.pipeline.sheet import map_layer
 from planish.report import write_report
-from planish.resample import overviews
 from planish.study import LayerParams, Study, to_dict, write_study
 
 _NONE: Mapping[str, Layer] = {}
@@ -81,8 +84,11 @@ def run_study(
             for name in before:
                 progress("read", f"{name}, mapped before")
             mapped = dict(before)
+            sink = StoredMaps(work / f".{secrets.token_hex(4)}.partial") if len(study.layers) > 1 else None
             try:
-                run = _done(study, compute=compute, progress=progress, kept=work / "tiles", mapped=mapped, near=near)
+                run = _done(
+                    study, compute=compute, progress=progress, kept=work / "tiles", mapped=mapped, near=near, sink=sink
+                )
             except PlanishError as error:
                 with suppress(PlanishError):  # a disk that is full now does not hide what was wrong before
                     for name in mapped.keys() - before.keys():
@@ -96,8 +102,9 @@ def run_study(
                 raise type(error)(f"{error} {more}") from error
             progress("write", str(out))
             with new_folder(out, inside=work, needed=_size(run)) as folder:
-                save_run(run, folder, home=out)
-            return run
+                save_run(run, folder, home=out, stored=sink)
+            moved = {name: stored_group(out / MAPS, name) for name in sink.stored} if sink is not None else {}
+            return replace(run, groups=run.groups | moved)
 
 
 def _of_layer(out: Path, layer: LayerParams, study: Study) -> Path:
@@ -123,11 +130,11 @@ def _quoted(path: str) -> str:
 
 def _done(
     study: Study, *, compute: Compute, progress: Progress, kept: Path | None, mapped: dict[str, Layer] | None = None,
-    near: Mapping[str, Layer] = _NONE,
+    near: Mapping[str, Layer] = _NONE, sink: MapSink | None = None,
 ) -> Run:  # fmt: skip
     first, *others = study.layers
     if others:
-        return link_study(study, compute=compute, progress=progress, kept=kept, mapped=mapped, near=near)
+        return link_study(study, compute=compute, progress=progress, kept=kept, mapped=mapped, near=near, sink=sink)
     sheet = map_layer(first, compute=compute, progress=progress, kept=kept, before=near.get(first.name))
     return _run_of_sheet(sheet, study)
 
@@ -151,24 +158,25 @@ def _size(run: Run) -> int:
     return _PAGES + sum(data.nbytes for data in run.groups.values()) * 4 // 3
 
 
-def _overviews(run: Run) -> Iterator[tuple[str, xr.Dataset]]:
-    """Smaller copies of large maps, ``overviews/GROUP/1`` half as fine, ``/2`` half of that, and so on."""
-    for name, data in run.groups.items():
-        if name in ("maps", "linked", "refined") or name.startswith("layers/"):
-            for k, smaller in enumerate(overviews(data), 1):
-                yield f"{OVERVIEWS}/{name}/{k}", smaller
+def _with_overviews(groups: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
+    """Add smaller copies of large maps, ``overviews/GROUP/1`` half as fine, ``/2`` half of that, and so on."""
+    found = dict(groups)
+    for name, data in groups.items():
+        if (name in ("maps", LINKED, "refined") or name.startswith("layers/")) and f"{OVERVIEWS}/{name}/1" not in found:
+            found |= {f"{OVERVIEWS}/{name}/{k}": smaller for k, smaller in enumerate(overviews(data), 1)}
+    return found
 
 
-def save_run(run: Run, folder: Path, *, home: Path) -> None:
+def save_run(run: Run, folder: Path, *, home: Path, stored: StoredMaps | None = None) -> None:
     """Write all files of a run into ``folder``, which will stand at ``home``.
 
-    A volume that was mapped on the way to a link of several layers stands in ``layers/NAME`` as a run of its own.
+    The store of ``stored``, which holds some of its groups, becomes that of the run. A volume that was mapped on the
+    way to a link of several layers stands in ``layers/NAME`` as a run of its own.
     """
     for name, sheet in run.sheets.items():
         inner = folder / "layers" / name
         inner.mkdir(parents=True)
         save_run(_run_of_sheet(sheet, run.study), inner, home=home / "layers" / name)
-    write_tree(folder / "maps.zarr", run.groups | dict(_overviews(run)))
     for name, registration in run.registrations.items():
         path = folder / marks_file(run.results, name)
         registration.save(path)
@@ -178,6 +186,10 @@ def save_run(run: Run, folder: Path, *, home: Path) -> None:
     write_study(run.study, folder, home=home, version=__version__)
     pairs = {name: registration.pairs() for name, registration in run.registrations.items()}
     write_report(folder / "report.html", results=run.results, groups=run.groups, marks=pairs)
+    there = stored.stored if stored is not None else []
+    if stored is not None and there:
+        stored.path.rename(folder / MAPS)
+    write_tree(folder / MAPS, {k: data for k, data in _with_overviews(run.groups).items() if k not in there})
 
 
 def _hash(path: str) -> str:

@@ -19,6 +19,7 @@ from planish.analyze import (
     two_images,
     two_sheets,
 )
+from planish.core.bands import any_finite, rms_of, thinned
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
 from planish.core.grid import Grid
@@ -57,9 +58,7 @@ def texture_of(
     if "thickness" in b and "thickness" not in a:
         a, b, names = b, a, (names[1], names[0])
     valid, one_sheet = a["valid"].values & b["valid"].values, "thickness" in a and "thickness" not in b
-    first, second = (
-        {k: d[k].values for k in _MAPS if k in d and np.isfinite(d[k].values[valid]).any()} for d in (a, b)
-    )  # fmt: skip
+    first, second = ({k: d[k] for k in _MAPS if k in d and any_finite(d[k], valid)} for d in (a, b))
     maps = first | ({"image": second["image"]} if one_sheet else {f"other {k}": m for k, m in second.items()})
     try:
         found = textures(maps, valid, Grid.of(a).pixel_um)
@@ -77,7 +76,8 @@ def texture_of(
         compared = _Compared(found, [name], 0, f"other {name}")
     else:
         check, compared = two_images(found, names), _Compared(found, ["image"], 0, "other image")
-    expected_um = _expected_um(a if "expected_error" in a else b, valid)
+    moved = next((d["expected_error"] for d in (a, b) if "expected_error" in d), None)
+    expected_um = None if moved is None else rms_of(moved, valid)
     short = min(n * um for n, um in zip(found.known.shape, found.pixel_um, strict=True))
     try:
         lag = texture_lag(
@@ -107,22 +107,13 @@ def _coated(sheet: xr.Dataset) -> list[Side]:
     found: list[Side] = []
     for side in SIDES:
         name = f"coating_{side}"
-        values, errors = (
-            sheet[k].values[sheet["valid"].values].astype(np.float64) if k in sheet else np.empty(0)
-            for k in (name, f"{name}_se")
-        )
-        known, errors = values[np.isfinite(values)], errors[np.isfinite(errors)]
-        limit = _SEEN * float(np.median(errors)) if errors.size else 0.0
-        if known.size and known.size >= _SEEN_SHARE * values.size and float(np.median(known)) > limit:
+        errors = [sheet[k] for k in (f"{name}_se",) if k in sheet]
+        use, *values = thinned(sheet["valid"], sheet[name], *errors)[1]
+        known, *own = (v[use & np.isfinite(v)] for v in values)
+        limit = _SEEN * float(np.median(own[0])) if own and own[0].size else 0.0
+        if known.size and known.size >= _SEEN_SHARE * np.count_nonzero(use) and float(np.median(known)) > limit:
             found.append(side)
     return found
-
-
-def _expected_um(maps: xr.Dataset, valid: NDArray[np.bool_]) -> float | None:
-    """Expected error of the registration over the map, rms."""
-    error = maps["expected_error"].values[valid].astype(np.float64) if "expected_error" in maps else np.empty(0)
-    error = error[np.isfinite(error)]
-    return float(np.sqrt(np.mean(error**2))) if error.size else None
 
 
 def lag_facts(lag: Lag, *, expected_um: float | None, name: str) -> LagFacts:

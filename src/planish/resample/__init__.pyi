@@ -2,13 +2,12 @@ from .fields import resample as resample
 from .fields import resample_dataset as resample_dataset
 from .fields import resample_labels as resample_labels
 from .fields import support as support
-from .maps import between_lattice as between_lattice
-from .maps import expected_error as expected_error
+from .maps import Lattice as Lattice
+from .maps import SheetOnto as SheetOnto
 from .maps import image_attrs as image_attrs
-from .maps import lattice as lattice
 from .maps import resample_image as resample_image
 from .maps import resample_maps as resample_maps
-from .overviews import overviews as overviews
+from .places import Mesh as Mesh
 from .places import Places as Places
 from .places import covering_grid as covering_grid
 from .places import find_places as find_places

@@ -14,7 +14,7 @@ from planish.core.frame import Frame
 from planish.core.grid import Grid, pitch
 from planish.core.transform import Similarity, axial_angle
 from planish.resample.fields import resample_dataset
-from planish.resample.places import covering_grid, find_places
+from planish.resample.places import Mesh, covering_grid, find_places
 from planish.resample.warp import warp_image
 
 Array = NDArray[np.float64]
@@ -61,44 +61,73 @@ def resample_maps(
     the variance that the mean keeps; what is common to all columns stays. Axial angles are averaged by their
     components, ``NAME_cos2`` and ``NAME_sin2`` for ``NAME_angle``.
     """
-    uv = np.stack([flat[name].values for name in ("u", "v")], axis=-1)
-    step = pitch(surfaces)
+    if onto is not None:
+        return SheetOnto(surfaces, flat, transform=transform).on(onto)
+    uv, step = _uv(flat), pitch(surfaces)
     properties, errors, layers = _measured(surfaces)
-    places = ("projected_u", "projected_v") if onto is None else ("u", "v")
-    data = surfaces[[*properties, *errors]].assign({name: flat[name] for name in places})
+    data = surfaces[[*properties, *errors, *layers]].assign({k: flat[k] for k in ("projected_u", "projected_v")})
     data = data.assign(_in_volume(surfaces, np.isfinite(flat["u"].values)))
     pixel = map_um or float(np.sqrt(step[0] * step[1]))
-    similarity = Similarity()
-    if onto is None:
-        data = data.assign({name: surfaces[name] for name in layers})
-        grid = covering_grid(uv, pixel)
-        found = find_places(uv, grid, least_um=min(step))
-        maps = resample_dataset(data, found, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
-    else:
+    grid = covering_grid(uv, pixel)
+    found = find_places(uv, grid, least_um=min(step))
+    maps = resample_dataset(data, found, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
+    maps = _finished(maps, surfaces, (properties, errors, layers), pixel, Similarity())
+    known = np.isfinite(maps["thickness"].values)
+    maps["valid"] = (("v", "u"), known, {"long_name": "Measured"})
+    maps.attrs["overlaps"] = found.overlaps
+    middles = [float(np.mean(surfaces[name].attrs["layer"])) for name in layers]
+    if middles:
+        # Where the layers lie that holes are found in: the face is half a thickness from the centre surface.
+        apart = max(middles) - min(middles)
+        maps.attrs["layers_apart_um"] = apart * float(surfaces.attrs["thickness_um"])
+        maps.attrs["layer_to_face"] = (0.5 - max(middles)) / apart
+    return maps
+
+
+class SheetOnto:
+    """The maps of a sheet on the pixels of a reference, of which parts are asked for one by one.
+
+    ``transform`` leads from the flat sheet to the reference, and has a ``similarity``.
+    """
+
+    def __init__(self, surfaces: xr.Dataset, flat: xr.Dataset, *, transform: Any = None) -> None:
+        uv, self._surfaces, self._similarity = _uv(flat), surfaces, Similarity()
+        properties, errors, _ = self._names = (*_measured(surfaces)[:2], [])
+        data = surfaces[[*properties, *errors]].assign({name: flat[name] for name in ("u", "v")})
+        self._data = data.assign(_in_volume(surfaces, np.isfinite(flat["u"].values)))
         if transform is not None:
-            uv, similarity = transform(uv), transform.similarity
-        found = find_places(uv, onto, least_um=min(step) * similarity.scale)
-        pixel = float(np.sqrt(onto.pixel_um[0] * onto.pixel_um[1])) / similarity.scale
-        maps = resample_dataset(data, found, dims=("y", "x"), coords=onto.coords)
+            uv, self._similarity = transform(uv), transform.similarity
+        self._mesh = Mesh.of(uv, least_um=min(pitch(surfaces)) * self._similarity.scale)
+
+    def on(self, part: Grid) -> xr.Dataset:
+        """The maps on some pixels of the reference."""
+        (rows, cols), places = self._mesh.under(part)
+        maps = resample_dataset(self._data.isel(y=rows, x=cols), places, dims=("y", "x"), coords=part.coords)
+        pixel = float(np.sqrt(part.pixel_um[0] * part.pixel_um[1])) / self._similarity.scale
+        return _finished(maps, self._surfaces, self._names, pixel, self._similarity)
+
+
+def _uv(flat: xr.Dataset) -> Array:
+    return np.stack([flat[name].values for name in ("u", "v")], axis=-1)
+
+
+def _finished(
+    maps: xr.Dataset, surfaces: xr.Dataset, names: tuple[list[str], list[str], list[str]], pixel_um: float,
+    similarity: Similarity,
+) -> xr.Dataset:  # fmt: skip
+    """Angles turned, errors of means, and the types in which maps are stored."""
+    properties, errors, layers = names
     maps = _with_angles(maps, similarity).assign(
-        {name: maps[name].copy(data=_of_mean(maps[name].values, surfaces[name].attrs, pixel)) for name in errors}
+        {name: maps[name].copy(data=_of_mean(maps[name].values, surfaces[name].attrs, pixel_um)) for name in errors}
     )
-    if onto is None:
-        known = np.isfinite(maps["thickness"].values)
-        maps["valid"] = (("v", "u"), known, {"long_name": "Measured"})
-        maps.attrs["overlaps"] = found.overlaps
-        middles = [float(np.mean(surfaces[name].attrs["layer"])) for name in layers]
-        if middles:
-            # Where the layers lie that holes are found in: the face is half a thickness from the centre surface.
-            apart = max(middles) - min(middles)
-            maps.attrs["layers_apart_um"] = apart * float(surfaces.attrs["thickness_um"])
-            maps.attrs["layer_to_face"] = (0.5 - max(middles)) / apart
     # Geometry stays double.
     stored = [name for name in [*properties, *errors] if "support_um" not in surfaces[name].attrs] + layers
     return maps.assign({name: maps[name].astype(np.float32) for name in stored if name in maps})
 
 
-def resample_image(image: xr.DataArray, onto: Grid, transform: Any, *, memory_bytes: int = 2**31) -> xr.Dataset:
+def resample_image(
+    image: xr.DataArray, onto: Grid, transform: Any, *, memory_bytes: int = 2**31, must_meet: bool = True
+) -> xr.Dataset:
     """Bring an image (y, x) onto the pixels of a reference.
 
     Parameters
@@ -110,6 +139,8 @@ def resample_image(image: xr.DataArray, onto: Grid, transform: Any, *, memory_by
         From the image to the reference.
     memory_bytes : int
         What may be taken beside the image.
+    must_meet : bool
+        Whether it is an error that the grid shows nothing of the image.
 
     Returns
     -------
@@ -118,7 +149,9 @@ def resample_image(image: xr.DataArray, onto: Grid, transform: Any, *, memory_by
     """
     rows, cols = image.attrs["pixel_um"]
     pixel_um = float(rows), float(cols)
-    values = warp_image(image.values, onto, transform.inverse, pixel_um=pixel_um, memory_bytes=memory_bytes)
+    values = warp_image(
+        image.values, onto, transform.inverse, pixel_um=pixel_um, memory_bytes=memory_bytes, must_meet=must_meet
+    )
     return xr.Dataset({"image": (("y", "x"), values, image_attrs(image))}, coords=onto.coords)
 
 
@@ -127,27 +160,25 @@ def image_attrs(image: xr.DataArray) -> dict[str, str]:
     return {"long_name": str(image.attrs.get("long_name", "Image")), "units": "1"}
 
 
-def expected_error(transform: Any, grid: Grid, known: Array) -> xr.DataArray:
-    """How far each pixel of a reference may be off by its marks, in um, where ``known`` (y, x) is finite.
+class Lattice:
+    """Some of a grid's places, evenly from border to border, between which what varies over millimetres is known.
 
-    It is worked out on a lattice of at most some 200 x 200 places and interpolated between.
+    ``places`` are (rows, cols, 2), as (x, y) in um, at most some 200 x 200.
     """
-    errors = transform.expected_error_um(transform.inverse(lattice(grid)))
-    return between_lattice(errors, grid, known, "Expected error of the place, rms")
 
+    def __init__(self, grid: Grid) -> None:
+        self._at = [np.linspace(v[0], v[-1], min(v.size, _LATTICE)) for v in (grid.y_um, grid.x_um)]
+        self.places: Array = np.stack(np.meshgrid(self._at[1], self._at[0]), axis=-1)
 
-def lattice(grid: Grid) -> Array:
-    """Some of a grid's places (rows, cols, 2), evenly from border to border, as (x, y)."""
-    at = [np.linspace(v[0], v[-1], min(v.size, _LATTICE)) for v in (grid.y_um, grid.x_um)]
-    return np.stack(np.meshgrid(at[1], at[0]), axis=-1)
-
-
-def between_lattice(values: Array, grid: Grid, known: Array, title: str) -> xr.DataArray:
-    """Values in um at the places of :func:`lattice`, on all pixels where ``known`` (y, x) is finite."""
-    at = lattice(grid)
-    coarse = xr.DataArray(values, dims=("y", "x"), coords={"y": at[:, 0, 1], "x": at[0, :, 0]})
-    fine = np.where(np.isfinite(known), coarse.interp(y=grid.y_um, x=grid.x_um).values, np.nan).astype(np.float32)
-    return xr.DataArray(fine, dims=("y", "x"), coords=grid.coords, attrs={"long_name": title, "units": "um"})
+    def between(self, values: Array, part: Grid) -> Array:
+        """Values (rows, cols) of the places on some pixels of the grid, by bilinear interpolation."""
+        for axis, (at, to) in enumerate(zip(self._at, (part.y_um, part.x_um), strict=True)):
+            low = np.clip(np.searchsorted(at, to, side="right") - 1, 0, max(at.size - 2, 0))
+            high = np.minimum(low + 1, at.size - 1)
+            share = (to - at[low]) / np.where(high > low, at[high] - at[low], 1.0)
+            share = share[:, None] if axis == 0 else share
+            values = values.take(low, axis) * (1.0 - share) + values.take(high, axis) * share
+        return values
 
 
 def _measured(surfaces: xr.Dataset) -> tuple[list[str], list[str], list[str]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,6 +112,47 @@ def find_places(uv: Array, grid: Grid, *, least_um: float | None = None, method:
     triangle, weight, corners, overlaps = find(np.ascontiguousarray(uv, dtype=np.float64), first, step, size)
     mesh = int(uv.shape[0]), int(uv.shape[1])
     return Places(triangle=triangle, weight=weight, corners=corners, mesh=mesh, fine=fine, overlaps=overlaps)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mesh:
+    """A quad mesh with flat coordinates ``uv`` (rows, cols, 2), in which parts of a grid are located one by one."""
+
+    uv: Array
+    least_um: float
+    # First and last u, then v, that the quads of each segment of each row reach: (2, rows - 1, segments).
+    _low: Array
+    _high: Array
+
+    @classmethod
+    def of(cls, uv: Array, *, least_um: float) -> Mesh:
+        """``least_um`` is the pitch of the mesh, as for :func:`find_places`."""
+        found = [_extents(uv[..., k], 0.0, 1.0) for k in range(2)]
+        low, high = (np.stack([ends[k] for ends in found]) for k in range(2))
+        return cls(
+            uv=uv, least_um=least_um, _low=np.minimum(low[:, :-1], low[:, 1:]),
+            _high=np.maximum(high[:, :-1], high[:, 1:]),
+        )  # fmt: skip
+
+    def under(self, grid: Grid) -> Under:
+        """Locate the pixels of a grid."""
+        touched = np.ones(self._low.shape[1:], dtype=bool)
+        for k, (at, pixel) in enumerate(((grid.x_um, grid.pixel_um[1]), (grid.y_um, grid.pixel_um[0]))):
+            touched &= (self._low[k] <= at[-1] + pixel) & (self._high[k] >= at[0] - pixel)
+        rows, segments = (np.flatnonzero(touched.any(axis=axis)) for axis in (1, 0))
+        if rows.size == 0:
+            nodes = slice(0, 1), slice(0, 1)  # a single node covers nothing
+        else:
+            last = min((segments[-1] + 1) * _SEGMENT, self.uv.shape[1] - 1)
+            nodes = slice(int(rows[0]), int(rows[-1]) + 2), slice(int(segments[0]) * _SEGMENT, int(last) + 1)
+        return Under(nodes, find_places(self.uv[nodes], grid, least_um=self.least_um))
+
+
+class Under(NamedTuple):
+    """The nodes of a mesh that lie under some pixels, and where each pixel lies among them."""
+
+    nodes: tuple[slice, slice]
+    places: Places
 
 
 def covering_grid(uv: Array, pixel_um: float) -> Grid:

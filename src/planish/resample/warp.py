@@ -50,7 +50,7 @@ _FLAT = 1e-6  # of the square of its diagonal: an area below that is none
 
 def warp_image(
     image: NDArray[np.floating[Any]], grid: Grid, to_source: Mapping, *, pixel_um: Pair = (1.0, 1.0),
-    memory_bytes: int = 2**31,
+    memory_bytes: int = 2**31, must_meet: bool = True,
 ) -> NDArray[np.floating[Any]]:  # fmt: skip
     """Warp an image by a transformation.
 
@@ -67,6 +67,8 @@ def warp_image(
         Pitch of the image's rows and columns.
     memory_bytes : int
         What may be taken beside the image.
+    must_meet : bool
+        Whether it is an error that the target shows nothing of the image; otherwise all of it is NaN then.
 
     Returns
     -------
@@ -120,7 +122,7 @@ def warp_image(
 
     out = np.full(shape, np.nan, dtype=image.dtype)
     map_threads(partial(_warp_tile, image, mapping, out), tiles_of(shape, _TILE))
-    if not np.isfinite(out).any():
+    if must_meet and not np.isfinite(out).any():
         raise _apart(mapping, shape, size, pixel_um)
     return out
 

@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 import zarr
 
+from planish.core.overviews import overviews
 from planish.io.run_folder import read_tree, write_tree
-from planish.resample import overviews
 
 
 def maps(rows, cols):

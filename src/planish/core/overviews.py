@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+
+from planish.core._overview_kernels import halve_truth, halve_values
 
 LEAST = 512  # pixels a side: what is no larger needs no overview
 
@@ -26,40 +29,32 @@ def overviews(maps: xr.Dataset, *, least: int = LEAST) -> Iterator[xr.Dataset]:
         Means over the pixels that have a value, NaN where none of the four has one; of truth values, whether half of
         the four are true. Labels have no mean and are left out. Coordinates are the middles of the larger pixels.
     """
-    while max(maps.sizes.values(), default=0) > least:
+    for _ in range(count_of(tuple(maps.sizes.values()), least=least)):
         maps = halved(maps)
         yield maps
+
+
+def count_of(shape: tuple[int, ...], *, least: int = LEAST) -> int:
+    """How many overviews maps of a shape need."""
+    return max(math.ceil(math.log2(max(shape, default=1) / least)), 0)
 
 
 def halved(maps: xr.Dataset) -> xr.Dataset:
     """Maps with pixels twice as wide; the last row and column of an odd number stand for themselves."""
     names = [str(name) for name, data in maps.data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"]
-    coords = {str(dim): (dim, _middles(maps[dim].values), maps[dim].attrs) for dim in maps[names].dims}
+    coords = {str(dim): (dim, middles(maps[dim].values), maps[dim].attrs) for dim in maps[names].dims}
     found = {name: (maps[name].dims, _means(maps[name].values), maps[name].attrs) for name in names}
     return xr.Dataset(found, coords=coords, attrs=maps.attrs)
 
 
-def _middles(at: NDArray[np.float64]) -> NDArray[np.float64]:
+def middles(at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Middles of the pixels that are twice as wide."""
     if at.size < 2:
         return at
     return at[0] + (at[1] - at[0]) * (0.5 + 2 * np.arange((at.size + 1) // 2))
 
 
 def _means(values: NDArray[Any]) -> NDArray[Any]:
-    known = np.isfinite(values)
-    count, total = (_sums(part) for part in (known, np.where(known, values, 0)))
-    if values.dtype == np.bool_:
-        return 2 * total >= count
-    with np.errstate(invalid="ignore"):
-        return (total / np.where(count > 0, count, np.nan)).astype(values.dtype)
-
-
-def _sums(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Sums over 2 x 2 pixels."""
-    rows, cols = values.shape
-    out = np.zeros(((rows + 1) // 2, (cols + 1) // 2))
-    for i in range(2):
-        for j in range(2):
-            part = values[i::2, j::2]
-            out[: part.shape[0], : part.shape[1]] += part
+    out = np.empty(((values.shape[0] + 1) // 2, (values.shape[1] + 1) // 2), values.dtype)
+    (halve_truth if values.dtype == np.bool_ else halve_values)(np.ascontiguousarray(values), out)
     return out

@@ -1,0 +1,62 @@
+"""Large maps band by band: what is in memory at a time does not grow with the number of their rows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+Rows = xr.DataArray | NDArray[Any]
+"""A map (rows, cols) of which some rows are asked for at a time; it may lie in a store."""
+
+BAND = 512
+"""Rows of a band, and of a chunk of a stored map: each chunk is read once."""
+
+_SAMPLE = 2**22  # pixels that show how the values of a map are distributed
+
+
+def bands(rows: int) -> Iterator[slice]:
+    """All rows of a map, band by band."""
+    for begin in range(0, rows, BAND):
+        yield slice(begin, min(begin + BAND, rows))
+
+
+def band_of(data: Rows, rows: slice) -> NDArray[Any]:
+    """Some rows of a map."""
+    return np.asarray(data[rows])
+
+
+def any_finite(data: Rows, where: Rows | None = None) -> bool:
+    """Whether a map has a value, where ``where`` is true."""
+    for rows in bands(data.shape[0]):
+        known = np.isfinite(band_of(data, rows))
+        if (known if where is None else known & band_of(where, rows)).any():
+            return True
+    return False
+
+
+def rms_of(data: Rows, where: Rows | None = None) -> float | None:
+    """Root mean square of a map, where ``where`` is true; None where it has no value."""
+    count, squares = 0, 0.0
+    for rows in bands(data.shape[0]):
+        values = band_of(data, rows)
+        values = values[np.isfinite(values) if where is None else np.isfinite(values) & band_of(where, rows)]
+        count, squares = count + values.size, squares + float(np.sum(values.astype(np.float64) ** 2))
+    return float(np.sqrt(squares / count)) if count else None
+
+
+def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
+    """Every k-th row and column of maps on one grid, and k: 1 up to 4 million pixels.
+
+    For figures and medians, whose own uncertainty is larger than what this leaves out.
+    """
+    rows, cols = maps[0].shape
+    k = max(1, math.ceil(math.sqrt(rows * cols / _SAMPLE)))
+    if k == 1:
+        return 1, [np.asarray(data) for data in maps]
+    # The band's own rows, so that a stored map is read chunk by chunk and once.
+    return k, [np.concatenate([band_of(data, at)[-at.start % k :: k, ::k] for at in bands(rows)]) for data in maps]

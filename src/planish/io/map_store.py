@@ -1,0 +1,225 @@
+"""Maps of one grid while they are made, tile by tile: in memory, or in a store from which parts are read back."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import ZstdCodec
+
+from planish.core.errors import FileError
+from planish.core.files import writing
+from planish.core.grid import Grid
+from planish.core.lazy import LazyArray, Where, held
+from planish.core.overviews import count_of, halved, middles
+from planish.core.tiles import Tile, tiles_of
+
+CHUNK = 512  # pixels along the edge of a chunk of a map
+COMPLETE = "every_chunk_is_written"  # attribute of a store: one that is not there is a damage, not a missing value
+OVERVIEWS = "overviews"  # group of a store with smaller copies of its maps, which are read where they are shown
+LARGE = 2**29
+"""Bytes of a group of maps from which on it stays in its store and is read part by part."""
+
+_TILE = (1024, 4096)  # whole chunks, also of the first overview
+
+
+def map_tiles(shape: tuple[int, int]) -> list[Tile]:
+    """The tiles in which maps of a grid are made and written."""
+    return tiles_of(shape, _TILE)
+
+
+class MapSink(ABC):
+    """Groups of maps (y, x) on one grid, of which tiles are added."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, dict[str, Any]] = {}
+
+    def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
+        """Add a tile of all maps of a group; the first one says which there are."""
+        if name not in self._arrays:
+            self._arrays[name] = self._made(name, grid, maps)
+        for key, data in maps.data_vars.items():
+            self._arrays[name][str(key)][tile.rows, tile.cols] = data.values
+
+    @abstractmethod
+    def _made(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
+        """Make the arrays of a group for maps like these."""
+
+    @abstractmethod
+    def group(self, name: str) -> xr.Dataset:
+        """A group of which all tiles were added."""
+
+    def overviews(self) -> dict[str, xr.Dataset]:
+        """Smaller copies of groups that are too large to be drawn as they are, ``overviews/GROUP/1`` and so on."""
+        return {}
+
+
+class HeldMaps(MapSink):
+    """Maps in memory."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._groups: dict[str, xr.Dataset] = {}
+
+    def _made(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
+        arrays = {str(k): np.empty(grid.shape, data.dtype) for k, data in maps.data_vars.items()}
+        variables = {k: (maps[k].dims, values, maps[k].attrs) for k, values in arrays.items()}
+        self._groups[name] = xr.Dataset(variables, coords=_coords(grid, maps), attrs=maps.attrs)
+        return {str(k): data.values for k, data in self._groups[name].data_vars.items()}
+
+    def group(self, name: str) -> xr.Dataset:
+        """A group of which all tiles were added."""
+        return self._groups[name]
+
+
+class StoredMaps(HeldMaps):
+    """Maps in memory, and larger groups in a store at ``path``, with overviews.
+
+    Raises
+    ------
+    FileError
+        If the store cannot be written or read.
+    ResourceError
+        If the disk is full.
+    """
+
+    def __init__(self, path: Path, *, least_bytes: int = LARGE) -> None:
+        super().__init__()
+        self.path, self._least = path, least_bytes
+        self.stored: list[str] = []  # names of the groups in the store, overviews among them
+
+    def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
+        """Add a tile of all maps of a group, and of its overviews."""
+        with writing(self.path):
+            super().add(name, grid, tile, maps)
+            if name not in self.stored:
+                return
+            for k in range(1, count_of(grid.shape) + 1):
+                # Tiles begin at multiples of more pixels than there are in one of the last overview.
+                maps = halved(maps)
+                part = Tile(tile.r0 >> k, (tile.r0 >> k) + maps.sizes["y"], tile.c0 >> k, 0)
+                part = part._replace(c1=part.c0 + maps.sizes["x"])
+                super().add(f"{OVERVIEWS}/{name}/{k}", _coarser(grid, k), part, maps)
+
+    def _made(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
+        size = sum(data.dtype.itemsize for data in maps.data_vars.values()) * grid.shape[0] * grid.shape[1]
+        if size < self._least and not name.startswith(f"{OVERVIEWS}/"):
+            return super()._made(name, grid, maps)
+        group = zarr.open_group(self.path, mode="a", attributes={COMPLETE: True}).require_group(name)
+        group.attrs.update(_plain(maps.attrs))
+        for axis, values, attrs in _coords(grid, maps).values():
+            made = group.create_array(
+                axis, shape=values.shape, dtype=values.dtype, dimension_names=(axis,), attributes=_plain(attrs)
+            )
+            made[:] = values
+        arrays: dict[str, Any] = {}
+        for key, data in maps.data_vars.items():
+            # Maps hold noise: a higher level takes half as long again and saves nothing.
+            arrays[str(key)] = group.create_array(
+                str(key), shape=grid.shape, dtype=data.dtype, chunks=(min(grid.shape[0], CHUNK),
+                min(grid.shape[1], CHUNK)), compressors=(ZstdCodec(level=1),),
+                fill_value=np.nan if data.dtype.kind == "f" else 0, dimension_names=[str(d) for d in data.dims],
+                attributes=_plain(data.attrs), config={"write_empty_chunks": True},
+            )  # fmt: skip
+        self.stored.append(name)
+        return arrays
+
+    def group(self, name: str) -> xr.Dataset:
+        """A group of which all tiles were added."""
+        return stored_group(self.path, name) if name in self.stored else super().group(name)
+
+    def overviews(self) -> dict[str, xr.Dataset]:
+        """Smaller copies of the groups in the store."""
+        return {name: self.group(name) for name in self.stored if name.startswith(f"{OVERVIEWS}/")}
+
+
+def stored_group(path: Path, name: str) -> xr.Dataset:
+    """A group of a store whose maps stay there: each part is read when it is asked for, and not kept.
+
+    Raises
+    ------
+    FileError
+        If it is not there, or damaged; the latter also when a part is read.
+    """
+    with _readable(path):
+        group = zarr.open_group(path, path=name, mode="r")
+        coords: dict[str, Any] = {}
+        variables: dict[str, Any] = {}
+        for key, array in sorted(_arrays(group)):
+            dims = tuple(map(str, array.metadata.dimension_names or ()))
+            attrs = {k: v for k, v in array.attrs.items() if k != "_FillValue"}
+            (coords if dims == (key,) else variables)[key] = xr.Variable(
+                dims, held(_Stored(path, array)) if array.ndim == 2 else array[...], attrs
+            )
+        return xr.Dataset(variables, coords=coords, attrs=dict(group.attrs))
+
+
+def large_groups(path: Path) -> Iterator[str]:
+    """Names of the groups of a store whose maps should stay there, and of their overviews."""
+    with _readable(path):
+        root = zarr.open_group(path, mode="r")
+        for name, group in root.members(max_depth=None):
+            if isinstance(group, zarr.Group):
+                size = sum(array.nbytes for _, array in _arrays(group) if array.ndim == 2)
+                of_large = name.startswith(f"{OVERVIEWS}/") and size and _is_large(root, name.split("/", 1)[1])
+                if size >= LARGE or of_large:
+                    yield name
+
+
+def _is_large(root: zarr.Group, overview: str) -> bool:
+    """Whether the maps are large of which ``GROUP/LEVEL`` is an overview."""
+    of = root[overview.rsplit("/", 1)[0]]
+    assert isinstance(of, zarr.Group)
+    return sum(array.nbytes for _, array in _arrays(of) if array.ndim == 2) >= LARGE
+
+
+def _arrays(group: zarr.Group) -> list[tuple[str, Any]]:
+    return [*group.arrays()]
+
+
+class _Stored(LazyArray):
+    """An array of a store, of which parts are read."""
+
+    def __init__(self, path: Path, array: Any) -> None:
+        self._path, self._array = path, array
+        self.shape, self.dtype = array.shape, np.dtype(array.dtype)
+
+    def read(self, where: Where) -> NDArray[Any]:
+        """Read a part."""
+        with _readable(self._path):
+            return np.asarray(self._array[where])
+
+
+@contextmanager
+def _readable(path: Path) -> Generator[None]:
+    """Turn what a damaged store raises into the error that says so."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        raise FileError(f"{path} cannot be read: {error}. It may be damaged; repeat the run.") from error
+
+
+def _coords(grid: Grid, maps: xr.Dataset) -> dict[str, tuple[str, NDArray[np.float64], dict[str, Any]]]:
+    """Coordinates of all of a grid, with the attributes of those of some maps on it."""
+    axes = zip(("y", "x"), (grid.y_um, grid.x_um), strict=True)
+    return {axis: (axis, values, dict(maps[axis].attrs)) for axis, values in axes}
+
+
+def _coarser(grid: Grid, times: int) -> Grid:
+    """A grid with pixels that are so many times twice as wide."""
+    y, x = grid.y_um, grid.x_um
+    for _ in range(times):
+        y, x = middles(y), middles(x)
+    return Grid(y_um=y, x_um=x)
+
+
+def _plain(attrs: Mapping[Any, Any]) -> dict[str, Any]:
+    """Attributes as JSON has them."""
+    return {str(k): v.tolist() if isinstance(v, np.ndarray | np.generic) else v for k, v in attrs.items()}
