@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 
 import xarray as xr
 
 from planish.core.results import LayerFacts, Results
 from planish.report.text import title_of
+
+_MOST_DRAWN = 2**22  # pixels of a map: more than the widest figure has
 
 
 @dataclass(frozen=True)
@@ -29,14 +32,32 @@ class Groups:
     @cached_property
     def linked(self) -> dict[str, xr.Dataset]:
         """Maps of each layer on the pixels of the reference, by the layer's name; empty without a link."""
+        return self._by_layer(self.data.get)
+
+    @cached_property
+    def drawn(self) -> dict[str, xr.Dataset]:
+        """The same for figures: of large maps a smaller copy of at most 4 million pixels, where the run has one."""
+        return self._by_layer(self._smaller)
+
+    def _by_layer(self, group: Callable[[str], xr.Dataset | None]) -> dict[str, xr.Dataset]:
         out: dict[str, xr.Dataset] = {}
         for layer in self.results.layers if self.results.is_link else ():
-            data = self.data.get(f"layers/{layer.name}")
-            if data is None and (both := self.data.get("linked")) is not None:
+            data = group(f"layers/{layer.name}")
+            if data is None and (both := group("linked")) is not None:
                 data = both[["image", "valid"]] if layer.kind == "image" else both.drop_vars("image")
             if data is not None:
                 out[layer.name] = data
         return out
+
+    def _smaller(self, name: str) -> xr.Dataset | None:
+        """A group, or the finest of its smaller copies that is small enough to be drawn."""
+        found = self.data.get(name)
+        for k in count(1):
+            smaller = self.data.get(f"overviews/{name}/{k}")
+            if found is None or smaller is None or found.sizes["y"] * found.sizes["x"] <= _MOST_DRAWN:
+                break
+            found = smaller
+        return found
 
     @cached_property
     def titles(self) -> dict[tuple[str, str], str]:

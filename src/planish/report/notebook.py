@@ -57,7 +57,7 @@ def run_html(results: Results, groups: Mapping[str, xr.Dataset]) -> str:
     data = Groups(results, groups)
     shown: list[str] = []
     for layer in results.layers:
-        maps = data.linked.get(layer.name) if results.is_link else data.part(layer, "maps")
+        maps = data.drawn.get(layer.name) if results.is_link else data.part(layer, "maps")
         if maps is not None and layer.headline in maps:
             shown.append(map_html(maps[layer.headline], title=layer.name if results.is_link else ""))
     names = " · ".join(layer.source.name for layer in results.layers)

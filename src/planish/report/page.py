@@ -76,12 +76,11 @@ def write_report(
 def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results) -> str:
     """Return the page of :func:`write_report` as text."""
     data = Groups(results, groups)
-    linked = data.linked
     page = template("planish.report", "report.html.j2").render(
         results=results, layers=results.layers, reference=results.reference, titles=data.titles, tables=tables,
         summary=summary, text=text, sheets=[s for layer in results.layers if (s := _sheet(data, layer))],
-        blocks=[b for layer in results.moving if (b := _block(layer, linked, marks.get(layer.name), results))],
-        pairs=_pairs(linked, results, data.titles),
+        blocks=[b for layer in results.moving if (b := _block(layer, data.drawn, marks.get(layer.name), results))],
+        pairs=_pairs(data.linked, results, data.titles),
     )  # fmt: skip
     return f"{page}\n"
 
@@ -194,7 +193,8 @@ def _pairs(linked: Mapping[str, xr.Dataset], results: Results, titles: summary.T
         names = (titles[row.a, row.a_map], titles[row.b, row.b_map])
         if len(results.layers) > 2 or row.same_quantity:
             names = (f"{names[0]}, {row.a}", f"{names[1]}, {row.b}")
-        out.append(relation.draw_pair(_valid(a, row.a_map), _valid(b, row.b_map), rows, names=names))
+        valid = [data["valid"] for data in (a, b) if "valid" in data]
+        out.append(relation.draw_pair(a[row.a_map], b[row.b_map], rows, names=names, valid=valid))
     return out
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from planish.core.area import area_mean
+from planish.core.area import AreaMeans
+from planish.core.bands import band_of, bands, thinned
 from planish.core.results import CorrelationRow
 from planish.report.colours import PROPERTY, Array, Scale
 from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, Axes, Canvas, Field, Picture, pitch
@@ -19,35 +22,49 @@ _TOP, _HIGH, _WIDE = 62.0, 355.0, 400.0  # pixels of one pair of axes
 _LEFT, _RIGHT = 85.0, 635.0
 
 
-def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float) -> tuple[Array, Array]:
+def block_means(
+    a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Sequence[xr.DataArray] = ()
+) -> tuple[Array, Array]:  # fmt: skip
     """Average two maps (y, x) on one grid over points of ``point_um``, over the pixels that are known in both.
 
-    Points that are less than half known do not count; there are none where they would be smaller than pixels.
+    ``valid`` are masks of pixels that count. Points that are less than half known do not count; there are none where
+    they would be smaller than pixels.
     """
     factors = [point_um / pitch(a[axis].values) for axis in ("y", "x")]
     if min(factors) < 1 - 1e-9:
         return np.empty(0), np.empty(0)
     down, across = (max(factor, 1.0) for factor in factors)
-    both = np.isfinite(a.values) & np.isfinite(b.values)
-    means = [area_mean(np.where(both, m.values.astype(np.float64), np.nan), (down, across)) for m in (a, b)]
-    known = np.isfinite(means[0]) & np.isfinite(means[1])
-    return means[0][known], means[1][known]
+    found = AreaMeans((a.shape[0], a.shape[1]), (down, across))
+    for rows in bands(a.shape[0]):
+        p, q, *masks = (band_of(data, rows) for data in (a, b, *valid))
+        found.add(rows.start, _known(p, q, masks), p, q)
+    first, second = found.means()
+    known = np.isfinite(first) & np.isfinite(second)
+    return first[known], second[known]
 
 
-def draw_pair(a: xr.DataArray, b: xr.DataArray, rows: Sequence[CorrelationRow], *, names: tuple[str, str]) -> Picture:
+def _known(a: Array, b: Array, masks: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
+    return np.logical_and.reduce([np.isfinite(a), np.isfinite(b), *(mask.astype(bool) for mask in masks)])
+
+
+def draw_pair(
+    a: xr.DataArray, b: xr.DataArray, rows: Sequence[CorrelationRow], *, names: tuple[str, str],
+    valid: Sequence[xr.DataArray] = (),
+) -> Picture:  # fmt: skip
     """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
 
-    Both are (y, x) on one grid, NaN where they are not valid. The rows go from the pixel to the largest points. The
-    difference of two maps of the same quantity is drawn over their mean, with its mean and the limits that hold 95 % of
-    normal differences (Bland and Altman 1986).
+    Both are (y, x) on one grid, NaN where they are not valid; ``valid`` are masks of the pixels that count. The rows go
+    from the pixel to the largest points. The difference of two maps of the same quantity is drawn over their mean, with
+    its mean and the limits that hold 95 % of normal differences (Bland and Altman 1986).
     """
     fine, coarse = rows[0], largest(rows)
     same, units = coarse.same_quantity, (unit_of(a), unit_of(b))
     labels = [f"{name} / {u}" if u else name for name, u in zip(names, units, strict=True)]
-    known = np.isfinite(a.values) & np.isfinite(b.values)
-    points = block_means(a, b, point_um=coarse.point_um)
+    every, (p, q, *masks) = thinned(a, b, *valid)
+    known = _known(p, q, masks)
+    points = block_means(a, b, point_um=coarse.point_um, valid=valid)
     canvas = Canvas(FULL, 475)
-    left = _density(canvas, _LEFT, *(m.values[known].astype(np.float64) for m in (a, b)), what="pixels")
+    left = _density(canvas, _LEFT, *(m[known].astype(np.float64) for m in (p, q)), what="pixels")
     if same:
         span = min(left.extent[0], left.extent[2]), max(left.extent[1], left.extent[3])
         left.line([(v, v) for v in span], colour=SOFT, width=1.3, dash="6 4")
@@ -67,11 +84,12 @@ def draw_pair(a: xr.DataArray, b: xr.DataArray, rows: Sequence[CorrelationRow], 
         if same
         else "right, area means over the valid pixels of each larger point. "
     )
+    shown = f", one in {every} of each row and column" if every > 1 else ""
     return canvas.picture(
         title=f"{capital(in_words(names[1]))} over {in_words(names[0])}",
         caption=(
-            f"Left, number of pixels (logarithmic colours); {second}A point counts when half of its area is valid in "
-            "both maps. Lines are least squares of the upward map on the map across. The left axes span the 0.05th to "
+            f"Left, number of pixels{shown} (logarithmic colours); {second}A point counts when half of its area is "
+            "valid in both maps. Lines are least squares of the upward map on the map across. The left axes span the 0.05th to "
             "the 99.95th percentile of the pixels, the right ones the points. Mask: measured, without holes and rims. "
             f"n counts points, which resemble their neighbours: it is not a sample size. {capital(REGISTERED)}."
         ),
