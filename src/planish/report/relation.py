@@ -89,8 +89,9 @@ def draw_pair(
         title=f"{capital(in_words(names[1]))} over {in_words(names[0])}",
         caption=(
             f"Left, number of pixels{shown} (logarithmic colours); {second}A point counts when half of its area is "
-            "valid in both maps. Lines are least squares of the upward map on the map across. The left axes span the 0.05th to "
-            "the 99.95th percentile of the pixels, the right ones the points. Mask: measured, without holes and rims. "
+            "valid in both maps. Lines are least squares of the upward map on the map across. The left axes span the "
+            "0.05th to the 99.95th percentile of the pixels, the right ones the points. Mask: measured, without holes "
+            "and rims. "
             f"n counts points, which resemble their neighbours: it is not a sample size. {capital(REGISTERED)}."
         ),
     )
