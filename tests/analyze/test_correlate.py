@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planish.analyze import correlate, correlate_at
+from planish.analyze import PairSums, correlate, correlate_at
 
 
 def pair(r, n=60_000, seed=0):
@@ -72,3 +72,18 @@ def test_a_pixel_missing_in_either_map_counts_in_neither():
 def test_a_point_smaller_than_a_pixel_is_no_point():
     found, _, _ = correlate_at(np.ones((5, 5)), np.ones((5, 5)), pixel_um=(200.0, 200.0), point_um=100.0)
     assert found.n == 0
+
+
+def test_sums_of_parts_are_those_of_the_whole():
+    a, b = pair(0.4, n=5000)
+    a, b = 1e4 + a, b - 300
+    b[::7] = np.nan
+    sums = PairSums()
+    for part in np.array_split(np.arange(5000), [0, 1, 40, 3000]):
+        sums.add(a[part], b[part])
+    known = np.isfinite(b)
+    found, off = sums.correlation(point_um=1), (b - a)[known]
+    assert found.n == known.sum()
+    assert found.r == pytest.approx(np.corrcoef(a[known], b[known])[0, 1], abs=1e-12)
+    assert (found.slope, found.intercept) == pytest.approx(np.polyfit(a[known], b[known], 1), rel=1e-6)
+    assert sums.difference == pytest.approx((off.mean(), off.std(ddof=1)))

@@ -90,9 +90,9 @@ class StoredMaps(HeldMaps):
         If the disk is full.
     """
 
-    def __init__(self, path: Path, *, least_bytes: int = LARGE) -> None:
+    def __init__(self, path: Path) -> None:
         super().__init__()
-        self.path, self._least = path, least_bytes
+        self.path = path
         self.stored: list[str] = []  # names of the groups in the store, overviews among them
 
     def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
@@ -110,7 +110,7 @@ class StoredMaps(HeldMaps):
 
     def _made(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
         size = sum(data.dtype.itemsize for data in maps.data_vars.values()) * grid.shape[0] * grid.shape[1]
-        if size < self._least and not name.startswith(f"{OVERVIEWS}/"):
+        if size < LARGE and not name.startswith(f"{OVERVIEWS}/"):
             return super()._made(name, grid, maps)
         group = zarr.open_group(self.path, mode="a", attributes={COMPLETE: True}).require_group(name)
         group.attrs.update(_plain(maps.attrs))

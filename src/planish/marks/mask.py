@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.bands import band_of, bands, thinned
 from planish.core.grid import Grid
 
 Floats = NDArray[np.float64]
@@ -53,14 +56,21 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
     circles: list[tuple[float, float, float]] = []
     if holes.sizes["mark"]:
         grid = Grid.of(image)
-        values = np.asarray(image.values, dtype=np.float64)
         at, radius = np.stack([holes["x"].values, holes["y"].values], axis=1), 0.5 * holes["diameter"].values
-        floor = float(np.nanmedian(values[hole_mask(grid, at, 0.6 * radius)]))
-        sheet = float(np.nanmedian(values[~hole_mask(grid, at, 1.5 * radius)]))
+        _, (values, inner, outer) = thinned(
+            image, hole_mask(grid, at, 0.6 * radius), hole_mask(grid, at, 1.5 * radius)
+        )  # fmt: skip
+        floor, sheet = (float(np.nanmedian(values[use])) if use.any() else np.nan for use in (inner, ~outer))
         if np.isfinite(floor - sheet) and floor != sheet:
-            circles = _touching(np.isfinite(values) & ((values - sheet) / (floor - sheet) > 0.5), grid, radius)
+            beyond = [_beyond(band_of(image, rows), floor, sheet) for rows in bands(grid.shape[0])]
+            circles = _touching(np.concatenate(beyond), grid, radius)
     data = np.array(circles, dtype=np.float64).reshape(-1, 3).T
     return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(("x", "y", "diameter"), data, strict=True)})
+
+
+def _beyond(values: NDArray[Any], floor: float, sheet: float) -> NDArray[np.bool_]:
+    """What is beyond half way from the sheet to the floor of the holes."""
+    return np.isfinite(values) & ((values.astype(np.float64) - sheet) / (floor - sheet) > 0.5)
 
 
 def _touching(beyond: NDArray[np.bool_], grid: Grid, radius: Floats) -> list[tuple[float, float, float]]:
@@ -72,8 +82,10 @@ def _touching(beyond: NDArray[np.bool_], grid: Grid, radius: Floats) -> list[tup
     down, across = grid.pixel_um
     least = 0.1 * np.pi * float(np.median(radius)) ** 2 / (down * across)
     circles: list[tuple[float, float, float]] = []
+    boxes = ndimage.find_objects(labels)
     for label in border[border > 0]:
-        rows, cols = np.nonzero(labels == label)
+        box = boxes[label - 1]
+        rows, cols = (found + side.start for found, side in zip(np.nonzero(labels[box] == label), box, strict=True))
         if rows.size >= least:
             places = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
             middle = places.mean(axis=0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -75,15 +74,17 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     first, second = maps[a], maps[b]
     names = [_maps_to_correlate(data) for data in (first, second)]
     sheets = all("image" not in n for n in names)
-    pairs = [(n, n) for n in names[0] if n in names[1]] if sheets else [*product(*names)]
+    pairs = [(n, n) for n in names[0] if n in names[1]] if sheets else [(m, n) for m in names[0] for n in names[1]]
     grid = Grid.of(first)
     sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um) for _ in pairs]
     for rows in bands(grid.shape[0]):
         valid = band_of(first["valid"], rows) & band_of(second["valid"], rows)
-        shown = [{n: np.where(valid, band_of(d[n], rows), np.nan) for n in of} for d, of in
-                 zip((first, second), (dict(pairs), {n for _, n in pairs}), strict=True)]  # fmt: skip
+        p, q = (
+            {n: np.where(valid, band_of(data[n], rows), np.nan) for n in {pair[k] for pair in pairs}}
+            for k, data in enumerate((first, second))
+        )
         for one, (of_a, of_b) in zip(sums, pairs, strict=True):
-            one.add(rows.start, shown[0][of_a], shown[1][of_b])
+            one.add(rows.start, p[of_a], q[of_b])
     for one, (of_a, of_b) in zip(sums, pairs, strict=True):
         at_sizes = [*one.sizes()]
         if at_sizes[0][0].n:

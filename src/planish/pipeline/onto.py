@@ -51,18 +51,9 @@ class _Layer:
 
     def __init__(self, name: str, shown: Shown, chain: Chain | None, grid: Grid) -> None:
         self.name, self._met = name, chain is None
-        if isinstance(shown, xr.DataArray):
-            self._on = self._own_image(shown) if chain is None else self._image(shown, chain)
-        elif chain is None:
-            maps = shown["maps"].rename({"v": "y", "u": "x"})
-            left = [n for n in maps.data_vars if str(n).startswith(("projected_", "presence", "valid"))]
-            maps = maps.drop_vars(left)
-            self._on = lambda tile, _part: maps.isel(y=tile.rows, x=tile.cols)
-        else:
-            sheet = SheetOnto(shown["surfaces"], shown["flat"], transform=chain)
-            self._on = lambda _tile, part: sheet.on(part)
-        sheet_or_none = None if isinstance(shown, xr.DataArray) else shown
-        self._errors = None if chain is None else PositionErrors(sheet_or_none, chain, grid)
+        self._on = _own_pixels(shown) if chain is None else _moved(shown, chain)
+        sheet = None if isinstance(shown, xr.DataArray) else shown
+        self._errors = None if chain is None else PositionErrors(sheet, chain, grid)
 
     def on(self, tile: Tile, part: Grid) -> xr.Dataset:
         """Its maps on a tile of the reference, ``expected_error`` and its shares where it was moved."""
@@ -80,18 +71,24 @@ class _Layer:
                 f"The layer {self.name} does not meet the reference: by its marks it lies beside it. Check the marks."
             )
 
-    @staticmethod
-    def _own_image(image: xr.DataArray) -> Callable[[Tile, Grid], xr.Dataset]:
-        attrs = image_attrs(image)
 
-        def on(tile: Tile, part: Grid) -> xr.Dataset:
-            return xr.Dataset({"image": (("y", "x"), image.values[tile.rows, tile.cols], attrs)}, coords=part.coords)
+def _own_pixels(shown: Shown) -> Callable[[Tile, Grid], xr.Dataset]:
+    """The reference itself, tile by tile."""
+    if isinstance(shown, xr.DataArray):
+        data = xr.Dataset({"image": (("y", "x"), shown.values, image_attrs(shown))}, coords=Grid.of(shown).coords)
+    else:
+        maps = shown["maps"].rename({"v": "y", "u": "x"})
+        left = [n for n in maps.data_vars if str(n).startswith(("projected_", "presence", "valid"))]
+        data = maps.drop_vars(left)
+    return lambda tile, _: data.isel(y=tile.rows, x=tile.cols)
 
-        return on
 
-    @staticmethod
-    def _image(image: xr.DataArray, chain: Chain) -> Callable[[Tile, Grid], xr.Dataset]:
-        return lambda _tile, part: resample_image(image, part, chain, must_meet=False)
+def _moved(shown: Shown, chain: Chain) -> Callable[[Tile, Grid], xr.Dataset]:
+    """A layer through its chain, tile by tile."""
+    if isinstance(shown, xr.DataArray):
+        return lambda _, part: resample_image(shown, part, chain, must_meet=False)
+    sheet = SheetOnto(shown["surfaces"], shown["flat"], transform=chain)
+    return lambda _, part: sheet.on(part)
 
 
 def bring(
