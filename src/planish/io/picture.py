@@ -104,6 +104,12 @@ def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = 
     return _picture(values, colour, bits, stated, orientation)
 
 
+def pixels_of(path: Path) -> tuple[int, int]:
+    """Rows and columns of a picture, by its header."""
+    rows, cols = load_picture(path, decode=False).values.shape[:2]
+    return int(rows), int(cols)
+
+
 def nothing(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
     """An array of any size in no memory; all its values are the same 0."""
     return np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), tuple(shape))

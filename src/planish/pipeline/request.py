@@ -1,15 +1,24 @@
-"""What can be refused before anything is read: names, and numbers that an option needs."""
+"""What can be refused before anything is read: names, numbers that an option needs, images beyond the memory."""
 
 from __future__ import annotations
 
-from planish.core.errors import InputError
+from pathlib import Path
+
+from planish.compute import Compute
+from planish.core.errors import InputError, ResourceError
+from planish.io.picture import pixels_of
 from planish.measure import check_maps
 from planish.pipeline.registration import read_design
 from planish.study import Study
 
+# What a link takes at its peak, beside what does not depend on the image: it is held as float32, with the search for
+# its holes; refining holds it and the map in double precision, filtered, several times; without a
+# folder to write to, all linked maps are held.
+_PIXEL_BYTES, _REFINED_BYTES, _HELD_BYTES, _REST = 16, 120, 130, 4 * 10**8
 
-def check_request(study: Study) -> None:
-    """Raise what no volume can change.
+
+def check_request(study: Study, compute: Compute, *, held: bool = False) -> None:
+    """Raise what no volume can change; ``held``: the results stay in memory.
 
     Raises
     ------
@@ -17,6 +26,10 @@ def check_request(study: Study) -> None:
         If a further map is unknown or needs a number that is not given.
     InputError
         If further maps of labels are asked for, or the pattern of the holes cannot be read.
+    FileError
+        If an image cannot be opened.
+    ResourceError
+        If an image is too large for the memory.
     """
     for layer in study.layers:
         if layer.kind != "volume":
@@ -27,3 +40,18 @@ def check_request(study: Study) -> None:
             )
         check_maps(layer.properties)
     read_design(study.registration)
+    for layer in study.layers:
+        if layer.image is not None:
+            rows, cols = pixels_of(Path(layer.path))
+            each = _PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
+            each += _HELD_BYTES if held else 0
+            _check_fits(layer.name, rows * cols, each * rows * cols + _REST, compute)
+
+
+def _check_fits(name: str, pixels: int, needed: int, compute: Compute) -> None:
+    if needed > compute.memory:
+        raise ResourceError(
+            f"The {name} of {pixels / 1e6:.0f} million pixels takes {needed / 1e9:.1f} GB of memory, "
+            f"{compute.memory / 1e9:.1f} GB are allowed. Give more with --memory {needed / 1e9:.1f}GB, or crop or bin "
+            "it."
+        )

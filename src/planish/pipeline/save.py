@@ -65,12 +65,12 @@ def run_study(
     compute = compute or Compute()
     with limit_threads(compute.threads):
         if out is None:
-            check_request(study)
+            check_request(study, compute, held=True)
             return _done(study, compute=compute, progress=progress, kept=None)
         out = Path(out)
         refuse_existing(out)
         refuse_inside(out, [layer.path for layer in study.layers])
-        check_request(study)
+        check_request(study, compute)
         hashes = [_hash(layer.path) for layer in study.layers]
         with work_folder(out, run_key(to_dict(study), hashes)) as work:
             maps = {

@@ -1,0 +1,86 @@
+"""Maps that are made tile by tile: a store against memory, and what is said of a damaged one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from planish.core.errors import FileError
+from planish.core.grid import Grid
+from planish.core.overviews import overviews
+from planish.core.tiles import tiles_of
+from planish.io import map_store
+from planish.io.map_store import HeldMaps, StoredMaps, large_groups, map_tiles, stored_group
+from planish.io.run_folder import read_tree, write_tree
+
+
+@pytest.fixture
+def stored(tmp_path, monkeypatch):
+    """A group of maps that is "large", added in tiles; as it should be, and its store."""
+    monkeypatch.setattr(map_store, "LARGE", 1)
+    grid = Grid.regular((1500, 1300), (2.0, 3.0), (5.0, 7.0))
+    rng = np.random.default_rng(1)
+    thickness = rng.normal(80, 5, grid.shape).astype(np.float32)
+    thickness[rng.random(grid.shape) < 0.2] = np.nan
+    whole = xr.Dataset(
+        {"thickness": (("y", "x"), thickness, {"units": "um", "support_um": np.float64(3.0)}),
+         "u": (("y", "x"), rng.normal(size=grid.shape)), "valid": (("y", "x"), np.isfinite(thickness))},
+        coords=grid.coords,
+    )  # fmt: skip
+    sink = StoredMaps(tmp_path / "maps.zarr")
+    for tile in tiles_of(grid.shape, (1024, 512)):
+        sink.add("linked", grid, tile, whole.isel(y=tile.rows, x=tile.cols))
+    return whole, sink
+
+
+def test_a_store_gives_the_maps_and_their_overviews_part_by_part(stored):
+    whole, sink = stored
+    found = sink.group("linked")
+    assert set(found.data_vars) == set(whole.data_vars)
+    assert found["thickness"].attrs == {"units": "um", "support_um": 3.0}
+    xr.testing.assert_identical(found.load().drop_attrs(), whole.drop_attrs())
+    np.testing.assert_array_equal(sink.group("linked")["u"][1000:1100, 700:].values, whole["u"][1000:1100, 700:])
+    smaller = [*overviews(whole)]
+    assert [f"overviews/linked/{k + 1}" for k in range(len(smaller))] == sorted(sink.overviews())
+    for name, expected in zip(sorted(sink.overviews()), smaller, strict=True):
+        xr.testing.assert_allclose(sink.group(name).load().drop_attrs(), expected.drop_attrs(), rtol=1e-12)
+
+
+def test_a_small_group_stays_in_memory(tmp_path):
+    grid = Grid.regular((40, 50), 2.0)
+    sink = StoredMaps(tmp_path / "maps.zarr")
+    maps = xr.Dataset({"image": (("y", "x"), np.ones(grid.shape))}, coords=grid.coords)
+    for tile in map_tiles(grid.shape):
+        sink.add("linked", grid, tile, maps)
+    assert sink.stored == []
+    assert not sink.path.exists()
+    xr.testing.assert_identical(sink.group("linked"), maps)
+
+
+def test_a_large_group_of_a_store_stays_there_and_a_damage_is_said(stored):
+    whole, sink = stored
+    write_tree(sink.path, {"flat": whole[["u"]].isel(y=slice(9), x=slice(9))})
+    assert {"linked", "overviews/linked/1"} <= set(large_groups(sink.path))
+    groups = read_tree(sink.path)
+    xr.testing.assert_identical(groups["linked"].load().drop_attrs(), whole.drop_attrs())
+    assert "overviews/linked/2" in groups
+    chunk = sink.path / "linked" / "thickness" / "c" / "1" / "1"
+    chunk.write_bytes(chunk.read_bytes()[:100])
+    lost = stored_group(sink.path, "linked")["thickness"]
+    np.testing.assert_array_equal(lost[:512].values, whole["thickness"][:512])
+    with pytest.raises(FileError, match="damaged"):
+        _ = lost.values
+    with pytest.raises(FileError, match="cannot be read"):
+        stored_group(sink.path, "none")
+
+
+def test_memory_gives_what_was_added():
+    grid = Grid.regular((60, 50), 2.0)
+    values = np.arange(3000.0).reshape(60, 50)
+    whole = xr.Dataset({"a": (("y", "x"), values, {"units": "um"})}, coords=grid.coords)
+    sink = HeldMaps()
+    for tile in tiles_of(grid.shape, (16, 32)):
+        sink.add("one", grid, tile, whole.isel(y=tile.rows, x=tile.cols))
+    xr.testing.assert_identical(sink.group("one"), whole)
+    assert sink.overviews() == {}

@@ -1,0 +1,72 @@
+"""Links whose maps are too large for the memory: tile by tile, from a store, with the same results."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+
+from planish.core import bands
+from planish.io import map_store
+from planish.pipeline import open_run
+
+
+def numbers(folder):
+    """All numbers of a run, flat."""
+    found = {}
+
+    def walk(value, name):
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                walk(inner, f"{name}/{key}")
+        elif isinstance(value, list):
+            for k, inner in enumerate(value):
+                walk(inner, f"{name}/{k}")
+        else:
+            found[name] = value
+
+    walk(json.loads((folder / "results.json").read_text(encoding="utf-8")), "")
+    return found
+
+
+@pytest.mark.parametrize("what", ["sheet and image", "two images"])
+def test_tiles_and_a_store_change_nothing(planish, linked_run, specimen_files, tmp_path, monkeypatch, what):
+    image = specimen_files[1]
+    layers = [linked_run, image] if what == "sheet and image" else [f"one={image}", f"two={image}"]
+    names = ["linked"] if what == "sheet and image" else ["layers/one", "layers/two"]
+    assert planish("link", *layers, "-o", tmp_path / "whole")[0] in (0, 4)
+    monkeypatch.setattr(map_store, "LARGE", 1)
+    monkeypatch.setattr(map_store, "_TILE", (128, 192))
+    monkeypatch.setattr(bands, "BAND", 100)
+    code, _, error = planish("link", *layers, "-o", tmp_path / "tiles")
+    assert code in (0, 4), error
+    one, other = (open_run(tmp_path / name) for name in ("whole", "tiles"))
+    for name in names:
+        a, b = one.groups[name].load().drop_attrs(), other.groups[name].load().drop_attrs()
+        assert min(a.sizes.values()) > 200
+        assert set(a.data_vars) == set(b.data_vars)
+        for key in a.data_vars:
+            np.testing.assert_allclose(a[key], b[key], rtol=1e-6, atol=1e-9)
+        xr.testing.assert_allclose(a.coords.to_dataset(), b.coords.to_dataset())
+    found, expected = numbers(tmp_path / "tiles"), numbers(tmp_path / "whole")
+    assert found.keys() == expected.keys()
+    assert len(expected) > 100
+    for key, value in expected.items():
+        assert found[key] == (pytest.approx(value, rel=1e-5, abs=1e-9) if isinstance(value, float) else value), key
+    # The page of the run as it is read again is the one that was written.
+    assert planish("report", tmp_path / "tiles", "-o", tmp_path / "again.html")[0] == 0
+    assert (tmp_path / "again.html").read_bytes() == (tmp_path / "tiles" / "report.html").read_bytes()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_an_image_beyond_the_memory_is_refused_by_its_header(planish, linked_run, tmp_path):
+    big = tmp_path / "big.tif"
+    tifffile.imwrite(big, shape=(30000, 30000), dtype=np.uint8, resolution=(7299, 7299), resolutionunit="CENTIMETER")
+    code, _, error = planish("link", linked_run, big, "-o", tmp_path / "out", "--memory", "2GB")
+    assert code == 5
+    assert "900 million pixels takes 14.8 GB" in " ".join(error.split())
+    assert "--memory 14.8GB" in " ".join(error.split())
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["big.tif"]
