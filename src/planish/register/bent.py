@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planish.core.threads import map_threads
 from planish.core.transform import NearSimilarity
 
 Floats = NDArray[np.float64]
@@ -16,6 +17,7 @@ Kernel = Callable[[Floats], Floats]
 
 # Points at once, times nodes: what keeps the distances in the cache.
 _AT_ONCE = 1 << 18
+_FEW = 4  # parts of so many points: below that, starting threads takes longer than the work
 _STEPS = 60
 # The inverse begins at the nearest image of a grid that reaches this many extents of the marks beyond them.
 _AROUND = 1.0
@@ -51,14 +53,27 @@ class Bent(NearSimilarity):
         given = np.asarray(points, dtype=np.float64)
         at = (given.reshape(-1, 2) - self.source) / self.size
         out = self.affine[0] + at @ self.affine[1:]
-        bends = [(value, bend) for value, _, bend in self.bends() if np.any(bend)]
         step = max(1, _AT_ONCE // len(self.nodes))
-        for k in range(0, len(at) if bends else 0, step):
-            x, y = (at[k : k + step, None, i] - self.nodes[:, i] for i in range(2))
+        parts = [slice(k, k + step) for k in range(0, len(at), step)]
+
+        def add(part: slice) -> None:
+            self.add_bends(at[part], out[part])
+
+        if len(parts) < _FEW:
+            for part in parts:
+                add(part)
+        else:
+            map_threads(add, parts)
+        return out.reshape(given.shape)
+
+    def add_bends(self, at: Floats, out: Floats) -> None:
+        """Add the local changes at scaled points (n, 2) to ``out`` (n, 2), in um."""
+        bends = [(value, bend) for value, _, bend in self.bends() if np.any(bend)]
+        if bends:
+            x, y = (at[:, None, i] - self.nodes[:, i] for i in range(2))
             squares = x**2 + y**2
             for value, bend in bends:
-                out[k : k + step] += value(squares) @ bend
-        return out.reshape(given.shape)
+                out += value(squares) @ bend
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""

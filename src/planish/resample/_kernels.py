@@ -183,6 +183,61 @@ def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end)
             share[y, x] = known / (fine * fine)
 
 
+@njit(cache=True, nogil=True)
+def interpolate(image, nodes, down, across, least, out):
+    """Set ``out`` to bilinear values of an image at places that are polynomials of third degree in each direction.
+
+    Parameters
+    ----------
+    image : (height, width)
+        What is not finite is missing.
+    nodes : (4, 4, 2)
+        Places, (x, y) in pixels of the image, that the polynomials go through.
+    down, across : (rows, 4), (cols, 4)
+        Weights of the nodes for each row and each column of ``out``.
+    least : float
+        Share of the weight of the pixels around a place that has to be known; otherwise NaN.
+    out : (rows, cols)
+    """
+    height, width = image.shape
+    for r in range(out.shape[0]):
+        x0, x1, x2, x3, y0, y1, y2, y3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for a in range(4):
+            w = down[r, a]
+            x0 += w * nodes[a, 0, 0]
+            x1 += w * nodes[a, 1, 0]
+            x2 += w * nodes[a, 2, 0]
+            x3 += w * nodes[a, 3, 0]
+            y0 += w * nodes[a, 0, 1]
+            y1 += w * nodes[a, 1, 1]
+            y2 += w * nodes[a, 2, 1]
+            y3 += w * nodes[a, 3, 1]
+        for c in range(out.shape[1]):
+            u0, u1, u2, u3 = across[c, 0], across[c, 1], across[c, 2], across[c, 3]
+            x = x0 * u0 + x1 * u1 + x2 * u2 + x3 * u3
+            y = y0 * u0 + y1 * u1 + y2 * u2 + y3 * u3
+            left, top = int(np.floor(x)), int(np.floor(y))
+            fx, fy = x - left, y - top
+            total, share = 0.0, 0.0
+            if left >= 0 and top >= 0 and left < width - 1 and top < height - 1:
+                a, b = np.float64(image[top, left]), np.float64(image[top, left + 1])
+                e, f = np.float64(image[top + 1, left]), np.float64(image[top + 1, left + 1])
+                total = (a * (1.0 - fx) + b * fx) * (1.0 - fy) + (e * (1.0 - fx) + f * fx) * fy
+                if np.isfinite(total):
+                    out[r, c] = total
+                    continue
+                total = 0.0
+            for i in range(2):
+                for j in range(2):
+                    if 0 <= top + i < height and 0 <= left + j < width:
+                        value = np.float64(image[top + i, left + j])
+                        if np.isfinite(value):
+                            w = (fy if i else 1.0 - fy) * (fx if j else 1.0 - fx)
+                            total += w * value
+                            share += w
+            out[r, c] = total if share >= least else np.nan
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _under(sums, x0, y0, x1, y1):
     """Integral over x, along a straight line, of the integral over y of an image from row 0 down to the line.

@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from planish.core.errors import CannotRegister, InputError, ResourceError, SizeError
 from planish.core.grid import Grid
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
-from planish.resample._kernels import integrals
+from planish.resample._kernels import integrals, interpolate
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -139,8 +138,8 @@ def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: T
             v, u = (np.arange(n + 1) / n for n in sides)
             out[y0:y1, x0:x1] = _averaged(image, places(nodes, v, u))
         else:
-            v, u = ((np.arange(n) + 0.5) / n for n in sides)
-            out[y0:y1, x0:x1] = _interpolated(image, places(nodes, v, u))
+            down, across = (_weights((np.arange(n) + 0.5) / n) for n in sides)
+            interpolate(image, nodes, down, across, 1.0 - _EDGE, out[y0:y1, x0:x1])
 
 
 def _part(image: NDArray[Any], at: Floats, more: int) -> tuple[NDArray[Any], Floats]:
@@ -158,18 +157,6 @@ def _part(image: NDArray[Any], at: Floats, more: int) -> tuple[NDArray[Any], Flo
         (c0, r0), (c1, r1), (x, y) = first, last, first - low
         part[y : y + r1 - r0, x : x + c1 - c0] = image[r0:r1, c0:c1]
     return part, low.astype(np.float64)
-
-
-def _interpolated(image: NDArray[Any], at: Floats) -> Floats:
-    """Bilinear values at places (rows, cols, 2); NaN where a pixel around one that has weight is not known."""
-    part, first = _part(image, at, 0)
-    known = np.isfinite(part)
-    rows_cols = np.moveaxis((at - first)[..., ::-1], -1, 0)
-    values = ndimage.map_coordinates(np.where(known, part, 0.0), rows_cols, output=np.float64, order=1)
-    if not known.all():
-        share = ndimage.map_coordinates(known.astype(np.float64), rows_cols, order=1)
-        values[share < 1.0 - _EDGE] = np.nan
-    return values
 
 
 def _averaged(image: NDArray[Any], nodes: Floats) -> Floats:
@@ -235,11 +222,13 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
 
 def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
     """Polynomials through nodes (..., 4, 4, 2) at shares (p,) of the height and (q,) of the width: (..., p, q, 2)."""
-    down, across = (
-        np.stack([np.prod([(at - b) / (a - b) for b in _NODES if b != a], axis=0) for a in _NODES], axis=-1)
-        for at in (v, u)
-    )
+    down, across = _weights(v), _weights(u)
     return np.moveaxis(down @ np.moveaxis(nodes, -1, -3) @ across.T, -3, -1)
+
+
+def _weights(at: Floats) -> Floats:
+    """Weights (n, 4) of the nodes in the polynomial through them, at shares (n,) of the way."""
+    return np.stack([np.prod([(at - b) / (a - b) for b in _NODES if b != a], axis=0) for a in _NODES], axis=-1)
 
 
 def _quarters(bounds: Whole) -> Whole:
