@@ -41,6 +41,7 @@ _WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps tha
 
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 _LEAST_BYTES = 2**20
+_PROGRAM = 3 * 10**8  # bytes that Python, its libraries and the compiled kernels take
 _TIMES = 3  # the size of a volume that is held as a whole: what the memory has to be for it
 
 
@@ -82,12 +83,17 @@ class Compute(Params):
     @property
     def volume_bytes(self) -> int:
         """Largest volume that is held in memory as a whole."""
-        return self.memory // _TIMES
+        return self.for_work // _TIMES
 
     @staticmethod
     def to_hold(volume_bytes: int) -> int:
         """Memory that has to be allowed for a volume to be held as a whole."""
-        return _TIMES * volume_bytes + 10**8
+        return _TIMES * volume_bytes + _PROGRAM
+
+    @property
+    def for_work(self) -> int:
+        """What the program and its libraries leave of the memory, in bytes."""
+        return self.memory - min(_PROGRAM, self.memory // 2)
 
     @property
     def memory(self) -> int:
@@ -114,9 +120,9 @@ def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, com
             raise InputError(f"--column-um {column_um:g} is less than a voxel of {pitch:g} um. Give a multiple of it.")
         return max(1, round(column_um / pitch))
     columns = volume.sizes[frame.rows] * volume.sizes[frame.cols]
-    step = max(1, math.ceil((columns * COLUMN_BYTES / (_MAPS * compute.memory)) ** 0.5))
+    step = max(1, math.ceil((columns * COLUMN_BYTES / (_MAPS * compute.for_work)) ** 0.5))
     if step > 1 and step * pitch > _WIDEST_UM:
-        needed = columns * COLUMN_BYTES / (_MAPS * max(int(_WIDEST_UM / pitch), 1) ** 2)
+        needed = columns * COLUMN_BYTES / (_MAPS * max(int(_WIDEST_UM / pitch), 1) ** 2) + _PROGRAM
         raise ResourceError(
             f"The maps of {columns / 1e6:.0f} million columns need {needed / 1e9:.1f} GB of memory even with columns "
             f"of {_WIDEST_UM:g} um; {compute.memory / 1e9:.1f} GB are allowed. Give more with --memory, or crop the "
@@ -128,7 +134,7 @@ def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, com
 @contextmanager
 def engine(compute: Compute, *, kept: Path | None = None) -> Generator[Engine]:
     """Give the engine that works on tiles; InputError where a scheduler or its library is missing."""
-    memory = int((1 - _MAPS) * compute.memory)
+    memory = int((1 - _MAPS) * compute.for_work)
     if compute.scheduler is None:
         yield Engine(threads=compute.threads, memory_bytes=memory, kept=kept)
         return

@@ -50,7 +50,7 @@ def map_layer(
     if not measured_before:
         progress("read", find_place(v.path).path.name)
         volume, sections = read_sheet_volume(v, compute, progress)
-    tiles = Engine(threads=compute.threads, memory_bytes=compute.memory // 2)
+    tiles = Engine(threads=compute.threads, memory_bytes=compute.for_work // 2)
     if before is not None:
         surfaces = surfaces_of(before.groups["surfaces"])
         sections = before.groups.get("sections")

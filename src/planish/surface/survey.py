@@ -12,6 +12,7 @@ from scipy import ndimage
 from planish.core.errors import VolumeError
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
+from planish.surface._kernels import block_sums
 from planish.surface.choose import Beside, choose_sheet, make_choice, seed_grey
 from planish.surface.coarse import CoarseSheet, coarse_sheet, followed_sheet
 from planish.surface.columns import Columns
@@ -166,19 +167,18 @@ def _look(look: tuple[Columns, int], tile: Tile) -> NDArray[np.float32]:
     columns, block = look
     voxels = columns.voxels(tile)
     wide = block * columns.step
-    edges_r, edges_c = (np.arange(0, max(n - n % wide, 1), wide) for n in voxels.shape[:2])
-    widths = np.diff(np.append(edges_c, voxels.shape[1])).astype(np.float32)
-    out = np.zeros((edges_r.size, edges_c.size, voxels.shape[2] + 1), dtype=np.float32)
-    for i, start in enumerate(edges_r):
-        stop = voxels.shape[0] if i == edges_r.size - 1 else start + wide
-        slab = np.array(voxels[start:stop], dtype=np.float32)
-        if np.issubdtype(voxels.dtype, np.floating):
-            bad = np.count_nonzero(~np.isfinite(slab), axis=(0, 2))
-            out[i, :, -1] = np.add.reduceat(bad, edges_c)
-        if columns.padding is not None:
-            slab[slab == columns.padding] = np.nan
-        mean = slab.mean(axis=0)
-        out[i, :, :-1] = np.add.reduceat(mean, edges_c, axis=0) / widths[:, None]
+    counts = [max(n // wide, 1) for n in voxels.shape[:2]]
+    # As it lies in memory: the depth may be the first, the second or the last axis.
+    order = np.argsort(voxels.strides, kind="stable")[::-1]
+    shape, sides = np.array([*counts, voxels.shape[2]]), np.array([wide, wide, 1])
+    sums, bad = np.zeros(shape[order]), np.zeros(shape[order])
+    missing = np.nan if columns.padding is None else columns.padding
+    block_sums(np.ascontiguousarray(voxels.transpose(order)), tuple(sides[order].tolist()), missing, sums, bad)
+    sums, bad = (part.transpose(np.argsort(order)) for part in (sums, bad))
+    edges = [np.diff([*(wide * np.arange(k)), n]) for k, n in zip(counts, voxels.shape, strict=False)]
+    out = np.empty((*counts, voxels.shape[2] + 1), dtype=np.float32)
+    out[..., :-1] = sums / np.multiply.outer(*edges)[..., None]
+    out[..., -1] = bad.sum(axis=2)
     return out
 
 
@@ -187,13 +187,13 @@ def _ends(columns: NDArray[Any], inside: NDArray[np.bool_]) -> Array:
     held = inside.sum(axis=1) > 12
     if not held.any():
         return np.full((1, 3), np.nan)
-    kept, inside = columns[held].astype(np.float64), inside[held]
+    rows, inside = np.flatnonzero(held)[:, None], inside[held]
     # One voxel is skipped where the field of view begins within the column: it may be cut.
     first = np.argmax(inside, axis=1)
     last = columns.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)
     first, last = first + (first > 0), last - (last < columns.shape[1] - 1)
     starts, stops = first[:, None] + np.arange(3), last[:, None] - np.arange(3)
-    return np.concatenate([np.take_along_axis(kept, k, axis=1) for k in (starts, stops)])
+    return np.concatenate([columns[rows, k].astype(np.float64) for k in (starts, stops)])
 
 
 def _airy(ends: Array, voxels: Array, seed: Array) -> tuple[Array, Array]:
