@@ -5,12 +5,13 @@ No result depends on it, except that columns get wider where the memory would no
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import json
 import math
 import re
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -42,6 +43,8 @@ _WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps tha
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 _LEAST_BYTES = 2**20
 _PROGRAM = 3 * 10**8  # bytes that Python, its libraries and the compiled kernels take
+_SHORT = 4 * 10**9  # bytes of memory below which freed arrays are given back at once, which takes a little time
+_M_MMAP_THRESHOLD = -3  # of malloc.h
 _TIMES = 3  # the size of a volume that is held as a whole: what the memory has to be for it
 
 
@@ -129,6 +132,13 @@ def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, com
             "volume."
         )
     return step
+
+
+def return_memory(compute: Compute) -> None:
+    """Where the memory is short, give freed arrays of 128 kB and more back at once: glibc keeps ever larger ones."""
+    if compute.memory < _SHORT:
+        with suppress(OSError, AttributeError, TypeError):  # another C library
+            ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 2**17)
 
 
 @contextmanager

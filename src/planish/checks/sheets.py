@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -35,7 +36,8 @@ _SHEET = (PROPERTIES, POSITION)
 class Core:
     """Places in the middle part of the base, in tiles."""
 
-    points: NDArray[np.int32]  # (tiles * columns * depths, 3): voxels z, y, x; (0, 0, 0) in columns without a base
+    # (tiles * columns * depths, 3): voxels z, y, x; (0, 0, 0) in columns without a base
+    points: NDArray[np.signedinteger[Any]]
     shape: tuple[int, int, int]  # tiles, columns, depths
     known: NDArray[np.bool_]  # (tiles, columns)
 
@@ -61,18 +63,19 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     margin = float(np.clip(_BLURS * float(measured.attrs["blur_um"]) / max(thickness, along), *_INNER))
     depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / along), *_DEPTHS))
     share = np.linspace(margin, 1 - margin, depths)
-    height = high[r, c][..., None] * (1 - share) + low[r, c][..., None] * share
     heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
-    at = np.rint((np.nan_to_num(height) - heights[0]) / along).astype(np.int32)
-    index = {
-        frame.through: np.clip(at, 0, heights.size - 1),
-        frame.rows: np.broadcast_to(_voxel(measured, volume, "y", frame.rows)[r][..., None], at.shape),
-        frame.cols: np.broadcast_to(_voxel(measured, volume, "x", frame.cols)[c][..., None], at.shape),
-    }
+    # Millions of places: two bytes each way are enough for most volumes.
+    points = np.empty((*r.shape, depths, 3), dtype=np.int16 if max(volume.shape) < 2**15 else np.int32)
+    axis = {name: k for k, name in enumerate("zyx")}
+    points[..., axis[frame.rows]] = _voxel(measured, volume, "y", frame.rows)[r][..., None]
+    points[..., axis[frame.cols]] = _voxel(measured, volume, "x", frame.cols)[c][..., None]
+    above, below = high[r, c], low[r, c]
+    for k, share in enumerate(np.linspace(margin, 1 - margin, depths)):
+        at = np.rint((np.nan_to_num(above * (1 - share) + below * share) - heights[0]) / along).astype(np.int32)
+        points[..., k, axis[frame.through]] = np.clip(at, 0, heights.size - 1)
     known = good[r, c]
-    points = np.stack([index[k] for k in ("z", "y", "x")], axis=-1)
     points[~known] = 0
-    return Core(points=points.reshape(-1, 3), shape=at.shape, known=known)
+    return Core(points=points.reshape(-1, 3), shape=points.shape[:3], known=known)
 
 
 def _of_tiles(n: int, edge: int, count: int) -> NDArray[np.intp]:
@@ -99,8 +102,7 @@ def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, resolve
             name="one sheet", state="unknown", figures=_SHEET,
             sentence="There are too few voxels across the sheet to tell one sheet from two.",
         )  # fmt: skip
-    profiles = grey.reshape(core.shape).astype(np.float64)
-    profiles[~core.known] = np.nan
+    profiles = np.where(core.known[..., None], grey.reshape(core.shape), np.float32(np.nan))
     enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(_LEAST_COLUMNS, _LEAST_SHARE * core.shape[1])
     name = "one sheet"
     if np.count_nonzero(enough) < _LEAST_TILES:
@@ -109,10 +111,13 @@ def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, resolve
             sentence=f"The base is seen in {np.count_nonzero(enough)} tiles of {_TILE_UM:g} um only, too few to tell "
             "one sheet from two.",
         )  # fmt: skip
-    median = np.nanmedian(profiles[enough], axis=1)
+    profiles = profiles[enough]
+    count = np.isfinite(profiles).sum(axis=1)
+    middle = np.nanmedian(profiles, axis=1)
     # What the scatter of a tile's columns leaves open of their median: strong noise is no gap.
-    spread = np.nanmedian(np.abs(profiles[enough] - median[:, None]), axis=1)
-    open_ = _SURE * 1.86 * spread / np.sqrt(np.isfinite(profiles[enough]).sum(axis=1))
+    profiles -= middle[:, None]
+    spread, median = np.nanmedian(np.abs(profiles, out=profiles), axis=1), middle.astype(np.float64)
+    open_ = _SURE * 1.86 * spread / np.sqrt(count)
     base = float(np.median(median))
     dark = float(np.mean(((base - median - open_) / (base - greys.air)).max(axis=1) > DARK))
     # A second sheet whose coatings lie in the middle may be learnt as base; what is brighter is then told by the air.

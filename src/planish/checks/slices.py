@@ -7,7 +7,7 @@ statistic compares a slice with its own neighbourhood, so that none needs a scal
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +84,7 @@ def find_faults(window: Window, *, made: bool = False) -> list[Fault]:
 class _Stack:
     """The slices of a window from the first to the last that shows anything."""
 
-    s: Array  # (slices, blocks)
+    s: NDArray[Any]  # (slices, blocks)
     square: Array
     product: Array
     first: int
@@ -97,7 +97,8 @@ class _Stack:
 
     @classmethod
     def of(cls, window: Window, *, even: bool) -> _Stack | None:
-        spread = window.blocks.std(axis=1, dtype=np.float64)
+        # Slice by slice: in double precision, all of them would be twice as large as what is looked at.
+        spread = np.array([row.std(dtype=np.float64) for row in window.blocks])
         if not spread.any():
             return None
         shows = spread > _EMPTY * float(np.median(spread[spread > 0]))
@@ -105,8 +106,9 @@ class _Stack:
         if at.size < _LEAST:
             return None
         a, b = int(at[0]), int(at[-1]) + 1
-        s = window.blocks[a:b].astype(np.float64)
+        s: NDArray[Any] = window.blocks[a:b]
         if even:
+            s = s.astype(np.float64)
             s = (s - s.mean(axis=1, keepdims=True)) / np.maximum(s.std(axis=1, keepdims=True), 1e-300)
         return cls(
             s=s, square=window.square[a : b - 1], product=window.product[a : b - 2], first=a, shows=shows[a:b],
@@ -119,18 +121,23 @@ class _Stack:
 
     def away(self, k: int) -> Array:
         """How much every slice differs from slice ``k``."""
-        return np.array([_square(a - self.s[k]) for a in self.s])
+        return np.array([_square(_apart(a, self.s[k])) for a in self.s])
 
     def scatter(self, k: NDArray[np.intp]) -> Array:
         """Relative standard error of ``d1`` at ``k``."""
-        fourth = np.array([_square((self.s[i + 1] - self.s[i]) ** 2) for i in k])
+        fourth = np.array([_square(_apart(self.s[i + 1], self.s[i]) ** 2) for i in k])
         return np.sqrt(np.maximum(fourth / np.maximum(self.d1[k] ** 2, 1e-300) - 1, 0) / self.s.shape[1])
 
 
-def _differences(s: Array, lag: int) -> Array:
+def _differences(s: NDArray[Any], lag: int) -> Array:
     """Mean squared difference of slices k and k + lag."""
     # Slice by slice: temporary arrays as large as the stack cost more than the sums.
-    return np.array([_square(a - b) for a, b in zip(s[lag:], s[:-lag], strict=True)])
+    return np.array([_square(_apart(a, b)) for a, b in zip(s[lag:], s[:-lag], strict=True)])
+
+
+def _apart(a: NDArray[Any], b: NDArray[Any]) -> Array:
+    """The difference of two slices in double precision; they are stored in single."""
+    return np.subtract(a, b, dtype=np.float64)
 
 
 def _square(d: Array) -> float:
@@ -245,7 +252,7 @@ def _filled(t: _Stack) -> list[Fault]:
     return [
         Fault(kind="filled", first=a + 1, last=b + 1)
         for a, b in _dips(_log(bend), t.good, 3, FILLED)
-        if float(((t.s[b + 2] - t.s[a]) ** 2).mean()) > _COPY * t.usual(a)  # otherwise all of them are copies
+        if float((_apart(t.s[b + 2], t.s[a]) ** 2).mean()) > _COPY * t.usual(a)  # otherwise all of them are copies
     ]
 
 
@@ -258,7 +265,7 @@ def _far_copies(t: _Stack) -> list[Fault]:
         if back < _BACK or not t.good[k - 1 : k + 1].all():
             continue
         low = max(k - _FAR, 0)
-        away = np.array([_square(a - t.s[k]) for a in t.s[low : k - 1]])
+        away = np.array([_square(_apart(a, t.s[k])) for a in t.s[low : k - 1]])
         at = int(away.argmin()) + low
         usual = min(t.usual(k - 1), t.usual(at))
         if away.min() < _COPY * usual:
@@ -277,7 +284,7 @@ def _jumps(t: _Stack) -> list[Fault]:
     hit = (log[k] - np.maximum(log[k - 1], log[k + 1]) > limit) & _all(t.good, k, -1, 2)
     found: list[Fault] = []
     for at in k[hit]:
-        a, b = t.s[at], t.s[at + 1]
+        a, b = (t.s[k].astype(np.float64) for k in (at, at + 1))
         high = log[at] - max(log[at - 1], log[at + 1]) > _HIGH
         if t.good[at] and _square(np.sort(a) - np.sort(b)) < _SAME_GREYS[int(high)] * t.d1[at]:
             found.append(_jump(t, int(at)))
@@ -306,9 +313,9 @@ def _breaks(d1: Array, k: int) -> bool:
     return bool(max(d1[k - 1], d1[k]) > 1.3 * np.median(near))
 
 
-def _steps(s: Array, k: int, difference: float) -> float:
+def _steps(s: NDArray[Any], k: int, difference: float) -> float:
     """Slices by which the body goes on too far: as far apart slices beside the jump must be to differ as much."""
-    sides = [s[max(k - 40, 0) : k + 1], s[k + 1 : k + 42]]
+    sides = [part.astype(np.float64) for part in (s[max(k - 40, 0) : k + 1], s[k + 1 : k + 42])]
     before = 0.0
     for lag in range(1, 21):
         pairs = [_differences(part, lag) for part in sides if len(part) > lag + 2]

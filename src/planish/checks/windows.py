@@ -18,7 +18,7 @@ from planish.core.threads import map_threads
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-Places = NDArray[np.int32]
+Places = NDArray[np.signedinteger[Any]]
 Sums = tuple[Array, Array, NDArray[np.float32]]
 
 BLOCK = 5  # voxels along the edge of a block mean
@@ -122,11 +122,12 @@ def gather(
             if one is not None:
                 samples.append(one[1])
                 grey[one[2]] = one[3]
-    windows = tuple(
-        _joined(axis, places[axis], [one[0] for piece in pieces if (one := piece[i]) is not None])
-        for i, axis in enumerate(axes)
-    )
-    return Gathered(windows=windows, sample=np.concatenate(samples), grey=grey)
+    sums = [[one[0] for piece in pieces if (one := piece[i]) is not None] for i in range(len(axes))]
+    del pieces, piece
+    sample = np.concatenate(samples)
+    samples.clear()
+    windows = tuple(_joined(axis, places[axis], known) for axis, known in zip(axes, sums, strict=True))
+    return Gathered(windows=windows, sample=sample, grey=grey)
 
 
 def _taken(points: Places, places: dict[Axis, dict[str, slice]]) -> NDArray[np.int8]:
@@ -185,12 +186,20 @@ def _sums(part: NDArray[np.float32], before: int = 0) -> Sums:
 
 
 def _joined(axis: Axis, place: dict[str, slice], known: list[Sums]) -> Window:
+    """Join the parts of a window, which are taken out of ``known``."""
     voxels = np.prod([s.stop - s.start for k, s in place.items() if k != axis])
     if axis == "z":
         square, product = (np.concatenate([p[i] for p in known]) for i in range(2))
     else:
         square, product = (np.sum([p[i] for p in known], axis=0) for i in range(2))
-    blocks = np.concatenate([p[2] for p in known], axis=0 if axis == "z" else 1)
+    along = 0 if axis == "z" else 1
+    shape = list(known[0][2].shape)
+    shape[along] = sum(p[2].shape[along] for p in known)
+    blocks, at = np.empty(shape, dtype=np.float32), 0
+    while known:
+        part = known.pop(0)[2]  # a part goes as soon as it is copied
+        blocks[(slice(None),) * along + (slice(at, at + part.shape[along]),)] = part
+        at += part.shape[along]
     return Window(
         axis=axis, first=place[axis].start, square=square / voxels, product=product / voxels, blocks=blocks
     )  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 import xarray as xr
 
 from planish import __version__
-from planish.compute import Compute, Progress, run_key, silent
+from planish.compute import Compute, Progress, return_memory, run_key, silent
 from planish.core.errors import CannotRegister, PlanishError
 from planish.core.overviews import overviews
 from planish.core.results import LayerFacts, Results
@@ -63,6 +63,7 @@ def run_study(
         link stays beside it, as ``OUT-map``.
     """
     compute = compute or Compute()
+    return_memory(compute)
     with limit_threads(compute.threads):
         if out is None:
             check_request(study, compute, held=True)

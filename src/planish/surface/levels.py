@@ -9,7 +9,7 @@ from planish.core.errors import VolumeError
 
 Array = NDArray[np.float64]
 
-_ENOUGH = 2**23  # block means from which levels are told; of more, every so many
+_ENOUGH = 2**21  # block means from which levels are told; of more, every so many
 _SIGMAS = 6.0  # a block is material when it differs from the air by so many standard deviations
 _FEWER_SIGMAS = 4.5  # where that is not enough to see the base of a sheet
 
