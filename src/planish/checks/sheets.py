@@ -62,7 +62,6 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     thickness = float(np.nanmedian(np.abs(high - low)[good])) if good.any() else 0.0
     margin = float(np.clip(_BLURS * float(measured.attrs["blur_um"]) / max(thickness, along), *_INNER))
     depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / along), *_DEPTHS))
-    share = np.linspace(margin, 1 - margin, depths)
     heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
     # Millions of places: two bytes each way are enough for most volumes.
     points = np.empty((*r.shape, depths, 3), dtype=np.int16 if max(volume.shape) < 2**15 else np.int32)
@@ -75,7 +74,7 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
         points[..., k, axis[frame.through]] = np.clip(at, 0, heights.size - 1)
     known = good[r, c]
     points[~known] = 0
-    return Core(points=points.reshape(-1, 3), shape=points.shape[:3], known=known)
+    return Core(points=points.reshape(-1, 3), shape=(*r.shape, depths), known=known)
 
 
 def _of_tiles(n: int, edge: int, count: int) -> NDArray[np.intp]:

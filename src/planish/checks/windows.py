@@ -117,13 +117,13 @@ def gather(
     pieces = map_threads(read, _pieces(volume, places, reach), number=threads)
     grey = np.full(len(points), np.nan, np.float32)
     samples: list[NDArray[Any]] = []
-    for piece in pieces:
-        for one in piece:
+    sums: list[list[Sums]] = [[] for _ in axes]
+    while pieces:  # a piece goes as soon as it is used
+        for known, one in zip(sums, pieces.pop(0), strict=True):
             if one is not None:
+                known.append(one[0])
                 samples.append(one[1])
                 grey[one[2]] = one[3]
-    sums = [[one[0] for piece in pieces if (one := piece[i]) is not None] for i in range(len(axes))]
-    del pieces, piece
     sample = np.concatenate(samples)
     samples.clear()
     windows = tuple(_joined(axis, places[axis], known) for axis, known in zip(axes, sums, strict=True))
