@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import imagecodecs
 import numpy as np
 import pytest
 import tifffile
@@ -19,6 +20,7 @@ from PIL import Image
 
 from planish.core.errors import FileError, VolumeError
 from planish.io import describe, fingerprint
+from planish.io.preview import as_text, best_section, middle_sections, write_picture
 
 
 def ramp(shape: tuple[int, ...], dtype: str = "uint16") -> np.ndarray:
@@ -265,3 +267,39 @@ def test_a_look_takes_little_memory_whatever_is_declared(tmp_path: Path) -> None
         assert peak < 400 * 1024, path.name
         assert math.prod(shape) >= 4 * 10**8
         assert (low is None) == (path.name != "plain.tif")
+
+
+def test_the_middle_of_a_volume_is_drawn(tmp_path):
+    values = np.full((40, 60, 300), 20, np.uint8)
+    values[18:22] = 200  # a sheet across z
+    values[:, 30, 150] = 255
+    found = middle_sections(values)
+    assert [(s.down, s.across, s.grey.shape) for s in found] == [
+        ("z", "x", (40, 300)), ("z", "y", (40, 60)), ("y", "x", (60, 300))
+    ]  # fmt: skip
+    assert found[0].grey[20].min() > 200 > found[0].grey[10, 0]
+    assert best_section(found, "z") is found[0]
+    assert best_section(found, "x") is found[0]
+    assert best_section(found, "y") is found[2]
+    lines = as_text(found[0])
+    assert max(map(len, lines[:-1])) <= 72
+    assert lines[-1] == "middle of the volume: z down, x across"
+    dark = [set(line) <= {" ", "█"} and line.count(" ") > 60 for line in lines[:-1]]
+    assert dark[0]
+    assert not all(dark)
+    write_picture(found, tmp_path / "look.png")
+    drawn = imagecodecs.imread(tmp_path / "look.png")
+    assert drawn.shape == (96, 480 + 8 + 96 + 8 + 480)
+    # Of a file, not more than 96 slices are read.
+    read = []
+
+    class Slices:
+        shape = (1000, 8, 9)
+
+        def __getitem__(self, k):
+            read.append(k)
+            return np.full((8, 9), k, np.float32)
+
+    tall = middle_sections(Slices())
+    assert len(set(read)) <= 97
+    assert tall[0].step[0] * tall[0].grey.shape[0] >= 1000

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,25 +19,44 @@ from planish.io.params import VolumeParams
 _OF_IMPORT = ("voxel_um", "override_size", "unusual_size", "through", "channel", "fixed_rows", "fixed_cols")
 
 
-@verb("planish info volume.tif", "planish info run --json", name="info")
+@verb("planish info volume.tif", "planish info volume.tif --picture look.png", "planish info run --json", name="info")
 @existing("path")
+@click.option(
+    "--picture", type=click.Path(path_type=Path), metavar="PNG", help="Draw the middle sections into this file."
+)
 @json_option
-def info(path: Path, as_json: bool) -> None:
-    """Say what PATH holds: shape, type, voxel or pixel size and its source, grey values, what looks wrong."""
+def info(path: Path, picture: Path | None, as_json: bool) -> None:
+    """Say what PATH holds: shape, type, voxel or pixel size and its source, grey values, what looks wrong.
+
+    In a terminal, the middle of a volume is drawn, too: there a sheet shows as a line across the axis that runs through
+    it. --picture draws three sections: x and y across with z down, and x across with y down.
+    """
     from planish.cli.show import fact_lines, run_facts, run_lines
+    from planish.io.preview import Section, as_text, best_section, middle_sections, write_picture
 
     run = run_facts(path)
     if run is None and (path / "run.toml").is_file():
         from planish.pipeline.run import open_results
 
         open_results(path)  # says what is wrong with it
+    sections: list[Section] = []
+    drawn = not as_json and sys.stdout.isatty() and (sys.stdout.encoding or "").lower().startswith("utf")
     if run is None:
         from planish.io import describe
 
-        facts = describe(path)
+        wanted = picture is not None or drawn
+        facts = describe(path, look=(lambda values: sections.extend(middle_sections(values))) if wanted else None)
         lines = fact_lines(facts)
+        if drawn and len(sections) > 1:
+            lines += as_text(best_section(sections, facts["through"]))
     else:
         facts, lines = run, run_lines(run)
+    if picture is not None:
+        if not sections:
+            raise FileError(
+                f"There is nothing of {path.name} to draw: give a volume or an image that can be looked at."
+            )
+        write_picture(sections, picture)
     click.echo(json.dumps(facts, indent=2, allow_nan=False) if as_json else printable("\n".join(lines)))
 
 

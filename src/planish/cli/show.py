@@ -231,6 +231,11 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     if facts.get("through"):
         option = "" if facts["through"] == "z" else f": --through {facts['through']}"
         lines.append(f"sheet: across {facts['through']}, along which the grey changes most{option}")
+    if "link_bytes" in facts:
+        lines.append(
+            f"planish link: about {facts['link_bytes'] / 1e9:.1f} GB of memory, and {duration(facts['link_seconds'])} "
+            "after the volume was mapped"
+        )
     if "run_bytes" in facts:
         lines.append(
             f"planish map: about {facts['run_bytes'] / 1e9:.1f} GB of memory and {duration(facts['run_seconds'])}, or "

@@ -32,6 +32,9 @@ MOST_UNEQUAL = 5.0  # longest over shortest edge of a voxel; beyond, one of them
 # What ``planish map`` needs for each column through the sheet and in any case, on two busy cores.
 COLUMN_BYTES, BASE_BYTES = 520, 530 * 10**6
 COLUMN_SECONDS, BASE_SECONDS = 35e-6, 15.0
+# What ``planish link`` takes for each pixel of the image, which is held with the search for its holes, and in any case.
+PIXEL_BYTES, LINK_BYTES = 16, 400 * 10**6
+PIXEL_SECONDS = 2.5e-6
 
 LOOK_BYTES = 64 * 2**20  # what is decoded at once for a look: several copies of it, and the program, take 400 MiB
 LOOK_PIXELS = 4_000_000  # of a larger image, some rows and columns are looked at
@@ -47,6 +50,7 @@ def describe(
     channel: str | None = None,
     override_size: bool = False,
     memory_bytes: int | None = None,
+    look: Callable[[Values], None] | None = None,
 ) -> dict[str, Any]:
     """Inspect a volume or an image and report what it holds, in little memory: parts of large ones are read.
 
@@ -60,6 +64,8 @@ def describe(
     override_size : bool
     memory_bytes : int, optional
         What may be decoded at once; of files that can only be decoded whole and have more, values are not looked at.
+    look : callable, optional
+        Is given the values of a volume (z, y, x), or of an image (y, x), where they may be looked at.
 
     Returns
     -------
@@ -71,7 +77,8 @@ def describe(
         slices, or rows and columns, were looked at; None for all), and
         ``warnings``, a list of sentences. For volumes also ``format``, ``stored`` (how they are read),
         ``through`` (the axis that seems to run through the sheet; None where the grey does not tell), ``run_bytes`` and
-        ``run_seconds`` (rough estimates for ``planish map``), ``metadata`` (what a log states, and choices made).
+        ``run_seconds`` (rough estimates for ``planish map``), ``metadata`` (what a log states, and choices made). For
+        images ``link_bytes`` and ``link_seconds``: memory of ``planish link``, and what it takes after the volume.
 
     Raises
     ------
@@ -83,7 +90,7 @@ def describe(
     memory_bytes = LOOK_BYTES if memory_bytes is None else memory_bytes
     options: dict[str, Any] = {"file_name": path.name, "override": override_size, "unusual": True}
     if is_image(place):
-        return _image(path, partial(agreed_size, given=pixel_um, asked=PIXEL, **options), memory_bytes)
+        return _image(path, partial(agreed_size, given=pixel_um, asked=PIXEL, **options), memory_bytes, look)
     if is_section_folder(path):
         return _sections(path, voxel_um, channel, override_size=override_size, memory_bytes=memory_bytes)
     seen = True
@@ -99,6 +106,8 @@ def describe(
             warnings.append(f"The slices are numbered in steps of {step}: the z size must be that of {step} slices.")
     if seen:
         facts = inspect_values(values, loaded.full_scale, warnings, dims=VOXEL.axes)
+        if look is not None:
+            look(values)
     else:
         facts = unseen(values, warnings, dims=VOXEL.axes)
     size = _size_facts(partial(agreed_size, loaded.stated, voxel_um, asked=VOXEL, **options), values.shape, warnings)
@@ -187,7 +196,9 @@ def _sections(
     }
 
 
-def _image(path: Path, agreed: partial[Any], memory_bytes: int | None) -> dict[str, Any]:
+def _image(
+    path: Path, agreed: partial[Any], memory_bytes: int | None, look: Callable[[Values], None] | None
+) -> dict[str, Any]:  # fmt: skip
     """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
     warnings: list[str] = []
     seen = True
@@ -212,6 +223,8 @@ def _image(path: Path, agreed: partial[Any], memory_bytes: int | None) -> dict[s
     if seen:
         facts = inspect_values(values, picture.full_scale, warnings, dims=PIXEL.axes)
         facts |= {"sampled": f"every {step} rows and columns"} if step > 1 else {}
+        if look is not None:
+            look(values)
     else:
         facts = unseen(whole, warnings, dims=PIXEL.axes)
     size = _size_facts(partial(agreed, across(picture.stated)), shape, warnings)
@@ -225,6 +238,8 @@ def _image(path: Path, agreed: partial[Any], memory_bytes: int | None) -> dict[s
         "dtype": str(picture.values.dtype),
         "colour": picture.colour,
         "channels": picture.values.shape[2] if picture.values.ndim == 3 else 1,
+        "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape),
+        "link_seconds": PIXEL_SECONDS * math.prod(shape),
         **size,
         "warnings": warnings,
     }

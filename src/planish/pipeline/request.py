@@ -6,15 +6,15 @@ from pathlib import Path
 
 from planish.compute import Compute
 from planish.core.errors import InputError, ResourceError
+from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import pixels_of
 from planish.measure import check_maps
 from planish.pipeline.registration import read_design
 from planish.study import Study
 
-# What a link takes at its peak, beside what does not depend on the image: it is held as float32, with the search for
-# its holes; refining holds it and the map in double precision, filtered, several times; without a
-# folder to write to, all linked maps are held.
-_PIXEL_BYTES, _REFINED_BYTES, _HELD_BYTES, _REST = 16, 120, 130, 4 * 10**8
+# Bytes a pixel: refining holds image and map in double precision, filtered, several times; without a folder to write
+# to, all linked maps are held.
+_REFINED_BYTES, _HELD_BYTES = 120, 130
 
 
 def check_request(study: Study, compute: Compute, *, held: bool = False) -> None:
@@ -43,9 +43,9 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
     for layer in study.layers:
         if layer.image is not None:
             rows, cols = pixels_of(Path(layer.path))
-            each = _PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
+            each = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
             each += _HELD_BYTES if held else 0
-            _check_fits(layer.name, rows * cols, each * rows * cols + _REST, compute)
+            _check_fits(layer.name, rows * cols, each * rows * cols + LINK_BYTES, compute)
 
 
 def _check_fits(name: str, pixels: int, needed: int, compute: Compute) -> None:
