@@ -255,31 +255,37 @@ def mean_columns(voxels, step, slope_r, slope_c, missing, out):
     share = np.float32(1.0 / (step * step))
     middle = 0.5 * (step - 1)
     some = missing == missing  # NaN: nothing is missing but NaN itself
-    total = np.empty((depth, _ABREAST), dtype=np.float32)
+    total = np.empty((depth, _ABREAST * step), dtype=np.float32)
     shift = np.empty(_ABREAST * step, dtype=np.int64)
     for i in range(rows):
         for first in range(0, cols, _ABREAST):
             # Some columns at a time: voxels lie side by side either along the row or along the depth, and this way
             # both are read without jumping.
             count = min(_ABREAST, cols - first)
+            wide = count * step
             total[:] = 0.0
             for a in range(step):
-                for m in range(count * step):
+                low, high = 0, 0
+                for m in range(wide):
                     j = first + m // step
                     move = slope_r[i, j] * (a - middle) + slope_c[i, j] * (m % step - middle)
                     shift[m] = int(floor(move + 0.5)) if isfinite(move) else 0
-                row = voxels[i * step + a]
+                    low, high = min(low, shift[m]), max(high, shift[m])
+                row = voxels[i * step + a, first * step : first * step + wide]
                 for d in range(depth):
-                    m = 0
-                    for n in range(count):
-                        part = total[d, n]
-                        for _ in range(step):
-                            value = row[first * step + m, min(max(d + shift[m], 0), depth - 1)]
-                            if some and value == missing:
-                                part = np.float32(np.nan)
-                            part += np.float32(value)
-                            m += 1
-                        total[d, n] = part
+                    if some or d + low < 0 or d + high > depth - 1:
+                        for m in range(wide):
+                            value = row[m, min(max(d + shift[m], 0), depth - 1)]
+                            total[d, m] += np.float32(np.nan) if some and value == missing else np.float32(value)
+                    elif low == high:  # all alike: many columns at once
+                        for m in range(wide):
+                            total[d, m] += np.float32(row[m, d])
+                    else:
+                        for m in range(wide):
+                            total[d, m] += np.float32(row[m, np.uint64(d + shift[m])])
             for n in range(count):
                 for d in range(depth):
-                    out[i, first + n, d] = total[d, n] * share
+                    part = np.float32(0.0)
+                    for m in range(n * step, (n + 1) * step):
+                        part += total[d, m]
+                    out[i, first + n, d] = part * share
