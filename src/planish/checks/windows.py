@@ -93,25 +93,34 @@ def gather(
     taken = _taken(points, places)
     reach = slice(min(p["z"].start for p in places.values()), max(p["z"].stop for p in places.values()))
 
-    def read(piece: slice) -> list[tuple[Sums, NDArray[Any], Index, NDArray[np.float32]] | None]:
-        found: list[tuple[Sums, NDArray[Any], Index, NDArray[np.float32]] | None] = []
+    def read(piece: slice) -> list[_Part | None]:
+        found: list[_Part | None] = []
         for axis in axes:
             place = places[axis]
             inside = slice(max(piece.start, place["z"].start), min(piece.stop, place["z"].stop))
             if inside.stop <= inside.start:
                 found.append(None)
                 continue
+            chosen = (taken == axes.index(axis)) & (points[:, 0] >= inside.start) & (points[:, 0] < inside.stop)
             # Pairs across the border between two pieces belong to the second one.
             before = min(2, inside.start - place["z"].start) if axis == "z" else 0
-            part = volume.isel(place | {"z": slice(inside.start - before, inside.stop)})
-            raw = np.asarray(part.values)
-            which = np.flatnonzero(
-                (taken == axes.index(axis)) & (points[:, 0] >= inside.start) & (points[:, 0] < inside.stop)
-            )
-            z, y, x = (points[which] - [inside.start - before, place["y"].start, place["x"].start]).T
-            grey = raw[z, y, x].astype(np.float32)
-            sample = raw[::_EVERY, ::_EVERY, ::_EVERY].ravel() if axis != through else raw[:0].ravel()
-            found.append((_part_sums(raw, axis, before, missing), sample, which, grey))
+            whole = place | {"z": slice(inside.start - before, inside.stop)}
+            parts: list[_Part] = []
+            tail: NDArray[Any] | None = None
+            for cut in [whole[axis]] if axis == "z" else _cuts(volume, whole, axis):
+                raw = np.asarray(volume.isel(whole | {axis: cut}).values)
+                k = axes.index(axis)
+                which = np.flatnonzero(chosen & (points[:, k] >= cut.start) & (points[:, k] < cut.stop))
+                first = [(cut if name == axis else whole[name]).start for name in axes]
+                z, y, x = (points[which] - first).T
+                grey = raw[z, y, x].astype(np.float32)
+                sample = raw[::_EVERY, ::_EVERY, ::_EVERY].ravel() if axis != through else raw[:0].ravel()
+                if tail is not None:
+                    before = tail.shape[k]
+                    raw = np.concatenate([tail, raw], axis=k)
+                parts.append(_Part(_part_sums(raw, axis, before, missing), sample, which, grey))
+                tail = raw.take(range(max(raw.shape[k] - 2, 0), raw.shape[k]), axis=k)
+            found.append(_Part.joined(parts))
         return found
 
     pieces = map_threads(read, _pieces(volume, places, reach), number=threads)
@@ -121,13 +130,40 @@ def gather(
     while pieces:  # a piece goes as soon as it is used
         for known, one in zip(sums, pieces.pop(0), strict=True):
             if one is not None:
-                known.append(one[0])
-                samples.append(one[1])
-                grey[one[2]] = one[3]
+                known.append(one.sums)
+                samples.append(one.sample)
+                grey[one.which] = one.grey
     sample = np.concatenate(samples)
     samples.clear()
     windows = tuple(_joined(axis, places[axis], known) for axis, known in zip(axes, sums, strict=True))
     return Gathered(windows=windows, sample=sample, grey=grey)
+
+
+class _Part(NamedTuple):
+    """What is kept of a part of a window: sums, some greys, and the greys of the points ``which``."""
+
+    sums: Sums
+    sample: NDArray[Any]
+    which: Index
+    grey: NDArray[np.float32]
+
+    @classmethod
+    def joined(cls, parts: list[_Part]) -> _Part:
+        """Parts that follow each other along the axis of their window."""
+        if len(parts) == 1:
+            return parts[0]
+        sums = tuple(np.concatenate([part.sums[k] for part in parts]) for k in range(3))
+        return cls((sums[0], sums[1], sums[2]), *(np.concatenate([part[k] for part in parts]) for k in (1, 2, 3)))
+
+
+def _cuts(volume: xr.DataArray, place: dict[str, slice], axis: Axis) -> list[slice]:
+    """Cut a piece along its axis, too, where the chunks of the file make it long along z."""
+    chunks = volume.encoding.get("chunks")
+    unit = int(chunks["zyx".index(axis)]) if chunks else 1
+    slice_voxels = int(np.prod([s.stop - s.start for k, s in place.items() if k != axis]))
+    size = max(int(_PIECE / (4 * slice_voxels)) // unit, 1) * unit
+    start, stop = place[axis].start, place[axis].stop
+    return [slice(k, min(k + size, stop)) for k in range(start, stop, size)]
 
 
 def _taken(points: Places, places: dict[Axis, dict[str, slice]]) -> NDArray[np.int8]:
