@@ -1,0 +1,100 @@
+"""A disk that fills up at twelve moments: one sentence, exit code 5, nothing left, and nothing in the way afterwards.
+
+A limit on the size of files makes the real write fail: files that are not larger than it are written before.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import tifffile
+
+import planish.synthetic as synthetic
+from planish.core import files
+
+resource = pytest.importorskip("resource", reason="this system limits no sizes of files")
+
+
+@contextmanager
+def full_after(size: int) -> Generator[None]:
+    """No file may grow beyond so many bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.fixture
+def failed_in(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """Of each write that failed the functions and the name of the file, or folder."""
+    found: list[list[str]] = []
+    as_planish = files.as_planish
+
+    def noted(error: OSError, path: Path, *, needed: int | None = None) -> Exception:
+        found.append([frame.name for frame in traceback.extract_tb(error.__traceback__)] + [path.name])
+        return as_planish(error, path, needed=needed)
+
+    monkeypatch.setattr(files, "as_planish", noted)
+    return found
+
+
+@pytest.fixture
+def given(specimen, specimen_files, linked_run, tmp_path_factory, monkeypatch) -> SimpleNamespace:
+    """What the commands read, outside of the folder that is compared. The link has compiled what they need."""
+    monkeypatch.setitem(synthetic.SIZES_UM, "T0", (560.0, 420.0))  # the least that has room for three holes
+    corner = tmp_path_factory.mktemp("corner") / "volume.tif"
+    size, meta = (0.25, 0.25), {"spacing": 4.0, "unit": "um", "axes": "ZYX"}
+    tifffile.imwrite(corner, specimen.volume.values[:, :125, :200], imagej=True, resolution=size, metadata=meta)
+    return SimpleNamespace(corner=corner, volume=specimen_files[0], image=specimen_files[1], run=linked_run)
+
+
+def entries(folder: Path) -> list[str]:
+    return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*"))
+
+
+Moment = tuple[int, str]  # the limit, and the function or file that fails under it
+
+CASES: dict[str, tuple[Callable[[SimpleNamespace], tuple[object, ...]], Moment, Moment]] = {
+    "map": (lambda given: ("map", given.corner), (0, "claim_folder"), (2000, "_keep")),
+    "link": (lambda given: ("link", given.run, given.image), (0, "claim_folder"), (600_000, "report.html")),
+    "import": (lambda given: ("import", given.volume), (0, "claim_folder"), (50_000, "_write")),
+    "specimen": (
+        lambda _given: ("specimen", "--size", "T0", "--seed", "7", "--instrument", "image"),
+        (100, "write_image"), (50_000, "write_truth"),
+    ),
+    "report": (lambda given: ("report", given.run), (0, "out"), (900_000, "out")),
+    "run": (
+        lambda given: ("run", given.run / "run.toml", "--set", "correlate.point_um=50"),
+        (0, "claim_folder"), (2000, "marks.json"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", CASES)
+def test_a_full_disk_leaves_nothing_and_blocks_nothing(planish, given, tmp_path, failed_in, command):
+    arguments, *moments = CASES[command]
+    (tmp_path / "thesis.txt").write_text("years")
+    out = tmp_path / "out"
+    before = entries(tmp_path)
+    for limit, place in moments:
+        failed_in.clear()
+        with full_after(limit):
+            code, said, err = planish(*arguments(given), "--out", out)
+        assert code == 5, err
+        assert f"The disk is full while writing {out}: " in err
+        assert f" MB are free in {tmp_path}" in err
+        assert "Free some space, or give --out on another disk." in err
+        assert "Traceback" not in said + err
+        assert place in failed_in[0], failed_in
+        assert entries(tmp_path) == before
+    code, _, err = planish(*arguments(given), "--out", out)
+    assert code in (0, 4), err
+    assert out.exists()
+    assert {name.partition("/")[0] for name in entries(tmp_path)} == {"thesis.txt", "out"}
