@@ -9,6 +9,7 @@ from benchmarks import (
     errors,
     faces,
     flattening,
+    fuzz,
     holes,
     large_image,
     matching,
@@ -47,6 +48,7 @@ _MODULES = (
     right,
     through_scale,
     errors,
+    fuzz,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
 

@@ -170,6 +170,38 @@ def test_a_damaged_store_is_named(tmp_path):
         read_tree(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("whole", "damaged"),
+    [
+        ('"chunk_shape": [', '"chunk_shape": [1e-320, '),
+        ('"level": 1', '"levelx": 1'),
+        ('"fill_value"', '"fill_value": 7, "x"'),
+        ('"metadata": {', '"metadata": null, "x": {'),
+        ('"attributes"', "(" * 200_000 + '"attributes"'),
+    ],
+)
+def test_damaged_metadata_of_a_store_are_one_short_sentence(tmp_path, whole, damaged):
+    write_tree(tmp_path / "maps.zarr", {"maps": xr.Dataset({"a": (("v", "u"), np.zeros((4, 5)))})})
+    header = tmp_path / "maps.zarr" / "zarr.json"
+    text = header.read_text()
+    assert whole in text
+    header.write_text(text.replace(whole, damaged))
+    with pytest.raises(FileError, match="It may be damaged; repeat the run") as caught:
+        read_tree(tmp_path / "maps.zarr")
+    assert len(str(caught.value)) < 1000
+
+
+def test_a_flipped_bit_of_a_map_is_a_damage_and_no_other_value(tmp_path):
+    values = np.random.default_rng(0).normal(size=(40, 50))
+    write_tree(tmp_path / "maps.zarr", {"maps": xr.Dataset({"a": (("v", "u"), values)})})
+    chunk = tmp_path / "maps.zarr" / "maps" / "a" / "c" / "0" / "0"
+    data = chunk.read_bytes()
+    for at in range(20, len(data), 997):
+        chunk.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        with pytest.raises(FileError, match="damaged"):
+            read_tree(tmp_path / "maps.zarr")
+
+
 def test_json_refuses_nan(tmp_path):
     with pytest.raises(ValueError, match="JSON compliant"):
         write_json(tmp_path / "r.json", {"a": float("nan")})

@@ -14,7 +14,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
-from planish.core.errors import FileError
+from planish.core.errors import FileError, PlanishError
 from planish.core.files import writing
 from planish.core.grid import Grid
 from planish.core.lazy import LazyArray, Where, held
@@ -27,6 +27,10 @@ OVERVIEWS = "overviews"  # group of a store with smaller copies of its maps, whi
 LARGE = 2**29
 """Bytes of a group of maps from which on it stays in its store and is read part by part."""
 
+CODEC = ZstdCodec(level=1, checksum=True)
+"""Maps hold noise: a higher level takes half as long again and saves nothing. The sum tells a damaged chunk."""
+
+_MOST_WORDS = 160  # letters of a reason: some hold the whole file
 _TILE = (1024, 4096)  # whole chunks, also of the first overview
 
 
@@ -116,15 +120,15 @@ class StoredMaps(HeldMaps):
         group.attrs.update(_plain(maps.attrs))
         for axis, values, attrs in _coords(grid, maps).values():
             made = group.create_array(
-                axis, shape=values.shape, dtype=values.dtype, dimension_names=(axis,), attributes=_plain(attrs)
-            )
+                axis, shape=values.shape, dtype=values.dtype, dimension_names=(axis,), compressors=(CODEC,),
+                attributes=_plain(attrs),
+            )  # fmt: skip
             made[:] = values
         arrays: dict[str, Any] = {}
         for key, data in maps.data_vars.items():
-            # Maps hold noise: a higher level takes half as long again and saves nothing.
             arrays[str(key)] = group.create_array(
                 str(key), shape=grid.shape, dtype=data.dtype, chunks=(min(grid.shape[0], CHUNK),
-                min(grid.shape[1], CHUNK)), compressors=(ZstdCodec(level=1),),
+                min(grid.shape[1], CHUNK)), compressors=(CODEC,),
                 fill_value=np.nan if data.dtype.kind == "f" else 0, dimension_names=[str(d) for d in data.dims],
                 attributes=_plain(data.attrs), config={"write_empty_chunks": True},
             )  # fmt: skip
@@ -148,7 +152,7 @@ def stored_group(path: Path, name: str) -> xr.Dataset:
     FileError
         If it is not there, or damaged; the latter also when a part is read.
     """
-    with _readable(path):
+    with readable(path):
         group = zarr.open_group(path, path=name, mode="r")
         coords: dict[str, Any] = {}
         variables: dict[str, Any] = {}
@@ -163,7 +167,7 @@ def stored_group(path: Path, name: str) -> xr.Dataset:
 
 def large_groups(path: Path) -> Iterator[str]:
     """Names of the groups of a store whose maps should stay there, and of their overviews."""
-    with _readable(path):
+    with readable(path):
         root = zarr.open_group(path, mode="r")
         for name, group in root.members(max_depth=None):
             if isinstance(group, zarr.Group):
@@ -193,17 +197,20 @@ class _Stored(LazyArray):
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part."""
-        with _readable(self._path):
+        with readable(self._path):
             return np.asarray(self._array[where])
 
 
 @contextmanager
-def _readable(path: Path) -> Generator[None]:
+def readable(path: Path) -> Generator[None]:
     """Turn what a damaged store raises into the error that says so."""
     try:
         yield
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
-        raise FileError(f"{path} cannot be read: {error}. It may be damaged; repeat the run.") from error
+    except (PlanishError, MemoryError):
+        raise
+    except Exception as error:  # damaged metadata make zarr raise almost every type there is
+        reason = " ".join(str(error).split())[:_MOST_WORDS] or type(error).__name__
+        raise FileError(f"{path} cannot be read: {reason}. It may be damaged; repeat the run.") from error
 
 
 def _coords(grid: Grid, maps: xr.Dataset) -> dict[str, tuple[str, NDArray[np.float64], dict[str, Any]]]:

@@ -19,12 +19,11 @@ from typing import Any
 import xarray as xr
 import zarr
 from filelock import FileLock, Timeout
-from zarr.codecs import ZstdCodec
 from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError
 from planish.core.files import DiskFull, disk_full, writing
-from planish.io.map_store import CHUNK, COMPLETE, OVERVIEWS, large_groups, stored_group
+from planish.io.map_store import CHUNK, CODEC, COMPLETE, OVERVIEWS, large_groups, readable, stored_group
 
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
 _WORK_TEXT = "Results of single tiles of a run that planish is working on. It removes this folder at the end.\n"
@@ -209,8 +208,7 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     """
     root = xr.Dataset(attrs={COMPLETE: True})
     tree = xr.DataTree.from_dict({"/": root} | {f"/{name}": data for name, data in groups.items()})
-    # Maps hold noise: a higher level takes half as long again and saves nothing.
-    codec = {"compressors": (ZstdCodec(level=1),)}
+    codec = {"compressors": (CODEC,)}
     encoding = {
         f"/{name}": {
             str(key): codec | ({"chunks": tuple(min(n, CHUNK) for n in values.shape)} if values.ndim > 1 else {})
@@ -237,18 +235,15 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
     """
     if not (path / "zarr.json").is_file():
         raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
-    try:
-        with xr.open_datatree(path, engine="zarr") as tree:
-            if tree.attrs.get(COMPLETE):
-                _check_chunks(path)
-            large = {name: stored_group(path, name) for name in large_groups(path)}
-            return large | {
-                node.path.strip("/"): node.to_dataset(inherit=False).load()
-                for node in tree.subtree
-                if node.data_vars and not node.path.startswith(f"/{OVERVIEWS}/") and node.path.strip("/") not in large
-            }
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
-        raise FileError(f"{path} cannot be read: {error}. It may be damaged; repeat the run.") from error
+    with readable(path), xr.open_datatree(path, engine="zarr") as tree:
+        if tree.attrs.get(COMPLETE):
+            _check_chunks(path)
+        large = {name: stored_group(path, name) for name in large_groups(path)}
+        return large | {
+            node.path.strip("/"): node.to_dataset(inherit=False).load()
+            for node in tree.subtree
+            if node.data_vars and not node.path.startswith(f"/{OVERVIEWS}/") and node.path.strip("/") not in large
+        }
 
 
 def _check_chunks(path: Path) -> None:
