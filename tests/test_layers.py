@@ -254,6 +254,24 @@ def test_a_hole_that_the_border_cuts_is_left_out():
     assert 60 < radius < 110
 
 
+@pytest.mark.parametrize("frame", [True, False])
+def test_dark_ground_beside_a_sheet_is_no_hole_that_the_border_cuts(frame):
+    """A circle around it would leave no pixel of the sheet."""
+    step, size = 5.0, 200
+    y, x = np.meshgrid(np.arange(size) * step, np.arange(size) * step, indexing="ij")
+    values = np.full((size, size), 180.0)
+    for cx, cy in ((300.0, 300.0), (600.0, 700.0)):
+        values[np.hypot(x - cx, y - cy) < 80] = 20.0
+    if frame:
+        values[[0, 1, -2, -1]], values[:, [0, 1, -2, -1]] = 15.0, 15.0
+    else:
+        values[x > 800] = 15.0
+    holes = find_holes(values, pixel_um=step)
+    assert holes.sizes["mark"] == 2
+    image = xr.DataArray(values, dims=("y", "x"), coords={"y": y[:, 0], "x": x[0]})
+    assert cut_holes(image, holes).sizes["mark"] == 0
+
+
 def test_the_design_names_the_holes(planish, specimen, linked_run, specimen_files, tmp_path):
     table = tmp_path / "burnt.csv"
     turned = specimen.sheet.holes @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + 5000.0

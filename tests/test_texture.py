@@ -62,6 +62,13 @@ def test_a_coating_that_is_no_thicker_than_its_error_is_not_seen():
     assert texture_of(sheet, layer(image=field(30)), ("sheet", "photo")).checks[0].state == "look"
 
 
+@pytest.mark.parametrize("other", [a_sheet(), layer(image=field(30))], ids=["sheet", "image"])
+def test_layers_without_a_valid_pixel_in_common_are_inconclusive(other):
+    checks = texture_of(a_sheet(), other.assign(valid=other["valid"] & False), ("sheet", "other")).checks
+    assert [check.state for check in checks] == ["unknown"] * len(checks)
+    assert "inconclusive" in checks[0].sentence
+
+
 def test_pixels_that_are_too_large_for_texture_are_named():
     coarse = layer(image=field(0)).assign_coords(y=80.0 * np.arange(180), x=80.0 * np.arange(220))
     lag, (only,) = texture_of(coarse, coarse, ("a", "b"))

@@ -54,6 +54,9 @@ def image_of_sheet(found: Textures, *, coated: Iterable[Side], side: Side, given
     thin paper: what the other coating explains is taken off first (partial correlation). A face is the one if its
     ``|z|`` is above 4.5 and that of the other below 3, or smaller by 3 standard deviations of the difference.
     """
+    if "image" not in found.maps:
+        text = f"Specimen: inconclusive, because the sheet and the {image} share no field."
+        return SideFound(_check("unknown", text, None))
     seen: list[Side] = [k for k in coated if f"coating_{k}" in found.maps]
     names: dict[Side, list[str]] = {k: [f"coating_{k}"] for k in seen}
     coatings = _faces(found, names)

@@ -51,7 +51,8 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
     -------
     Dataset, dims (mark)
         ``x, y, diameter`` (um) of a circle around each: what touches the border, is beyond half way from the sheet to
-        the floor of the whole holes, and has a tenth of their area or more.
+        the floor of the whole holes, and has a tenth of their area or more. What is wider than twice the largest of
+        them is none.
     """
     circles: list[tuple[float, float, float]] = []
     if holes.sizes["mark"]:
@@ -89,5 +90,7 @@ def _touching(beyond: NDArray[np.bool_], grid: Grid, radius: Floats) -> list[tup
         if rows.size >= least:
             places = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
             middle = places.mean(axis=0)
-            circles.append((float(middle[0]), float(middle[1]), 2 * float(np.hypot(*(places - middle).T).max())))
+            around = float(np.hypot(*(places - middle).T).max())
+            if around <= 2 * radius.max():  # the ground beside a sheet is no hole, and its circle covers the sheet
+                circles.append((float(middle[0]), float(middle[1]), 2 * around))
     return circles

@@ -59,7 +59,8 @@ def texture_of(
         a, b, names = b, a, (names[1], names[0])
     valid, one_sheet = a["valid"].values & b["valid"].values, "thickness" in a and "thickness" not in b
     first, second = ({k: d[k] for k in _MAPS if k in d and any_finite(d[k], valid)} for d in (a, b))
-    maps = first | ({"image": second["image"]} if one_sheet else {f"other {k}": m for k, m in second.items()})
+    image = {k: m for k, m in second.items() if k == "image"}  # none where the two have no valid pixel in common
+    maps = first | (image if one_sheet else {f"other {k}": m for k, m in second.items()})
     try:
         found = textures(maps, valid, Grid.of(a).pixel_um)
     except SizeError as error:
