@@ -25,8 +25,13 @@ import numpy as np
 import tifffile
 
 from benchmarks.size import DEPTH, VOXEL_UM, volume
+from planish.synthetic import CameraParams, HoleParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
 
 SEED = 5
+SPECIMEN = SpecimenParams(
+    size_um=(2600.0, 2000.0), holes=HoleParams(pattern="irregular", count=7), scanner=ScannerParams(voxel_um=4.0),
+    camera=CameraParams(pixel_um=5.0), seed=5,
+)  # fmt: skip
 _ENOUGH_S = 900
 
 
@@ -44,22 +49,12 @@ def main(mvoxel: int | str = 120, times: int | str = 10) -> int:
         whole, took = timed(importing, store)
         failed += kills("import", importing, folder, whole, took, rng, int(times))
         mapping = ["map", str(store), "--memory", "1GB"]
-        whole, took = timed(mapping, folder / "run")
-        failed += kills("map", mapping, folder, whole, took, rng, int(times))
-        with cluster(folder) as (address, workers):
-            for killed in (False, True):
-                out = folder / f"cluster-{killed}"
-                start = time.perf_counter()
-                run = subprocess.Popen(command([*mapping, "--scheduler", address], out), stderr=subprocess.DEVNULL)
-                if killed:
-                    time.sleep(0.5 * took)
-                    os.kill(workers[0].pid, signal.SIGKILL)
-                run.wait(_ENOUGH_S)
-                same = hashes(out) == whole
-                failed += not same
-                what = "two workers, one killed half-way" if killed else "two workers"
-                print(f"map on a cluster, {what}: {'same bytes' if same else 'OTHER BYTES'}, "
-                      f"{time.perf_counter() - start:.1f} s")  # fmt: skip
+        files = write_instruments(make_specimen(SPECIMEN), folder / "specimen")
+        linking = ["link", str(files.volume), str(files.image)]
+        for what, arguments in (("map", mapping), ("link", linking)):
+            whole, took = timed(arguments, folder / what)
+            failed += kills(what, arguments, folder, whole, took, rng, int(times))
+            failed += on_cluster(what, arguments, folder, whole, took)
     return failed
 
 
@@ -99,6 +94,30 @@ def kills(
         print(f"{what}: killed after {moment:.1f} s of {took:.1f} s, went on for {rests[-1]:.1f} s, "
               f"{'same bytes' if same else 'OTHER BYTES'}{' and left ' + ', '.join(left) if left else ''}")  # fmt: skip
         shutil.rmtree(out, ignore_errors=True)
+    return failed
+
+
+def on_cluster(what: str, arguments: list[str], folder: Path, whole: dict[str, str], took: float) -> int:
+    """Run a command on two workers, whole and with one of them killed; an import knows no cluster."""
+    failed = 0
+    with cluster(folder) as (address, workers):
+        for killed in (False, True):
+            out = folder / f"{what}-cluster-{killed}"
+            start = time.perf_counter()
+            run = subprocess.Popen(command([*arguments, "--scheduler", address], out), stdout=subprocess.DEVNULL,
+                                   stderr=subprocess.PIPE, text=True)  # fmt: skip
+            how = "two workers"
+            if killed:
+                time.sleep(0.5 * took)
+                how = f"{how}, one killed {'half-way' if run.poll() is None else 'TOO LATE'}"
+                os.kill(workers[0].pid, signal.SIGKILL)
+            said = run.communicate(timeout=_ENOUGH_S)[1]
+            took_here = time.perf_counter() - start
+            same = hashes(out) == whole
+            failed += not same
+            print(f"{what} on a cluster, {how}: {'same bytes' if same else 'OTHER BYTES'}, {took_here:.1f} s")
+            if not same:
+                print(said)
     return failed
 
 
