@@ -43,7 +43,7 @@ _WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps tha
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 _LEAST_BYTES = 2**20
 _PROGRAM = 3 * 10**8  # bytes that Python, its libraries and the compiled kernels take
-_SHORT = 4 * 10**9  # bytes of memory below which freed arrays are given back at once, which takes a little time
+_SHORT = 8 * 10**8  # bytes of memory below which freed arrays are given back at once, which takes a little time
 _M_MMAP_THRESHOLD = -3  # of malloc.h
 _TIMES = 3  # the size of a volume that is held as a whole: what the memory has to be for it
 

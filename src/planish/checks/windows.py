@@ -152,8 +152,13 @@ class _Part(NamedTuple):
         """Parts that follow each other along the axis of their window."""
         if len(parts) == 1:
             return parts[0]
-        sums = tuple(np.concatenate([part.sums[k] for part in parts]) for k in range(3))
-        return cls((sums[0], sums[1], sums[2]), *(np.concatenate([part[k] for part in parts]) for k in (1, 2, 3)))
+        square, product, blocks = zip(*(part.sums for part in parts), strict=True)
+        return cls(
+            sums=(np.concatenate(square), np.concatenate(product), np.concatenate(blocks)),
+            sample=np.concatenate([part.sample for part in parts]),
+            which=np.concatenate([part.which for part in parts]),
+            grey=np.concatenate([part.grey for part in parts]),
+        )
 
 
 def _cuts(volume: xr.DataArray, place: dict[str, slice], axis: Axis) -> list[slice]:
