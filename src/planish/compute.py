@@ -43,7 +43,9 @@ _WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps tha
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 _LEAST_BYTES = 2**20
 _PROGRAM = 3 * 10**8  # bytes that Python, its libraries and the compiled kernels take
-_SHORT = 8 * 10**8  # bytes of memory below which freed arrays are given back at once, which takes a little time
+# Where the memory is less than the first number, freed arrays of so many bytes are given back at once. It takes time,
+# most of all for the small buffers that files are decoded into: those only where nothing else will do.
+_SHORT = ((8 * 10**8, 2**17), (4 * 10**9, 2**20))
 _M_MMAP_THRESHOLD = -3  # of malloc.h
 _TIMES = 3  # the size of a volume that is held as a whole: what the memory has to be for it
 
@@ -135,10 +137,11 @@ def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, com
 
 
 def return_memory(compute: Compute) -> None:
-    """Where the memory is short, give freed arrays of 128 kB and more back at once: glibc keeps ever larger ones."""
-    if compute.memory < _SHORT:
+    """Where the memory is short, have glibc give freed arrays back at once: by itself it keeps ever larger ones."""
+    least = next((size for memory, size in _SHORT if compute.memory < memory), None)
+    if least is not None:
         with suppress(OSError, AttributeError, TypeError):  # another C library
-            ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 2**17)
+            ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, least)
 
 
 @contextmanager
