@@ -77,7 +77,12 @@ CASES: dict[str, tuple[Callable[[SimpleNamespace], tuple[object, ...]], Moment, 
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("command", CASES)
+_SLOW = ("link", "map", "run")
+
+
+@pytest.mark.parametrize(
+    "command", [pytest.param(name, marks=[pytest.mark.study] if name in _SLOW else []) for name in CASES]
+)
 def test_a_full_disk_leaves_nothing_and_blocks_nothing(planish, given, tmp_path, failed_in, command):
     arguments, *moments = CASES[command]
     (tmp_path / "thesis.txt").write_text("years")

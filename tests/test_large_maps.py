@@ -32,6 +32,7 @@ def numbers(folder):
     return found
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("what", ["sheet and image", "two images"])
 def test_tiles_and_a_store_change_nothing(planish, linked_run, specimen_files, tmp_path, monkeypatch, what):
     image = specimen_files[1]
