@@ -165,6 +165,14 @@ def test_no_scheduler_is_a_sentence():
         pass
 
 
+def test_what_the_program_takes_comes_off_the_memory():
+    assert Compute(memory_bytes=4 * 10**9).for_work == 37 * 10**8
+    # Of little memory the program is not given more than half, and the blocks of an import get most of the rest.
+    assert Compute(memory_bytes=3 * 10**8).for_work == 15 * 10**7
+    assert Compute(memory_bytes=3 * 10**8).block_bytes == 10**8
+    assert Compute(memory_bytes=9 * 10**9).block_bytes == Compute(memory_bytes=9 * 10**9).volume_bytes
+
+
 def test_columns_get_wider_where_the_memory_asks_for_it():
     grey, *_ = slab(shape=(40, 90, 120))
     data = volume(grey)

@@ -90,6 +90,11 @@ class Compute(Params):
         """Largest volume that is held in memory as a whole."""
         return self.for_work // _TIMES
 
+    @property
+    def block_bytes(self) -> int:
+        """What an import may take for the blocks that it writes: of little memory most."""
+        return max(self.volume_bytes, min(self.for_work * 2 // 3, 2 * 10**8))
+
     @staticmethod
     def to_hold(volume_bytes: int) -> int:
         """Memory that has to be allowed for a volume to be held as a whole."""

@@ -107,7 +107,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
             if share := found.record.clipped:
                 click.echo(f"{100 * share:.2g} % of the voxels left the range of {data.dtype} and were clipped.")
         write_store(
-            data if found is None else found.volume, out, memory_bytes=compute.volume_bytes, ome=ome,
+            data if found is None else found.volume, out, memory_bytes=compute.block_bytes, ome=ome,
             progress=lambda what, done, count: progress(what, f"block {done} of {count}"),
         )  # fmt: skip
     if found is not None:
