@@ -180,8 +180,8 @@ def _first_two(
     room = memory_bytes / least
     if room < 1:
         raise ResourceError(
-            f"The import needs {least / 1e6:.0f} MB for its blocks of shards, {memory_bytes / 1e6:.0f} MB of the memory "
-            f"are for them. Allow more: --memory {math.ceil((3 * least + 3e8) / 1e8) / 10:.1f}GB will do."
+            f"The import needs {least / 1e6:.0f} MB for its blocks of shards, {memory_bytes / 1e6:.0f} MB are "
+            f"allowed for them. Allow more: --memory {math.ceil((3 * least + 3e8) / 1e8) / 10:.1f}GB will do."
         )
     wide = min(int(room), -(-shape[2] // units[2]))
     high = min(max(int(room / wide), 1), -(-shape[1] // units[1]))
