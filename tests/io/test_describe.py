@@ -301,5 +301,5 @@ def test_the_middle_of_a_volume_is_drawn(tmp_path):
             return np.full((8, 9), k, np.float32)
 
     tall = middle_sections(Slices())
-    assert len(set(read)) <= 97
+    assert len(read) <= 97
     assert tall[0].step[0] * tall[0].grey.shape[0] >= 1000

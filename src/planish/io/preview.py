@@ -39,13 +39,17 @@ def middle_sections(values: Values) -> list[Section]:
         return [_section("y", "x", np.asarray(values), (1, 1))]
     depth, rows, cols = values.shape
     every = -(-depth // _SLICES)
-    slices = [np.asarray(values[k])[[rows // 2]] for k in range(0, depth, every)]
-    columns = [np.asarray(values[k])[:, cols // 2] for k in range(0, depth, every)]
+    along_x, along_y = zip(*(_middles(np.asarray(values[k]), rows, cols) for k in range(0, depth, every)), strict=True)
     return [
-        _section("z", "x", np.concatenate(slices), (every, 1)),
-        _section("z", "y", np.stack(columns), (every, 1)),
+        _section("z", "x", np.stack(along_x), (every, 1)),
+        _section("z", "y", np.stack(along_y), (every, 1)),
         _section("y", "x", np.asarray(values[depth // 2]), (1, 1)),
     ]
+
+
+def _middles(plane: NDArray[Any], rows: int, cols: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The middle row and the middle column of a slice, which is read once for both."""
+    return plane[rows // 2].copy(), plane[:, cols // 2].copy()
 
 
 def best_section(sections: list[Section], through: str | None) -> Section:

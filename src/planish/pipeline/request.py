@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from planish.compute import Compute
@@ -50,8 +51,9 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
 
 def _check_fits(name: str, pixels: int, needed: int, compute: Compute) -> None:
     if needed > compute.memory:
+        enough = math.ceil(needed / 1e8) / 10  # in GB: rounded down, it would be refused again
         raise ResourceError(
             f"The {name} of {pixels / 1e6:.0f} million pixels takes {needed / 1e9:.1f} GB of memory, "
-            f"{compute.memory / 1e9:.1f} GB are allowed. Give more with --memory {needed / 1e9:.1f}GB, or crop or bin "
+            f"{compute.memory / 1e9:.1f} GB are allowed. Give more with --memory {enough:.1f}GB, or crop or bin "
             "it."
         )
