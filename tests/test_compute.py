@@ -16,6 +16,7 @@ import pytest
 from planish.compute import COLUMN_BYTES, Compute, column_step, engine
 from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
+from planish.core.lazy import LazyArray, labelled
 from planish.core.tiles import tiles_of
 from planish.io import read_volume
 from planish.io.params import VolumeParams
@@ -124,7 +125,7 @@ def cluster():
     """A scheduler and two workers, processes of their own on this machine."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
+        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0"
     ) as made:
         yield made
 
@@ -156,6 +157,54 @@ def test_a_worker_that_dies_costs_only_time(cluster):
             seen.add(int(part[0, 1]))
     assert found == [(tile, grid[tile.rows, tile.cols].sum()) for tile in tiles]
     assert seen - workers or len(seen) >= 1
+
+
+class Deadly(LazyArray):
+    """A volume on the readers of which the first that is asked for its second half dies."""
+
+    shape, dtype = (140, 800, 900), np.dtype(np.uint8)
+
+    def __init__(self, note):
+        self.note = note
+
+    def read(self, where):
+        if where[2].start > 0 and not self.note.exists():
+            self.note.write_text("died")
+            os.kill(os.getpid(), signal.SIGKILL)
+        z, y, x = np.ix_(*(np.arange(w.start, w.stop, w.step) for w in where))
+        return (z * 7 + y * 3 + x * x).astype(np.uint8)
+
+
+@pytest.mark.study
+def test_an_import_on_a_cluster_has_the_same_bytes_though_a_worker_dies(cluster, tmp_path):
+    note = tmp_path / "died"
+    data = labelled(Deadly(note), "zyx", (1.0, 1.0, 1.0), name="grey", attrs={"voxel_um": [1.0, 1.0, 1.0]})
+    with engine(Compute(scheduler=cluster.scheduler_address)) as on:
+        write_store(data, tmp_path / "cluster.zarr", executor=on.executor, workers=on.at_once, memory_bytes=3 * 10**8)
+    assert note.exists()
+    write_store(data, tmp_path / "local.zarr")
+    assert bytes_of(tmp_path / "cluster.zarr") == bytes_of(tmp_path / "local.zarr")
+
+
+@pytest.mark.study
+def test_import_takes_a_scheduler(cluster, store, tmp_path, planish):
+    for name, how in (("local", ()), ("cluster", ("--scheduler", cluster.scheduler_address))):
+        assert planish("import", store, "--out", tmp_path / name, *how)[0] == 0
+    assert bytes_of(tmp_path / "cluster") == bytes_of(tmp_path / "local")
+
+
+@pytest.mark.study
+def test_a_scheduler_that_is_lost_is_a_sentence(cluster):
+    pytest.importorskip("distributed")
+    with (
+        pytest.raises(ResourceError, match="was lost"),
+        engine(Compute(scheduler=cluster.scheduler_address)) as on,
+    ):
+        list(on.map("sums", dies, lambda _tile: None, tiles_of((4, 4), (2, 2))))
+
+
+def dies(_job, _tile):
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.study

@@ -11,6 +11,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Generator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -151,13 +152,14 @@ def return_memory(compute: Compute) -> None:
 
 @contextmanager
 def engine(compute: Compute, *, kept: Path | None = None) -> Generator[Engine]:
-    """Give the engine that works on tiles; InputError where a scheduler or its library is missing."""
+    """Give the engine that works on tiles; InputError without scheduler or library, ResourceError if it is lost."""
     memory = int((1 - _MAPS) * compute.for_work)
     if compute.scheduler is None:
         yield Engine(threads=compute.threads, memory_bytes=memory, kept=kept)
         return
     try:
-        from distributed import Client
+        from distributed import Client, KilledWorker
+        from distributed.comm.core import CommClosedError
     except ImportError as error:
         raise InputError(
             '--scheduler needs the library distributed, which is not installed. Run: pip install "planish[cluster]"'
@@ -173,7 +175,14 @@ def engine(compute: Compute, *, kept: Path | None = None) -> Generator[Engine]:
         workers = sum(client.ncores().values())
         if not workers:
             raise InputError(f"The scheduler {compute.scheduler} has no workers. Start some with 'dask worker'.")
-        yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, kept=kept)
+        try:
+            yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, kept=kept)
+        except (CancelledError, CommClosedError, KilledWorker) as error:
+            raise ResourceError(
+                f"The scheduler {compute.scheduler} was lost, or its workers died again and again at one part of the "
+                "work. See what it says, give its workers more memory if they ran out of it, and give the same command "
+                "again: it goes on where it stood."
+            ) from error
 
 
 def run_key(study: dict[str, Any], fingerprints: list[str]) -> str:

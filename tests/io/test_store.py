@@ -11,7 +11,8 @@ import zarr
 from planish.core.errors import FileError, InputError, ResourceError
 from planish.io import read_volume
 from planish.io import store as module
-from planish.io.store import halve, missing_shards, store_fingerprint, write_store
+from planish.io.checksums import missing_shards, store_fingerprint
+from planish.io.store import halve, write_store
 
 VOXEL = [2.0, 1.5, 1.5]
 
@@ -85,7 +86,7 @@ class Stop(BaseException):
 def test_an_import_that_was_killed_goes_on(tmp_path, monkeypatch, after):
     data = volume()
     write, whole = module._write, []
-    monkeypatch.setattr(module, "_write", lambda *a: (whole.append(a[1]), write(*a)))
+    monkeypatch.setattr(module, "_write", lambda *a: (whole.append(a[1]), write(*a))[1])
     write_store(data, tmp_path / "whole.zarr", memory_bytes=2**20)
     done = []
 
@@ -93,17 +94,31 @@ def test_an_import_that_was_killed_goes_on(tmp_path, monkeypatch, after):
         if len(done) == after:
             raise Stop
         done.append(where)
-        write(level, where, *more)
+        return write(level, where, *more)
 
     monkeypatch.setattr(module, "_write", stops)
     with pytest.raises(Stop):
         write_store(data, tmp_path / "s.zarr", memory_bytes=2**20)
     assert not (tmp_path / "s.zarr").exists()
     again = []
-    monkeypatch.setattr(module, "_write", lambda *a: (again.append(a[1]), write(*a)))
+    monkeypatch.setattr(module, "_write", lambda *a: (again.append(a[1]), write(*a))[1])
     write_store(data, tmp_path / "s.zarr", memory_bytes=2**20)
-    # A block and its half are one step: where the half was missing, the block is written again.
-    assert len(again) <= len(whole) - after + 1
+    # A block and its half are one step: where the half was missing, on either thread, the block is written again.
+    assert len(again) <= len(whole) - after + 2
+    assert bytes_of(tmp_path / "s.zarr") == bytes_of(tmp_path / "whole.zarr")
+
+
+def test_empty_chunks_are_written_by_an_import_that_goes_on(tmp_path, monkeypatch):
+    data = xr.zeros_like(volume())
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "_coarser", lambda *_a: (_ for _ in ()).throw(Stop))
+        with pytest.raises(Stop):
+            write_store(data, tmp_path / "s.zarr")
+    for shard in (tmp_path / ".s.zarr.partial" / "0").rglob("checksums.sha256"):
+        shard.write_text("")
+    (tmp_path / ".s.zarr.partial" / "0" / "c" / "0" / "0" / "0.ab12.partial").write_bytes(b"half")
+    write_store(data, tmp_path / "s.zarr")
+    write_store(data, tmp_path / "whole.zarr")
     assert bytes_of(tmp_path / "s.zarr") == bytes_of(tmp_path / "whole.zarr")
 
 

@@ -86,12 +86,28 @@ def test_any_volume_survives(values: NDArray[Any], compression: str | None, big:
         np.testing.assert_array_equal(np.array(read_volume(path, voxel_um=1).values), values)
 
 
-def test_pages_written_one_by_one_are_a_volume(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", [{"metadata": None}, {}, {"compression": "zlib"}, {"tile": (16, 16)}])
+def test_pages_written_one_by_one_are_a_volume(tmp_path: Path, how: dict[str, Any]) -> None:
     values = stack()
     with tifffile.TiffWriter(tmp_path / "v.tif") as tif:
         for page in values:
-            tif.write(page, contiguous=False, metadata=None)
-    np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, values)
+            tif.write(page, contiguous=False, **how)
+    for memory in (None, 600):
+        volume = read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=memory)
+        np.testing.assert_array_equal(volume[3:].values, values[3:])
+        np.testing.assert_array_equal(volume.values, values)
+
+
+@pytest.mark.parametrize(("other", "page"), [({"compression": "zlib"}, 6), ({"datetime": True}, 0)])
+def test_pages_of_two_layouts_are_no_volume(tmp_path: Path, other: dict[str, Any], page: int) -> None:
+    with tifffile.TiffWriter(tmp_path / "v.tif") as tif:
+        for k, values in enumerate(stack()):
+            tif.write(values, contiguous=False, **(other if k == 4 else {}))
+    if page == 0:  # a tag that no voxel depends on
+        np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, stack())
+        return
+    with pytest.raises(VolumeError, match="different images"):
+        read_volume(tmp_path / "v.tif", voxel_um=1)
 
 
 def test_float16_becomes_float32(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import click
 
 from planish.cli.options import existing, json_option, made, options, out_option, verb
-from planish.compute import Compute
+from planish.compute import Compute, engine
 from planish.core.errors import FileError
 from planish.core.text import printable
 from planish.correct.params import CorrectParams
@@ -69,7 +69,7 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
 @out_option("Store to make, such as sheet.zarr; it must not exist.")
 @options(VolumeParams, "volume", "Volume", only=_OF_IMPORT)
 @options(CorrectParams, "correct", "Corrections")
-@options(Compute, "compute", "Resources", only=("memory_bytes",))
+@options(Compute, "compute", "Resources", only=("memory_bytes", "scheduler"))
 @click.option("--ome", type=click.Choice(["0.5", "0.4"]), default="0.5", show_default=True, help="Version of OME-Zarr.")
 def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) -> None:
     """Bring VOLUME into a working store: chunked, in several resolutions, with checksums.
@@ -106,10 +106,12 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
                 click.echo(sentence)
             if share := found.record.clipped:
                 click.echo(f"{100 * share:.2g} % of the voxels left the range of {data.dtype} and were clipped.")
-        write_store(
-            data if found is None else found.volume, out, memory_bytes=compute.block_bytes, ome=ome,
-            progress=lambda what, done, count: progress(what, f"block {done} of {count}"),
-        )  # fmt: skip
+        with engine(compute) as on:
+            write_store(
+                data if found is None else found.volume, out, memory_bytes=compute.block_bytes, ome=ome,
+                executor=on.executor, workers=on.at_once,
+                progress=lambda what, done, count: progress(what, f"block {done} of {count}"),
+            )  # fmt: skip
     if found is not None:
         from planish.correct import write_picture
 

@@ -6,12 +6,12 @@ import hashlib
 import os
 from pathlib import Path
 
+from planish.io.checksums import store_fingerprint
 from planish.io.formats import SLICES, TIFF, find_place, format_of, loader
 from planish.io.guard import reading, size_of_file
 from planish.io.sections import COUNTER, is_section_folder
 from planish.io.slice_volume import slice_files
 from planish.io.slices import is_slice_name, read_scan
-from planish.io.store import store_fingerprint
 
 
 def fingerprint(path: str | Path) -> str:

@@ -1,8 +1,9 @@
 """The working store: a volume as sharded, multiscale, checksummed OME-Zarr, written block by block.
 
-A block is a multiple of a shard in every direction, on every level that it fills, and one thread writes it: two writers
-of one shard would lose values without an error. What is finished is noted in a list of checksums, so an import that
-was killed goes on after the last whole block, and a shard that gets lost later does not read as zeros.
+A block is a multiple of a shard in every direction, on every level that it fills, and one thread or one process of a
+cluster writes it: two writers of one shard would lose values without an error. What is finished is noted in a list of
+checksums, so an import that was killed goes on after the last whole block, and a shard that gets lost later does not
+read as zeros.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ALL_COMPLETED, FIRST_COMPLETED, Executor, Future, wait
+from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -26,26 +29,22 @@ from zarr.codecs import ZstdCodec
 from planish.core.errors import InputError, ResourceError
 from planish.core.files import writing
 from planish.core.threads import count_threads, limit_threads, thread_pool
+from planish.io.checksums import Array, Journal, Where
 from planish.io.run_folder import claim_folder, is_link, locked, refuse_existing, remove
 
 CHUNK = (64, 96, 96)
 """Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to 4 voxels."""
 
 SHARD = (64, 384, 384)  # voxels that lie in one file
-CHECKSUMS = "checksums.sha256"
-"""List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it."""
-
 _SOURCE = "source.json"
 _LOCK = "lock"
 _SMALLEST = 256  # voxels along the longest axis of the last level
 _LEAST_DEPTH = 16
 _AT_WORK = 2  # blocks: one is read while the other is compressed
 
+_OPENING = threading.Lock()  # what zarr is set to holds for all threads
+
 Progress = Callable[[str, int, int], None]
-Where = tuple[slice, slice, slice]
-
-
-Array = zarr.Array[Any]
 
 
 def write_store(
@@ -54,6 +53,8 @@ def write_store(
     *,
     memory_bytes: int = 2**31,
     threads: int | None = None,
+    executor: Executor | None = None,
+    workers: int = _AT_WORK,
     ome: Literal["0.5", "0.4"] = "0.5",
     progress: Progress | None = None,
 ) -> None:
@@ -70,6 +71,11 @@ def write_store(
         What the blocks in memory may take.
     threads : int, optional
         Blocks are compressed on so many threads; the bytes do not depend on it.
+    executor : Executor, optional
+        Of other processes, such as those of a cluster, which see the same folders; ``volume`` is sent there. Local
+        threads where not given.
+    workers : int
+        Blocks that this executor works on at the same time, as far as the memory holds them.
     ome : {"0.5", "0.4"}
         Version of OME-Zarr. 0.4 has no shards, and so many more files.
     progress : callable, optional
@@ -95,7 +101,8 @@ def write_store(
             levels = _make_levels(partial, volume, ome)
             done = Journal(partial, ome)
             with limit_threads(threads):
-                _first_two(volume, levels, done, memory_bytes=memory_bytes, progress=progress)
+                _first_two(volume, levels, done, memory_bytes=memory_bytes, executor=executor, workers=workers,
+                           progress=progress)  # fmt: skip
                 for fine, coarse in pairwise(levels[1:]):
                     _coarser(fine, coarse, done)
             done.settle()
@@ -110,111 +117,89 @@ def write_store(
         partial.rename(path)
 
 
-def missing_shards(path: Path) -> list[str]:
-    """Return the shards that the lists of checksums name and that are not there; empty where there is no list."""
-    return [name for name in _listed(path) if not (path / name).is_file()]
-
-
-def store_fingerprint(path: Path) -> str:
-    """SHA-256 over the checksums of all shards, for which no shard is read; empty where there are no checksums."""
-    listed = sorted(_listed(path).items())
-    if not listed:
-        return ""
-    # The shards hold the voxels, the metadata their size.
-    meta = sorted(p for p in path.rglob("*") if p.name in ("zarr.json", ".zattrs", ".zarray"))
-    listed += [(p.relative_to(path).as_posix(), _sha256(p)) for p in meta]
-    return hashlib.sha256("".join(f"{sha}  {name}\n" for name, sha in listed).encode()).hexdigest()
-
-
-class Journal:
-    """The lists of shards that are whole."""
-
-    def __init__(self, folder: Path, ome: str) -> None:
-        self.folder, self.prefix = folder, "c/" if ome == "0.5" else ""
-        self.listed = set(_listed(folder))
-        self.lock = threading.Lock()
-
-    def names(self, level: Array, where: Where) -> list[str]:
-        """Files of the shards of a block."""
-        edge = level.shards or level.chunks
-        z, y, x = (range(w.start // s, -(-w.stop // s)) for w, s in zip(where, edge, strict=True))
-        return [f"{level.basename}/{self.prefix}{a}/{b}/{c}" for a in z for b in y for c in x]
-
-    def has(self, level: Array, where: Where) -> bool:
-        """Whether all shards of a block are listed."""
-        return self.listed.issuperset(self.names(level, where))
-
-    def add(self, level: Array, where: Where) -> None:
-        """List the shards of a block that was written: only after their bytes are on the disk."""
-        names = self.names(level, where)
-        lines: list[str] = []
-        for name in names:
-            with (self.folder / name).open("rb+") as file:
-                os.fsync(file.fileno())
-                lines.append(f"{hashlib.file_digest(file, 'sha256').hexdigest()}  {name.partition('/')[2]}\n")
-        listing = self.folder / str(level.basename) / CHECKSUMS
-        with self.lock, listing.open("a", encoding="utf-8", newline="\n") as file:
-            file.write("".join(lines))
-            file.flush()
-            os.fsync(file.fileno())
-            self.listed.update(names)
-
-    def settle(self) -> None:
-        """Sort the lists: they do not depend on the order in which blocks were written."""
-        for path in self.folder.glob(f"*/{CHECKSUMS}"):
-            lines = sorted(set(path.read_text(encoding="utf-8").splitlines(keepends=True)), key=lambda line: line[64:])
-            part = path.with_suffix(".part")
-            part.write_text("".join(lines), encoding="utf-8", newline="\n")
-            part.replace(path)
-
-
 def _first_two(
-    volume: xr.DataArray, levels: list[Array], done: Journal, *, memory_bytes: int, progress: Progress | None
-) -> None:
+    volume: xr.DataArray, levels: list[Array], done: Journal, *, memory_bytes: int, executor: Executor | None,
+    workers: int, progress: Progress | None,
+) -> None:  # fmt: skip
     """Write the volume and its half in one pass over the input."""
     shape, size = levels[0].shape, volume.dtype.itemsize
     edge = levels[0].shards or levels[0].chunks
     units = [min(2 * s, -(-n // s) * s) for s, n in zip(edge, shape, strict=True)]
-    # A block and its means, and what is compressed of it, for every one at work.
-    least = _AT_WORK * 1.6 * size * math.prod(units)
-    room = memory_bytes / least
+    # A block and its means, and what is compressed of it.
+    one = 1.6 * size * math.prod(min(unit, n) for unit, n in zip(units, shape, strict=True))
+    at_once = max(min(int(memory_bytes / one), min(_AT_WORK, count_threads()) if executor is None else workers), 1)
+    room = memory_bytes / (at_once * one)
     if room < 1:
         raise ResourceError(
-            f"The import needs {least / 1e6:.0f} MB for its blocks of shards, {memory_bytes / 1e6:.0f} MB are "
-            f"allowed for them. Allow more: --memory {math.ceil((3 * least + 3e8) / 1e8) / 10:.1f}GB will do."
+            f"The import needs {one / 1e6:.0f} MB for a block of shards, {memory_bytes / 1e6:.0f} MB are "
+            f"allowed for it. Allow more: --memory {math.ceil((3 * one + 3e8) / 1e8) / 10:.1f}GB will do."
         )
     wide = min(int(room), -(-shape[2] // units[2]))
     high = min(max(int(room / wide), 1), -(-shape[1] // units[1]))
     wheres = list(_blocks(shape, (units[0], high * units[1], wide * units[2])))
+    left = [where for where in wheres if not all(done.has(*part) for part in _parts(levels, where))]
+    running: set[Future[list[dict[str, str]]]] = set()
 
-    def block(where: Where) -> None:
-        if all(done.has(level, _halved(where, k)) for k, level in enumerate(levels[:2])):
-            return
-        values = np.ascontiguousarray(volume.isel(dict(zip("zyx", where, strict=True))).values)
-        _write(levels[0], where, values, done)
-        if len(levels) > 1:
-            _write(levels[1], _halved(where, 1), halve(values), done)
+    def finish(when: str) -> None:
+        """Wait for blocks, and list what they wrote, whether another failed or not."""
+        failed: Future[Any] | None = None
+        for future in wait(running, return_when=when).done:
+            running.remove(future)
+            if future.exception() is not None:
+                failed = future
+                continue
+            for level, checksums in zip(levels, future.result(), strict=False):
+                done.add(level, checksums)
+        if failed is not None:
+            failed.result()
+        if progress is not None:
+            progress("import", len(wheres) - len(left) - len(running), len(wheres))
 
-    with thread_pool(min(_AT_WORK, count_threads())) as pool:
+    with thread_pool(at_once) if executor is None else nullcontext(executor) as pool:
         try:
-            for n, _ in enumerate(pool.map(block, wheres)):
-                if progress is not None:
-                    progress("import", n + 1, len(wheres))
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+            while left:
+                where = left.pop(0)
+                names = [done.names(*part) for part in _parts(levels, where)]
+                running.add(pool.submit(_write_block, volume, where, done.folder, names))
+                if len(running) == at_once:
+                    finish(FIRST_COMPLETED)
+        finally:
+            finish(ALL_COMPLETED)
+
+
+def _parts(levels: list[Array], where: Where) -> list[tuple[Array, Where]]:
+    """Give the two levels that a block is written to, and where it lies on each."""
+    return [(level, _halved(where, k)) for k, level in enumerate(levels[:2])]
+
+
+def _write_block(volume: xr.DataArray, where: Where, folder: Path, names: list[list[str]]) -> list[dict[str, str]]:
+    """Write a block of the volume and its means; return the checksums of the shards, level by level."""
+    values = np.ascontiguousarray(volume.isel(dict(zip("zyx", where, strict=True))).values)
+    written: list[dict[str, str]] = []
+    for k, of_level in enumerate(names):
+        if k > 0:
+            values = halve(values)
+        written.append(_write(_level(folder, k), _halved(where, k), values, folder / str(k), of_level))
+    return written
 
 
 def _coarser(fine: Array, coarse: Array, done: Journal) -> None:
     for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
         if not done.has(coarse, where):
             source = tuple(slice(2 * w.start, min(2 * w.stop, n)) for w, n in zip(where, fine.shape, strict=True))
-            _write(coarse, where, halve(np.asarray(fine[source])), done)
+            values = halve(np.asarray(fine[source]))
+            done.add(coarse, _write(coarse, where, values, done.folder / coarse.basename, done.names(coarse, where)))
 
 
-def _write(level: Array, where: Where, values: NDArray[Any], done: Journal) -> None:
+def _write(level: Array, where: Where, values: NDArray[Any], folder: Path, names: list[str]) -> dict[str, str]:
+    """Write the shards of a block to the disk, and return their checksums."""
     level[where] = values
-    done.add(level, where)
+    found: dict[str, str] = {}
+    for name in names:
+        with (folder / name).open("rb+") as file:
+            os.fsync(file.fileno())
+            found[name] = hashlib.file_digest(file, "sha256").hexdigest()
+    return found
 
 
 def halve(values: NDArray[Any]) -> NDArray[Any]:
@@ -266,19 +251,22 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     levels: list[Array] = []
     for k, size in enumerate(shapes):
         if str(k) in group:
-            levels.append(group[str(k)])  # type: ignore[arg-type]
+            levels.append(_level(folder, k))
             continue
         shard = tuple(min(s, -(-n // c) * c) for s, n, c in zip(SHARD, size, CHUNK, strict=True))
         how: dict[str, Any] = {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
         if ome == "0.5":
             codec = ZstdCodec(level=1, checksum=True)
             how = {"shards": shard, "compressors": [codec], "dimension_names": list("zyx")}
-        array = group.create_array(
-            str(k), shape=size, dtype=volume.dtype, chunks=CHUNK, fill_value=0, config={"write_empty_chunks": True},
-            **how,
-        )  # fmt: skip
-        levels.append(array)
+        group.create_array(str(k), shape=size, dtype=volume.dtype, chunks=CHUNK, fill_value=0, **how)
+        levels.append(_level(folder, k))
     return levels
+
+
+def _level(folder: Path, k: int) -> Array:
+    """Open a level for writing, its empty chunks included: a shard that is missing counts as lost."""
+    with _OPENING, zarr.config.set({"array.write_empty_chunks": True}):
+        return zarr.open_array(folder, path=str(k), mode="r+")
 
 
 def _identity(volume: xr.DataArray) -> dict[str, Any]:
@@ -306,18 +294,3 @@ def _same_source(folder: Path, source: dict[str, Any]) -> None:
             f"An import of another volume stopped half-way at {folder}. Remove that folder, or give another name with "
             "--out."
         )
-
-
-def _listed(folder: Path) -> dict[str, str]:
-    """Shards of all levels and their checksums; a last line that was cut off does not count."""
-    found: dict[str, str] = {}
-    for path in sorted(folder.glob(f"*/{CHECKSUMS}")):
-        for line in path.read_text(encoding="utf-8").splitlines(keepends=True):
-            if line.endswith("\n") and line[64:66] == "  ":
-                found[f"{path.parent.name}/{line[66:-1]}"] = line[:64]
-    return found
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -59,18 +59,31 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
         full = [s for s in every if not s.keyframe.is_reduced] or every
         if not full:
             raise damaged(path, "it holds no image")
-        series = full[0]
-        if len(full) > 1:
+        with reading(path):
+            series = _joined(full)
+        if series is None:
+            other = next((s for s in full[1:] if s.shape != full[0].shape), full[1])
             with reading(path):
-                odd = next((page.index + 1 for page in full[1] if page is not None), 0)
+                odd = next((page.index + 1 for page in other if page is not None), 0)
             raise error(
-                f"{path.name} holds {len(full)} different images: {shape_words(series)} from page 1 on, "
-                f"{shape_words(full[1])} at page {odd}. {advice}"
+                f"{path.name} holds {len(full)} different images: {shape_words(full[0])} from page 1 on, "
+                f"{shape_words(other)} at page {odd}. {advice}"
             )
         _check_data(series, path)
         yield tif, series
     finally:
         tif.close()
+
+
+def _joined(full: Sequence[TiffPageSeries]) -> TiffPageSeries | None:
+    """Give the one series, or join slices that were written one by one, each as an image of its own."""
+    first = full[0]
+    if len(full) == 1:
+        return first
+    if any(len(s.pages) != 1 or s.ndim != 2 or s.keyframe.hash != first.keyframe.hash for s in full):
+        return None
+    pages = [s.pages[0] for s in full]
+    return TiffPageSeries(pages, (len(pages), *first.shape), first.dtype, "IYX", kind="uniform")
 
 
 def is_tiff(head: bytes) -> bool:

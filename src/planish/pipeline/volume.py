@@ -36,10 +36,16 @@ def read_sheet_volume(
         return volume, sections
     if params.fixed_rows is not None or params.fixed_cols is not None:
         raise InputError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
+    volume = _read(params, compute)
+    _in_parts(volume, path, compute)
+    return volume, None
+
+
+def _read(params: VolumeParams, compute: Compute) -> xr.DataArray:
+    """Read a volume that is none of sections, for local threads or for the processes of a cluster."""
     how = _how(params, compute.volume_bytes)
     volume = read_volume(params.path, **how)
-    _in_parts(volume, path, compute)
-    return (volume if compute.scheduler is None else replaced(volume, _ByName(volume, params.path, how))), None
+    return volume if compute.scheduler is None else replaced(volume, _ByName(volume, params.path, how))
 
 
 class _ByName(LazyArray):
@@ -63,7 +69,9 @@ def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr
     What was done to sections is in the attributes, in short.
     """
     if not is_section_folder(params.path):
-        return read_volume(params.path, **_how(params, compute.volume_bytes))
+        return _read(params, compute)
+    if compute.scheduler is not None:
+        raise InputError(f"{Path(params.path).name} holds sections, which one computer joins. Leave out --scheduler.")
     volume, sections = _join_sections(params, compute, progress)
     return volume.assign_attrs(sections=section_facts(sections).model_dump())
 
