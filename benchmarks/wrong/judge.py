@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from benchmarks.wrong.case import Case, traced
 from benchmarks.wrong.specimens import NAMES
-from planish.analyze import correlate_at
+from planish.analyze import correlate
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES
 from planish.core.frame import Frame
 from planish.core.grid import pitch
@@ -183,7 +183,7 @@ def _correlation(case: Case, run: Run) -> list[Figure]:
     true = np.full(valid.shape, np.nan)
     true[valid] = shown.thickness(name, uv[:, 0], uv[:, 1])
     image = np.where(valid, linked["image"].values.astype(np.float64), np.nan)
-    best = correlate_at(true, image, pixel_um=pitch(linked), point_um=row.point_um)[0].r
+    best = correlate(true, image, pixel_um=pitch(linked), point_um=row.point_um).r
     if not np.isfinite(best):
         return []
     return [Figure(name="correlation", error=abs(float(row.r or 0.0) - float(best)), stated=0.05)]

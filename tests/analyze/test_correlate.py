@@ -1,89 +1,312 @@
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planish.analyze import PairSums, correlate, correlate_at
+import planish as pl
+from analyze.fields import exact_n_eff, gaussian_maps, related_maps
+from planish.analyze import PairSums, correlate, pearson
+from planish.analyze.correlation import PairAtSizes
+from planish.analyze.covariance import Lags, PairCovariances
+from planish.core.errors import InputError, PlanishError, SizeError
 
 
-def pair(r, n=60_000, seed=0):
-    a, b = np.random.default_rng(seed).normal(size=(2, n))
+def pair(r, shape=(200, 300), seed=0):
+    a, b = np.random.default_rng(seed).normal(size=(2, *shape))
     return a, r * a + np.sqrt(1 - r * r) * b
 
 
 @pytest.mark.parametrize("r", [-0.7, 0.0, 0.45, 0.95])
-def test_a_known_correlation_is_found(r):
-    found = correlate(*pair(r), point_um=4.0)
-    # standard error (1 - r^2) / sqrt(n)
-    assert found.r == pytest.approx(r, abs=4 * (1 - r * r) / np.sqrt(60_000) + 1e-12)
+def test_a_known_correlation_of_independent_points_is_found(r):
+    found = correlate(*pair(r), pixel_um=4.0)
+    standard_error = (1 - r * r) / np.sqrt(60_000)
+    assert found.r == pytest.approx(r, abs=4 * standard_error + 1e-12)
     assert found.r2 == pytest.approx(found.r**2)
     assert found.n == 60_000
+    assert found.support_um == 4.0
+    assert found.n_eff == pytest.approx(60_000, rel=0.05)
+    assert found.n_eff_interval == pytest.approx(60_000, rel=0.12)
+    low, high = found.interval
+    assert high - low == pytest.approx(2 * 1.96 * (1 - found.r**2) / np.sqrt(60_000), rel=0.08)
+    assert low < r < high
+    assert found.warnings == ()
+    assert found.direction == np.sign(r)
 
 
 @given(scale=st.floats(0.01, 100), shift=st.floats(-1e3, 1e3))
 def test_scale_and_shift_keep_r(scale, shift):
-    a, b = pair(0.6, n=500)
-    assert correlate(scale * a + shift, b, point_um=1).r == pytest.approx(correlate(a, b, point_um=1).r, abs=1e-9)
+    a, b = pair(0.6, (20, 25))
+    assert correlate(scale * a + shift, b, pixel_um=1).r == pytest.approx(correlate(a, b, pixel_um=1).r, abs=1e-9)
 
 
-def test_slope_is_that_of_the_line():
-    x = np.arange(10.0)
-    found = correlate(x, 3 * x - 2, point_um=1)
-    assert (found.slope, found.intercept, found.r) == pytest.approx((3, -2, 1))
+def test_slopes_are_those_of_the_lines():
+    x = np.random.default_rng(2).normal(size=(30, 40))
+    found = correlate(x, 3 * x - 2, pixel_um=1)
+    assert (found.slope, found.intercept, found.r, found.slope_x_on_y) == pytest.approx((3, -2, 1, 1 / 3))
+    assert found.interval == (found.r, found.r)
+    assert found.p == 0
+    assert correlate(x, -x, pixel_um=1).interval == (-1, -1)
 
 
 def test_missing_points_do_not_count():
-    a, b = pair(0.6, n=500)
+    a, b = pair(0.6, (20, 25))
     a[::3] = np.nan
-    b[::7] = np.nan
+    b[:, ::7] = np.inf
     keep = np.isfinite(a) & np.isfinite(b)
-    assert correlate(a, b, point_um=1).r == pytest.approx(np.corrcoef(a[keep], b[keep])[0, 1])
-    assert correlate(a, b, point_um=1).n == keep.sum()
+    found = correlate(a, b, pixel_um=1)
+    assert found.r == pytest.approx(np.corrcoef(a[keep], b[keep])[0, 1])
+    assert found.n == keep.sum()
 
 
-def test_nothing_to_correlate_is_no_number():
-    for a, b in (([1.0, 2.0], [1.0, 2.0]), ([5.0] * 9, range(9)), ([np.nan] * 9, range(9))):
-        found = correlate(np.asarray(a, float), np.asarray(list(b), float), point_um=1)
-        assert np.isnan(found.r)
+@pytest.mark.parametrize(
+    ("a", "b", "word"),
+    [
+        (np.full((3, 3), 5.0), np.arange(9.0).reshape(3, 3), "Map a is constant"),
+        (np.arange(9.0).reshape(3, 3), np.full((3, 3), 5.0), "Map b is constant"),
+        (np.full((3, 3), np.nan), np.arange(9.0).reshape(3, 3), "Only 0 points"),
+        (np.array([[1.0, 2.0]]), np.array([[1.0, 2.0]]), "Only 2 points"),
+        (np.zeros((0, 4)), np.zeros((0, 4)), "Only 0 points"),
+    ],
+)
+def test_nothing_to_correlate_is_no_number(a, b, word):
+    found = correlate(a, b, pixel_um=1)
+    assert np.isnan([found.r, found.rho, found.slope, found.n_eff, found.p, *found.interval]).all()
+    assert word in found.warnings[0]
 
 
 def test_points_are_means_over_pixels_valid_in_both():
     rng = np.random.default_rng(3)
     a, b = rng.normal(size=(2, 40, 60))
     a[:, :10] = np.nan
-    found, x, y = correlate_at(a, b, pixel_um=(5.0, 5.0), point_um=50.0)
+    assert correlate(a, b, pixel_um=5.0, point_um=50.0).n == 20
+    pairs = PairAtSizes((40, 60), pixel_um=(5.0, 5.0), point_um=50.0)
+    pairs.add(0, a, b)
+    x, y = pairs.points()
     assert x.shape == (4, 6)
-    assert found.n == 20
     assert x[1, 2] == pytest.approx(a[10:20, 20:30].mean())
     assert np.array_equal(np.isnan(x), np.isnan(y))
-
-
-def test_a_pixel_missing_in_either_map_counts_in_neither():
-    rng = np.random.default_rng(4)
-    a, b = rng.normal(size=(2, 40, 60))
     missing = rng.random(a.shape) < 0.2
     for one, other in ((a, np.where(missing, np.nan, b)), (np.where(missing, np.nan, a), b)):
-        _, x, y = correlate_at(one, other, pixel_um=(5.0, 5.0), point_um=50.0)
+        pairs = PairAtSizes((40, 60), pixel_um=(5.0, 5.0), point_um=50.0)
+        pairs.add(0, one, other)
         block = np.s_[10:20, 20:30]
-        assert x[1, 2] == pytest.approx(a[block][~missing[block]].mean())
-        assert y[1, 2] == pytest.approx(b[block][~missing[block]].mean())
-
-
-def test_a_point_smaller_than_a_pixel_is_no_point():
-    found, _, _ = correlate_at(np.ones((5, 5)), np.ones((5, 5)), pixel_um=(200.0, 200.0), point_um=100.0)
-    assert found.n == 0
+        for means, m in zip(pairs.points(), (a, b), strict=True):
+            assert means[1, 2] == pytest.approx(m[block][~missing[block]].mean())
 
 
 def test_sums_of_parts_are_those_of_the_whole():
-    a, b = pair(0.4, n=5000)
+    a, b = (m.ravel() for m in pair(0.4, (50, 100)))
     a, b = 1e4 + a, b - 300
     b[::7] = np.nan
     sums = PairSums()
     for part in np.array_split(np.arange(5000), [0, 1, 40, 3000]):
         sums.add(a[part], b[part])
     known = np.isfinite(b)
-    found, off = sums.correlation(point_um=1), (b - a)[known]
-    assert found.n == known.sum()
-    assert found.r == pytest.approx(np.corrcoef(a[known], b[known])[0, 1], abs=1e-12)
-    assert (found.slope, found.intercept) == pytest.approx(np.polyfit(a[known], b[known], 1), rel=1e-6)
+    off = (b - a)[known]
+    assert sums.n == known.sum()
+    assert sums.r == pytest.approx(np.corrcoef(a[known], b[known])[0, 1], abs=1e-12)
+    assert sums.lines[:2] == pytest.approx(np.polyfit(a[known], b[known], 1), rel=1e-6)
+    assert sums.lines[2] == pytest.approx(np.polyfit(b[known], a[known], 1)[0], rel=1e-6)
     assert sums.difference == pytest.approx((off.mean(), off.std(ddof=1)))
+
+
+# --- independent points ----------------------------------------------------------------------------------------------
+
+
+def holed(shape, rng):
+    return rng.random(shape) > 0.15
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_sums_by_lag_and_n_eff_equal_those_over_all_pairs_of_points(masked):
+    rng = np.random.default_rng(5)
+    shape = (17, 23)
+    x, y = related_maps(rng, shape, 3.0, 0.4)
+    known = holed(shape, rng) if masked else np.ones(shape, bool)
+    found = PairCovariances(np.where(known, x, 9.0), np.where(known, y, -9.0), Lags(known, (1.0, 1.0)))
+    at = np.argwhere(known)
+    lag = at[None, :] - at[:, None]
+    values = [m[known] - m[known].mean() for m in (x, y)]
+    n = len(at)
+    inside = (np.abs(lag[..., 0]) <= shape[0] // 2) & (np.abs(lag[..., 1]) <= shape[1] // 2)
+    ring = np.rint(np.hypot(lag[..., 0], lag[..., 1])).astype(int)
+    matrices = []
+    for v in values:
+        products = np.outer(v, v)
+        rings = np.bincount(ring[inside], weights=products[inside])
+        used = inside & (ring < np.flatnonzero(rings <= 0)[0])
+        mean = products[used].sum() / (n**2 - used.sum())
+        matrix = np.zeros((n, n))
+        for key in {tuple(k) for k in lag[used]}:
+            same = used & (lag[..., 0] == key[0]) & (lag[..., 1] == key[1])
+            matrix[same] = products[same].mean() + mean
+        matrices.append(matrix - matrix.mean(axis=0) - matrix.mean(axis=1)[:, None] + matrix.mean())
+    direct = np.trace(matrices[0] @ matrices[1]) / (np.trace(matrices[0]) * np.trace(matrices[1]))
+    assert found.variance_of_r() == pytest.approx(direct, rel=1e-9)
+
+
+@pytest.mark.parametrize(("length", "kind"), [(2.0, "exp"), (3.0, "gauss"), ((1.5, 3.0), "exp")])
+def test_n_eff_is_that_of_the_covariance(length, kind):
+    rng, shape = np.random.default_rng(6), (50, 60)
+    found = [correlate(*gaussian_maps(rng, shape, length, kind=kind), pixel_um=1).n_eff for _ in range(60)]
+    assert np.median(found) == pytest.approx(exact_n_eff(shape, length, kind=kind), rel=0.1)
+
+
+def test_a_hole_leaves_fewer_independent_points():
+    rng, shape = np.random.default_rng(7), (50, 60)
+    known = np.ones(shape, bool)
+    known[10:40, 10:30] = False
+    found = [correlate(*gaussian_maps(rng, shape, 3.0), mask=known, pixel_um=1).n_eff for _ in range(60)]
+    assert np.median(found) == pytest.approx(exact_n_eff(shape, 3.0, known=known), rel=0.12)
+
+
+@pytest.mark.study
+def test_the_interval_holds_the_truth_and_unrelated_maps_are_not_significant():
+    rng, shape, n = np.random.default_rng(8), (75, 100), 200
+    unrelated = [correlate(*gaussian_maps(rng, shape, 5.0), pixel_um=1) for _ in range(n)]
+    assert np.mean([c.p < 0.05 for c in unrelated]) < 0.11
+    assert np.mean([c.direction != 0 for c in unrelated]) < 0.11
+    related = [correlate(*related_maps(rng, shape, 5.0, 0.6), pixel_um=1) for _ in range(n)]
+    assert 0.89 < np.mean([c.interval[0] <= 0.6 <= c.interval[1] for c in related]) <= 1
+    assert np.median([c.interval[1] - c.interval[0] for c in related]) < 0.25
+
+
+def test_large_maps_by_cells_say_the_same():
+    a, b = related_maps(np.random.default_rng(9), (240, 300), 12.0, 0.5)
+    whole, cells = correlate(a, b, pixel_um=2.0), correlate(a, b, pixel_um=2.0, most_cells=8000)
+    assert cells.r == whole.r
+    assert cells.n_eff == pytest.approx(whole.n_eff, rel=0.03)
+    assert cells.interval == pytest.approx(whole.interval, abs=0.005)
+    assert cells.rho == pytest.approx(whole.rho, abs=0.02)
+
+
+# --- what must change nothing ----------------------------------------------------------------------------------------
+
+NUMBERS = ("r", "rho", "slope", "slope_x_on_y", "n_eff", "n_eff_interval")
+
+
+def numbers(found):
+    return np.array([*(getattr(found, name) for name in NUMBERS), *found.interval])
+
+
+def made(seed=10):
+    rng = np.random.default_rng(seed)
+    return *related_maps(rng, (60, 80), 4.0, 0.5), holed((60, 80), rng)
+
+
+def test_exchange_of_the_maps():
+    a, b, known = made()
+    one, two = correlate(a, b, mask=known, pixel_um=1), correlate(b, a, mask=known, pixel_um=1)
+    np.testing.assert_allclose(numbers(two)[[0, 1, 3, 2, 4, 5, 6, 7]], numbers(one), rtol=1e-12)
+    assert two.p == pytest.approx(one.p, rel=1e-9)
+
+
+def test_junk_under_the_mask():
+    a, b, known = made()
+    one = correlate(a, b, mask=known, pixel_um=1)
+    for junk in (np.nan, 1e30, -np.inf):
+        two = correlate(np.where(known, a, junk), np.where(known, b, -junk), mask=known, pixel_um=1)
+        np.testing.assert_allclose(numbers(two), numbers(one), rtol=1e-12)
+
+
+def test_a_scale_and_a_large_constant():
+    a, b, known = made()
+    one = correlate(a, b, mask=known, pixel_um=1)
+    scaled = correlate(3.7 * a, b / 11, mask=known, pixel_um=1)
+    np.testing.assert_allclose(numbers(scaled)[[0, 1, 4, 5, 6, 7]], numbers(one)[[0, 1, 4, 5, 6, 7]], rtol=1e-12)
+    moved = correlate(a + 1e4, b - 1e4, mask=known, pixel_um=1)
+    np.testing.assert_allclose(numbers(moved), numbers(one), rtol=1e-9)
+    assert moved.p == pytest.approx(one.p, rel=1e-8)
+
+
+def test_transposition():
+    a, b, known = made()
+    one = correlate(a, b, mask=known, pixel_um=(1.0, 1.5))
+    two = correlate(a.T, b.T, mask=known.T, pixel_um=(1.5, 1.0))
+    np.testing.assert_allclose(numbers(two), numbers(one), rtol=1e-6)
+
+
+def test_maps_with_places_and_maps_without_say_the_same():
+    a, b, known = made()
+    one = correlate(a, b, mask=known, pixel_um=1)
+    coords = {"y": np.arange(60.0), "x": np.arange(80.0)}
+    p, q, m = (xr.DataArray(v, dims=("y", "x"), coords=coords) for v in (a, b, known))
+    assert pl.correlate(p, q, mask=m, pixel_um=1) == one
+
+
+# --- what is said ----------------------------------------------------------------------------------------------------
+
+
+def test_two_planes_say_nothing():
+    rows, cols = np.mgrid[:60, :80].astype(float)
+    found = correlate(rows + cols, rows + 2 * cols, pixel_um=1)
+    assert found.n_eff < 10
+    assert np.isnan([found.p, *found.interval]).all()
+    assert found.direction == 0
+    assert "nothing is claimed" in found.warnings[0]
+
+
+def test_few_independent_points_are_named():
+    found = [correlate(*gaussian_maps(np.random.default_rng(k), (60, 80), 13.0), pixel_um=1) for k in range(20)]
+    assert any("independent points" in w for c in found for w in c.warnings)
+
+
+def test_a_trend_in_both_is_named():
+    a, b = gaussian_maps(np.random.default_rng(1), (60, 80), 2.0)
+    slope = np.linspace(0, 4, 80)
+    found = correlate(a + slope, b + slope, pixel_um=1)
+    assert found.r > 0.4
+    warned = [w for w in found.warnings if "Trends over the whole field" in w]
+    assert warned
+    assert abs(float(warned[0].rpartition("r is ")[2].rstrip("."))) < 0.2
+    assert not correlate(a + slope, b, pixel_um=1).warnings
+
+
+def test_a_spread_that_is_not_the_same_everywhere_is_named():
+    a, b = gaussian_maps(np.random.default_rng(2), (90, 120), 4.0)
+    spread = np.ones((90, 120))
+    spread[30:55, 40:70] = 6.0
+    found = correlate(a * spread, b * spread, pixel_um=1)
+    assert any("do not vary alike" in w for w in found.warnings)
+
+
+def test_a_map_that_is_nearly_constant_is_named():
+    a, b = pair(0.5, (30, 40))
+    a[np.random.default_rng(0).random(a.shape) < 0.95] = 0.0
+    assert any("of map a have one value" in w for w in correlate(a, b, pixel_um=1).warnings)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "word"),
+    [
+        ({"pixel_um": 0}, SizeError, "pixel is 0 um"),
+        ({"pixel_um": (1, np.nan)}, SizeError, "Give one number"),
+        ({"pixel_um": (1, 2, 3)}, SizeError, "Give one number"),
+        ({"pixel_um": "2"}, SizeError, "Give one number"),
+        ({"point_um": 0.5}, SizeError, "smaller than a pixel"),
+        ({"point_um": np.nan}, SizeError, "smaller than a pixel"),
+        ({"b": np.zeros((4, 5))}, InputError, "onto one grid"),
+        ({"b": np.zeros(5)}, InputError, "two dimensions"),
+        ({"b": np.full((6, 7), "x")}, InputError, "numbers"),
+        ({"b": [[1.0]]}, InputError, "two dimensions"),
+        ({"mask": np.zeros((6, 7))}, InputError, "true or false"),
+        ({"mask": np.ones((7, 6), bool)}, InputError, "mask has"),
+    ],
+)
+def test_wrong_input_is_a_sentence(change, error, word):
+    given = {"a": np.ones((6, 7)), "b": np.ones((6, 7)), "pixel_um": 1.0} | change
+    with pytest.raises(error, match=word) as raised:
+        correlate(given.pop("a"), given.pop("b"), **given)
+    assert isinstance(raised.value, PlanishError)
+
+
+def test_maps_at_other_places_are_refused():
+    a = xr.DataArray(np.ones((4, 5)), dims=("y", "x"), coords={"y": np.arange(4.0), "x": np.arange(5.0)})
+    for b in (a.assign_coords(x=np.arange(5.0) + 1), a.rename(x="u")):
+        with pytest.raises(InputError, match="other places"):
+            correlate(a, b, pixel_um=1)
+
+
+def test_pearson_takes_any_shape():
+    assert pearson(np.arange(5.0), -np.arange(5.0)) == pytest.approx(-1)

@@ -129,8 +129,10 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
             "label": np.array(["hole 1", "hole 2", "hole 3"], dtype=object),
         }.items()}
     )  # fmt: skip
-    row = {"n": 11_000, "r": 0.9, "r2": 0.81, "slope": 40.0, "intercept": 200.0}
-    large = {"n": 40, "r": 0.8, "r2": 0.64, "slope": 41.0, "intercept": 180.0}
+    row = {"n": 11_000, "r": 0.9, "r2": 0.81, "slope": 40.0, "intercept": 200.0, "n_eff": 300.0, "p": 1e-9,
+           "interval": [0.888, 0.911]}  # fmt: skip
+    large = {"n": 40, "r": 0.8, "r2": 0.64, "slope": 41.0, "intercept": 180.0, "n_eff": 31.2, "p": 2e-5,
+             "interval": [0.63, 0.9], "slope_x_on_y": 0.016, "mean_a": 20.0, "mean_b": 1000.0}  # fmt: skip
     image_layer = {
         "name": "image", "kind": "image", "headline": "image",
         "source": {"name": "image.png", "shape": [90, 140], "dtype": "uint16", "bytes": 25_000, "sha256": "cd" * 32,

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from planish.analyze import correlate, correlate_at
+from planish.analyze import correlate
+from planish.analyze.correlation import PairAtSizes
 from planish.core.results import CorrelationRow, Results
 from planish.report import write_report
 from planish.report.relation import block_means, draw_pair, largest
@@ -62,10 +63,13 @@ def rows_of(maps: dict[str, xr.Dataset], a: str, a_map: str, b: str, b_map: str)
     """Return the rows of a pair as the program makes them."""
     valid = maps[a]["valid"].values & maps[b]["valid"].values
     p, q = (np.where(valid, maps[n][m].values.astype(float), np.nan) for n, m in ((a, a_map), (b, b_map)))
-    coarse, *means = correlate_at(p, q, pixel_um=(6.0, 6.0), point_um=60.0)
+    pair = PairAtSizes((p.shape[0], p.shape[1]), pixel_um=(6.0, 6.0), point_um=60.0)
+    pair.add(0, p, q)
     rows: list[Given] = []
-    for row, (u, v) in ((correlate(p, q, point_um=6.0), (p, q)), (coarse, means)):
-        rows.append({"a": a, "a_map": a_map, "b": b, "b_map": b_map, **asdict(row), "same_quantity": a_map == b_map})
+    for row, (u, v) in ((correlate(p, q, pixel_um=6.0), (p, q)), (pair.at_points(), pair.points())):
+        found = asdict(row)
+        found["point_um"] = found.pop("support_um")
+        rows.append({"a": a, "a_map": a_map, "b": b, "b_map": b_map, **found, "same_quantity": a_map == b_map})
         off = (v - u)[np.isfinite(u) & np.isfinite(v)]
         if a_map == b_map and off.size > 1:
             mean, sd = float(off.mean()), float(off.std(ddof=1))

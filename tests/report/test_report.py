@@ -48,9 +48,30 @@ def test_page_of_a_link_has_every_section(link_page: str) -> None:
 
 def test_verdict_states_the_results_and_no_more(link_page: str) -> None:
     text = Page(link_page).text()
-    for expected in ("0.810", "0.640", "0.51\u202fµm", "81%", "not a sample size", "not a cause", "image is brighter"):
+    for expected in (
+        "0.81", "0.6", "95 %: 0.4 to 0.8", "31 independent points of 40", "0.51\u202fµm", "81%", "not on n",
+        "not a cause",
+        "image is brighter where coating thickness (top side) is larger: r = 0.80 with a 95 % interval of 0.63 to 0.90",
+    ):  # fmt: skip
         assert expected in text
     assert "significant" not in text
+
+
+@pytest.mark.parametrize(
+    ("interval", "says"),
+    [
+        ([-0.1, 0.4], "No relation of the image with coating thickness (top side) is certain"),
+        (None, "Nothing is claimed"),
+    ],
+)
+def test_no_direction_is_named_that_is_not_certain(interval: list[float] | None, says: str) -> None:
+    run = a_run()
+    for row in run["results"]["correlations"]:
+        row["interval"] = interval
+    text = Page(page_of(run)).text()
+    assert says in text
+    assert "brighter where" not in text
+    assert "darker where" not in text
 
 
 def test_every_figure_is_embedded_and_states_n_and_mask(link_page: str) -> None:

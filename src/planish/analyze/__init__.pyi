@@ -2,7 +2,7 @@ from .correlation import Correlation as Correlation
 from .correlation import PairAtSizes as PairAtSizes
 from .correlation import PairSums as PairSums
 from .correlation import correlate as correlate
-from .correlation import correlate_at as correlate_at
+from .correlation import pearson as pearson
 from .cross_fit import CrossFitted as CrossFitted
 from .cross_fit import Registration as Registration
 from .cross_fit import SearchedNull as SearchedNull
@@ -10,6 +10,10 @@ from .cross_fit import Tune as Tune
 from .cross_fit import by_shift as by_shift
 from .cross_fit import cross_fitted as cross_fitted
 from .cross_fit import searched_null as searched_null
+from .differences import Difference as Difference
+from .differences import difference_of as difference_of
+from .differences import holm as holm
+from .differences import paired_difference as paired_difference
 from .lag import Lag as Lag
 from .lag import texture_lag as texture_lag
 from .lag_field import LagField as LagField

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.analyze.correlation import correlate
+from planish.analyze.correlation import pearson
 from planish.analyze.ncc import MaskedNcc
 from planish.analyze.peak import find_peak, within
 from planish.analyze.surrogates import Unrelated, correlation_length_um, without_plane
@@ -179,7 +179,7 @@ def cross_fitted(
         use = report & np.isfinite(placed)
         x, y = a[use] - a[use].mean(), placed[use] - placed[use].mean()
         sums += (x @ x, y @ y, x @ y)
-        halves.append(correlate(a[use], placed[use], point_um=math.nan).r)
+        halves.append(pearson(a[use], placed[use]))
         n += int(use.sum())
     spread = math.sqrt(sums[0] * sums[1])
     return CrossFitted(
@@ -223,7 +223,7 @@ def searched_null(a: Array, tune: Tune, *, valid: Mask | None = None, surrogates
 
     def searched(given: Array) -> float:
         placed = tune(np.where(known, given, np.nan), known)
-        return correlate(np.where(known, given, np.nan), placed, point_um=math.nan).r
+        return pearson(np.where(known, given, np.nan), placed)
 
     r = searched(flat)
     unrelated = Unrelated(flat, known)

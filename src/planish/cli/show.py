@@ -148,15 +148,18 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
             name if getattr(r, "trust", "ok") == "ok" else f"{name} ({r.trust})",
             f"{r.point_um:g}",
             str(r.n),
+            number(r.n_eff, 0),
             number(r.r),
+            "-" if r.interval is None else f"{r.interval[0]:.2f} to {r.interval[1]:.2f}",
             number(r.r2),
             number(r.slope, 4),
             number(rms_um, 1),
         )
         for (name, r), rms_um in zip(rows, marks, strict=True)
     ]
-    shown = 7 if any(marks) else 6
-    table(title, ("", "point um", "n", "r", "r2", "slope", "marks um")[:shown], [row[:shown] for row in cells])
+    names = ("", "point um", "n", "n_eff", "r", "95 %", "r2", "slope", "marks um")
+    shown = len(names) if any(marks) else len(names) - 1
+    table(title, names[:shown], [row[:shown] for row in cells])
 
 
 def run_facts(path: Path) -> dict[str, Any] | None:

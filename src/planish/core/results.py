@@ -365,46 +365,68 @@ class LayerFacts(Facts):
     sheet: SheetFacts | None = None
 
 
-class CorrelationRow(Facts):
+class _Statement(Facts):
+    """Correlation of b with a over points of one size, and how sure it is."""
+
+    point_um: float
+    n: int = Field(description="Points that are valid in both. Neighbours resemble each other: n is no sample size.")
+    r: Number
+    r2: Number
+    rho: Number = Field(None, description="Spearman's rank correlation.")
+    slope: Number = Field(description="Least squares of b on a.")
+    intercept: Number
+    slope_x_on_y: Number = Field(None, description="Least squares of a on b: a per b.")
+    mean_a: Number = None
+    mean_b: Number = None
+    n_eff: Number = Field(None, description="Independent points that would test r = 0 as well.")
+    p: Number = Field(
+        None, description="Of the test of r = 0; none where fewer than 10 independent points say nothing."
+    )
+    interval: KnownPair = Field(None, description="In which r lies with 95 %.")
+    n_eff_interval: Number = Field(None, description="Independent points that would give this interval.")
+    warnings: tuple[str, ...] = ()
+    trust: Trust = "ok"
+
+    @property
+    def direction(self) -> int:
+        """1 or -1 where the interval of r excludes 0, else 0."""
+        low, high = self.interval or (0.0, 0.0)
+        return 1 if low > 0 else -1 if high < 0 else 0
+
+
+_NUMBERS_OF_R = (
+    "r", "r2", "rho", "slope", "intercept", "slope_x_on_y", "mean_a", "mean_b", "n_eff", "p", "interval",
+    "n_eff_interval",
+)  # fmt: skip
+
+
+class CorrelationRow(_Statement):
     """Correlation of two maps over points of one size; ``slope`` and ``intercept`` give b from a."""
 
-    WITHHELD: ClassVar = (
-        "r", "r2", "slope", "intercept", "difference_mean", "difference_sd", "limits",
-    )  # fmt: skip
+    WITHHELD: ClassVar = (*_NUMBERS_OF_R, "p_of_table", "difference_mean", "difference_sd", "limits")
 
     a: str
     a_map: str
     b: str
     b_map: str
-    point_um: float
-    n: int
-    r: Number
-    r2: Number
-    slope: Number
-    intercept: Number
+    p_of_table: Number = Field(None, description="p after Holm, put right for the number of rows at this point size.")
     same_quantity: bool = False
     difference_mean: Number = None
     difference_sd: Number = None
     limits: Pair | None = None
     units: str | None = None
-    trust: Trust = "ok"
 
 
-class ComparisonRow(Facts):
-    """The headline correlation with one way of registering, as the paper's Table 1 compares them."""
+class ComparisonRow(_Statement):
+    """The headline correlation by one registration, as the paper compares them, all on the same pixels."""
 
-    WITHHELD: ClassVar = ("r", "r2", "slope", "intercept")
+    WITHHELD: ClassVar = (*_NUMBERS_OF_R, "difference", "difference_interval")
 
     registration: str
     property: str
     marks_rms_um: float
-    point_um: float
-    n: int
-    r: Number
-    r2: Number
-    slope: Number
-    intercept: Number
-    trust: Trust = "ok"
+    difference: Number = Field(None, description="r of the run's own registration minus this r.")
+    difference_interval: KnownPair = Field(None, description="In which the difference lies with 95 %.")
 
 
 class LinkedArea(Facts):

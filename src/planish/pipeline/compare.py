@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.analyze import CorrelateParams, PairAtSizes, PairSums
+from planish.analyze import CorrelateParams, PairAtSizes, PairSums, holm, paired_difference
 from planish.core.bands import any_finite, band_of, bands
 from planish.core.errors import MarkError
 from planish.core.grid import Grid, pitch, values_at
@@ -18,6 +19,7 @@ from planish.measure import PROPERTIES
 from planish.register import FittedTransform, fit_transform
 from planish.resample import Mesh, resample
 
+_CELLS = 2**16  # of a map, by which the independent points of a row are counted
 _LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
 WAYS = (
     ("projection, no scale", ("projected_u", "projected_v"), "rigid"),
@@ -76,7 +78,7 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     sheets = all("image" not in n for n in names)
     pairs = [(n, n) for n in names[0] if n in names[1]] if sheets else [(m, n) for m in names[0] for n in names[1]]
     grid = Grid.of(first)
-    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um) for _ in pairs]
+    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=_CELLS) for _ in pairs]
     for rows in bands(grid.shape[0]):
         valid = band_of(first["valid"], rows) & band_of(second["valid"], rows)
         p, q = (
@@ -85,12 +87,18 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
         )
         for one, (of_a, of_b) in zip(sums, pairs, strict=True):
             one.add(rows.start, p[of_a], q[of_b])
+    found: list[CorrelationRow] = []
     for one, (of_a, of_b) in zip(sums, pairs, strict=True):
         at_sizes = [*one.sizes()]
-        if at_sizes[0][0].n:
-            for found, own in at_sizes:
-                more = _differences(own, str(first[of_a].attrs.get("units", "1"))) if sheets else {}
-                yield CorrelationRow.of(found, a=a, a_map=of_a, b=b, b_map=of_b, **more)
+        for row, own in at_sizes if at_sizes[0][0].n else []:
+            more = _differences(own, str(first[of_a].attrs.get("units", "1"))) if sheets else {}
+            found.append(CorrelationRow.of(row, a=a, a_map=of_a, b=b, b_map=of_b, point_um=row.support_um, **more))
+    for size in {row.point_um for row in found}:
+        of_size = [k for k, row in enumerate(found) if row.point_um == size]
+        every = holm([math.nan if (p := found[k].p) is None else p for k in of_size])
+        for k, p in zip(of_size, every, strict=True):
+            found[k] = found[k].model_copy(update={"p_of_table": None if math.isnan(p) else p})
+    yield from found
 
 
 def _differences(sums: PairSums, units: str) -> dict[str, Any]:
@@ -121,19 +129,34 @@ def comparison_rows(
         uv = np.stack([sheet["flat"][axis].values for axis in names], axis=-1)
         ways.append((title, way.rms_um, Mesh.of(way.transform(uv), least_um=min(pitch(measured)))))
     ways.append((f"flattened, {fit.model}", fit.rms_um, None))
-    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um) for _ in ways]
+    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=_CELLS) for _ in ways]
     for rows in bands(grid.shape[0]):
         part, image = grid.part(rows), band_of(linked["image"], rows)
-        for (_, _, mesh), one in zip(ways, sums, strict=True):
+        use, values = band_of(linked["valid"], rows), list[NDArray[Any]]()
+        for _, _, mesh in ways:
             if mesh is None:
-                values, use = band_of(linked[name], rows), band_of(linked["valid"], rows)
+                values.append(band_of(linked[name], rows))
             else:
                 under = mesh.under(part)
-                values, use = resample(measured[name].values[under.nodes], under.places), away(part)
-            one.add(rows.start, np.where(use, values, np.nan), image)
+                values.append(resample(measured[name].values[under.nodes], under.places))
+                use = use & away(part)
+        # Rows that are compared are of the same pixels.
+        use = np.logical_and.reduce([use, *(np.isfinite(v) for v in values)])
+        for one, own in zip(sums, values, strict=True):
+            one.add(rows.start, np.where(use, own, np.nan), image)
+    own_cells, cell_um = sums[-1].cells()
+    own_points = sums[-1].points()
     for (title, rms_um, _), one in zip(ways, sums, strict=True):
-        for found, _ in one.sizes():
-            yield ComparisonRow.of(found, registration=title, property=name, marks_rms_um=rms_um)
+        at_pixel, at_points = (found for found, _ in one.sizes())
+        pairs = (one.cells()[0], own_cells, cell_um), (one.points(), own_points, (point_um, point_um))
+        for found, (pair, own, pixel_um) in zip((at_pixel, at_points), pairs, strict=True):
+            more: dict[str, Any] = {}
+            if one is not sums[-1] and found.n:
+                apart = paired_difference((pair[0], pair[1]), (own[0], own[1]), pixel_um=pixel_um)
+                more = {"difference": apart.difference, "difference_interval": apart.interval}
+            yield ComparisonRow.of(
+                found, registration=title, property=name, marks_rms_um=rms_um, point_um=found.support_um, **more
+            )
 
 
 def headline_of(maps: xr.Dataset, side: Side = "top") -> str:

@@ -60,7 +60,10 @@ def _correlations(results: Results) -> Iterator[Row]:
     for row in results.correlations:
         why = _names(results.checks, (row.a, row.b), (row.a_map, row.b_map, "position", "correlation"))
         name = f"r of {row.a_map} and {row.b_map}"
-        yield f"{row.a} {row.b}", name, f"points of {row.point_um:g} um", _text(row.r), "", "1", row.n, row.trust, why
+        size, layers = f"points of {row.point_um:g} um", f"{row.a} {row.b}"
+        yield layers, name, size, _text(row.r), "", "1", row.n, row.trust, why
+        for end, value in zip(("lower", "upper"), row.interval or (), strict=False):
+            yield layers, name, f"{size}, {end} 95 % limit", value, "", "1", round(row.n_eff or 0), row.trust, why
 
 
 def _names(checks: Sequence[Check], layers: Sequence[str], figures: Sequence[str]) -> str:

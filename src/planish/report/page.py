@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planish.core.files import write_whole
 from planish.core.results import LayerFacts, RegistrationFacts, Results
-from planish.report import flattening, maps, registration, relation, slices, summary, tables, text
+from planish.report import flattening, maps, registration, relation, slices, statement, summary, tables, text
 from planish.report.draw import FULL, HALF, Picture
 from planish.report.groups import Groups
 
@@ -78,7 +78,8 @@ def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Da
     data = Groups(results, groups)
     page = template("planish.report", "report.html.j2").render(
         results=results, layers=results.layers, reference=results.reference, titles=data.titles, tables=tables,
-        summary=summary, text=text, sheets=[s for layer in results.layers if (s := _sheet(data, layer))],
+        summary=summary, statement=statement, text=text,
+        sheets=[s for layer in results.layers if (s := _sheet(data, layer))],
         blocks=[b for layer in results.moving if (b := _block(layer, data.drawn, marks.get(layer.name), results))],
         pairs=_pairs(data.linked, results, data.titles),
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from planish.core.bands import band_of, bands, thinned
 from planish.core.results import CorrelationRow
 from planish.report.colours import PROPERTY, Array, Scale
 from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, Axes, Canvas, Field, Picture, pitch
+from planish.report.statement import r_interval_text, r_text
 from planish.report.text import REGISTERED, beside, capital, count, in_words, number, plain, unit, unit_of
 
 _BINS, _LEAST_BINS = 110, 24
@@ -71,10 +72,9 @@ def draw_pair(
         _differences(canvas, *points, coarse, units[0])
     drawn = [(_LEFT, left, fine)] if same else [(_LEFT, left, fine), (_RIGHT, _points(canvas, *points), coarse)]
     for at, axes, row in drawn:
-        if row.slope is not None and row.intercept is not None:
-            line = [(x, row.intercept + row.slope * x) for x in axes.extent[:2]]
-            axes.line(line, colour="white", width=4)
-            axes.line(line, colour=ACCENT, width=2.2)
+        for ends, dash in _lines(row, axes.extent):
+            axes.line(ends, colour="white", width=4)
+            axes.line(ends, colour=ACCENT, width=2.2, dash=dash)
         canvas.ticks(axes, *labels)
         _heading(canvas, at, f"Points of {plain(round(row.point_um, 4))}", _numbers(row, units))
     second = (
@@ -89,12 +89,25 @@ def draw_pair(
         title=f"{capital(in_words(names[1]))} over {in_words(names[0])}",
         caption=(
             f"Left, number of pixels{shown} (logarithmic colours); {second}A point counts when half of its area is "
-            "valid in both maps. Lines are least squares of the upward map on the map across. The left axes span the "
+            "valid in both maps. Lines are least squares: solid, of the upward map on the map across, dashed, the "
+            "other way round; a perfect relation without errors would lie between them. The left axes span the "
             "0.05th to the 99.95th percentile of the pixels, the right ones the points. Mask: measured, without holes "
             "and rims. "
-            f"n counts points, which resemble their neighbours: it is not a sample size. {capital(REGISTERED)}."
+            f"n counts points, which resemble their neighbours; the interval rests on independent ones. "
+            f"{capital(REGISTERED)}."
         ),
     )
+
+
+def _lines(
+    row: CorrelationRow, extent: tuple[float, float, float, float]
+) -> Iterator[tuple[list[tuple[float, float]], str]]:
+    """Give the line of least squares of b on a, and dashed that of a on b, within the axes."""
+    if row.slope is None or row.intercept is None:
+        return
+    yield [(x, row.intercept + row.slope * x) for x in extent[:2]], ""
+    if row.slope_x_on_y and row.mean_a is not None and row.mean_b is not None:
+        yield [(row.mean_a + row.slope_x_on_y * (y - row.mean_b), y) for y in extent[2:]], "7 4"
 
 
 def largest(rows: Sequence[CorrelationRow]) -> CorrelationRow:
@@ -173,4 +186,5 @@ def _numbers(row: CorrelationRow, units: tuple[str, str]) -> str:
     if row.r is None or row.r2 is None:
         return "no correlation: too few points, or a constant map"
     per = f"{' ' + units[1] if units[1] else ''} per {units[0]}" if units[0] and units[0] != units[1] else ""
-    return f"r² = {row.r2:.3f}\u2003r = {number(row.r)}\u2003n = {count(row.n)}\u2003slope {number(row.slope)}{per}"
+    limits = f" (95 %: {r_interval_text(row)})" if row.interval else ""
+    return f"r = {r_text(row)}{limits}\u2003n = {count(row.n)}\u2003slope {number(row.slope)}{per}"

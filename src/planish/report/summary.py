@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 from planish.core.checks import State
 from planish.core.results import CorrelationRow, LagFacts, LayerFacts, Results, Trust
 from planish.report.relation import largest, written_difference
+from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
 from planish.report.text import (
     NONE,
     REGISTERED,
@@ -23,8 +24,6 @@ from planish.report.text import (
     typeset,
     unit,
 )  # fmt: skip
-
-_FAINT = 0.02  # r2 below which no direction is named in words
 
 Titles = Mapping[tuple[str, str], str]
 """Layer and map -> title of the map."""
@@ -145,8 +144,8 @@ def _of_two(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
     measured = moving.sheet.surfaces.shares.get("measured") if moving.sheet else None
     covered = f"{percent(measured, 2)} of the columns are measured" if moving.sheet else ""
     return sentence, [
+        _r2_tile(largest(rows) if rows else None, f"r², points of {point_of(largest(rows))}" if rows else "r²"),
         _r2_tile(rows[0] if rows else None, "r² at the pixel"),
-        _r2_tile(rows[-1] if rows else None, f"r² at {point_of(rows[-1])}" if rows else "r²"),
         Tile(number(loo, 2), "µm", "leave-one-out error", f"rms of {marks.matched} marks{spread}" if marks else NONE),
         Tile(_whole(share), "%", what, covered),
     ]
@@ -164,15 +163,17 @@ def _relation(rows: list[CorrelationRow], results: Results, titles: Titles) -> s
     a, b = (in_words(titles.get(key, key[1])) for key in ((pixel.a, pixel.a_map), (pixel.b, pixel.b_map)))
     image = results.layer(pixel.b).kind == "image"
     what, than = ("The image", a) if image else (f"{capital(b)} of {pixel.b}", f"{a} of {pixel.a}")
-    if pixel.r2 < _FAINT:
-        start = f"{what} hardly correlates with {than}"
-    else:
-        words = ("brighter", "darker") if image else ("larger", "smaller")
-        start = f"{what} is {words[pixel.r < 0]} where {than} is larger"
-    text = f"{start}: r² = {fixed(pixel.r2, 3)} over {count(pixel.n)} pixels"
-    if len(rows) > 1 and rows[-1].r2 is not None:
-        text += f", {fixed(rows[-1].r2, 3)} over points of {point_of(rows[-1])}"
-    return f"{text} ({REGISTERED})."
+    row = largest(rows)
+    independent = f"{count(row.n)} points of {point_of(row)}"
+    if row.n_eff is not None:
+        independent += f", {count(round(row.n_eff))} of them independent"
+    if row.interval is None or row.r is None:
+        return f"Nothing is claimed about {than} and {what[:1].lower()}{what[1:]}: of {independent} ({REGISTERED})."
+    limits = f"r = {r_text(row)} with a 95 % interval of {r_interval_text(row)}, over {independent} ({REGISTERED})."
+    if not row.direction:
+        return f"No relation of {what[:1].lower()}{what[1:]} with {than} is certain: {limits}"
+    words = ("brighter", "darker") if image else ("larger", "smaller")
+    return f"{what} is {words[row.direction < 0]} where {than} is larger: {limits}"
 
 
 def _difference(row: CorrelationRow, titles: Titles) -> str:
@@ -215,8 +216,11 @@ def _of_layers(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
 def _r2_tile(row: CorrelationRow | None, label: str) -> Tile:
     if row and row.trust != "ok":
         return Tile(NONE, "", label, f"{row.trust}; see the checks")
-    note = f"r = {number(row.r)}, n = {count(row.n)}; {REGISTERED}" if row else NONE
-    return Tile(fixed(row.r2 if row else None, 3), "", label, note)
+    if row is None:
+        return Tile(NONE, "", label, NONE)
+    interval = f"95 %: {r2_interval_text(row)}" if row.interval else "no interval"
+    known = f"; {count(round(row.n_eff))} independent points of {count(row.n)}" if row.n_eff is not None else ""
+    return Tile(r2_text(row), "", label, f"{interval}{known}; {REGISTERED}")
 
 
 def lag_check(lag: LagFacts | None, *, first: str, second: str, name: str) -> Check | None:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, cast
 from planish.core.results import ComparisonRow, CorrelationRow, Results, SurfaceFacts
 from planish.core.status import Status
 from planish.report.relation import largest, written_difference
+from planish.report.statement import limits_text, r2_text
 from planish.report.summary import Titles, by_pair, headline_pair
 from planish.report.text import NONE, capital, fixed, in_words, number, plain, unit
 
@@ -43,25 +44,45 @@ def comparison(results: Results) -> list[PairLine]:
     for row in results.comparison:
         groups.setdefault(row.registration, []).append(row)
     return [
-        PairLine(capital(name), rows, before=(number(rows[0].marks_rms_um, 3),), best=name.startswith("flattened"))
+        PairLine(
+            capital(name),
+            rows,
+            before=(number(rows[0].marks_rms_um, 3),),
+            best=name.startswith("flattened"),
+            after=(_change(rows),),
+        )
         for name, rows in groups.items()
     ]
 
 
+def _change(rows: Sequence[ComparisonRow]) -> str:
+    """Write how much larger r is with the run's own registration, at the largest points."""
+    row = max([row for row in rows if row.n] or rows, key=lambda row: row.point_um)
+    if row.difference is None:
+        return NONE
+    return f"{fixed(row.difference, 3)}\n{limits_text(row.difference_interval, 3)}"
+
+
 def comparison_sentence(results: Results) -> str:
-    """State what flattening gained, in numbers only."""
-    at_pixel: dict[str, float] = {}
-    for row in results.comparison:
-        if row.r2 is not None:
-            at_pixel.setdefault(row.registration, row.r2)
-    flat = next((v for k, v in at_pixel.items() if k.startswith("flattened")), None)
-    others = {k: v for k, v in at_pixel.items() if not k.startswith("flattened")}
-    if flat is None or not others:
+    """State what flattening changed at the largest points, with the interval of the difference."""
+    rows = [row for row in results.comparison if row.n and row.r is not None]
+    size = max((row.point_um for row in rows), default=None)
+    rows = [row for row in rows if row.point_um == size]
+    flat = [row for row in rows if row.registration.startswith("flattened")]
+    others = [row for row in rows if not row.registration.startswith("flattened")]
+    if not flat or not others:
         return ""
-    name, best = max(others.items(), key=lambda item: item[1])
-    verb = "raises" if flat > best else "does not raise"
-    change = f"from {fixed(best, 3)} to {fixed(flat, 3)}"
-    return f"At the pixel, flattening {verb} r²: {change} against the better projection ({name})."
+    best = max(others, key=lambda row: row.r2 or 0.0)
+    text = (
+        f"Over points of {plain(best.point_um)}, r² is {r2_text(flat[-1])} flattened and {r2_text(best)} by the better "
+    )
+    text += f"projection ({best.registration})"
+    if best.difference is None or best.difference_interval is None:
+        return f"{text}; whether they differ cannot be told."
+    low, high = best.difference_interval
+    verdict = "not distinguishable" if low <= 0 <= high else "distinguishable"
+    limits = limits_text(best.difference_interval, 3)
+    return f"{text}: {verdict}; r changes by {fixed(best.difference, 3)} (95 %: {limits})."
 
 
 def correlations(results: Results, titles: Titles) -> list[PairLine]:

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from planish.analyze import correlate, correlate_at
+from planish.analyze import correlate, pearson
 from planish.core.grid import Grid, pitch, values_at
 from planish.marks import find_holes
 from planish.pipeline import Run
@@ -199,8 +199,8 @@ def statistic_errors(both: Comparison) -> Values:
     point_um = both.run.study.correlate.point_um
     values: Values = {}
     for key, (one, two) in {
-        "pixel": [correlate(m, image, point_um=pixel[0]).r for m in (found, true)],
-        "point": [correlate_at(m, image, pixel_um=pixel, point_um=point_um)[0].r for m in (found, true)],
+        "pixel": [pearson(m, image) for m in (found, true)],
+        "point": [correlate(m, image, pixel_um=pixel, point_um=point_um).r for m in (found, true)],
     }.items():
         known = np.isfinite(one) and np.isfinite(two)
         found_r = (one, two, one - two) if known else (None, None, None)

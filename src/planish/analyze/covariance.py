@@ -1,0 +1,156 @@
+"""Covariances of maps by lag, and how many independent points a correlation of two maps has.
+
+Neighbouring points of a map resemble each other, so a correlation of n points scatters like one of far fewer
+independent ones. How many follows from the covariances of both maps at every lag, which masked Fourier transforms give
+at once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_FIELD = 0.5  # of the field, along either axis: longer lags have too few pairs of points
+
+
+class Lags:
+    """Sums over all pairs of known points at every lag up to half of the field.
+
+    Parameters
+    ----------
+    known : ndarray of bool, shape (rows, cols)
+    pixel_um : (float, float)
+        Along y and x.
+    """
+
+    def __init__(self, known: Mask, pixel_um: tuple[float, float]) -> None:
+        self.known, self.pixel_um, self.n = known, pixel_um, int(np.count_nonzero(known))
+        reach = [int(_FIELD * k) for k in known.shape]
+        self._size = [fft.next_fast_len(k + m, real=True) for k, m in zip(known.shape, reach, strict=True)]
+        lag_um = [np.abs(fft.fftfreq(k, 1.0 / k)) * p for k, p in zip(self._size, pixel_um, strict=True)]
+        self._inside = np.logical_and.outer(*(
+            lag <= m * p for lag, m, p in zip(lag_um, reach, pixel_um, strict=True)
+        ))  # fmt: skip
+        self.distance_um = np.hypot(lag_um[0][:, None], lag_um[1])
+        # Rings one pixel wide; the numbers of pairs are whole.
+        self._ring = np.rint(self.distance_um / max(pixel_um)).astype(np.intp)
+        self._mask = self.transform(known.astype(np.float64))
+        self.pairs = np.rint(self._back(np.abs(self._mask) ** 2)) * self._inside
+
+    def transform(self, values: Array) -> NDArray[np.complex128]:
+        """Fourier transform of a map that is 0 where it is not known."""
+        return np.asarray(fft.rfft2(values, self._size))
+
+    def products(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> Array:
+        """Sums of a at a point times b at a lag from it, for every lag (wrapped, as ``pairs``)."""
+        return self._back(np.conj(a) * b) * self._inside
+
+    def until_zero(self, products: Array) -> Mask:
+        """Lags up to the first distance at which the mean product, over all directions, changes its sign."""
+        rings = np.bincount(self._ring[self._inside], weights=products[self._inside])
+        turned = np.flatnonzero(rings * (1.0 if rings[0] >= 0 else -1.0) <= 0.0)
+        return self._inside & (self._ring < turned[0]) if turned.size else self._inside
+
+    def covariance(self, products: Array, used: Mask) -> Array:
+        """Covariance at the lags that are used, 0 at others.
+
+        Taking off a map's own mean takes the variance of that mean off every covariance; it is put back, with the
+        covariances that are used.
+        """
+        pairs = np.where(used, self.pairs, 0.0)
+        rest = self.n**2 - float(pairs.sum())
+        mean = float(products[used].sum()) / rest if rest > 0 else 0.0
+        return np.where(pairs > 0, products / np.maximum(pairs, 1.0) + mean, 0.0)
+
+    def sums(self, covariance: Array) -> Array:
+        """Sum of the covariances of each known point with all known points: shape of the mask, 0 outside of it."""
+        rows, cols = self.known.shape
+        found = self._back(self.transform_lags(covariance) * self._mask)[:rows, :cols]
+        return np.where(self.known, found, 0.0)
+
+    def transform_lags(self, values: Array) -> NDArray[np.complex128]:
+        """Fourier transform of an array over lags."""
+        return np.asarray(fft.rfft2(values))
+
+    def _back(self, values: NDArray[np.complex128]) -> Array:
+        return np.asarray(fft.irfft2(values, self._size))
+
+
+class PairCovariances:
+    """Covariances of two maps with themselves and with each other, by lag.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (rows, cols)
+        Maps; what they hold outside of the mask does not count.
+    lags : Lags
+        Of their mask.
+    """
+
+    def __init__(self, x: Array, y: Array, lags: Lags) -> None:
+        self.lags = lags
+        self._maps = [np.where(lags.known, m - m[lags.known].mean(), 0.0) for m in (x, y)]
+        a, b = (lags.transform(m) for m in self._maps)
+        own = [lags.products(m, m) for m in (a, b)]
+        both = lags.products(a, b)
+        self.used = [lags.until_zero(p) for p in own]
+        self.xx, self.yy = (lags.covariance(p, use) for p, use in zip(own, self.used, strict=True))
+        self.xy = lags.covariance(both, lags.until_zero(both + _reversed(both)))
+        self.variances = tuple(float(p[0, 0]) / lags.n for p in own)
+
+    def variance_of_r(self, variances: tuple[float, float] | None = None) -> float:
+        """Variance of r of two maps with these covariances that are unrelated (Dutilleul 1993).
+
+        ``variances`` are those of single points where the maps are means over more than one.
+        """
+        n, (xx, yy) = self.lags.n, (self.xx, self.yy)
+        row_x, row_y = self.lags.sums(xx), self.lags.sums(yy)
+        sum_x, sum_y = float(row_x.sum()), float(row_y.sum())
+        both = float(np.sum(self.lags.pairs * xx * yy)) - 2.0 / n * float(np.sum(row_x * row_y)) + sum_x * sum_y / n**2
+        own = self.variances if variances is None else variances
+        # What is put back into the covariances belongs to the variances, too.
+        traces = [n * v + (float(c[0, 0]) - w) * n - s / n
+                  for v, w, c, s in zip(own, self.variances, (xx, yy), (sum_x, sum_y), strict=True)]  # fmt: skip
+        product = traces[0] * traces[1]
+        return both / product if product > 0 else math.nan
+
+    def variance_of_z(self, r: float, variances: tuple[float, float] | None = None) -> float:
+        """Variance of Fisher's z of r of two jointly Gaussian maps with these covariances (Bartlett's formula)."""
+        return float(self._influence(r, variances).sum()) / self.lags.n**2
+
+    def unevenness(self, r: float, bandwidth_um: float) -> float:
+        """Standard error of z from what the points add to r, over that of the model; 1 where the spread is even.
+
+        Both are sums over lags up to a bandwidth with weights that fall to 0 (Conley 1999), so that what longer lags
+        would add, and what the mean of a map takes off, are the same in both.
+        """
+        x, y = (m / math.sqrt(v) for m, v in zip(self._maps, self.variances, strict=True))
+        parts = np.where(self.lags.known, x * y - r / 2 * (x * x + y * y), 0.0)
+        moved = self.lags.transform(parts)
+        weight = np.maximum(1.0 - self.lags.distance_um / bandwidth_um, 0.0)
+        model = self._influence(r, None)
+        expected = float(np.sum(weight * model))
+        expected -= float(model.sum()) * float(np.sum(weight * self.lags.pairs)) / self.lags.n**2
+        found = float(np.sum(weight * self.lags.products(moved, moved))) / (1 - r * r) ** 2
+        return math.sqrt(max(found, 0.0) / expected) if expected > 0 else 1.0
+
+    def _influence(self, r: float, variances: tuple[float, float] | None) -> Array:
+        """Sums, by lag, of the covariances of what single points add to z."""
+        own = self.variances if variances is None else variances
+        put_back = [float(c[0, 0]) - w for c, w in zip((self.xx, self.yy), self.variances, strict=True)]
+        sd = [math.sqrt(v + p) for v, p in zip(own, put_back, strict=True)]
+        xx, yy, xy = self.xx / sd[0] ** 2, self.yy / sd[1] ** 2, self.xy / (sd[0] * sd[1])
+        yx = _reversed(xy)
+        terms = xx * yy + xy * yx - r * (xx + yy) * (xy + yx) + r * r / 2 * (xx**2 + yy**2 + xy**2 + yx**2)
+        return self.lags.pairs * terms / (1 - r * r) ** 2
+
+
+def _reversed(values: Array) -> Array:
+    """Turn an array over wrapped lags: the value at minus each lag."""
+    return np.roll(values[::-1, ::-1], (1, 1), (0, 1))

@@ -1,0 +1,143 @@
+"""Whether two correlations differ: of maps on the same pixels, or of two specimens."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from planish.analyze.correlation import LEAST_CLAIMED, Correlation, on_one_grid, pearson
+from planish.analyze.covariance import Lags
+from planish.core.errors import InputError
+
+_QUANTILE = 0.975
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Difference:
+    """Difference of two correlations, the second minus the first.
+
+    Attributes
+    ----------
+    r : (float, float)
+        The two that are compared.
+    difference : float
+        Of r.
+    interval : (float, float)
+        In which it lies with 95 %; (NaN, NaN) where fewer than 10 independent points say nothing.
+    """
+
+    r: tuple[float, float]
+    difference: float
+    interval: tuple[float, float] = (math.nan, math.nan)
+
+    @property
+    def distinguishable(self) -> bool | None:
+        """Whether the interval excludes 0; None where there is none."""
+        low, high = self.interval
+        return None if math.isnan(low) else not low <= 0 <= high
+
+    @property
+    def words(self) -> str:
+        """What may be said."""
+        known = self.distinguishable
+        return "unknown" if known is None else "distinguishable" if known else "not distinguishable"
+
+
+def paired_difference(
+    first: tuple[NDArray[Any], NDArray[Any]], second: tuple[NDArray[Any], NDArray[Any]], *,
+    mask: NDArray[np.bool_] | None = None, pixel_um: float | tuple[float, float],
+) -> Difference:  # fmt: skip
+    """Compare the correlations of two pairs of maps on one grid, over the pixels that are valid in all.
+
+    Parameters
+    ----------
+    first, second : (ndarray, ndarray), shape (rows, cols)
+        The pairs (a, b); NaN is missing. Pairs may share a map.
+    mask : ndarray of bool, shape (rows, cols), optional
+    pixel_um : float or (float, float)
+        Along y and x.
+
+    Returns
+    -------
+    Difference
+
+    Notes
+    -----
+    What each pixel adds to the difference of Fisher's z is a map of its own (the influence function), whose mean has
+    the variance that its covariances by lag give. What the pairs share cancels in it.
+    """
+    maps = (*first, *second)
+    pixel = on_one_grid(maps[0], maps[1], mask, pixel_um)
+    for m in maps[2:]:
+        on_one_grid(maps[0], m, mask, pixel_um)
+    known = np.logical_and.reduce([np.isfinite(m) for m in maps])
+    if mask is not None:
+        known &= mask
+    values = [np.where(known, m, np.nan) for m in maps]
+    r = pearson(*values[:2]), pearson(*values[2:])
+    if any(math.isnan(v) or 1 - v * v < 1e-14 for v in r):
+        return Difference(r=r, difference=r[1] - r[0])
+    a, b, c, d = values
+    parts = _influence(c, d, r[1], known) - _influence(a, b, r[0], known)
+    lags = Lags(known, pixel)
+    moved = lags.transform(np.where(known, parts - parts[known].mean(), 0.0))
+    products = lags.products(moved, moved)
+    if not products[0, 0] > 0:  # the same pair twice
+        return Difference(r=r, difference=r[1] - r[0], interval=(r[1] - r[0], r[1] - r[0]))
+    covariance = lags.covariance(products, lags.until_zero(products))
+    variance = float(np.sum(lags.pairs * covariance)) / lags.n**2
+    n_eff = float(covariance[0, 0]) / variance if variance > 0 else 0.0
+    if n_eff < LEAST_CLAIMED:
+        return Difference(r=r, difference=r[1] - r[0])
+    return _difference(r, float(stats.t.ppf(_QUANTILE, n_eff - 1)) * math.sqrt(variance))
+
+
+def difference_of(first: Correlation, second: Correlation) -> Difference:
+    """Compare the correlations of two specimens, which share nothing.
+
+    Raises
+    ------
+    InputError
+        If the two are over points of different sizes: r depends on the size.
+    """
+    if not math.isclose(first.support_um, second.support_um, rel_tol=0.02):
+        raise InputError(
+            f"One correlation is over points of {first.support_um:g} um, the other of {second.support_um:g} um. Give "
+            "both the same point_um."
+        )
+    r = first.r, second.r
+    ends = [*first.interval, *second.interval]
+    if any(math.isnan(v) or abs(v) >= 1 for v in (*r, *ends)):
+        return Difference(r=r, difference=r[1] - r[0])
+    widths = [(math.atanh(high) - math.atanh(low)) / 2 for low, high in (first.interval, second.interval)]
+    return _difference(r, math.hypot(*widths))
+
+
+def _difference(r: tuple[float, float], width: float) -> Difference:
+    """Turn an interval of the difference of z into one of r, about the mean of both z."""
+    z = [math.atanh(v) for v in r]
+    middle, apart = sum(z) / 2, z[1] - z[0]
+    low, high = (math.tanh(middle + d / 2) - math.tanh(middle - d / 2) for d in (apart - width, apart + width))
+    return Difference(r=r, difference=r[1] - r[0], interval=(low, high))
+
+
+def _influence(a: NDArray[Any], b: NDArray[Any], r: float, known: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """What each pixel adds to Fisher's z, times their number; 0 where it is not known."""
+    x, y = ((m - m[known].mean()) / m[known].std() for m in (a, b))
+    return np.where(known, (x * y - r / 2 * (x * x + y * y)) / (1 - r * r), 0.0)
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Put the p of a table right for how many there are (Holm 1979, Scand. J. Statist. 6, 65); NaN stays and counts."""
+    order = sorted((v, k) for k, v in enumerate(p) if not math.isnan(v))
+    out, most = [math.nan] * len(p), 0.0
+    for rank, (value, k) in enumerate(order):
+        most = max(most, min(1.0, value * (len(p) - rank)))
+        out[k] = most
+    return out

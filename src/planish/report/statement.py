@@ -1,0 +1,68 @@
+"""How a correlation is written: with its interval, and with the figures that the interval allows."""
+
+from __future__ import annotations
+
+import math
+
+from planish.core.results import ComparisonRow, CorrelationRow
+from planish.report.text import NONE, count, fixed, number
+
+Row = CorrelationRow | ComparisonRow
+
+
+def decimals(row: Row) -> int:
+    """Decimals of r² that its interval allows: those of one significant digit of half its width."""
+    limits = r2_limits(row)
+    half = (limits[1] - limits[0]) / 2 if limits else 0.0
+    return min(max(-math.floor(math.log10(half)), 1), 3) if half > 0 else 2
+
+
+def r2_limits(row: Row) -> tuple[float, float] | None:
+    """Limits of r²; from 0 on where r may have either sign."""
+    if row.interval is None:
+        return None
+    low, high = sorted(v * v for v in row.interval)
+    return (low if row.direction else 0.0, high)
+
+
+def r2_text(row: Row | None) -> str:
+    """Write r² as far as it is known."""
+    return NONE if row is None or row.r2 is None else fixed(row.r2, decimals(row))
+
+
+def limits_text(limits: tuple[float, float] | None, digits: int = 2) -> str:
+    """Write an interval; a dash where there is none."""
+    return NONE if limits is None else f"{fixed(limits[0], digits)} to {fixed(limits[1], digits)}"
+
+
+def r2_interval_text(row: Row | None) -> str:
+    """Write the interval of r²."""
+    return NONE if row is None else limits_text(r2_limits(row), decimals(row))
+
+
+def r_text(row: Row | None) -> str:
+    """Write r with two decimals, three where the interval is narrow."""
+    return NONE if row is None else fixed(row.r, _of_r(row))
+
+
+def r_interval_text(row: Row | None) -> str:
+    """Write the interval of r."""
+    return NONE if row is None else limits_text(row.interval, _of_r(row))
+
+
+def p_text(p: float | None) -> str:
+    """Write a p with two digits, and small ones as a bound."""
+    if p is None:
+        return NONE
+    return "< 0.0001" if p < 1e-4 else number(p, 2) if p < 0.0995 else fixed(p, 2)
+
+
+def points_text(row: Row | None) -> str:
+    """Write the points, and how many of them are independent."""
+    if row is None:
+        return NONE
+    return count(row.n) if row.n_eff is None else f"{count(row.n)}\n{count(round(row.n_eff))} independent"
+
+
+def _of_r(row: Row) -> int:
+    return 3 if row.interval is not None and row.interval[1] - row.interval[0] < 0.02 else 2

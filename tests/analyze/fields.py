@@ -1,0 +1,40 @@
+"""Random maps of known covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import fft
+
+
+def gaussian_maps(rng, shape, length, *, kind="exp"):
+    """Two unrelated maps of variance 1 whose correlation is exp(-h / length), or exp(-(h / length)²), by embedding.
+
+    ``length`` is in pixels, one number or two: along rows and columns.
+    """
+    down, across = length if np.ndim(length) else (length, length)
+    size = [fft.next_fast_len(2 * n) for n in shape]
+    lags = [np.abs(fft.fftfreq(n, 1 / n)) for n in size]
+    h = np.hypot(lags[0][:, None] / down, lags[1] / across)
+    power = np.maximum(fft.fft2(np.exp(-h) if kind == "exp" else np.exp(-h * h)).real, 0.0)
+    noise = rng.normal(size=size) + 1j * rng.normal(size=size)
+    both = fft.fft2(np.sqrt(power / power.size) * noise)[: shape[0], : shape[1]]
+    return both.real.copy(), both.imag.copy()
+
+
+def related_maps(rng, shape, length, r, *, noise=None, kind="exp"):
+    """Two maps whose correlation is r; what b does not share with a has the length ``noise`` where given."""
+    a, rest = gaussian_maps(rng, shape, length, kind=kind)
+    if noise is not None:
+        rest = gaussian_maps(rng, shape, noise, kind=kind)[0]
+    return a, r * a + np.sqrt(1 - r * r) * rest
+
+
+def exact_n_eff(shape, length, *, known=None, kind="exp"):
+    """Dutilleul's number for two maps of this covariance, by the whole matrix of all points."""
+    down, across = length if np.ndim(length) else (length, length)
+    known = np.ones(shape, bool) if known is None else known
+    at = np.argwhere(known) / (down, across)
+    h = np.hypot(*(at[:, None, k] - at[:, k] for k in (0, 1)))
+    matrix = np.exp(-h) if kind == "exp" else np.exp(-h * h)
+    matrix = matrix - matrix.mean(axis=0) - matrix.mean(axis=1)[:, None] + matrix.mean()
+    return 1 + np.trace(matrix) ** 2 / np.sum(matrix * matrix)
