@@ -1,3 +1,11 @@
+from .beside import Origins as Origins
+from .beside import commonality as commonality
+from .beside import of_short_waves as of_short_waves
+from .beside import origins as origins
+from .beside import partial as partial
+from .beside import without_trends as without_trends
+from .ceiling import Ceiling as Ceiling
+from .ceiling import ceiling as ceiling
 from .correlation import Correlation as Correlation
 from .correlation import PairAtSizes as PairAtSizes
 from .correlation import PairSums as PairSums
@@ -10,6 +18,8 @@ from .cross_fit import Tune as Tune
 from .cross_fit import by_shift as by_shift
 from .cross_fit import cross_fitted as cross_fitted
 from .cross_fit import searched_null as searched_null
+from .curve_of_sizes import SizeCurve as SizeCurve
+from .curve_of_sizes import size_curve as size_curve
 from .differences import Difference as Difference
 from .differences import difference_of as difference_of
 from .differences import holm as holm
@@ -17,6 +27,8 @@ from .differences import paired_difference as paired_difference
 from .lag import Lag as Lag
 from .lag import texture_lag as texture_lag
 from .lag_field import LagField as LagField
+from .octaves import Coherence as Coherence
+from .octaves import coherence as coherence
 from .params import CorrelateParams as CorrelateParams
 from .sides import SIDES as SIDES
 from .sides import SideFound as SideFound

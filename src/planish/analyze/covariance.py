@@ -33,15 +33,15 @@ class Lags:
         self.known, self.pixel_um, self.n = known, pixel_um, int(np.count_nonzero(known))
         reach = [int(_FIELD * k) for k in known.shape]
         self._size = [fft.next_fast_len(k + m, real=True) for k, m in zip(known.shape, reach, strict=True)]
-        lag_um = [np.abs(fft.fftfreq(k, 1.0 / k)) * p for k, p in zip(self._size, pixel_um, strict=True)]
-        self._inside = np.logical_and.outer(*(
-            lag <= m * p for lag, m, p in zip(lag_um, reach, pixel_um, strict=True)
+        self.lag_um = [fft.fftfreq(k, 1.0 / k) * p for k, p in zip(self._size, pixel_um, strict=True)]
+        self.inside = np.logical_and.outer(*(
+            np.abs(lag) <= m * p for lag, m, p in zip(self.lag_um, reach, pixel_um, strict=True)
         ))  # fmt: skip
-        self.distance_um = np.hypot(lag_um[0][:, None], lag_um[1])
+        self.distance_um = np.hypot(self.lag_um[0][:, None], self.lag_um[1])
         # Rings one pixel wide; the numbers of pairs are whole.
         self._ring = np.rint(self.distance_um / max(pixel_um)).astype(np.intp)
         self._mask = self.transform(known.astype(np.float64))
-        self.pairs = np.rint(self._back(np.abs(self._mask) ** 2)) * self._inside
+        self.pairs = np.rint(self._back(np.abs(self._mask) ** 2)) * self.inside
 
     def transform(self, values: Array) -> NDArray[np.complex128]:
         """Fourier transform of a map that is 0 where it is not known."""
@@ -49,13 +49,13 @@ class Lags:
 
     def products(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> Array:
         """Sums of a at a point times b at a lag from it, for every lag (wrapped, as ``pairs``)."""
-        return self._back(np.conj(a) * b) * self._inside
+        return self._back(np.conj(a) * b) * self.inside
 
     def until_zero(self, products: Array) -> Mask:
         """Lags up to the first distance at which the mean product, over all directions, changes its sign."""
-        rings = np.bincount(self._ring[self._inside], weights=products[self._inside])
+        rings = np.bincount(self._ring[self.inside], weights=products[self.inside])
         turned = np.flatnonzero(rings * (1.0 if rings[0] >= 0 else -1.0) <= 0.0)
-        return self._inside & (self._ring < turned[0]) if turned.size else self._inside
+        return self.inside & (self._ring < turned[0]) if turned.size else self.inside
 
     def covariance(self, products: Array, used: Mask) -> Array:
         """Covariance at the lags that are used, 0 at others.

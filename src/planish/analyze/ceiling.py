@@ -1,0 +1,118 @@
+"""What r a perfect relation would show: misplacement, the size of points and noise lower it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from planish.analyze.correlation import on_one_grid
+from planish.analyze.covariance import Lags
+from planish.core.errors import CannotMeasure, InputError
+
+Array = NDArray[np.float64]
+
+_QUANTILES = 16  # of the errors of a map
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ceiling:
+    """Largest r that could be seen.
+
+    Attributes
+    ----------
+    r : float
+        Product of what follows.
+    position : float
+        What misplacement leaves.
+    noise : float
+        What the noise of the map leaves; 1 where it is not known.
+    """
+
+    r: float
+    position: float
+    noise: float = 1.0
+
+    @property
+    def sentence(self) -> str:
+        """What may be said."""
+        noise = f", noise of the map {self.noise:.2f}" if self.noise < 1 else ""
+        return f"A perfect relation would show r = {self.r:.2f} here (misplacement leaves {self.position:.2f}{noise})."
+
+
+def ceiling(
+    a: NDArray[Any], *, error_um: float | NDArray[Any], mask: NDArray[np.bool_] | None = None,
+    pixel_um: float | tuple[float, float], point_um: float | None = None, reliability: float = 1.0,
+) -> Ceiling:  # fmt: skip
+    """State the r that a map would have with itself, displaced by the error of its place.
+
+    Parameters
+    ----------
+    a : ndarray, shape (rows, cols)
+        The map whose texture is compared; NaN is missing.
+    error_um : float or ndarray, shape (rows, cols)
+        Error of a place, root mean square of its length, as ``expected_error`` gives it.
+    mask : ndarray of bool, shape (rows, cols), optional
+    pixel_um : float or (float, float)
+        Along y and x.
+    point_um : float, optional
+        Size of the points that r is of; single pixels where not given.
+    reliability : float
+        Share of the map's variance, at this size of points, that is no noise.
+
+    Returns
+    -------
+    Ceiling
+
+    Raises
+    ------
+    InputError
+        If the error or the reliability is no number from 0 on, or above 1.
+    CannotMeasure
+        If the map is constant or has no valid pixel.
+
+    Notes
+    -----
+    Displaced by a random d, a map keeps the mean of its autocorrelation over d, of a Gaussian of this error; for larger
+    points the autocovariance is averaged over a point twice first. An error that varies over the map is averaged over
+    its quantiles.
+    """
+    pixel = on_one_grid(a, a, mask, pixel_um)
+    known = np.isfinite(a) if mask is None else np.isfinite(a) & mask
+    errors = np.asarray(error_um, dtype=np.float64)
+    errors = errors[known & np.isfinite(errors)] if errors.ndim else errors.reshape(1)
+    if not errors.size or not np.isfinite(errors).all() or errors.min() < 0:
+        raise InputError("The error of the places is not known. Give a number of um from 0 on, or a map of it.")
+    if not 0 < reliability <= 1:
+        raise InputError(f"The reliability is {reliability:g}. Give a share above 0, at most 1.")
+    if np.count_nonzero(known) < 3 or not np.ptp(a[known]) > 0:
+        raise CannotMeasure("The map is constant or has no valid pixel: nothing could be compared with it.")
+    lags = Lags(known, pixel)
+    moved = lags.transform(np.where(known, a - a[known].mean(), 0.0))
+    products = lags.products(moved, moved)
+    covariance = lags.covariance(products, lags.until_zero(products))
+    spectrum = np.asarray(fft.rfft2(covariance)).real
+    frequency = [fft.fftfreq(n, p) for n, p in zip(covariance.shape, pixel, strict=True)]
+    across = frequency[1][: spectrum.shape[1]]
+    if point_um is not None:
+        spectrum = spectrum * np.outer(np.sinc(frequency[0] * point_um), np.sinc(across * point_um)) ** 2
+    whole = _at_zero(spectrum, covariance.shape)
+    square = (2 * math.pi) ** 2 * (frequency[0][:, None] ** 2 + across**2)
+    quantiles = np.quantile(errors, (np.arange(_QUANTILES) + 0.5) / _QUANTILES) if errors.size > 1 else errors
+    # Along an axis the standard deviation is the error over the square root of 2.
+    left = [_at_zero(spectrum * np.exp(-(e * e / 2) * square / 2), covariance.shape) / whole for e in quantiles]
+    position = float(np.clip(np.mean(left), 0.0, 1.0))
+    return Ceiling(r=position * math.sqrt(reliability), position=position, noise=math.sqrt(reliability))
+
+
+def _at_zero(spectrum: Array, shape: tuple[int, ...]) -> float:
+    """The inverse transform at lag 0, of half a spectrum."""
+    weight = np.full(spectrum.shape[1], 2.0)
+    weight[0] = 1.0
+    if shape[1] % 2 == 0:
+        weight[-1] = 1.0
+    return float(np.sum(spectrum * weight)) / (shape[0] * shape[1])

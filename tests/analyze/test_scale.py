@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from analyze.fields import gaussian_maps, related_maps
+from planish.analyze import coherence, correlate, size_curve
+from planish.core.errors import CannotMeasure, SizeError
+
+
+def test_coherence_of_unrelated_maps_is_none():
+    rng, n = np.random.default_rng(0), 60
+    found = [coherence(*gaussian_maps(rng, (90, 120), 5.0), pixel_um=2.0) for _ in range(n)]
+    p = np.array([[band.p for band in c.bands] for c in found])
+    assert p.shape[1] == 3
+    assert (np.mean(p < 0.05, axis=0) < 0.15).all()
+    assert np.mean([[band.coherence for band in c.bands] for c in found]) == pytest.approx(0, abs=0.01)
+
+
+def test_coherence_is_that_of_the_spectra():
+    rng, r, own, other = np.random.default_rng(1), 0.7, 8.0, 2.0
+    found = [coherence(*related_maps(rng, (150, 200), own, r, noise=other), pixel_um=1.0) for _ in range(20)]
+
+    def power(f, length):
+        return length**2 / (1 + (2 * np.pi * f * length) ** 2) ** 1.5
+
+    for k, band in enumerate(found[0].bands):
+        f = np.geomspace(1 / band.longest_um, 1 / band.shortest_um, 60)
+        true = r * r * power(f, own) / (r * r * power(f, own) + (1 - r * r) * power(f, other))
+        assert np.mean([c.bands[k].coherence for c in found]) == pytest.approx(
+            np.average(true, weights=f * f), abs=0.03
+        )
+
+
+def test_a_blurred_map_has_a_gain_that_falls_and_no_phase():
+    a = np.random.default_rng(2).normal(size=(120, 160))
+    b = -3 * ndimage.gaussian_filter(a, 1.5, mode="wrap")
+    bands = coherence(a, b, pixel_um=5.0).bands
+    assert bands[0].gain == pytest.approx(-3, abs=0.4)
+    assert [abs(k.gain) for k in bands] == sorted((abs(k.gain) for k in bands), reverse=True)
+    assert abs(bands[-1].gain) < 0.7
+    assert all(abs(abs(k.phase_deg) - 180) < 5 for k in bands)
+    assert bands[0].coherence > 0.98
+
+
+def test_what_is_missing_does_not_count():
+    rng = np.random.default_rng(3)
+    a, b = related_maps(rng, (90, 120), 5.0, 0.7)
+    known = np.ones(a.shape, bool)
+    known[30:50, 40:70] = False
+    one = coherence(np.where(known, a, np.nan), b, pixel_um=1.0)
+    two = coherence(a, np.where(known, b, 1e9), mask=known, pixel_um=1.0)
+    assert one == two
+    assert one.bands[1].coherence == pytest.approx(0.49, abs=0.15)
+
+
+def test_a_field_without_octaves_is_refused():
+    with pytest.raises(CannotMeasure, match="larger map"):
+        coherence(np.ones((6, 6)), np.ones((6, 6)), pixel_um=1.0)
+
+
+def test_the_curve_of_sizes_holds_the_rows_and_a_wider_band():
+    a, b = related_maps(np.random.default_rng(4), (90, 120), 5.0, 0.6)
+    curve = size_curve(a, b, pixel_um=2.0)
+    assert [row.support_um for row in curve.rows] == pytest.approx([2 * 2 ** (k / 2) for k in range(7)])
+    assert curve.rows[2].r == correlate(a, b, pixel_um=2.0, point_um=4.0).r
+    for row, (low, high) in zip(curve.rows, curve.band, strict=True):
+        assert low < row.interval[0] < row.r < row.interval[1] < high
+    wider = [(np.arctanh(high) - np.arctanh(low)) / (np.arctanh(row.interval[1]) - np.arctanh(row.interval[0]))
+             for row, (low, high) in zip(curve.rows, curve.band, strict=True)]  # fmt: skip
+    assert wider == pytest.approx([wider[0]] * len(wider))
+    assert 1.02 < wider[0] < 1.4
+
+
+def test_one_size_needs_no_wider_band():
+    a, b = related_maps(np.random.default_rng(5), (60, 80), 4.0, 0.6)
+    curve = size_curve(a, b, pixel_um=2.0, sizes_um=[10.0])
+    assert curve.band[0] == pytest.approx(curve.rows[0].interval)
+
+
+def test_sizes_below_the_pixel_are_refused():
+    with pytest.raises(SizeError, match="smaller than a pixel"):
+        size_curve(np.ones((60, 80)), np.ones((60, 80)), pixel_um=2.0, sizes_um=[1.0, 5.0])
