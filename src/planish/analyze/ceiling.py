@@ -54,8 +54,9 @@ def ceiling(
     ----------
     a : ndarray, shape (rows, cols)
         The map whose texture is compared; NaN is missing.
-    error_um : float or ndarray, shape (rows, cols)
-        Error of a place, root mean square of its length, as ``expected_error`` gives it.
+    error_um : float or ndarray
+        Error of a place, root mean square of its length, as ``expected_error`` gives it: one, a map of it (rows, cols),
+        or any number of values that stand for such a map.
     mask : ndarray of bool, shape (rows, cols), optional
     pixel_um : float or (float, float)
         Along y and x.
@@ -84,7 +85,7 @@ def ceiling(
     pixel = on_one_grid(a, a, mask, pixel_um)
     known = np.isfinite(a) if mask is None else np.isfinite(a) & mask
     errors = np.asarray(error_um, dtype=np.float64)
-    errors = errors[known & np.isfinite(errors)] if errors.ndim else errors.reshape(1)
+    errors = errors[known & np.isfinite(errors)] if errors.shape == known.shape else errors.ravel()
     if not errors.size or not np.isfinite(errors).all() or errors.min() < 0:
         raise InputError("The error of the places is not known. Give a number of um from 0 on, or a map of it.")
     if not 0 < reliability <= 1:

@@ -111,7 +111,7 @@ def _by_tiles(points: list[Array], r: float) -> Array:
     side = min(known.shape) / _TILES
     tiles = [np.minimum((np.arange(n) + 0.5) / side, max(round(n / side), 1) - 0.5).astype(int) for n in known.shape]
     number = tiles[0][:, None] * (int(tiles[1].max()) + 1) + tiles[1]
-    return np.bincount(number.ravel(), weights=added.ravel())
+    return np.bincount(number.ravel(), weights=added.ravel()).astype(np.float64)
 
 
 def _wider(parts: list[Array]) -> float:

@@ -9,4 +9,7 @@ class CorrelateParams(Params):
     """Point-wise correlation of two maps."""
 
     point_um: float = option(100.0, gt=0, help="Edge of the averaging square (point) in um.")
+    headline: str | None = option(
+        None, metavar="NAME", help="Map whose correlation leads; the coating of the given side, where not given."
+    )
     thin_um: float = option(5.0, gt=0, cli=None, help="Coating thickness in um below which the page outlines it.")

@@ -429,6 +429,49 @@ class ComparisonRow(_Statement):
     difference_interval: KnownPair = Field(None, description="In which the difference lies with 95 %.")
 
 
+class SizeFacts(Facts):
+    """Correlation over points of one size, as one of many."""
+
+    point_um: float
+    n: int
+    r: Number
+    n_eff: Number
+    interval: KnownPair = Field(description="In which this r lies with 95 %.")
+    band: KnownPair = Field(None, description="In which the r of all sizes lie together with 95 %.")
+
+
+class BandFacts(Facts):
+    """What two maps have in common in one octave of wavelengths."""
+
+    shortest_um: float
+    longest_um: float
+    coherence: Number = Field(description="Squared, put right for chance; a little below 0 where there is nothing.")
+    p_of_bands: Number = Field(description="p of all octaves together, after Sidak.")
+    phase_deg: Number
+    gain: Number = Field(description="Change of b per change of a, with its sign.")
+    modes: Number = Field(description="Independent waves.")
+
+
+class EvidenceFacts(Facts):
+    """What stands beside the correlation of the maps that stand for two layers."""
+
+    a: str
+    a_map: str
+    b: str
+    b_map: str
+    declared: bool = Field(description="Whether the study named the map before r was looked at.")
+    sizes: tuple[SizeFacts, ...] = ()
+    bands: tuple[BandFacts, ...] = ()
+    resolution_per_um: Number = Field(None, description="Waves closer in frequency than this are not told apart.")
+    origins: tuple[float, float, float] | None = Field(
+        None, description="Least, mean and largest r over grids of points that begin elsewhere."
+    )
+    short_waves: SizeFacts | None = Field(None, description="Without waves above short_waves_um.")
+    short_waves_um: Number = None
+    ceiling: Number = Field(None, description="The r that a perfect relation would show, by misplacement alone.")
+    ceiling_sentence: str | None = None
+
+
 class LinkedArea(Facts):
     """How much of the reference shows all layers, and how much of that is valid."""
 
@@ -480,6 +523,7 @@ class Results(Facts):
     chain: bool = False
     correlations: tuple[CorrelationRow, ...] = ()
     comparison: tuple[ComparisonRow, ...] = ()
+    evidence: tuple[EvidenceFacts, ...] = ()
     linked: LinkedArea | None = None
     refinement: RefinementFacts | None = None
     checks: tuple[Check, ...]

@@ -217,7 +217,11 @@ def with_trust(results: Results) -> Results:
         row.model_copy(update=_marks(_of_pair(both, (row.property,), results.checks), row))
         for row in results.comparison
     ]
-    return results.model_copy(update={"layers": layers, "correlations": rows, "comparison": tuple(comparison)})
+    withheld = {(row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"}
+    evidence = tuple(e for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) not in withheld)
+    return results.model_copy(
+        update={"layers": layers, "correlations": rows, "comparison": tuple(comparison), "evidence": evidence}
+    )
 
 
 def rows_with_trust(rows: Iterable[CorrelationRow], checks: Sequence[Check]) -> tuple[CorrelationRow, ...]:

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from planish.analyze import CorrelateParams, PairAtSizes, PairSums, holm, paired_difference
 from planish.core.bands import any_finite, band_of, bands
-from planish.core.errors import MarkError
+from planish.core.errors import InputError, MarkError
 from planish.core.grid import Grid, pitch, values_at
 from planish.core.results import ComparisonRow, CorrelationRow, Side
 from planish.measure import PROPERTIES
+from planish.pipeline.evidence import CELLS
 from planish.register import FittedTransform, fit_transform
 from planish.resample import Mesh, resample
 
-_CELLS = 2**16  # of a map, by which the independent points of a row are counted
 _LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
 WAYS = (
     ("projection, no scale", ("projected_u", "projected_v"), "rigid"),
@@ -78,7 +78,7 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     sheets = all("image" not in n for n in names)
     pairs = [(n, n) for n in names[0] if n in names[1]] if sheets else [(m, n) for m in names[0] for n in names[1]]
     grid = Grid.of(first)
-    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=_CELLS) for _ in pairs]
+    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in pairs]
     for rows in bands(grid.shape[0]):
         valid = band_of(first["valid"], rows) & band_of(second["valid"], rows)
         p, q = (
@@ -129,7 +129,7 @@ def comparison_rows(
         uv = np.stack([sheet["flat"][axis].values for axis in names], axis=-1)
         ways.append((title, way.rms_um, Mesh.of(way.transform(uv), least_um=min(pitch(measured)))))
     ways.append((f"flattened, {fit.model}", fit.rms_um, None))
-    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=_CELLS) for _ in ways]
+    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in ways]
     for rows in bands(grid.shape[0]):
         part, image = grid.part(rows), band_of(linked["image"], rows)
         use, values = band_of(linked["valid"], rows), list[NDArray[Any]]()
@@ -159,9 +159,19 @@ def comparison_rows(
             )
 
 
-def headline_of(maps: xr.Dataset, side: Side = "top") -> str:
-    """The map that stands for a layer: an image itself, the coating of the side that is seen, or the thickness."""
+def headline_of(maps: xr.Dataset, side: Side = "top", wanted: str | None = None) -> str:
+    """The map that stands for a layer: an image itself, what the study names, the coating that is seen, the thickness.
+
+    Raises
+    ------
+    InputError
+        If the study names a map that the sheet does not have.
+    """
     if "thickness" not in maps:
         return "image"
+    if wanted is not None:
+        if wanted not in maps:
+            raise InputError(f"The sheet has no map {wanted!r} to lead. It has {', '.join(_maps_to_correlate(maps))}.")
+        return wanted
     coating = f"coating_{side}"
     return coating if any_finite(maps[coating]) else "thickness"

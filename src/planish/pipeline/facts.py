@@ -131,13 +131,16 @@ def flatten_facts(flattened: Flattened) -> FlattenFacts:
 
 
 def layer_facts(
-    layer: Layer, maps: xr.Dataset, link: Link | None, side: Side, lag: LagFacts | None
+    layer: Layer, maps: xr.Dataset, link: Link | None, side: Side, lag: LagFacts | None, headline: str | None
 ) -> LayerFacts:  # fmt: skip
-    """What a layer is, how much of the reference it covers, and how it was registered; ``side`` is that which shows."""
+    """What a layer is, how much of the reference it covers, and how it was registered.
+
+    ``side`` is that which shows, ``headline`` the map of sheets that the study names.
+    """
     shown = maps["volume_z" if layer.kind == "sheet" else "image"]
     known = sum(int(np.count_nonzero(np.isfinite(band_of(shown, rows)))) for rows in bands(shown.shape[0]))
     return LayerFacts(
-        name=layer.name, kind=layer.kind, source=layer.source, headline=headline_of(maps, side),
+        name=layer.name, kind=layer.kind, source=layer.source, headline=headline_of(maps, side, headline),
         share_of_reference=known / shown.size, sheet=layer.facts,
         registration=None if link is None else _registration_facts(layer, link, maps, lag),
     )  # fmt: skip

@@ -25,6 +25,7 @@ from planish.io.params import HOW_IMAGES_ARE_READ
 from planish.marks import check_holes
 from planish.pipeline.checks import about, alone_check, area_check, field_check, registration_checks, with_trust
 from planish.pipeline.compare import comparison_rows, correlate_layers
+from planish.pipeline.evidence import evidence_of
 from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, parameters, versions
 from planish.pipeline.layers import Layer
 from planish.pipeline.onto import Away, bring, hole_circles
@@ -156,7 +157,9 @@ def _gathered(
         maps[a.name], maps[b.name], (a.name, b.name), side=_side_of(a, b), given=_side_given(a, b)
     ) for a, b in pairs if a.kind != b.kind or a.side == b.side}  # fmt: skip
     facts = [
-        layer_facts(layer, maps[layer.name], links.get(layer.name), _side_of(layer, reference), lag)
+        layer_facts(
+            layer, maps[layer.name], links.get(layer.name), _side_of(layer, reference), lag, study.correlate.headline
+        )
         for layer in layers
         for found in [textures.get((layer.name, reference.name))]
         for lag in [found.lag if found else None]
@@ -170,7 +173,12 @@ def _gathered(
         # Where two layers lie is judged where one of them is the reference.
         checks += about(found.checks if b == reference.name else found.checks[:1], a, b)
     groups = {f"layers/{name}": data for name, data in maps.items()}
-    more: dict[str, Any] = {}
+    declared = study.correlate.headline is not None
+    led = [
+        evidence_of(maps, one, facts[-1], point_um=point_um, declared=declared)
+        for one in facts[:-1] if one.headline in maps[one.name]
+    ]  # fmt: skip
+    more: dict[str, Any] = {"evidence": tuple(one for one in led if one is not None)}
     if study.is_sheet_on_image:
         sheet, link = layers[0], links[layers[0].name]
         linked = sink.group(LINKED)

@@ -9,7 +9,7 @@ from planish.compute import Compute
 from planish.core.errors import InputError, ResourceError
 from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import pixels_of
-from planish.measure import check_maps
+from planish.measure import PROPERTIES, check_maps
 from planish.pipeline.registration import read_design
 from planish.study import Study
 
@@ -26,7 +26,8 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
     CannotMeasure
         If a further map is unknown or needs a number that is not given.
     InputError
-        If further maps of labels are asked for, or the pattern of the holes cannot be read.
+        If further maps of labels are asked for, a map is to lead that there will not be, or the pattern of the holes
+        cannot be read.
     FileError
         If an image cannot be opened.
     ResourceError
@@ -40,6 +41,12 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
                 "Further maps are measured in grey values; a volume of labels has none. Leave --property out."
             )
         check_maps(layer.properties)
+        headline, known = study.correlate.headline, {*PROPERTIES, *layer.properties.maps}
+        if headline is not None and headline not in known:
+            raise InputError(
+                f"--headline {headline}: there will be no such map. Give one of {', '.join(sorted(known))}, or ask "
+                f"for it with --property {headline} as well."
+            )
     read_design(study.registration)
     for layer in study.layers:
         if layer.image is not None:

@@ -6,6 +6,7 @@ Text and lines stay sharp on screen and paper; the same numbers give the same by
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import NamedTuple, TypedDict, Unpack
@@ -236,11 +237,17 @@ class Canvas(Axes):
             else:
                 self._tick(left + width, top + (1 - share) * height, 1, 0, text)
 
-    def ticks(self, axes: Axes, x_label: str, y_label: str, *, log: bool = False) -> None:
-        """Draw the left and the lower axis with round numbers and labels; ``log``: y holds powers of ten."""
+    def ticks(
+        self, axes: Axes, x_label: str, y_label: str, *, log: bool = False,
+        across: Sequence[tuple[float, str]] | None = None,
+    ) -> None:  # fmt: skip
+        """Draw the left and the lower axis with round numbers and labels.
+
+        ``log``: y holds powers of ten; ``across``: places and texts of the ticks along x.
+        """
         left, bottom, (x0, x1, y0, y1) = axes.left, axes.top + axes.height, axes.extent
         self.line([(left, axes.top), (left, bottom), (left + axes.width, bottom)], colour=SOFT, width=0.8)
-        for value, text in _ticks(x0, x1, most=axes.width / 62):
+        for value, text in _ticks(x0, x1, most=axes.width / 62) if across is None else across:
             self._tick(left + axes.place((value, y0))[0, 0], bottom, 0, 1, text)
         found = _ticks(y0, y1, most=axes.height / 44, log=log)
         for value, text in found:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planish.core.files import write_whole
 from planish.core.results import LayerFacts, RegistrationFacts, Results
-from planish.report import flattening, maps, registration, relation, slices, statement, summary, tables, text
+from planish.report import flattening, maps, registration, relation, scale, slices, statement, summary, tables, text
 from planish.report.draw import FULL, HALF, Picture
 from planish.report.groups import Groups
 
@@ -81,7 +81,7 @@ def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Da
         summary=summary, statement=statement, text=text,
         sheets=[s for layer in results.layers if (s := _sheet(data, layer))],
         blocks=[b for layer in results.moving if (b := _block(layer, data.drawn, marks.get(layer.name), results))],
-        pairs=_pairs(data.linked, results, data.titles),
+        pairs=_pairs(data.linked, results, data.titles), scales=_scales(results, data.titles), scale=scale,
     )  # fmt: skip
     return f"{page}\n"
 
@@ -196,6 +196,16 @@ def _pairs(linked: Mapping[str, xr.Dataset], results: Results, titles: summary.T
             names = (f"{names[0]}, {row.a}", f"{names[1]}, {row.b}")
         valid = [data["valid"] for data in (a, b) if "valid" in data]
         out.append(relation.draw_pair(a[row.a_map], b[row.b_map], rows, names=names, valid=valid))
+    return out
+
+
+def _scales(results: Results, titles: summary.Titles) -> list[Picture]:
+    """Draw at which scale the maps that stand for each layer and the reference go together."""
+    out: list[Picture] = []
+    for found in results.evidence:
+        if found.sizes or found.bands:
+            names = (text.in_words(titles.get(key, key[1])) for key in ((found.a, found.a_map), (found.b, found.b_map)))
+            out.append(scale.draw_scale(found, names=(next(names), next(names))))
     return out
 
 

@@ -61,7 +61,7 @@ def points_text(row: Row | None) -> str:
     """Write the points, and how many of them are independent."""
     if row is None:
         return NONE
-    return count(row.n) if row.n_eff is None else f"{count(row.n)}\n{count(round(row.n_eff))} independent"
+    return count(row.n) if row.n_eff is None else f"{count(row.n)}\n{count(round(row.n_eff))}"
 
 
 def _of_r(row: Row) -> int:

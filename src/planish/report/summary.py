@@ -176,6 +176,18 @@ def _relation(rows: list[CorrelationRow], results: Results, titles: Titles) -> s
     return f"{what} is {words[row.direction < 0]} where {than} is larger: {limits}"
 
 
+def declared(results: Results) -> str:
+    """Say whether the map that leads was named before r was looked at; empty where nothing leads."""
+    if not results.evidence or all(layer.headline == "image" for layer in results.layers):
+        return ""
+    if results.evidence[0].declared:
+        return "The map that leads was declared in the study, before r was looked at."
+    return (
+        "The map that leads is the usual one, the coating that is seen or else the thickness; the study declared none. "
+        "No map was chosen by its r."
+    )
+
+
 def _difference(row: CorrelationRow, titles: Titles) -> str:
     """State the difference of two maps of the same quantity; empty where it is not known."""
     if not row.same_quantity or row.difference_mean is None or row.limits is None:

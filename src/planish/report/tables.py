@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, cast
 from planish.core.results import ComparisonRow, CorrelationRow, Results, SurfaceFacts
 from planish.core.status import Status
 from planish.report.relation import largest, written_difference
-from planish.report.statement import limits_text, r2_text
+from planish.report.statement import limits_text, r_text
 from planish.report.summary import Titles, by_pair, headline_pair
 from planish.report.text import NONE, capital, fixed, in_words, number, plain, unit
 
@@ -73,9 +73,7 @@ def comparison_sentence(results: Results) -> str:
     if not flat or not others:
         return ""
     best = max(others, key=lambda row: row.r2 or 0.0)
-    text = (
-        f"Over points of {plain(best.point_um)}, r² is {r2_text(flat[-1])} flattened and {r2_text(best)} by the better "
-    )
+    text = f"Over points of {plain(best.point_um)}, r is {r_text(flat[-1])} flattened and {r_text(best)} by the better "
     text += f"projection ({best.registration})"
     if best.difference is None or best.difference_interval is None:
         return f"{text}; whether they differ cannot be told."

@@ -1,0 +1,107 @@
+"""At which scale two maps go together: correlation against the size of points, and coherence against wavelength."""
+
+from __future__ import annotations
+
+import math
+
+from planish.core.results import EvidenceFacts
+from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture
+from planish.report.text import REGISTERED, capital, count, fixed, plain
+
+_TOP, _HIGH, _WIDE = 40.0, 250.0, 400.0
+_LEFT, _RIGHT = 85.0, 635.0
+
+
+def draw_scale(found: EvidenceFacts, *, names: tuple[str, str]) -> Picture:
+    """Draw r against the size of points with the band that holds the whole curve, and coherence by octaves."""
+    canvas = Canvas(FULL, 360)
+    _curve(canvas, found)
+    _octaves(canvas, found)
+    n = found.sizes[0].n if found.sizes else 0
+    return canvas.picture(
+        title=f"At which scale {names[0]} and {names[1]} go together",
+        caption=(
+            "Left, correlation over points of growing size; lines, the 95 % interval of each size by itself; shaded, "
+            "the band that holds the whole curve with 95 %. Right, squared coherence by octaves of wavelength, put "
+            "right for chance, with a full dot where it is certain among all octaves (p below 0.05 after Šidák); gain, "
+            "change of the second map per change of the first in the octave. Larger points average noise away, so r "
+            "may rise although nothing more is explained; coherence is of each octave alone. "
+            f"n = {count(n)} at the smallest size. Mask: measured, without holes and rims. {capital(REGISTERED)}."
+        ),
+    )
+
+
+def _curve(canvas: Canvas, found: EvidenceFacts) -> None:
+    rows = [row for row in found.sizes if row.r is not None]
+    if not rows:
+        return
+    ends = [v for row in rows for v in (*(row.band or ()), row.r or 0.0)]
+    low, high = min(0.0, *ends), max(0.0, *ends)
+    room = 0.06 * (high - low) or 0.1
+    sizes = [math.log10(row.point_um) for row in rows]
+    axes = canvas.axes(_LEFT, _TOP, _WIDE, _HIGH, (sizes[0] - 0.05, sizes[-1] + 0.05, low - room, high + room))
+    axes.line([(sizes[0] - 0.05, 0.0), (sizes[-1] + 0.05, 0.0)], colour=SOFT, width=0.8)
+    held = [(at, row.band) for at, row in zip(sizes, rows, strict=True) if row.band]
+    if len(held) > 1:
+        axes.area([(at, b[0]) for at, b in held] + [(at, b[1]) for at, b in reversed(held)], colour=POINT, opacity=0.2)
+    for at, row in zip(sizes, rows, strict=True):
+        if row.interval:
+            axes.line([(at, row.interval[0]), (at, row.interval[1])], colour=POINT, width=1.4)
+    points = [(at, row.r or 0.0) for at, row in zip(sizes, rows, strict=True)]
+    axes.line(points, colour=ACCENT, width=2.2)
+    axes.dots(points, colour=ACCENT, size=5)
+    _powers(canvas, axes, "size of a point / µm", "r")
+
+
+def _octaves(canvas: Canvas, found: EvidenceFacts) -> None:
+    if not found.bands:
+        return
+    edges = [math.log10(v) for band in found.bands for v in (band.shortest_um, band.longest_um)]
+    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (min(edges) - 0.03, max(edges) + 0.03, -0.05, 1.02))
+    axes.line([(min(edges) - 0.03, 0.0), (max(edges) + 0.03, 0.0)], colour=SOFT, width=0.8)
+    for band in found.bands:
+        if band.coherence is None:
+            continue
+        left, right = math.log10(band.shortest_um), math.log10(band.longest_um)
+        axes.line([(left, band.coherence), (right, band.coherence)], colour=ACCENT, width=2.2)
+        certain = band.p_of_bands is not None and band.p_of_bands < 0.05
+        middle = [((left + right) / 2, band.coherence)]
+        axes.dots(middle, colour=ACCENT, size=8)
+        if not certain:
+            axes.dots(middle, colour="white", size=5)
+        if band.gain is not None:
+            gain = f"gain {fixed(band.gain, 1) if abs(band.gain) >= 1 else fixed(band.gain, 2)}"
+            axes.text((left + right) / 2, band.coherence, gain, anchor="middle", shift=(0, -9), size=11)
+    _powers(canvas, axes, "wavelength / µm", "squared coherence")
+
+
+def _powers(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
+    """Draw axes whose x holds powers of ten, with round lengths at the ticks."""
+    x0, x1 = axes.extent[:2]
+    rounds = [m * 10**k for k in range(-1, 6) for m in (1, 2, 5)]
+    places = [(math.log10(v), f"{v:g}") for v in rounds if x0 <= math.log10(v) <= x1]
+    canvas.ticks(axes, x_label, y_label, across=places)
+
+
+def sentences(found: EvidenceFacts, point_um: float) -> list[str]:
+    """What is said beside the correlation that leads."""
+    out: list[str] = []
+    if found.origins:
+        least, mean, largest = found.origins
+        out.append(
+            f"Where the grid of points of {plain(point_um)} begins is arbitrary: over 16 origins r is {fixed(mean, 2)} "
+            f"on average, from {fixed(least, 2)} to {fixed(largest, 2)}."
+        )
+    short = found.short_waves
+    if short and short.r is not None and short.interval and found.short_waves_um:
+        low, high = (fixed(v, 2) for v in short.interval)
+        out.append(
+            f"Waves below {plain(round(found.short_waves_um, -1))} alone: r = {fixed(short.r, 2)} (95 %: {low} to "
+            f"{high}; {count(round(short.n_eff or 0))} independent points). This says nothing of longer waves."
+        )
+    if found.ceiling_sentence:
+        rests = (
+            "It rests on the expected error of the registration and the texture of the map; noise lowers it further."
+        )
+        out.append(f"{found.ceiling_sentence} {rests}")
+    return out

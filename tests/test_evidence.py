@@ -1,0 +1,136 @@
+"""What a link says of its correlations: independent points, intervals, scales, what could be seen."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from planish.analyze import correlate
+from planish.core.results import LayerFacts, Results
+from planish.pipeline.compare import correlate_layers, headline_of
+from planish.pipeline.evidence import evidence_of
+
+
+@pytest.fixture(scope="module")
+def results(linked_run):
+    return Results.model_validate_json((linked_run / "results.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def linked(linked_run):
+    return xr.open_zarr(linked_run / "maps.zarr", group="linked", consolidated=False).load()
+
+
+def test_a_row_is_what_the_function_says_of_the_maps(results, linked):
+    row = next(r for r in results.correlations if r.a_map == "coating_top" and r.point_um == 100)
+    valid = linked["valid"].values.astype(bool)
+    pixel = tuple(float(np.diff(linked[k].values[:2])[0]) for k in "yx")
+    found = correlate(
+        linked["coating_top"].values.astype(float), linked["image"].values.astype(float), mask=valid, pixel_um=pixel,
+        point_um=100.0,
+    )  # fmt: skip
+    assert (row.n, row.r, row.n_eff) == pytest.approx((found.n, found.r, found.n_eff), nan_ok=True)
+    assert row.warnings == found.warnings
+
+
+def test_rows_of_a_table_share_one_p(results):
+    for size in {r.point_um for r in results.correlations}:
+        rows = [r for r in results.correlations if r.point_um == size and r.p is not None]
+        assert all(r.p_of_table >= r.p for r in rows)
+    some = [r for r in results.correlations if r.p is not None]
+    assert some
+    assert all(r.interval[0] < r.r < r.interval[1] for r in some)
+
+
+def test_registrations_are_compared_on_the_same_pixels(results):
+    at_pixel = [r for r in results.comparison if r.point_um == results.comparison[0].point_um]
+    assert len(at_pixel) >= 3
+    assert len({r.n for r in at_pixel}) == 1
+    assert at_pixel[-1].difference is None
+    for row in at_pixel[:-1]:
+        assert row.difference == pytest.approx(at_pixel[-1].r - row.r)
+        assert row.difference_interval[0] <= row.difference <= row.difference_interval[1]
+
+
+def test_the_headline_has_its_scales_and_ceiling(results):
+    (found,) = results.evidence
+    assert (found.a_map, found.b_map, found.declared) == ("coating_top", "image", False)
+    assert len(found.sizes) >= 4
+    assert len(found.bands) >= 2
+    for row in found.sizes:
+        if row.band is not None:
+            assert row.band[0] < row.interval[0] < row.r < row.interval[1] < row.band[1]
+    assert 0.9 < found.ceiling <= 1
+
+
+def test_the_page_says_who_named_the_headline(linked_run):
+    page = (linked_run / "report.html").read_text(encoding="utf-8")
+    assert "the study declared none" in page
+    assert "At which scale coating thickness (top side) and" in page
+    assert "<script" not in page
+
+
+def test_a_headline_that_will_not_be_is_refused_before_the_volume_is_read(planish, specimen_files, tmp_path):
+    code, _, said = planish("link", *specimen_files, "--out", tmp_path / "run", "--headline", "coating_topp")
+    assert code == 3
+    assert "coating_top," in said
+    assert "read:" not in said
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.study
+def test_a_declared_headline_leads(planish, specimen_files, tmp_path):
+    assert planish("link", *specimen_files, "--out", tmp_path / "run", "--headline", "base_thickness")[0] in (0, 4)
+    facts = json.loads((tmp_path / "run" / "results.json").read_text(encoding="utf-8"))
+    assert facts["evidence"][0]["a_map"] == "base_thickness"
+    assert facts["evidence"][0]["declared"] is True
+    assert "declared in the study, before r" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+
+
+def drawn(seed=0, shape=(120, 160)):
+    rng = np.random.default_rng(seed)
+    coords = {"y": 5.0 * np.arange(shape[0]), "x": 5.0 * np.arange(shape[1])}
+    um = {"units": "um", "role": "property"}
+    sheet = xr.Dataset(
+        {
+            "coating_top": (("y", "x"), rng.normal(size=shape), um),
+            "thickness": (("y", "x"), rng.normal(size=shape), um),
+            "valid": (("y", "x"), np.ones(shape, bool)),
+        },
+        coords,
+    )
+    image = xr.Dataset({"image": (("y", "x"), rng.normal(size=shape)), "valid": sheet["valid"]}, coords)
+    return {"sheet": sheet, "image": image}
+
+
+def facts_of(name, headline):
+    source = {"name": "n", "shape": (1,), "dtype": "u1", "bytes": 1, "sha256": "", "size_um": (1.0,), "size_source": ""}
+    return LayerFacts.model_validate({
+        "name": name, "kind": "sheet" if name == "sheet" else "image", "source": source, "headline": headline,
+    })  # fmt: skip
+
+
+def test_unrelated_noise_says_nothing_at_any_scale():
+    maps = drawn()
+    assert all(row.p_of_table > 0.05 for row in correlate_layers("sheet", "image", maps, 100.0))
+    found = evidence_of(maps, facts_of("sheet", "coating_top"), facts_of("image", "image"), point_um=50, declared=True)
+    assert all(row.band[0] < 0 < row.band[1] for row in found.sizes if row.band)
+    assert all(band.p_of_bands > 0.01 for band in found.bands)
+    assert found.ceiling is None
+    assert found.declared
+
+
+def test_a_constant_map_has_no_evidence():
+    maps = drawn()
+    maps["sheet"]["coating_top"][:] = 3.0
+    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    assert evidence_of(maps, *given, point_um=50, declared=False) is None
+
+
+def test_a_map_that_the_sheet_lacks_cannot_lead():
+    from planish.core.errors import InputError
+
+    with pytest.raises(InputError, match="no map 'gloss'"):
+        headline_of(drawn()["sheet"], "top", "gloss")
+    assert headline_of(drawn()["image"], "top", "gloss") == "image"
