@@ -7,6 +7,7 @@ import sys
 from benchmarks import (
     artefacts,
     errors,
+    evidence,
     faces,
     flattening,
     fuzz,
@@ -48,6 +49,7 @@ _MODULES = (
     right,
     through_scale,
     errors,
+    evidence,
     fuzz,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}

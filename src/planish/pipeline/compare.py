@@ -144,16 +144,19 @@ def comparison_rows(
         use = np.logical_and.reduce([use, *(np.isfinite(v) for v in values)])
         for one, own in zip(sums, values, strict=True):
             one.add(rows.start, np.where(use, own, np.nan), image)
-    own_cells, cell_um = sums[-1].cells()
+    (own_cells, cell_um), own_r = sums[-1].cells(), [found.r for found, _ in sums[-1].sizes()]
     own_points = sums[-1].points()
     for (title, rms_um, _), one in zip(ways, sums, strict=True):
         at_pixel, at_points = (found for found, _ in one.sizes())
         pairs = (one.cells()[0], own_cells, cell_um), (one.points(), own_points, (point_um, point_um))
-        for found, (pair, own, pixel_um) in zip((at_pixel, at_points), pairs, strict=True):
+        for found, r, (pair, own, pixel_um) in zip((at_pixel, at_points), own_r, pairs, strict=True):
             more: dict[str, Any] = {}
             if one is not sums[-1] and found.n:
                 apart = paired_difference((pair[0], pair[1]), (own[0], own[1]), pixel_um=pixel_um)
-                more = {"difference": apart.difference, "difference_interval": apart.interval}
+                # The interval is told from cells, which may be larger than the pixels that r is of.
+                moved = r - found.r - apart.difference
+                low, high = (v + moved for v in apart.interval)
+                more = {"difference": r - found.r, "difference_interval": (low, high)}
             yield ComparisonRow.of(
                 found, registration=title, property=name, marks_rms_um=rms_um, point_um=found.support_um, **more
             )

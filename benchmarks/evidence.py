@@ -1,0 +1,259 @@
+"""What the statistics of correlations promise, on random maps whose covariance is known.
+
+``python -m benchmarks evidence [PAIRS] [RUN]``
+
+Gaussian maps of 150 x 200 pixels unless said; lengths are the 1/e lengths of the correlation, as shares of the shorter
+side. ``RUN`` is the folder of a link, whose maps are then compared with drawn images that have nothing to do with it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from resource import RUSAGE_SELF, getrusage
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft, stats
+
+from planish.analyze import coherence, correlate, paired_difference, size_curve
+from planish.analyze.covariance import Lags
+from planish.pipeline.compare import correlate_layers
+
+Array = NDArray[np.float64]
+Maps = tuple[Array, Array]
+
+SHAPE, SIDE = (150, 200), 150
+_CHUNK = 25
+
+
+def field(rng: np.random.Generator, shape: tuple[int, int], length: float | tuple[float, float], kind: str) -> Maps:
+    """Two unrelated maps of variance 1 and correlation exp(-h / length), or exp(-(h / length)^2), by embedding."""
+    down, across = length if isinstance(length, tuple) else (length, length)
+    size = [fft.next_fast_len(2 * n) for n in shape]
+    lags = [np.abs(fft.fftfreq(n, 1 / n)) for n in size]
+    h = np.hypot(lags[0][:, None] / down, lags[1] / across)
+    power = np.maximum(np.asarray(fft.fft2(np.exp(-h) if kind == "exp" else np.exp(-h * h))).real, 0.0)
+    noise = rng.normal(size=size) + 1j * rng.normal(size=size)
+    both = np.asarray(fft.fft2(np.sqrt(power / power.size) * noise))[: shape[0], : shape[1]]
+    return both.real.copy(), both.imag.copy()
+
+
+def related(
+    rng: np.random.Generator, r: float, length: float | tuple[float, float], noise: float | None = None,
+    kind: str = "exp", shape: tuple[int, int] = SHAPE,
+) -> Maps:  # fmt: skip
+    """Two maps of correlation r; what the second does not share with the first has its own length."""
+    a, rest = field(rng, shape, length, kind)
+    if noise is not None:
+        rest = field(rng, shape, noise, kind)[0]
+    return a, r * a + math.sqrt(1 - r * r) * rest
+
+
+def with_nugget(rng: np.random.Generator, r: float, length: float) -> Maps:
+    """Maps of correlation r, 40 % of whose variance is noise of single pixels."""
+    a, b = related(rng, r / 0.6, length)
+    return tuple(math.sqrt(0.6) * m + math.sqrt(0.4) * rng.normal(size=SHAPE) for m in (a, b))  # type: ignore[return-value]
+
+
+def lognormal(rng: np.random.Generator, r: float, length: float) -> Maps:
+    """Exponentials of 0.6 times Gaussian maps, with the correlation r of the exponentials."""
+    s = 0.36
+    a, b = related(rng, math.log(1 + r * (math.exp(s) - 1)) / s, length)
+    return np.exp(0.6 * a), np.exp(0.6 * b)
+
+
+def with_holes(rng: np.random.Generator, r: float, length: float) -> Maps:
+    """Maps with holes, their rims and a border missing."""
+    a, b = related(rng, r, length)
+    rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    for y in (20, 60, 110, 130):
+        for x in (20, 80, 150, 180):
+            a[np.hypot(rows - y, cols - x) < 12] = np.nan
+    a[:6], b[:, -6:] = np.nan, np.nan
+    return a, b
+
+
+def exact_n_eff(length: float | tuple[float, float], kind: str = "exp") -> float:
+    """Dutilleul's number by the true covariance at every lag."""
+    known = np.ones(SHAPE, bool)
+    lags = Lags(known, (1.0, 1.0))
+    down, across = length if isinstance(length, tuple) else (length, length)
+    size = [2 * n - 1 for n in SHAPE]
+    at = [fft.fftfreq(n, 1 / n) for n in size]
+    h = np.hypot(at[0][:, None] / down, at[1] / across)
+    c = np.exp(-h) if kind == "exp" else np.exp(-h * h)
+    pairs = np.outer(*(n - np.abs(k) for n, k in zip(SHAPE, at, strict=True)))
+    rows = np.asarray(fft.ifft2(fft.fft2(c) * fft.fft2(known.astype(float), size))).real[: SHAPE[0], : SHAPE[1]]
+    n, whole = lags.n, float(np.sum(pairs * c))
+    trace = n - whole / n
+    return 1 + trace**2 / (float(np.sum(pairs * c * c)) - 2 * float(np.sum(rows**2)) / n + whole**2 / n**2)
+
+
+def statements(make: Callable[[np.random.Generator], Maps], r: float, seed: int, count: int) -> Array:
+    """For each pair: whether the interval holds r, p < .05, naive p < .05, n_eff, width; NaN where withheld."""
+    rng, out = np.random.default_rng(seed), []
+    for _ in range(count):
+        found = correlate(*make(rng), pixel_um=1.0)
+        low, high = found.interval
+        t = abs(found.r) * math.sqrt((found.n - 2) / (1 - found.r**2))
+        naive = 2 * stats.t.sf(t, found.n - 2)
+        out.append(
+            (low <= r <= high if low == low else math.nan, found.p < 0.05, naive < 0.05, found.n_eff, high - low)
+        )
+    return np.array(out, dtype=float)
+
+
+def coherences(length: float, seed: int, count: int) -> Array:
+    """p of each octave of unrelated maps."""
+    rng = np.random.default_rng(seed)
+    return np.array([[k.p for k in coherence(*related(rng, 0, length), pixel_um=1.0).bands] for _ in range(count)])
+
+
+CURVE = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
+
+
+def curves(r: float, length: float, noise: float, seed: int, count: int) -> Array:
+    """Whether the band holds the whole true curve."""
+    rng, out = np.random.default_rng(seed), []
+    own, rest = ([_variance(k, s) for s in CURVE] for k in (length, noise))
+    true = [r * math.sqrt(a) / math.sqrt(r * r * a + (1 - r * r) * b) for a, b in zip(own, rest, strict=True)]
+    for _ in range(count):
+        band = size_curve(*related(rng, r, length, noise), pixel_um=1.0, sizes_um=CURVE).band
+        out.append(all(low <= t <= high for (low, high), t in zip(band, true, strict=True) if low == low))
+    return np.array(out, dtype=float)
+
+
+def _variance(length: float, size: float) -> float:
+    """Variance of the mean over a point of a map of variance 1."""
+    at = np.arange(1 - size, size)
+    weight = np.outer(size - abs(at), size - abs(at)) / size**4
+    return float(np.sum(weight * np.exp(-np.hypot(at[:, None], at) / length)))
+
+
+def differences(length: float, seed: int, count: int) -> Array:
+    """Whether the paired interval holds the true difference; 3 x 2 mm at 6 um."""
+    rng, out, shape = np.random.default_rng(seed), [], (333, 500)
+    for _ in range(count):
+        a, b = related(rng, 0.5, length, shape=shape)
+        worse = 0.8 * a + 0.6 * field(rng, shape, length, "exp")[0]
+        low, high = paired_difference((worse, b), (a, b), pixel_um=6.0).interval
+        out.append(low <= 0.1 <= high if low == low else math.nan)
+    return np.array(out, dtype=float)
+
+
+def against(run: Path, seed: int, count: int) -> Array:
+    """Of drawn images and the maps of a run: whether a direction is named, and whether any p of the table is below .05."""
+    linked = xr.open_zarr(run / "maps.zarr", group="linked", consolidated=False).load()
+    pixel = float(linked["x"].values[1] - linked["x"].values[0])
+    sheet, shape, rng, out = linked.drop_vars("image"), linked["image"].shape, np.random.default_rng(seed), []
+    for _ in range(count):
+        length = float(np.exp(rng.uniform(math.log(30.0), math.log(0.2 * min(shape) * pixel)))) / pixel
+        drawn = field(rng, (shape[0], shape[1]), length, "exp" if rng.random() < 0.5 else "gauss")[0]
+        image = linked[["image", "valid"]].assign(image=(("y", "x"), drawn))
+        rows = [*correlate_layers("sheet", "image", {"sheet": sheet, "image": image}, 100.0)]
+        lead = next(row for row in rows if row.a_map == "coating_top" and row.point_um == 100.0)
+        out.append((lead.direction != 0, any(row.p_of_table is not None and row.p_of_table < 0.05 for row in rows)))
+    return np.array(out, dtype=float)
+
+
+def large() -> None:
+    """Cost at 4000 x 3000 pixels with a mask."""
+    a, b = related(np.random.default_rng(0), 0.5, 30.0, shape=(3000, 4000))
+    known = np.random.default_rng(1).random(a.shape) > 0.1
+    before, start = getrusage(RUSAGE_SELF).ru_maxrss, time.process_time()
+    found = correlate(a, b, mask=known, pixel_um=2.0)
+    spent = time.process_time() - start
+    more = (getrusage(RUSAGE_SELF).ru_maxrss - before) / 2**20
+    print(f"4000 x 3000: {spent:.2f} s of processor time, {more:.2f} GiB more than before; n_eff {found.n_eff:.0f}")
+
+
+def main(pairs: int | str = 1000, run: str = "") -> int:
+    count = int(pairs)
+    jobs: list[tuple[str, Callable[[int, int], Array], Callable[[Array], str]]] = []
+
+    def add(name: str, work: Callable[..., Array], say: Callable[[Array], str], *given: object) -> None:
+        jobs.append((name, partial(work, *given), say))
+
+    for part in (60, 30, 12, 8, 5):
+        add(
+            f"unrelated, side/{part}",
+            statements,
+            _sizes(exact_n_eff(SIDE / part)),
+            partial(related, r=0.0, length=SIDE / part),
+            0.0,
+        )
+    add(
+        "unrelated, gauss side/15",
+        statements,
+        _sizes(exact_n_eff(10.0, "gauss")),
+        partial(related, r=0.0, length=10.0, kind="gauss"),
+        0.0,
+    )
+    add(
+        "unrelated, 5 x 20 pixels",
+        statements,
+        _sizes(exact_n_eff((5.0, 20.0))),
+        partial(related, r=0.0, length=(5.0, 20.0)),
+        0.0,
+    )
+    for r in (0.0, 0.5, 0.9):
+        for part in (30, 12):
+            add(f"r {r}, side/{part}", statements, _covers, partial(related, r=r, length=SIDE / part), r)
+    cases: Sequence[tuple[str, Callable[..., Maps]]] = (
+        ("lognormal", partial(lognormal, r=0.5, length=8.0)), ("nugget 40 %", partial(with_nugget, r=0.5, length=8.0)),
+        ("4:1", partial(related, r=0.5, length=(4.0, 12.0))), ("holes and rims", partial(with_holes, r=0.5, length=8.0)),
+        ("side/60 under side/10", partial(related, r=0.5, length=2.5, noise=15.0)),
+        ("side/5", partial(related, r=0.5, length=30.0)),
+    )  # fmt: skip
+    for name, make in cases:
+        add(f"r 0.5, {name}", statements, _covers, make, 0.5)
+    for length in (4.0, 12.0):
+        add(f"octaves, side/{SIDE / length:.0f}", coherences, _octaves, length)
+    for r, length, noise in ((0.5, 8.0, 8.0), (0.5, 4.0, 12.0), (0.6, 12.0, 4.0)):
+        add(f"curve of sizes, r {r}, {length:g} under {noise:g}", curves, _holds, r, length, noise)
+    for length in (100, 200, 300):
+        add(f"paired difference, {length} um on 3 x 2 mm", differences, _holds, length / 6)
+    if run:
+        add("drawn images against a run", against, _named, Path(run))
+    with ProcessPoolExecutor(2) as pool:
+        for name, work, say in jobs:
+            seeds = range(0, count, _CHUNK)
+            parts = pool.map(work, seeds, [min(_CHUNK, count - k) for k in seeds])
+            print(f"{name}: {say(np.concatenate([*parts]))}", flush=True)
+    large()
+    return 0
+
+
+def _sizes(exact: float) -> Callable[[Array], str]:
+    return lambda found: (
+        f"rejected at 5 %: {found[:, 1].mean():.3f}, naive {found[:, 2].mean():.3f}; n_eff {np.nanmedian(found[:, 3]):.0f}, "
+        f"exact {exact:.0f}"
+    )
+
+
+def _covers(found: Array) -> str:
+    withheld = np.mean(np.isnan(found[:, 0]))
+    return f"the interval holds r in {np.nanmean(found[:, 0]):.3f}, width {np.nanmedian(found[:, 4]):.3f}" + (
+        f", withheld in {withheld:.2f}" if withheld else ""
+    )
+
+
+def _octaves(found: Array) -> str:
+    lowest = np.nanmin(found, axis=1)
+    together = 1 - (1 - lowest) ** found.shape[1]
+    each = ", ".join(f"{v:.3f}" for v in np.nanmean(found < 0.05, axis=0))
+    return f"rejected at 5 %: {each}; any after correction {np.mean(together < 0.05):.3f}"
+
+
+def _holds(found: Array) -> str:
+    return f"holds the truth in {np.nanmean(found):.3f}"
+
+
+def _named(found: Array) -> str:
+    return f"a direction is named in {found[:, 0].mean():.3f}, some property starred in {found[:, 1].mean():.3f}"
