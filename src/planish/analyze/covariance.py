@@ -8,6 +8,7 @@ at once.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,6 +150,33 @@ class PairCovariances:
         yx = _reversed(xy)
         terms = xx * yy + xy * yx - r * (xx + yy) * (xy + yx) + r * r / 2 * (xx**2 + yy**2 + xy**2 + yx**2)
         return self.lags.pairs * terms / (1 - r * r) ** 2
+
+
+def variance_of_products(maps: Sequence[Array], terms: Sequence[tuple[int, int, float]], lags: Lags) -> float:
+    """Variance of the mean of a sum of products of jointly Gaussian maps, from their covariances by lag.
+
+    Parameters
+    ----------
+    maps : sequence of ndarray, shape (rows, cols)
+        Of mean 0 and variance 1 over the mask of ``lags``, 0 outside of it.
+    terms : sequence of (int, int, float)
+        Numbers of two maps and the weight of their product.
+    """
+    moved = [lags.transform(m) for m in maps]
+    found: dict[tuple[int, int], Array] = {}
+    for i in range(len(maps)):
+        for j in range(i, len(maps)):
+            products = lags.products(moved[i], moved[j])
+            found[i, j] = lags.covariance(products, lags.until_zero(products + _reversed(products)))
+            found[j, i] = _reversed(found[i, j])
+    own = [math.sqrt(float(found[i, i][0, 0])) for i in range(len(maps))]
+    total = np.zeros_like(lags.pairs)
+    for i, j, v in terms:
+        for k, m, w in terms:
+            # Isserlis: of Gaussian maps the covariance of products is one of pairs.
+            both = found[i, k] * found[j, m] + found[i, m] * found[j, k]
+            total += v * w / (own[i] * own[j] * own[k] * own[m]) * both
+    return float(np.sum(lags.pairs * total)) / lags.n**2
 
 
 def _reversed(values: Array) -> Array:

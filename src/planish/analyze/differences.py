@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, on_one_grid, pearson
-from planish.analyze.covariance import Lags
+from planish.analyze.covariance import Lags, variance_of_products
 from planish.core.errors import InputError
 
 _QUANTILE = 0.975
@@ -70,7 +70,8 @@ def paired_difference(
     Notes
     -----
     What each pixel adds to the difference of Fisher's z is a map of its own (the influence function), whose mean has
-    the variance that its covariances by lag give. What the pairs share cancels in it.
+    the variance that its covariances by lag give. What the pairs share cancels in it. Of long waves that comes out too
+    small, so the variance that Gaussian maps of these covariances would have is taken where it is larger.
     """
     maps = (*first, *second)
     pixel = on_one_grid(maps[0], maps[1], mask, pixel_um)
@@ -91,7 +92,7 @@ def paired_difference(
     if not products[0, 0] > 0:  # the same pair twice
         return Difference(r=r, difference=r[1] - r[0], interval=(r[1] - r[0], r[1] - r[0]))
     covariance = lags.covariance(products, lags.until_zero(products))
-    variance = float(np.sum(lags.pairs * covariance)) / lags.n**2
+    variance = max(float(np.sum(lags.pairs * covariance)) / lags.n**2, _of_gaussian_maps(values, r, known, lags))
     n_eff = float(covariance[0, 0]) / variance if variance > 0 else 0.0
     if n_eff < LEAST_CLAIMED:
         return Difference(r=r, difference=r[1] - r[0])
@@ -125,6 +126,18 @@ def _difference(r: tuple[float, float], width: float) -> Difference:
     middle, apart = sum(z) / 2, z[1] - z[0]
     low, high = (math.tanh(middle + d / 2) - math.tanh(middle - d / 2) for d in (apart - width, apart + width))
     return Difference(r=r, difference=r[1] - r[0], interval=(low, high))
+
+
+def _of_gaussian_maps(
+    values: list[NDArray[np.float64]], r: tuple[float, float], known: NDArray[np.bool_], lags: Lags
+) -> float:
+    """Variance of the difference of z of jointly Gaussian maps."""
+    maps = [np.where(known, (m - m[known].mean()) / m[known].std(), 0.0) for m in values]
+    terms: list[tuple[int, int, float]] = []
+    for sign, own, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):
+        scale = sign / (1 - own * own)
+        terms += [(a, b, scale), (a, a, -scale * own / 2), (b, b, -scale * own / 2)]
+    return variance_of_products(maps, terms, lags)
 
 
 def _influence(a: NDArray[Any], b: NDArray[Any], r: float, known: NDArray[np.bool_]) -> NDArray[np.float64]:
