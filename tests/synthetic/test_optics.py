@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from planish.synthetic.optics import layer_over, pile_reflectance, sheet_reflectance
+from planish.core.light import layer_over
+from planish.synthetic.optics import pile_reflectance, sheet_reflectance
 from planish.synthetic.params import PaperParams
 from planish.synthetic.presets import PRESETS
 

@@ -24,6 +24,11 @@ from .differences import Difference as Difference
 from .differences import difference_of as difference_of
 from .differences import holm as holm
 from .differences import paired_difference as paired_difference
+from .kubelka_munk import Layer as Layer
+from .kubelka_munk import pile as pile
+from .kubelka_munk import reflectance as reflectance
+from .kubelka_munk import stack as stack
+from .kubelka_munk import weight_from_thickness as weight_from_thickness
 from .lag import Lag as Lag
 from .lag import texture_lag as texture_lag
 from .lag_field import LagField as LagField

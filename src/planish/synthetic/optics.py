@@ -1,8 +1,7 @@
 """How bright paper is: Kubelka and Munk's theory of light in a stack of scattering layers.
 
-P. Kubelka and F. Munk, Z. Tech. Phys. 12, 593 (1931); the exact form for a layer over a backing is equation 9 of
-P. Kubelka, J. Opt. Soc. Am. 38, 448 (1948). The coefficients of coating and base are usual values for visible light,
-per mass and area as paper physics states them: ``s`` and ``k`` in m2/kg, ``W`` in kg/m2.
+The coefficients of coating and base are usual values for visible light, per mass and area as paper physics states
+them: ``s`` and ``k`` in m2/kg, ``W`` in kg/m2.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planish.core.light import layer_over
 from planish.synthetic.params import PaperParams
 
 Array = NDArray[np.float64]
@@ -25,29 +25,6 @@ COATING_K_M2_PER_KG = 0.3
 
 _KG_PER_M2 = 1e-3  # of 1 um with a density of 1 g/cm3
 _SHEETS = 200  # of a pile that nothing shines through: 200 sheets of 10 g/m2
-
-
-def layer_over(
-    backing: ArrayLike, s_m2_per_kg: ArrayLike, k_m2_per_kg: ArrayLike, weight_kg_per_m2: ArrayLike
-) -> Array:
-    """Reflectance of a layer over a backing; all arguments broadcast.
-
-    ``R = [1 - Rg (a - b coth(b s W))] / [a - Rg + b coth(b s W)]`` with ``a = (s + k) / s`` and ``b^2 = a^2 - 1``,
-    multiplied by ``tanh(b s W) / b``: then nothing is divided by ``s``, ``k`` or ``W``, which may be 0, and nothing
-    overflows where the layer is thick.
-
-    Scattering and absorption coefficient are not negative, the mass per area is finite.
-    """
-    below, s, k, weight = (
-        np.asarray(a, dtype=np.float64) for a in (backing, s_m2_per_kg, k_m2_per_kg, weight_kg_per_m2)
-    )
-    rate = np.sqrt(k * (k + 2 * s))  # b s
-    depth = rate * weight
-    thin = depth < 1e-8  # there tanh(x) / x is 1 to the last digit
-    depth, rate = np.where(thin, 1.0, depth), np.where(thin, 1.0, rate)
-    reach = np.where(thin, weight, np.tanh(depth) / rate)  # tanh(b s W) / (b s): W of a thin layer
-    loss = (s + k) * reach
-    return (below + s * reach - below * loss) / (1 + loss - below * s * reach)
 
 
 def base_weight(paper: PaperParams, base_mass: ArrayLike = 1.0) -> Array:

@@ -1,0 +1,104 @@
+"""Layers over a backing against the equations they solve, their limits and published figures."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from planish.analyze import Layer, pile, reflectance, stack, weight_from_thickness
+from planish.core.errors import InputError
+
+
+def by_cotangent(weight, s, k, below):
+    """The formula as it is printed; it needs s, k and W above 0."""
+    a = (s + k) / s
+    b = np.sqrt(a * a - 1)
+    coth = 1 / np.tanh(b * s * weight)
+    return (1 - below * (a - b * coth)) / (a - below + b * coth)
+
+
+def test_a_coating_over_a_pile_of_its_base():
+    base = pile(scattering=45.0, absorption=1.2)
+    found = reflectance(np.array([0, 5, 10, 20, 30]) * 1e-3, scattering=150.0, absorption=0.3, backing=base)
+    assert found == pytest.approx([0.794, 0.8195, 0.8388, 0.866, 0.884], abs=1e-3)
+
+
+def test_only_the_units_of_weight_and_coefficients_have_to_agree():
+    # 1 um of 1.6 g/cm3 is 1.6e-3 kg/m2, so 150 m2/kg are 0.24 per um.
+    um = np.array([3.0, 12.0])
+    by_weight = reflectance(weight_from_thickness(um, 1.6) / 1000, scattering=150.0, absorption=0.3, backing=0.8)
+    assert reflectance(um, scattering=0.24, absorption=0.48e-3, backing=0.8) == pytest.approx(by_weight, abs=1e-14)
+
+
+@pytest.mark.parametrize(("s", "k"), [(150.0, 0.3), (45.0, 1.2), (30.0, 60.0), (120.0, 1e-4)])
+@pytest.mark.parametrize("below", [0.0, 0.5, 1.0])
+def test_the_printed_formula_and_the_differential_equation(s, k, below):
+    weight = np.array([1e-3, 0.02, 0.2])
+    grown = solve_ivp(
+        lambda _, r: s - 2 * (s + k) * r + s * r * r, (0, 0.2), [below], t_eval=weight, rtol=1e-10, atol=1e-12
+    )
+    found = reflectance(weight, scattering=s, absorption=k, backing=below)
+    assert found == pytest.approx(by_cotangent(weight, s, k, below), abs=1e-9)
+    assert found == pytest.approx(grown.y[0], abs=1e-7)
+
+
+def test_without_absorption_there_is_no_step():
+    lift = (1 - 0.8) * 150 * 0.02
+    exact = (0.8 + lift) / (1 + lift)
+    assert reflectance(0.02, scattering=150.0, backing=0.8) == pytest.approx(exact, abs=1e-15)
+    k = np.logspace(-30, -3, 200)
+    loss = exact - reflectance(0.02, scattering=150.0, absorption=k, backing=0.8)
+    # In proportion to k where rounding allows it to be seen, and nowhere up.
+    large = k > 1e-9
+    assert np.ptp(loss[large] / k[large]) < 1e-3 * (loss[large] / k[large]).mean()
+    assert np.all(np.diff(loss) > -1e-15)
+
+
+def test_layers_are_put_on_from_the_bottom():
+    pre, top = Layer(weight=0.010, scattering=90.0, absorption=0.3), Layer(weight=0.008, scattering=150.0)
+    over = reflectance(0.010, scattering=90.0, absorption=0.3, backing=0.5)
+    assert stack([pre, top], 0.5) == reflectance(0.008, scattering=150.0, backing=over)
+    assert stack([pre, top], 0.5) != pytest.approx(stack([top, pre], 0.5), abs=1e-4)
+    halves = [Layer(weight=0.005, scattering=90.0, absorption=0.3)] * 2
+    assert stack(halves, 0.5) == pytest.approx(over, abs=1e-14)
+    assert stack([], 0.5) == 0.5
+
+
+def test_a_pile_is_what_more_layers_do_not_change():
+    known = pile(scattering=45.0, absorption=1.2)
+    q = 1.2 / 45
+    assert known == pytest.approx(1 + q - np.sqrt(q * q + 2 * q), abs=1e-14)
+    assert reflectance(0.02, scattering=45.0, absorption=1.2, backing=known) == pytest.approx(known, abs=1e-14)
+    assert stack([Layer(weight=0.1, scattering=45.0, absorption=1.2)] * 40, 0.0) == pytest.approx(known, abs=1e-12)
+    assert pile(scattering=45.0, absorption=0.0) == 1
+    assert pile(scattering=0.0, absorption=1.0) == 0
+
+
+def test_maps_broadcast_and_what_is_missing_stays_so():
+    weight = np.array([[0.0, 0.01, np.nan]])
+    found = reflectance(weight, scattering=150.0, backing=np.array([[0.7], [0.8]]))
+    assert found.shape == (2, 3)
+    assert found[:, 0] == pytest.approx([0.7, 0.8])
+    assert np.isnan(found[:, 2]).all()
+    assert np.isfinite(found[:, :2]).all()
+
+
+def test_weight_from_thickness():
+    assert weight_from_thickness([10.0, np.nan], 1.6)[0] == 16.0
+    assert np.isnan(weight_from_thickness([10.0, np.nan], 1.6)[1])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: reflectance(-0.01, scattering=150.0, backing=0.8), "weight has 1 of 1 values that are negative"),
+        (lambda: reflectance([1.0, np.inf], scattering=-1.0, backing=0.8), r"weight has 1 of 2 values; scattering has"),
+        (lambda: reflectance(0.01, scattering=150.0, backing=[0.2, 131.0]), "backing is 131; .* white reference"),
+        (lambda: stack([Layer(weight=0.01, scattering=1.0)], -0.1), "backing is -0.1"),
+        (lambda: pile(scattering=0.0, absorption=0.0), "Give a scattering above 0"),
+        (lambda: weight_from_thickness(-1.0, 1.6), "thickness_um has 1 of 1 values"),
+        (lambda: weight_from_thickness(1.0, 0.0), "density_g_cm3 is 0"),
+    ],
+)
+def test_what_cannot_be_is_refused(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
