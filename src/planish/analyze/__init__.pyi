@@ -32,9 +32,15 @@ from .kubelka_munk import weight_from_thickness as weight_from_thickness
 from .lag import Lag as Lag
 from .lag import texture_lag as texture_lag
 from .lag_field import LagField as LagField
+from .mottle import Mottle as Mottle
+from .mottle import MottleBand as MottleBand
+from .mottle import print_mottle as print_mottle
 from .octaves import Coherence as Coherence
 from .octaves import coherence as coherence
 from .params import CorrelateParams as CorrelateParams
+from .screen import SCREEN_SIGMA_UM as SCREEN_SIGMA_UM
+from .screen import screen_left as screen_left
+from .screen import without_screen as without_screen
 from .sides import SIDES as SIDES
 from .sides import SideFound as SideFound
 from .sides import image_of_sheet as image_of_sheet
