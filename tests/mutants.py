@@ -83,6 +83,11 @@ MUTANTS = [
     Mutant("marks/sheet_holes.py", "CLOSED if inside.size and np.median(inside) > MATERIAL else UNCLEAR", "CLOSED", "marks/test_sheet_holes.py"),
     Mutant("marks/mask.py", "np.searchsorted(grid.y_um, y - radius)", "np.searchsorted(grid.y_um, y - 0.5 * radius)", "marks/test_mask.py"),
     Mutant("marks/_measure_kernels.py", "cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]", "cx, cy, radius = cx - fit[1], cy + fit[2], fit[0]", "marks/test_find.py"),
+    Mutant("marks/regions/_kernels.py", "if ya > yb:", "if ya > yb + 1e30:", "test_regions.py"),
+    Mutant("marks/regions/_kernels.py", "np.searchsorted(x, at)", "np.searchsorted(x, at, 'right')", "test_regions.py"),
+    Mutant("marks/regions/model.py", "(ring - 0.5) * size", "ring * size", "test_regions.py"),
+    Mutant("marks/regions/imagej.py", "begin, kind = (_HEAD + 4 * count", "begin, kind = (_HEAD + 2 * count", "test_regions.py"),
+    Mutant("pipeline/onto.py", "away & ~self.regions.inside(part)", "away", "test_regions.py"),
     # register
     Mutant("register/similarity.py", "scale=abs(alpha), rotation_rad=float(np.angle(alpha))", "scale=abs(alpha), rotation_rad=-float(np.angle(alpha))", "register/test_fit.py"),
     Mutant("register/similarity.py", "np.sum(share * zc.conj() * wc)", "np.sum(zc.conj() * wc) / len(z)", "register/test_fit.py register/test_models.py"),

@@ -24,7 +24,7 @@ from planish.surface.params import SurfaceParams
 Kind = Literal["volume", "image", "run"]
 P = TypeVar("P", bound=Params)
 
-_PATHS = {"path", "run", "marks", "design"}
+_PATHS = {"path", "run", "marks", "design", "regions"}
 _OF_A_VOLUME = ("surface", "properties", "flatten")
 _OF_A_LAYER = ("volume", "image", *_OF_A_VOLUME)
 _OF_A_STUDY = ("holes", "registration", "correlate")
@@ -85,6 +85,8 @@ class Study(Params):
             raise ValueError("a single layer has to be a volume; a run or an image is linked to something")
         if self.layers[-1].marks is not None:
             raise ValueError("the last layer is the reference: it is registered to nothing and has no marks")
+        if len(names) == 1 and self.correlate.regions is not None:
+            raise ValueError("regions are left out of correlations, and a single layer has none; link it to something")
         if self.registration.refine is not None and not self.is_sheet_on_image:
             raise ValueError("refine is for one volume or run and one image; link these two alone")
         return self

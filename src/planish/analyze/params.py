@@ -12,4 +12,10 @@ class CorrelateParams(Params):
     headline: str | None = option(
         None, metavar="NAME", help="Map whose correlation leads; the coating of the given side, where not given."
     )
+    regions: str | None = option(
+        None,
+        metavar="FILE",
+        help="Artefacts (a stain, a crease, a label) whose pixels do not count: polygons in GeoJSON, in um of the "
+        "reference, or selections of ImageJ (.roi, .zip), in its pixels; with reason and author.",
+    )
     thin_um: float = option(5.0, gt=0, cli=None, help="Coating thickness in um below which the page outlines it.")

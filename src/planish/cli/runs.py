@@ -68,9 +68,9 @@ def study_from(
     from planish.pipeline.build import study_of
 
     sections = {name: found for name in _SECTIONS if (found := given(values, name))}
-    for name in ("marks", "design"):
-        if path := sections.get("registration", {}).get(name):
-            sections["registration"][name] = str(Path(path).absolute())
+    for section, name in (("registration", "marks"), ("registration", "design"), ("correlate", "regions")):
+        if path := sections.get(section, {}).get(name):
+            sections[section][name] = str(Path(path).absolute())
     try:
         study = study_of(layers, sections, chain=chain)
     except StudyError as error:

@@ -482,6 +482,23 @@ class LinkedArea(Facts):
     share_valid_away_from_holes: float
 
 
+class RegionFacts(Facts):
+    """A region that was declared an artefact; its texts are empty where they are not given."""
+
+    name: str
+    reason: str
+    author: str
+    share: float = Field(description="Share of the reference's pixels.")
+
+
+class RegionsFacts(Facts):
+    """Regions that were declared artefacts: their pixels are not valid and count in no correlation."""
+
+    count: int
+    share: float = Field(description="Share of the reference's pixels that lie in a region.")
+    regions: tuple[RegionFacts, ...]
+
+
 class RefinementR(Facts):
     """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
 
@@ -525,6 +542,7 @@ class Results(Facts):
     comparison: tuple[ComparisonRow, ...] = ()
     evidence: tuple[EvidenceFacts, ...] = ()
     linked: LinkedArea | None = None
+    regions: RegionsFacts | None = None
     refinement: RefinementFacts | None = None
     checks: tuple[Check, ...]
     parameters: dict[str, Any]

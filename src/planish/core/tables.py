@@ -51,21 +51,20 @@ def read_text(path: str | Path, *, what: str = "table") -> str:
     return decode_text(read_bytes(path, what=what), Path(path).name, what=what)
 
 
-def read_bytes(path: str | Path, *, what: str = "table") -> bytes:
-    """Read a small file; FileError if it cannot be read or has more than 10 MB."""
+def read_bytes(path: str | Path, *, what: str = "table", most: int = LARGEST_FILE) -> bytes:
+    """Read a small file; FileError if it cannot be read or has more than ``most`` bytes."""
     place = Path(path)
     try:
         if place.exists() and not place.is_file():
             raise FileError(f"{place.name} is no file. Give the file of the {what}.")
         with place.open("rb") as file:
-            data = file.read(LARGEST_FILE + 1)
+            data = file.read(most + 1)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise FileError(f"{place} cannot be read: {why}. Check the path.") from error
-    if len(data) > LARGEST_FILE:
+    if len(data) > most:
         raise FileError(
-            f"{place.name} is larger than {LARGEST_FILE // 1_000_000} MB and no {what}. Check that it is the right "
-            "file."
+            f"{place.name} is larger than {most // 1_000_000} MB and no {what}. Check that it is the right file."
         )
     return data
 

@@ -17,6 +17,7 @@ from planish.core.grid import Grid, pitch, values_at
 from planish.core.results import ComparisonRow, CorrelationRow, Side
 from planish.measure import PROPERTIES
 from planish.pipeline.evidence import CELLS
+from planish.pipeline.regions import regions_on
 from planish.register import FittedTransform, fit_transform
 from planish.resample import Mesh, resample
 
@@ -64,6 +65,10 @@ def correlate_maps(
         As ``results.correlations`` of a run.
     """
     params = params or CorrelateParams()
+    regions = regions_on(params.regions, grid := Grid.of(linked))
+    if regions is not None:
+        parts = [band_of(linked["valid"], at) & ~regions.inside(grid.part(at)) for at in bands(grid.shape[0])]
+        linked = linked.assign(valid=(("y", "x"), np.concatenate(parts)))
     layers = {names[0]: linked.drop_vars("image"), names[1]: linked[["image", "valid"]]}
     return tuple(correlate_layers(*names, layers, params.point_um))
 

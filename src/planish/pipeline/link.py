@@ -30,6 +30,7 @@ from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, p
 from planish.pipeline.layers import Layer
 from planish.pipeline.onto import Away, bring, hole_circles
 from planish.pipeline.refinement import refine_link
+from planish.pipeline.regions import region_facts, regions_on
 from planish.pipeline.registration import Registration, check_marks, register_layers
 from planish.pipeline.run import Run, open_run
 from planish.pipeline.sheet import changed, map_layer
@@ -61,14 +62,15 @@ def link_study(
     """
     mapped = {} if mapped is None else mapped
     layers = _open_layers(study, mapped, near or {}, compute=compute, progress=progress, kept=kept)
-    links = _registered(layers, study, progress)
     reference = layers[-1]
+    regions = regions_on(study.correlate.regions, reference.grid)
+    links = _registered(layers, study, progress)
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
     parts = {
         one.name: (one.groups if one.image is None else one.image, links[one.name].chain if one.name in links else None)
         for one in layers
     }
-    sink, away = sink or HeldMaps(), Away.of(_circles(layers, links))
+    sink, away = sink or HeldMaps(), Away.of(_circles(layers, links), regions)
     maps = bring(parts, away, reference.grid, sink, together=LINKED if study.is_sheet_on_image else None)
     progress("correlate", f"{len(maps) * (len(maps) - 1) // 2} pairs of layers")
     return _gathered(study, layers, links, maps, away, sink)
@@ -80,7 +82,7 @@ def _open_layers(
 ) -> list[Layer]:  # fmt: skip
     """Read all layers of a study and map its volumes, into ``mapped``.
 
-    Volumes come last: what is wrong with images, runs and marks should not cost their time.
+    Volumes come last: what is wrong with images, runs, marks and regions should not cost their time.
     """
     found: dict[str, Layer] = {}
     for params in study.layers:
@@ -91,6 +93,8 @@ def _open_layers(
     for k, params in enumerate(study.layers[:-1]):
         to = names[k + 1] if study.chain else names[-1]
         check_marks(found.get(params.name, params.name), found.get(to, to), study, params.marks)
+    if names[-1] in found:
+        regions_on(study.correlate.regions, found[names[-1]].grid)
     for params in study.layers:
         name = params.name
         if params.kind == "volume" and name not in mapped:
@@ -199,6 +203,8 @@ def _gathered(
             for tile in map_tiles(reference.grid.shape):
                 sink.add("refined", reference.grid, tile, moved.on(reference.grid.part(tile.rows, tile.cols)))
             groups["refined"] = sink.group("refined")
+    if away.regions is not None:
+        more["regions"] = region_facts(away.regions, reference.grid)
     groups |= sink.overviews()
     study = changed(study, layers=tuple(layer.params for layer in layers))
     results = Results(
@@ -207,7 +213,7 @@ def _gathered(
     )  # fmt: skip
     return Run(
         study=study, results=with_trust(results), groups=groups,
-        registrations={name: link.registration for name, link in links.items()},
+        registrations={name: link.registration for name, link in links.items()}, regions=away.regions,
         sheets={} if study.is_sheet_on_image else {
             layer.name: layer for layer in layers if layer.params.kind == "volume"
         },

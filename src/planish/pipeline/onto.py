@@ -15,6 +15,7 @@ from planish.core.tiles import Tile
 from planish.io.map_store import HeldMaps, MapSink, map_tiles
 from planish.marks import cut_holes, hole_mask
 from planish.marks.files import holes_of
+from planish.marks.regions import Regions
 from planish.pipeline.position_error import PositionErrors
 from planish.pipeline.registration import Registration
 from planish.register import Chain
@@ -24,26 +25,35 @@ from planish.resample import resample_maps as flat_maps
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-VALID = {"long_name": "Measured, and away from holes and their rims"}
-
 Shown = xr.DataArray | Mapping[str, xr.Dataset]
 """What is brought to the reference: an image, or the groups of a sheet; the maps only where it is the reference."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Away:
-    """Which pixels of a reference are away from holes and their burnt rims: ``circles`` (n, 3: x, y, radius in um)."""
+    """Which pixels of a reference are away from holes and their burnt rims, and outside of declared regions.
+
+    ``circles`` (n, 3: x, y, radius in um) are the holes with their rims, ``regions`` in um as well.
+    """
 
     circles: Array
+    regions: Regions | None = None
 
     @classmethod
-    def of(cls, circles: Iterable[Array]) -> Away:
+    def of(cls, circles: Iterable[Array], regions: Regions | None = None) -> Away:
         """From the circles of all layers."""
-        return cls(np.concatenate([np.empty((0, 3)), *circles]))
+        return cls(np.concatenate([np.empty((0, 3)), *circles]), regions)
 
     def __call__(self, part: Grid) -> Mask:
         """Say it of some pixels."""
-        return ~hole_mask(part, self.circles[:, :2], self.circles[:, 2])
+        away = ~hole_mask(part, self.circles[:, :2], self.circles[:, 2])
+        return away if self.regions is None else away & ~self.regions.inside(part)
+
+    @property
+    def sentence(self) -> str:
+        """What a valid pixel is."""
+        beside = "" if self.regions is None else ", outside of declared regions"
+        return f"Measured, and away from holes and their rims{beside}"
 
 
 class _Layer:
@@ -105,7 +115,7 @@ def bring(
     for tile in map_tiles(grid.shape):
         part = grid.part(tile.rows, tile.cols)
         use = away(part)
-        found = {layer.name: _with_valid(layer.on(tile, part), use) for layer in layers}
+        found = {layer.name: _with_valid(layer.on(tile, part), use, away.sentence) for layer in layers}
         if together is not None:
             sink.add(together, grid, tile, merged(*found.values()))
         else:
@@ -119,9 +129,9 @@ def bring(
     return dict(zip(parts, (both.drop_vars("image"), both[["image", "valid"]]), strict=True))
 
 
-def _with_valid(data: xr.Dataset, use: Mask) -> xr.Dataset:
+def _with_valid(data: xr.Dataset, use: Mask, meaning: str) -> xr.Dataset:
     known = np.isfinite(data["thickness" if "thickness" in data else "image"].values) & use
-    return data.assign(valid=(("y", "x"), known, VALID))
+    return data.assign(valid=(("y", "x"), known, {"long_name": meaning}))
 
 
 def hole_circles(

@@ -9,6 +9,7 @@ from planish.compute import Compute
 from planish.core.errors import InputError, ResourceError
 from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import pixels_of
+from planish.marks.regions import read_regions
 from planish.measure import PROPERTIES, check_maps
 from planish.pipeline.registration import read_design
 from planish.study import Study
@@ -29,7 +30,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
         If further maps of labels are asked for, a map is to lead that there will not be, or the pattern of the holes
         cannot be read.
     FileError
-        If an image cannot be opened.
+        If an image cannot be opened, or a file of regions is of no use.
     ResourceError
         If an image is too large for the memory.
     """
@@ -48,6 +49,8 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
                 f"for it with --property {headline} as well."
             )
     read_design(study.registration)
+    if study.correlate.regions is not None:
+        read_regions(study.correlate.regions)
     for layer in study.layers:
         if layer.image is not None:
             rows, cols = pixels_of(Path(layer.path))

@@ -12,7 +12,9 @@ from planish.core.checks import Check
 from planish.core.errors import FileError
 from planish.core.results import Results
 from planish.io.run_folder import read_tree
+from planish.marks.regions import Regions, read_regions
 from planish.pipeline.layers import Layer
+from planish.pipeline.regions import REGIONS
 from planish.pipeline.registration import Registration
 from planish.study import Study, read_study
 
@@ -40,6 +42,8 @@ class Run:
         By the name of the moving layer.
     sheets : dict of Layer
         Sheets that were mapped on the way to a link of other layers than one sheet and one image.
+    regions : Regions or None
+        Declared artefacts, in um of the reference of a link.
     folder : Path or None
         Where it was read from.
     """
@@ -49,6 +53,7 @@ class Run:
     groups: dict[str, xr.Dataset]
     registrations: dict[str, Registration] = field(default_factory=dict[str, Registration])
     sheets: dict[str, Layer] = field(default_factory=dict[str, Layer])
+    regions: Regions | None = None
     folder: Path | None = None
 
     @property
@@ -152,7 +157,7 @@ def open_run(path: str | Path) -> Run:
     }
     return Run(
         study=read_study(folder / "run.toml"), results=results, groups=read_tree(folder / MAPS),
-        registrations=registrations, folder=folder,
+        registrations=registrations, regions=read_regions(folder / REGIONS) if results.regions else None, folder=folder,
     )  # fmt: skip
 
 

@@ -26,9 +26,10 @@ from planish.pipeline.figures import figures_text
 from planish.pipeline.kept import KeptMaps, sheets_of
 from planish.pipeline.layers import Layer
 from planish.pipeline.link import LINKED, link_study
+from planish.pipeline.regions import REGIONS, write_regions
 from planish.pipeline.request import check_request
 from planish.pipeline.run import MAPS, Run, marks_file
-from planish.pipeline.sheet import map_layer
+from planish.pipeline.sheet import changed, map_layer
 from planish.report import write_report
 from planish.study import LayerParams, Study, to_dict, write_study
 
@@ -143,7 +144,7 @@ def _done(
 def _run_of_sheet(sheet: Layer, study: Study) -> Run:
     """The run of one mapped sheet."""
     assert sheet.facts is not None
-    study = study.model_copy(update={"layers": (sheet.params,)})
+    study = changed(study, layers=(sheet.params,), correlate=changed(study.correlate, regions=None))
     # The coating of the top stands for it, or the thickness where there is none.
     headline = "coating_top" if "coating_top" in sheet.facts.properties else "thickness"
     facts = LayerFacts(name=sheet.name, kind="sheet", source=sheet.source, headline=headline, sheet=sheet.facts)
@@ -184,7 +185,11 @@ def save_run(run: Run, folder: Path, *, home: Path, stored: StoredMaps | None = 
         write_marks(registration.pairs(), path.with_suffix(".csv"))
     (folder / "results.json").write_text(run.results.to_json(), encoding="utf-8", newline="\n")
     (folder / "figures.csv").write_text(figures_text(run.results), encoding="utf-8", newline="\n")
-    write_study(run.study, folder, home=home, version=__version__)
+    study = run.study
+    if run.regions is not None:
+        write_regions(run.regions, folder)
+        study = changed(study, correlate=changed(study.correlate, regions=str(home / REGIONS)))
+    write_study(study, folder, home=home, version=__version__)
     pairs = {name: registration.pairs() for name, registration in run.registrations.items()}
     write_report(folder / "report.html", results=run.results, groups=run.groups, marks=pairs)
     there = stored.stored if stored is not None else []

@@ -23,7 +23,7 @@ from planish.report.draw import (
     reduced,
 )  # fmt: skip
 from planish.report.registration import ARROW, EDGE, ground_of
-from planish.report.text import in_words, label_of, length, number, percent, plain, title_of, unit_of
+from planish.report.text import HOLES, in_words, label_of, length, number, percent, plain, title_of, unit_of
 
 _BESIDE = 162.0  # pixels for the distribution, the colour bar and its numbers
 _BINS = 80
@@ -74,8 +74,13 @@ def colours_of(data: xr.DataArray, known: Array) -> Scale:
     return limits(known, GREYS if data.name == "image" else PROPERTY)
 
 
-def draw_beside(maps: tuple[xr.DataArray, xr.DataArray], *, names: tuple[str, str], shared: bool) -> Picture:
-    """Draw two maps (y, x) on one grid side by side, NaN where not valid; ``shared``: they have one colour scale."""
+def draw_beside(
+    maps: tuple[xr.DataArray, xr.DataArray], *, names: tuple[str, str], shared: bool, without: str = HOLES
+) -> Picture:
+    """Draw two maps (y, x) on one grid side by side, NaN where not valid.
+
+    ``shared``: they have one colour scale; ``without`` says in words what the mask of valid pixels leaves out.
+    """
     shown = [m.values for m in maps]
     known = [values[np.isfinite(values)] for values in shown]
     y, x = maps[0]["y"].values, maps[0]["x"].values
@@ -93,7 +98,7 @@ def draw_beside(maps: tuple[xr.DataArray, xr.DataArray], *, names: tuple[str, st
             f"Left, {titles[0]} of {names[0]}; right, {titles[1]} of {names[1]}, at the same places. "
             f"{'Both have the same colour scale' if shared else 'Each has its own colour scale'}, from the 1st to the "
             f"99th percentile. n = {n_of(known[0])} and {n_of(known[1])} pixels of {pixel_of(x)}; units: {units[0]} "
-            f"and {units[1]}; mask: measured, without holes and rims."
+            f"and {units[1]}; mask: measured, without {without}."
         ),
     )
 
@@ -114,12 +119,18 @@ def _distribution(
     axes.dots([(at, min(max(mean, low), high))], colour=ACCENT, size=5)
 
 
-def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float) -> list[Picture]:
-    """Draw property and image side by side, and the image with thin regions outlined (Hirn et al. 2009, Fig. 6)."""
+def draw_outlines(
+    linked: xr.Dataset, *, name: str, thin_um: float, without: str = HOLES
+) -> list[Picture]:  # fmt: skip
+    """Draw property and image side by side, and the image with thin regions outlined (Hirn et al. 2009, Fig. 6).
+
+    ``without`` says in words what the mask of valid pixels leaves out.
+    """
     y, x, valid = linked["y"].values, linked["x"].values, linked["valid"].values.astype(bool)
     ground = ground_of(linked["image"], of="image", valid=valid)
     values = np.where(valid, linked[name].values.astype(np.float64), np.nan)
-    title, tail = title_of(linked[name]), f"n = {n_of(values)} pixels of {pixel_of(x)}; mask: measured, without"
+    title = title_of(linked[name])
+    tail = f"n = {n_of(values)} pixels of {pixel_of(x)}; mask: measured, without {without}."
     left, _ = draw_map(values, y, x, scale=limits(values), label=label_of(linked[name]))
     right, _ = draw_map(ground.values, y, x, scale=ground.scale, label="")
     canvas, axes = ground.draw(FULL)
@@ -140,22 +151,20 @@ def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float) -> list[Pict
     axes.outline(drawn, y, x, colour=ARROW, width=1.7)
     note = f"{note} Regions under {_SMALLEST} pixels are not drawn. {_darkness(ground.values, drawn, valid)}"
     return [
-        left.picture(
-            title=f"(a) {title}, on the image's pixels", caption=f"Unit {unit_of(linked[name])}. {tail} holes and rims."
-        ),
+        left.picture(title=f"(a) {title}, on the image's pixels", caption=f"Unit {unit_of(linked[name])}. {tail}"),
         right.picture(
             title="(b) The image, same region",
             caption=f"Grey values between limits set by the valid pixels; n = {n_of(ground.values)} pixels of "
             f"{pixel_of(x)}, no mask.",
         ),
-        canvas.picture(title="(c) Thin regions on the image", caption=f"{note}{tail} holes and rims."),
+        canvas.picture(title="(c) Thin regions on the image", caption=f"{note}{tail}"),
     ]
 
 
 def _darkness(image: Array, drawn: NDArray[np.bool_], valid: NDArray[np.bool_]) -> str:
     """Compare the grey value inside the outlines with the rest."""
-    inside, outside, spread = image[drawn & valid], image[valid & ~drawn], float(np.std(image[valid]))
-    if inside.size == 0 or outside.size == 0 or spread == 0:
+    inside, outside = image[drawn & valid], image[valid & ~drawn]
+    if inside.size == 0 or outside.size == 0 or (spread := float(np.std(image[valid]))) == 0:
         return ""
     shift = float(inside.mean() - outside.mean()) / spread
     word = "darker" if shift < 0 else "brighter"

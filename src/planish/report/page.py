@@ -125,16 +125,17 @@ def _block(
         return None
     own, other = data[layer.headline], onto[base.headline]
     first, second = _named(own, layer), _named(other, base)
+    without = text.left_out(results.regions)
     outlined = base.kind == "image" and layer.kind == "sheet"
     if outlined:
         both = data.assign(image=other, valid=data["valid"] & onto["valid"] if "valid" in onto else data["valid"])
         thin_um = _choice(results, "correlate", "thin_um", _THIN_UM)
-        shown = maps.draw_outlines(both, name=layer.headline, thin_um=float(thin_um))
+        shown = maps.draw_outlines(both, name=layer.headline, thin_um=float(thin_um), without=without)
     else:
         rows = summary.headline_pair(results, layer)
         shared = bool(rows) and rows[0].same_quantity
         beside = _valid(data, layer.headline), _valid(onto, base.headline)
-        shown = [maps.draw_beside(beside, names=(layer.name, base.name), shared=shared)]
+        shown = [maps.draw_beside(beside, names=(layer.name, base.name), shared=shared, without=without)]
     name = "image-based check" if len(results.layers) == 2 else f"image-based check of {layer.name}"
     return _Block(
         layer=layer,
@@ -195,7 +196,8 @@ def _pairs(linked: Mapping[str, xr.Dataset], results: Results, titles: summary.T
         if len(results.layers) > 2 or row.same_quantity:
             names = (f"{names[0]}, {row.a}", f"{names[1]}, {row.b}")
         valid = [data["valid"] for data in (a, b) if "valid" in data]
-        out.append(relation.draw_pair(a[row.a_map], b[row.b_map], rows, names=names, valid=valid))
+        without = text.left_out(results.regions)
+        out.append(relation.draw_pair(a[row.a_map], b[row.b_map], rows, names=names, valid=valid, without=without))
     return out
 
 

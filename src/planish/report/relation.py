@@ -15,7 +15,7 @@ from planish.core.results import CorrelationRow
 from planish.report.colours import PROPERTY, Array, Scale
 from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, Axes, Canvas, Field, Picture, pitch
 from planish.report.statement import r_interval_text, r_text
-from planish.report.text import REGISTERED, beside, capital, count, in_words, number, plain, unit, unit_of
+from planish.report.text import HOLES, REGISTERED, beside, capital, count, in_words, number, plain, unit, unit_of
 
 _BINS, _LEAST_BINS = 110, 24
 _MANY = 5000  # points from which their density is drawn instead of each of them
@@ -50,13 +50,14 @@ def _known(a: Array, b: Array, masks: Sequence[NDArray[Any]]) -> NDArray[np.bool
 
 def draw_pair(
     a: xr.DataArray, b: xr.DataArray, rows: Sequence[CorrelationRow], *, names: tuple[str, str],
-    valid: Sequence[xr.DataArray] = (),
+    valid: Sequence[xr.DataArray] = (), without: str = HOLES,
 ) -> Picture:  # fmt: skip
     """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
 
-    Both are (y, x) on one grid, NaN where they are not valid; ``valid`` are masks of the pixels that count. The rows go
-    from the pixel to the largest points. The difference of two maps of the same quantity is drawn over their mean, with
-    its mean and the limits that hold 95 % of normal differences (Bland and Altman 1986).
+    Both are (y, x) on one grid, NaN where they are not valid; ``valid`` are masks of the pixels that count, and
+    ``without`` says in words what they leave out. The rows go from the pixel to the largest points. The difference of
+    two maps of the same quantity is drawn over their mean, with its mean and the limits that hold 95 % of normal
+    differences (Bland and Altman 1986).
     """
     fine, coarse = rows[0], largest(rows)
     same, units = coarse.same_quantity, (unit_of(a), unit_of(b))
@@ -91,8 +92,8 @@ def draw_pair(
             f"Left, number of pixels{shown} (logarithmic colours); {second}A point counts when half of its area is "
             "valid in both maps. Lines are least squares: solid, of the upward map on the map across, dashed, the "
             "other way round; a perfect relation without errors would lie between them. The left axes span the "
-            "0.05th to the 99.95th percentile of the pixels, the right ones the points. Mask: measured, without holes "
-            "and rims. "
+            "0.05th to the 99.95th percentile of the pixels, the right ones the points. Mask: measured, without "
+            f"{without}. "
             f"n counts points, which resemble their neighbours; the interval rests on independent ones. "
             f"{capital(REGISTERED)}."
         ),

@@ -12,7 +12,10 @@ if TYPE_CHECKING:
 NONE = "–"
 _UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "g/cm3": "g/cm³", "1/mm2": "1/mm²", "deg": "°", "1": ""}
 REGISTERED = "registration: marks only"
+
 """Stands beside every correlation: how its maps were registered."""
+HOLES = "holes and rims"
+"""What the mask of valid pixels leaves out where no regions were declared."""
 _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
 _MICROMETRES, _DEGREES = re.compile(r" um\b"), re.compile(r" deg\b")
 
@@ -130,6 +133,11 @@ def typeset(text: str) -> str:
 def the(layer: str) -> str:
     """Put a layer into a sentence: those without a name of their own are called by what they are."""
     return f"the {layer}" if layer in ("volume", "image", "sheet") else layer
+
+
+def left_out(regions: object) -> str:
+    """Name what the mask of valid pixels leaves out; ``regions`` is empty where none were declared."""
+    return "holes, rims and declared regions" if regions else HOLES
 
 
 def title_of(data: xr.DataArray) -> str:

@@ -1,0 +1,47 @@
+"""Files of regions: which program wrote one is seen by its first bytes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from planish.core.errors import FileError
+from planish.core.tables import read_bytes
+from planish.marks.regions.geojson import read_geojson
+from planish.marks.regions.imagej import ROI, ZIP, read_roi, read_roi_zip
+from planish.marks.regions.model import MOST_POINTS, MOST_REGIONS, Regions
+
+_LARGEST_FILE = 64_000_000
+
+
+def read_regions(path: str | Path) -> Regions:
+    """Read regions of GeoJSON, or of ImageJ: a selection or an archive of them.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    Regions
+        In um of GeoJSON; of ImageJ in pixels, which :meth:`Regions.on` turns into um.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read, is damaged, too large, or holds something else than polygons.
+    """
+    name = Path(path).name
+    data = read_bytes(path, what="file of regions", most=_LARGEST_FILE)
+    if data.startswith(ZIP):
+        found = read_roi_zip(data, name, most=_LARGEST_FILE)
+    else:
+        found = (read_roi if data.startswith(ROI) else read_geojson)(data, name)
+    points = sum(len(ring) for one in found.declared for rings in one.polygons for ring in rings)
+    if not found.declared:
+        raise FileError(f"{name} holds no region. Draw one, or leave --regions out.")
+    if len(found.declared) > MOST_REGIONS or points > MOST_POINTS:
+        raise FileError(
+            f"{name} holds {len(found.declared)} regions with {points} points; {MOST_REGIONS} regions with "
+            f"{MOST_POINTS} points are the most. Simplify them, or join them to MultiPolygons."
+        )
+    return found

@@ -1,0 +1,107 @@
+"""Regions: polygons in the plane of a map or an image, each with a reason and its author; the pixels in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.grid import Grid
+from planish.core.text import printable
+
+Ring = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Window = tuple[slice, slice]
+
+MOST_REGIONS, MOST_POINTS = 1000, 1_000_000
+LONGEST_TEXT = 500
+_FARTHEST = 1e9  # um or pixels: nothing that is drawn on paper lies farther away
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Region:
+    """What was declared in one piece.
+
+    ``polygons`` are closed borders (n, 2: x, y) without a repeated point: the outer one of each, and those of its
+    holes. ``reason`` and ``author`` are empty where they are not given.
+    """
+
+    name: str
+    reason: str = ""
+    author: str = ""
+    polygons: tuple[tuple[Ring, ...], ...]
+
+    def inside(self, grid: Grid) -> tuple[Window, Mask]:
+        """Pixels of a grid whose centre lies in a polygon and in none of its holes, by the even-odd rule.
+
+        Rows and columns of a window that holds all of them, and the mask within it. A centre on a border counts where
+        the region lies right of or below it, so that regions side by side share no pixel and leave none out.
+        """
+        from planish.marks.regions._kernels import flip_crossings
+
+        points = np.concatenate([ring for rings in self.polygons for ring in rings])
+        (left, upper), (right, lower) = points.min(axis=0), points.max(axis=0)
+        rows = slice(*np.searchsorted(grid.y_um, (upper, lower)))
+        cols = slice(*np.searchsorted(grid.x_um, (left, right)))
+        y, x = grid.y_um[rows], grid.x_um[cols]
+        inside = np.zeros((y.size, x.size), dtype=bool)
+        for rings in self.polygons if inside.size else ():
+            odd = np.zeros((y.size, x.size + 1), dtype=bool)
+            for ring in rings:
+                flip_crossings(ring, y, x, odd)
+            # A centre is inside where an odd number of crossings lies right of it.
+            inside |= np.logical_xor.accumulate(odd[:, :0:-1], axis=1)[:, ::-1]
+        return (rows, cols), inside
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Regions:
+    """All regions of a file: in um, or ``in_pixels`` from the corner of the first one, as ImageJ counts."""
+
+    declared: tuple[Region, ...]
+    in_pixels: bool = False
+
+    def on(self, grid: Grid) -> Regions:
+        """The same in um of a grid, whose coordinates are those of the pixels' centres."""
+        if not self.in_pixels:
+            return self
+        down, across = grid.pixel_um
+        size, origin = np.array([across, down]), np.array(grid.origin_um)
+        return Regions(declared=tuple(
+            replace(one, polygons=tuple(
+                tuple((ring - 0.5) * size + origin for ring in rings) for rings in one.polygons
+            )) for one in self.declared
+        ))  # fmt: skip
+
+    def inside(self, grid: Grid) -> Mask:
+        """Pixels of a grid whose centre lies in a region."""
+        inside = np.zeros(grid.shape, dtype=bool)
+        for one in self.declared:
+            window, mask = one.inside(grid)
+            inside[window] |= mask
+        return inside
+
+
+def ring_of(points: NDArray[np.floating]) -> Ring:
+    """Make a border of points (n, 2) as a file has them; ValueError, with the reason, where they are none."""
+    ring = np.asarray(points, dtype=np.float64)
+    if not (np.abs(ring) <= _FARTHEST).all():
+        raise ValueError(f"a coordinate is no number, or beyond {_FARTHEST:g}")
+    if len(ring) > 1 and (ring[0] == ring[-1]).all():
+        ring = ring[:-1]
+    if (count := len(np.unique(ring, axis=0))) < 3:
+        raise ValueError(f"a polygon has {count} different points; 3 are needed")
+    return ring
+
+
+def text_of(value: object, what: str) -> str:
+    """Clean a text of a file into one line; ValueError where it is no text, or too long."""
+    if value is None:
+        return ""
+    if not isinstance(value, str):
+        raise ValueError(f"{what} is no text")
+    text = printable(" ".join(value.split()))
+    if len(text) > LONGEST_TEXT:
+        raise ValueError(f"{what} has {len(text)} letters; {LONGEST_TEXT} are the most")
+    return text

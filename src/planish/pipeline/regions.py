@@ -1,0 +1,65 @@
+"""Regions that a study declares as artefacts: on the pixels of the reference, and as results say them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from planish.core.bands import bands
+from planish.core.errors import InputError
+from planish.core.grid import Grid
+from planish.core.results import RegionFacts, RegionsFacts
+from planish.marks.regions import Regions, geojson_text, read_regions
+
+REGIONS = "regions.geojson"
+"""Name of the file of a run that holds them, in um of the reference."""
+
+
+def regions_on(path: str | None, grid: Grid) -> Regions | None:
+    """Read the regions of a study, in um of the reference; None where it declares none.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read, is damaged, or holds something else than polygons.
+    InputError
+        If no pixel of the reference lies in a region, or every one.
+    """
+    if path is None:
+        return None
+    regions = read_regions(path).on(grid)
+    share = region_facts(regions, grid).share
+    if share in (0, 1):
+        x, y = (f"{at[0]:g} to {at[-1]:g} um" for at in (grid.x_um, grid.y_um))
+        raise InputError(
+            f"{Path(path).name}: {'every' if share else 'no'} pixel of the reference lies in a region. Its pixels lie "
+            f"at x from {x} and y from {y}. Give regions of this reference: GeoJSON in um, selections of ImageJ in its "
+            "pixels."
+        )
+    return regions
+
+
+def region_facts(regions: Regions, grid: Grid) -> RegionsFacts:
+    """What was declared, and the share of the reference's pixels that it takes."""
+    one_by_one, together = np.zeros(len(regions.declared), dtype=np.int64), 0
+    for rows in bands(grid.shape[0]):
+        part = grid.part(rows)
+        inside = np.zeros(part.shape, dtype=bool)
+        for k, one in enumerate(regions.declared):
+            window, mask = one.inside(part)
+            inside[window] |= mask
+            one_by_one[k] += np.count_nonzero(mask)
+        together += int(np.count_nonzero(inside))
+    pixels = grid.shape[0] * grid.shape[1]
+    return RegionsFacts(
+        count=len(regions.declared), share=together / pixels,
+        regions=tuple(
+            RegionFacts.of(one, share=int(n) / pixels) for one, n in zip(regions.declared, one_by_one, strict=True)
+        ),
+    )  # fmt: skip
+
+
+def write_regions(regions: Regions, folder: Path) -> None:
+    """Write them into a run folder."""
+    (folder / REGIONS).write_text(geojson_text(regions), encoding="utf-8", newline="\n")

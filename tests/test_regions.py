@@ -1,0 +1,414 @@
+"""Declared artefacts: what files say of them, which pixels they cover, and that no figure of a run counts these."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+from fractions import Fraction
+from importlib import import_module
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planish.analyze.params import CorrelateParams
+from planish.core.errors import FileError, InputError, PlanishError
+from planish.core.grid import Grid
+from planish.core.results import Results
+from planish.io.params import ImageParams, VolumeParams
+from planish.marks.regions import Region, Regions, geojson_text, read_regions
+from planish.pipeline import correlate_maps, link, open_run
+from planish.pipeline.regions import region_facts, regions_on
+from planish.study import LayerParams, Study, read_study, write_study
+from report.runs import a_run, page_of
+
+SQUARE = [[10, 10], [30, 10], [30, 30], [10, 30], [10, 10]]
+HOLE = [[15, 15], [25, 15], [25, 25], [15, 25], [15, 15]]
+POLYGON = {"type": "Polygon", "coordinates": [SQUARE, HOLE]}
+
+
+def feature(geometry=POLYGON, **properties):
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+def written(path, content):
+    path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
+    return path
+
+
+def read(tmp_path, content):
+    return read_regions(written(tmp_path / "regions.json", content))
+
+
+def roi(kind=0, box=(0, 0, 0, 0), points=(), *, fine=None, name="", properties="", options=0, **at):
+    """A selection as ImageJ writes it: ``box`` top, left, bottom, right; ``at`` are shorts at their places."""
+    head = bytearray(64)
+    fine_box = fine if kind in (1, 2) else None
+    struct.pack_into(">4shBx4hH", head, 0, b"Iout", 228, kind, *box, len(points))
+    if fine_box is not None:
+        struct.pack_into(">4f", head, 18, *fine_box)
+    struct.pack_into(">h", head, 50, options | (128 if fine is not None else 0))
+    for place, value in at.items():
+        struct.pack_into(">h", head, int(place.removeprefix("at_")), value)
+    body = b"".join(struct.pack(f">{len(points)}h", *axis) for axis in zip(*points, strict=True))
+    if fine is not None and fine_box is None:
+        body += b"".join(struct.pack(f">{len(points)}f", *axis) for axis in zip(*fine, strict=True))
+    second = bytearray(64)
+    texts = [text.encode("utf-16-be") for text in (name, properties)]
+    start = len(head) + len(body) + len(second)
+    struct.pack_into(">2i", second, 16, start, len(name))
+    struct.pack_into(">2i", second, 40, start + len(texts[0]), len(properties))
+    struct.pack_into(">i", head, 60, len(head) + len(body))
+    return bytes(head) + body + bytes(second) + b"".join(texts)
+
+
+def archive(**parts):
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, part in parts.items():
+            file.writestr(f"{name}.roi", part)
+    return data.getvalue()
+
+
+TRIANGLE = roi(0, (4, 6, 9, 12), [(0, 0), (6, 0), (6, 5)], name="crease")
+
+
+# --- which pixels ----------------------------------------------------------------------------------------------------
+
+
+def slow_mask(polygons, grid):
+    """Every pixel and every edge in exact numbers: inside where an odd number of crossings lies to the right."""
+    found = np.zeros(grid.shape, dtype=bool)
+    for i, j in np.ndindex(*grid.shape):
+        y, x = Fraction(grid.y_um[i]), Fraction(grid.x_um[j])
+        for rings in polygons:
+            right = 0
+            for ring in rings:
+                ends = [(Fraction(a), Fraction(b)) for a, b in ring.tolist()]
+                for (xa, ya), (xb, yb) in zip(ends, ends[1:] + ends[:1], strict=True):
+                    if ya <= y < yb or yb <= y < ya:
+                        right += xa + (y - ya) / (yb - ya) * (xb - xa) > x
+            found[i, j] |= right % 2 == 1
+    return found
+
+
+GRID = Grid.regular((7, 9), (2.0, 1.5), (3.0, -4.0))
+places = st.tuples(st.integers(-4, 70).map(lambda k: k / 4), st.integers(-24, 48).map(lambda k: k / 4))
+rings = st.lists(places, min_size=3, max_size=7).map(np.array)
+regions_of_all_kinds = st.lists(st.lists(rings, min_size=1, max_size=3).map(tuple), min_size=1, max_size=2).map(tuple)
+
+
+@given(regions_of_all_kinds)
+def test_the_mask_is_that_of_exact_numbers_whole_and_in_bands(polygons):
+    """Quarters of pixels put many borders through the middles of pixels; borders cross themselves and each other."""
+    regions = Regions(declared=(Region(name="a", polygons=polygons),))
+    whole = regions.inside(GRID)
+    np.testing.assert_array_equal(whole, slow_mask(polygons, GRID))
+    parts = [
+        np.hstack([regions.inside(GRID.part(rows, cols)) for cols in (slice(0, 4), slice(4, 9))])
+        for rows in (slice(0, 2), slice(2, 7))
+    ]
+    np.testing.assert_array_equal(np.vstack(parts), whole)
+
+
+def test_regions_side_by_side_share_no_pixel_and_leave_none_out():
+    middle = np.array([4.5, 3.0])  # a pixel's centre
+    corners = np.array([[-1.0, -1.0], [10.0, -1.0], [10.0, 8.0], [-1.0, 8.0]])
+    grid = Grid.regular((7, 10), 1.0)
+    parts = [Region(name=str(k), polygons=((np.array([middle + 0.5, corners[k - 1], corners[k]]),),)) for k in range(4)]
+    counts = sum(Regions(declared=(one,)).inside(grid).astype(int) for one in parts)
+    np.testing.assert_array_equal(counts, np.ones(grid.shape))
+
+
+def test_shares_are_of_all_pixels_and_overlaps_count_once():
+    grid = Grid.regular((1300, 10), 1.0)  # several bands
+
+    def rows(name, first, last):
+        return Region(name=name, polygons=((np.array([[-1, first], [99, first], [99, last], [-1, last]], float),),))
+
+    facts = region_facts(Regions(declared=(rows("a", 500, 760), rows("b", 630, 1150))), grid)
+    assert (facts.count, [one.share for one in facts.regions], facts.share) == (2, [0.2, 0.4], 0.5)
+
+
+# --- GeoJSON ---------------------------------------------------------------------------------------------------------
+
+
+def test_all_forms_of_geojson_are_read(tmp_path):
+    texts = {"name": "stain", "reason": "coffee", "author": "A. Author"}
+    several = {"type": "MultiPolygon", "coordinates": [POLYGON["coordinates"], [[[0, 0, 7], [1, 0, 7], [1, 1, 7]]]]}
+    for content, names, borders in (
+        (POLYGON, ["region 1"], [[4, 4]]),
+        (feature(**texts), ["stain"], [[4, 4]]),
+        ({"type": "FeatureCollection", "features": [feature(), feature(several, **texts)]},
+         ["region 1", "stain"], [[4, 4], [4, 4, 3]]),
+    ):  # fmt: skip
+        found = read(tmp_path, content).declared
+        assert [one.name for one in found] == names
+        assert [[len(ring) for rings in one.polygons for ring in rings] for one in found] == borders
+    assert (found[1].reason, found[1].author, found[0].reason) == ("coffee", "A. Author", "")
+    np.testing.assert_array_equal(found[1].polygons[0][1], HOLE[:-1])
+
+
+def test_what_is_written_reads_back_to_the_same_bytes(tmp_path):
+    third = {"type": "Polygon", "coordinates": [[[1 / 3, -0.0], [1e-7, 2e8], [0.1 + 0.2, 4]]]}
+    odd = "a\u001b[31m\n\tb\ud800 \u00fc" + "\u0007" * 60
+    content = {"type": "FeatureCollection", "features": [feature(third, name=odd, reason=odd), feature()]}
+    found = read(tmp_path, content)
+    assert found.declared[0].name == r"a\x1b[31m b\ud800 ü" + r"\x07" * 60
+    text = geojson_text(found)
+    again = read(tmp_path, text.encode())
+    np.testing.assert_array_equal(again.declared[0].polygons[0][0], [[1 / 3, 0], [1e-7, 2e8], [0.1 + 0.2, 4]])
+    assert geojson_text(again) == text
+
+
+# --- ImageJ ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_rectangle_of_imagej_covers_its_own_pixels(tmp_path):
+    """Left 2, top 1, 3 pixels wide, 2 high, on a grid whose first pixel has its middle at (100, 50) um."""
+    grid = Grid.regular((5, 8), (2.5, 4.0), (100.0, 50.0))
+    for data in (roi(1, (1, 2, 3, 5)), roi(1, fine=(2.0, 1.0, 3.0, 2.0)),
+                 roi(8, (1, 2, 3, 5), [(0, 0), (3, 0), (3, 2), (0, 2)])):  # fmt: skip
+        regions = read(tmp_path, data).on(grid)
+        expected = np.zeros(grid.shape, dtype=bool)
+        expected[1:3, 2:5] = True
+        np.testing.assert_array_equal(regions.inside(grid), expected)
+        corners = [[106.0, 51.25], [118.0, 51.25], [118.0, 56.25], [106.0, 56.25]]
+        np.testing.assert_array_equal(regions.declared[0].polygons[0][0], corners)
+
+
+def test_an_oval_of_imagej_covers_what_its_ellipse_does(tmp_path):
+    grid = Grid.regular((90, 120), 1.0)
+    found = read(tmp_path, roi(2, (10, 20, 71, 108))).on(grid).inside(grid)
+    y, x = np.mgrid[:90, :120] + 0.5
+    radius = np.hypot((x - 64) / 44, (y - 40.5) / 30.5)
+    clear = np.abs(radius - 1) > 0.011 / 30.5  # of the border it knows 0.01 pixels
+    assert clear.mean() > 0.999
+    np.testing.assert_array_equal(found[clear], (radius < 1)[clear])
+
+
+def test_places_names_and_properties_of_imagej(tmp_path):
+    fine = [(0.5, 1.25), (8.0, 1.0), (8.0, 7.5)]
+    told = roi(7, (0, 0, 9, 9), [(0, 0)] * 3, fine=fine, properties="Author: A. Author\nreason: a crease\nother: x\n")
+    path = written(tmp_path / "set.zip", archive(first=TRIANGLE, second=told))
+    first, second = read_regions(path).declared
+    assert (first.name, first.reason, second.name) == ("crease", "", "second")
+    assert (second.reason, second.author) == ("a crease", "A. Author")
+    np.testing.assert_array_equal(first.polygons[0][0], [[6, 4], [12, 4], [12, 9]])
+    np.testing.assert_array_equal(second.polygons[0][0], fine)
+    far = roi(0, (40000 - 65536, 2, 0, 0), [(0, 0), (9, 0), (9, 40000 - 65536)])
+    np.testing.assert_array_equal(read(tmp_path, far).declared[0].polygons[0][0], [[2, 4e4], [11, 4e4], [11, 8e4]])
+
+
+# --- files that are of no use ----------------------------------------------------------------------------------------
+
+
+def bent(*places):
+    return {"type": "Polygon", "coordinates": [list(places)]}
+
+
+WRONG = {
+    "empty": (b"", "neither GeoJSON nor"),
+    "text": (b"x,y\n1,2\n", "neither GeoJSON nor"),
+    "binary": (b"\x89PNG\r\n\x1a\n\0\0", "UTF-8"),
+    "cut": (json.dumps(POLYGON).encode()[:-9], "neither GeoJSON nor"),
+    "deep": (b"[" * 100_000, "nested too deeply"),
+    "many brackets": (b"[" * 2_000_001, "more than 1000000 points"),
+    "too large": (b" " * 64_000_001, "larger than 64 MB"),
+    "a list": ([1], "no GeoJSON of regions"),
+    "another object": ({"type": "Topology"}, "no GeoJSON of regions"),
+    "features that are none": ({"type": "FeatureCollection", "features": 3}, "no GeoJSON of regions"),
+    "no region": ({"type": "FeatureCollection", "features": []}, "holds no region"),
+    "a point": (feature({"type": "Point", "coordinates": [1, 2]}), "'Point'; a Polygon"),
+    "no geometry": (feature(None), "region 1: its geometry is none"),
+    "units": (POLYGON | {"units": "px"}, "units are not um"),
+    "infinite": (bent([0, 0], [1e999, 1], [2, 2]), "no number, or beyond 1e+09"),
+    "not a number": (bent([0, 0], [float("nan"), 1], [2, 2]), "no number, or beyond"),
+    "far": (bent([0, 0], [1e10, 1], [2, 2]), "no number, or beyond"),
+    "beyond floats": (bent([0, 0], [10**400, 1], [2, 2]), "beyond all numbers"),
+    "texts": (bent([0, 0], ["1", 1], [2, 2]), "position 2 of a border is not [x, y]"),
+    "true": (bent([0, 0], [True, 1], [2, 2]), "position 2"),
+    "one number": (bent([0, 0], [1, 1], [2]), "position 3"),
+    "two points": (bent([0, 0], [4, 4], [0, 0], [4, 4]), "2 different points; 3 are needed"),
+    "an empty border": ({"type": "Polygon", "coordinates": [[]]}, "no list, or empty"),
+    "no coordinates": ({"type": "Polygon"}, "no list, or empty"),
+    "no polygon": ({"type": "MultiPolygon", "coordinates": []}, "no list, or empty"),
+    "a number as reason": (feature(reason=3), "reason is no text"),
+    "a long reason": (feature(reason="x" * 501), "501 letters"),
+    "properties": ({"type": "Feature", "geometry": POLYGON, "properties": [1]}, "properties are no object"),
+    "many regions": ({"type": "FeatureCollection", "features": [feature()] * 1001}, "1001 regions"),
+    "roi: short": (b"Iout\0\xe4\0\0", "ends early"),
+    "roi: cut": (roi(0, (0, 0, 9, 9), [(0, 0), (9, 0), (9, 9)])[:70], "ends early"),
+    "roi: a line": (roi(3), "a line, which covers no area"),
+    "roi: points": (roi(10, points=[(1, 1)] * 3), "points, which"),
+    "roi: a text": (roi(1, (0, 0, 9, 9), at_48=1), "a text, which"),
+    "roi: composite": (roi(1, (0, 0, 9, 9), at_38=7), "split it"),
+    "roi: spline": (roi(0, points=[(1, 1), (2, 1), (2, 2)], options=1), "Interpolate"),
+    "roi: rounded": (roi(1, (0, 0, 9, 9), at_54=4), "rounded corners"),
+    "roi: nothing": (roi(1, (3, 3, 3, 9)), "6 x 0 pixels"),
+    "roi: endless": (roi(2, fine=(0, 0, float("inf"), 1)), "inf x 1 pixels"),
+    "roi: not a number": (roi(0, points=[(0, 0)] * 3, fine=[(0, 0), (1, float("nan")), (1, 1)]), "no number"),
+    "roi: two points": (roi(0, points=[(0, 0), (1, 1)]), "it has 2 points"),
+    "roi: unknown": (roi(77), "unknown type 77"),
+    "zip: empty": (archive(), "empty archive"),
+    "zip: cut": (archive(a=TRIANGLE)[:-30], "damaged archive"),
+    "zip: a picture": (archive(a=TRIANGLE, b=b"\x89PNG"), "'b.roi': it is no selection"),
+    "zip: a bomb": (archive(a=bytes(64_000_001)), "too large when unpacked"),
+    "zip: many": (archive(**{f"r{k}": b"" for k in range(2001)}), "more than 1000 entries"),
+}
+
+
+@pytest.mark.parametrize(("content", "words"), WRONG.values(), ids=WRONG)
+def test_a_wrong_file_is_refused_with_its_faults(tmp_path, content, words):
+    with pytest.raises(FileError) as error:
+        read(tmp_path, content)
+    assert words in str(error.value)
+    assert "regions.json" in str(error.value)
+
+
+def test_all_faults_are_named_at_once(tmp_path):
+    content = {"type": "FeatureCollection", "features": [feature(bent([0, 0])), feature(), feature(author=1)]}
+    with pytest.raises(FileError, match=r"region 1: .*1 different.*region 3: author is no text"):
+        read(tmp_path, content)
+
+
+@given(st.data())
+def test_damaged_bytes_are_read_or_refused(tmp_path_factory, data):
+    folder = tmp_path_factory.getbasetemp()
+    whole = data.draw(st.sampled_from([TRIANGLE, roi(2, (0, 0, 9, 9)), archive(a=TRIANGLE)]))
+    damaged = bytearray(whole)
+    for at, value in data.draw(st.lists(st.tuples(st.integers(0, len(whole) - 1), st.integers(0, 255)), max_size=4)):
+        damaged[at] = value
+    try:
+        found = read(folder, bytes(damaged[: data.draw(st.integers(0, len(whole)))]))
+    except PlanishError:
+        return
+    assert all(np.isfinite(ring).all() for one in found.declared for rings in one.polygons for ring in rings)
+
+
+def test_regions_off_the_reference_or_all_over_it_are_refused(tmp_path):
+    grid = Grid.regular((20, 30), 2.0)
+    beside, over = bent([-9, -9], [-1, -9], [-1, 70]), bent([-9, -9], [99, -9], [99, 99], [-9, 99])
+    for content, word in ((beside, "no pixel"), (over, "every pixel")):
+        path = written(tmp_path / f"{word}.json", content)
+        with pytest.raises(InputError, match=rf"{word} of the reference .* x from 0 to 58 um and y from 0 to 38 um"):
+            regions_on(str(path), grid)
+
+
+# --- studies and runs ------------------------------------------------------------------------------------------------
+
+
+def test_a_study_names_them_by_a_relative_path(tmp_path):
+    volume, image = VolumeParams(path=str(tmp_path / "v.tif")), ImageParams(path=str(tmp_path / "i.tif"))
+    layers = (LayerParams(name="sheet", volume=volume), LayerParams(name="image", image=image))
+    study = Study(layers=layers, correlate=CorrelateParams(regions=str(tmp_path / "in" / "r.json")))
+    write_study(study, tmp_path, home=tmp_path, version="")
+    assert 'regions = "in/r.json"' in (tmp_path / "run.toml").read_text()
+    assert read_study(tmp_path / "run.toml") == study
+    with pytest.raises(ValueError, match="a single layer has none"):
+        Study(layers=layers[:1], correlate=study.correlate)
+
+
+@pytest.mark.parametrize(("content", "words"), [(b"{}", "no GeoJSON"), (bent([-9, 0], [-1, 0], [-1, 9]), "no pixel")])
+def test_a_file_of_no_use_is_refused_before_the_volume_is_read(
+    planish, specimen_files, tmp_path, monkeypatch, content, words
+):
+    def mapped(*_args, **_more):
+        pytest.fail("the volume was mapped")
+
+    for module in ("link", "save"):
+        monkeypatch.setattr(import_module(f"planish.pipeline.{module}"), "map_layer", mapped)
+    path = written(tmp_path / "r.json", content)
+    code, _, err = planish("link", *specimen_files, "--regions", path, "-o", tmp_path / "run")
+    assert (code, words in err, "r.json" in err) == (3, True, True), err
+    assert [one.name for one in tmp_path.iterdir()] == ["r.json"]
+
+
+@pytest.fixture(scope="module")
+def stain(tmp_path_factory):
+    """A selection of ImageJ, 60 x 50 pixels of 5 um."""
+    properties = "reason: coffee\nauthor: A. B.\n"
+    return written(tmp_path_factory.mktemp("roi") / "stain.roi", roi(1, (100, 120, 150, 180), properties=properties))
+
+
+@pytest.fixture(scope="module")
+def stained_run(stain, linked_run, specimen_files, tmp_path_factory):
+    out = tmp_path_factory.mktemp("stained") / "run"
+    link(linked_run, specimen_files[1], out=out, correlate={"regions": str(stain)})
+    return out
+
+
+def test_a_region_counts_in_no_figure_of_a_run(linked_run, stained_run):
+    before, run = open_run(linked_run), open_run(stained_run)
+    expected = before.linked["valid"].values.copy()
+    assert expected[100:150, 120:180].mean() > 0.5
+    expected[100:150, 120:180] = False
+    np.testing.assert_array_equal(run.linked["valid"].values, expected)
+    assert run.linked["valid"].attrs["long_name"].endswith("outside of declared regions")
+    facts, share = run.results.regions, 3000 / expected.size
+    assert (facts.count, facts.share) == (1, share)
+    assert facts.regions[0].model_dump() == {"name": "stain", "reason": "coffee", "author": "A. B.", "share": share}
+    a, b = (run.linked[name].values[expected].astype(np.float64) for name in ("thickness", "image"))
+    known = np.isfinite(a) & np.isfinite(b)
+    row = next(row for row in run.results.correlations if row.a_map == "thickness")
+    assert (row.n, row.r) == (known.sum(), pytest.approx(np.corrcoef(a[known], b[known])[0, 1], abs=1e-9))
+    assert max(row.n for row in run.results.comparison) <= expected.sum()
+    for one, other in zip(run.results.comparison, before.results.comparison, strict=True):
+        assert one.n < other.n
+    assert run.results.linked.share_valid == expected.mean()
+    html = (stained_run / "report.html").read_text(encoding="utf-8")
+    for words in ("1 region, 3.8", '<td class="name">coffee</td>', "A. B.", "without holes, rims and declared regions"):
+        assert words in html
+    assert "declared regions" not in (linked_run / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_stage_takes_them_out_as_the_run_does(stain, linked_run, stained_run):
+    rows = correlate_maps(open_run(linked_run).linked, params=CorrelateParams(regions=str(stain)))
+    assert rows == open_run(stained_run).results.correlations
+    assert rows != open_run(linked_run).results.correlations
+
+
+@pytest.mark.study
+def test_a_run_with_regions_repeats_to_the_same_bytes(planish, linked_run, stained_run, tmp_path):
+    """They are read from the run; taken out, they leave the run as it was without."""
+    assert 'regions = "regions.geojson"' in (stained_run / "run.toml").read_text()
+    code, _, err = planish("run", stained_run, "-o", tmp_path / "again")
+    assert (code in (0, 4), f"same bytes as {stained_run}" in err) == (True, True), err
+    corners = [[597.5, 497.5], [897.5, 497.5], [897.5, 747.5], [597.5, 747.5]]
+    np.testing.assert_array_equal(open_run(tmp_path / "again").regions.declared[0].polygons[0][0], corners)
+    code, _, err = planish("run", stained_run, "--set", "correlate.regions=", "-o", tmp_path / "without")
+    assert code in (0, 4), err
+    assert open_run(tmp_path / "without").results == open_run(linked_run).results
+    assert not (tmp_path / "without" / "regions.geojson").exists()
+
+
+def test_regions_count_in_no_pair_of_images(planish, specimen_files, tmp_path):
+    path = written(tmp_path / "r.json", bent([600, 500], [900, 500], [900, 750], [600, 750]))
+    layers = [f"{name}={specimen_files[1]}" for name in ("one", "two")]
+    for options, out in ((("--regions", path), "with"), ((), "without")):
+        code, _, err = planish("link", *layers, *options, "-o", tmp_path / out)
+        assert code in (0, 4), err
+    less, all_ = (open_run(tmp_path / name) for name in ("with", "without"))
+    inside = less.regions.inside(Grid.of(less.layers["one"]))
+    assert inside.sum() == 3000
+    valid = np.empty(0)
+    for name in ("one", "two"):
+        valid = all_.layers[name]["valid"].values & ~inside
+        np.testing.assert_array_equal(less.layers[name]["valid"].values, valid)
+    assert less.results.correlations[0].n == valid.sum() < all_.results.correlations[0].n
+
+
+def test_hostile_texts_stay_text_on_the_page():
+    run = a_run()
+    one = {"name": "<b>x</b>", "reason": "</td><script>alert(1)</script>", "author": "", "share": 0.25}
+    run["results"] |= {"regions": {"count": 1, "share": 0.25, "regions": [one]}}
+    text = page_of(run)
+    assert "<script" not in text
+    assert "&lt;/td&gt;&lt;script&gt;" in text
+    assert "&lt;b&gt;x" in text
+    assert "not given" in text
+    assert "not given</td>" not in page_of(a_run())
+    assert Results.model_validate(run["results"]).regions is not None
