@@ -6,13 +6,13 @@ import math
 
 from planish.core.results import EvidenceFacts
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture
-from planish.report.text import REGISTERED, capital, count, fixed, plain
+from planish.report.text import REGISTERED, capital, count, fixed, left_out, plain
 
 _TOP, _HIGH, _WIDE = 40.0, 250.0, 400.0
 _LEFT, _RIGHT = 85.0, 635.0
 
 
-def draw_scale(found: EvidenceFacts, *, names: tuple[str, str]) -> Picture:
+def draw_scale(found: EvidenceFacts, *, names: tuple[str, str], regions: int = 0) -> Picture:
     """Draw r against the size of points with the band that holds the whole curve, and coherence by octaves."""
     canvas = Canvas(FULL, 360)
     _curve(canvas, found)
@@ -26,7 +26,8 @@ def draw_scale(found: EvidenceFacts, *, names: tuple[str, str]) -> Picture:
             "right for chance, with a full dot where it is certain among all octaves (p below 0.05 after Šidák); gain, "
             "change of the second map per change of the first in the octave. Larger points average noise away, so r "
             "may rise although nothing more is explained; coherence is of each octave alone. "
-            f"n = {count(n)} at the smallest size. Mask: measured, without holes and rims. {capital(REGISTERED)}."
+            f"n = {count(n)} at the smallest size. Mask: measured, without {left_out(regions)}. "
+            f"{capital(REGISTERED)}."
         ),
     )
 
