@@ -9,9 +9,10 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, stats
 
-from planish.analyze.correlation import pearson
+from planish.analyze.correlation import correlate, pearson
+from planish.analyze.differences import paired_difference
 from planish.analyze.ncc import MaskedNcc
 from planish.analyze.peak import find_peak, within
 from planish.analyze.surrogates import Unrelated, correlation_length_um, without_plane
@@ -29,6 +30,7 @@ It must look at a at these pixels only; NaN is missing in what it returns.
 _SEED = 20090502
 _LEAST_TILES = 4  # of either colour that are reported on
 _LEAST_PIXELS = 100
+_COUNTED = 199  # unrelated maps, from which on a chance is counted
 
 
 class Registration(StrEnum):
@@ -52,8 +54,16 @@ class CrossFitted:
     ----------
     r : float
         Both halves together: sums of products over both, each half about its own means.
+    interval : (float, float)
+        In which r lies with 95 %; (NaN, NaN) where nothing is claimed.
+    n_eff : float
+        Independent points.
     r_of_halves : (float, float)
         Of either colour of the checkerboard, registered on the other.
+    r_of_marks : float
+        By the marks alone, over the same pixels.
+    gain_interval : (float, float)
+        In which ``r - r_of_marks`` lies with 95 %.
     n : int
         Pixels that are reported on.
     share : float
@@ -65,7 +75,11 @@ class CrossFitted:
     """
 
     r: float
+    interval: tuple[float, float]
+    n_eff: float
     r_of_halves: tuple[float, float]
+    r_of_marks: float
+    gain_interval: tuple[float, float]
     n: int
     share: float
     tile_um: float
@@ -75,8 +89,15 @@ class CrossFitted:
 
     @property
     def sentence(self) -> str:
-        """The correlation and how the maps were registered."""
-        return f"r = {self.r:.2f}; {self.registration.sentence}"
+        """The correlation, what the refinement changed, and how the maps were registered."""
+        limits = "" if math.isnan(self.interval[0]) else f" (95 %: {self.interval[0]:.2f} to {self.interval[1]:.2f})"
+        low, high = self.gain_interval
+        change = "" if math.isnan(low) else (
+            ", which is not distinguishable from it" if low <= 0 <= high
+            else f", from which it differs by {low:.3f} to {high:.3f}"
+        )  # fmt: skip
+        marks = f"; the marks alone give {self.r_of_marks:.2f} there{change}"
+        return f"r = {self.r:.2f}{limits}{marks}; {self.registration.sentence}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +111,9 @@ class SearchedNull:
     null_95 : float
         ``|r|`` that the same search reaches on 95 of 100 unrelated maps.
     p : float
-        Share of unrelated maps on which it reaches ``|r|``, r itself counted in.
+        Chance that it reaches ``|r|`` on an unrelated map: counted, r itself included, of 199 maps and more; of fewer,
+        from a Gumbel distribution fitted to what it reaches on them, and never below half of one over their number
+        squared.
     surrogates : int
         Number of unrelated maps.
     """
@@ -171,22 +194,25 @@ def cross_fitted(
             "colour to report on: the map is too small for its texture. Report the marks-only correlation, or the "
             "refined one with a searched null."
         )
-    sums = np.zeros(3)
+    first, refined, marked = (np.full(a.shape, np.nan) for _ in range(3))
     halves: list[float] = []
-    n = 0
     for look, report in zip(looks, reported, strict=True):
         placed = tune(np.where(look, a, np.nan), look)
         use = report & np.isfinite(placed)
-        x, y = a[use] - a[use].mean(), placed[use] - placed[use].mean()
-        sums += (x @ x, y @ y, x @ y)
+        for values, out in ((a, first), (placed, refined), (b, marked)):
+            out[use] = values[use] - values[use].mean()
         halves.append(pearson(a[use], placed[use]))
-        n += int(use.sum())
-    spread = math.sqrt(sums[0] * sums[1])
+    found = correlate(first, refined, pixel_um=pixel_um)
+    gain = paired_difference((first, marked), (first, refined), pixel_um=pixel_um)
     return CrossFitted(
-        r=float(sums[2] / spread) if spread > 0 else math.nan,
+        r=found.r,
+        interval=found.interval,
+        n_eff=found.n_eff,
         r_of_halves=(halves[0], halves[1]),
-        n=n,
-        share=n / max(int(known.sum()), 1),
+        r_of_marks=gain.r[0],
+        gain_interval=gain.interval,
+        n=found.n,
+        share=found.n / max(int(known.sum()), 1),
         tile_um=side,
         guard_um=guard,
         length_um=length,
@@ -228,13 +254,20 @@ def searched_null(a: Array, tune: Tune, *, valid: Mask | None = None, surrogates
     r = searched(flat)
     unrelated = Unrelated(flat, known)
     null = [abs(searched(unrelated.draw(rng))) for _ in range(surrogates)]
-    reached = sum(v >= abs(r) for v in null)
+    counted = (1 + sum(v >= abs(r) for v in null)) / (1 + surrogates)
     return SearchedNull(
         r=r,
         null_95=float(np.quantile(null, 0.95, method="higher")),
-        p=(1 + reached) / (1 + surrogates),
+        p=counted if surrogates >= _COUNTED else _by_tail(null, abs(r)),
         surrogates=surrogates,
     )
+
+
+def _by_tail(null: list[float], r: float) -> float:
+    """Chance of a larger maximum, from the distribution that maxima have."""
+    at, scale = stats.gumbel_r.fit(np.arctanh(np.minimum(null, 1 - 1e-12)))
+    found = float(stats.gumbel_r.sf(math.atanh(min(r, 1 - 1e-12)), at, scale))
+    return max(found, 0.5 / len(null) ** 2)  # a tail is not known further than that from so few
 
 
 def by_shift(b: Array, *, pixel_um: tuple[float, float], reach_um: float, sign: int = 0) -> Tune:

@@ -503,6 +503,10 @@ class RefinementR(Facts):
     """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
 
     r: Number
+    interval: KnownPair = Field(None, description="In which r lies with 95 %.")
+    n_eff: Number = None
+    r_of_marks: Number = Field(None, description="By the marks alone, over the same pixels.")
+    gain_interval: KnownPair = Field(None, description="In which r - r_of_marks lies with 95 %.")
     registration: str
     sentence: str
     n: int | None = None
