@@ -9,19 +9,22 @@ side. ``RUN`` is the folder of a link, whose maps are then compared with drawn i
 from __future__ import annotations
 
 import math
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from resource import RUSAGE_SELF, getrusage
 
 import numpy as np
 import xarray as xr
+import zarr
 from numpy.typing import NDArray
-from scipy import fft, stats
+from scipy import fft, ndimage, stats
 
-from planish.analyze import coherence, correlate, paired_difference, size_curve
+from planish.analyze import coherence, correlate, paired_difference, size_curve, without_screen
 from planish.analyze.covariance import Lags
 from planish.pipeline.compare import correlate_layers
 
@@ -162,15 +165,84 @@ def against(run: Path, seed: int, count: int) -> Array:
     return np.array(out, dtype=float)
 
 
-def large() -> None:
-    """Cost at 4000 x 3000 pixels with a mask."""
-    a, b = related(np.random.default_rng(0), 0.5, 30.0, shape=(3000, 4000))
-    known = np.random.default_rng(1).random(a.shape) > 0.1
+FIELD, FIELD_UM = (300, 400), 20.0  # 8 x 6 mm
+_THICK_SD_UM, _THICK_ERROR_UM, _PLACE_ERROR_UM = 4.5, 0.35, 1.5  # errors: docs/accuracy.md
+
+
+def brightness(r2: float, seed: int, count: int) -> Array:
+    """Fields of 8 x 6 mm at points of 100 um: r, limits, n_eff, n. Thickness and places are measured with errors."""
+    rng, out = np.random.default_rng(seed + round(1e6 * r2)), []
+    for _ in range(count):
+        a, b = related(rng, math.sqrt(r2), 150.0 / FIELD_UM, shape=FIELD)
+        found = correlate(_measured(rng, a), b, pixel_um=FIELD_UM, point_um=100.0)
+        out.append((found.r, *found.interval, found.n_eff, found.n))
+    return np.array(out, dtype=float)
+
+
+def _measured(rng: np.random.Generator, a: Array) -> Array:
+    """A map of thickness as it is measured: with noise, and each pixel from a place that is a little wrong."""
+    moves = [ndimage.gaussian_filter(rng.normal(size=a.shape), 20, mode="wrap") for _ in range(2)]
+    at = [
+        k + m / m.std() * _PLACE_ERROR_UM / FIELD_UM / math.sqrt(2)
+        for k, m in zip(np.indices(a.shape), moves, strict=True)
+    ]
+    moved = ndimage.map_coordinates(a, at, order=1, mode="reflect")
+    return _THICK_SD_UM * moved + _THICK_ERROR_UM * rng.normal(size=a.shape)
+
+
+def prints(seed: int, count: int) -> Array:
+    """Prints with a screen of 60 lines/cm at 45 degrees: r² with it taken off, r² without any screen, n_eff, n."""
+    rng, out, pixel = np.random.default_rng(seed), [], 12.0
+    rows, cols = np.indices((500, 667)) * pixel
+    along = 2 * math.pi * 60.0 / 1e4
+    screen = np.cos(along * (rows + cols) / math.sqrt(2)) + np.cos(along * (rows - cols) / math.sqrt(2))
+    for _ in range(count):
+        thickness, print_ = related(rng, math.sqrt(0.232), 150.0 / pixel, shape=(500, 667))
+        found = [correlate(thickness, without_screen(m, pixel_um=pixel), pixel_um=pixel, point_um=100.0)
+                 for m in (print_ + 3 * screen, print_)]  # fmt: skip
+        out.append((found[0].r2, found[1].r2, found[0].n_eff, found[0].n))
+    return np.array(out, dtype=float)
+
+
+def stored(folder: Path, rows: int, cols: int) -> None:
+    """Write two maps and a mask, band by band, as a run stores them."""
+    rng = np.random.default_rng(0)
+    group = zarr.open_group(folder, mode="w")
+    made = {k: group.create_array(k, shape=(rows, cols), chunks=(512, 512), dtype=t, dimension_names=("y", "x"))
+            for k, t in (("a", "f4"), ("b", "f4"), ("mask", "?"))}  # fmt: skip
+    for begin in range(0, rows, 512):
+        many = min(512, rows - begin)
+        a, b = (ndimage.uniform_filter(rng.normal(size=(many, cols)).astype(np.float32), 15) for _ in range(2))
+        made["a"][begin : begin + many], made["b"][begin : begin + many] = a, a + b
+        made["mask"][begin : begin + many] = rng.random((many, cols)) > 0.1
+
+
+def cost_of(folder: Path, whole: bool, what: str) -> str:
+    """Correlate the stored maps, in a process of its own: processor time and what the memory grew by."""
+    data = xr.open_zarr(folder, consolidated=False)
+    data = data.load() if whole else data
+    a, b, mask = (data[k] for k in ("a", "b", "mask"))
     before, start = getrusage(RUSAGE_SELF).ru_maxrss, time.process_time()
-    found = correlate(a, b, mask=known, pixel_um=2.0)
-    spent = time.process_time() - start
-    more = (getrusage(RUSAGE_SELF).ru_maxrss - before) / 2**20
-    print(f"4000 x 3000: {spent:.2f} s of processor time, {more:.2f} GiB more than before; n_eff {found.n_eff:.0f}")
+    if what == "correlate":
+        n_eff = correlate(a, b, mask=mask, pixel_um=2.0).n_eff
+    else:
+        x, y, known = a.values, b.values, mask.values
+        size_curve(x, y, mask=known, pixel_um=2.0, sizes_um=[2.0 * 2**k for k in range(9)])
+        coherence(x, y, mask=known, pixel_um=2.0)
+        n_eff = math.nan
+    spent, peak = time.process_time() - start, getrusage(RUSAGE_SELF).ru_maxrss
+    memory = f"{(peak - before) / 2**20:.2f} GiB more, peak {peak / 2**20:.2f} GiB"
+    return f"{spent:.2f} s of processor time, {memory}; n_eff {n_eff:.0f}"
+
+
+def large() -> None:
+    """Cost at 4000 x 3000 pixels with a mask, and of 160 million pixels from a store."""
+    for rows, cols, whole, what in (
+        (3000, 4000, True, "correlate"), (3000, 4000, True, "scales"), (10_944, 14_592, False, "correlate"),
+    ):  # fmt: skip
+        with tempfile.TemporaryDirectory() as name, ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            stored(Path(name), rows, cols)
+            print(f"{rows} x {cols}, {what}: {pool.submit(cost_of, Path(name), whole, what).result()}", flush=True)
 
 
 def main(pairs: int | str = 1000, run: str = "") -> int:
@@ -220,13 +292,24 @@ def main(pairs: int | str = 1000, run: str = "") -> int:
         add(f"curve of sizes, r {r}, {length:g} under {noise:g}", curves, _holds, r, length, noise)
     for length in (100, 200, 300):
         add(f"paired difference, {length} um on 3 x 2 mm", differences, _holds, length / 12)
+    for r2 in (0.21, 0.26):
+        add(f"8 x 6 mm, population r² {r2}", brightness, partial(_covers_population, r2), r2)
+    add("print screen", prints, _screened)
     if run:
         add("drawn images against a run", against, _named, Path(run))
+    found: dict[str, Array] = {}
     with ProcessPoolExecutor(2) as pool:
         for name, work, say in jobs:
-            seeds = range(0, count, _CHUNK)
-            parts = pool.map(work, seeds, [min(_CHUNK, count - k) for k in seeds])
-            print(f"{name}: {say(np.concatenate([*parts]))}", flush=True)
+            # Large fields take longer, and fewer of them say enough.
+            many = min(count, 200) if "8 x 6" in name else min(count, 20) if "screen" in name else count
+            seeds = range(0, many, _CHUNK)
+            parts = pool.map(work, seeds, [min(_CHUNK, many - k) for k in seeds])
+            found[name] = np.concatenate([*parts])
+            print(f"{name}: {say(found[name])}", flush=True)
+    one, two = (found[f"8 x 6 mm, population r² {r2}"] for r2 in (0.21, 0.26))
+    widths = [(np.arctanh(k[:, 2]) - np.arctanh(k[:, 1])) / 2 for k in (one, two)]
+    same = np.abs(np.arctanh(two[:, 0]) - np.arctanh(one[:, 0])) < np.hypot(*widths)
+    print(f"0.26 against 0.21, a field each: not distinguishable in {same.mean():.2f}")
     large()
     return 0
 
@@ -242,6 +325,22 @@ def _covers(found: Array) -> str:
     withheld = np.mean(np.isnan(found[:, 0]))
     return f"the interval holds r in {np.nanmean(found[:, 0]):.3f}, width {np.nanmedian(found[:, 4]):.3f}" + (
         f", withheld in {withheld:.2f}" if withheld else ""
+    )
+
+
+def _covers_population(r2: float, found: Array) -> str:
+    r = math.sqrt(r2)
+    held = np.mean((found[:, 1] <= r) & (r <= found[:, 2]))
+    return (
+        f"mean r² {np.mean(found[:, 0] ** 2):.3f}, sd {np.std(found[:, 0] ** 2):.3f}; the interval holds r in "
+        f"{held:.3f}; n_eff {np.median(found[:, 3]):.0f} of {found[0, 4]:.0f}"
+    )
+
+
+def _screened(found: Array) -> str:
+    return (
+        f"r² {found[:, 0].mean():.3f}, without any screen {found[:, 1].mean():.3f}, largest difference "
+        f"{np.abs(found[:, 0] - found[:, 1]).max():.4f}; n_eff {np.median(found[:, 2]):.0f} of {found[0, 3]:.0f}"
     )
 
 

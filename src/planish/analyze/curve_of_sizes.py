@@ -109,9 +109,10 @@ def _by_tiles(points: list[Array], r: float) -> Array:
     x, y = ((m - m[known].mean()) / max(float(m[known].std()), 1e-300) for m in points)
     added = np.where(known, x * y - r / 2 * (x * x + y * y), 0.0)
     side = min(known.shape) / _TILES
-    tiles = [np.minimum((np.arange(n) + 0.5) / side, max(round(n / side), 1) - 0.5).astype(int) for n in known.shape]
-    number = tiles[0][:, None] * (int(tiles[1].max()) + 1) + tiles[1]
-    return np.bincount(number.ravel(), weights=added.ravel()).astype(np.float64)
+    for axis, n in enumerate(known.shape):
+        count = max(round(n / side), 1)
+        added = np.add.reduceat(added, [round(k * n / count) for k in range(count)], axis=axis)
+    return added.ravel()
 
 
 def _wider(parts: list[Array]) -> float:

@@ -33,13 +33,22 @@ class SharedTrend:
 
 def without_trend(values: Array, known: Mask) -> Array:
     """Take the plane and second-order surface of least squares off a map (rows, cols); 0 where it is not known."""
-    rows, cols = (2.0 * np.arange(n) / max(n - 1, 1) - 1.0 for n in known.shape)
-    at = [np.broadcast_to(m, known.shape)[known] for m in (rows[:, None], cols)]
-    terms = np.stack([np.ones(at[0].size), *at, at[0] ** 2, at[0] * at[1], at[1] ** 2], axis=1)
-    inside = values[known] - values[known].mean()
-    out = np.zeros(known.shape)
-    out[known] = inside - terms @ np.linalg.lstsq(terms, inside, rcond=None)[0]
-    return out
+    # Products of one polynomial along the rows and one along the columns: no term is ever as large as the map.
+    rows, cols = (np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), 2) for n in known.shape)
+    inside = np.where(known, values - values[known].mean(), 0.0)
+    weights = known.astype(np.float64)
+    moments = np.einsum(
+        "rjl,ri,rk->ijkl", (weights @ (cols[:, :, None] * cols[:, None, :]).reshape(len(cols), 9)).reshape(-1, 3, 3),
+        rows, rows,
+    )  # fmt: skip
+    sums = rows.T @ inside @ cols
+    terms = [(i, j) for i in range(3) for j in range(3 - i)]
+    matrix = np.array([[moments[i, j, k, m] for k, m in terms] for i, j in terms])
+    found = np.linalg.lstsq(matrix, np.array([sums[i, j] for i, j in terms]), rcond=None)[0]
+    surface = np.zeros((3, 3))
+    for (i, j), value in zip(terms, found, strict=True):
+        surface[i, j] = value
+    return np.where(known, inside - rows @ surface @ cols.T, 0.0)
 
 
 def shared_trend(x: Array, y: Array, known: Mask) -> SharedTrend | None:

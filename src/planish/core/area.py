@@ -22,6 +22,7 @@ class AreaMeans:
 
     def __init__(self, shape: tuple[int, int], factor: tuple[float, float], *, least: float = 0.5) -> None:
         self._down, self._across = (_overlap(n, f) for n, f in zip(shape, factor, strict=True))
+        self._as_it_is = factor == (1, 1)  # a cell is a pixel
         self._enough = least * factor[0] * factor[1] - 1e-9
         self._weight = np.zeros((self._down.shape[0], self._across.shape[0]))
         self._totals: list[Array] = []
@@ -44,7 +45,7 @@ class AreaMeans:
         return [np.where(enough, total / weight, np.nan) for total in self._totals]
 
     def _summed(self, down: sparse.csr_array, values: Array) -> Array:
-        return (self._across @ (down @ values).T).T
+        return values if self._as_it_is else (self._across @ (down @ values).T).T
 
 
 def area_mean(values: Rows, factor: tuple[float, float], *, least: float = 0.5) -> Array:
