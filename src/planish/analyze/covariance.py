@@ -102,7 +102,9 @@ class PairCovariances:
         both = lags.products(a, b)
         self.used = [lags.until_zero(p) for p in own]
         self.xx, self.yy = (lags.covariance(p, use) for p, use in zip(own, self.used, strict=True))
-        self.xy = lags.covariance(both, lags.until_zero(both + _reversed(both)))
+        # For the interval all are cut alike: where r is large they nearly cancel each other.
+        used = self.used[0] | self.used[1]
+        self._together = [lags.covariance(p, used) for p in (*own, both)]
         self.variances = tuple(float(p[0, 0]) / lags.n for p in own)
 
     def variance_of_r(self, variances: tuple[float, float] | None = None) -> float:
@@ -146,7 +148,7 @@ class PairCovariances:
         own = self.variances if variances is None else variances
         put_back = [float(c[0, 0]) - w for c, w in zip((self.xx, self.yy), self.variances, strict=True)]
         sd = [math.sqrt(v + p) for v, p in zip(own, put_back, strict=True)]
-        xx, yy, xy = self.xx / sd[0] ** 2, self.yy / sd[1] ** 2, self.xy / (sd[0] * sd[1])
+        xx, yy, xy = (c / s for c, s in zip(self._together, (sd[0] ** 2, sd[1] ** 2, sd[0] * sd[1]), strict=True))
         yx = _reversed(xy)
         terms = xx * yy + xy * yx - r * (xx + yy) * (xy + yx) + r * r / 2 * (xx**2 + yy**2 + xy**2 + yx**2)
         return self.lags.pairs * terms / (1 - r * r) ** 2
