@@ -5,11 +5,13 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
+from scipy import ndimage
 
 from planish.analyze import correlate
 from planish.core.results import LayerFacts, Results
 from planish.pipeline.compare import correlate_layers, headline_of
 from planish.pipeline.evidence import evidence_of
+from planish.report.scale import sentences
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +64,18 @@ def test_the_headline_has_its_scales_and_ceiling(results):
         if row.band is not None:
             assert row.band[0] < row.interval[0] < row.r < row.interval[1] < row.band[1]
     assert 0.9 < found.ceiling <= 1
+    assert found.curve is None or found.curve.r2_line <= found.curve.r2_parabola
+
+
+def test_a_relation_that_saturates_is_named():
+    maps = drawn(shape=(240, 320))
+    thick = 10 + 2 * ndimage.gaussian_filter(maps["sheet"]["coating_top"].values, 6) / 0.047
+    maps["sheet"]["coating_top"][:] = thick
+    maps["image"]["image"][:] = 1 - np.exp(-thick / 5) + 0.01 * maps["image"]["image"].values
+    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    found = evidence_of(maps, *given, point_um=50, declared=False)
+    assert found.curve.words == "curved, saturating"
+    assert any("curved, saturating" in s for s in sentences(found, 50.0))
 
 
 def test_the_page_says_who_named_the_headline(linked_run):

@@ -452,6 +452,21 @@ class BandFacts(Facts):
     modes: Number = Field(description="Independent waves.")
 
 
+class CurveFacts(Facts):
+    """Whether an image bends over a property: a parabola beside the straight line, at the larger points."""
+
+    point_um: float
+    n: int
+    n_eff: Number
+    slope: Number
+    slope_interval: KnownPair
+    curvature: Number = Field(description="Coefficient of the square.")
+    interval: KnownPair = Field(description="In which the curvature lies with 95 %.")
+    r2_line: Number
+    r2_parabola: Number
+    words: str
+
+
 class EvidenceFacts(Facts):
     """What stands beside the correlation of the maps that stand for two layers."""
 
@@ -466,6 +481,7 @@ class EvidenceFacts(Facts):
     origins: tuple[float, float, float] | None = Field(
         None, description="Least, mean and largest r over grids of points that begin elsewhere."
     )
+    curve: CurveFacts | None = None
     short_waves: SizeFacts | None = Field(None, description="Without waves above short_waves_um.")
     short_waves_um: Number = None
     ceiling: Number = Field(None, description="The r that a perfect relation would show, by misplacement alone.")

@@ -10,11 +10,20 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.analyze import PairAtSizes, ceiling, coherence, of_short_waves, origins, size_curve
+from planish.analyze import (
+    PairAtSizes,
+    ceiling,
+    coherence,
+    independent_points,
+    of_short_waves,
+    origins,
+    size_curve,
+    straight_or_curved,
+)
 from planish.core.bands import band_of, bands, thinned
 from planish.core.errors import PlanishError
 from planish.core.grid import Grid
-from planish.core.results import BandFacts, EvidenceFacts, LayerFacts, SizeFacts
+from planish.core.results import BandFacts, CurveFacts, EvidenceFacts, LayerFacts, SizeFacts
 
 Array = NDArray[np.float64]
 
@@ -58,6 +67,8 @@ def evidence_of(
             found["origins"] = (spread.least, spread.r, spread.largest)
         except PlanishError:
             pass
+        if "thickness" in first and "image" in second:
+            found["curve"] = _curve(x, y, cell_um, point_um)
         short, longest = of_short_waves(x, y, pixel_um=cell_um, point_um=point_um)
         found["short_waves"] = SizeFacts.of(short, point_um=point_um)
         found["short_waves_um"] = longest
@@ -66,6 +77,19 @@ def evidence_of(
         most = ceiling(x, error_um=errors, mask=known, pixel_um=cell_um, point_um=size)
         found |= {"ceiling": most.r, "ceiling_sentence": most.sentence}
     return EvidenceFacts(a=a.name, a_map=a.headline, b=b.name, b_map=b.headline, declared=declared, **found)
+
+
+def _curve(x: Array, y: Array, cell_um: tuple[float, float], point_um: float) -> CurveFacts | None:
+    """Whether an image bends over a property, at the larger points; None where too few points are independent."""
+    pair = PairAtSizes((x.shape[0], x.shape[1]), pixel_um=cell_um, point_um=point_um, most_cells=0)
+    pair.add(0, x, y)
+    p, q = pair.points()
+    try:
+        count = independent_points(p, q, pixel_um=point_um)
+        bent = straight_or_curved(p, q, n_eff=count.n_eff, n_eff_square=count.n_eff_square)
+    except PlanishError:
+        return None
+    return CurveFacts.of(bent, point_um=point_um)
 
 
 def _errors(*layers: xr.Dataset) -> Array | None:

@@ -93,6 +93,10 @@ def sentences(found: EvidenceFacts, point_um: float) -> list[str]:
             f"Where the grid of points of {plain(point_um)} begins is arbitrary: over 16 origins r is {fixed(mean, 2)} "
             f"on average, from {fixed(least, 2)} to {fixed(largest, 2)}."
         )
+    if found.curve is not None:
+        bent = found.curve
+        shares = f"r² is {fixed(bent.r2_line, 2)} of the line and {fixed(bent.r2_parabola, 2)} of the parabola"
+        out.append(f"Over points of {plain(point_um)} the relation is {bent.words} ({shares}).")
     short = found.short_waves
     if short and short.r is not None and short.interval and found.short_waves_um:
         low, high = (fixed(v, 2) for v in short.interval)
