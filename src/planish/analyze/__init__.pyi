@@ -1,3 +1,5 @@
+from .agreement import Agreement as Agreement
+from .agreement import bland_altman as bland_altman
 from .beside import Origins as Origins
 from .beside import commonality as commonality
 from .beside import of_short_waves as of_short_waves
@@ -11,6 +13,8 @@ from .correlation import PairAtSizes as PairAtSizes
 from .correlation import PairSums as PairSums
 from .correlation import correlate as correlate
 from .correlation import pearson as pearson
+from .correlograms import Correlogram as Correlogram
+from .correlograms import cross_correlogram as cross_correlogram
 from .cross_fit import CrossFitted as CrossFitted
 from .cross_fit import Registration as Registration
 from .cross_fit import SearchedNull as SearchedNull
@@ -44,6 +48,16 @@ from .mottle import print_mottle as print_mottle
 from .octaves import Coherence as Coherence
 from .octaves import coherence as coherence
 from .params import CorrelateParams as CorrelateParams
+from .reliability import Deming as Deming
+from .reliability import Disattenuated as Disattenuated
+from .reliability import Reliability as Reliability
+from .reliability import deming as deming
+from .reliability import disattenuated as disattenuated
+from .reliability import split_reliability as split_reliability
+from .rings import Ring as Ring
+from .rings import RingCorrelation as RingCorrelation
+from .rings import half_bit as half_bit
+from .rings import ring_correlation as ring_correlation
 from .screen import SCREEN_SIGMA_UM as SCREEN_SIGMA_UM
 from .screen import screen_left as screen_left
 from .screen import without_screen as without_screen
@@ -55,3 +69,5 @@ from .sides import two_sheets as two_sheets
 from .surrogates import in_band as in_band
 from .texture import Textures as Textures
 from .texture import textures as textures
+from .variograms import Variogram as Variogram
+from .variograms import variogram as variogram

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from planish.analyze.correlation import on_one_grid
-from planish.analyze.covariance import Lags
+from planish.analyze.covariance import Lags, covariance_of
 from planish.core.errors import CannotMeasure, InputError
 
 Array = NDArray[np.float64]
@@ -92,10 +92,7 @@ def ceiling(
         raise InputError(f"The reliability is {reliability:g}. Give a share above 0, at most 1.")
     if np.count_nonzero(known) < 3 or not np.ptp(a[known]) > 0:
         raise CannotMeasure("The map is constant or has no valid pixel: nothing could be compared with it.")
-    lags = Lags(known, pixel)
-    moved = lags.transform(np.where(known, a - a[known].mean(), 0.0))
-    products = lags.products(moved, moved)
-    covariance = lags.covariance(products, lags.until_zero(products))
+    covariance, _ = covariance_of(a, Lags(known, pixel))
     spectrum = np.asarray(fft.rfft2(covariance)).real
     frequency = [fft.fftfreq(n, p) for n, p in zip(covariance.shape, pixel, strict=True)]
     across = frequency[1][: spectrum.shape[1]]

@@ -83,6 +83,17 @@ class Lags:
         return np.asarray(fft.irfft2(values, self._size))
 
 
+def covariance_of(values: Array, lags: Lags) -> tuple[Array, float]:
+    """Covariance of a map with itself by lag, up to its first zero, and the variance of the map's mean.
+
+    ``values``, shape (rows, cols), do not count outside of the mask of ``lags``.
+    """
+    moved = lags.transform(np.where(lags.known, values - values[lags.known].mean(), 0.0))
+    products = lags.products(moved, moved)
+    covariance = lags.covariance(products, lags.until_zero(products))
+    return covariance, float(np.sum(lags.pairs * covariance)) / lags.n**2
+
+
 class PairCovariances:
     """Covariances of two maps with themselves and with each other, by lag.
 

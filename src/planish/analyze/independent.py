@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.analyze.correlation import correlate, on_one_grid
-from planish.analyze.covariance import Lags
+from planish.analyze.covariance import Lags, covariance_of
 from planish.core.errors import CannotMeasure
 
 _LEAST = 3
@@ -70,10 +70,6 @@ def independent_points(
     y_off = np.where(known, y - y[known].mean(), 0.0)
     rest = y_off - off * (float(np.sum(off * y_off)) / float(np.sum(off * off)))
     slope, square = (correlate(m, rest, mask=known, pixel_um=pixel).n_eff for m in (off, off * off))
-    lags = Lags(known, pixel)
-    moved = lags.transform(rest)
-    products = lags.products(moved, moved)
-    covariance = lags.covariance(products, lags.until_zero(products))
-    variance = float(np.sum(lags.pairs * covariance)) / n**2
+    covariance, variance = covariance_of(rest, Lags(known, pixel))
     level = min(float(covariance[0, 0]) / variance, float(n)) if variance > 0 else np.nan
     return IndependentPoints(n_eff=slope, n_eff_square=square, n_eff_level=level)

@@ -110,9 +110,9 @@ def coherence(
             f"The field of {shortest_side:g} um holds no octave of waves from a quarter of it to two pixels. Give a "
             "larger map."
         )
-    window = _window(known)
+    window = window_of(known)
     power = float(np.sum(window**2))
-    one, two = (_spectrum(m, known, window) for m in (a, b))
+    one, two = (spectrum_of(m, known, window) for m in (a, b))
     fy, fx = (fft.fftfreq(n, p) for n, p in zip(known.shape, pixel, strict=True))
     frequency = np.hypot(fy[:, None], fx)
     # Width of the window in frequency: one over the field it leaves.
@@ -120,7 +120,7 @@ def coherence(
     resolution = math.sqrt(joined) / shortest_side
     ring = np.rint(frequency / resolution).astype(np.intp)
     white = [_whitened(m, ring) for m in (one, two)]
-    half = _half_plane(known.shape) & np.logical_and.reduce([_stands_out(m, ring) for m in (one, two)])
+    half = half_plane(known.shape) & np.logical_and.reduce([stands_out(m, ring) for m in (one, two)])
     edges = [longest / 2**k for k in range(count + 1)]
     found = [
         _band(one, two, white, half & (frequency > 1 / high) & (frequency <= 1 / low), joined, (low, high), count)
@@ -151,7 +151,7 @@ def _band(
     )  # fmt: skip
 
 
-def _window(known: Mask) -> Array:
+def window_of(known: Mask) -> Array:
     """A window that is 1 inside and falls to 0 towards the edge of the field and of what is missing."""
     width = max(_EDGE * min(known.shape) / 2, 1.0)
     padded = np.pad(known, 1)
@@ -159,7 +159,8 @@ def _window(known: Mask) -> Array:
     return np.where(known, np.sin(math.pi / 2 * np.minimum(distance / width, 1.0)) ** 2, 0.0)
 
 
-def _spectrum(values: NDArray[Any], known: Mask, window: Array) -> NDArray[np.complex128]:
+def spectrum_of(values: NDArray[Any], known: Mask, window: Array) -> NDArray[np.complex128]:
+    """Fourier transform of a map without its trend and mean under a window; all of shape (rows, cols)."""
     flat = without_trend(np.where(known, values, 0.0).astype(np.float64), known)
     weighted = window * flat
     mean = weighted.sum() / max(window.sum(), 1e-300)
@@ -171,13 +172,13 @@ def _whitened(values: NDArray[np.complex128], ring: NDArray[np.intp]) -> NDArray
     return values / np.sqrt(np.maximum(power, 1e-300))[ring]
 
 
-def _stands_out(values: NDArray[np.complex128], ring: NDArray[np.intp]) -> Mask:
+def stands_out(values: NDArray[np.complex128], ring: NDArray[np.intp]) -> Mask:
     """Rings that are no mere leakage of stronger ones through the window."""
     power = np.bincount(ring.ravel(), weights=np.abs(values.ravel()) ** 2) / np.maximum(np.bincount(ring.ravel()), 1)
     return (power > _LEAST_POWER * power.max())[ring]
 
 
-def _half_plane(shape: tuple[int, ...]) -> Mask:
+def half_plane(shape: tuple[int, ...]) -> Mask:
     """One of each two modes that a real map has twice."""
     rows, cols = (np.fft.fftfreq(n, 1 / n) for n in shape)
     return (cols[None, :] > 0) | ((cols[None, :] == 0) & (rows[:, None] > 0))

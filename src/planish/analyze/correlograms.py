@@ -1,0 +1,232 @@
+"""Correlation of two maps at every lag: where they agree best, how wide that peak is, and what chance reaches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage, optimize, stats
+
+from planish.analyze.correlation import LEAST_CLAIMED, on_one_grid
+from planish.analyze.covariance import Lags, PairCovariances
+from planish.analyze.ncc import MaskedNcc
+from planish.core.errors import CannotMeasure, SizeError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_CHANCE = 0.01  # a band at 95 % is exceeded by 10-18 % of smooth maps
+_RAYS = 72
+_STEP = 0.25  # pixels, along a ray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Correlogram:
+    """Correlation of map a with map b, moved by each lag.
+
+    Attributes
+    ----------
+    r : ndarray, shape (lags along y, lags along x)
+        Of the pairs ``a[p], b[p + lag]``, each lag with its own means; NaN where few pairs are left.
+    lag_y_um, lag_x_um : ndarray
+        Lags of its rows and columns.
+    lag_um : (float, float)
+        Along y and x, of the largest ``|r|``: the summit of a parabola through the 3 x 3 lags about it. Where the
+        largest stands at the border of the lags looked at (``inner`` is False), that lag.
+    peak_r : float
+        r at the summit, with its sign.
+    sign : int
+        1 or -1.
+    inner : bool
+        Whether the peak is a summit, not a slope that goes on beyond the lags looked at.
+    widths_um : (float, float)
+        Full widths at half of ``peak_r`` along the longer and the shorter main axis; NaN where r does not fall to half.
+    angle_deg : float
+        Direction of the longer axis, clockwise on the screen from the x axis, above -90, at most 90.
+    n_eff : float
+        Independent points at lag 0.
+    band_99 : ndarray, shape of ``r``
+        ``|r|`` that unrelated maps of this texture exceed at this lag with 1 %; NaN where fewer than 10 independent
+        points say nothing.
+    band_99_of_any : ndarray, shape of ``r``
+        Limit that they exceed at any of all lags looked at with 1 %.
+    """
+
+    r: Array
+    lag_y_um: Array
+    lag_x_um: Array
+    lag_um: tuple[float, float]
+    peak_r: float
+    sign: int
+    inner: bool
+    widths_um: tuple[float, float]
+    angle_deg: float
+    n_eff: float
+    band_99: Array
+    band_99_of_any: Array
+
+    @property
+    def anisotropy(self) -> float:
+        """Longer over shorter width of the peak."""
+        return self.widths_um[0] / self.widths_um[1]
+
+    @property
+    def beyond_chance(self) -> bool | None:
+        """Whether some lag exceeds what unrelated maps reach at any lag with 1 %; None where nothing is claimed."""
+        limit = self.band_99_of_any
+        return bool(np.any(np.abs(self.r) > limit)) if np.isfinite(limit).any() else None
+
+
+def cross_correlogram(
+    a: NDArray[Any], b: NDArray[Any], *, mask: Mask | None = None, pixel_um: float | tuple[float, float],
+    reach_um: float = 500.0,
+) -> Correlogram:  # fmt: skip
+    """Correlate two maps at every lag up to a reach along either axis.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (rows, cols)
+        On one grid; NaN is missing, in each map by itself.
+    mask : ndarray of bool, shape (rows, cols), optional
+        Pixels that count in both.
+    pixel_um : float or (float, float)
+        Along y and x.
+    reach_um : float
+        Largest lag along either axis; at most half of the field is looked at.
+
+    Returns
+    -------
+    Correlogram
+
+    Raises
+    ------
+    InputError
+        If the arrays are no two maps of numbers on one grid, or the mask is none of theirs.
+    SizeError
+        If the reach holds no lag of one pixel.
+    CannotMeasure
+        If fewer than 3 pixels are known in both maps, or a map is constant.
+
+    Notes
+    -----
+    The limits follow from the covariances of both maps as those of :func:`planish.correlate` do, wider where fewer
+    pairs are left, by Student's t. Over lags, r of unrelated maps varies smoothly: its covariance is the convolution of
+    theirs, and the largest of all lags exceeds a limit as often as the mean Euler characteristic of a smooth Gaussian
+    field says (Worsley 1996), or as Bonferroni says where that is less.
+
+    References
+    ----------
+    Padfield (2012), IEEE Trans. Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402.
+    Worsley et al. (1996), Human Brain Mapping 4, 58, doi:10.1002/(SICI)1097-0193(1996)4:1<58::AID-HBM4>3.0.CO;2-O.
+    """
+    pixel = on_one_grid(a, b, mask, pixel_um)
+    if not max(pixel) <= reach_um < math.inf:
+        raise SizeError(f"The reach is {reach_um:g} um, a pixel {max(pixel):g} um. Give a reach of a pixel or more.")
+    use = np.ones(a.shape, bool) if mask is None else mask
+    valid = [np.isfinite(m) & use for m in (a, b)]
+    both = valid[0] & valid[1]
+    n = int(np.count_nonzero(both))
+    for name, m, own in zip("ab", (a, b), valid, strict=True):
+        if n < 3 or not np.ptp(m[own]) > 0:
+            raise CannotMeasure(f"{n} pixels are known in both maps, or map {name} is constant. Look at the masks.")
+    reach = tuple(max(min(int(reach_um / p + 1e-9), n // 2), 1) for n, p in zip(a.shape, pixel, strict=True))
+    ncc = MaskedNcc(a.astype(np.float64), a_valid=valid[0], b_valid=valid[1], reach=(reach[0], reach[1]))
+    r = ncc(b.astype(np.float64))
+    if not np.isfinite(r).any():
+        raise CannotMeasure("At no lag are there enough pairs that differ. Give a larger map or a smaller mask.")
+    lags = [(np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True)]
+    at, peak_r, inner = _summit(r)
+    widths, angle = _widths(r / peak_r, at, pixel) if inner else ((math.nan, math.nan), math.nan)
+    n_eff, band, of_any = _limits([a, b], both, pixel, ncc.pairs, np.isfinite(r))
+    return Correlogram(
+        r=r, lag_y_um=lags[0], lag_x_um=lags[1], peak_r=peak_r, sign=1 if peak_r > 0 else -1, inner=inner,
+        lag_um=((at[0] - reach[0]) * pixel[0], (at[1] - reach[1]) * pixel[1]), widths_um=widths, angle_deg=angle,
+        n_eff=n_eff, band_99=band, band_99_of_any=of_any,
+    )  # fmt: skip
+
+
+def _summit(r: Array) -> tuple[tuple[float, float], float, bool]:
+    """Place of the largest ``|r|`` in rows and columns, r there, and whether it is a summit."""
+    row, col = np.unravel_index(int(np.nanargmax(np.abs(r))), r.shape)
+    highest = float(r[row, col])
+    plain = (float(row), float(col)), highest, False
+    near = r[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
+    if near.shape != (3, 3) or not np.isfinite(near).all():
+        return plain
+    y, x = (m.ravel() for m in np.mgrid[-1:2, -1:2])
+    terms = np.stack([np.ones(9), y, x, y * y / 2, x * y, x * x / 2], axis=1).astype(np.float64)
+    c = np.linalg.lstsq(terms, near.ravel(), rcond=None)[0]
+    bend = np.array([[c[3], c[4]], [c[4], c[5]]]) * math.copysign(1.0, highest)
+    if bend[0, 0] >= 0 or np.linalg.det(bend) <= 0:
+        return plain
+    move = -np.linalg.solve(bend, c[1:3] * math.copysign(1.0, highest))
+    if np.abs(move).max() > 1:
+        return plain
+    r_there = float(np.clip(c[0] + c[1:3] @ move / 2, -1.0, 1.0))
+    return (float(row + move[0]), float(col + move[1])), r_there, True
+
+
+def _widths(height: Array, at: tuple[float, float], pixel: tuple[float, float]) -> tuple[tuple[float, float], float]:
+    """Full widths at half height along the main axes of what lies above it, and the direction of the longer one.
+
+    The border is looked for along rays; of an ellipse the second moments over the area are a quarter of the squared
+    half axes.
+    """
+    turn = np.arange(_RAYS) * (2 * math.pi / _RAYS)
+    ahead = np.stack([np.sin(turn), np.cos(turn)])  # along y and x, in um
+    steps = np.arange(1, int(math.hypot(*height.shape) / _STEP)) * _STEP * min(pixel)
+    places = [at[k] + ahead[k][:, None] * steps / pixel[k] for k in (0, 1)]
+    seen = ndimage.map_coordinates(height, places, order=1, mode="constant", cval=math.nan)
+    seen = np.concatenate([np.ones((_RAYS, 1)), seen], axis=1)
+    steps = np.concatenate([[0.0], steps])
+    below = ~(seen > 0.5)
+    first = np.argmax(below, axis=1)
+    rays = np.arange(_RAYS)
+    inner, outer = seen[rays, first - 1], seen[rays, first]
+    if not np.isfinite(outer).all() or not below.any(axis=1).all():
+        return (math.nan, math.nan), math.nan
+    far = steps[first - 1] + (inner - 0.5) / (inner - outer) * (steps[first] - steps[first - 1])
+    area = float(np.sum(far**2)) / 2
+    moments = (ahead * far**4) @ ahead.T / 4 / area
+    values, vectors = np.linalg.eigh(moments)
+    angle = math.degrees(math.atan2(vectors[0, 1], vectors[1, 1]))
+    angle = angle - 180 if angle > 90 else angle + 180 if angle <= -90 else angle
+    return (4 * math.sqrt(values[1]), 4 * math.sqrt(values[0])), angle
+
+
+def _limits(
+    maps: list[NDArray[Any]], both: Mask, pixel: tuple[float, float], pairs: Array, looked_at: Mask
+) -> tuple[float, Array, Array]:
+    """Independent points, and the limits of ``|r|`` by lag: at this lag alone, and at any lag."""
+    lags = Lags(both, pixel)
+    x, y = (np.where(both, m, 0.0).astype(np.float64) for m in maps)
+    pair = PairCovariances(x, y, lags)
+    variance = pair.variance_of_r()
+    n_eff = min(1 + 1 / variance, float(lags.n)) if variance > 0 else math.nan
+    unknown = np.full(pairs.shape, math.nan)
+    if not n_eff >= LEAST_CLAIMED:
+        return n_eff, unknown, unknown
+    # Fewer pairs hold as many fewer independent ones.
+    left = np.maximum(n_eff * np.minimum(pairs / lags.n, 1.0), 3.0)
+    over = [np.asarray(fft.rfft2(m)) for m in (pair.xx, pair.yy)]
+    together = np.asarray(fft.irfft2(over[0] * over[1], pair.xx.shape))
+    smooth = [2 * max(1 - float(v / together[0, 0]), 0.0) for v in (together[1, 0], together[0, 1])]
+    sides, count = [n - 1 for n in pairs.shape], int(np.count_nonzero(looked_at))
+
+    def chance(u: float) -> float:
+        """Of exceeding u standard deviations anywhere, on either side."""
+        edge, face = (sides[k] * math.sqrt(smooth[k]) for k in (0, 1))
+        bump = math.exp(-u * u / 2)
+        mean = float(stats.norm.sf(u)) + (edge + face) * bump / (2 * math.pi)
+        mean += edge * face * u * bump / (2 * math.pi) ** 1.5
+        return 2 * min(mean, count * float(stats.norm.sf(u)))
+
+    u = float(optimize.brentq(lambda v: math.log(chance(v) / _CHANCE), 2.0, 12.0))
+    alone, anywhere = (
+        np.where(looked_at, t / np.sqrt(t * t + left - 2), math.nan)
+        for t in (np.asarray(stats.t.isf(tail, left - 2)) for tail in (_CHANCE / 2, stats.norm.sf(u)))
+    )
+    return n_eff, alone, anywhere

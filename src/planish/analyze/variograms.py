@@ -1,0 +1,171 @@
+"""How a map varies with distance: its noise from pixel to pixel, its spread, and how far its texture reaches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from planish.analyze.correlation import on_one_grid
+from planish.analyze.covariance import Lags
+from planish.core.errors import CannotMeasure
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_SECTOR = 45.0  # deg
+_LEAST_RINGS = 4  # for a model of three numbers
+_FITTED = 0.3  # of the first covariance, down to which the model is fitted
+_MOST_FITTED = 40
+_EXPONENTS = (1.0, 2.0)  # from the exponential to the Gaussian covariance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variogram:
+    """Half of the mean square difference of two points of a map, by their distance.
+
+    Attributes
+    ----------
+    lags_um, values : ndarray, shape (rings,)
+        Mean distance of the pairs of a ring, and the sill less the covariance there, in the map's units squared.
+    pairs : ndarray, shape (rings,)
+    nugget : float
+        Variance that neighbouring pixels do not share.
+    sill : float
+        Variance of the map, with what the removal of its mean took put back.
+    range_um : float
+        Practical range: where the covariance without nugget has fallen to 1/e. Infinite where it does not, up to half
+        of the shorter side; NaN where all is nugget.
+    range_along_um, range_across_um : float
+        The same in sectors of 45 deg about the machine direction and across it; NaN where it was not given.
+    """
+
+    lags_um: Array
+    values: Array
+    pairs: Array
+    nugget: float
+    sill: float
+    range_um: float
+    range_along_um: float = math.nan
+    range_across_um: float = math.nan
+
+    @property
+    def ratio(self) -> float:
+        """Range along over range across the machine direction; NaN where one of them is not known."""
+        both = (self.range_along_um, self.range_across_um)
+        return both[0] / both[1] if all(map(math.isfinite, both)) else math.nan
+
+
+def variogram(
+    a: NDArray[Any], *, mask: Mask | None = None, pixel_um: float | tuple[float, float], md_deg: float | None = None
+) -> Variogram:
+    """Variogram of a map with nugget, sill and ranges.
+
+    Parameters
+    ----------
+    a : ndarray, shape (rows, cols)
+        NaN is missing.
+    mask : ndarray of bool, shape (rows, cols), optional
+    pixel_um : float or (float, float)
+        Along y and x.
+    md_deg : float, optional
+        Machine direction, deg clockwise on the screen from the x axis.
+
+    Returns
+    -------
+    Variogram
+
+    Raises
+    ------
+    InputError, SizeError
+        As :func:`planish.correlate`.
+    CannotMeasure
+        If the map is constant, or the field holds fewer than 4 rings of distance.
+
+    Notes
+    -----
+    From the covariances at all lags up to half of the shorter side, in rings one pixel wide. The nugget is what a
+    covariance ``c exp(-(h / l)^k)``, k from 1 to 2, fitted from the first ring to where 0.3 is left, leaves of the
+    sill; a texture that is rougher than the exponential one counts as nugget in part. The range is read off the
+    covariances themselves. Waves longer than a fifth of the field make sill and range smaller than they are.
+    """
+    pixel = on_one_grid(a, a, mask, pixel_um)
+    known = np.isfinite(a) if mask is None else np.isfinite(a) & mask
+    n = int(np.count_nonzero(known))
+    if n < 3 or not np.ptp(a[known]) > 0:
+        raise CannotMeasure(f"{n} pixels are known, or all have one value: no variogram. Look at the mask.")
+    lags = Lags(known, pixel)
+    moved = lags.transform(np.where(known, a - a[known].mean(), 0.0))
+    products = lags.products(moved, moved)
+    # What the mean took is known from the lags that are used, and put back at all lags.
+    sill = float(lags.covariance(products, lags.until_zero(products))[0, 0])
+    products = products + (sill - float(products[0, 0]) / lags.n) * lags.pairs
+    distance, covariance, pairs = _by_ring(lags, products, lags.inside)
+    if distance.size < _LEAST_RINGS:
+        raise CannotMeasure(
+            f"Half of the field holds {distance.size} rings of distance, {_LEAST_RINGS} are needed. Give a larger map."
+        )
+    shared = min(_at_zero(distance, covariance, max(pixel)), sill)
+    ranges = [_range(distance, covariance, shared)]
+    if md_deg is not None:
+        turned = np.degrees(np.arctan2(lags.lag_um[0][:, None], lags.lag_um[1][None, :]))
+        for direction in (md_deg, md_deg + 90):
+            away = np.abs((turned - direction + 90) % 180 - 90)
+            h, c, _ = _by_ring(lags, products, away <= _SECTOR / 2 + 1e-9)
+            ranges.append(_range(h, c, shared))
+    ranges += [math.nan] * (3 - len(ranges))
+    return Variogram(
+        lags_um=distance, values=sill - covariance, pairs=pairs, nugget=sill - shared, sill=sill, range_um=ranges[0],
+        range_along_um=ranges[1], range_across_um=ranges[2],
+    )  # fmt: skip
+
+
+def _by_ring(lags: Lags, products: Array, some: Mask) -> tuple[Array, Array, Array]:
+    """Mean distance and covariance, and number of pairs, of rings one pixel wide; lag 0 is left out."""
+    step = max(lags.pixel_um)
+    ring = np.rint(lags.distance_um / step).astype(np.intp)
+    side = min(n * p for n, p in zip(lags.known.shape, lags.pixel_um, strict=True))
+    use = some & lags.inside & (lags.pairs > 0) & (ring >= 1) & (lags.distance_um <= side / 2)
+    number = ring[use]
+    pairs, total = (np.bincount(number, weights=m[use]) for m in (lags.pairs, products))
+    far = np.bincount(number, weights=(lags.pairs * lags.distance_um)[use])
+    kept = pairs > 0
+    # Each pair of points stands at two lags, one the negative of the other.
+    return far[kept] / pairs[kept], total[kept] / pairs[kept], pairs[kept] / 2
+
+
+def _at_zero(distance: Array, covariance: Array, step: float) -> float:
+    """Covariance towards distance 0: the variance that neighbours share; 0 where they share nothing."""
+    if covariance[0] <= 0:
+        return 0.0
+    low = np.flatnonzero(covariance < _FITTED * covariance[0])
+    count = min(max(int(low[0]) if low.size else covariance.size, _LEAST_RINGS), _MOST_FITTED)
+    h, c = distance[:count], covariance[:count] / covariance[0]
+    # Each ring counts the same: longer ones have more pairs but scatter more, as a field holds few long waves.
+
+    def off(p: Array) -> Array:
+        return p[0] * np.exp(-((h / math.exp(p[1])) ** p[2])) - c
+
+    start = max(float(h[-1]) / 2, step)
+    found = optimize.least_squares(
+        off, np.array([1.1, math.log(start), 1.3]),
+        bounds=([0.0, math.log(step / 20), _EXPONENTS[0]], [np.inf, math.log(1e3 * float(h[-1])), _EXPONENTS[1]]),
+    )  # fmt: skip
+    return float(found.x[0] * covariance[0])
+
+
+def _range(distance: Array, covariance: Array, shared: float) -> float:
+    """Distance at which the covariance first falls below 1/e of what neighbours share."""
+    if not shared > 0:
+        return math.nan
+    h, c = np.concatenate([[0.0], distance]), np.concatenate([[shared], covariance]) / shared
+    below = np.flatnonzero(c < math.exp(-1))
+    if not below.size:
+        return math.inf
+    k = int(below[0])
+    part = (c[k - 1] - math.exp(-1)) / (c[k - 1] - c[k])
+    return float(h[k - 1] + part * (h[k] - h[k - 1]))

@@ -1,0 +1,114 @@
+import math
+
+import numpy as np
+import pytest
+
+from analyze.fields import gaussian_maps
+from planish.analyze import bland_altman
+from planish.core.errors import CannotMeasure, InputError
+
+
+def measured(rng, shape, *, bias=2.0, sd=0.5, length=3.0):
+    truth, error = gaussian_maps(rng, shape, length)
+    return 3 * truth, 3 * truth + bias + sd * error
+
+
+def test_white_differences_have_the_textbook_numbers():
+    rng = np.random.default_rng(0)
+    a = rng.normal(size=(60, 80))
+    d = 1 + 0.5 * rng.normal(size=a.shape)
+    found = bland_altman(a, a + d, pixel_um=1.0)
+    n = d.size
+    assert found.n == n
+    assert found.bias == pytest.approx(d.mean())
+    assert found.sd == pytest.approx(d.std(ddof=1), rel=0.01)
+    assert found.limits == pytest.approx((found.bias - 1.96 * found.sd, found.bias + 1.96 * found.sd), abs=1e-4)
+    assert found.n_eff == pytest.approx(n, rel=0.25)
+    width = np.diff(found.bias_interval)[0] / 2
+    t = 2.228  # of 10 degrees of freedom
+    assert width == pytest.approx(t * found.sd / math.sqrt(found.n_eff), rel=0.01)
+    assert found.sd_interval[1] / found.sd == pytest.approx(1 + t / math.sqrt(2 * found.n_eff_sd), rel=0.01)
+    # Bland and Altman (1986): the standard error of a limit is about sqrt(3 / n) of the standard deviation.
+    wide = np.diff(found.limit_intervals[1])[0] / 2
+    assert wide == pytest.approx(t * found.sd * math.sqrt(1 / found.n_eff + 1.96**2 / 2 / found.n_eff_sd), rel=0.01)
+
+
+def test_both_lines_stand_beside():
+    rng = np.random.default_rng(1)
+    a, b = measured(rng, (60, 80))
+    found = bland_altman(a, b, pixel_um=1.0)
+    assert found.slope == pytest.approx(np.polyfit(a.ravel(), b.ravel(), 1)[0])
+    assert found.slope_x_on_y == pytest.approx(np.polyfit(b.ravel(), a.ravel(), 1)[0])
+
+
+def test_texture_widens_the_intervals():
+    rng = np.random.default_rng(2)
+    rough, smooth = (
+        bland_altman(*measured(rng, (90, 120), length=length), pixel_um=1.0) for length in (1.0, 6.0)
+    )  # fmt: skip
+    assert smooth.n_eff < rough.n_eff / 10
+    assert np.diff(smooth.bias_interval) > 3 * np.diff(rough.bias_interval)
+    # Squares vary faster than the map itself.
+    assert smooth.n_eff_sd > smooth.n_eff
+
+
+def test_swapping_turns_the_sign():
+    a, b = measured(np.random.default_rng(3), (60, 80))
+    one, two = bland_altman(a, b, pixel_um=1.0), bland_altman(b, a, pixel_um=1.0)
+    assert two.bias == pytest.approx(-one.bias)
+    assert two.limits == pytest.approx((-one.limits[1], -one.limits[0]))
+    assert two.limit_intervals[0] == pytest.approx((-one.limit_intervals[1][1], -one.limit_intervals[1][0]))
+    assert (two.slope, two.slope_x_on_y) == pytest.approx((one.slope_x_on_y, one.slope))
+
+
+def test_what_is_missing_does_not_count():
+    a, b = measured(np.random.default_rng(4), (60, 80))
+    known = np.ones(a.shape, bool)
+    known[20:30, 10:60] = False
+    one = bland_altman(np.where(known, a, np.nan), b, pixel_um=1.0)
+    assert one == bland_altman(a, np.where(known, b, 1e9), mask=known, pixel_um=1.0)
+    assert one.n == known.sum()
+
+
+def test_the_same_map_twice_differs_by_its_offset_alone():
+    a = gaussian_maps(np.random.default_rng(5), (30, 40), 3.0)[0]
+    found = bland_altman(a, a + 2, pixel_um=1.0)
+    assert found.sd == 0
+    assert found.limits == pytest.approx((2, 2))
+    assert found.bias_interval == pytest.approx((2, 2))
+
+
+def test_long_waves_claim_nothing():
+    rng = np.random.default_rng(6)
+    a = gaussian_maps(rng, (40, 50), 3.0)[0]
+    found = bland_altman(a, a + gaussian_maps(rng, a.shape, 40.0, kind="gauss")[0], pixel_um=1.0)
+    assert found.n_eff < 10
+    assert np.isnan([*found.bias_interval, *found.sd_interval, *found.limit_intervals[0]]).all()
+    assert math.isfinite(found.bias)
+
+
+def test_wrong_input_is_refused():
+    a = np.arange(30.0).reshape(5, 6)
+    with pytest.raises(InputError, match="one grid"):
+        bland_altman(a, a[1:], pixel_um=1.0)
+    with pytest.raises(CannotMeasure, match="0 pixels"):
+        bland_altman(a, np.full(a.shape, np.nan), pixel_um=1.0)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("length", [1.0, 4.0, 8.0])
+def test_intervals_hold_the_truth(length):
+    rng, held = np.random.default_rng(7), []
+    for _ in range(400):
+        found = bland_altman(*measured(rng, (90, 120), length=length), pixel_um=1.0)
+        truth = (2.0, 0.5, 2 - 1.959964 * 0.5, 2 + 1.959964 * 0.5)
+        held.append([
+            low < v < high
+            for v, (low, high) in zip(
+                truth, (found.bias_interval, found.sd_interval, *found.limit_intervals), strict=True
+            )
+        ])  # fmt: skip
+    print(length, np.mean(held, axis=0))
+    # 400 maps scatter by .011.
+    assert (np.mean(held, axis=0) > 0.91).all()
+    assert (np.mean(held, axis=0) < 0.985).all()
