@@ -7,7 +7,9 @@ import pytest
 import xarray as xr
 from scipy import ndimage
 
-from planish.analyze import correlate
+from planish.analyze import commonality, correlate, partial
+from planish.core.area import area_mean
+from planish.core.errors import InputError
 from planish.core.results import LayerFacts, Results
 from planish.pipeline.compare import correlate_layers, headline_of
 from planish.pipeline.evidence import evidence_of
@@ -93,6 +95,37 @@ def test_a_headline_that_will_not_be_is_refused_before_the_volume_is_read(planis
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize(
+    ("names", "said_of_them"),
+    [
+        (["gloss"], "there will be no such map"),
+        (["thickness", "thickness"], "stands there twice"),
+        (["coating_top"], "leads already"),
+        (["thickness", "base_thickness", "coating_bottom"], "nothing is left to correlate"),
+    ],
+)
+def test_maps_that_cannot_stand_beside_are_refused_before_the_volume_is_read(
+    planish, specimen_files, tmp_path, names, said_of_them
+):
+    given = [word for name in names for word in ("--beside", name)]
+    code, _, said = planish("link", *specimen_files, "--out", tmp_path / "run", *given)
+    assert code == 3
+    assert said_of_them in " ".join(said.split())
+    assert "read:" not in said
+    assert not (tmp_path / "run").exists()
+
+
+def test_two_of_three_parts_may_stand_beside(specimen_files):
+    from planish.compute import Compute
+    from planish.pipeline.request import check_request
+    from planish.study import as_study
+
+    volume, image = (str(path) for path in specimen_files[:2])
+    for beside in (["base_thickness", "coating_bottom"], ["thickness", "coating_bottom"], ["topography_top"]):
+        study = as_study({"volume": {"path": volume}, "image": {"path": image}, "correlate": {"beside": beside}})
+        assert check_request(study, Compute()) is None
+
+
 @pytest.mark.study
 def test_a_declared_headline_leads(planish, specimen_files, tmp_path):
     assert planish("link", *specimen_files, "--out", tmp_path / "run", "--headline", "base_thickness")[0] in (0, 4)
@@ -116,6 +149,88 @@ def drawn(seed=0, shape=(120, 160)):
     )
     image = xr.Dataset({"image": (("y", "x"), rng.normal(size=shape)), "valid": sheet["valid"]}, coords)
     return {"sheet": sheet, "image": image}
+
+
+def with_base(seed=1, *, shape=(120, 160)):
+    """A sheet whose coating and image both follow the base, and beyond it each other with r = 0.6."""
+    maps, rng = drawn(seed, shape), np.random.default_rng(seed + 1)
+    base, own, rest = (rng.normal(size=shape) for _ in range(3))
+    um = {"units": "um", "role": "property"}
+    maps["sheet"]["coating_top"][:] = own + base
+    maps["sheet"]["base_thickness"] = (("y", "x"), base, um)
+    maps["image"]["image"][:] = 0.6 * own + 0.8 * rest - 2 * base
+    return maps
+
+
+def test_a_partial_r_is_what_the_function_says_of_the_points():
+    maps = with_base()
+    maps["sheet"]["valid"][20:40, 30:70] = False
+    maps["sheet"]["base_thickness"][60:80, 90:120] = np.nan
+    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    names = ("base_thickness", "thickness")
+    found = evidence_of(maps, *given, point_um=20, declared=True, beside=names)
+    known = maps["sheet"]["valid"].values & np.isfinite(maps["sheet"]["base_thickness"].values)
+    top, base, whole, image = (
+        area_mean(np.where(known, m.values, np.nan), (4.0, 4.0))
+        for m in (*(maps["sheet"][k] for k in ("coating_top", *names)), maps["image"]["image"])
+    )
+    twin = partial(top, image, [base, whole], pixel_um=20.0)
+    assert found.partial.given == names
+    assert (found.partial.r, found.partial.n, found.partial.n_eff) == pytest.approx((twin.r, twin.n, twin.n_eff))
+    assert found.partial.interval == pytest.approx(twin.interval)
+    assert found.partial.r == pytest.approx(0.6, abs=0.08)
+    assert correlate(top, image, pixel_um=20.0).r < -0.3
+    shares = commonality(image, {"coating_top": top, "base_thickness": base, "thickness": whole})
+    assert found.commonality == pytest.approx(shares)
+
+
+def test_the_page_says_the_partial_r():
+    maps = with_base()
+    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("base_thickness",))
+    (said,) = [s for s in sentences(found, 20.0) if s.startswith("Given base thickness, r = 0.")]
+    assert f"{found.commonality['coating_top']:.2f} of the variance" in said
+    without = evidence_of(maps, *given, point_um=20, declared=True)
+    assert (without.partial, without.commonality) == (None, None)
+    assert not any("Given" in s for s in sentences(without, 20.0))
+
+
+def test_where_nothing_is_left_the_run_stands_and_says_why():
+    maps = with_base()
+    sheet = maps["sheet"]
+    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    sheet["rest"] = sheet["thickness"] - sheet["coating_top"]
+    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("thickness", "rest"))
+    assert found.sizes
+    assert found.partial.r is None
+    assert "stand beside their sum" in found.partial.silence
+    assert any(found.partial.silence in s for s in sentences(found, 20.0))
+    sheet["flat"] = xr.full_like(sheet["thickness"], 2.0)
+    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("flat",))
+    assert "flat does not vary" in found.partial.silence
+    sheet["nothing"] = xr.full_like(sheet["thickness"], np.nan)
+    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("nothing",))
+    assert found.partial.n == 0
+    found = evidence_of(maps, *given, point_um=2, declared=True, beside=("thickness",))
+    assert "smaller than a pixel" in found.partial.silence
+
+
+def test_a_map_that_the_sheet_lacks_cannot_stand_beside():
+    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    with pytest.raises(InputError, match="no map gloss to stand beside"):
+        evidence_of(with_base(), *given, point_um=20, declared=True, beside=("gloss",))
+
+
+@pytest.mark.study
+def test_a_run_states_what_stands_beside(planish, specimen_files, tmp_path):
+    given = ("--beside", "base_thickness", "--beside", "topography_top")
+    assert planish("link", *specimen_files, "--out", tmp_path / "run", *given)[0] in (0, 4)
+    (found,) = Results.read(tmp_path / "run" / "results.json").evidence
+    assert found.partial.given == ("base_thickness", "topography_top")
+    assert -1 < found.partial.r < 1
+    assert len(found.commonality) == 7
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "Given base thickness and topography top, r = " in page
 
 
 def facts_of(name, headline):
@@ -143,8 +258,6 @@ def test_a_constant_map_has_no_evidence():
 
 
 def test_a_map_that_the_sheet_lacks_cannot_lead():
-    from planish.core.errors import InputError
-
     with pytest.raises(InputError, match="no map 'gloss'"):
         headline_of(drawn()["sheet"], "top", "gloss")
     assert headline_of(drawn()["image"], "top", "gloss") == "image"

@@ -12,6 +12,11 @@ class CorrelateParams(Params):
     headline: str | None = option(
         None, metavar="NAME", help="Map whose correlation leads; the coating of the given side, where not given."
     )
+    beside: tuple[str, ...] = option(
+        (), metavar="NAME", max_length=3,
+        help="A map of the sheet, such as base_thickness, whose part is taken off both sides of the headline "
+        "correlation for a second, partial r; may be given again, up to 3 times.",
+    )  # fmt: skip
     regions: str | None = option(
         None,
         metavar="FILE",

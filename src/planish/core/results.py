@@ -467,6 +467,18 @@ class CurveFacts(Facts):
     words: str
 
 
+class PartialFacts(Facts):
+    """Correlation of what other maps of the sheet do not explain of two maps, by least squares."""
+
+    given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")
+    point_um: float
+    n: int | None = Field(default=None, description="Points that are valid in all maps.")
+    r: Number = None
+    n_eff: Number = Field(default=None, description="Independent points of what is left.")
+    interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
+    silence: str | None = Field(default=None, description="Why there is no partial correlation.")
+
+
 class EvidenceFacts(Facts):
     """What stands beside the correlation of the maps that stand for two layers."""
 
@@ -486,6 +498,12 @@ class EvidenceFacts(Facts):
     short_waves_um: Number = None
     ceiling: Number = Field(None, description="The r that a perfect relation would show, by misplacement alone.")
     ceiling_sentence: str | None = None
+    partial: PartialFacts | None = Field(None, description="Where the study names maps that stand beside.")
+    commonality: dict[str, float] | None = Field(
+        None,
+        description="Shares of the variance of b that the maps explain alone and only together (joined by ' and '), "
+        "at the larger points; their sum is r2 of all of them. Below 0 where a map hides what another one does.",
+    )
 
 
 class LinkedArea(Facts):

@@ -14,16 +14,19 @@ from planish.analyze import (
     PairAtSizes,
     ceiling,
     coherence,
+    commonality,
     independent_points,
     of_short_waves,
     origins,
+    partial,
     size_curve,
     straight_or_curved,
 )
+from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
-from planish.core.errors import PlanishError
+from planish.core.errors import InputError, PlanishError
 from planish.core.grid import Grid
-from planish.core.results import BandFacts, CurveFacts, EvidenceFacts, LayerFacts, SizeFacts
+from planish.core.results import BandFacts, CurveFacts, EvidenceFacts, LayerFacts, PartialFacts, SizeFacts
 
 Array = NDArray[np.float64]
 
@@ -32,12 +35,18 @@ CELLS = 2**16
 
 
 def evidence_of(
-    maps: Mapping[str, xr.Dataset], a: LayerFacts, b: LayerFacts, *, point_um: float, declared: bool
+    maps: Mapping[str, xr.Dataset], a: LayerFacts, b: LayerFacts, *, point_um: float, declared: bool,
+    beside: tuple[str, ...] = (),
 ) -> EvidenceFacts | None:  # fmt: skip
     """Tell at which scales the maps that stand for two layers go together; None where they share too little.
 
     ``declared`` says whether the study named the map before r was looked at. Maps of more than 65 536 pixels are
-    averaged to larger ones first.
+    averaged to larger ones first. ``beside`` names maps of a sheet whose part is taken off for a partial correlation.
+
+    Raises
+    ------
+    InputError
+        If a sheet lacks a map that is to stand beside.
     """
     first, second = maps[a.name], maps[b.name]
     grid = Grid.of(first)
@@ -76,6 +85,8 @@ def evidence_of(
         size = point_um if point_um >= max(cell_um) else None
         most = ceiling(x, error_um=errors, mask=known, pixel_um=cell_um, point_um=size)
         found |= {"ceiling": most.r, "ceiling_sentence": most.sentence}
+    if beside and a.kind == "sheet":
+        found |= _beside(first, second, (a.headline, b.headline), beside, grid, point_um)
     return EvidenceFacts(a=a.name, a_map=a.headline, b=b.name, b_map=b.headline, declared=declared, **found)
 
 
@@ -90,6 +101,39 @@ def _curve(x: Array, y: Array, cell_um: tuple[float, float], point_um: float) ->
     except PlanishError:
         return None
     return CurveFacts.of(bent, point_um=point_um)
+
+
+def _beside(
+    first: xr.Dataset, second: xr.Dataset, pair: tuple[str, str], beside: tuple[str, ...], grid: Grid, point_um: float
+) -> dict[str, Any]:
+    """Partial correlation and commonality over the larger points, which are averaged over what is valid in all."""
+    if lacking := [name for name in beside if name not in first]:
+        raise InputError(
+            f"The sheet has no map {', '.join(lacking)} to stand beside. Leave it out of --beside, or measure it."
+        )
+    factor = (point_um / grid.pixel_um[0], point_um / grid.pixel_um[1])
+    if min(factor) < 1 - 1e-9:
+        why = f"Points of {point_um:g} um are smaller than a pixel. Give larger ones with --point-um."
+        return {"partial": PartialFacts(given=beside, point_um=point_um, silence=why)}
+    names = (pair[0], *beside)
+    means = AreaMeans(grid.shape, factor)
+    for rows in bands(grid.shape[0]):
+        maps = [band_of(first[name], rows) for name in names] + [band_of(second[pair[1]], rows)]
+        use = band_of(first["valid"], rows) & band_of(second["valid"], rows)
+        means.add(rows.start, np.logical_and.reduce([use, *map(np.isfinite, maps)]), *maps)
+    *sheet, image = means.means()
+    known = np.isfinite(image)  # all maps count where all are known
+    n = int(np.count_nonzero(known))
+    flat = [name for name, m in zip(names, sheet, strict=True) if n < 3 or not np.ptp(m[known]) > 0]
+    if flat:
+        why = f"Over {n} points that are valid in all maps, {', '.join(flat)} does not vary."
+        return {"partial": PartialFacts(given=beside, point_um=point_um, n=n, silence=why)}
+    try:
+        left = partial(sheet[0], image, sheet[1:], pixel_um=point_um)
+        shares = commonality(image, dict(zip(names, sheet, strict=True)))
+    except PlanishError as error:  # nothing is left: the rest of the run stands
+        return {"partial": PartialFacts(given=beside, point_um=point_um, silence=str(error))}
+    return {"partial": PartialFacts.of(left, given=beside, point_um=point_um), "commonality": shares}
 
 
 def _errors(*layers: xr.Dataset) -> Array | None:

@@ -179,7 +179,7 @@ def _gathered(
     groups = {f"layers/{name}": data for name, data in maps.items()}
     declared = study.correlate.headline is not None
     led = [
-        evidence_of(maps, one, facts[-1], point_um=point_um, declared=declared)
+        evidence_of(maps, one, facts[-1], point_um=point_um, declared=declared, beside=study.correlate.beside)
         for one in facts[:-1] if one.headline in maps[one.name]
     ]  # fmt: skip
     more: dict[str, Any] = {"evidence": tuple(one for one in led if one is not None)}

@@ -12,7 +12,14 @@ from planish.io.picture import pixels_of
 from planish.marks.regions import read_regions
 from planish.measure import PROPERTIES, check_maps
 from planish.pipeline.registration import read_design
-from planish.study import Study
+from planish.study import LayerParams, Study
+
+# Each map is the sum of the others, or their difference: given all but one, that one says nothing new.
+_SUMS = (
+    ("thickness", "coating_top", "coating_bottom", "base_thickness"),
+    ("coating_difference", "coating_top", "coating_bottom"),
+    ("topography_difference", "topography_top", "topography_bottom"),
+)
 
 # Bytes a pixel: refining holds image and map in double precision, filtered, several times; without a folder to write
 # to, all linked maps are held.
@@ -27,8 +34,8 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
     CannotMeasure
         If a further map is unknown or needs a number that is not given.
     InputError
-        If further maps of labels are asked for, a map is to lead that there will not be, or the pattern of the holes
-        cannot be read.
+        If further maps of labels are asked for, a map is to lead or to stand beside that there will not be, parts
+        are to stand beside their sum, or the pattern of the holes cannot be read.
     FileError
         If an image cannot be opened, or a file of regions is of no use.
     ResourceError
@@ -48,6 +55,12 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
                 f"--headline {headline}: there will be no such map. Give one of {', '.join(sorted(known))}, or ask "
                 f"for it with --property {headline} as well."
             )
+        if unknown := sorted({*study.correlate.beside} - known):
+            raise InputError(
+                f"--beside {', '.join(unknown)}: there will be no such map. Give some of {', '.join(sorted(known))}, "
+                "or ask for it with --property as well."
+            )
+    _check_beside(study)
     read_design(study.registration)
     if study.correlate.regions is not None:
         read_regions(study.correlate.regions)
@@ -57,6 +70,28 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
             each = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
             each += _HELD_BYTES if held else 0
             _check_fits(layer.name, rows * cols, each * rows * cols + LINK_BYTES, compute)
+
+
+def _check_beside(study: Study) -> None:
+    """Raise InputError where the maps to stand beside hold one twice, or parts together with their sum."""
+    beside, side = study.correlate.beside, "bottom" if any(_shows_bottom(m) for m in study.layers) else "top"
+    leads = study.correlate.headline or f"coating_{side}"
+    if not beside:
+        return
+    if twice := sorted({name for name in beside if (leads, *beside).count(name) > 1}):
+        raise InputError(
+            f"--beside {', '.join(twice)}: the map leads already, or stands there twice. Leave it out of --beside."
+        )
+    for whole, *parts in _SUMS:
+        if {whole, *parts} <= {leads, *beside}:
+            raise InputError(
+                f"--beside {', '.join(beside)}: {whole} follows from {', '.join(parts)}. With {leads}, which leads, "
+                "all of them are given, and nothing is left to correlate. Leave one of them out."
+            )
+
+
+def _shows_bottom(layer: LayerParams) -> bool:
+    return layer.image is not None and layer.image.side == "bottom"
 
 
 def _check_fits(name: str, pixels: int, needed: int, compute: Compute) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from planish.core.results import EvidenceFacts
+from planish.core.results import EvidenceFacts, PartialFacts
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture
 from planish.report.text import REGISTERED, capital, count, fixed, left_out, plain
 
@@ -104,9 +104,27 @@ def sentences(found: EvidenceFacts, point_um: float) -> list[str]:
             f"Waves below {plain(round(found.short_waves_um, -1))} alone: r = {fixed(short.r, 2)} (95 %: {low} to "
             f"{high}; {count(round(short.n_eff or 0))} independent points). This says nothing of longer waves."
         )
+    if found.partial:
+        out.append(_given(found.partial, found.commonality or {}, found.a_map))
     if found.ceiling_sentence:
         rests = (
             "It rests on the expected error of the registration and the texture of the map; noise lowers it further."
         )
         out.append(f"{found.ceiling_sentence} {rests}")
     return out
+
+
+def _given(found: PartialFacts, shares: dict[str, float], headline: str) -> str:
+    names = " and ".join(name.replace("_", " ") for name in found.given)
+    if found.r is None:
+        return f"Given {names}, there is no r. {found.silence or ''}".strip()
+    known = ""
+    if found.interval:
+        low, high = (fixed(v, 2) for v in found.interval)
+        known = f"95 %: {low} to {high}; "
+    alone = shares.get(headline)
+    share = "" if alone is None else f" Alone, the map explains {fixed(alone, 2)} of the variance."
+    return (
+        f"Given {names}, r = {fixed(found.r, 2)} at points of {plain(found.point_um)} ({known}"
+        f"{count(round(found.n_eff or 0))} independent points).{share}"
+    )
