@@ -118,8 +118,8 @@ class Disattenuated:
     def sentence(self) -> str:
         """What may be said."""
         return (
-            f"r = {self.r:.2f} was seen; for noise alone, a lower bound of the true r is {self.lower_bound:.2f} in "
-            "amount and sign, as reliabilities are upper bounds. It scatters like r."
+            f"r = {self.r:.2f} was seen. Noise lowers it: without noise it is about {self.lower_bound:.2f} or further "
+            "from 0 (a lower bound of the true r, as reliabilities are upper bounds; it scatters like r)."
         )
 
 
