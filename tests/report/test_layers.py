@@ -148,16 +148,17 @@ def captions_of(page: str) -> list[str]:
 def test_page_shows_every_layer_and_pair(page: str) -> None:
     read = Page(page)
     text = read.text()
-    assert read.sections == ["inputs", "registration", "linked", "relation", "record"]
+    assert read.sections == ["relation", "linked", "registration", "inputs", "checks", "record"]
     assert read.text("title") == "3 layers on the pixels of after"
     for expected in ("before.tif", "photo.tif", "after.tif", "86\u202f%", "1.4; 2.6", "before → after",
                      f"3 marks of before agree to 0.9{MICRO}.", "at 30° in after", "The check is passed.",
                      "3 matched, of 5 holes in before and 6 in after", f"Points of 60{MICRO}",
                      f"The expected error is 1.4{MICRO} (rms, median over the worst layer), at most 2.6"):  # fmt: skip
         assert expected in text
-    # Residuals and expected error of either layer, the lags of one, two maps side by side, and a figure for each pair.
+    # The first page; residuals and expected error of either layer, the lags of one, two maps side by side, and a figure
+    # for each pair.
     captions = captions_of(page)
-    assert read.drawings == len(captions) == 2 * 2 + 1 + 2 + 3
+    assert read.drawings == len(captions) == 3 + 2 * 2 + 1 + 2 + 3
     assert [int(v) for v in re.findall(r"<b>Figure (\d+)\.", page)] == [*range(1, len(captions) + 1)]
     for caption in captions:
         assert re.search(r"\bn\b", caption)
@@ -165,8 +166,8 @@ def test_page_shows_every_layer_and_pair(page: str) -> None:
 
 
 def test_every_correlation_says_how_the_maps_were_registered(page: str) -> None:
-    # The weakest correlation in the summary, a caption for each pair, and the table.
-    assert len(re.findall("registration: marks only", Page(page).text(), flags=re.IGNORECASE)) == 1 + 3 + 1
+    # The weakest correlation in a tile and in the scatter of the first page, a caption for each pair, and the table.
+    assert len(re.findall("registration: marks only", Page(page).text(), flags=re.IGNORECASE)) == 1 + 1 + 3 + 1
 
 
 def test_the_difference_is_given_where_both_are_the_same_quantity(page: str) -> None:
@@ -175,7 +176,7 @@ def test_the_difference_is_given_where_both_are_the_same_quantity(page: str) -> 
     assert rows[0].difference_mean == pytest.approx(OFFSET, abs=0.05)
     found = beside(rows[0].difference_mean, rows[0].difference_sd)
     assert f"coating thickness (top side) of after minus that of before is {found} µm on average" in Page(page).text()
-    drawn = ["the difference (upward map minus the map across)" in c for c in captions_of(page)[-3:]]
+    drawn = ["the difference (upward map minus the map across)" in c for c in captions_of(page)[3:6]]
     assert drawn == [True, True, False]
 
 

@@ -135,8 +135,8 @@ def test_page_states_what_is_known_of_the_registration() -> None:
         assert expected in text
     assert re.search(r'<p class="check amber">', html)
     assert "The check is passed." in text
-    # Beside each r²: the sentence and two numbers of the summary, the figure of the relation, two tables.
-    assert len(re.findall("registration: marks only", text, flags=re.IGNORECASE)) == 3 + 1 + 2
+    # Beside each r: the sentence, two numbers and the scatter of the first page, the figure of the relation, tables.
+    assert len(re.findall("registration: marks only", text, flags=re.IGNORECASE)) == 3 + 1 + 1 + 2
 
 
 def test_what_others_write_stays_text() -> None:

@@ -6,8 +6,8 @@ Text and lines stay sharp on screen and paper; the same numbers give the same by
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
 from typing import NamedTuple, TypedDict, Unpack
 
@@ -21,8 +21,9 @@ from planish.report.text import count, fixed, length, plain
 Extent = tuple[float, float, float, float]
 """Left, right, bottom and top in um, or in the units of a plot."""
 
-FULL, HALF = 1040.0, 510.0  # CSS pixels: the page's column, and half of it
+FULL, HALF, THIRD = 1040.0, 510.0, 333.0  # CSS pixels: the page's column, half and a third of it
 BESIDE = 86.0  # to the right of a map on half a page: its colour bar
+MARGIN, BELOW = 44.0, 18.0  # to the left of a map and below it: the numbers of its axes
 INK, SOFT, FAINT = "#22292f", "#66707a", "#c9ced3"
 ACCENT, POINT = "#b3402a", "#2f6690"
 SMALL, BIG = 11.0, 12.0  # font sizes
@@ -31,6 +32,10 @@ _DENSITY = 1.35  # pixels of an image in one CSS pixel
 _TOP = 8.0  # above a map: half a line, for a number at the end of the colour bar
 _HIGHEST = 480.0  # of a map on half a page
 _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
+
+
+Table = Mapping[str, Sequence[object]]
+"""What a figure shows as numbers, for those who plot it again: columns of one length, by their headings."""
 
 
 class Style(TypedDict, total=False):
@@ -51,6 +56,7 @@ class Picture:
     height: float
     title: str
     caption: str
+    data: Table = field(default_factory=dict[str, Sequence[object]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,23 +268,44 @@ class Canvas(Axes):
         anchor = "middle" if down else "start" if right > 0 else "end"
         self.text(x + 6 * right, y + 4 + 12 * down, text, size=SMALL, anchor=anchor)
 
+    def map_axes(
+        self, left: float, top: float, box: tuple[float, float], shown: Field, scale: Scale, *, rows: bool = True
+    ) -> Axes:  # fmt: skip
+        """Draw a map with its axes in um below and, on request, to the left, where ``MARGIN`` is needed for them."""
+        axes = self.axes(left, top, *box, shown.extent)
+        axes.image(shown, scale)
+        x0, x1, bottom, upper = shown.extent
+        for value, text in _ticks(x0, x1, most=box[0] / 62):
+            self._tick(left + axes.place((value, bottom))[0, 0], top + box[1], 0, 1, text)
+        for value, text in _ticks(*sorted((bottom, upper)), most=box[1] / 44) if rows else ():
+            self._tick(left, top + axes.place((x0, value))[0, 1], -1, 0, text)
+        return axes
+
+    def axes_names(self, right: float, top: float, names: str = "x, y") -> None:
+        """Name the axes of a map at the end of the row of its scale bar."""
+        self.text(right, top + 14, f"{names} / µm", size=SMALL, colour=SOFT, anchor="end")
+
     def panel(
         self, left: float, top: float, shown: Field, box: tuple[float, float], *, scale: Scale, label: str
     ) -> Axes:  # fmt: skip
-        """Put a map with its scale bar, and with its colour bar where there is a label, somewhere on the canvas."""
-        axes = self.axes(left + 1, top + _TOP, *box, shown.extent)
-        axes.image(shown, scale)
-        self.scale_bar(left + 1, top + _TOP + box[1] + 3, width=box[0], um=shown.width)
+        """Put a map with its axes and scale bar, and a colour bar where there is a label, somewhere on the canvas."""
+        left += MARGIN
+        axes = self.map_axes(left, top + _TOP, box, shown, scale)
+        below = top + _TOP + box[1] + BELOW + 3
+        self.scale_bar(left, below, width=box[0], um=shown.width)
+        self.axes_names(left + box[0], below)
         if label:
             high = max(box[1], _LOWEST_BAR)
-            self.colour_bar(left + box[0] + 12, top + _TOP, 12, high, scale)
-            self.text(left + box[0] + BESIDE - 4, top + _TOP + high / 2, label, anchor="middle", upwards=True)
+            self.colour_bar(left + box[0] + 11, top + _TOP, 12, high, scale)
+            self.text(left + box[0] + BESIDE - 5, top + _TOP + high / 2, label, anchor="middle", upwards=True)
         return axes
 
-    def picture(self, *, title: str, caption: str) -> Picture:
-        """Return the finished figure."""
+    def picture(self, *, title: str, caption: str, data: Table | None = None) -> Picture:
+        """Return the finished figure; ``data`` are the numbers that it shows."""
         view = f'viewBox="0 0 {_n(self.width)} {_n(self.height)}" role="img" aria-label="{escape(title)}"'
-        return Picture(svg=self.svg(view), width=self.width, height=self.height, title=title, caption=caption)
+        return Picture(
+            svg=self.svg(view), width=self.width, height=self.height, title=title, caption=caption, data=data or {}
+        )  # fmt: skip
 
 
 def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Field:
@@ -301,9 +328,9 @@ def draw_map(
     values: Array, y: Array, x: Array, *, scale: Scale, label: str, width: float = HALF
 ) -> tuple[Canvas, Axes]:  # fmt: skip
     """Draw a map (y, x) on half a page, or as wide as given, with its scale bar and, where labelled, its colour bar."""
-    shown = reduced(values, y, x, width=width - BESIDE)
-    box = shown.fit(width - BESIDE, _HIGHEST if width <= HALF else 640.0)
-    canvas = Canvas(width, panel_height(box, label) + _TOP + 26)
+    shown = reduced(values, y, x, width=width - MARGIN - BESIDE)
+    box = shown.fit(width - MARGIN - BESIDE, _HIGHEST if width <= HALF else 640.0)
+    canvas = Canvas(width, panel_height(box, label) + _TOP + BELOW + 26)
     return canvas, canvas.panel(0.0, 0.0, shown, box, scale=scale, label=label)
 
 

@@ -1,4 +1,4 @@
-"""How the sheet was warped and what flattened it: height, displacement, strain, convergence, developability."""
+"""How the sheet was warped and what flattened it: height, displacement, strain, developability, convergence."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _POINTS = 600  # of a line of the convergence
 def draw_flattening(
     surfaces: xr.Dataset, flat: xr.Dataset, strain: xr.Dataset, curvature: CurvatureFacts
 ) -> list[draw.Picture]:  # fmt: skip
-    """Draw the warp, what flattening moved and strained, its convergence, and whether the surface can be paper."""
-    pictures = [_warp(surfaces, flat), _displacement(flat), _strain(strain, flat), _progress(strain)]
+    """Draw the warp, what flattening moved and strained, and whether the surface can be paper."""
+    pictures = [_warp(surfaces, flat), _displacement(flat), _strain(strain, flat)]
     needed = 100 * _from_top(strain["needed_strain"].values, flat)
     if np.isfinite(needed).any():
         y, x = strain["y"].values, strain["x"].values
@@ -89,17 +89,19 @@ def _strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
         ("Largest strain, either sign", 100 * largest, limits(100 * largest, GEOMETRY, low=0.0)),
     )
     gap = 25.0
-    width = (draw.FULL - 2 * gap) / 3
+    width = (draw.FULL - 2 * gap - draw.MARGIN - 6) / 3
     y, x = strain["y"].values, strain["x"].values
     fields = [draw.reduced(_from_top(values, flat), y, x, width=width) for _, values, _ in panels]
     box = fields[0].fit(width, 450.0)
-    canvas = draw.Canvas(draw.FULL, box[1] + 90)
+    low = box[1] + draw.BELOW
+    canvas = draw.Canvas(draw.FULL, low + 90)
     for k, ((name, _, scale), shown) in enumerate(zip(panels, fields, strict=True)):
-        left = k * (width + gap)
-        canvas.text(left + 1, 18, f"{name} / %", bold=True)
-        canvas.axes(left + 1, 26, *box, shown.extent).image(shown, scale)
-        canvas.colour_bar(left + 16, box[1] + 36, max(box[0] - 32, 190), 10, scale)
-    canvas.scale_bar(1, box[1] + 66, width=box[0], um=fields[0].width)
+        left = draw.MARGIN + k * (width + gap)
+        canvas.text(left, 18, f"{name} / %", bold=True)
+        canvas.map_axes(left, 26, box, shown, scale, rows=k == 0)
+        canvas.colour_bar(left + 16, low + 36, max(box[0] - 32, 190), 10, scale)
+    canvas.scale_bar(draw.MARGIN, low + 66, width=box[0], um=fields[0].width)
+    canvas.axes_names(draw.MARGIN + 2 * (width + gap) + box[0], low + 66)
     return canvas.picture(
         title="Strain of the flattening",
         caption=(
@@ -110,7 +112,7 @@ def _strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
     )
 
 
-def _progress(strain: xr.Dataset) -> draw.Picture:
+def draw_progress(strain: xr.Dataset) -> draw.Picture:
     """Draw the mean move of a node over the steps, mesh by mesh."""
     nodes, move = strain["step_nodes"].values, strain["step_move"].values
     finest, moved = float(nodes.max(initial=0.0)), move > 0

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.results import PropertyFacts
 from planish.report.colours import CYCLIC, GREYS, PROPERTY, Array, Scale, limits
 from planish.report.draw import (
     ACCENT,
+    BELOW,
     BESIDE,
     FULL,
     HALF,
+    MARGIN,
     SOFT,
+    THIRD,
     Canvas,
     Picture,
+    Table,
     draw_map,
     n_of,
     panel_height,
@@ -23,46 +30,90 @@ from planish.report.draw import (
     reduced,
 )  # fmt: skip
 from planish.report.registration import ARROW, EDGE, ground_of
-from planish.report.text import HOLES, in_words, label_of, length, number, percent, plain, title_of, unit_of
+from planish.report.text import HOLES, count, in_words, label_of, length, number, percent, plain, title_of, unit_of
 
-_BESIDE = 162.0  # pixels for the distribution, the colour bar and its numbers
+_BESIDE = 162.0  # pixels to the right of a map for the distribution, the colour bar and its numbers
 _BINS = 80
 _HARDLY = 1e-3  # of the valid pixels: with fewer below the limit, the outlines would show next to nothing
 _THINNEST = 5.0  # per cent
 _SMALLEST = 12  # pixels of a region that is outlined
 
 
-def draw_maps(maps: xr.Dataset, names: list[str], *, headline: str | None, rim_um: float) -> list[Picture]:
-    """Draw every property that has values, the headline first and large; ``rim_um`` around holes is left out."""
-    there = [name for name in names if name in maps and bool(np.isfinite(maps[name].values).any())]
+def draw_maps(
+    maps: xr.Dataset, facts: Mapping[str, PropertyFacts], *, headline: str | None, rim_um: float
+) -> list[Picture]:  # fmt: skip
+    """Draw every property that has values, the headline first and large; ``rim_um`` around holes is left out.
+
+    Mean and standard deviation are those of ``facts``, over the columns of the volume, as everywhere on the page.
+    """
+    there = [name for name in facts if name in maps and bool(np.isfinite(maps[name].values).any())]
     first = headline if headline in there else (there[0] if there else None)
     ordered = sorted(there, key=lambda name: name != first)
-    return [_draw(maps[name], FULL if name == first else HALF, rim_um) for name in ordered]
+    widths = {name: FULL if name == first else HALF for name in ordered}
+    return [
+        _draw(maps, name, facts[name], width=width, rim_um=rim_um, shared=_partner(name, there))
+        for name, width in widths.items()
+    ]
 
 
-def _draw(data: xr.DataArray, width: float, rim_um: float) -> Picture:
+def draw_leading(
+    maps: xr.Dataset, facts: Mapping[str, PropertyFacts], *, headline: str, rim_um: float
+) -> list[Picture]:
+    """Draw the map that leads alone, for the first page; nothing where it has no values."""
+    there = [name for name in facts if name in maps and bool(np.isfinite(maps[name].values).any())]
+    if not there:
+        return []
+    name = headline if headline in there else there[0]
+    return [_draw(maps, name, facts[name], width=2 * THIRD, rim_um=rim_um, shared=_partner(name, there))]
+
+
+def _partner(name: str, there: Sequence[str]) -> str | None:
+    """Return the map of the other side of the sheet: the two share their colours."""
+    for side, other in (("_top", "_bottom"), ("_bottom", "_top")):
+        if name.endswith(side) and (found := name.removesuffix(side) + other) in there:
+            return found
+    return None
+
+
+def _draw(
+    maps: xr.Dataset, name: str, facts: PropertyFacts, *, width: float, rim_um: float, shared: str | None
+) -> Picture:
+    data = maps[name]
     values = data.values.astype(np.float64)
-    shown = reduced(values, data["v"].values, data["u"].values, width=width - _BESIDE)
-    box = shown.fit(width - _BESIDE, 640.0 if width == FULL else 480.0)
+    room = width - MARGIN - _BESIDE
+    shown = reduced(values, data["v"].values, data["u"].values, width=room)
+    box = shown.fit(room, 480.0 if width < FULL else 640.0)
     known = values[np.isfinite(values)]
-    mean, sd = float(known.mean()), float(known.std())
-    scale = colours_of(data, known)
+    both = known
+    if shared is not None:
+        other = maps[shared].values.astype(np.float64)
+        both = np.concatenate([v[np.isfinite(v)] for v in ((values, other) if name < shared else (other, values))])
+    scale = colours_of(data, both)
     high = panel_height(box, "colours")
-    canvas = Canvas(width, high + 38)
-    canvas.axes(2, 8, *box, shown.extent).image(shown, scale)
-    left = box[0] + 14
+    canvas = Canvas(width, high + BELOW + 38)
+    canvas.map_axes(MARGIN, 8, box, shown, scale)
+    left = MARGIN + box[0] + 12
     canvas.colour_bar(left, 8, 13, high, scale)
-    canvas.text(box[0] + _BESIDE - 8, 8 + high / 2, label_of(data), anchor="middle", upwards=True)
-    _distribution(canvas, (left + 58, 8, 62, high), known, scale, mean, sd)
-    canvas.scale_bar(2, box[1] + 10, width=box[0], um=shown.width)
+    canvas.text(MARGIN + box[0] + _BESIDE - 10, 8 + high / 2, label_of(data), anchor="middle", upwards=True)
+    counted = _distribution(canvas, (left + 58, 8, 62, high), known, scale, facts)
+    canvas.scale_bar(MARGIN, box[1] + BELOW + 10, width=box[0], um=shown.width)
+    canvas.axes_names(MARGIN + box[0], box[1] + BELOW + 10, "u, v")
+    stated = ""
+    if facts.mean is not None and facts.sd is not None:
+        mean = 0.0 if abs(facts.mean) < 1e-6 * facts.sd else facts.mean
+        stated = (
+            f"{number(mean)} ± {number(facts.sd)} {unit_of(data)} (mean ± standard deviation of n = {count(facts.n)} "
+            "columns). "
+        )
+    of_both = f" of this map and {in_words(title_of(maps[shared]))} together" if shared is not None else ""
     return canvas.picture(
         title=title_of(data),
         caption=(
-            f"{number(mean)} ± {number(sd)} {unit_of(data)} (mean ± standard deviation). "
-            f"n = {n_of(known)} map pixels of {pixel_of(data['v'].values)}; mask: columns with both faces found, "
-            f"without holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the 99th "
-            "percentile."
+            f"{stated}Drawn: n = {n_of(known)} map pixels of {pixel_of(data['v'].values)}; mask: columns with both "
+            f"faces found, without holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the "
+            f"99th percentile{of_both}."
         ),
+        data=counted,
     )
 
 
@@ -84,11 +135,11 @@ def draw_beside(
     shown = [m.values for m in maps]
     known = [values[np.isfinite(values)] for values in shown]
     y, x = maps[0]["y"].values, maps[0]["x"].values
-    fields = [reduced(values, y, x, width=HALF - BESIDE) for values in shown]
-    box = fields[0].fit(HALF - BESIDE, 480.0)
-    canvas = Canvas(FULL, panel_height(box, "colours") + 64)
+    fields = [reduced(values, y, x, width=HALF - MARGIN - BESIDE) for values in shown]
+    box = fields[0].fit(HALF - MARGIN - BESIDE, 480.0)
+    canvas = Canvas(FULL, panel_height(box, "colours") + BELOW + 64)
     for data, drawn, own, name, left in zip(maps, fields, known, names, (0.0, FULL - HALF), strict=True):
-        canvas.text(left + 2, 18, name, bold=True, size=13)
+        canvas.text(left + MARGIN, 18, name, bold=True, size=13)
         scale = colours_of(data, np.concatenate(known) if shared else own)
         canvas.panel(left, 24, drawn, box, scale=scale, label=label_of(data))
     titles, units = [in_words(title_of(m)) for m in maps], [unit_of(m) or "none" for m in maps]
@@ -104,9 +155,9 @@ def draw_beside(
 
 
 def _distribution(
-    canvas: Canvas, box: tuple[float, float, float, float], known: Array, scale: Scale, mean: float, sd: float
-) -> None:
-    """Draw the histogram along the colour bar, with mean and standard deviation."""
+    canvas: Canvas, box: tuple[float, float, float, float], known: Array, scale: Scale, facts: PropertyFacts
+) -> Table:
+    """Draw the histogram along the colour bar, with mean and standard deviation, and return it."""
     low, high = scale.low, scale.high
     counts, edges = np.histogram(known, bins=_BINS, range=(low, high))
     most = max(int(counts.max()), 1)
@@ -114,9 +165,11 @@ def _distribution(
     outline = np.stack([np.repeat([0, *counts, 0], 2)[1:-1], np.repeat(edges, 2)], axis=1)
     axes.area(outline, colour="#b9c0c7")
     axes.line([(0, low), (0, high)], colour=SOFT, width=1.6)
-    at = 1.14 * most
-    axes.line([(at, max(mean - sd, low)), (at, min(mean + sd, high))], colour=ACCENT, width=1.6)
-    axes.dots([(at, min(max(mean, low), high))], colour=ACCENT, size=5)
+    at, mean, sd = 1.14 * most, facts.mean, facts.sd
+    if mean is not None and sd is not None:
+        axes.line([(at, max(mean - sd, low)), (at, min(mean + sd, high))], colour=ACCENT, width=1.6)
+        axes.dots([(at, min(max(mean, low), high))], colour=ACCENT, size=5)
+    return {"from": edges[:-1].tolist(), "to": edges[1:].tolist(), "map pixels": counts.tolist()}
 
 
 def draw_outlines(

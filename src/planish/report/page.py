@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,8 +11,20 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.files import write_whole
-from planish.core.results import LayerFacts, RegistrationFacts, Results
-from planish.report import flattening, maps, registration, relation, scale, slices, statement, summary, tables, text
+from planish.core.results import CorrelationRow, LayerFacts, RegistrationFacts, Results
+from planish.report import (
+    first,
+    flattening,
+    maps,
+    registration,
+    relation,
+    scale,
+    slices,
+    statement,
+    summary,
+    tables,
+    text,
+)  # fmt: skip
 from planish.report.draw import FULL, HALF, Picture
 from planish.report.groups import Groups
 
@@ -35,7 +47,9 @@ class _Sheet(NamedTuple):
     warp_um: float
     slices: list[Picture]
     warp: list[Picture]
+    progress: list[Picture]
     maps: list[Picture]
+    leading: list[Picture]
 
 
 class _Block(NamedTuple):
@@ -75,15 +89,41 @@ def write_report(
 
 def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results) -> str:
     """Return the page of :func:`write_report` as text."""
+    return _render(groups, marks, results)[0]
+
+
+def _render(
+    groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results
+) -> tuple[str, list[Picture]]:  # fmt: skip
+    """Return the page as text, and its figures in their order."""
     data = Groups(results, groups)
+    sheets = [s for layer in results.layers if (s := _sheet(data, layer))]
+    points = _points(data.linked, results)
+    lead, without = summary.lead_pair(results), text.left_out(results.regions)
+    leading = first.draw_first(
+        data.drawn, results, data.titles, points.get(_pair_of(lead[0])) if lead else None, without=without
+    )  # fmt: skip
+    shown = _Shown()
     page = template("planish.report", "report.html.j2").render(
         results=results, layers=results.layers, reference=results.reference, titles=data.titles, tables=tables,
-        summary=summary, statement=statement, text=text,
-        sheets=[s for layer in results.layers if (s := _sheet(data, layer))],
+        summary=summary, statement=statement, text=text, first=first, shown=shown, sheets=sheets,
+        leading=leading or [picture for s in sheets[:1] for picture in s.leading if not results.is_link],
         blocks=[b for layer in results.moving if (b := _block(layer, data.drawn, marks.get(layer.name), results))],
-        pairs=_pairs(data.linked, results, data.titles), scales=_scales(results, data.titles), scale=scale,
+        pairs=_pairs(data.linked, results, data.titles, points), scales=_scales(results, data.titles), scale=scale,
     )  # fmt: skip
-    return f"{page}\n"
+    return f"{page}\n", shown.pictures
+
+
+class _Shown:
+    """The figures of a page in the order in which it shows them."""
+
+    def __init__(self) -> None:
+        self.pictures: list[Picture] = []
+
+    def number(self, picture: Picture) -> int:
+        """Return the number of a figure that is shown now."""
+        self.pictures.append(picture)
+        return len(self.pictures)
 
 
 def template(package: str, name: str) -> Template:
@@ -111,7 +151,9 @@ def _sheet(groups: Groups, layer: LayerFacts) -> _Sheet | None:
         warp_um=float(np.nanmax(height) - np.nanmin(height)),
         slices=slices.draw_slices(parts["slices"], surfaces),
         warp=flattening.draw_flattening(surfaces, parts["flat"], parts["strain"], facts.flatten.curvature),
-        maps=maps.draw_maps(parts["maps"], list(facts.properties), headline=layer.headline, rim_um=rim_um),
+        progress=[flattening.draw_progress(parts["strain"])],
+        maps=maps.draw_maps(parts["maps"], facts.properties, headline=layer.headline, rim_um=rim_um),
+        leading=maps.draw_leading(parts["maps"], facts.properties, headline=layer.headline, rim_um=rim_um),
     )
 
 
@@ -181,23 +223,51 @@ def _registration(
     return [picture for picture in (*out, lags) if picture is not None]
 
 
-def _pairs(linked: Mapping[str, xr.Dataset], results: Results, titles: summary.Titles) -> list[Picture]:
-    """Draw the pairs of maps that stand for two layers, and all maps of the same quantity."""
+def _pair_of(row: CorrelationRow) -> tuple[str, str, str, str]:
+    return row.a, row.a_map, row.b, row.b_map
+
+
+def _drawn_pairs(linked: Mapping[str, xr.Dataset], results: Results) -> Iterator[list[CorrelationRow]]:
+    """Give the pairs of maps that stand for two layers, and all maps of the same quantity, where both are there."""
     headlines = {layer.name: layer.headline for layer in results.layers}
-    out: list[Picture] = []
     for rows in summary.by_pair(results):
         row = rows[0]
         a, b = linked.get(row.a), linked.get(row.b)
         if a is None or b is None or row.a_map not in a or row.b_map not in b:
             continue
-        if not (row.same_quantity or (headlines[row.a], headlines[row.b]) == (row.a_map, row.b_map)):
-            continue
+        if row.same_quantity or (headlines[row.a], headlines[row.b]) == (row.a_map, row.b_map):
+            yield rows
+
+
+def _points(
+    linked: Mapping[str, xr.Dataset], results: Results
+) -> dict[tuple[str, str, str, str], relation.Points]:  # fmt: skip
+    """Average every pair of maps that is drawn over the largest points of its correlation."""
+    out: dict[tuple[str, str, str, str], relation.Points] = {}
+    for rows in _drawn_pairs(linked, results):
+        row = relation.largest(rows)
+        a, b = linked[row.a], linked[row.b]
+        valid = [data["valid"] for data in (a, b) if "valid" in data]
+        out[_pair_of(row)] = relation.block_means(a[row.a_map], b[row.b_map], point_um=row.point_um, valid=valid)
+    return out
+
+
+def _pairs(
+    linked: Mapping[str, xr.Dataset], results: Results, titles: summary.Titles,
+    points: Mapping[tuple[str, str, str, str], relation.Points],
+) -> list[Picture]:  # fmt: skip
+    """Draw the pairs of maps that stand for two layers, and all maps of the same quantity."""
+    out: list[Picture] = []
+    for rows in _drawn_pairs(linked, results):
+        row, (a, b) = rows[0], (linked[rows[0].a], linked[rows[0].b])
         names = (titles[row.a, row.a_map], titles[row.b, row.b_map])
         if len(results.layers) > 2 or row.same_quantity:
             names = (f"{names[0]}, {row.a}", f"{names[1]}, {row.b}")
         valid = [data["valid"] for data in (a, b) if "valid" in data]
         without = text.left_out(results.regions)
-        out.append(relation.draw_pair(a[row.a_map], b[row.b_map], rows, names=names, valid=valid, without=without))
+        out.append(relation.draw_pair(
+            a[row.a_map], b[row.b_map], rows, names=names, valid=valid, without=without, points=points[_pair_of(row)]
+        ))  # fmt: skip
     return out
 
 

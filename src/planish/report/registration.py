@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from planish.core.results import LagFacts, RegistrationFacts
 from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
 from planish.report.draw import (
+    BELOW,
     FULL,
     INK,
+    MARGIN,
     Axes,
     Canvas,
     Magnified,
@@ -50,12 +52,12 @@ class Ground:
 
     def draw(self, width: float) -> tuple[Canvas, Axes]:
         """Draw it with its scale bar, and the border where there is one; below it is room for another scale bar."""
-        shown = reduced(self.values, self.y, self.x, width=width)
-        box = shown.fit(width - 2, 760.0 if width == FULL else 480.0)
-        canvas = Canvas(width, box[1] + 34)
-        axes = canvas.axes((width - box[0]) / 2, 2, *box, shown.extent)
-        axes.image(shown, self.scale)
-        canvas.scale_bar(axes.left, box[1] + 4, width=box[0], um=shown.width, most=0.2)
+        shown = reduced(self.values, self.y, self.x, width=width - MARGIN)
+        box = shown.fit(width - MARGIN - 12, 700.0 if width == FULL else 480.0)
+        canvas = Canvas(width, box[1] + BELOW + 36)
+        axes = canvas.map_axes((width - box[0] + MARGIN - 12) / 2, 4, box, shown, self.scale)
+        canvas.scale_bar(axes.left, box[1] + BELOW + 6, width=box[0], um=shown.width, most=0.2)
+        canvas.axes_names(axes.left + box[0], box[1] + BELOW + 6)
         return canvas, axes
 
 
@@ -97,7 +99,7 @@ def _arrows(
     axes.arrows(at, factor.times * vectors, colour=ARROW, width=width)
     if factor.longest > 1e-9:
         canvas.scale_bar(
-            axes.left + 0.45 * axes.width, axes.height + 4, width=axes.width, um=axes.shown.width / factor.times,
+            axes.left + 0.4 * axes.width, axes.height + BELOW + 6, width=axes.width, um=axes.shown.width / factor.times,
             most=most, colour=ARROW, label=label,
         )  # fmt: skip
     return factor

@@ -13,9 +13,12 @@ from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
 from planish.core.results import CorrelationRow
 from planish.report.colours import PROPERTY, Array, Scale
-from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, Axes, Canvas, Field, Picture, pitch
+from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Field, Picture, Table, pitch
 from planish.report.statement import r_interval_text, r_text
 from planish.report.text import HOLES, REGISTERED, beside, capital, count, in_words, number, plain, unit, unit_of
+
+Points = tuple[Array, Array]
+"""Values of two maps at the same larger points."""
 
 _BINS, _LEAST_BINS = 110, 24
 _MANY = 5000  # points from which their density is drawn instead of each of them
@@ -50,21 +53,21 @@ def _known(a: Array, b: Array, masks: Sequence[NDArray[Any]]) -> NDArray[np.bool
 
 def draw_pair(
     a: xr.DataArray, b: xr.DataArray, rows: Sequence[CorrelationRow], *, names: tuple[str, str],
-    valid: Sequence[xr.DataArray] = (), without: str = HOLES,
+    valid: Sequence[xr.DataArray] = (), without: str = HOLES, points: Points | None = None,
 ) -> Picture:  # fmt: skip
     """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
 
     Both are (y, x) on one grid, NaN where they are not valid; ``valid`` are masks of the pixels that count, and
     ``without`` says in words what they leave out. The rows go from the pixel to the largest points. The difference of
     two maps of the same quantity is drawn over their mean, with its mean and the limits that hold 95 % of normal
-    differences (Bland and Altman 1986).
+    differences (Bland and Altman 1986). ``points`` are the larger points where they are at hand.
     """
     fine, coarse = rows[0], largest(rows)
     same, units = coarse.same_quantity, (unit_of(a), unit_of(b))
     labels = [f"{name} / {u}" if u else name for name, u in zip(names, units, strict=True)]
     every, (p, q, *masks) = thinned(a, b, *valid)
     known = _known(p, q, masks)
-    points = block_means(a, b, point_um=coarse.point_um, valid=valid)
+    points = block_means(a, b, point_um=coarse.point_um, valid=valid) if points is None else points
     canvas = Canvas(FULL, 475)
     left = _density(canvas, _LEFT, *(m[known].astype(np.float64) for m in (p, q)), what="pixels")
     if same:
@@ -97,7 +100,44 @@ def draw_pair(
             f"n counts points, which resemble their neighbours; the interval rests on independent ones. "
             f"{capital(REGISTERED)}."
         ),
+        data=_table(points, labels),
     )
+
+
+def draw_points(
+    points: Points, row: CorrelationRow, *, names: tuple[str, str], units: tuple[str, str], height: float = 320.0
+) -> Picture:
+    """Draw the larger points of two maps on a third of the page, with both lines of least squares."""
+    labels = [f"{name} / {u}" if u else name for name, u in zip(names, units, strict=True)]
+    canvas = Canvas(THIRD, max(height, 300.0))
+    box = (76.0, 42.0, THIRD - 82, canvas.height - 92)
+    size, many = plain(round(row.point_um, 4)), points[0].size > _MANY
+    axes = _density(canvas, box[0], *points, what="points", wide=box[2] - 55, at=box[1], high=box[3]) if many else None
+    axes = axes or _dots(canvas, points, box)
+    for ends, dash in _lines(row, axes.extent):
+        axes.line(ends, colour="white", width=4)
+        axes.line(ends, colour=ACCENT, width=2.2, dash=dash)
+    canvas.ticks(axes, *labels)
+    limits = f" (95 %: {r_interval_text(row)})" if row.interval else ""
+    canvas.text(box[0], 18, f"r = {r_text(row)}{limits}" if row.r is not None else "no correlation", bold=True)
+    canvas.text(box[0], 34, f"n = {count(row.n)} points of {size}", size=SMALL, colour=SOFT)
+    known = f", {count(round(row.n_eff))} of them independent" if row.n_eff is not None else ""
+    doubt = " Doubtful: see the checks." if row.trust == "doubtful" else ""
+    return canvas.picture(
+        title=f"Points of {size}",
+        caption=(
+            f"n = {count(row.n)} squares of {size}{known}; mask: at least half valid in both maps. Lines of least "
+            f"squares: solid, of the upward map on the map across; dashed, the other way round. {capital(REGISTERED)}."
+            f"{doubt}"
+        ),
+        data=_table(points, labels),
+    )
+
+
+def _table(points: Points, labels: Sequence[str]) -> Table:
+    """Return the larger points as columns; two maps of one title are told apart."""
+    names = labels if labels[0] != labels[1] else (f"{labels[0]} (across)", f"{labels[1]} (upwards)")
+    return dict(zip(names, (values.tolist() for values in points), strict=True))
 
 
 def _lines(
@@ -150,23 +190,31 @@ def _points(canvas: Canvas, a: Array, b: Array) -> Axes:
     """Draw larger points one by one, or their density where they are many."""
     if a.size > _MANY:
         return _density(canvas, _RIGHT, a, b, what="points", wide=_WIDE - 70)
-    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (*_limits(a, 0.0), *_limits(b, 0.0)))
+    return _dots(canvas, (a, b), (_RIGHT, _TOP, _WIDE, _HIGH))
+
+
+def _dots(canvas: Canvas, points: Points, box: tuple[float, float, float, float]) -> Axes:
+    a, b = points
+    axes = canvas.axes(*box, (*_limits(a, 0.0), *_limits(b, 0.0)))
     many = a.size > 2000
     axes.dots(np.stack([a, b], axis=1), colour=POINT, size=3 if many else 4.6, opacity=0.5 if many else 0.7)
     return axes
 
 
-def _density(canvas: Canvas, left: float, a: Array, b: Array, *, what: str, wide: float = _WIDE) -> Axes:
+def _density(
+    canvas: Canvas, left: float, a: Array, b: Array, *, what: str, wide: float = _WIDE, at: float = _TOP,
+    high: float = _HIGH,
+) -> Axes:  # fmt: skip
     """Draw how many points fall where, with the colour bar to the right."""
     box = _limits(a), _limits(b)
     bins = int(np.clip(np.sqrt(a.size) / 1.5, _LEAST_BINS, _BINS))
     counts = np.histogram2d(a, b, bins=bins, range=box)[0].T[::-1]
     scale = Scale(0.0, float(np.log10(max(counts.max(initial=1.0), 10.0))), PROPERTY)
     logs = np.where(counts > 0, np.log10(np.maximum(counts, 1.0)), np.nan)
-    axes = canvas.axes(left, _TOP, wide, _HIGH, (*box[0], *box[1]))
+    axes = canvas.axes(left, at, wide, high, (*box[0], *box[1]))
     axes.image(Field(logs, axes.extent), scale, missing="#ffffff")
-    canvas.colour_bar(left + wide + 8, _TOP, 10, _HIGH, scale, log=True)
-    canvas.text(left + wide + 8, _TOP - 8, what, size=SMALL, colour=SOFT)
+    canvas.colour_bar(left + wide + 8, at, 10, high, scale, log=True)
+    canvas.text(left + wide + 8, at - 8, what, size=SMALL, colour=SOFT)
     return axes
 
 

@@ -1,4 +1,4 @@
-"""Results of a run in one sentence and four numbers; what the image-based check of a registration means."""
+"""Results of a run in one sentence and a few numbers; what the image-based check of a registration means."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Check(NamedTuple):
 
 
 def summarise(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
-    """Return the result of a run in one sentence and four numbers, as far as it goes and no further."""
+    """Return the result of a run in one sentence and a few numbers, as far as it goes and no further."""
     if not results.is_link:
         return _of_map(results, titles)
     return _of_two(results, titles) if len(results.moving) == 1 else _of_layers(results, titles)
@@ -92,6 +92,20 @@ def headline_pair(results: Results, moving: LayerFacts) -> list[CorrelationRow]:
     return found[0] if found else []
 
 
+def lead_pair(results: Results) -> list[CorrelationRow]:
+    """Return the correlations that the first page shows; empty where there are none.
+
+    Of two layers those of the maps that stand for them, of more those of the pair with the weakest correlation: one
+    that correlates well does not vouch for the others.
+    """
+    if not results.is_link:
+        return []
+    if len(results.moving) == 1:
+        return headline_pair(results, results.moving[0])
+    onto = [g for g in by_pair(results) if results.reference.name in (g[0].a, g[0].b) and largest(g).r2 is not None]
+    return min(onto, key=lambda group: largest(group).r2 or 0.0, default=[])
+
+
 def point_of(row: CorrelationRow) -> str:
     """Write the point size of a correlation."""
     return plain(round(row.point_um, 4))
@@ -119,7 +133,7 @@ def _of_map(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
         spread = f"{thickness.trust}; see the checks"
     return sentence, [
         Tile(number(shown.mean if shown else None), "µm", "mean sheet thickness", spread),
-        Tile(_whole(measured), "%", "of the columns are measured", f"of {count(sheet.surfaces.columns)}"),
+        Tile(_whole(measured), "%", "of the volume's columns are measured", f"of {count(sheet.surfaces.columns)}"),
         Tile(number(None if strain is None else 100 * strain, 2), "%", "edge strain", "95th percentile over the mesh"),
         Tile(
             number(sheet.flatten.largest_move_um), "µm", "largest displacement", "between projection and flat sheet"
@@ -133,21 +147,22 @@ def _of_two(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
     sentence = _relation(rows, results, titles)
     if rows and rows[0].trust == "ok" and rows[0].same_quantity:
         sentence += _difference(largest(rows), titles)
-    loo, spread = (marks.leave_one_out_rms_um, f"; residual {number(marks.rms_um, 2)} µm") if marks else (None, "")
+    loo = marks.leave_one_out_rms_um if marks else None
     if marks and loo is None:
         sentence += f" {marks.matched} marks were used."
     elif marks:
         sentence += f" Each of the {marks.matched} marks is predicted by the others to {length(loo, 2)} (rms)."
-    share, what = moving.share_of_reference, "of the reference is covered"
-    if results.linked is not None:
-        share, what = results.linked.share_valid_of_sheet, "of the sheet in the image is valid"
-    measured = moving.sheet.surfaces.shares.get("measured") if moving.sheet else None
-    covered = f"{percent(measured, 2)} of the columns are measured" if moving.sheet else ""
+    placed = NONE
+    if marks:
+        placed, e = f"rms of {marks.matched} marks", marks.expected_error
+        if e and e.trust == "ok" and e.median_um is not None:
+            placed += (
+                f"; expected error of a pixel {length(e.median_um, 2)} (median), {length(e.largest_um, 2)} at most"
+            )
     return sentence, [
-        _r2_tile(largest(rows) if rows else None, f"r², points of {point_of(largest(rows))}" if rows else "r²"),
-        _r2_tile(rows[0] if rows else None, "r² at the pixel"),
-        Tile(number(loo, 2), "µm", "leave-one-out error", f"rms of {marks.matched} marks{spread}" if marks else NONE),
-        Tile(_whole(share), "%", what, covered),
+        _r_tile(largest(rows) if rows else None, f"r, points of {point_of(largest(rows))}" if rows else "r"),
+        _r_tile(rows[0] if rows else None, f"r at the pixel, {point_of(rows[0])}" if rows else "r at the pixel"),
+        Tile(number(loo, 2), "µm", "leave-one-out error", placed),
     ]
 
 
@@ -212,10 +227,9 @@ def _of_layers(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
         )
     rows = [largest(group) for group in by_pair(results)]
     sentence += next((text for row in rows if row.trust == "ok" and (text := _difference(row, titles))), "")
-    onto = [row for row in rows if reference in (row.a, row.b) and row.r2 is not None]
-    # The pair with the weakest correlation: one that correlates well does not vouch for the others.
-    weakest = min(onto, key=lambda row: row.r2 or 0.0, default=None)
-    tile = _r2_tile(weakest, f"weakest r², {point_of(weakest)}" if weakest else "r²")
+    lead = lead_pair(results)
+    weakest = largest(lead) if lead else None
+    tile = _r_tile(weakest, f"weakest r, points of {point_of(weakest)}" if weakest else "r")
     share = min((s for layer in results.moving if (s := layer.share_of_reference) is not None), default=None)
     return sentence, [
         Tile(count(len(results.layers)), "", "layers on one grid", f"{reference} is the reference"),
@@ -225,14 +239,15 @@ def _of_layers(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
     ]
 
 
-def _r2_tile(row: CorrelationRow | None, label: str) -> Tile:
+def _r_tile(row: CorrelationRow | None, label: str) -> Tile:
     if row and row.trust != "ok":
         return Tile(NONE, "", label, f"{row.trust}; see the checks")
     if row is None:
         return Tile(NONE, "", label, NONE)
-    interval = f"95 %: {r2_interval_text(row)}" if row.interval else "no interval"
+    interval = f"95 %: {r_interval_text(row)}" if row.interval else "no interval"
+    square = f"; r² {r2_text(row)}{f' ({r2_interval_text(row)})' if row.interval else ''}"
     known = f"; {count(round(row.n_eff))} independent points of {count(row.n)}" if row.n_eff is not None else ""
-    return Tile(r2_text(row), "", label, f"{interval}{known}; {REGISTERED}")
+    return Tile(r_text(row), "", label, f"{interval}{square if row.r2 is not None else ''}{known}; {REGISTERED}")
 
 
 def lag_check(lag: LagFacts | None, *, first: str, second: str, name: str) -> Check | None:
