@@ -84,3 +84,16 @@ def test_a_fault_of_ours_is_a_sentence_and_a_log(planish, specimen_files, tmp_pa
     assert "wires crossed" in err
     assert ".log" in err
     assert "Traceback" not in err
+
+
+def test_figures_of_a_run_stand_beside_its_page(planish, linked_run, tmp_path):
+    page, figures = tmp_path / "page.html", tmp_path / "figures"
+    code, _, err = planish("report", linked_run, "-o", page, "--figures")
+    assert code == 0, err
+    assert page.read_bytes() == (linked_run / "report.html").read_bytes()
+    assert any(figures.glob("*-points.csv"))
+    # What stands there already is not overwritten, and no page is written without its figures.
+    code, _, err = planish("report", linked_run, "-o", tmp_path / "other.html", "--figures")
+    assert code != 0
+    assert "figures" in err
+    assert not (tmp_path / "other.html").exists()

@@ -205,6 +205,9 @@ def stack(*parts: Command) -> Command:
 # --- options that are no parameters ----------------------------------------------------------------------------------
 
 strict_option = click.option("--strict", is_flag=True, help="End with 4 also where a check asks for a look.")
+figures_option = click.option(
+    "--figures", is_flag=True, help="Also write each figure of the page as SVG, and its data as CSV, into figures/."
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 
 

@@ -13,6 +13,7 @@ from planish.cli.options import (
     Command,
     Option,
     existing,
+    figures_option,
     given,
     json_option,
     made,
@@ -88,13 +89,16 @@ def _changed(study: Study, changes: tuple[str, ...]) -> Study:
 
 
 def _run_and_show(
-    study: Study, out: Path, values: dict[str, Any], *, as_json: bool, strict: bool, old: Path | None = None
-) -> int:
+    study: Study, out: Path, values: dict[str, Any], *, as_json: bool, strict: bool, old: Path | None = None,
+    figures: bool = False,
+) -> int:  # fmt: skip
     """Do what a study says, show it, and return the exit code."""
     from planish.pipeline import run_study
 
     with stages(8 + 3 * len(study.layers)) as progress:
-        run = run_study(study, out, progress=progress, compute=made(Compute, values, "compute"), old=old)
+        run = run_study(
+            study, out, progress=progress, compute=made(Compute, values, "compute"), old=old, figures=figures
+        )
     return finish(run, out, as_json=as_json, strict=strict)
 
 
@@ -115,11 +119,12 @@ def _run_and_show(
 )
 @sheet_options
 @compute_options
+@figures_option
 @strict_option
 @json_option
 def link(
-    layers: tuple[str, ...], out: Path, chain: bool, changes: tuple[str, ...], strict: bool, as_json: bool,
-    **values: Any,
+    layers: tuple[str, ...], out: Path, chain: bool, changes: tuple[str, ...], figures: bool, strict: bool,
+    as_json: bool, **values: Any,
 ) -> int:  # fmt: skip
     """Link layers of one specimen to the last of them: all maps on its pixels, correlation, report.
 
@@ -134,7 +139,7 @@ def link(
     if len(layers) < 2:
         raise click.UsageError("Something to link it to is missing: give two layers or more, the reference last.")
     study = study_from(layers, values, chain=chain, changes=changes)
-    return _run_and_show(study, out, values, as_json=as_json, strict=strict)
+    return _run_and_show(study, out, values, as_json=as_json, strict=strict, figures=figures)
 
 
 @verb(
@@ -146,11 +151,13 @@ def link(
 @out_option(OUT)
 @sheet_options
 @compute_options
+@figures_option
 @strict_option
 @json_option
-def map_(volume: Path, out: Path, strict: bool, as_json: bool, **values: Any) -> int:
+def map_(volume: Path, out: Path, figures: bool, strict: bool, as_json: bool, **values: Any) -> int:
     """Map VOLUME: flattened maps of all properties, without an image."""
-    return _run_and_show(study_from((volume,), values), out, values, as_json=as_json, strict=strict)
+    study = study_from((volume,), values)
+    return _run_and_show(study, out, values, as_json=as_json, strict=strict, figures=figures)
 
 
 @verb(
@@ -173,18 +180,20 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], strict: bool, a
 
     Without changes the result has the same bytes; files that differ from those beside STUDY are named.
     """
+    from planish.report import FIGURES
     from planish.study import read_study
 
     if study.is_dir():
         study = study / "run.toml"
     checked = read_study(study)
     old = study.absolute().parent
+    figures = (old / FIGURES).is_dir()
     if changes:
         checked = _changed(checked, changes)
         target = out or free_path(old.with_name(f"{old.name}-2"))
-        return _run_and_show(checked, target, values, as_json=as_json, strict=strict, old=old)
+        return _run_and_show(checked, target, values, as_json=as_json, strict=strict, old=old, figures=figures)
     target = out or free_path(old.with_name(f"{old.name}-again"))
-    code = _run_and_show(checked, target, values, as_json=as_json, strict=strict)
+    code = _run_and_show(checked, target, values, as_json=as_json, strict=strict, figures=figures)
     before = run_facts(old)
     if before is not None and before["warning"]:
         click.echo(f"{old.name} was {before['warning']}", err=True)

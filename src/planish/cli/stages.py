@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planish.analyze.params import CorrelateParams
-from planish.cli.options import Option, existing, given, json_option, made, options, out_option, verb
+from planish.cli.options import Option, existing, figures_option, given, json_option, made, options, out_option, verb
 from planish.cli.runs import (
     compute_options,
     correlate_options,
@@ -270,17 +270,21 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
     return code
 
 
-@verb("planish report run --out page.html", name="report")
+@verb("planish report run --out page.html", "planish report run --out pages/page.html --figures", name="report")
 @existing("run")
 @out_option("HTML file to make; it must not exist.")
-def report(run: Path, out: Path) -> None:
+@figures_option
+def report(run: Path, out: Path, figures: bool) -> None:
     """Make the report of a RUN folder again."""
     from planish.io.run_folder import refuse_existing
     from planish.pipeline import open_run
-    from planish.report import write_report
+    from planish.report import FIGURES, write_report
 
-    refuse_existing(out)
+    beside = out.absolute().with_name(FIGURES) if figures else None
+    for path in (out, beside):
+        if path is not None:
+            refuse_existing(path)
     found = open_run(run)
     marks = {name: registration.pairs() for name, registration in found.registrations.items()}
-    write_report(out, results=found.results, groups=found.groups, marks=marks)
+    write_report(out, results=found.results, groups=found.groups, marks=marks, figures=beside)
     click.echo(str(out))

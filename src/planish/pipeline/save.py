@@ -30,7 +30,7 @@ from planish.pipeline.regions import REGIONS, write_regions
 from planish.pipeline.request import check_request
 from planish.pipeline.run import MAPS, Run, marks_file
 from planish.pipeline.sheet import changed, map_layer
-from planish.report import write_report
+from planish.report import FIGURES, write_report
 from planish.study import LayerParams, Study, to_dict, write_study
 
 _NONE: Mapping[str, Layer] = {}
@@ -39,7 +39,7 @@ _PAGES = 5_000_000  # bytes of report.html and the tables
 
 def run_study(
     study: Study, out: str | Path | None = None, *, compute: Compute | None = None, progress: Progress = silent,
-    old: Path | None = None,
+    old: Path | None = None, figures: bool = False,
 ) -> Run:  # fmt: skip
     """Do what a study says, and write the run folder ``out`` where it is given.
 
@@ -56,6 +56,8 @@ def run_study(
         Called with the name of a stage and a few words.
     old : Path, optional
         A run of which stages are taken whose volume and parameters are the same.
+    figures : bool
+        Whether the run folder also holds the figures of the page as files, in ``figures``.
 
     Raises
     ------
@@ -104,7 +106,7 @@ def run_study(
                 raise type(error)(f"{error} {more}") from error
             progress("write", str(out))
             with new_folder(out, inside=work, needed=_size(run)) as folder:
-                save_run(run, folder, home=out, stored=sink)
+                save_run(run, folder, home=out, stored=sink, figures=figures)
             moved = {name: stored_group(out / MAPS, name) for name in sink.stored} if sink is not None else {}
             return replace(run, groups=run.groups | moved)
 
@@ -169,8 +171,10 @@ def _with_overviews(groups: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
     return found
 
 
-def save_run(run: Run, folder: Path, *, home: Path, stored: StoredMaps | None = None) -> None:
-    """Write all files of a run into ``folder``, which will stand at ``home``.
+def save_run(
+    run: Run, folder: Path, *, home: Path, stored: StoredMaps | None = None, figures: bool = False
+) -> None:  # fmt: skip
+    """Write all files of a run into ``folder``, which will stand at ``home``, on request those of its figures, too.
 
     The store of ``stored``, which holds some of its groups, becomes that of the run. A volume that was mapped on the
     way to a link of several layers stands in ``layers/NAME`` as a run of its own.
@@ -191,7 +195,10 @@ def save_run(run: Run, folder: Path, *, home: Path, stored: StoredMaps | None = 
         study = changed(study, correlate=changed(study.correlate, regions=str(home / REGIONS)))
     write_study(study, folder, home=home, version=__version__)
     pairs = {name: registration.pairs() for name, registration in run.registrations.items()}
-    write_report(folder / "report.html", results=run.results, groups=run.groups, marks=pairs)
+    write_report(
+        folder / "report.html", results=run.results, groups=run.groups, marks=pairs,
+        figures=folder / FIGURES if figures else None,
+    )  # fmt: skip
     there = stored.stored if stored is not None else []
     if stored is not None and there:
         stored.path.rename(folder / MAPS)

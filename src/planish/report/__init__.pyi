@@ -1,3 +1,4 @@
+from .files import FIGURES as FIGURES
 from .notebook import map_html as map_html
 from .notebook import results_html as results_html
 from .notebook import run_html as run_html

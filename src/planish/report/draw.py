@@ -28,6 +28,7 @@ INK, SOFT, FAINT = "#22292f", "#66707a", "#c9ced3"
 ACCENT, POINT = "#b3402a", "#2f6690"
 SMALL, BIG = 11.0, 12.0  # font sizes
 
+_FONTS = "font-family=\"'Source Sans 3','Segoe UI','Helvetica Neue','Liberation Sans',Arial,sans-serif\""
 _DENSITY = 1.35  # pixels of an image in one CSS pixel
 _TOP = 8.0  # above a map: half a line, for a number at the end of the colour bar
 _HIGHEST = 480.0  # of a map on half a page
@@ -35,7 +36,7 @@ _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
 
 
 Table = Mapping[str, Sequence[object]]
-"""What a figure shows as numbers, for those who plot it again: columns of one length, by their headings."""
+"""Something that a figure shows as numbers, for those who plot it again: columns of one length, by their headings."""
 
 
 class Style(TypedDict, total=False):
@@ -56,7 +57,7 @@ class Picture:
     height: float
     title: str
     caption: str
-    data: Table = field(default_factory=dict[str, Sequence[object]])
+    data: Mapping[str, Table] = field(default_factory=dict[str, Table])
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,9 +301,9 @@ class Canvas(Axes):
             self.text(left + box[0] + BESIDE - 5, top + _TOP + high / 2, label, anchor="middle", upwards=True)
         return axes
 
-    def picture(self, *, title: str, caption: str, data: Table | None = None) -> Picture:
-        """Return the finished figure; ``data`` are the numbers that it shows."""
-        view = f'viewBox="0 0 {_n(self.width)} {_n(self.height)}" role="img" aria-label="{escape(title)}"'
+    def picture(self, *, title: str, caption: str, data: Mapping[str, Table] | None = None) -> Picture:
+        """Return the finished figure; ``data`` are tables of the numbers that it shows, by what they are."""
+        view = f'viewBox="0 0 {_n(self.width)} {_n(self.height)}" role="img" aria-label="{escape(title)}" {_FONTS}'
         return Picture(
             svg=self.svg(view), width=self.width, height=self.height, title=title, caption=caption, data=data or {}
         )  # fmt: skip

@@ -139,6 +139,13 @@ def draw_progress(strain: xr.Dataset) -> draw.Picture:
             f"Move of the nodes in each step (root mean square): coloured on the mesh of {count(int(finest))} "
             f"nodes{coarse}. n = {count(nodes.size)} steps; unit µm; no mask."
         ),
+        data={
+            "steps": {
+                "step": list(range(1, nodes.size + 1)),
+                "nodes": [int(n) for n in nodes],
+                "mean move / µm": move.tolist(),
+            }
+        },
     )
 
 

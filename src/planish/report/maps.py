@@ -113,7 +113,7 @@ def _draw(
             f"faces found, without holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the "
             f"99th percentile{of_both}."
         ),
-        data=counted,
+        data={"histogram": counted},
     )
 
 

@@ -26,6 +26,7 @@ from planish.report import (
     text,
 )  # fmt: skip
 from planish.report.draw import FULL, HALF, Picture
+from planish.report.files import write_figures
 from planish.report.groups import Groups
 
 if TYPE_CHECKING:
@@ -64,8 +65,9 @@ class _Block(NamedTuple):
 
 
 def write_report(
-    path: Path, *, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results
-) -> None:
+    path: Path, *, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results,
+    figures: Path | None = None,
+) -> None:  # fmt: skip
     """Write the report of a run as one HTML file that needs nothing else.
 
     Parameters
@@ -79,12 +81,17 @@ def write_report(
         Pairs of marks of each layer but the reference with their residuals, by its name; ``fixed_*`` in the layer that
         it was registered to.
     results : Results
+    figures : Path, optional
+        Folder to make for the figures, each as SVG and the numbers that it shows as CSV.
 
     Notes
     -----
     The same input gives the same bytes: no dates, no random names.
     """
-    write_whole(path, render_report(groups=groups, marks=marks, results=results).encode())
+    page, pictures = _render(groups, marks, results)
+    write_whole(path, page.encode())
+    if figures is not None:
+        write_figures(figures, pictures)
 
 
 def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results) -> str:

@@ -20,6 +20,7 @@ from planish.report.draw import (
     Canvas,
     Magnified,
     Picture,
+    Table,
     draw_map,
     levels_between,
     magnified,
@@ -135,7 +136,16 @@ def draw_registration(
             f"point from each mark to its transformed partner in {the(source)}, {factor.words}. {words}"
             f"{ground.caption}"
         ),
+        data={"marks": _marks_table(marks)},
     )
+
+
+def _marks_table(marks: xr.Dataset) -> Table:
+    """Return marks with their residuals as columns, in um."""
+    names = [str(name) for name in marks.data_vars if marks[name].dims == ("mark",) and name != "label"]
+    labels = {"label": [str(v) for v in marks["label"].values]} if "label" in marks else {}
+    numbers = {f"{name} / µm": marks[name].values.astype(np.float64).tolist() for name in names}
+    return {"mark": list(range(1, marks.sizes["mark"] + 1)), **labels, **numbers}
 
 
 def _draw_marks(axes: Axes, fixed: Array, *, hole_um: float, size: float) -> None:

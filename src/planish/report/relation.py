@@ -100,7 +100,7 @@ def draw_pair(
             f"n counts points, which resemble their neighbours; the interval rests on independent ones. "
             f"{capital(REGISTERED)}."
         ),
-        data=_table(points, labels),
+        data={"points": _table(points, labels)},
     )
 
 
@@ -130,7 +130,7 @@ def draw_points(
             f"squares: solid, of the upward map on the map across; dashed, the other way round. {capital(REGISTERED)}."
             f"{doubt}"
         ),
-        data=_table(points, labels),
+        data={"points": _table(points, labels)},
     )
 
 

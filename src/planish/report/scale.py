@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 
 from planish.core.results import EvidenceFacts, PartialFacts
-from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture
+from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table
 from planish.report.text import REGISTERED, capital, count, fixed, left_out, plain
 
 _TOP, _HIGH, _WIDE = 40.0, 250.0, 400.0
@@ -29,7 +30,37 @@ def draw_scale(found: EvidenceFacts, *, names: tuple[str, str], regions: int = 0
             f"n = {count(n)} at the smallest size. Mask: measured, without {left_out(regions)}. "
             f"{capital(REGISTERED)}."
         ),
+        data=_tables(found),
     )
+
+
+def _tables(found: EvidenceFacts) -> Mapping[str, Table]:
+    """Return the curve of sizes and the octaves as columns; what is not known is empty."""
+    sizes, bands = found.sizes, found.bands
+    curve: Table = {
+        "size of a point / µm": [row.point_um for row in sizes],
+        "n": [row.n for row in sizes],
+        "independent": _known(row.n_eff for row in sizes),
+        "r": _known(row.r for row in sizes),
+        "lower 95 % limit": _known(row.interval[0] if row.interval else None for row in sizes),
+        "upper 95 % limit": _known(row.interval[1] if row.interval else None for row in sizes),
+        "lower end of the band": _known(row.band[0] if row.band else None for row in sizes),
+        "upper end of the band": _known(row.band[1] if row.band else None for row in sizes),
+    }
+    octaves: Table = {
+        "shortest wave / µm": [band.shortest_um for band in bands],
+        "longest wave / µm": [band.longest_um for band in bands],
+        "squared coherence": _known(band.coherence for band in bands),
+        "p of all octaves": _known(band.p_of_bands for band in bands),
+        "phase / °": _known(band.phase_deg for band in bands),
+        "gain": _known(band.gain for band in bands),
+        "independent waves": _known(band.modes for band in bands),
+    }
+    return {name: table for name, table, rows in (("sizes", curve, sizes), ("octaves", octaves, bands)) if rows}
+
+
+def _known(values: Iterable[float | None]) -> list[object]:
+    return ["" if value is None else value for value in values]
 
 
 def _curve(canvas: Canvas, found: EvidenceFacts) -> None:

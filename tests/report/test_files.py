@@ -1,0 +1,106 @@
+"""Figures as files: they stand alone, hold what the page shows, and come with their numbers."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from planish.core.results import Results
+from planish.report import write_report
+from planish.report.draw import Canvas
+from planish.report.files import standalone
+from planish.report.relation import block_means
+from report.pages import Page
+from report.runs import Run, a_run
+
+SIZE = {"point_um": 100.0, "n": 40, "r": 0.8, "n_eff": 31.2, "interval": [0.6, 0.9], "band": None}
+BAND = {"shortest_um": 50.0, "longest_um": 100.0, "coherence": 0.5, "p_of_bands": 0.01, "phase_deg": 3.0, "gain": 2.0,
+        "modes": 30.0}  # fmt: skip
+
+
+def with_evidence() -> Run:
+    run = a_run()
+    run["results"]["evidence"] = [
+        {"a": "volume", "a_map": "coating_top", "b": "image", "b_map": "image", "declared": True, "sizes": [SIZE],
+         "bands": [BAND]}
+    ]  # fmt: skip
+    return run
+
+
+def written(folder: Path, run: Run) -> Path:
+    folder.mkdir()
+    results = Results.model_validate(run["results"])
+    write_report(
+        folder / "report.html", groups=run["groups"], marks=run["marks"], results=results, figures=folder / "figures"
+    )
+    return folder / "figures"
+
+
+@pytest.fixture(scope="module")
+def figures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("run") / "a", with_evidence())
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_figure_of_the_page_is_a_file(figures: Path) -> None:
+    page = Page((figures.parent / "report.html").read_text(encoding="utf-8"))
+    drawn = sorted(figures.glob("*.svg"))
+    assert len(drawn) == page.drawings
+    assert [path.name[:2] for path in drawn] == [f"{k:02d}" for k in range(1, len(drawn) + 1)]
+    for path, shown in zip(drawn, page.svgs, strict=True):
+        root = ElementTree.parse(path).getroot()
+        assert root.tag == "{http://www.w3.org/2000/svg}svg"
+        assert root.attrib["aria-label"] == shown["aria-label"]
+        assert "Liberation Sans" in root.attrib["font-family"]
+        title, caption = root[0].text, root[1].text
+        assert title == shown["aria-label"]
+        assert caption in page.text("figcaption").replace("\n", " ")
+
+
+def test_numbers_of_the_figures_are_those_of_the_results(figures: Path) -> None:
+    found = {re.sub(r"^\d+-", "", path.stem): table(path) for path in sorted(figures.glob("*.csv"))}
+    run = with_evidence()
+    linked = run["groups"]["linked"]
+    a, b = block_means(linked["coating_top"], linked["image"], point_um=100.0, valid=[linked["valid"]])
+    points = found["points-of-100-um-points"]
+    np.testing.assert_array_equal([float(v) for row in points for v in row.values()], np.stack([a, b], axis=1).ravel())
+    assert list(points[0]) == ["Coating thickness, top side / µm", "Luminance"]
+    names = {name.rpartition("-")[2]: rows for name, rows in found.items()}
+    assert [float(row["r"]) for row in names["sizes"]] == [0.8]
+    assert names["sizes"][0]["lower end of the band"] == ""
+    assert [float(row["squared coherence"]) for row in names["octaves"]] == [0.5]
+    assert [float(row["residual_x / µm"]) for row in names["marks"]] == [0.3, -0.4, 0.1]
+    assert names["marks"][0]["label"] == "hole 1"
+    known = int(np.isfinite(run["groups"]["maps"]["thickness"].values).sum())
+    assert sum(int(row["map pixels"]) for row in found["sheet-thickness-histogram"]) == known
+    assert len(names["steps"]) == 4
+
+
+def test_same_run_gives_the_same_files(figures: Path, tmp_path: Path) -> None:
+    again = written(tmp_path / "again", with_evidence())
+    assert {p.name: p.read_bytes() for p in figures.iterdir()} == {p.name: p.read_bytes() for p in again.iterdir()}
+
+
+def test_hostile_titles_name_no_other_place_and_stay_text(tmp_path: Path) -> None:
+    run = a_run(linked=False)
+    title = '../../x"><script>紙</script>'
+    run["groups"]["maps"]["coating_top"].attrs["long_name"] = title
+    folder = written(tmp_path / "run", run)
+    assert {path.parent for path in tmp_path.rglob("*.svg")} == {folder}
+    assert (folder / "01-x-script-script.svg").is_file()
+    assert ElementTree.parse(folder / "01-x-script-script.svg").getroot()[0].text == title
+
+
+def test_a_figure_alone_lies_on_white() -> None:
+    root = ElementTree.fromstring(standalone(Canvas(20, 10).picture(title="紙", caption="a < b")).encode())
+    assert root[1].text == "a < b"
+    assert root[2].attrib["fill"] == "#ffffff"
