@@ -12,7 +12,9 @@ import tifffile
 import xarray as xr
 
 from planish.marks.files import read_any
+from planish.pipeline import open_run
 from planish.pipeline.compare import WAYS
+from planish.pipeline.save import save_run
 from planish.register import fit_transform
 
 ROWS = [*(name for name, _, _ in WAYS[:2]), "flattened, similarity"]
@@ -33,6 +35,14 @@ def test_run_folder_holds_what_is_promised(linked_run):
     assert {p.name for p in linked_run.iterdir()} == {
         "figures.csv", "maps.zarr", "marks.csv", "marks.json", "results.json", "report.html", "run.toml",
     }  # fmt: skip
+
+
+def test_figures_are_written_on_request_beside_the_same_page(linked_run, tmp_path):
+    save_run(open_run(linked_run), tmp_path, home=linked_run, figures=True)
+    drawn = sorted((tmp_path / "figures").glob("*.svg"))
+    page = (linked_run / "report.html").read_text(encoding="utf-8")
+    assert len(drawn) == page.count("<figcaption>")
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == page
 
 
 def test_groups_dims_and_variables(tree, specimen):
