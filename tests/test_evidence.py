@@ -14,6 +14,7 @@ from planish.core.results import LayerFacts, Results
 from planish.pipeline.compare import correlate_layers, headline_of
 from planish.pipeline.evidence import evidence_of
 from planish.report.scale import sentences
+from planish.report.summary import cautions
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +68,13 @@ def test_the_headline_has_its_scales_and_ceiling(results):
             assert row.band[0] < row.interval[0] < row.r < row.interval[1] < row.band[1]
     assert 0.9 < found.ceiling <= 1
     assert found.curve is None or found.curve.r2_line <= found.curve.r2_parabola
+
+
+def test_what_to_be_careful_about_stands_on_the_first_page(results):
+    rows = [row.model_copy(update={"warnings": ("Only 17 independent points.",)}) for row in results.correlations]
+    assert cautions(results.model_copy(update={"correlations": tuple(rows)})) == ["Only 17 independent points."]
+    withheld = [row.model_copy(update={"trust": "withheld"}) for row in rows]
+    assert cautions(results.model_copy(update={"correlations": tuple(withheld)})) == []
 
 
 def test_a_relation_that_saturates_is_named():

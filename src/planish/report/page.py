@@ -284,7 +284,8 @@ def _scales(results: Results, titles: summary.Titles) -> list[Picture]:
     for found in results.evidence:
         if found.sizes or found.bands:
             names = (text.in_words(titles.get(key, key[1])) for key in ((found.a, found.a_map), (found.b, found.b_map)))
-            out.append(scale.draw_scale(found, names=(next(names), next(names))))
+            pair = next(names), next(names)
+            out.append(scale.draw_scale(found, names=pair, regions=results.regions is not None))
     return out
 
 

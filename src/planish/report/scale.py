@@ -13,7 +13,7 @@ _TOP, _HIGH, _WIDE = 40.0, 250.0, 400.0
 _LEFT, _RIGHT = 85.0, 635.0
 
 
-def draw_scale(found: EvidenceFacts, *, names: tuple[str, str], regions: int = 0) -> Picture:
+def draw_scale(found: EvidenceFacts, *, names: tuple[str, str], regions: bool = False) -> Picture:
     """Draw r against the size of points with the band that holds the whole curve, and coherence by octaves."""
     canvas = Canvas(FULL, 360)
     _curve(canvas, found)

@@ -191,6 +191,12 @@ def _relation(rows: list[CorrelationRow], results: Results, titles: Titles) -> s
     return f"{what} is {words[row.direction < 0]} where {than} is larger: {limits}"
 
 
+def cautions(results: Results) -> list[str]:
+    """What to be careful about in the correlation that leads."""
+    rows = lead_pair(results)
+    return list(largest(rows).warnings) if rows and largest(rows).trust != "withheld" else []
+
+
 def declared(results: Results) -> str:
     """Say whether the map that leads was named before r was looked at; empty where nothing leads."""
     if not results.evidence or all(layer.headline == "image" for layer in results.layers):
