@@ -258,6 +258,17 @@ def test_unrelated_noise_says_nothing_at_any_scale():
     assert found.declared
 
 
+def test_thin_regions_have_a_difference_with_an_interval():
+    maps = drawn(shape=(120, 160))
+    maps["sheet"]["coating_top"][:] = 6 + 3 * maps["sheet"]["coating_top"].values
+    maps["image"]["image"][:] = 100 + maps["image"]["image"].values - 4 * (maps["sheet"]["coating_top"].values < 5)
+    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    found = evidence_of(maps, *given, point_um=50, declared=False)
+    assert [k.thinner_than_um for k in found.thin] == [2, 5, 10]
+    assert found.thin[1].interval[0] < -4 < found.thin[1].interval[1]
+    assert any("below 5" in s and "differs by" in s for s in sentences(found, 50.0))
+
+
 def test_a_constant_map_has_no_evidence():
     maps = drawn()
     maps["sheet"]["coating_top"][:] = 3.0

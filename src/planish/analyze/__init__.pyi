@@ -69,5 +69,7 @@ from .sides import two_sheets as two_sheets
 from .surrogates import in_band as in_band
 from .texture import Textures as Textures
 from .texture import textures as textures
+from .thin_regions import RegionDifference as RegionDifference
+from .thin_regions import region_difference as region_difference
 from .variograms import Variogram as Variogram
 from .variograms import variogram as variogram

@@ -479,6 +479,16 @@ class PartialFacts(Facts):
     silence: str | None = Field(default=None, description="Why there is no partial correlation.")
 
 
+class ThinRegionFacts(Facts):
+    """Mean of the image where the coating is thinner than a limit, minus that elsewhere."""
+
+    thinner_than_um: float
+    share: float
+    difference: float
+    interval: KnownPair = Field(description="In which the difference lies with 95 %.")
+    n_eff: Number
+
+
 class EvidenceFacts(Facts):
     """What stands beside the correlation of the maps that stand for two layers."""
 
@@ -494,6 +504,7 @@ class EvidenceFacts(Facts):
         None, description="Least, mean and largest r over grids of points that begin elsewhere."
     )
     curve: CurveFacts | None = None
+    thin: tuple[ThinRegionFacts, ...] = ()
     short_waves: SizeFacts | None = Field(None, description="Without waves above short_waves_um.")
     short_waves_um: Number = None
     ceiling: Number = Field(None, description="The r that a perfect relation would show, by misplacement alone.")

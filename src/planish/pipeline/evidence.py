@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from planish.analyze import (
     of_short_waves,
     origins,
     partial,
+    region_difference,
     size_curve,
     straight_or_curved,
 )
@@ -26,10 +27,19 @@ from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
 from planish.core.errors import InputError, PlanishError
 from planish.core.grid import Grid
-from planish.core.results import BandFacts, CurveFacts, EvidenceFacts, LayerFacts, PartialFacts, SizeFacts
+from planish.core.results import (
+    BandFacts,
+    CurveFacts,
+    EvidenceFacts,
+    LayerFacts,
+    PartialFacts,
+    SizeFacts,
+    ThinRegionFacts,
+)
 
 Array = NDArray[np.float64]
 
+THIN_UM = (2.0, 5.0, 10.0)
 CELLS = 2**16
 """Of a map, by which the independent points of a correlation are counted and its scales are told."""
 
@@ -81,6 +91,8 @@ def evidence_of(
         short, longest = of_short_waves(x, y, pixel_um=cell_um, point_um=point_um)
         found["short_waves"] = SizeFacts.of(short, point_um=point_um)
         found["short_waves_um"] = longest
+    if a.headline.startswith("coating_") and "image" in second:
+        found["thin"] = tuple(_thin(x, y, cell_um))
     if (errors := _errors(first, second)) is not None:
         size = point_um if point_um >= max(cell_um) else None
         most = ceiling(x, error_um=errors, mask=known, pixel_um=cell_um, point_um=size)
@@ -88,6 +100,17 @@ def evidence_of(
     if beside and a.kind == "sheet":
         found |= _beside(first, second, (a.headline, b.headline), beside, grid, point_um)
     return EvidenceFacts(a=a.name, a_map=a.headline, b=b.name, b_map=b.headline, declared=declared, **found)
+
+
+def _thin(x: Array, y: Array, cell_um: tuple[float, float]) -> Iterator[ThinRegionFacts]:
+    """Compare the image inside and outside of thin regions, for the limits that some pixels are below."""
+    known = np.isfinite(x) & np.isfinite(y)
+    for limit in THIN_UM:
+        try:
+            apart = region_difference(y, np.where(known, x, np.inf) < limit, mask=known, pixel_um=cell_um)
+        except PlanishError:
+            continue
+        yield ThinRegionFacts.of(apart, thinner_than_um=limit)
 
 
 def _curve(x: Array, y: Array, cell_um: tuple[float, float], point_um: float) -> CurveFacts | None:

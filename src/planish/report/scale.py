@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from planish.core.results import EvidenceFacts, PartialFacts
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table
-from planish.report.text import REGISTERED, capital, count, fixed, left_out, plain
+from planish.report.text import REGISTERED, capital, count, fixed, left_out, number, percent, plain
 
 _TOP, _HIGH, _WIDE = 40.0, 250.0, 400.0
 _LEFT, _RIGHT = 85.0, 635.0
@@ -128,6 +128,15 @@ def sentences(found: EvidenceFacts, point_um: float) -> list[str]:
         bent = found.curve
         shares = f"r² is {fixed(bent.r2_line, 2)} of the line and {fixed(bent.r2_parabola, 2)} of the parabola"
         out.append(f"Over points of {plain(point_um)} the relation is {bent.words} ({shares}).")
+    for thin in found.thin:
+        if thin.interval is not None:
+            low, high = (number(v, 3) for v in thin.interval)
+            where = (
+                f"Where the coating is below {plain(thin.thinner_than_um)} ({percent(thin.share, 2)} of the valid area)"
+            )
+            out.append(
+                f"{where} the mean of the image differs by {number(thin.difference, 3)} (95 %: {low} to {high})."
+            )
     short = found.short_waves
     if short and short.r is not None and short.interval and found.short_waves_um:
         low, high = (fixed(v, 2) for v in short.interval)

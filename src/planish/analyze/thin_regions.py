@@ -1,0 +1,101 @@
+"""How a map differs inside and outside of regions, such as those where a coating is thin."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from planish.analyze.correlation import LEAST_CLAIMED, on_one_grid
+from planish.analyze.covariance import Lags, covariance_of
+from planish.core.errors import CannotMeasure
+
+_LEAST = 3
+_QUANTILE = 0.975
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegionDifference:
+    """Mean of a map inside of regions minus that outside.
+
+    Attributes
+    ----------
+    share : float
+        Of the valid pixels that lies inside.
+    difference : float
+        In the unit of the map.
+    interval : (float, float)
+        In which it lies with 95 %; (NaN, NaN) where fewer than 10 independent points say nothing.
+    n_eff : float
+        Independent points of what each pixel adds to the difference.
+    """
+
+    share: float
+    difference: float
+    interval: tuple[float, float]
+    n_eff: float
+
+
+def region_difference(
+    values: NDArray[Any], inside: NDArray[np.bool_], *, mask: NDArray[np.bool_] | None = None,
+    pixel_um: float | tuple[float, float],
+) -> RegionDifference:  # fmt: skip
+    """Compare a map inside and outside of regions.
+
+    Parameters
+    ----------
+    values : ndarray, shape (rows, cols)
+        NaN is missing.
+    inside : ndarray of bool, shape (rows, cols)
+    mask : ndarray of bool, shape (rows, cols), optional
+        Pixels that count.
+    pixel_um : float or (float, float)
+        Along y and x.
+
+    Returns
+    -------
+    RegionDifference
+
+    Raises
+    ------
+    InputError, SizeError
+        As :func:`planish.correlate`.
+    CannotMeasure
+        If fewer than 3 valid pixels lie inside, or outside.
+
+    Notes
+    -----
+    What each pixel adds to the difference is a map of its own, whose mean has the variance that its covariances by lag
+    give: a region is one event, however many pixels it has.
+    """
+    pixel = on_one_grid(values, values, mask, pixel_um)
+    on_one_grid(values, inside, inside, pixel)
+    known = np.isfinite(values) if mask is None else np.isfinite(values) & mask
+    there, rest = known & inside, known & ~inside
+    count = int(np.count_nonzero(there)), int(np.count_nonzero(rest))
+    if min(count) < _LEAST:
+        raise CannotMeasure(
+            f"{count[0]} valid pixels lie inside of the regions and {count[1]} outside, {_LEAST} are needed on either "
+            "side. Give another limit."
+        )
+    share = count[0] / sum(count)
+    means = float(values[there].mean()), float(values[rest].mean())
+    added = np.zeros(known.shape)
+    added[there] = (values[there] - means[0]) / share
+    added[rest] = -(values[rest] - means[1]) / (1 - share)
+    difference = means[0] - means[1]
+    covariance, variance = covariance_of(added, Lags(known, pixel))
+    square = float(covariance[0, 0])
+    if not square > 0:
+        return RegionDifference(share=share, difference=difference, interval=(difference,) * 2, n_eff=float(sum(count)))
+    n_eff = min(square / variance, float(sum(count))) if variance > 0 else math.nan
+    if not n_eff >= LEAST_CLAIMED:
+        return RegionDifference(share=share, difference=difference, interval=(math.nan, math.nan), n_eff=n_eff)
+    width = float(stats.t.ppf(_QUANTILE, n_eff - 1)) * math.sqrt(square / n_eff)
+    return RegionDifference(
+        share=share, difference=difference, interval=(difference - width, difference + width), n_eff=n_eff
+    )

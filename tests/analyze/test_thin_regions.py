@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+
+from analyze.fields import gaussian_maps
+from planish.analyze import region_difference
+from planish.core.errors import CannotMeasure, InputError
+
+
+def test_a_step_is_found():
+    rng = np.random.default_rng(0)
+    a, b = gaussian_maps(rng, (60, 80), 3.0)
+    inside = a < -0.8
+    found = region_difference(b - 2.0 * inside, inside, pixel_um=2.0)
+    assert found.share == pytest.approx(inside.mean())
+    assert found.interval[0] < -2 < found.interval[1]
+    assert found.interval[1] < -1
+    assert found.n_eff < inside.size / 4
+
+
+def test_pixels_without_resemblance_are_a_two_sample_test():
+    rng = np.random.default_rng(1)
+    values, inside = rng.normal(size=(80, 90)), rng.random((80, 90)) < 0.2
+    found = region_difference(values, inside, pixel_um=1.0)
+    error = np.sqrt(values[inside].var() / inside.sum() + values[~inside].var() / (~inside).sum())
+    assert found.difference == pytest.approx(values[inside].mean() - values[~inside].mean())
+    assert found.interval[1] - found.interval[0] == pytest.approx(2 * 1.96 * error, rel=0.1)
+
+
+def test_the_interval_holds_the_truth():
+    rng, held = np.random.default_rng(2), []
+    for _ in range(150):
+        a, b = gaussian_maps(rng, (60, 80), 3.0)
+        low, high = region_difference(b, a < -0.8, pixel_um=1.0).interval
+        held.append(low <= 0 <= high)
+    assert 0.88 < np.mean(held) < 0.995
+
+
+def test_missing_pixels_do_not_count():
+    rng = np.random.default_rng(3)
+    a, b = gaussian_maps(rng, (40, 50), 3.0)
+    known = rng.random(a.shape) > 0.2
+    one = region_difference(np.where(known, b, np.nan), a < 0, pixel_um=1.0)
+    assert one == region_difference(np.where(known, b, 1e9), a < 0, mask=known, pixel_um=1.0)
+
+
+def test_one_large_region_is_one_event():
+    b = gaussian_maps(np.random.default_rng(4), (40, 50), 30.0, kind="gauss")[0]
+    inside = np.zeros(b.shape, bool)
+    inside[:, :25] = True
+    found = region_difference(b, inside, pixel_um=1.0)
+    assert np.isnan(found.interval).all() == (found.n_eff < 10)
+    assert found.n_eff < 30
+
+
+def test_regions_without_pixels_are_refused():
+    b = np.random.default_rng(5).normal(size=(20, 30))
+    for inside in (np.zeros(b.shape, bool), np.ones(b.shape, bool)):
+        with pytest.raises(CannotMeasure, match="another limit"):
+            region_difference(b, inside, pixel_um=1.0)
+    with pytest.raises(InputError, match="onto one grid"):
+        region_difference(b, np.ones((3, 3), bool), pixel_um=1.0)
