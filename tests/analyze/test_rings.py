@@ -62,7 +62,8 @@ def test_rings_are_sums_over_single_waves():
     sums = {}
     for i, fy in enumerate(fft.fftfreq(30, 2.0)):
         for j, fx in enumerate(fft.fftfreq(40, 2.0)):
-            x, y = one[i, j], two[i, j]
+            # Of the other half of the transform each value is the conjugate of one of this half.
+            x, y = (m[i, j] if j <= 20 else m[-i, 40 - j].conjugate() for m in (one, two))
             s = sums.setdefault(round(math.hypot(fy, fx) / width), [0.0, 0.0, 0.0, 0])
             s[0] += (x * y.conjugate()).real
             s[1] += abs(x) ** 2

@@ -113,8 +113,7 @@ def coherence(
     window = window_of(known)
     power = float(np.sum(window**2))
     one, two = (spectrum_of(m, known, window) for m in (a, b))
-    fy, fx = (fft.fftfreq(n, p) for n, p in zip(known.shape, pixel, strict=True))
-    frequency = np.hypot(fy[:, None], fx)
+    frequency = frequencies(known.shape, pixel)
     # Width of the window in frequency: one over the field it leaves.
     joined = known.size * float(np.sum(window**4)) / power**2
     resolution = math.sqrt(joined) / shortest_side
@@ -160,11 +159,11 @@ def window_of(known: Mask) -> Array:
 
 
 def spectrum_of(values: NDArray[Any], known: Mask, window: Array) -> NDArray[np.complex128]:
-    """Fourier transform of a map without its trend and mean under a window; all of shape (rows, cols)."""
+    """Half of the Fourier transform (``rfft2``) of a map without its trend and mean under a window."""
     flat = without_trend(np.where(known, values, 0.0).astype(np.float64), known)
     weighted = window * flat
     mean = weighted.sum() / max(window.sum(), 1e-300)
-    return np.asarray(fft.fft2(weighted - mean * window))
+    return np.asarray(fft.rfft2(weighted - mean * window))
 
 
 def _whitened(values: NDArray[np.complex128], ring: NDArray[np.intp]) -> NDArray[np.complex128]:
@@ -179,6 +178,12 @@ def stands_out(values: NDArray[np.complex128], ring: NDArray[np.intp]) -> Mask:
 
 
 def half_plane(shape: tuple[int, ...]) -> Mask:
-    """One of each two modes that a real map has twice."""
-    rows, cols = (np.fft.fftfreq(n, 1 / n) for n in shape)
-    return (cols[None, :] > 0) | ((cols[None, :] == 0) & (rows[:, None] > 0))
+    """One of each two modes that a real map has twice, in half of a Fourier transform."""
+    rows, cols = fft.fftfreq(shape[0], 1 / shape[0]), np.arange(shape[1] // 2 + 1)
+    inner = (cols > 0) & (2 * cols < shape[1])
+    return inner[None, :] | ((cols[None, :] == 0) & (rows[:, None] > 0))
+
+
+def frequencies(shape: tuple[int, ...], pixel_um: tuple[float, float]) -> Array:
+    """Length of the frequency of each mode of half of a Fourier transform, in waves a um."""
+    return np.hypot(fft.fftfreq(shape[0], pixel_um[0])[:, None], fft.rfftfreq(shape[1], pixel_um[1]))

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from planish.analyze.correlation import on_one_grid
-from planish.analyze.octaves import half_plane, spectrum_of, stands_out, window_of
+from planish.analyze.octaves import frequencies, half_plane, spectrum_of, stands_out, window_of
 from planish.core.errors import CannotMeasure
 
 Mask = NDArray[np.bool_]
@@ -105,8 +104,7 @@ def ring_correlation(
             raise CannotMeasure(f"{n} pixels are known in both maps, or map {name} is constant. Look at the masks.")
     window = window_of(known)
     one, two = (spectrum_of(m, known, window) for m in (a, b))
-    fy, fx = (fft.fftfreq(n, p) for n, p in zip(known.shape, pixel, strict=True))
-    frequency = np.hypot(fy[:, None], fx)
+    frequency = frequencies(known.shape, pixel)
     joined = known.size * float(np.sum(window**4)) / float(np.sum(window**2)) ** 2
     width = math.sqrt(joined) / min(n * p for n, p in zip(known.shape, pixel, strict=True))
     number = np.rint(frequency / width).astype(np.intp)

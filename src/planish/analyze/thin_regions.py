@@ -91,7 +91,9 @@ def region_difference(
     covariance, variance = covariance_of(added, Lags(known, pixel))
     square = float(covariance[0, 0])
     if not square > 0:
-        return RegionDifference(share=share, difference=difference, interval=(difference,) * 2, n_eff=float(sum(count)))
+        return RegionDifference(
+            share=share, difference=difference, interval=(difference, difference), n_eff=float(sum(count))
+        )
     n_eff = min(square / variance, float(sum(count))) if variance > 0 else math.nan
     if not n_eff >= LEAST_CLAIMED:
         return RegionDifference(share=share, difference=difference, interval=(math.nan, math.nan), n_eff=n_eff)
