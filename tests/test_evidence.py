@@ -77,6 +77,7 @@ def test_what_to_be_careful_about_stands_on_the_first_page(results):
     assert cautions(results.model_copy(update={"correlations": tuple(withheld)})) == []
 
 
+@pytest.mark.study
 def test_a_relation_that_saturates_is_named():
     maps = drawn(shape=(240, 320))
     thick = 10 + 2 * ndimage.gaussian_filter(maps["sheet"]["coating_top"].values, 6) / 0.047

@@ -101,6 +101,7 @@ rings = st.lists(places, min_size=3, max_size=7).map(np.array)
 regions_of_all_kinds = st.lists(st.lists(rings, min_size=1, max_size=3).map(tuple), min_size=1, max_size=2).map(tuple)
 
 
+@pytest.mark.study
 @given(regions_of_all_kinds)
 def test_the_mask_is_that_of_exact_numbers_whole_and_in_bands(polygons):
     """Quarters of pixels put many borders through the middles of pixels; borders cross themselves and each other."""
@@ -385,6 +386,7 @@ def test_a_run_with_regions_repeats_to_the_same_bytes(planish, linked_run, stain
     assert not (tmp_path / "without" / "regions.geojson").exists()
 
 
+@pytest.mark.study
 def test_regions_count_in_no_pair_of_images(planish, specimen_files, tmp_path):
     path = written(tmp_path / "r.json", bent([600, 500], [900, 500], [900, 750], [600, 750]))
     layers = [f"{name}={specimen_files[1]}" for name in ("one", "two")]

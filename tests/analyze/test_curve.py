@@ -142,6 +142,7 @@ def test_a_level_that_is_less_sure_widens_the_intervals_and_leaves_the_fit(x):
     assert width[1] ** 2 - width[0] ** 2 == pytest.approx(level**2, rel=0.15)
 
 
+@pytest.mark.study
 def test_independent_points_of_level_slope_and_bend():
     rng, found = np.random.default_rng(6), []
     shape, known = (50, 60), np.ones((50, 60), bool)
