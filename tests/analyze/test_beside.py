@@ -91,6 +91,22 @@ def test_partial_r_leaves_what_the_others_do_not_explain():
         partial(a, b, [a - third, third], pixel_um=1.0)
 
 
+def test_maps_without_common_pixels_are_refused():
+    a, b = related_maps(np.random.default_rng(8), (20, 30), 2.0, 0.5)
+    none = np.full(a.shape, np.nan)
+    for call in (
+        lambda: of_short_waves(none, b, pixel_um=1.0),
+        lambda: without_trends(none, b, pixel_um=1.0),
+        lambda: partial(a, b, [none], pixel_um=1.0),
+        lambda: commonality(b, {"x": a, "y": none}),
+        lambda: commonality(np.ones(a.shape), {"x": a, "y": b}),
+    ):
+        with pytest.raises(CannotMeasure):
+            call()
+    with pytest.raises(SizeError, match="longest wave"):
+        of_short_waves(a, b, pixel_um=1.0, longest_um=-5.0)
+
+
 def test_commonality_adds_up_and_knows_two_predictors():
     rng = np.random.default_rng(7)
     x, y, z = (gaussian_maps(rng, (40, 50), 3.0)[0] for _ in range(3))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planish.analyze.correlation import Correlation, correlate, on_one_grid
 from planish.analyze.texture import low_pass
 from planish.analyze.trend import without_trend
-from planish.core.errors import InputError, SizeError
+from planish.core.errors import CannotMeasure, InputError, SizeError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 _ORIGINS = 4  # along either axis
 _LONGEST = 0.2  # of the shorter side: waves that a field holds too few of
 _MOST_PARTS = 4
+_LEAST = 3  # pixels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,10 +75,15 @@ def of_short_waves(
     ------
     InputError, SizeError
         As :func:`planish.correlate`.
+    CannotMeasure
+        If fewer than 3 pixels are valid.
     """
     pixel = on_one_grid(a, b, mask, pixel_um)
     known = _known(a, b, mask)
-    longest = longest_um or _LONGEST * min(n * p for n, p in zip(known.shape, pixel, strict=True))
+    side = min(n * p for n, p in zip(known.shape, pixel, strict=True))
+    longest = _LONGEST * side if longest_um is None else longest_um
+    if not 0 < longest < math.inf:
+        raise SizeError(f"The longest wave is {longest:g} um. Give a length above 0.")
     weight = np.maximum(low_pass(known.astype(np.float64), longest, pixel), 1e-9)
     short = [
         np.where(known, m - low_pass(np.where(known, m, 0.0), longest, pixel) / weight, np.nan)
@@ -96,6 +102,8 @@ def without_trends(
     ------
     InputError, SizeError
         As :func:`planish.correlate`.
+    CannotMeasure
+        If fewer than 3 pixels are valid.
     """
     pixel, known = on_one_grid(a, b, mask, pixel_um), _known(a, b, mask)
     x, y = (np.where(known, without_trend(np.where(known, m, 0.0), known), np.nan) for m in (a, b))
@@ -120,12 +128,15 @@ def partial(
     ------
     InputError
         If the maps are not on one grid, or one of the others explains all of a or b: parts stand beside their sum.
+    CannotMeasure
+        If fewer than 3 pixels are valid in all maps.
     """
     pixel = on_one_grid(a, b, mask, pixel_um)
     known = _known(a, b, mask)
     for m in others:
         on_one_grid(a, m, None, pixel)
         known &= np.isfinite(m)
+    _enough(known)
     x, y = (_rest(m, others, known) for m in (a, b))
     return correlate(x, y, pixel_um=pixel)
 
@@ -150,6 +161,8 @@ def commonality(b: NDArray[Any], parts: Mapping[str, NDArray[Any]], *, mask: Mas
     ------
     InputError
         If there are fewer than two or more than four maps, or one is the sum of others.
+    CannotMeasure
+        If fewer than 3 pixels are valid in all maps, or b is constant.
     """
     names = list(parts)
     if not 2 <= len(names) <= _MOST_PARTS:
@@ -157,7 +170,10 @@ def commonality(b: NDArray[Any], parts: Mapping[str, NDArray[Any]], *, mask: Mas
     known = np.isfinite(b) if mask is None else np.isfinite(b) & mask
     for m in parts.values():
         known &= np.isfinite(m)
+    _enough(known)
     y = b[known] - b[known].mean()
+    if not np.ptp(y) > 0:
+        raise CannotMeasure("Map b is constant: there is nothing to explain.")
     columns = {k: (m[known] - m[known].mean()) / max(float(m[known].std()), 1e-300) for k, m in parts.items()}
     if np.linalg.cond(np.stack(list(columns.values()), axis=1)) > 1e6:
         raise InputError("One of the maps is the sum of others. Leave the sum, or one of its parts, out.")
@@ -181,7 +197,13 @@ def commonality(b: NDArray[Any], parts: Mapping[str, NDArray[Any]], *, mask: Mas
 
 def _known(a: NDArray[Any], b: NDArray[Any], mask: Mask | None) -> Mask:
     known = np.isfinite(a) & np.isfinite(b)
-    return known if mask is None else known & np.asarray(mask)
+    return _enough(known if mask is None else known & np.asarray(mask))
+
+
+def _enough(known: Mask) -> Mask:
+    if (n := int(np.count_nonzero(known))) < _LEAST:
+        raise CannotMeasure(f"{n} pixels are valid in all maps, {_LEAST} are needed. Look at the masks.")
+    return known
 
 
 def _rest(values: NDArray[Any], others: Sequence[NDArray[Any]], known: Mask) -> Array:
