@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from planish.analyze.chance import normal_quantile, student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED, PairSums, on_one_grid
 from planish.analyze.covariance import Lags, PairCovariances, covariance_of
 from planish.core.errors import CannotMeasure
@@ -122,12 +122,12 @@ def bland_altman(
     # Of maps with these covariances; the number for the mean is smaller, as long waves weigh more in it.
     ratio = PairCovariances(off, off, lags).variance_of_r()
     n_eff_sd = min(1 + 1 / ratio, float(n)) if ratio > 0 else math.nan
-    reach = float(stats.norm.ppf((1 + _CHANCE) / 2)) * sd
+    reach = normal_quantile((1 + _CHANCE) / 2) * sd
     limits = (bias - reach, bias + reach)
     of_bias = of_sd = of_low = of_high = _UNKNOWN
     if min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
         free = min(n_eff / _POINTS_A_FREE, _MOST_FREE)
-        quantile = float(stats.t.ppf((1 + _CHANCE) / 2, free))
+        quantile = student_quantile((1 + _CHANCE) / 2, free)
         spread = quantile * math.sqrt(square / n_eff)
         of_bias = (bias - spread, bias + spread)
         # sd of Gaussian values scatters by sd / sqrt(2 df).

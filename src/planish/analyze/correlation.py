@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy import stats
 
+from planish.analyze.chance import normal_quantile, ranks, student_quantile, student_tail
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.trend import shared_trend
 from planish.core.area import AreaMeans
@@ -328,7 +328,7 @@ def _stated(
     return Correlation(
         n=sums.n, support_um=support_um, r=r, r2=r * r, rho=spearman(*ranked), slope=slope, intercept=intercept,
         slope_x_on_y=other, mean_a=sums.means[0], mean_b=sums.means[1], n_eff=n_eff, p=p, interval=_interval(r, width),
-        n_eff_interval=(stats.norm.ppf((1 + _CHANCE) / 2) / width) ** 2 + 3 if width > 0 else math.nan,
+        n_eff_interval=(normal_quantile((1 + _CHANCE) / 2) / width) ** 2 + 3 if width > 0 else math.nan,
         warnings=(*_nearly_constant(ranked), *warnings),
     )  # fmt: skip
 
@@ -350,7 +350,7 @@ def _certainty(
     warnings = [f"Only {n_eff:.0f} independent points. Measure a larger field."] if n_eff < _FEW else []
     if 1 - r * r < 1e-14:
         return n_eff, 0.0, 0.0, warnings
-    p = float(2 * stats.t.sf(abs(r) * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2))
+    p = 2 * student_tail(abs(r) * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2)
     within = PairSums()
     within.add(x[known], y[known])
     ratio = 1.0
@@ -364,9 +364,9 @@ def _certainty(
         )
     of_z = ratio**2 * pair.variance_of_z(r, sums.variances)
     quantile = (1 + _CHANCE) / 2
-    width = float(stats.norm.ppf(quantile)) / math.sqrt(n_eff - 3)
+    width = normal_quantile(quantile) / math.sqrt(n_eff - 3)
     if 0 < of_z < 1 / _LEAST:
-        width = max(width, float(stats.t.ppf(quantile, 1 / of_z - 2)) * math.sqrt(of_z))
+        width = max(width, student_quantile(quantile, 1 / of_z - 2) * math.sqrt(of_z))
     trend = shared_trend(x, y, known)
     if trend is not None:
         warnings.append(trend.sentence)
@@ -382,7 +382,7 @@ def _interval(r: float, width: float) -> tuple[float, float]:
 
 def spearman(x: Array, y: Array) -> float:
     """Spearman's rank correlation of two arrays without missing values; ties have their mean rank."""
-    return pearson(stats.rankdata(x), stats.rankdata(y)) if x.size else math.nan
+    return pearson(ranks(x), ranks(y)) if x.size else math.nan
 
 
 def _nearly_constant(ranked: Array) -> Iterator[str]:

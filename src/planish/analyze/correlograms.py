@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage, optimize, stats
+from scipy import fft, ndimage, optimize, special
 
+from planish.analyze.chance import normal_tail
 from planish.analyze.correlation import LEAST_CLAIMED, on_one_grid
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.ncc import MaskedNcc
@@ -220,13 +221,13 @@ def _limits(
         """Of exceeding u standard deviations anywhere, on either side."""
         edge, face = (sides[k] * math.sqrt(smooth[k]) for k in (0, 1))
         bump = math.exp(-u * u / 2)
-        mean = float(stats.norm.sf(u)) + (edge + face) * bump / (2 * math.pi)
+        mean = normal_tail(u) + (edge + face) * bump / (2 * math.pi)
         mean += edge * face * u * bump / (2 * math.pi) ** 1.5
-        return 2 * min(mean, count * float(stats.norm.sf(u)))
+        return 2 * min(mean, count * normal_tail(u))
 
     u = float(optimize.brentq(lambda v: math.log(chance(v) / _CHANCE), 2.0, 12.0))
     alone, anywhere = (
         np.where(looked_at, t / np.sqrt(t * t + left - 2), math.nan)
-        for t in (np.asarray(stats.t.isf(tail, left - 2)) for tail in (_CHANCE / 2, stats.norm.sf(u)))
+        for t in (np.asarray(-special.stdtrit(left - 2, tail)) for tail in (_CHANCE / 2, normal_tail(u)))
     )
     return n_eff, alone, anywhere

@@ -9,8 +9,9 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, stats
+from scipy import ndimage
 
+from planish.analyze.chance import largest_tail
 from planish.analyze.correlation import correlate, pearson
 from planish.analyze.differences import paired_difference
 from planish.analyze.ncc import MaskedNcc
@@ -265,8 +266,7 @@ def searched_null(a: Array, tune: Tune, *, valid: Mask | None = None, surrogates
 
 def _by_tail(null: list[float], r: float) -> float:
     """Chance of a larger maximum, from the distribution that maxima have."""
-    at, scale = stats.gumbel_r.fit(np.arctanh(np.minimum(null, 1 - 1e-12)))
-    found = float(stats.gumbel_r.sf(math.atanh(min(r, 1 - 1e-12)), at, scale))
+    found = largest_tail(np.arctanh(np.minimum(null, 1 - 1e-12)), math.atanh(min(r, 1 - 1e-12)))
     return max(found, 0.5 / len(null) ** 2)  # a tail is not known further than that from so few
 
 

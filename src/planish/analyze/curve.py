@@ -15,8 +15,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import optimize, stats
+from scipy import optimize
 
+from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.light import layer_over
@@ -246,7 +247,7 @@ def fit_kubelka_munk(
         )
     ends: tuple[Interval, Interval] = ((best[0], best[0]), (best[1], best[1]))
     if rms > _EXACT:
-        t = float(stats.t.ppf(_QUANTILE, count - 2))
+        t = student_quantile(_QUANTILE, count - 2)
         limit = left * (1 + t * t / (count - 2))
         ends = fit.interval(0, best, limit), fit.interval(1, best, limit)
     return KubelkaMunk(
@@ -364,5 +365,5 @@ def _least_squares(terms: Array, values: Array, n_eff: float) -> tuple[Array, Ar
     left = float(np.mean((values - terms @ found) ** 2))
     free = n_eff - terms.shape[1]
     spread = np.diag(np.linalg.inv(terms.T @ terms / len(values))) * left / free
-    widths: Array = np.sqrt(spread) * float(stats.t.ppf(_QUANTILE, free))
+    widths: Array = np.sqrt(spread) * student_quantile(_QUANTILE, free)
     return found, widths, left

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, on_one_grid, pearson
 from planish.analyze.covariance import Lags, variance_of_products
 from planish.core.errors import InputError
@@ -96,7 +96,7 @@ def paired_difference(
     n_eff = float(covariance[0, 0]) / variance if variance > 0 else 0.0
     if n_eff < LEAST_CLAIMED:
         return Difference(r=r, difference=r[1] - r[0])
-    return _difference(r, float(stats.t.ppf(_QUANTILE, n_eff - 1)) * math.sqrt(variance))
+    return _difference(r, student_quantile(_QUANTILE, n_eff - 1) * math.sqrt(variance))
 
 
 def difference_of(first: Correlation, second: Correlation) -> Difference:

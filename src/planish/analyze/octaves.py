@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage, stats
+from scipy import fft, ndimage
 
 from planish.analyze.correlation import on_one_grid
 from planish.analyze.trend import without_trend
@@ -141,7 +141,7 @@ def _band(
     gain = complex(np.vdot(one[inside], two[inside]))
     enough = modes >= _LEAST_MODES and not math.isnan(share)
     # Of m complex waves without relation the squared coherence exceeds x with the probability (1 - x)^(m - 1).
-    p = float(stats.beta.sf(share, 1, modes - 1)) if enough else math.nan
+    p = float((1 - share) ** (modes - 1)) if enough else math.nan
     right = (share - 1 / modes) / (1 - 1 / modes) if enough else math.nan
     return Band(
         shortest_um=limits[0], longest_um=limits[1], coherence=right, p=p, p_of_bands=1 - (1 - p) ** count,

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, correlate
 from planish.core.errors import CannotMeasure, InputError
 
@@ -227,7 +227,7 @@ def deming(x: NDArray[Any], y: NDArray[Any], *, error_ratio: float | None, n_eff
 def _directions(turn: float, area: float, apart: float, n_eff: float, scale: float) -> tuple[float, float]:
     if n_eff < LEAST_CLAIMED:
         return math.nan, math.nan
-    quantile = float(stats.t.ppf((1 + _CHANCE) / 2, n_eff - 2))
+    quantile = student_quantile((1 + _CHANCE) / 2, n_eff - 2)
     sine = 2 * quantile * math.sqrt(max(area, 0.0) / (n_eff - 2)) / apart
     width = math.asin(sine) / 2 if sine < 1 else math.inf
     low, high = turn - width, turn + width

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED, on_one_grid
 from planish.analyze.covariance import Lags, covariance_of
 from planish.core.errors import CannotMeasure
@@ -97,7 +97,7 @@ def region_difference(
     n_eff = min(square / variance, float(sum(count))) if variance > 0 else math.nan
     if not n_eff >= LEAST_CLAIMED:
         return RegionDifference(share=share, difference=difference, interval=(math.nan, math.nan), n_eff=n_eff)
-    width = float(stats.t.ppf(_QUANTILE, n_eff - 1)) * math.sqrt(square / n_eff)
+    width = student_quantile(_QUANTILE, n_eff - 1) * math.sqrt(square / n_eff)
     return RegionDifference(
         share=share, difference=difference, interval=(difference - width, difference + width), n_eff=n_eff
     )

@@ -7,9 +7,8 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 from scipy.interpolate import make_interp_spline
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
 
 from planish.register.pairs import Pairs, inverse_of
 
@@ -112,8 +111,8 @@ def find_through_scale(scales: Floats, places: Floats, pairs: Pairs, *, mirrored
     away = _centred(moved(fine**2), mirrored) / spread
     rest = _solved(away, target, strained)[1]
     best, one = int(np.argmin(rest)), int(np.searchsorted(fine, 1.0))
-    limit = float(f_distribution.isf(CHANCE, 1, 2 * which.size - 5))
-    wider = float(np.sqrt(limit / chi2.isf(CHANCE, 1)))
+    limit = float(special.fdtri(1, 2 * which.size - 5, 1 - CHANCE))
+    wider = float(np.sqrt(limit) / special.ndtri(1 - CHANCE / 2))
     source = moved(1.0) - moved(1.0).mean(axis=0)
     affine, missed = _solved(_affine_columns(source / spread)[None], target, bare)
     _, (most, least), turned = np.linalg.svd(affine[0, 2:].reshape(2, 2))

@@ -1,0 +1,53 @@
+"""Quantiles and tails of distributions, and ranks.
+
+The same values as those of ``scipy.stats``, whose import alone takes as long as all correlations of a small run.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, special
+
+
+def normal_quantile(share: float) -> float:
+    """The value below which a share of the standard normal distribution lies."""
+    return float(special.ndtri(share))
+
+
+def normal_tail(value: float) -> float:
+    """The share of the standard normal distribution above a value."""
+    return float(special.ndtr(-value))
+
+
+def student_quantile(share: float, free: float) -> float:
+    """The value below which a share of Student's distribution with ``free`` degrees of freedom lies."""
+    return float(special.stdtrit(free, share))
+
+
+def student_tail(value: float, free: float) -> float:
+    """The share of Student's distribution with ``free`` degrees of freedom above a value."""
+    return float(special.stdtr(free, -value))
+
+
+def largest_tail(maxima: NDArray[np.float64], value: float) -> float:
+    """The share of further maxima above a value, by Gumbel's distribution fitted by maximum likelihood."""
+    away = maxima - maxima.min()
+
+    def excess(scale: float) -> float:
+        weight = np.exp(-away / scale)
+        return scale - float(away.mean() - (away * weight).sum() / weight.sum())
+
+    spread = float(away.std())
+    if spread == 0:
+        return float(value <= maxima[0])
+    scale = float(optimize.brentq(excess, spread / 100, spread * 100))
+    at = float(maxima.min()) - scale * math.log(float(np.exp(-away / scale).mean()))
+    return -math.expm1(-math.exp((at - value) / scale))
+
+
+def ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ranks from 1 on of an array without missing values, flat; equal values have their mean rank."""
+    _, which, count = np.unique(values.ravel(), return_inverse=True, return_counts=True)
+    last = np.cumsum(count)
+    return (last - (count - 1) / 2)[which]
