@@ -25,7 +25,7 @@ from planish.pipeline.facts import parameters, versions
 from planish.pipeline.figures import figures_text
 from planish.pipeline.kept import KeptMaps, sheets_of
 from planish.pipeline.layers import Layer
-from planish.pipeline.link import LINKED, link_study
+from planish.pipeline.linking import LINKED, link_study
 from planish.pipeline.regions import REGIONS, write_regions
 from planish.pipeline.request import check_request
 from planish.pipeline.run import MAPS, Run, marks_file
