@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 import zarr
 from numpy.typing import NDArray
-from scipy import fft, ndimage, stats
+from scipy import fft, ndimage, optimize, stats
 
 from planish.analyze import coherence, correlate, paired_difference, size_curve, without_screen
 from planish.analyze.covariance import Lags
@@ -99,7 +99,10 @@ def exact_n_eff(length: float | tuple[float, float], kind: str = "exp") -> float
 
 
 def statements(make: Callable[[np.random.Generator], Maps], r: float, seed: int, count: int) -> Array:
-    """For each pair: whether the interval holds r, p < .05, naive p < .05, n_eff, width; NaN where withheld."""
+    """For each pair: whether the interval holds r, p < .05, naive p < .05, n_eff, width, whether a sign is named.
+
+    NaN where withheld.
+    """
     rng, out = np.random.default_rng(seed), []
     for _ in range(count):
         found = correlate(*make(rng), pixel_um=1.0)
@@ -107,7 +110,14 @@ def statements(make: Callable[[np.random.Generator], Maps], r: float, seed: int,
         t = abs(found.r) * math.sqrt((found.n - 2) / (1 - found.r**2))
         naive = 2 * stats.t.sf(t, found.n - 2)
         out.append(
-            (low <= r <= high if low == low else math.nan, found.p < 0.05, naive < 0.05, found.n_eff, high - low)
+            (
+                low <= r <= high if low == low else math.nan,
+                found.p < 0.05,
+                naive < 0.05,
+                found.n_eff,
+                high - low,
+                low * high > 0,
+            )
         )
     return np.array(out, dtype=float)
 
@@ -286,6 +296,8 @@ def main(pairs: int | str = 1000, run: str = "") -> int:
     )  # fmt: skip
     for name, make in cases:
         add(f"r 0.5, {name}", statements, _covers, make, 0.5)
+    long = optimize.brentq(lambda k: exact_n_eff(k) - 60, 5.0, 60.0)
+    add("r 0.5, n_eff 60", statements, _power, partial(related, r=0.5, length=long), 0.5)
     for length in (4.0, 12.0):
         add(f"octaves, side/{SIDE / length:.0f}", coherences, _octaves, length)
     for r, length, noise in ((0.5, 8.0, 8.0), (0.5, 4.0, 12.0), (0.6, 12.0, 4.0)):
@@ -326,6 +338,10 @@ def _covers(found: Array) -> str:
     return f"the interval holds r in {np.nanmean(found[:, 0]):.3f}, width {np.nanmedian(found[:, 4]):.3f}" + (
         f", withheld in {withheld:.2f}" if withheld else ""
     )
+
+
+def _power(found: Array) -> str:
+    return f"{_covers(found)}; a direction is named in {found[:, 5].mean():.3f}"
 
 
 def _covers_population(r2: float, found: Array) -> str:
