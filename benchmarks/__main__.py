@@ -6,6 +6,7 @@ import sys
 
 from benchmarks import (
     artefacts,
+    brightness,
     errors,
     evidence,
     faces,
@@ -46,6 +47,7 @@ _MODULES = (
     resume,
     sides,
     artefacts,
+    brightness,
     warping,
     wrong,
     right,
