@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from planish.pipeline.facts import section_facts
 from planish.sections import SectionSeries, align_sections, fixed_places, normalise_sections, regular_volume
 
 _SLICES = 3
+_COPIES_OF_SECTIONS = 2  # the photographs and the volume made from them are in memory at the same time
 
 
 def read_sheet_volume(
@@ -32,7 +34,7 @@ def read_sheet_volume(
         if compute.scheduler is not None:
             raise InputError(f"{path.name} holds sections, which --scheduler cannot work on. Import them first.")
         volume, sections = _join_sections(params, compute, progress)
-        _in_parts(volume, path, compute, f" --through {params.through}")
+        _in_parts(volume, path, compute, _COPIES_OF_SECTIONS, f" --through {params.through}")
         return volume, sections
     if params.fixed_rows is not None or params.fixed_cols is not None:
         raise InputError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
@@ -80,13 +82,13 @@ def _how(params: VolumeParams, memory_bytes: int) -> dict[str, Any]:
     return params.model_dump(include=HOW_VOLUMES_ARE_READ) | {"memory_bytes": memory_bytes}
 
 
-def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, options: str = "") -> None:
+def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, copies: int = 1, options: str = "") -> None:
     """Refuse a volume that is neither in memory nor can be read in parts."""
     if volume.encoding.get("whole_slices"):
         size = volume.size * volume.dtype.itemsize
         raise ResourceError(
             f"{path.name} has {size / 1e9:.1f} GB, and its slices can only be decoded whole. To hold it, give --memory "
-            f"{compute.to_hold(size) / 1e9:.1f}GB ({compute.memory / 1e9:.1f} GB are allowed), or bring it into a "
+            f"{math.ceil(compute.to_hold(copies * size) / 1e8) / 10:.1f}GB ({compute.memory / 1e9:.1f} GB are allowed), or bring it into a "
             f"store first: planish import {path.name}{options} --out {path.stem}.zarr"
         )
 
@@ -99,8 +101,7 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
             f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to section. "
             "Give --through y where it runs along the rows of the photographs, x where along their columns."
         )
-    # The photographs and the volume made from them are in memory at the same time.
-    stack = read_section_stack(path, **_how(params, compute.volume_bytes // 2))
+    stack = read_section_stack(path, **_how(params, compute.volume_bytes // _COPIES_OF_SECTIONS))
     progress("align", f"{stack.values.shape[0]} sections")
     series = SectionSeries(stack.values, stack.positions_um, stack.pixel_um)
     fixed = None
