@@ -489,6 +489,93 @@ class ThinRegionFacts(Facts):
     n_eff: Number
 
 
+class ReliabilityFacts(Facts):
+    """How far two half measurements of a map agree: of the odd and of the even rows of its columns."""
+
+    layer: str
+    map: str
+    point_um: float
+    n: int | None = Field(default=None, description="Points that are known in both halves.")
+    halves_r: Number = Field(None, description="Correlation of both halves.")
+    value: Number = Field(None, description="Share of the variance of the map that both halves show: an upper bound.")
+    interval: KnownPair = Field(None, description="In which it lies with 95 %.")
+    n_eff: Number = None
+    shared: str | None = Field(None, description="What both halves share, which makes it an upper bound.")
+    silence: str | None = Field(None, description="Why there is none.")
+
+
+class VariogramFacts(Facts):
+    """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
+
+    layer: str
+    map: str
+    units: str
+    cell_um: Pair = Field(description="What the map was averaged over first, along y and x.")
+    nugget: float = Field(description="Variance that neighbouring cells do not share, in the map's units squared.")
+    sill: float = Field(description="Variance of the map.")
+    range_um: Number = Field(
+        description="Distance at which the covariance has fallen to 1/e; none where it does not, or all is nugget."
+    )
+    md_deg: Number = Field(None, description="Machine direction on the reference, where the run knows it.")
+    range_along_um: Number = Field(None, description="The range within 22.5 degrees of the machine direction.")
+    range_across_um: Number = Field(None, description="The same across it.")
+    ratio: Number = Field(None, description="Range along over range across.")
+    distances_um: tuple[float, ...]
+    values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
+
+
+class LagProfile(Facts):
+    """r of map a with map b moved along one axis, and what unrelated maps of this texture reach."""
+
+    lags_um: tuple[float, ...]
+    r: tuple[Number, ...]
+    limit: tuple[Number, ...] = Field(description="|r| that unrelated maps exceed at this lag with 1 %.")
+    limit_of_any: tuple[Number, ...] = Field(description="|r| that they exceed at any of all lags with 1 %.")
+
+
+class CorrelogramFacts(Facts):
+    """Correlation of map a with map b, moved by every lag along both axes; lags are (y, x)."""
+
+    cell_um: Pair
+    reach_um: float
+    r_at_zero: Number
+    peak_r: float
+    lag_um: Pair = Field(description="Of the largest |r|.")
+    inner: bool = Field(description="Whether that is a summit, not a slope that goes on beyond the reach.")
+    widths_um: KnownPair = Field(description="Full widths at half height, the longer one first.")
+    angle_deg: Number = Field(description="Direction of the longer width, clockwise from the x axis.")
+    n_eff: Number
+    limit_of_any: Number = Field(description="|r| at lag 0 that unrelated maps exceed at any lag with 1 %.")
+    beyond_chance: bool | None = Field(description="Whether some lag exceeds that; none where nothing is claimed.")
+    along_x: LagProfile
+    along_y: LagProfile
+
+
+class RingFacts(Facts):
+    """How far two measurements of one quantity agree in waves of one length."""
+
+    wavelength_um: float
+    correlation: float
+    threshold: float = Field(description="Correlation at which the mean of both holds half a bit a wave.")
+    modes: float = Field(description="Independent waves.")
+
+
+class TwiceFacts(Facts):
+    """Two measurements of one quantity: down to which wavelength they agree, and how far they differ."""
+
+    rings: tuple[RingFacts, ...] = ()
+    resolution_um: Number = None
+    sentence: str | None = None
+    point_um: Number = None
+    n: int | None = Field(None, description="Points of which bias and scatter are.")
+    bias: Number = Field(None, description="Mean of b - a at the larger points.")
+    bias_interval: KnownPair = Field(None, description="In which it lies with 95 %.")
+    sd: Number = Field(None, description="Standard deviation of b - a.")
+    sd_interval: KnownPair = None
+    limits: KnownPair = Field(None, description="Between them lie 95 % of normal differences.")
+    units: str = "1"
+
+
 class EvidenceFacts(Facts):
     """What stands beside the correlation of the maps that stand for two layers."""
 
@@ -509,6 +596,16 @@ class EvidenceFacts(Facts):
     short_waves_um: Number = None
     ceiling: Number = Field(None, description="The r that a perfect relation would show, by misplacement alone.")
     ceiling_sentence: str | None = None
+    reliability: tuple[ReliabilityFacts, ...] = Field(
+        (), description="Of the maps of sheets among the two, at the larger points."
+    )
+    ceiling_noise: Number = Field(
+        None, description="The r that a perfect relation would show, by the noise of these maps alone: an upper bound."
+    )
+    ceiling_both: Number = Field(None, description="The same by noise and misplacement together.")
+    variograms: tuple[VariogramFacts, ...] = ()
+    correlogram: CorrelogramFacts | None = None
+    twice: TwiceFacts | None = Field(None, description="Where both maps are of the same quantity.")
     partial: PartialFacts | None = Field(None, description="Where the study names maps that stand beside.")
     commonality: dict[str, float] | None = Field(
         None,

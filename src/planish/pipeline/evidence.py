@@ -23,7 +23,8 @@ from planish.analyze import (
     size_curve,
     straight_or_curved,
 )
-from planish.core.area import AreaMeans
+from planish.analyze.covariance import Lags
+from planish.core.area import AreaMeans, area_mean
 from planish.core.bands import band_of, bands, thinned
 from planish.core.errors import InputError, PlanishError
 from planish.core.grid import Grid
@@ -36,6 +37,8 @@ from planish.core.results import (
     SizeFacts,
     ThinRegionFacts,
 )
+from planish.pipeline.by_distance import correlogram_facts, measured_twice, variograms_of
+from planish.pipeline.halves import Columns, noise_ceiling, reliability_of
 
 Array = NDArray[np.float64]
 
@@ -46,12 +49,13 @@ CELLS = 2**16
 
 def evidence_of(
     maps: Mapping[str, xr.Dataset], a: LayerFacts, b: LayerFacts, *, point_um: float, declared: bool,
-    beside: tuple[str, ...] = (),
+    beside: tuple[str, ...] = (), columns: Mapping[str, Columns] | None = None, md_deg: float | None = None,
 ) -> EvidenceFacts | None:  # fmt: skip
     """Tell at which scales the maps that stand for two layers go together; None where they share too little.
 
     ``declared`` says whether the study named the map before r was looked at. Maps of more than 65 536 pixels are
     averaged to larger ones first. ``beside`` names maps of a sheet whose part is taken off for a partial correlation.
+    ``columns`` are those of each sheet, for its reliability; ``md_deg`` is the machine direction on the reference.
 
     Raises
     ------
@@ -97,9 +101,36 @@ def evidence_of(
         size = point_um if point_um >= max(cell_um) else None
         most = ceiling(x, error_um=errors, mask=known, pixel_um=cell_um, point_um=size)
         found |= {"ceiling": most.r, "ceiling_sentence": most.sentence}
+    found |= _by_distance((x, y), (first, second), (a, b), Lags(known, cell_um), point_um=point_um, md_deg=md_deg)
+    if columns and point_um >= max(cell_um):
+        corner = grid.origin_um[0] - grid.pixel_um[1] / 2, grid.origin_um[1] - grid.pixel_um[0] / 2
+        halves = tuple(
+            reliability_of(
+                columns[m.name], m.name, m.headline, known, origin_um=corner, cell_um=cell_um, point_um=point_um
+            ) for m in (a, b) if m.name in columns
+        )  # fmt: skip
+        found |= {"reliability": halves} | noise_ceiling(halves, found.get("ceiling"))
     if beside and a.kind == "sheet":
         found |= _beside(first, second, (a.headline, b.headline), beside, grid, point_um)
     return EvidenceFacts(a=a.name, a_map=a.headline, b=b.name, b_map=b.headline, declared=declared, **found)
+
+
+def _by_distance(
+    maps: tuple[Array, Array], data: tuple[xr.Dataset, xr.Dataset], layers: tuple[LayerFacts, LayerFacts], lags: Lags,
+    *, point_um: float, md_deg: float | None,
+) -> dict[str, Any]:  # fmt: skip
+    """How both maps vary with distance, alone and together, and how far two measurements of one quantity agree."""
+    units = [str(of[m.headline].attrs.get("units", "1")) for of, m in zip(data, layers, strict=True)]
+    names = tuple((m.name, m.headline, unit) for m, unit in zip(layers, units, strict=True))
+    found: dict[str, Any] = {
+        "variograms": tuple(variograms_of(maps, lags, names, md_deg)), "correlogram": correlogram_facts(maps, lags),
+    }  # fmt: skip
+    if layers[0].kind == layers[1].kind == "sheet" and layers[0].headline == layers[1].headline:
+        factor = point_um / lags.pixel_um[0], point_um / lags.pixel_um[1]
+        points = [area_mean(m, factor) for m in maps] if min(factor) >= 1 else [*maps]
+        size = point_um if min(factor) >= 1 else max(lags.pixel_um)
+        found["twice"] = measured_twice(maps, lags, (points[0], points[1]), point_um=size, units=units[0])
+    return found
 
 
 def _thin(x: Array, y: Array, cell_um: tuple[float, float]) -> Iterator[ThinRegionFacts]:

@@ -19,6 +19,7 @@ from planish import __version__
 from planish.compute import Compute, Progress
 from planish.core.checks import Check
 from planish.core.results import LayerFacts, Results, Side
+from planish.core.transform import Similarity
 from planish.io import read_image
 from planish.io.map_store import HeldMaps, MapSink, map_tiles
 from planish.io.params import HOW_IMAGES_ARE_READ
@@ -27,6 +28,7 @@ from planish.pipeline.checks import about, alone_check, area_check, field_check,
 from planish.pipeline.compare import comparison_rows, correlate_layers
 from planish.pipeline.evidence import evidence_of
 from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, parameters, versions
+from planish.pipeline.halves import Columns
 from planish.pipeline.layers import Layer
 from planish.pipeline.onto import Away, bring, hole_circles
 from planish.pipeline.refinement import refine_link
@@ -178,9 +180,12 @@ def _gathered(
         checks += about(found.checks if b == reference.name else found.checks[:1], a, b)
     groups = {f"layers/{name}": data for name, data in maps.items()}
     declared = study.correlate.headline is not None
+    columns, md_deg = _columns(layers, links), _machine_direction(reference, facts)
     led = [
-        evidence_of(maps, one, facts[-1], point_um=point_um, declared=declared, beside=study.correlate.beside)
-        for one in facts[:-1] if one.headline in maps[one.name]
+        evidence_of(
+            maps, one, facts[-1], point_um=point_um, declared=declared, beside=study.correlate.beside, columns=columns,
+            md_deg=md_deg,
+        ) for one in facts[:-1] if one.headline in maps[one.name]
     ]  # fmt: skip
     more: dict[str, Any] = {"evidence": tuple(one for one in led if one is not None)}
     if study.is_sheet_on_image:
@@ -218,6 +223,28 @@ def _gathered(
             layer.name: layer for layer in layers if layer.params.kind == "volume"
         },
     )  # fmt: skip
+
+
+def _columns(layers: list[Layer], links: dict[str, Link]) -> dict[str, Columns]:
+    """The columns of every sheet, and where they lie on the reference."""
+    found: dict[str, Columns] = {}
+    for layer in layers:
+        if layer.kind == "sheet":
+            sections = layer.groups.get("sections")
+            found[layer.name] = Columns(
+                measured=layer.groups["surfaces"], flat=layer.groups["flat"],
+                similarity=links[layer.name].chain.similarity if layer.name in links else Similarity(),
+                interpolated=sections is not None and bool(sections.attrs["missing"]),
+            )  # fmt: skip
+    return found
+
+
+def _machine_direction(reference: Layer, facts: list[LayerFacts]) -> float | None:
+    """Direction on the reference: as it was given there, or as the marks carry it over; None where it is not known."""
+    known = [reference.md_deg] + [
+        r.orientation.md_deg_fixed_from_moving for one in facts if (r := one.registration) and r.to == reference.name
+    ]
+    return next((v for v in known if v is not None), None)
 
 
 def _side_of(a: Layer, b: Layer) -> Side:
