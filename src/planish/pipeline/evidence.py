@@ -24,7 +24,7 @@ from planish.analyze import (
     straight_or_curved,
 )
 from planish.analyze.covariance import Lags
-from planish.core.area import AreaMeans, area_mean
+from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
 from planish.core.errors import InputError, PlanishError
 from planish.core.grid import Grid
@@ -64,7 +64,10 @@ def evidence_of(
     """
     first, second = maps[a.name], maps[b.name]
     grid = Grid.of(first)
-    pair = PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=None, most_cells=CELLS)
+    twice = a.kind == b.kind == "sheet" and a.headline == b.headline
+    pair = PairAtSizes(
+        grid.shape, pixel_um=grid.pixel_um, point_um=point_um if twice else None, most_cells=CELLS
+    )  # fmt: skip
     for rows in bands(grid.shape[0]):
         use = band_of(first["valid"], rows) & band_of(second["valid"], rows)
         pair.add(rows.start, np.where(use, band_of(first[a.headline], rows), np.nan), band_of(second[b.headline], rows))
@@ -101,7 +104,14 @@ def evidence_of(
         size = point_um if point_um >= max(cell_um) else None
         most = ceiling(x, error_um=errors, mask=known, pixel_um=cell_um, point_um=size)
         found |= {"ceiling": most.r, "ceiling_sentence": most.sentence}
-    found |= _by_distance((x, y), (first, second), (a, b), Lags(known, cell_um), point_um=point_um, md_deg=md_deg)
+    lags, units = Lags(known, cell_um), [str(m[n].attrs.get("units", "1")) for m, n in zip(
+        (first, second), (a.headline, b.headline), strict=True
+    )]  # fmt: skip
+    names = (a.name, a.headline, units[0]), (b.name, b.headline, units[1])
+    found["variograms"] = tuple(variograms_of((x, y), lags, names, md_deg))
+    found["correlogram"] = correlogram_facts((x, y), lags)
+    if twice:
+        found["twice"] = measured_twice((x, y), lags, pair.points(), point_um=point_um, units=units[0])
     if columns and point_um >= max(cell_um):
         corner = grid.origin_um[0] - grid.pixel_um[1] / 2, grid.origin_um[1] - grid.pixel_um[0] / 2
         halves = tuple(
@@ -113,24 +123,6 @@ def evidence_of(
     if beside and a.kind == "sheet":
         found |= _beside(first, second, (a.headline, b.headline), beside, grid, point_um)
     return EvidenceFacts(a=a.name, a_map=a.headline, b=b.name, b_map=b.headline, declared=declared, **found)
-
-
-def _by_distance(
-    maps: tuple[Array, Array], data: tuple[xr.Dataset, xr.Dataset], layers: tuple[LayerFacts, LayerFacts], lags: Lags,
-    *, point_um: float, md_deg: float | None,
-) -> dict[str, Any]:  # fmt: skip
-    """How both maps vary with distance, alone and together, and how far two measurements of one quantity agree."""
-    units = [str(of[m.headline].attrs.get("units", "1")) for of, m in zip(data, layers, strict=True)]
-    names = tuple((m.name, m.headline, unit) for m, unit in zip(layers, units, strict=True))
-    found: dict[str, Any] = {
-        "variograms": tuple(variograms_of(maps, lags, names, md_deg)), "correlogram": correlogram_facts(maps, lags),
-    }  # fmt: skip
-    if layers[0].kind == layers[1].kind == "sheet" and layers[0].headline == layers[1].headline:
-        factor = point_um / lags.pixel_um[0], point_um / lags.pixel_um[1]
-        points = [area_mean(m, factor) for m in maps] if min(factor) >= 1 else [*maps]
-        size = point_um if min(factor) >= 1 else max(lags.pixel_um)
-        found["twice"] = measured_twice(maps, lags, (points[0], points[1]), point_um=size, units=units[0])
-    return found
 
 
 def _thin(x: Array, y: Array, cell_um: tuple[float, float]) -> Iterator[ThinRegionFacts]:

@@ -11,8 +11,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.files import write_whole
-from planish.core.results import CorrelationRow, LayerFacts, RegistrationFacts, Results
+from planish.core.results import CorrelationRow, EvidenceFacts, LayerFacts, RegistrationFacts, Results
 from planish.report import (
+    distance,
     first,
     flattening,
     maps,
@@ -62,6 +63,17 @@ class _Block(NamedTuple):
     pictures: list[Picture]
     linked: list[Picture]
     outlined: bool
+
+
+class _Distances(NamedTuple):
+    """How the maps of a pair vary with distance: of which layers, figures and what may be said."""
+
+    of: str
+    shown: bool
+    alone: list[Picture]
+    sentences: list[str]
+    twice: list[Picture]
+    agreement: list[str]
 
 
 def write_report(
@@ -117,6 +129,7 @@ def _render(
         leading=leading or [picture for s in sheets[:1] for picture in s.leading if not results.is_link],
         blocks=[b for layer in results.moving if (b := _block(layer, data.drawn, marks.get(layer.name), results))],
         pairs=_pairs(data.linked, results, data.titles, points), scales=_scales(results, data.titles), scale=scale,
+        distances=[d for found in results.evidence if (d := _distances(found, results, data.titles)).shown],
     )  # fmt: skip
     return f"{page}\n", shown.pictures
 
@@ -287,6 +300,30 @@ def _scales(results: Results, titles: summary.Titles) -> list[Picture]:
             pair = next(names), next(names)
             out.append(scale.draw_scale(found, names=pair, regions=results.regions is not None))
     return out
+
+
+def _distances(found: EvidenceFacts, results: Results, titles: summary.Titles) -> _Distances:
+    """Draw how the maps of a pair vary with distance, and say what that means."""
+    keys, regions = [(one.layer, one.map) for one in found.variograms], results.regions is not None
+    same = found.a_map == found.b_map
+    named = [titles.get(key, key[1]) + (f", {key[0]}" if same else "") for key in keys]
+    alone, twice, agreement = list[Picture](), list[Picture](), list[str]()
+    if found.variograms:
+        alone.append(distance.draw_variograms(found, titles=named, regions=regions))
+    if found.correlogram is not None:
+        pair = [titles.get(key, key[1]) for key in ((found.a, found.a_map), (found.b, found.b_map))]
+        names = text.in_words(pair[0]), text.in_words(pair[1])
+        names = (f"{names[0]} of {found.a}", f"that of {found.b}") if same else names
+        alone.append(distance.draw_correlogram(found.correlogram, names=names, regions=regions))
+    if found.twice is not None:
+        name, layers = text.in_words(titles.get((found.a, found.a_map), found.a_map)), (found.a, found.b)
+        if found.twice.rings:
+            twice.append(distance.draw_rings(found.twice, name=name, layers=layers, regions=regions))
+        agreement = distance.of_twice(found.twice, layers)
+    return _Distances(
+        of=f"{found.a} and {found.b}", shown=bool(alone or twice or agreement), alone=alone,
+        sentences=distance.of_each(found, named), twice=twice, agreement=agreement,
+    )  # fmt: skip
 
 
 def _valid(data: xr.Dataset, name: str) -> xr.DataArray:
