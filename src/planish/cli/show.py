@@ -152,7 +152,7 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
             number(r.r),
             "-" if r.interval is None else f"{r.interval[0]:.2f} to {r.interval[1]:.2f}",
             number(r.r2),
-            number(r.slope, 4),
+            "-" if r.slope is None else f"{r.slope:.4g}",
             number(rms_um, 1),
         )
         for (name, r), rms_um in zip(rows, marks, strict=True)

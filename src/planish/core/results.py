@@ -353,6 +353,31 @@ class RegistrationFacts(Facts):
     lag: LagFacts | None = None
 
 
+class ImageFacts(Facts):
+    """What the values of an image are that is compared."""
+
+    quantity: Literal["relative grey", "reflectance"]
+    dark_grey: Number = Field(None, description="Grey of the dark reference, if it was given.")
+    white_grey: Number = Field(None, description="Grey of the white reference, whose reflectance counts as 1.")
+    screen_um: Number = Field(None, description="Period of the print screen that was taken off, if it was given.")
+    sigma_um: Number = Field(None, description="Standard deviation of the Gaussian that took it off.")
+    reach_um: Number = Field(None, description="How far it reaches: so much more around holes is not valid.")
+
+    @property
+    def sentence(self) -> str:
+        """What a reader has to know of the values."""
+        if self.quantity == "reflectance":
+            text = f"reflectance: grey {self.dark_grey:g} is 0, grey {self.white_grey:g} is 1"
+        else:
+            text = "relative grey, as stored: no dark and white reference was given"
+        if self.screen_um is not None:
+            text += (
+                f"; the print screen of {self.screen_um:g} um was taken off by a Gaussian (sigma {self.sigma_um:g} um) "
+                f"before anything was compared, and {self.reach_um:g} um more around holes are left out"
+            )
+        return text
+
+
 class LayerFacts(Facts):
     """One layer: a sheet or an image."""
 
@@ -363,6 +388,7 @@ class LayerFacts(Facts):
     share_of_reference: Number = None
     registration: RegistrationFacts | None = None
     sheet: SheetFacts | None = None
+    image: ImageFacts | None = None
 
 
 class _Statement(Facts):
@@ -465,6 +491,56 @@ class CurveFacts(Facts):
     r2_line: Number
     r2_parabola: Number
     words: str
+
+
+class KubelkaMunkFacts(Facts):
+    """Kubelka and Munk's curve of reflectance over the coating, at the larger points."""
+
+    point_um: float
+    ratio: float = Field(description="Absorption over scattering, as it was given.")
+    n: int | None = None
+    n_eff: Number = None
+    weight: bool = Field(False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um.")
+    scattering: Number = Field(None, description="Coefficient S of the coating.")
+    scattering_interval: KnownPair = Field(None, description="In which S lies with 95 %; none where it has no end.")
+    backing: Number = Field(None, description="Reflectance below the coating, extrapolated.")
+    backing_interval: KnownPair = Field(None, description="In which it lies with 95 %.")
+    backing_at_ends: KnownPair = Field(None, description="Backing that fits best with each end of the interval of S.")
+    rms: Number = Field(None, description="Of what the curve leaves of the reflectance.")
+    silence: str | None = Field(default=None, description="Why there is no curve.")
+
+
+class LightSpreadFacts(Facts):
+    """The headline correlation with the coating blurred as light is that spreads in paper."""
+
+    width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")
+    point_um: float
+    n: int | None = None
+    r: Number = None
+    n_eff: Number = None
+    interval: KnownPair = Field(None, description="In which this r lies with 95 %.")
+    difference: Number = Field(None, description="This r minus that of the coating as it is, at the same points.")
+    difference_interval: KnownPair = Field(None, description="In which the difference lies with 95 %.")
+    silence: str | None = Field(default=None, description="Why there is no such r.")
+
+
+class MottleBandFacts(Facts):
+    """How uneven an image is in one octave of wavelength."""
+
+    shortest_um: float
+    longest_um: float
+    coefficient_of_variation: float
+
+
+class MottleFacts(Facts):
+    """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
+
+    layer: str
+    bands: tuple[MottleBandFacts, ...] = ()
+    mean: Number = None
+    n: int | None = Field(None, description="Pixels, or means over several, that are known.")
+    measured: str | None = None
+    silence: str | None = Field(default=None, description="Why there is none.")
 
 
 class PartialFacts(Facts):
@@ -574,6 +650,10 @@ class TwiceFacts(Facts):
     sd_interval: KnownPair = None
     limits: KnownPair = Field(None, description="Between them lie 95 % of normal differences.")
     units: str = "1"
+    error_ratio: Number = Field(None, description="Variance of the errors of b over that of a, as it was given.")
+    error_slope: Number = Field(None, description="Slope of b over a where both have such errors (Deming).")
+    error_intercept: Number = None
+    error_interval: KnownPair = Field(None, description="In which that slope lies with 95 %.")
 
 
 class EvidenceFacts(Facts):
@@ -591,6 +671,11 @@ class EvidenceFacts(Facts):
         None, description="Least, mean and largest r over grids of points that begin elsewhere."
     )
     curve: CurveFacts | None = None
+    kubelka_munk: KubelkaMunkFacts | None = Field(None, description="Where the study asks for it.")
+    light_spread: LightSpreadFacts | None = Field(None, description="Where the study states how far light spreads.")
+    density_g_cm3: Number = Field(
+        None, description="Of the coating, where the run knows it: it turns thickness into g/m2."
+    )
     thin: tuple[ThinRegionFacts, ...] = ()
     short_waves: SizeFacts | None = Field(None, description="Without waves above short_waves_um.")
     short_waves_um: Number = None
@@ -689,6 +774,7 @@ class Results(Facts):
     evidence: tuple[EvidenceFacts, ...] = ()
     linked: LinkedArea | None = None
     regions: RegionsFacts | None = None
+    mottle: tuple[MottleFacts, ...] = ()
     refinement: RefinementFacts | None = None
     checks: tuple[Check, ...]
     parameters: dict[str, Any]

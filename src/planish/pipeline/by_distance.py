@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.analyze import bland_altman, ring_correlation
+from planish.analyze import bland_altman, deming, independent_points, ring_correlation
 from planish.analyze.correlograms import Correlogram, correlogram_of
 from planish.analyze.covariance import Lags
 from planish.analyze.variograms import variogram_of
@@ -68,9 +68,13 @@ def _profile(found: Correlogram, lags_um: Array, at: Any) -> LagProfile:
 
 
 def measured_twice(
-    maps: tuple[Array, Array], lags: Lags, points: tuple[Array, Array], *, point_um: float, units: str
+    maps: tuple[Array, Array], lags: Lags, points: tuple[Array, Array], *, point_um: float, units: str,
+    error_ratio: float | None = None,
 ) -> TwiceFacts:  # fmt: skip
-    """Two measurements of one quantity: rings of waves over the cells, bias and limits over the larger points."""
+    """Two measurements of one quantity: rings of waves over the cells, bias and limits over the larger points.
+
+    ``error_ratio``, variance of the errors of the second over that of the first, gives the line between both.
+    """
     found: dict[str, Any] = {"units": units}
     try:
         rings = ring_correlation(*maps, mask=lags.known, pixel_um=lags.pixel_um)
@@ -84,4 +88,15 @@ def measured_twice(
         apart = bland_altman(*points, pixel_um=point_um)
     except PlanishError:
         return TwiceFacts(**found)
+    if error_ratio is not None:
+        found["error_ratio"] = error_ratio
+        try:
+            count = independent_points(*points, pixel_um=point_um)
+            line = deming(*points, error_ratio=error_ratio, n_eff=count.n_eff)
+        except PlanishError:
+            pass
+        else:
+            found |= {
+                "error_slope": line.slope, "error_intercept": line.intercept, "error_interval": line.interval
+            }  # fmt: skip
     return TwiceFacts.of(apart, point_um=point_um, **found)

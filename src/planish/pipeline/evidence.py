@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.analyze import (
+    CorrelateParams,
     PairAtSizes,
     ceiling,
     coherence,
@@ -39,6 +40,7 @@ from planish.core.results import (
 )
 from planish.pipeline.by_distance import correlogram_facts, measured_twice, variograms_of
 from planish.pipeline.halves import Columns, noise_ceiling, reliability_of
+from planish.pipeline.optics import density_of, light_of
 
 Array = NDArray[np.float64]
 
@@ -50,12 +52,14 @@ CELLS = 2**16
 def evidence_of(
     maps: Mapping[str, xr.Dataset], a: LayerFacts, b: LayerFacts, *, point_um: float, declared: bool,
     beside: tuple[str, ...] = (), columns: Mapping[str, Columns] | None = None, md_deg: float | None = None,
+    params: CorrelateParams | None = None,
 ) -> EvidenceFacts | None:  # fmt: skip
     """Tell at which scales the maps that stand for two layers go together; None where they share too little.
 
     ``declared`` says whether the study named the map before r was looked at. Maps of more than 65 536 pixels are
     averaged to larger ones first. ``beside`` names maps of a sheet whose part is taken off for a partial correlation.
-    ``columns`` are those of each sheet, for its reliability; ``md_deg`` is the machine direction on the reference.
+    ``columns`` are those of each sheet, for its reliability; ``md_deg`` is the machine direction on the reference;
+    ``params`` hold what is told of light only where it is asked for.
 
     Raises
     ------
@@ -104,14 +108,22 @@ def evidence_of(
         size = point_um if point_um >= max(cell_um) else None
         most = ceiling(x, error_um=errors, mask=known, pixel_um=cell_um, point_um=size)
         found |= {"ceiling": most.r, "ceiling_sentence": most.sentence}
-    lags, units = Lags(known, cell_um), [str(m[n].attrs.get("units", "1")) for m, n in zip(
-        (first, second), (a.headline, b.headline), strict=True
-    )]  # fmt: skip
+    lags = Lags(known, cell_um)
+    units = [str(of[m.headline].attrs.get("units", "1")) for of, m in ((first, a), (second, b))]
     names = (a.name, a.headline, units[0]), (b.name, b.headline, units[1])
     found["variograms"] = tuple(variograms_of((x, y), lags, names, md_deg))
     found["correlogram"] = correlogram_facts((x, y), lags)
+    params = params or CorrelateParams()
     if twice:
-        found["twice"] = measured_twice((x, y), lags, pair.points(), point_um=point_um, units=units[0])
+        found["twice"] = measured_twice(
+            (x, y), lags, pair.points(), point_um=point_um, units=units[0], error_ratio=params.error_ratio
+        )
+    if a.headline.startswith("coat") and "image" in second:
+        sheet = columns.get(a.name) if columns else None
+        found |= light_of(
+            x, y, params, cell_um=cell_um, point_um=point_um, in_grams=units[0] == "g/m2",
+            density=None if sheet is None else density_of(sheet.measured, a.headline),
+        )  # fmt: skip
     if columns and point_um >= max(cell_um):
         corner = grid.origin_um[0] - grid.pixel_um[1] / 2, grid.origin_um[1] - grid.pixel_um[0] / 2
         halves = tuple(

@@ -102,14 +102,15 @@ def half_points(
     Returns
     -------
     odd, even : ndarray
-        Shape of the points, which begin at the origin; NaN where less than half of a point counts, or one half has no
-        column.
+        Shape of the points, which begin at the origin; NaN where less than half of a point counts, or the halves have
+        no column in it.
     alone : bool
         Whether no column's value holds anything of its neighbours.
     """
     values, alone = columns.values(name)
+    halves = [_half(values, first) for first in (1, 0)]
     u, v = (columns.flat[axis].values.ravel() for axis in "uv")
-    at = np.flatnonzero(np.isfinite(values))
+    at = np.flatnonzero(np.isfinite(halves[0] + halves[1]))
     turn, (right, down) = columns.similarity.matrix(), columns.similarity.shift_um
     x = turn[0, 0] * u[at] + turn[0, 1] * v[at] + (right - origin_um[0])
     y = turn[1, 0] * u[at] + turn[1, 1] * v[at] + (down - origin_um[1])
@@ -119,14 +120,27 @@ def half_points(
     x, y, at = x[inside], y[inside], at[inside]
     use = known[(y / cell_um[0]).astype(np.intp), (x / cell_um[1]).astype(np.intp)]
     x, y, at = x[use], y[use], at[use]
-    # All odd rows stand behind all even ones.
-    number = (y / point_um).astype(np.intp) + at // values.shape[1] % 2 * enough.shape[0]
-    number = number * enough.shape[1] + (x / point_um).astype(np.intp)
-    count = np.bincount(number, minlength=2 * enough.size)
-    total = np.bincount(number, weights=values.ravel()[at], minlength=2 * enough.size)
-    even, odd = np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(2, *enough.shape)
-    both = enough & np.isfinite(even) & np.isfinite(odd)
-    return np.where(both, odd, np.nan), np.where(both, even, np.nan), alone
+    number = (y / point_um).astype(np.intp) * enough.shape[1] + (x / point_um).astype(np.intp)
+    count = np.bincount(number, minlength=enough.size)
+    enough &= count.reshape(enough.shape) > 0
+    odd, even = (
+        np.where(enough, total.reshape(enough.shape) / np.maximum(count.reshape(enough.shape), 1), np.nan)
+        for total in (np.bincount(number, weights=half.ravel()[at], minlength=enough.size) for half in halves)
+    )
+    return odd, even, alone
+
+
+def _half(values: Array, first: int) -> Array:
+    """Every second row from ``first`` on; rows between hold the mean of their neighbours, NaN where one is missing.
+
+    So both halves are known at the same places: the mean place of every second row in a point differs by up to a row
+    from that of the others, and texture would look like noise.
+    """
+    half = np.full(values.shape, np.nan)
+    half[first::2] = values[first::2]
+    own = half[first::2]
+    half[first + 1 : -1 : 2] = 0.5 * (own[:-1] + own[1:])
+    return half
 
 
 def reliability_of(

@@ -33,7 +33,7 @@ def draw_variograms(found: EvidenceFacts, *, titles: Sequence[str], regions: boo
         data={
             name: {
                 "distance / µm": list(one.distances_um),
-                f"half mean square difference / {_squared(one)}": list(one.values),
+                f"half mean square difference / {_squared(one, title)}": list(one.values),
             } for name, one in zip(_names(found), found.variograms, strict=True)
         },
     )  # fmt: skip
@@ -41,16 +41,13 @@ def draw_variograms(found: EvidenceFacts, *, titles: Sequence[str], regions: boo
 
 def _names(found: EvidenceFacts) -> list[str]:
     """Names of the tables of both maps, which may be of one name."""
-    names = [one.map.replace("_", "-") for one in found.variograms]
-    return (
-        names
-        if len(set(names)) == len(names)
-        else [f"{one.layer}-{n}" for one, n in zip(found.variograms, names, strict=True)]
-    )
+    same = len({one.map for one in found.variograms}) < len(found.variograms)
+    return [(f"{one.layer}-" if same else "") + one.map.replace("_", "-") for one in found.variograms]
 
 
-def _squared(one: VariogramFacts) -> str:
-    return f"{unit(one.units)}²" if unit(one.units) else "its unit²"
+def _squared(one: VariogramFacts, title: str) -> str:
+    """Unit of a variance; of what has no unit its name."""
+    return f"{unit(one.units) or in_words(title.partition(',')[0])}²"
 
 
 def _variogram(canvas: Canvas, left: float, one: VariogramFacts, title: str) -> None:
@@ -63,7 +60,7 @@ def _variogram(canvas: Canvas, left: float, one: VariogramFacts, title: str) -> 
     points = list(zip(one.distances_um, one.values, strict=True))
     axes.line([(0.0, one.nugget), *points], colour=ACCENT, width=2.0)
     axes.dots([(0.0, one.nugget)], colour=ACCENT, size=6)
-    canvas.ticks(axes, "distance / µm", f"half mean square difference / {_squared(one)}")
+    canvas.ticks(axes, "distance / µm", f"half mean square difference / {_squared(one, title)}")
     canvas.text(left, 22, title, bold=True)
 
 
@@ -135,8 +132,8 @@ def draw_rings(found: TwiceFacts, *, name: str, layers: tuple[str, str], regions
         caption=(
             "Correlation of both measurements in rings of wavelength (Fourier ring correlation). Dashed: where the "
             "mean of both holds half a bit of information a wave (van Heel and Schatz 2005); dotted: where the curve "
-            "first falls below it. Errors that both share count as what they show, and an error of the registration counts "
-            f"as disagreement. Mask: measured in both, without {left_out(regions)}."
+            "first falls below it. Errors that both share count as what they show, and an error of the registration "
+            f"counts as disagreement. Mask: measured in both, without {left_out(regions)}."
         ),
         data={
             "rings": {
@@ -160,12 +157,13 @@ def of_each(found: EvidenceFacts, titles: Sequence[str]) -> list[str]:
 def _of_one(one: VariogramFacts, title: str) -> str:
     share = one.nugget / one.sill if one.sill > 0 else 1.0
     noise = (
-        f"nugget {number(one.nugget, 2)} {_squared(one)}, {percent(share, 2)} of the sill"
+        f"nugget {number(one.nugget, 2)} {_squared(one, title)}, {percent(share, 2)} of the sill"
         if share > 5e-4
         else "no nugget"
     )
     if share > 0.999:
-        return f"{title}: neighbours share nothing (nugget {number(one.nugget, 2)} {_squared(one)}): noise, no texture."
+        nugget = f"{number(one.nugget, 2)} {_squared(one, title)}"
+        return f"{title}: neighbours share nothing (nugget {nugget}): noise, no texture."
     far = plain(round(one.distances_um[-1]))
     reach = f"range {_range(one.range_um, far)}"
     if one.md_deg is None:

@@ -16,6 +16,7 @@ from planish.report import (
     distance,
     first,
     flattening,
+    light,
     maps,
     registration,
     relation,
@@ -37,7 +38,8 @@ _HOLE_UM = (100.0, 300.0)
 _THIN_UM = 5.0
 _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
 _FILTERS: dict[str, Any] = {"length_um": text.length, "limit": text.with_unit} | {
-    name: getattr(text, name) for name in ("capital", "count", "fixed", "number", "percent", "the", "typeset", "unit")
+    name: getattr(text, name)
+    for name in ("capital", "count", "fixed", "in_words", "number", "percent", "the", "typeset", "unit")
 }
 """How templates write numbers and words."""
 
@@ -63,6 +65,15 @@ class _Block(NamedTuple):
     pictures: list[Picture]
     linked: list[Picture]
     outlined: bool
+
+
+class _Light(NamedTuple):
+    """What light makes of the coating of a pair of layers, where it was asked for: figures and what may be said."""
+
+    of: str
+    shown: bool
+    pictures: list[Picture]
+    sentences: list[str]
 
 
 class _Distances(NamedTuple):
@@ -129,7 +140,9 @@ def _render(
         leading=leading or [picture for s in sheets[:1] for picture in s.leading if not results.is_link],
         blocks=[b for layer in results.moving if (b := _block(layer, data.drawn, marks.get(layer.name), results))],
         pairs=_pairs(data.linked, results, data.titles, points), scales=_scales(results, data.titles), scale=scale,
+        lights=[d for found in results.evidence if (d := _light(found, results, data.titles, points)).shown],
         distances=[d for found in results.evidence if (d := _distances(found, results, data.titles)).shown],
+        light=light,
     )  # fmt: skip
     return f"{page}\n", shown.pictures
 
@@ -286,7 +299,8 @@ def _pairs(
         valid = [data["valid"] for data in (a, b) if "valid" in data]
         without = text.left_out(results.regions)
         out.append(relation.draw_pair(
-            a[row.a_map], b[row.b_map], rows, names=names, valid=valid, without=without, points=points[_pair_of(row)]
+            a[row.a_map], b[row.b_map], rows, names=names, valid=valid, without=without, points=points[_pair_of(row)],
+            density=summary.density_of(results, row),
         ))  # fmt: skip
     return out
 
@@ -324,6 +338,24 @@ def _distances(found: EvidenceFacts, results: Results, titles: summary.Titles) -
         of=f"{found.a} and {found.b}", shown=bool(alone or twice or agreement), alone=alone,
         sentences=distance.of_each(found, named), twice=twice, agreement=agreement,
     )  # fmt: skip
+
+
+def _light(
+    found: EvidenceFacts, results: Results, titles: summary.Titles,
+    points: Mapping[tuple[str, str, str, str], relation.Points],
+) -> _Light:  # fmt: skip
+    """Draw Kubelka and Munk's curve where there is one, and say what light makes of the coating."""
+    pictures, curve, key = list[Picture](), found.kubelka_munk, (found.a, found.a_map, found.b, found.b_map)
+    rows = [row for group in summary.by_pair(results) for row in group if _pair_of(row) == key]
+    if curve is not None and curve.scattering is not None and rows and key in points:
+        names = tuple(titles.get(one, one[1]) for one in (key[:2], key[2:]))
+        unit_x = "g/m²" if found.a_map.startswith("coat_weight") else "µm"
+        pictures.append(light.draw_kubelka_munk(
+            found, curve, points[key], relation.largest(rows), titles=(names[0], names[1]), unit_x=unit_x,
+            regions=results.regions is not None,
+        ))  # fmt: skip
+    said = light.sentences(found)
+    return _Light(of=f"{found.a} and {found.b}", shown=bool(said), pictures=pictures, sentences=said)
 
 
 def _valid(data: xr.Dataset, name: str) -> xr.DataArray:

@@ -103,7 +103,7 @@ def _octaves(canvas: Canvas, found: EvidenceFacts) -> None:
         if not certain:
             axes.dots(middle, colour="white", size=5)
         if band.gain is not None:
-            gain = f"gain {fixed(band.gain, 1) if abs(band.gain) >= 1 else fixed(band.gain, 2)}"
+            gain = f"gain {number(band.gain)}"
             axes.text((left + right) / 2, band.coherence, gain, anchor="middle", shift=(0, -9), size=11)
     powers(canvas, axes, "wavelength / µm", "squared coherence")
 
@@ -116,8 +116,8 @@ def powers(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
     canvas.ticks(axes, x_label, y_label, across=places)
 
 
-def sentences(found: EvidenceFacts, point_um: float) -> list[str]:
-    """What is said beside the correlation that leads."""
+def sentences(found: EvidenceFacts, point_um: float, of_image: str = "relative grey") -> list[str]:
+    """What is said beside the correlation that leads; ``of_image`` names the values of the image."""
     out: list[str] = []
     if found.origins:
         least, mean, largest = found.origins
@@ -135,9 +135,7 @@ def sentences(found: EvidenceFacts, point_um: float) -> list[str]:
             where = (
                 f"Where the coating is below {plain(thin.thinner_than_um)} ({percent(thin.share, 2)} of the valid area)"
             )
-            out.append(
-                f"{where} the mean of the image differs by {number(thin.difference, 3)} (95 %: {low} to {high})."
-            )
+            out.append(f"{where} the mean {of_image} differs by {number(thin.difference, 3)} (95 %: {low} to {high}).")
     short = found.short_waves
     if short and short.r is not None and short.interval and found.short_waves_um:
         low, high = (fixed(v, 2) for v in short.interval)
