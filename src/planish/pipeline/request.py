@@ -118,6 +118,11 @@ def _check_light(study: Study) -> None:
             "--kubelka-munk needs reflectance, and the image is relative grey. Give --dark-grey and --white-grey, the "
             "grey of a dark and of a white reference, or leave it out."
         )
+    if study.registration.refine is not None and reference is not None and reference.screen_um is not None:
+        raise InputError(
+            "--refine aligns the fine texture of map and image, which --screen-um takes off the image. Leave one of "
+            "them out."
+        )
     if wanted.mottle and not any(layer.kind == "image" for layer in study.layers):
         raise InputError("--mottle: no layer is an image. Link one, or leave it out.")
     if wanted.error_ratio is not None and (reference is not None or len(sheets) < 2):

@@ -79,8 +79,8 @@ def _of_curve(curve: KubelkaMunkFacts) -> str:
     density = "" if curve.weight else " (in m²/kg with the density of the coating: --coating-density)"
     return (
         f"{name}: the coating scatters with S = {number(curve.scattering)} {per} ({sure}){density}, over a backing of "
-        f"{number(curve.backing)} ({below}). S takes all that follows the thickness for the coating's own light; errors "
-        "of the thickness lower it, as they lower a slope."
+        f"{number(curve.backing)} ({below}). S takes all that follows the thickness for the light of the coating; "
+        "errors of the thickness lower it, as they lower a slope."
     )
 
 
