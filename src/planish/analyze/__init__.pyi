@@ -64,6 +64,8 @@ from .screen import SCREEN_SIGMA as SCREEN_SIGMA
 from .screen import SCREEN_SIGMA_UM as SCREEN_SIGMA_UM
 from .screen import screen_left as screen_left
 from .screen import without_screen as without_screen
+from .second_opinion import SecondOpinion as SecondOpinion
+from .second_opinion import second_opinion as second_opinion
 from .sides import SIDES as SIDES
 from .sides import SideFound as SideFound
 from .sides import image_of_sheet as image_of_sheet

@@ -580,6 +580,16 @@ class ReliabilityFacts(Facts):
     silence: str | None = Field(None, description="Why there is none.")
 
 
+class SecondOpinionFacts(Facts):
+    """Interval of r that asks nothing of the covariances of the maps (Conley 1999), at the larger points."""
+
+    point_um: float
+    interval: KnownPair = Field(description="In which r lies with 95 %.")
+    standard_error: Number = Field(description="Of Fisher's z.")
+    critical: Number = Field(description="Standard errors to either side.")
+    ratio: Number = Field(description="Standard error over that of the covariances.")
+
+
 class VariogramFacts(Facts):
     """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
 
@@ -688,6 +698,7 @@ class EvidenceFacts(Facts):
         None, description="The r that a perfect relation would show, by the noise of these maps alone: an upper bound."
     )
     ceiling_both: Number = Field(None, description="The same by noise and misplacement together.")
+    second_opinion: SecondOpinionFacts | None = None
     variograms: tuple[VariogramFacts, ...] = ()
     correlogram: CorrelogramFacts | None = None
     twice: TwiceFacts | None = Field(None, description="Where both maps are of the same quantity.")

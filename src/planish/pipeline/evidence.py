@@ -21,6 +21,7 @@ from planish.analyze import (
     origins,
     partial,
     region_difference,
+    second_opinion,
     size_curve,
     straight_or_curved,
 )
@@ -35,6 +36,7 @@ from planish.core.results import (
     EvidenceFacts,
     LayerFacts,
     PartialFacts,
+    SecondOpinionFacts,
     SizeFacts,
     ThinRegionFacts,
 )
@@ -99,6 +101,9 @@ def evidence_of(
             pass
         if "thickness" in first and "image" in second:
             found["curve"] = _curve(x, y, cell_um, point_um)
+        found["second_opinion"] = SecondOpinionFacts.of(
+            second_opinion(x, y, pixel_um=cell_um, point_um=point_um), point_um=point_um
+        )
         short, longest = of_short_waves(x, y, pixel_um=cell_um, point_um=point_um)
         found["short_waves"] = SizeFacts.of(short, point_um=point_um)
         found["short_waves_um"] = longest

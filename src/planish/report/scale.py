@@ -11,6 +11,7 @@ from planish.report.text import REGISTERED, capital, count, fixed, left_out, num
 
 _TOP, _HIGH, _WIDE = 40.0, 250.0, 400.0
 _LEFT, _RIGHT = 85.0, 635.0
+_UNEVEN = 1.4  # standard error of the second opinion over that of the covariances
 
 
 def draw_scale(found: EvidenceFacts, *, names: tuple[str, str], regions: bool = False) -> Picture:
@@ -124,6 +125,15 @@ def sentences(found: EvidenceFacts, point_um: float, of_image: str = "relative g
         out.append(
             f"Where the grid of points of {plain(point_um)} begins is arbitrary: over 16 origins r is {fixed(mean, 2)} "
             f"on average, from {fixed(least, 2)} to {fixed(largest, 2)}."
+        )
+    second = found.second_opinion
+    if second is not None and second.interval is not None:
+        low, high = (fixed(v, 2) for v in second.interval)
+        uneven = (second.ratio or 1.0) > _UNEVEN
+        end = "the maps do not vary alike everywhere" if uneven else "it is too narrow where maps reach far"
+        out.append(
+            f"Second opinion, from what single points of {plain(second.point_um)} add to r: 95 %: {low} to {high} "
+            f"({fixed(second.critical, 2)} standard errors after Conley); {end}."
         )
     if found.curve is not None:
         bent = found.curve
