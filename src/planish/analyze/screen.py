@@ -14,8 +14,8 @@ from planish.core.errors import CannotMeasure, InputError, SizeError
 SCREEN_SIGMA_UM = 70.0
 """Standard deviation of the Gaussian: 6 of them are the 420 um of Hirn et al. (2009), section 3.3.2."""
 
-SCREEN_SIGMA = 0.42
-"""The same as a share of the period of the screen, for which they took it: 60 lines per cm."""
+SCREEN_SIGMA = SCREEN_SIGMA_UM * 60 / 1e4
+"""The same as a share of the period of the screen that it was for, 60 lines per cm."""
 
 SCREEN_REACH = 3.0
 """Standard deviations to either side at which the Gaussian ends."""

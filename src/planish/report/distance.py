@@ -212,6 +212,15 @@ def of_twice(found: TwiceFacts, layers: tuple[str, str]) -> list[str]:
         )
         spread = _between(found.sd_interval, units)
         out.append(f"{text}; standard deviation of a point within {spread}." if spread else f"{text}.")
+    if found.error_ratio is not None:
+        if found.error_slope is None:
+            out.append("No line between both: they do not vary together, or too few points are independent.")
+        else:
+            sure, ratio = _between(found.error_interval) or "no interval", number(found.error_ratio)
+            out.append(
+                f"Line between both where each has errors (Deming, variances in a ratio of {ratio}, as declared): "
+                f"slope {number(found.error_slope)} ({sure})."
+            )
     return out
 
 
