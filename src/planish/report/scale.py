@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from planish.core.results import EvidenceFacts, PartialFacts, ReliabilityFacts
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table
+from planish.report.statement import decimals_of_r
 from planish.report.text import REGISTERED, capital, count, fixed, left_out, number, percent, plain
 
 _TOP, _HIGH, _WIDE = 40.0, 250.0, 400.0
@@ -121,14 +122,15 @@ def sentences(found: EvidenceFacts, point_um: float, of_image: str = "relative g
     """What is said beside the correlation that leads; ``of_image`` names the values of the image."""
     out: list[str] = []
     if found.origins:
-        least, mean, largest = found.origins
+        digits = decimals_of_r((found.origins[0], found.origins[2]))
+        least, mean, largest = (fixed(v, digits) for v in found.origins)
         out.append(
-            f"Where the grid of points of {plain(point_um)} begins is arbitrary: over 16 origins r is {fixed(mean, 2)} "
-            f"on average, from {fixed(least, 2)} to {fixed(largest, 2)}."
+            f"Where the grid of points of {plain(point_um)} begins is arbitrary: over 16 origins r is {mean} on "
+            f"average, from {least} to {largest}."
         )
     second = found.second_opinion
     if second is not None and second.interval is not None:
-        low, high = (fixed(v, 2) for v in second.interval)
+        low, high = (fixed(v, decimals_of_r(second.interval)) for v in second.interval)
         uneven = (second.ratio or 1.0) > _UNEVEN
         end = "the maps do not vary alike everywhere" if uneven else "it is too narrow where maps reach far"
         out.append(
@@ -148,9 +150,11 @@ def sentences(found: EvidenceFacts, point_um: float, of_image: str = "relative g
             out.append(f"{where} the mean {of_image} differs by {number(thin.difference, 3)} (95 %: {low} to {high}).")
     short = found.short_waves
     if short and short.r is not None and short.interval and found.short_waves_um:
-        low, high = (fixed(v, 2) for v in short.interval)
+        low, r, high = (
+            fixed(v, decimals_of_r(short.interval)) for v in (short.interval[0], short.r, short.interval[1])
+        )
         out.append(
-            f"Waves below {plain(round(found.short_waves_um, -1))} alone: r = {fixed(short.r, 2)} (95 %: {low} to "
+            f"Waves below {plain(round(found.short_waves_um, -1))} alone: r = {r} (95 %: {low} to "
             f"{high}; {count(round(short.n_eff or 0))} independent points). This says nothing of longer waves."
         )
     if found.partial:
