@@ -188,7 +188,7 @@ def test_a_rectangle_of_imagej_covers_its_own_pixels(tmp_path):
         expected[1:3, 2:5] = True
         np.testing.assert_array_equal(regions.inside(grid), expected)
         corners = [[106.0, 51.25], [118.0, 51.25], [118.0, 56.25], [106.0, 56.25]]
-        np.testing.assert_array_equal(regions.declared[0].polygons[0][0], corners)
+        np.testing.assert_allclose(regions.declared[0].polygons[0][0], corners, rtol=0, atol=1e-7)
 
 
 def test_an_oval_of_imagej_covers_what_its_ellipse_does(tmp_path):
@@ -380,7 +380,7 @@ def test_a_file_of_no_use_is_refused_before_the_volume_is_read(
     def mapped(*_args, **_more):
         pytest.fail("the volume was mapped")
 
-    for module in ("link", "save"):
+    for module in ("linking", "save"):
         monkeypatch.setattr(import_module(f"planish.pipeline.{module}"), "map_layer", mapped)
     path = written(tmp_path / "r.json", content)
     code, _, err = planish("link", *specimen_files, "--regions", path, "-o", tmp_path / "run")
