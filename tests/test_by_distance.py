@@ -111,6 +111,7 @@ def test_figures_hold_their_numbers():
     found = facts(md_deg=10.0)
     variograms = draw_variograms(found, titles=("Coating thickness, top side", "Relative grey"))
     assert [*variograms.data] == ["coating-top", "image"]
+    assert [*variograms.data["coating-top"]] == ["distance / µm", "half mean square difference / µm²"]
     assert [*variograms.data["image"]] == ["distance / µm", "half mean square difference / relative grey²"]
     assert "µm²" in variograms.svg
     lags = draw_correlogram(found.correlogram, names=("coating", "grey"))

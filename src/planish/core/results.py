@@ -357,11 +357,13 @@ class ImageFacts(Facts):
     """What the values of an image are that is compared."""
 
     quantity: Literal["relative grey", "reflectance"]
-    dark_grey: Number = Field(None, description="Grey of the dark reference, if it was given.")
-    white_grey: Number = Field(None, description="Grey of the white reference, whose reflectance counts as 1.")
-    screen_um: Number = Field(None, description="Period of the print screen that was taken off, if it was given.")
-    sigma_um: Number = Field(None, description="Standard deviation of the Gaussian that took it off.")
-    reach_um: Number = Field(None, description="How far it reaches: so much more around holes is not valid.")
+    dark_grey: Number = Field(default=None, description="Grey of the dark reference, if it was given.")
+    white_grey: Number = Field(default=None, description="Grey of the white reference, whose reflectance counts as 1.")
+    screen_um: Number = Field(
+        default=None, description="Period of the print screen that was taken off, if it was given."
+    )
+    sigma_um: Number = Field(default=None, description="Standard deviation of the Gaussian that took it off.")
+    reach_um: Number = Field(default=None, description="How far it reaches: so much more around holes is not valid.")
 
     @property
     def sentence(self) -> str:
@@ -500,13 +502,19 @@ class KubelkaMunkFacts(Facts):
     ratio: float = Field(description="Absorption over scattering, as it was given.")
     n: int | None = None
     n_eff: Number = None
-    weight: bool = Field(False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um.")
-    scattering: Number = Field(None, description="Coefficient S of the coating.")
-    scattering_interval: KnownPair = Field(None, description="In which S lies with 95 %; none where it has no end.")
-    backing: Number = Field(None, description="Reflectance below the coating, extrapolated.")
-    backing_interval: KnownPair = Field(None, description="In which it lies with 95 %.")
-    backing_at_ends: KnownPair = Field(None, description="Backing that fits best with each end of the interval of S.")
-    rms: Number = Field(None, description="Of what the curve leaves of the reflectance.")
+    weight: bool = Field(
+        default=False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."
+    )
+    scattering: Number = Field(default=None, description="Coefficient S of the coating.")
+    scattering_interval: KnownPair = Field(
+        default=None, description="In which S lies with 95 %; none where it has no end."
+    )
+    backing: Number = Field(default=None, description="Reflectance below the coating, extrapolated.")
+    backing_interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
+    backing_at_ends: KnownPair = Field(
+        default=None, description="Backing that fits best with each end of the interval of S."
+    )
+    rms: Number = Field(default=None, description="Of what the curve leaves of the reflectance.")
     silence: str | None = Field(default=None, description="Why there is no curve.")
 
 
@@ -518,9 +526,11 @@ class LightSpreadFacts(Facts):
     n: int | None = None
     r: Number = None
     n_eff: Number = None
-    interval: KnownPair = Field(None, description="In which this r lies with 95 %.")
-    difference: Number = Field(None, description="This r minus that of the coating as it is, at the same points.")
-    difference_interval: KnownPair = Field(None, description="In which the difference lies with 95 %.")
+    interval: KnownPair = Field(default=None, description="In which this r lies with 95 %.")
+    difference: Number = Field(
+        default=None, description="This r minus that of the coating as it is, at the same points."
+    )
+    difference_interval: KnownPair = Field(default=None, description="In which the difference lies with 95 %.")
     silence: str | None = Field(default=None, description="Why there is no such r.")
 
 
@@ -538,7 +548,7 @@ class MottleFacts(Facts):
     layer: str
     bands: tuple[MottleBandFacts, ...] = ()
     mean: Number = None
-    n: int | None = Field(None, description="Pixels, or means over several, that are known.")
+    n: int | None = Field(default=None, description="Pixels, or means over several, that are known.")
     measured: str | None = None
     silence: str | None = Field(default=None, description="Why there is none.")
 
@@ -572,12 +582,14 @@ class ReliabilityFacts(Facts):
     map: str
     point_um: float
     n: int | None = Field(default=None, description="Points that are known in both halves.")
-    halves_r: Number = Field(None, description="Correlation of both halves.")
-    value: Number = Field(None, description="Share of the variance of the map that both halves show: an upper bound.")
-    interval: KnownPair = Field(None, description="In which it lies with 95 %.")
+    halves_r: Number = Field(default=None, description="Correlation of both halves.")
+    value: Number = Field(
+        default=None, description="Share of the variance of the map that both halves show: an upper bound."
+    )
+    interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
     n_eff: Number = None
-    shared: str | None = Field(None, description="What both halves share, which makes it an upper bound.")
-    silence: str | None = Field(None, description="Why there is none.")
+    shared: str | None = Field(default=None, description="What both halves share, which makes it an upper bound.")
+    silence: str | None = Field(default=None, description="Why there is none.")
 
 
 class SecondOpinionFacts(Facts):
@@ -653,17 +665,19 @@ class TwiceFacts(Facts):
     resolution_um: Number = None
     sentence: str | None = None
     point_um: Number = None
-    n: int | None = Field(None, description="Points of which bias and scatter are.")
-    bias: Number = Field(None, description="Mean of b - a at the larger points.")
-    bias_interval: KnownPair = Field(None, description="In which it lies with 95 %.")
-    sd: Number = Field(None, description="Standard deviation of b - a.")
+    n: int | None = Field(default=None, description="Points of which bias and scatter are.")
+    bias: Number = Field(default=None, description="Mean of b - a at the larger points.")
+    bias_interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
+    sd: Number = Field(default=None, description="Standard deviation of b - a.")
     sd_interval: KnownPair = None
-    limits: KnownPair = Field(None, description="Between them lie 95 % of normal differences.")
+    limits: KnownPair = Field(default=None, description="Between them lie 95 % of normal differences.")
     units: str = "1"
-    error_ratio: Number = Field(None, description="Variance of the errors of b over that of a, as it was given.")
-    error_slope: Number = Field(None, description="Slope of b over a where both have such errors (Deming).")
+    error_ratio: Number = Field(
+        default=None, description="Variance of the errors of b over that of a, as it was given."
+    )
+    error_slope: Number = Field(default=None, description="Slope of b over a where both have such errors (Deming).")
     error_intercept: Number = None
-    error_interval: KnownPair = Field(None, description="In which that slope lies with 95 %.")
+    error_interval: KnownPair = Field(default=None, description="In which that slope lies with 95 %.")
 
 
 class EvidenceFacts(Facts):

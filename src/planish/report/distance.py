@@ -34,7 +34,7 @@ def draw_variograms(found: EvidenceFacts, *, titles: Sequence[str], regions: boo
             name: {
                 "distance / µm": list(one.distances_um),
                 f"half mean square difference / {_squared(one, title)}": list(one.values),
-            } for name, one in zip(_names(found), found.variograms, strict=True)
+            } for name, one, title in zip(_names(found), found.variograms, titles, strict=True)
         },
     )  # fmt: skip
 

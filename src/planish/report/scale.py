@@ -164,11 +164,12 @@ def sentences(found: EvidenceFacts, point_um: float, of_image: str = "relative g
             "It rests on the expected error of the registration and the texture of the map; noise lowers it further."
         )
         out.append(f"{found.ceiling_sentence} {rests}")
-    return out + [_reliable(one, found) for one in found.reliability]
+    last = len(found.reliability) - 1
+    return out + [_reliable(one, found, last=k == last) for k, one in enumerate(found.reliability)]
 
 
-def _reliable(one: ReliabilityFacts, found: EvidenceFacts) -> str:
-    """Say how far two halves of a measurement agree, and what that bounds."""
+def _reliable(one: ReliabilityFacts, found: EvidenceFacts, *, last: bool) -> str:
+    """Say how far two halves of a measurement agree and, behind the last one, what that bounds."""
     name = one.map.replace("_", " ") + (f" of {one.layer}" if len(found.reliability) > 1 else "")
     if one.value is None or one.halves_r is None:
         return f"Reliability of {name}: not known. {one.silence or ''}".strip()
@@ -178,7 +179,7 @@ def _reliable(one: ReliabilityFacts, found: EvidenceFacts) -> str:
         f"Odd and even rows of columns are two half measurements of {name}: {size} they correlate with r = "
         f"{_near_one(one.halves_r)}, so that at least {percent(noise, 1)} of the variance of the map is noise"
     )
-    if one is found.reliability[-1] and found.ceiling_noise is not None:
+    if last and found.ceiling_noise is not None:
         alone = "" if found.ceiling_both is None else f", {_near_one(found.ceiling_both)} with misplacement"
         text += f"; a perfect relation would show r = {_near_one(found.ceiling_noise)} at most by noise alone{alone}"
     return f"{text}. It is a bound: both halves share {one.shared}."

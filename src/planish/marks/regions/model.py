@@ -113,7 +113,7 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
         around.append(
             [
                 j
-                for j in np.flatnonzero(within)
+                for j in np.flatnonzero(within).tolist()
                 if j != k and 2 * sum(_inside(rings[j], place) for place in some) > len(some)
             ]
         )
