@@ -66,7 +66,7 @@ def test_results_say_what_the_values_are():
     facts = image_facts(given(dark_grey=100, white_grey=40000, screen_um=167))
     assert (facts.quantity, facts.sigma_um) == ("reflectance", pytest.approx(70.1, abs=0.1))
     assert "grey 100 is 0, grey 40000 is 1" in facts.sentence
-    assert "210.42 um more around holes" in facts.sentence
+    assert "210 um more around holes" in facts.sentence
 
 
 @pytest.mark.parametrize(
@@ -143,12 +143,15 @@ def test_mottle_is_of_valid_pixels_and_says_why_there_is_none():
     valid = np.ones(image.shape, bool)
     valid[:60] = False
     image[:60] = 5e5
-    found = mottle_of("print", xr.Dataset({"image": image_of(image, um=5.0), "valid": (("y", "x"), valid)}))
+    found = mottle_of(
+        "print", xr.Dataset({"image": image_of(image, um=5.0), "valid": (("y", "x"), valid)}), quantity="relative grey"
+    )
     assert [(b.shortest_um, b.longest_um) for b in found.bands] == [(250.0, 500.0)]
     assert 0.004 < found.bands[0].coefficient_of_variation < 0.02
     assert found.mean == pytest.approx(1000, rel=0.02)
+    assert found.measured.startswith("Coefficient of variation of the relative grey")
     small = xr.Dataset({"image": image_of(image[:100, :100], um=5.0), "valid": (("y", "x"), valid[:100, :100])})
-    assert "No octave lies between" in mottle_of("print", small).silence
+    assert "No octave lies between" in mottle_of("print", small, quantity="reflectance").silence
 
 
 # --- what is refused before anything is read -------------------------------------------------------------------------

@@ -33,7 +33,7 @@ from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, p
 from planish.pipeline.halves import Columns
 from planish.pipeline.layers import Layer
 from planish.pipeline.onto import Away, bring, hole_circles
-from planish.pipeline.optics import mottle_of_images
+from planish.pipeline.optics import mottle_of
 from planish.pipeline.refinement import refine_link
 from planish.pipeline.regions import region_facts, regions_on
 from planish.pipeline.registration import Registration, check_marks, register_layers
@@ -204,7 +204,9 @@ def _gathered(
     ]  # fmt: skip
     more: dict[str, Any] = {"evidence": tuple(one for one in led if one is not None)}
     if study.correlate.mottle:
-        more["mottle"] = mottle_of_images({layer.name: layer.kind for layer in layers}, maps)
+        more["mottle"] = tuple(
+            mottle_of(one.name, maps[one.name], quantity=one.image.quantity) for one in facts if one.image is not None
+        )
     if study.is_sheet_on_image:
         sheet, link = layers[0], links[layers[0].name]
         linked = sink.group(LINKED)

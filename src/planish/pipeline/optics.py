@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -116,8 +115,8 @@ def light_spread_of(
     )
 
 
-def mottle_of(name: str, data: xr.Dataset) -> MottleFacts:
-    """How uneven an image is over its valid pixels, or why that cannot be said."""
+def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> MottleFacts:
+    """How uneven an image is over its valid pixels, or why that cannot be said; ``quantity`` names its values."""
     grid = Grid.of(data)
     factor = max(1, int(_MOTTLE_CELL_UM / max(grid.pixel_um)))
     means = AreaMeans(grid.shape, (factor, factor))
@@ -129,9 +128,7 @@ def mottle_of(name: str, data: xr.Dataset) -> MottleFacts:
         found = print_mottle(means.means()[0], pixel_um=cell_um)
     except PlanishError as error:
         return MottleFacts(layer=name, silence=str(error))
-    return MottleFacts.of(found, layer=name, bands=tuple(MottleBandFacts.of(band) for band in found.bands))
-
-
-def mottle_of_images(kinds: Mapping[str, str], maps: Mapping[str, xr.Dataset]) -> tuple[MottleFacts, ...]:
-    """The same of every image among layers, by their names."""
-    return tuple(mottle_of(name, maps[name]) for name, kind in kinds.items() if kind == "image")
+    return MottleFacts.of(
+        found, layer=name, bands=tuple(MottleBandFacts.of(band) for band in found.bands),
+        measured=found.measured.replace("the reflectance", f"the {quantity}"),
+    )  # fmt: skip
