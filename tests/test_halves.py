@@ -76,6 +76,19 @@ def test_a_thickness_of_a_tilted_column_is_that_along_the_normal():
     np.testing.assert_allclose(found.values("thickness")[0] if "thickness" in found.measured else 90.0, 90.0)
 
 
+def test_many_rows_are_taken_in_bands_and_none_twice(monkeypatch):
+    found, _ = columns(noise=5.0, slope=0.3)
+    whole = half_points(
+        found, "coating_top", np.ones((80, 100), bool), origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
+    )
+    monkeypatch.setattr("planish.pipeline.halves.bands", lambda n: [slice(k, min(k + 34, n)) for k in range(0, n, 34)])
+    parts = half_points(
+        found, "coating_top", np.ones((80, 100), bool), origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
+    )
+    for one, other in zip(whole[:2], parts[:2], strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+
+
 def test_only_columns_in_cells_that_count_are_taken():
     found, _ = columns(noise=1.0)
     known = np.ones((80, 100), bool)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planish.analyze import split_reliability
 from planish.core.area import area_mean
+from planish.core.bands import bands
 from planish.core.errors import PlanishError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
@@ -46,6 +47,10 @@ class Columns:
     flat: xr.Dataset
     similarity: Similarity
     interpolated: bool = False
+
+    def part(self, rows: slice) -> Columns:
+        """Some rows of columns."""
+        return replace(self, measured=self.measured.isel(y=rows), flat=self.flat.isel(y=rows))
 
     def values(self, name: str) -> tuple[Array, bool]:
         """A map by columns, and whether each is of its column alone; NaN where it was not measured."""
@@ -107,26 +112,32 @@ def half_points(
     alone : bool
         Whether no column's value holds anything of its neighbours.
     """
-    values, alone = columns.values(name)
-    halves = [_half(values, first) for first in (1, 0)]
-    u, v = (columns.flat[axis].values.ravel() for axis in "uv")
-    at = np.flatnonzero(np.isfinite(halves[0] + halves[1]))
-    turn, (right, down) = columns.similarity.matrix(), columns.similarity.shift_um
-    x = turn[0, 0] * u[at] + turn[0, 1] * v[at] + (right - origin_um[0])
-    y = turn[1, 0] * u[at] + turn[1, 1] * v[at] + (down - origin_um[1])
     enough = np.isfinite(area_mean(np.where(known, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1])))
-    end = [min(n * p, m * point_um) for n, p, m in zip(known.shape, cell_um, enough.shape, strict=True)]
-    inside = (y >= 0) & (x >= 0) & (y < end[0]) & (x < end[1])
-    x, y, at = x[inside], y[inside], at[inside]
-    use = known[(y / cell_um[0]).astype(np.intp), (x / cell_um[1]).astype(np.intp)]
-    x, y, at = x[use], y[use], at[use]
-    number = (y / point_um).astype(np.intp) * enough.shape[1] + (x / point_um).astype(np.intp)
-    count = np.bincount(number, minlength=enough.size)
-    enough &= count.reshape(enough.shape) > 0
-    odd, even = (
-        np.where(enough, total.reshape(enough.shape) / np.maximum(count.reshape(enough.shape), 1), np.nan)
-        for total in (np.bincount(number, weights=half.ravel()[at], minlength=enough.size) for half in halves)
+    end = (
+        min(known.shape[0] * cell_um[0], enough.shape[0] * point_um),
+        min(known.shape[1] * cell_um[1], enough.shape[1] * point_um),
     )
+    turn, (right, down) = columns.similarity.matrix(), columns.similarity.shift_um
+    count, totals, alone = np.zeros(enough.size), np.zeros((2, enough.size)), True
+    for rows in bands(columns.measured.sizes["y"]):
+        # Two rows more on either side, for the slopes beside and the means between rows; an even number of them.
+        before = min(rows.start, 2)
+        part = columns.part(slice(rows.start - before, rows.stop + 2))
+        values, alone = part.values(name)
+        halves = [_half(values, first)[before : before + rows.stop - rows.start].ravel() for first in (1, 0)]
+        u, v = (part.flat[axis].values[before : before + rows.stop - rows.start].ravel() for axis in "uv")
+        at = np.flatnonzero(np.isfinite(halves[0] + halves[1]))
+        x = turn[0, 0] * u[at] + turn[0, 1] * v[at] + (right - origin_um[0])
+        y = turn[1, 0] * u[at] + turn[1, 1] * v[at] + (down - origin_um[1])
+        inside = (y >= 0) & (x >= 0) & (y < end[0]) & (x < end[1])
+        x, y, at = x[inside], y[inside], at[inside]
+        use = known[(y / cell_um[0]).astype(np.intp), (x / cell_um[1]).astype(np.intp)]
+        x, y, at = x[use], y[use], at[use]
+        number = (y / point_um).astype(np.intp) * enough.shape[1] + (x / point_um).astype(np.intp)
+        count += np.bincount(number, minlength=enough.size)
+        totals += [np.bincount(number, weights=half[at], minlength=enough.size) for half in halves]
+    both = enough & (count > 0).reshape(enough.shape)
+    odd, even = (np.where(both, (total / np.maximum(count, 1)).reshape(both.shape), np.nan) for total in totals)
     return odd, even, alone
 
 
