@@ -26,6 +26,7 @@ from benchmarks import (
     size,
     specimens,
     through_scale,
+    uneven,
     variants,
     warping,
     wrong,
@@ -54,6 +55,7 @@ _MODULES = (
     through_scale,
     errors,
     evidence,
+    uneven,
     fuzz,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}

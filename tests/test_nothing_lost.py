@@ -38,7 +38,7 @@ def image_with(path, holes, shape=(200, 260), pixel=5.0):
 
 def instead_of_mapping(monkeypatch, work):
     """Put ``work`` where volumes are mapped; the package hides its modules behind functions of the same names."""
-    for module in ("link", "save"):
+    for module in ("linking", "save"):
         monkeypatch.setattr(import_module(f"planish.pipeline.{module}"), "map_layer", work)
 
 

@@ -94,6 +94,14 @@ def test_a_layer_without_noise_is_found(x, s, ratio, backing):
     assert found.rms < 1e-6
 
 
+def test_the_backing_beside_an_end_of_the_interval_leaves_least_there(x):
+    y = with_noise(x)
+    found = fit_kubelka_munk(x, y, n_eff=100, absorption_over_scattering=0.002)
+    for s, backing in zip(found.scattering_interval, found.backing_at_ends, strict=True):
+        left = [np.sum((bright(x, s, 0.002, backing + step) - y) ** 2) for step in (-0.003, 0.0, 0.003)]
+        assert left[1] == min(left)
+
+
 def test_a_unit_of_x_is_a_unit_of_scattering(x):
     y = with_noise(x)
     one, other = fit_kubelka_munk(x, y, n_eff=100), fit_kubelka_munk(x / 1000, y, n_eff=100)

@@ -35,7 +35,7 @@ def test_grey_tiff_survives(tmp_path: Path, dtype: str, compression: str | None)
     assert image.attrs["full_scale"] == expected
     assert image.attrs["pixel_um"] == [3, 2]
     assert image.attrs["pixel_um_source"] == "given"
-    assert image.attrs["long_name"] == "Grey value"
+    assert image.attrs["long_name"] == "Relative grey"
     assert image.attrs["file_name"] == "i.tif"
     assert image.attrs["file_bytes"] == (tmp_path / "i.tif").stat().st_size
 
@@ -57,7 +57,7 @@ def test_channels_of_a_colour_image(tmp_path: Path) -> None:
     for i, colour in enumerate(("red", "green", "blue")):
         image = read_image(tmp_path / "i.tif", pixel_um=1, channel=colour)
         np.testing.assert_array_equal(image.values, values[..., i])
-        assert image.attrs["long_name"] == colour.capitalize()
+        assert image.attrs["long_name"] == f"Relative grey, {colour}"
     luminance = read_image(tmp_path / "i.tif", pixel_um=1)
     np.testing.assert_allclose(luminance, values @ [0.2126, 0.7152, 0.0722], rtol=1e-5)  # float32
     assert luminance.attrs["channel"] == "luminance"

@@ -115,8 +115,8 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
     groups["linked"] = xr.Dataset(
         {k: (("y", "x"), a.astype(np.float32), titles[k]) for k, a in properties.items()}, {"y": y, "x": x}
     ).assign(
-        image=(("y", "x"), image.astype(np.float32), {"long_name": "Luminance", "units": "1"}), u=(("y", "x"), u),
-        valid=(("y", "x"), ~hole),
+        image=(("y", "x"), image.astype(np.float32), {"long_name": "Relative grey, luminance", "units": "1"}),
+        u=(("y", "x"), u), valid=(("y", "x"), ~hole),
         expected_error=(("y", "x"), (0.6 + 0.001 * np.hypot(y[:, None] - 260, x - 400)).astype(np.float32), UM),
     )  # fmt: skip
     fixed = np.array([[100.0, 100.0], [700.0, 120.0], [420.0, 480.0]])

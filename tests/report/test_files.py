@@ -73,7 +73,7 @@ def test_numbers_of_the_figures_are_those_of_the_results(figures: Path) -> None:
     a, b = block_means(linked["coating_top"], linked["image"], point_um=100.0, valid=[linked["valid"]])
     points = found["points-of-100-um-points"]
     np.testing.assert_array_equal([float(v) for row in points for v in row.values()], np.stack([a, b], axis=1).ravel())
-    assert list(points[0]) == ["Coating thickness, top side / µm", "Luminance"]
+    assert list(points[0]) == ["Coating thickness, top side / µm", "Relative grey, luminance"]
     names = {name.rpartition("-")[2]: rows for name, rows in found.items()}
     assert [float(row["r"]) for row in names["sizes"]] == [0.8]
     assert names["sizes"][0]["lower end of the band"] == ""

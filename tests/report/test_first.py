@@ -50,10 +50,17 @@ def layers_page() -> str:
 def test_first_page_of_a_link_shows_the_result_and_nothing_else(link_page: str) -> None:
     html = first_of(link_page)
     page = Page(html)
-    assert "The image is brighter where coating thickness (top side) is larger: r = 0.80" in page.text("p")
+    assert (
+        "The image is brighter (relative grey, luminance) where coating thickness (top side) is larger: r = 0.80"
+        in page.text("p")
+    )
     assert len(re.findall(r'<dd class="value">', html)) == 3
     titles = re.findall(r"<b>Figure (\d)\. (.*?)\.</b>", html)
-    assert titles == [("1", "Coating thickness, top side"), ("2", "Luminance"), ("3", "Points of 100\u202fµm")]
+    assert titles == [
+        ("1", "Coating thickness, top side"),
+        ("2", "Relative grey, luminance"),
+        ("3", "Points of 100\u202fµm"),
+    ]
     assert "What would make it surer" in page.text("h2")
     assert "The check is passed." in page.text("p")
     assert "90 % of the columns" not in page.text("header")

@@ -89,7 +89,8 @@ def layers(*, chain: bool = False, blank: bool = False) -> Given:
     if blank:
         before[:], photo[:] = np.nan, np.nan
     image = xr.Dataset(
-        {"image": (("y", "x"), photo.astype(np.float32), {"long_name": "Luminance", "units": "1"})}, {"y": y, "x": x}
+        {"image": (("y", "x"), photo.astype(np.float32), {"long_name": "Relative grey, luminance", "units": "1"})},
+        {"y": y, "x": x},
     )
     maps = {
         "before": sheet(before, x, y, joined=True),

@@ -55,7 +55,7 @@ def test_verdict_states_the_results_and_no_more(link_page: str) -> None:
     for expected in (
         "95 %: 0.63 to 0.90; r² 0.6 (0.4 to 0.8); 31 independent points of 40", "r² 0.81", "0.51\u202fµm", "not on n",
         "81\u202f% are valid in all maps", "not a cause",
-        "image is brighter where coating thickness (top side) is larger: r = 0.80 with a 95 % interval of 0.63 to 0.90",
+        "image is brighter (relative grey, luminance) where coating thickness (top side) is larger: r = 0.80 with a",
     ):  # fmt: skip
         assert expected in text
     assert "significant" not in text

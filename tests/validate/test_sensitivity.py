@@ -93,6 +93,16 @@ def test_an_interaction_is_named(monkeypatch, small):
     assert "burnt rims" in sum_sentence("holes", found)
 
 
+def test_nuisances_that_cancel_each_other_have_a_sentence(monkeypatch, small):
+    def effect(on):
+        return {"values": BASE | {"fle_pair": 3.0 if on == {"char"} else 0.3}}
+
+    fake(monkeypatch, effect)
+    found = sensitivity(small)
+    assert found.ratio["holes"] == float("inf")
+    assert "add nothing, although single ones do" in sum_sentence("holes", found)
+
+
 def test_a_nuisance_that_stops_the_program(monkeypatch, small, certificate):
     def effect(on):
         if on == {"half_closed"}:

@@ -42,6 +42,7 @@ from .kubelka_munk import weight_from_thickness as weight_from_thickness
 from .lag import Lag as Lag
 from .lag import texture_lag as texture_lag
 from .lag_field import LagField as LagField
+from .light_spread import spread_light as spread_light
 from .mottle import Mottle as Mottle
 from .mottle import MottleBand as MottleBand
 from .mottle import print_mottle as print_mottle
@@ -58,9 +59,13 @@ from .rings import Ring as Ring
 from .rings import RingCorrelation as RingCorrelation
 from .rings import half_bit as half_bit
 from .rings import ring_correlation as ring_correlation
+from .screen import SCREEN_REACH as SCREEN_REACH
+from .screen import SCREEN_SIGMA as SCREEN_SIGMA
 from .screen import SCREEN_SIGMA_UM as SCREEN_SIGMA_UM
 from .screen import screen_left as screen_left
 from .screen import without_screen as without_screen
+from .second_opinion import SecondOpinion as SecondOpinion
+from .second_opinion import second_opinion as second_opinion
 from .sides import SIDES as SIDES
 from .sides import SideFound as SideFound
 from .sides import image_of_sheet as image_of_sheet

@@ -23,12 +23,14 @@ Array = NDArray[np.float64]
 LEAST_CLAIMED = 10.0
 """Independent points below which nothing is claimed: no p and no interval."""
 
+BANDWIDTH = 0.15
+"""Share of the shorter side: how far points are taken to add to r together in the second opinion."""
+
 _LEAST = 3
 _FEW = 30.0
 _MOST_CELLS = 2**20
 _SAME = 0.9  # share of the points that have one value, from which on a map says little
 _CHANCE = 0.95
-_BANDWIDTH = 0.15  # of the shorter side: how far points are taken to add to r together in the second opinion
 _UNEQUAL = 1.4  # standard error of the second opinion over that of the model
 
 
@@ -355,7 +357,7 @@ def _certainty(
     within.add(x[known], y[known])
     ratio = 1.0
     if 1 - within.r**2 > 1e-14:
-        reach = _BANDWIDTH * min(k * p for k, p in zip(known.shape, pitch_um, strict=True))
+        reach = BANDWIDTH * min(k * p for k, p in zip(known.shape, pitch_um, strict=True))
         ratio = max(pair.unevenness(within.r, reach), 1.0)
     if ratio > _UNEQUAL:
         warnings.append(

@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 _CHANCE = 0.01  # a band at 95 % is exceeded by 10-18 % of smooth maps
 _RAYS = 72
 _STEP = 0.25  # pixels, along a ray
+_NODES = 65
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,8 +129,14 @@ def cross_correlogram(
         raise SizeError(f"The reach is {reach_um:g} um, a pixel {max(pixel):g} um. Give a reach of a pixel or more.")
     use = np.ones(a.shape, bool) if mask is None else mask
     valid = [np.isfinite(m) & use for m in (a, b)]
-    both = valid[0] & valid[1]
-    n = int(np.count_nonzero(both))
+    return correlogram_of((a, b), (valid[0], valid[1]), Lags(valid[0] & valid[1], pixel), reach_um=reach_um)
+
+
+def correlogram_of(
+    maps: tuple[NDArray[Any], NDArray[Any]], valid: tuple[Mask, Mask], lags: Lags, *, reach_um: float = 500.0
+) -> Correlogram:  # fmt: skip
+    """The same of maps with the pixels that count in each, and the lags of those that count in both."""
+    (a, b), pixel, n = maps, lags.pixel_um, lags.n
     for name, m, own in zip("ab", (a, b), valid, strict=True):
         if n < 3 or not np.ptp(m[own]) > 0:
             raise CannotMeasure(f"{n} pixels are known in both maps, or map {name} is constant. Look at the masks.")
@@ -138,12 +145,12 @@ def cross_correlogram(
     r = ncc(b.astype(np.float64))
     if not np.isfinite(r).any():
         raise CannotMeasure("At no lag are there enough pairs that differ. Give a larger map or a smaller mask.")
-    lags = [(np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True)]
+    moved = [(np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True)]
     at, peak_r, inner = _summit(r)
     widths, angle = _widths(r / peak_r, at, pixel) if inner else ((math.nan, math.nan), math.nan)
-    n_eff, band, of_any = _limits([a, b], both, pixel, ncc.pairs, np.isfinite(r))
+    n_eff, band, of_any = _limits([a, b], lags, ncc.pairs, np.isfinite(r))
     return Correlogram(
-        r=r, lag_y_um=lags[0], lag_x_um=lags[1], peak_r=peak_r, sign=1 if peak_r > 0 else -1, inner=inner,
+        r=r, lag_y_um=moved[0], lag_x_um=moved[1], peak_r=peak_r, sign=1 if peak_r > 0 else -1, inner=inner,
         lag_um=((at[0] - reach[0]) * pixel[0], (at[1] - reach[1]) * pixel[1]), widths_um=widths, angle_deg=angle,
         n_eff=n_eff, band_99=band, band_99_of_any=of_any,
     )  # fmt: skip
@@ -198,12 +205,9 @@ def _widths(height: Array, at: tuple[float, float], pixel: tuple[float, float]) 
     return (4 * math.sqrt(values[1]), 4 * math.sqrt(values[0])), angle
 
 
-def _limits(
-    maps: list[NDArray[Any]], both: Mask, pixel: tuple[float, float], pairs: Array, looked_at: Mask
-) -> tuple[float, Array, Array]:
+def _limits(maps: list[NDArray[Any]], lags: Lags, pairs: Array, looked_at: Mask) -> tuple[float, Array, Array]:
     """Independent points, and the limits of ``|r|`` by lag: at this lag alone, and at any lag."""
-    lags = Lags(both, pixel)
-    x, y = (np.where(both, m, 0.0).astype(np.float64) for m in maps)
+    x, y = (np.where(lags.known, m, 0.0).astype(np.float64) for m in maps)
     pair = PairCovariances(x, y, lags)
     variance = pair.variance_of_r()
     n_eff = min(1 + 1 / variance, float(lags.n)) if variance > 0 else math.nan
@@ -226,8 +230,10 @@ def _limits(
         return 2 * min(mean, count * normal_tail(u))
 
     u = float(optimize.brentq(lambda v: math.log(chance(v) / _CHANCE), 2.0, 12.0))
+    # Over the inverse of the points, limits are all but straight: a quantile for each lag would take longest of all.
+    nodes = np.linspace(1 / float(left.max()), 1 / float(left.min()), _NODES)
     alone, anywhere = (
-        np.where(looked_at, t / np.sqrt(t * t + left - 2), math.nan)
-        for t in (np.asarray(-special.stdtrit(left - 2, tail)) for tail in (_CHANCE / 2, normal_tail(u)))
+        np.where(looked_at, np.interp(1 / left, nodes, t / np.sqrt(t * t + 1 / nodes - 2)), math.nan)
+        for t in (np.asarray(-special.stdtrit(1 / nodes - 2, tail)) for tail in (_CHANCE / 2, normal_tail(u)))
     )
     return n_eff, alone, anywhere

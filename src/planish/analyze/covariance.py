@@ -139,7 +139,11 @@ class PairCovariances:
         return float(self._influence(r, variances).sum()) / self.lags.n**2
 
     def unevenness(self, r: float, bandwidth_um: float) -> float:
-        """Standard error of z from what the points add to r, over that of the model; 1 where the spread is even.
+        """Standard error of z from what the points add to r, over that of the model; 1 where the spread is even."""
+        return self.spatial_error(r, bandwidth_um)[1]
+
+    def spatial_error(self, r: float, bandwidth_um: float) -> tuple[float, float]:
+        """Standard error of z from what the points add to r, and the same over that of the model.
 
         Both are sums over lags up to a bandwidth with weights that fall to 0 (Conley 1999), so that what longer lags
         would add, and what the mean of a map takes off, are the same in both.
@@ -152,7 +156,8 @@ class PairCovariances:
         expected = float(np.sum(weight * model))
         expected -= float(model.sum()) * float(np.sum(weight * self.lags.pairs)) / self.lags.n**2
         found = float(np.sum(weight * self.lags.products(moved, moved))) / (1 - r * r) ** 2
-        return math.sqrt(max(found, 0.0) / expected) if expected > 0 else 1.0
+        error = math.sqrt(max(found, 0.0))
+        return error / self.lags.n, error / math.sqrt(expected) if expected > 0 else 1.0
 
     def _influence(self, r: float, variances: tuple[float, float] | None) -> Array:
         """Sums, by lag, of the covariances of what single points add to z."""

@@ -149,6 +149,8 @@ class KubelkaMunk:
     backing : float
         Reflectance below the layer, extrapolated to x = 0.
     backing_interval : (float, float)
+    backing_at_ends : (float, float)
+        Backing that fits best with each end of the interval of S; NaN where that is infinite.
     absorption_over_scattering : float
         K / S, as it was given.
     rms : float
@@ -161,6 +163,7 @@ class KubelkaMunk:
     scattering_interval: Interval
     backing: float
     backing_interval: Interval
+    backing_at_ends: Interval
     absorption_over_scattering: float
     rms: float
 
@@ -250,9 +253,11 @@ def fit_kubelka_munk(
         t = student_quantile(_QUANTILE, count - 2)
         limit = left * (1 + t * t / (count - 2))
         ends = fit.interval(0, best, limit), fit.interval(1, best, limit)
+    beside = [fit.backing(s, best[1]) if s < math.inf else math.nan for s in ends[0]]
     return KubelkaMunk(
         n=at.size, n_eff=count, scattering=best[0] / mean, scattering_interval=(ends[0][0] / mean, ends[0][1] / mean),
-        backing=best[1], backing_interval=ends[1], absorption_over_scattering=ratio, rms=rms,
+        backing=best[1], backing_interval=ends[1], backing_at_ends=(beside[0], beside[1]),
+        absorption_over_scattering=ratio, rms=rms,
     )  # fmt: skip
 
 
@@ -282,6 +287,11 @@ class _Fit:
         start = float(np.clip(s, 0.01, 100.0)), float(np.clip(middle - slope, 0.01, 0.99))
         found = self._solve(lambda v: self._left(v[0], v[1]), start, self._low, self._high)
         return float(found[0]), float(found[1])
+
+    def backing(self, s: float, start: float) -> float:
+        """The backing that fits best with a given S."""
+        found = self._solve(lambda v: self._left(s, v[0]), (start,), self._low[1:], self._high[1:])
+        return float(found[0])
 
     def interval(self, which: int, best: tuple[float, float], limit: float) -> Interval:
         """Values of one parameter for which the other can keep the sum of squares below a limit."""

@@ -23,4 +23,22 @@ class CorrelateParams(Params):
         help="Artefacts (a stain, a crease, a label) whose pixels do not count: polygons in GeoJSON, in um of the "
         "reference, or selections of ImageJ (.roi, .zip), in its pixels; with reason and author.",
     )
+    kubelka_munk: float | None = option(
+        None, ge=0, lt=10, metavar="K/S",
+        help="Fit the curve of Kubelka and Munk to the reflectance over the coating that leads, with this ratio of "
+        "absorption to scattering (0.002 for a white coating); needs --dark-grey and --white-grey.",
+    )  # fmt: skip
+    light_spread_um: float | None = option(
+        None, gt=0,
+        help="Also correlate the coating blurred as light is that spreads in paper: length over which an exponential "
+        "falls to 1/e.",
+    )  # fmt: skip
+    mottle: bool = option(
+        False, help="State by octaves of wavelength how uneven each image is (coefficient of variation)."
+    )
+    error_ratio: float | None = option(
+        None, gt=0, metavar="RATIO",
+        help="Of two volumes: variance of the errors of the second over that of the first; adds the line between two "
+        "measurements that both have errors (Deming).",
+    )  # fmt: skip
     thin_um: float = option(5.0, gt=0, cli=None, help="Coating thickness in um below which the page outlines it.")

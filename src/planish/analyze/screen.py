@@ -14,7 +14,12 @@ from planish.core.errors import CannotMeasure, InputError, SizeError
 SCREEN_SIGMA_UM = 70.0
 """Standard deviation of the Gaussian: 6 of them are the 420 um of Hirn et al. (2009), section 3.3.2."""
 
-_CUT = 3.0  # standard deviations to either side
+SCREEN_SIGMA = SCREEN_SIGMA_UM * 60 / 1e4
+"""The same as a share of the period of the screen that it was for, 60 lines per cm."""
+
+SCREEN_REACH = 3.0
+"""Standard deviations to either side at which the Gaussian ends."""
+
 _LEAST_SIGMA_PX = 0.75  # below, pixels are too coarse for a Gaussian
 
 
@@ -65,7 +70,7 @@ def without_screen(
     known = known_of(values, mask)
     kind = np.result_type(values.dtype, np.float32)
     weight = known.astype(kind)
-    return smooth(np.where(known, values, 0).astype(kind, copy=False), weight, known, sigma, truncate=_CUT)
+    return smooth(np.where(known, values, 0).astype(kind, copy=False), weight, known, sigma, truncate=SCREEN_REACH)
 
 
 def screen_left(frequency_per_cm: float, *, sigma_um: float = SCREEN_SIGMA_UM, angle_deg: float = 45.0) -> float:
@@ -103,8 +108,8 @@ def screen_left(frequency_per_cm: float, *, sigma_um: float = SCREEN_SIGMA_UM, a
 
 def _transfer(wave: float) -> float:
     """Fourier transform of a Gaussian of sigma 1 that is cut at 3, over its value at 0."""
-    inside = complex(special.erf(complex(_CUT, wave) / math.sqrt(2.0))).real
-    return math.exp(-wave * wave / 2) * inside / math.erf(_CUT / math.sqrt(2.0))
+    inside = complex(special.erf(complex(SCREEN_REACH, wave) / math.sqrt(2.0))).real
+    return math.exp(-wave * wave / 2) * inside / math.erf(SCREEN_REACH / math.sqrt(2.0))
 
 
 def smooth(

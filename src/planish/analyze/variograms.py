@@ -94,11 +94,14 @@ def variogram(
     covariances themselves. Waves longer than a fifth of the field make sill and range smaller than they are.
     """
     pixel = on_one_grid(a, a, mask, pixel_um)
-    known = np.isfinite(a) if mask is None else np.isfinite(a) & mask
-    n = int(np.count_nonzero(known))
-    if n < 3 or not np.ptp(a[known]) > 0:
-        raise CannotMeasure(f"{n} pixels are known, or all have one value: no variogram. Look at the mask.")
-    lags = Lags(known, pixel)
+    return variogram_of(a, Lags(np.isfinite(a) if mask is None else np.isfinite(a) & mask, pixel), md_deg)
+
+
+def variogram_of(a: NDArray[Any], lags: Lags, md_deg: float | None = None) -> Variogram:
+    """The same from the lags of a mask of known pixels, which several maps may share."""
+    known = lags.known
+    if lags.n < 3 or not np.ptp(a[known]) > 0:
+        raise CannotMeasure(f"{lags.n} pixels are known, or all have one value: no variogram. Look at the mask.")
     moved = lags.transform(np.where(known, a - a[known].mean(), 0.0))
     products = lags.products(moved, moved)
     # What the mean took is known from the lags that are used, and put back at all lags.
@@ -109,7 +112,7 @@ def variogram(
         raise CannotMeasure(
             f"Half of the field holds {distance.size} rings of distance, {_LEAST_RINGS} are needed. Give a larger map."
         )
-    shared = min(_at_zero(distance, covariance, max(pixel)), sill)
+    shared = min(_at_zero(distance, covariance, max(lags.pixel_um)), sill)
     ranges = [_range(distance, covariance, shared)]
     if md_deg is not None:
         turned = np.degrees(np.arctan2(lags.lag_um[0][:, None], lags.lag_um[1][None, :]))

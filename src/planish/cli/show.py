@@ -150,9 +150,9 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
             str(r.n),
             number(r.n_eff, 0),
             number(r.r),
-            "-" if r.interval is None else f"{r.interval[0]:.2f} to {r.interval[1]:.2f}",
+            "-" if r.interval is None else _interval(*r.interval),
             number(r.r2),
-            number(r.slope, 4),
+            "-" if r.slope is None else f"{r.slope:.4g}",
             number(rms_um, 1),
         )
         for (name, r), rms_um in zip(rows, marks, strict=True)
@@ -160,6 +160,12 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
     names = ("", "point um", "n", "n_eff", "r", "95 %", "r2", "slope", "marks um")
     shown = len(names) if any(marks) else len(names) - 1
     table(title, names[:shown], [row[:shown] for row in cells])
+
+
+def _interval(low: float, high: float) -> str:
+    """Write an interval of r; of narrow ones more, as two decimals hide them."""
+    digits = 2 if high - low >= 0.02 else 4
+    return f"{low:.{digits}f} to {high:.{digits}f}"
 
 
 def run_facts(path: Path) -> dict[str, Any] | None:

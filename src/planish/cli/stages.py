@@ -15,7 +15,6 @@ from planish.analyze.params import CorrelateParams
 from planish.cli.options import Option, existing, figures_option, given, json_option, made, options, out_option, verb
 from planish.cli.runs import (
     compute_options,
-    correlate_options,
     hole_options,
     image_options,
     property_options,
@@ -25,7 +24,7 @@ from planish.cli.runs import (
 from planish.compute import Compute, silent
 from planish.core.results import Side
 from planish.flatten.params import FlattenParams
-from planish.io.params import VolumeParams
+from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
 from planish.measure.params import MeasureParams
 from planish.register.params import RegistrationParams
@@ -69,6 +68,7 @@ def _volume(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, VolumePar
 
 
 def _image(path: Path, values: dict[str, Any]) -> xr.DataArray:
+    """An image as it is stored."""
     from planish.io import read_image
     from planish.io.params import HOW_IMAGES_ARE_READ
 
@@ -171,6 +171,7 @@ def resample(
     """Bring the MEASURED properties onto a regular grid of the FLAT sheet, or onto the pixels of an image."""
     from planish.io.run_folder import refuse_existing
     from planish.pipeline import Registration, resample_maps
+    from planish.pipeline.compared import compared_image
 
     if (onto is None) != (registration is None):
         raise click.UsageError("--onto and --registration belong together: give both, or neither for flat maps.")
@@ -182,7 +183,8 @@ def resample(
         maps = resample_maps(data, coordinates, map_um=map_um)
         _write(out, {"maps": maps}, f"{maps.sizes['u']} x {maps.sizes['v']} pixels")
         return
-    linked = resample_maps(data, coordinates, onto=_image(onto, values), registration=Registration.read(registration))
+    image = compared_image(_image(onto, values), made(ImageParams, values, "image", path=str(onto)))
+    linked = resample_maps(data, coordinates, onto=image, registration=Registration.read(registration))
     share = float(linked["valid"].values.mean())
     _write(out, {"linked": linked}, f"{linked.sizes['x']} x {linked.sizes['y']} pixels, {100 * share:.0f} % valid")
 
@@ -191,7 +193,7 @@ def resample(
       name="holes")  # fmt: skip
 @existing("image")
 @out_option("JSON file to make; a table for reading, .csv, is made beside it.")
-@image_options
+@options(ImageParams, "image", "Image", without=("dark_grey", "white_grey", "screen_um"))
 @hole_options
 def holes(image: Path, out: Path, **values: Any) -> None:
     """Find the laser holes in IMAGE: a picture, or the flat maps of a sheet."""
@@ -240,7 +242,7 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
 @verb("planish correlate linked.zarr", "planish correlate run --property base_thickness --json", name="correlate")
 @existing("linked")
 @click.option("--property", "names", multiple=True, metavar="NAME", help="Maps to compare; all where not given.")
-@correlate_options
+@options(CorrelateParams, "correlate", "Correlation", only=("point_um", "regions"))
 @json_option
 def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any) -> int:
     """Correlate the image with the properties, point by point, in LINKED maps.

@@ -353,6 +353,34 @@ class RegistrationFacts(Facts):
     lag: LagFacts | None = None
 
 
+class ImageFacts(Facts):
+    """What the values of an image are that is compared."""
+
+    quantity: Literal["relative grey", "reflectance"]
+    dark_grey: Number = Field(default=None, description="Grey of the dark reference, if it was given.")
+    white_grey: Number = Field(default=None, description="Grey of the white reference, whose reflectance counts as 1.")
+    screen_um: Number = Field(
+        default=None, description="Period of the print screen that was taken off, if it was given."
+    )
+    sigma_um: Number = Field(default=None, description="Standard deviation of the Gaussian that took it off.")
+    reach_um: Number = Field(default=None, description="How far it reaches: so much more around holes is not valid.")
+
+    @property
+    def sentence(self) -> str:
+        """What a reader has to know of the values."""
+        if self.quantity == "reflectance":
+            text = f"reflectance: grey {self.dark_grey:g} is 0, grey {self.white_grey:g} is 1"
+        else:
+            text = "relative grey, as stored: no dark and white reference was given"
+        if self.screen_um is not None:
+            text += (
+                f"; the print screen of {self.screen_um:g} um was taken off by a Gaussian (sigma "
+                f"{self.sigma_um:.3g} um) before anything was compared, and {self.reach_um:.3g} um more around "
+                "holes are left out"
+            )
+        return text
+
+
 class LayerFacts(Facts):
     """One layer: a sheet or an image."""
 
@@ -363,6 +391,7 @@ class LayerFacts(Facts):
     share_of_reference: Number = None
     registration: RegistrationFacts | None = None
     sheet: SheetFacts | None = None
+    image: ImageFacts | None = None
 
 
 class _Statement(Facts):
@@ -467,6 +496,64 @@ class CurveFacts(Facts):
     words: str
 
 
+class KubelkaMunkFacts(Facts):
+    """Kubelka and Munk's curve of reflectance over the coating, at the larger points."""
+
+    point_um: float
+    ratio: float = Field(description="Absorption over scattering, as it was given.")
+    n: int | None = None
+    n_eff: Number = None
+    weight: bool = Field(
+        default=False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."
+    )
+    scattering: Number = Field(default=None, description="Coefficient S of the coating.")
+    scattering_interval: KnownPair = Field(
+        default=None, description="In which S lies with 95 %; none where it has no end."
+    )
+    backing: Number = Field(default=None, description="Reflectance below the coating, extrapolated.")
+    backing_interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
+    backing_at_ends: KnownPair = Field(
+        default=None, description="Backing that fits best with each end of the interval of S."
+    )
+    rms: Number = Field(default=None, description="Of what the curve leaves of the reflectance.")
+    silence: str | None = Field(default=None, description="Why there is no curve.")
+
+
+class LightSpreadFacts(Facts):
+    """The headline correlation with the coating blurred as light is that spreads in paper."""
+
+    width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")
+    point_um: float
+    n: int | None = None
+    r: Number = None
+    n_eff: Number = None
+    interval: KnownPair = Field(default=None, description="In which this r lies with 95 %.")
+    difference: Number = Field(
+        default=None, description="This r minus that of the coating as it is, at the same points."
+    )
+    difference_interval: KnownPair = Field(default=None, description="In which the difference lies with 95 %.")
+    silence: str | None = Field(default=None, description="Why there is no such r.")
+
+
+class MottleBandFacts(Facts):
+    """How uneven an image is in one octave of wavelength."""
+
+    shortest_um: float
+    longest_um: float
+    coefficient_of_variation: float
+
+
+class MottleFacts(Facts):
+    """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
+
+    layer: str
+    bands: tuple[MottleBandFacts, ...] = ()
+    mean: Number = None
+    n: int | None = Field(default=None, description="Pixels, or means over several, that are known.")
+    measured: str | None = None
+    silence: str | None = Field(default=None, description="Why there is none.")
+
+
 class PartialFacts(Facts):
     """Correlation of what other maps of the sheet do not explain of two maps, by least squares."""
 
@@ -489,6 +576,111 @@ class ThinRegionFacts(Facts):
     n_eff: Number
 
 
+class ReliabilityFacts(Facts):
+    """How far two half measurements of a map agree: of the odd and of the even rows of its columns."""
+
+    layer: str
+    map: str
+    point_um: float
+    n: int | None = Field(default=None, description="Points that are known in both halves.")
+    halves_r: Number = Field(default=None, description="Correlation of both halves.")
+    value: Number = Field(
+        default=None, description="Share of the variance of the map that both halves show: an upper bound."
+    )
+    interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
+    n_eff: Number = None
+    shared: str | None = Field(default=None, description="What both halves share, which makes it an upper bound.")
+    silence: str | None = Field(default=None, description="Why there is none.")
+
+
+class SecondOpinionFacts(Facts):
+    """Interval of r that asks nothing of the covariances of the maps (Conley 1999), at the larger points."""
+
+    point_um: float
+    interval: KnownPair = Field(description="In which r lies with 95 %.")
+    standard_error: Number = Field(description="Of Fisher's z.")
+    critical: Number = Field(description="Standard errors to either side.")
+    ratio: Number = Field(description="Standard error over that of the covariances.")
+
+
+class VariogramFacts(Facts):
+    """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
+
+    layer: str
+    map: str
+    units: str
+    cell_um: Pair = Field(description="What the map was averaged over first, along y and x.")
+    nugget: float = Field(description="Variance that neighbouring cells do not share, in the map's units squared.")
+    sill: float = Field(description="Variance of the map.")
+    range_um: Number = Field(
+        description="Distance at which the covariance has fallen to 1/e; none where it does not, or all is nugget."
+    )
+    md_deg: Number = Field(None, description="Machine direction on the reference, where the run knows it.")
+    range_along_um: Number = Field(None, description="The range within 22.5 degrees of the machine direction.")
+    range_across_um: Number = Field(None, description="The same across it.")
+    ratio: Number = Field(None, description="Range along over range across.")
+    distances_um: tuple[float, ...]
+    values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
+
+
+class LagProfile(Facts):
+    """r of map a with map b moved along one axis, and what unrelated maps of this texture reach."""
+
+    lags_um: tuple[float, ...]
+    r: tuple[Number, ...]
+    limit: tuple[Number, ...] = Field(description="|r| that unrelated maps exceed at this lag with 1 %.")
+    limit_of_any: tuple[Number, ...] = Field(description="|r| that they exceed at any of all lags with 1 %.")
+
+
+class CorrelogramFacts(Facts):
+    """Correlation of map a with map b, moved by every lag along both axes; lags are (y, x)."""
+
+    cell_um: Pair
+    reach_um: float
+    r_at_zero: Number
+    peak_r: float
+    lag_um: Pair = Field(description="Of the largest |r|.")
+    inner: bool = Field(description="Whether that is a summit, not a slope that goes on beyond the reach.")
+    widths_um: KnownPair = Field(description="Full widths at half height, the longer one first.")
+    angle_deg: Number = Field(description="Direction of the longer width, clockwise from the x axis.")
+    n_eff: Number
+    limit_of_any: Number = Field(description="|r| at lag 0 that unrelated maps exceed at any lag with 1 %.")
+    beyond_chance: bool | None = Field(description="Whether some lag exceeds that; none where nothing is claimed.")
+    along_x: LagProfile
+    along_y: LagProfile
+
+
+class RingFacts(Facts):
+    """How far two measurements of one quantity agree in waves of one length."""
+
+    wavelength_um: float
+    correlation: float
+    threshold: float = Field(description="Correlation at which the mean of both holds half a bit a wave.")
+    modes: float = Field(description="Independent waves.")
+
+
+class TwiceFacts(Facts):
+    """Two measurements of one quantity: down to which wavelength they agree, and how far they differ."""
+
+    rings: tuple[RingFacts, ...] = ()
+    resolution_um: Number = None
+    sentence: str | None = None
+    point_um: Number = None
+    n: int | None = Field(default=None, description="Points of which bias and scatter are.")
+    bias: Number = Field(default=None, description="Mean of b - a at the larger points.")
+    bias_interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
+    sd: Number = Field(default=None, description="Standard deviation of b - a.")
+    sd_interval: KnownPair = None
+    limits: KnownPair = Field(default=None, description="Between them lie 95 % of normal differences.")
+    units: str = "1"
+    error_ratio: Number = Field(
+        default=None, description="Variance of the errors of b over that of a, as it was given."
+    )
+    error_slope: Number = Field(default=None, description="Slope of b over a where both have such errors (Deming).")
+    error_intercept: Number = None
+    error_interval: KnownPair = Field(default=None, description="In which that slope lies with 95 %.")
+
+
 class EvidenceFacts(Facts):
     """What stands beside the correlation of the maps that stand for two layers."""
 
@@ -504,11 +696,27 @@ class EvidenceFacts(Facts):
         None, description="Least, mean and largest r over grids of points that begin elsewhere."
     )
     curve: CurveFacts | None = None
+    kubelka_munk: KubelkaMunkFacts | None = Field(None, description="Where the study asks for it.")
+    light_spread: LightSpreadFacts | None = Field(None, description="Where the study states how far light spreads.")
+    density_g_cm3: Number = Field(
+        None, description="Of the coating, where the run knows it: it turns thickness into g/m2."
+    )
     thin: tuple[ThinRegionFacts, ...] = ()
     short_waves: SizeFacts | None = Field(None, description="Without waves above short_waves_um.")
     short_waves_um: Number = None
     ceiling: Number = Field(None, description="The r that a perfect relation would show, by misplacement alone.")
     ceiling_sentence: str | None = None
+    reliability: tuple[ReliabilityFacts, ...] = Field(
+        (), description="Of the maps of sheets among the two, at the larger points."
+    )
+    ceiling_noise: Number = Field(
+        None, description="The r that a perfect relation would show, by the noise of these maps alone: an upper bound."
+    )
+    ceiling_both: Number = Field(None, description="The same by noise and misplacement together.")
+    second_opinion: SecondOpinionFacts | None = None
+    variograms: tuple[VariogramFacts, ...] = ()
+    correlogram: CorrelogramFacts | None = None
+    twice: TwiceFacts | None = Field(None, description="Where both maps are of the same quantity.")
     partial: PartialFacts | None = Field(None, description="Where the study names maps that stand beside.")
     commonality: dict[str, float] | None = Field(
         None,
@@ -592,6 +800,7 @@ class Results(Facts):
     evidence: tuple[EvidenceFacts, ...] = ()
     linked: LinkedArea | None = None
     regions: RegionsFacts | None = None
+    mottle: tuple[MottleFacts, ...] = ()
     refinement: RefinementFacts | None = None
     checks: tuple[Check, ...]
     parameters: dict[str, Any]

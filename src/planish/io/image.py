@@ -19,6 +19,9 @@ from planish.io.sizes import PIXEL, Stated, agreed_size
 if TYPE_CHECKING:
     import xarray as xr
 
+GREY = "Relative grey"
+"""What the values of an image are as long as no reference says how dark and how white they are."""
+
 
 def read_image(
     path: str | Path,
@@ -115,16 +118,16 @@ def pick_channel(picture: Picture, channel: str, *, file_name: str) -> tuple[NDA
                 f"{file_name} has {samples} channel{'s' if samples > 1 else ''}, number {word} is not among them. "
                 f"Choose 0{f' to {samples - 1}' if samples > 1 else ''} with --channel."
             )
-        picked, long_name = _as_float32(values[..., int(word)]), f"Channel {int(word)}"
+        picked, long_name = _as_float32(values[..., int(word)]), f"{GREY}, channel {int(word)}"
     elif word in COLOURS and picture.colour == "rgb":
-        picked, long_name = _as_float32(values[..., COLOURS[word]]), word.capitalize()
+        picked, long_name = _as_float32(values[..., COLOURS[word]]), f"{GREY}, {word}"
     elif word == "luminance" and picture.colour == "rgb":
         picked = np.zeros(values.shape[:2], np.float32)
         for sample, weight in enumerate(LUMINANCE):
             picked += np.float32(weight) * _as_float32(values[..., sample])
-        long_name = "Luminance"
+        long_name = f"{GREY}, luminance"
     elif word == "luminance" and picture.colour == "grey":
-        picked, long_name = _as_float32(values[..., 0]), "Grey value"
+        picked, long_name = _as_float32(values[..., 0]), GREY
     elif word == "luminance" or word in COLOURS:
         what = (
             "is a grey image" if picture.colour == "grey" else f"has {samples} channels that are not red, green, blue"

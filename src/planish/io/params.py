@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from planish.core.options import Params, option
 
@@ -83,3 +83,28 @@ class ImageParams(Params):
         metavar="ANGLE",
         help="Machine direction in the image, likewise; compared with --md-deg, which the registration carries over.",
     )
+    dark_grey: float | None = option(
+        None,
+        metavar="GREY",
+        help="Grey of the image without light, in its own values; with --white-grey the image becomes reflectance. "
+        "Without both it is relative grey.",
+    )
+    white_grey: float | None = option(
+        None, metavar="GREY", help="Grey of a white reference in the same light, likewise; its reflectance counts as 1."
+    )
+    screen_um: float | None = option(
+        None,
+        gt=0,
+        help="Period of a print screen in um (167 for 60 lines per cm): a Gaussian takes it off the image before it is "
+        "compared.",
+    )
+
+    @model_validator(mode="after")
+    def _references(self) -> Self:
+        if (self.dark_grey is None) != (self.white_grey is None):
+            raise ValueError("dark_grey and white_grey belong together: give both, or neither for relative grey")
+        if self.dark_grey is not None and self.white_grey is not None and not self.white_grey > self.dark_grey:
+            raise ValueError(
+                f"the white reference ({self.white_grey:g}) has to be brighter than the dark one ({self.dark_grey:g})"
+            )
+        return self

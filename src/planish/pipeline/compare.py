@@ -63,10 +63,20 @@ def correlate_maps(
     -------
     tuple of CorrelationRow
         As ``results.correlations`` of a run.
+
+    Raises
+    ------
+    FileError, InputError
+        If ``params.regions`` are of no use, or come after a screen was taken off the image.
     """
     params = params or CorrelateParams()
     regions = regions_on(params.regions, grid := Grid.of(linked))
     if regions is not None:
+        if "reach_um" in linked["image"].attrs:
+            raise InputError(
+                "A screen was taken off the image before the regions were known, and what they hold has reached their "
+                "neighbours. Give --regions to 'planish link' instead."
+            )
         parts = [band_of(linked["valid"], at) & ~regions.inside(grid.part(at)) for at in bands(grid.shape[0])]
         linked = linked.assign(valid=(("y", "x"), np.concatenate(parts)))
     layers = {names[0]: linked.drop_vars("image"), names[1]: linked[["image", "valid"]]}

@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.analyze import (
+    CorrelateParams,
     PairAtSizes,
     ceiling,
     coherence,
@@ -20,9 +21,11 @@ from planish.analyze import (
     origins,
     partial,
     region_difference,
+    second_opinion,
     size_curve,
     straight_or_curved,
 )
+from planish.analyze.covariance import Lags
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
 from planish.core.errors import InputError, PlanishError
@@ -33,9 +36,13 @@ from planish.core.results import (
     EvidenceFacts,
     LayerFacts,
     PartialFacts,
+    SecondOpinionFacts,
     SizeFacts,
     ThinRegionFacts,
 )
+from planish.pipeline.by_distance import correlogram_facts, measured_twice, variograms_of
+from planish.pipeline.halves import Columns, noise_ceiling, reliability_of
+from planish.pipeline.optics import density_of, light_of
 
 Array = NDArray[np.float64]
 
@@ -46,12 +53,15 @@ CELLS = 2**16
 
 def evidence_of(
     maps: Mapping[str, xr.Dataset], a: LayerFacts, b: LayerFacts, *, point_um: float, declared: bool,
-    beside: tuple[str, ...] = (),
+    beside: tuple[str, ...] = (), columns: Mapping[str, Columns] | None = None, md_deg: float | None = None,
+    params: CorrelateParams | None = None,
 ) -> EvidenceFacts | None:  # fmt: skip
     """Tell at which scales the maps that stand for two layers go together; None where they share too little.
 
     ``declared`` says whether the study named the map before r was looked at. Maps of more than 65 536 pixels are
     averaged to larger ones first. ``beside`` names maps of a sheet whose part is taken off for a partial correlation.
+    ``columns`` are those of each sheet, for its reliability; ``md_deg`` is the machine direction on the reference;
+    ``params`` hold what is told of light only where it is asked for.
 
     Raises
     ------
@@ -60,7 +70,10 @@ def evidence_of(
     """
     first, second = maps[a.name], maps[b.name]
     grid = Grid.of(first)
-    pair = PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=None, most_cells=CELLS)
+    twice = a.kind == b.kind == "sheet" and a.headline == b.headline
+    pair = PairAtSizes(
+        grid.shape, pixel_um=grid.pixel_um, point_um=point_um if twice else None, most_cells=CELLS
+    )  # fmt: skip
     for rows in bands(grid.shape[0]):
         use = band_of(first["valid"], rows) & band_of(second["valid"], rows)
         pair.add(rows.start, np.where(use, band_of(first[a.headline], rows), np.nan), band_of(second[b.headline], rows))
@@ -88,6 +101,9 @@ def evidence_of(
             pass
         if "thickness" in first and "image" in second:
             found["curve"] = _curve(x, y, cell_um, point_um)
+        found["second_opinion"] = SecondOpinionFacts.of(
+            second_opinion(x, y, pixel_um=cell_um, point_um=point_um), point_um=point_um
+        )
         short, longest = of_short_waves(x, y, pixel_um=cell_um, point_um=point_um)
         found["short_waves"] = SizeFacts.of(short, point_um=point_um)
         found["short_waves_um"] = longest
@@ -97,6 +113,30 @@ def evidence_of(
         size = point_um if point_um >= max(cell_um) else None
         most = ceiling(x, error_um=errors, mask=known, pixel_um=cell_um, point_um=size)
         found |= {"ceiling": most.r, "ceiling_sentence": most.sentence}
+    lags = Lags(known, cell_um)
+    units = [str(of[m.headline].attrs.get("units", "1")) for of, m in ((first, a), (second, b))]
+    names = (a.name, a.headline, units[0]), (b.name, b.headline, units[1])
+    found["variograms"] = tuple(variograms_of((x, y), lags, names, md_deg))
+    found["correlogram"] = correlogram_facts((x, y), lags)
+    params = params or CorrelateParams()
+    if twice:
+        found["twice"] = measured_twice(
+            (x, y), lags, pair.points(), point_um=point_um, units=units[0], error_ratio=params.error_ratio
+        )
+    if a.headline.startswith("coat") and "image" in second:
+        sheet = columns.get(a.name) if columns else None
+        found |= light_of(
+            x, y, params, cell_um=cell_um, point_um=point_um, in_grams=units[0] == "g/m2",
+            density=None if sheet is None else density_of(sheet.measured, a.headline),
+        )  # fmt: skip
+    if columns and point_um >= max(cell_um):
+        corner = grid.origin_um[0] - grid.pixel_um[1] / 2, grid.origin_um[1] - grid.pixel_um[0] / 2
+        halves = tuple(
+            reliability_of(
+                columns[m.name], m.name, m.headline, known, origin_um=corner, cell_um=cell_um, point_um=point_um
+            ) for m in (a, b) if m.name in columns
+        )  # fmt: skip
+        found |= {"reliability": halves} | noise_ceiling(halves, found.get("ceiling"))
     if beside and a.kind == "sheet":
         found |= _beside(first, second, (a.headline, b.headline), beside, grid, point_um)
     return EvidenceFacts(a=a.name, a_map=a.headline, b=b.name, b_map=b.headline, declared=declared, **found)

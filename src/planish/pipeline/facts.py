@@ -29,6 +29,7 @@ from planish.core.results import (
 from planish.flatten import Flattened
 from planish.io import fingerprint
 from planish.pipeline.compare import headline_of, is_property
+from planish.pipeline.compared import image_facts
 from planish.pipeline.layers import Layer
 from planish.pipeline.position_error import error_shares
 from planish.pipeline.registration import Registration
@@ -142,6 +143,7 @@ def layer_facts(
     return LayerFacts(
         name=layer.name, kind=layer.kind, source=layer.source, headline=headline_of(maps, side, headline),
         share_of_reference=known / shown.size, sheet=layer.facts,
+        image=None if layer.params.image is None else image_facts(layer.params.image),
         registration=None if link is None else _registration_facts(layer, link, maps, lag),
     )  # fmt: skip
 

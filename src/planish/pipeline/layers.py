@@ -23,6 +23,7 @@ class Layer:
     source: InputFile
     md_deg: float | None = None  # machine direction, deg clockwise on screen from the x axis, if it was given
     image: xr.DataArray | None = None
+    compared: xr.DataArray | None = None  # an image as it is compared; holes are found in the image itself
     # Of a sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
     # ``sections`` of serial sections.
     groups: dict[str, xr.Dataset] = field(default_factory=dict[str, xr.Dataset])

@@ -19,16 +19,21 @@ from planish import __version__
 from planish.compute import Compute, Progress
 from planish.core.checks import Check
 from planish.core.results import LayerFacts, Results, Side
+from planish.core.transform import Similarity
 from planish.io import read_image
 from planish.io.map_store import HeldMaps, MapSink, map_tiles
 from planish.io.params import HOW_IMAGES_ARE_READ
 from planish.marks import check_holes
+from planish.marks.regions import Regions
 from planish.pipeline.checks import about, alone_check, area_check, field_check, registration_checks, with_trust
 from planish.pipeline.compare import comparison_rows, correlate_layers
+from planish.pipeline.compared import compared_image, reach_um
 from planish.pipeline.evidence import evidence_of
 from planish.pipeline.facts import Link, input_file, layer_facts, linked_area, parameters, versions
+from planish.pipeline.halves import Columns
 from planish.pipeline.layers import Layer
 from planish.pipeline.onto import Away, bring, hole_circles
+from planish.pipeline.optics import mottle_of
 from planish.pipeline.refinement import refine_link
 from planish.pipeline.regions import region_facts, regions_on
 from planish.pipeline.registration import Registration, check_marks, register_layers
@@ -67,7 +72,10 @@ def link_study(
     links = _registered(layers, study, progress)
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
     parts = {
-        one.name: (one.groups if one.image is None else one.image, links[one.name].chain if one.name in links else None)
+        one.name: (
+            one.groups if one.compared is None else one.compared,
+            links[one.name].chain if one.name in links else None,
+        )
         for one in layers
     }
     sink, away = sink or HeldMaps(), Away.of(_circles(layers, links), regions)
@@ -93,8 +101,9 @@ def _open_layers(
     for k, params in enumerate(study.layers[:-1]):
         to = names[k + 1] if study.chain else names[-1]
         check_marks(found.get(params.name, params.name), found.get(to, to), study, params.marks)
-    if names[-1] in found:
-        regions_on(study.correlate.regions, found[names[-1]].grid)
+    regions = regions_on(study.correlate.regions, found[names[-1]].grid) if names[-1] in found else None
+    for name, layer in found.items():
+        found[name] = _as_compared(layer, regions if name == names[-1] else None)
     for params in study.layers:
         name = params.name
         if params.kind == "volume" and name not in mapped:
@@ -110,6 +119,14 @@ def _read_image(params: LayerParams) -> Layer:
     pixel = tuple(float(v) for v in image.attrs["pixel_um"])
     used = changed(params, image=changed(params.image, pixel_um=pixel))
     return Layer(params=used, source=input_file(image, params.path), image=image, md_deg=params.image.md_deg)
+
+
+def _as_compared(layer: Layer, regions: Regions | None) -> Layer:
+    """An image with its values as they are compared; artefacts declared on it do not reach their neighbours."""
+    if layer.image is None or layer.params.image is None:
+        return layer
+    mask = None if regions is None or layer.params.image.screen_um is None else ~regions.inside(layer.grid)
+    return replace(layer, compared=compared_image(layer.image, layer.params.image, mask=mask))
 
 
 def _read_run(params: LayerParams, study: Study) -> Layer:
@@ -141,11 +158,11 @@ def _registered(layers: list[Layer], study: Study, progress: Progress) -> dict[s
 def _circles(layers: list[Layer], links: dict[str, Link]) -> list[Array]:
     """All holes of all layers on the reference."""
     rims = [float(layer.groups["surfaces"].attrs["rim_um"]) for layer in layers if layer.kind == "sheet"]
+    rim_um = max(rims, default=_RIM_UM) + max(reach_um(layer.params.image) for layer in layers)
     found: list[Array] = []
     for link in links.values():
         for side, layer in zip(("moving", "fixed"), link.path, strict=False):
             chain = links[layer.name].chain if layer.name in links else None
-            rim_um = max(rims, default=_RIM_UM)
             found.append(hole_circles(link.registration.marks, side, rim_um, chain=chain, image=layer.image))
     return found
 
@@ -178,11 +195,18 @@ def _gathered(
         checks += about(found.checks if b == reference.name else found.checks[:1], a, b)
     groups = {f"layers/{name}": data for name, data in maps.items()}
     declared = study.correlate.headline is not None
+    columns, md_deg = _columns(layers, links), _machine_direction(reference, facts)
     led = [
-        evidence_of(maps, one, facts[-1], point_um=point_um, declared=declared, beside=study.correlate.beside)
-        for one in facts[:-1] if one.headline in maps[one.name]
+        evidence_of(
+            maps, one, facts[-1], point_um=point_um, declared=declared, beside=study.correlate.beside, columns=columns,
+            md_deg=md_deg, params=study.correlate,
+        ) for one in facts[:-1] if one.headline in maps[one.name]
     ]  # fmt: skip
     more: dict[str, Any] = {"evidence": tuple(one for one in led if one is not None)}
+    if study.correlate.mottle:
+        more["mottle"] = tuple(
+            mottle_of(one.name, maps[one.name], quantity=one.image.quantity) for one in facts if one.image is not None
+        )
     if study.is_sheet_on_image:
         sheet, link = layers[0], links[layers[0].name]
         linked = sink.group(LINKED)
@@ -218,6 +242,28 @@ def _gathered(
             layer.name: layer for layer in layers if layer.params.kind == "volume"
         },
     )  # fmt: skip
+
+
+def _columns(layers: list[Layer], links: dict[str, Link]) -> dict[str, Columns]:
+    """The columns of every sheet, and where they lie on the reference."""
+    found: dict[str, Columns] = {}
+    for layer in layers:
+        if layer.kind == "sheet":
+            sections = layer.groups.get("sections")
+            found[layer.name] = Columns(
+                measured=layer.groups["surfaces"], flat=layer.groups["flat"],
+                similarity=links[layer.name].chain.similarity if layer.name in links else Similarity(),
+                interpolated=sections is not None and bool(sections.attrs["missing"]),
+            )  # fmt: skip
+    return found
+
+
+def _machine_direction(reference: Layer, facts: list[LayerFacts]) -> float | None:
+    """Direction on the reference: as it was given there, or as the marks carry it over; None where it is not known."""
+    known = [reference.md_deg] + [
+        r.orientation.md_deg_fixed_from_moving for one in facts if (r := one.registration) and r.to == reference.name
+    ]
+    return next((v for v in known if v is not None), None)
 
 
 def _side_of(a: Layer, b: Layer) -> Side:

@@ -206,7 +206,7 @@ def resample_maps(
     grid = Grid.of(onto)
     _refuse_other_image(registration, grid)
     chain = Chain(fits=(registration.fit,))
-    rim_um = float(measured.attrs["rim_um"])
+    rim_um = float(measured.attrs["rim_um"]) + float(onto.attrs.get("reach_um", 0.0))
     circles = (
         hole_circles(registration.marks, "moving", rim_um, chain=chain),
         hole_circles(registration.marks, "fixed", rim_um, image=onto),

@@ -24,6 +24,8 @@ _SUMS = (
 # Bytes a pixel: refining holds image and map in double precision, filtered, several times; without a folder to write
 # to, all linked maps are held.
 _REFINED_BYTES, _HELD_BYTES = 120, 130
+# Beside the image: its values as they are compared and, while a screen is taken off, two means and their weights.
+_COMPARED_BYTES = 24
 
 
 def check_request(study: Study, compute: Compute, *, held: bool = False) -> None:
@@ -35,7 +37,8 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
         If a further map is unknown or needs a number that is not given.
     InputError
         If further maps of labels are asked for, a map is to lead or to stand beside that there will not be, parts
-        are to stand beside their sum, or the pattern of the holes cannot be read.
+        are to stand beside their sum, what is asked of light or errors needs other layers or references, or the
+        pattern of the holes cannot be read.
     FileError
         If an image cannot be opened, or a file of regions is of no use.
     ResourceError
@@ -61,6 +64,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
                 "or ask for it with --property as well."
             )
     _check_beside(study)
+    _check_light(study)
     read_design(study.registration)
     if study.correlate.regions is not None:
         read_regions(study.correlate.regions)
@@ -69,6 +73,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
             rows, cols = pixels_of(Path(layer.path))
             each = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
             each += _HELD_BYTES if held else 0
+            each += _COMPARED_BYTES if layer.image.dark_grey is not None or layer.image.screen_um is not None else 0
             _check_fits(layer.name, rows * cols, each * rows * cols + LINK_BYTES, compute)
 
 
@@ -88,6 +93,43 @@ def _check_beside(study: Study) -> None:
                 f"--beside {', '.join(beside)}: {whole} follows from {', '.join(parts)}. With {leads}, which leads, "
                 "all of them are given, and nothing is left to correlate. Leave one of them out."
             )
+
+
+def _check_light(study: Study) -> None:
+    """Raise InputError where an option needs an image, references or volumes that the study does not have."""
+    wanted, reference = study.correlate, study.layers[-1].image
+    sheets = [layer for layer in study.layers if layer.kind != "image"]
+    image = reference is not None and bool(sheets)
+    asked = [name for name, value in (
+        ("--kubelka-munk", wanted.kubelka_munk), ("--light-spread-um", wanted.light_spread_um)
+    ) if value is not None]  # fmt: skip
+    if asked and not image:
+        raise InputError(
+            f"{' and '.join(asked)}: no image stands last, to which the coating of a sheet is compared. Link a volume "
+            "or a run to an image, or leave it out."
+        )
+    if asked and wanted.headline is not None and not wanted.headline.startswith("coat"):
+        raise InputError(
+            f"{' and '.join(asked)}: {wanted.headline} leads, which is no coating. Leave --headline out, or name a "
+            "coating."
+        )
+    if wanted.kubelka_munk is not None and reference is not None and reference.dark_grey is None:
+        raise InputError(
+            "--kubelka-munk needs reflectance, and the image is relative grey. Give --dark-grey and --white-grey, the "
+            "grey of a dark and of a white reference, or leave it out."
+        )
+    if study.registration.refine is not None and reference is not None and reference.screen_um is not None:
+        raise InputError(
+            "--refine aligns the fine texture of map and image, which --screen-um takes off the image. Leave one of "
+            "them out."
+        )
+    if wanted.mottle and not any(layer.kind == "image" for layer in study.layers):
+        raise InputError("--mottle: no layer is an image. Link one, or leave it out.")
+    if wanted.error_ratio is not None and (reference is not None or len(sheets) < 2):
+        raise InputError(
+            "--error-ratio is for two measurements of one quantity: the last layer and another one have to be volumes "
+            "or runs. Leave it out."
+        )
 
 
 def _shows_bottom(layer: LayerParams) -> bool:

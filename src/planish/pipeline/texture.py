@@ -31,6 +31,11 @@ _REACH_UM, _TILE_UM = 150.0, 1000.0
 _SEEN_SHARE, _SEEN = 0.5, 3.0  # of the valid pixels; standard errors
 _MAPS = ("coating_top", "coating_bottom", "thickness", "base_thickness", "topography_top", "topography_bottom", "image")
 
+_WITHOUT_SCREEN = Check(
+    name="position by texture", state="unknown", figures=(POSITION,),
+    sentence="Image-based check: not made, because the fine texture that it aligns was taken off with the screen.",
+)  # fmt: skip
+
 
 class TextureFound(NamedTuple):
     """Where the texture of two layers puts them, None where there are too few pixels; and what was judged."""
@@ -77,6 +82,8 @@ def texture_of(
         compared = _Compared(found, [name], 0, f"other {name}")
     else:
         check, compared = two_images(found, names), _Compared(found, ["image"], 0, "other image")
+    if any("reach_um" in d["image"].attrs for d in (a, b) if "image" in d):
+        return TextureFound(None, (check, _WITHOUT_SCREEN))
     moved = next((d["expected_error"] for d in (a, b) if "expected_error" in d), None)
     expected_um = None if moved is None else rms_of(moved, valid)
     short = min(n * um for n, um in zip(found.known.shape, found.pixel_um, strict=True))

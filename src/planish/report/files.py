@@ -53,4 +53,6 @@ def standalone(picture: Picture) -> str:
 def _in_ascii(title: str) -> str:
     """Write a title so that it can be part of the name of a file anywhere."""
     plain = unicodedata.normalize("NFKD", title.replace("µ", "u")).encode("ascii", "ignore").decode().lower()
-    return re.sub(r"[^a-z0-9]+", "-", plain)[:_LONGEST].strip("-") or "figure"
+    words = re.sub(r"[^a-z0-9]+", "-", plain).strip("-")
+    whole = words if len(words) <= _LONGEST else words[: _LONGEST + 1].rpartition("-")[0] or words[:_LONGEST]
+    return whole or "figure"

@@ -14,7 +14,7 @@ from planish.report import maps, relation
 from planish.report.colours import Array
 from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pixel_of, reduced
 from planish.report.relation import Points, largest
-from planish.report.summary import Titles, lead_pair
+from planish.report.summary import Titles, density_of, lead_pair
 from planish.report.text import HOLES, capital, fixed, label_of, the, title_of, typeset, unit_of
 
 if TYPE_CHECKING:
@@ -55,7 +55,10 @@ def draw_first(
         if row.same_quantity or names[0] == names[1]:
             names = (f"{names[0]}, {row.a}", f"{names[1]}, {row.b}")
         out.append(
-            relation.draw_points(points, row, names=names, units=(unit_of(p), unit_of(q)), height=out[0].height)
+            relation.draw_points(
+                points, row, names=names, units=(unit_of(p), unit_of(q)), height=out[0].height,
+                density=density_of(results, row),
+            )
         )  # fmt: skip
     return out
 

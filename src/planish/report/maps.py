@@ -207,8 +207,8 @@ def draw_outlines(
         left.picture(title=f"(a) {title}, on the image's pixels", caption=f"Unit {unit_of(linked[name])}. {tail}"),
         right.picture(
             title="(b) The image, same region",
-            caption=f"Grey values between limits set by the valid pixels; n = {n_of(ground.values)} pixels of "
-            f"{pixel_of(x)}, no mask.",
+            caption=f"{title_of(linked['image'])} between limits set by the valid pixels; n = "
+            f"{n_of(ground.values)} pixels of {pixel_of(x)}, no mask.",
         ),
         canvas.picture(title="(c) Thin regions on the image", caption=f"{note}{tail}"),
     ]

@@ -11,10 +11,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.files import write_whole
-from planish.core.results import CorrelationRow, LayerFacts, RegistrationFacts, Results
+from planish.core.results import CorrelationRow, EvidenceFacts, LayerFacts, RegistrationFacts, Results
 from planish.report import (
+    distance,
     first,
     flattening,
+    light,
     maps,
     registration,
     relation,
@@ -36,7 +38,8 @@ _HOLE_UM = (100.0, 300.0)
 _THIN_UM = 5.0
 _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
 _FILTERS: dict[str, Any] = {"length_um": text.length, "limit": text.with_unit} | {
-    name: getattr(text, name) for name in ("capital", "count", "fixed", "number", "percent", "the", "typeset", "unit")
+    name: getattr(text, name)
+    for name in ("capital", "count", "fixed", "in_words", "number", "percent", "the", "typeset", "unit")
 }
 """How templates write numbers and words."""
 
@@ -62,6 +65,26 @@ class _Block(NamedTuple):
     pictures: list[Picture]
     linked: list[Picture]
     outlined: bool
+
+
+class _Light(NamedTuple):
+    """What light makes of the coating of a pair of layers, where it was asked for: figures and what may be said."""
+
+    of: str
+    shown: bool
+    pictures: list[Picture]
+    sentences: list[str]
+
+
+class _Distances(NamedTuple):
+    """How the maps of a pair vary with distance: of which layers, figures and what may be said."""
+
+    of: str
+    shown: bool
+    alone: list[Picture]
+    sentences: list[str]
+    twice: list[Picture]
+    agreement: list[str]
 
 
 def write_report(
@@ -117,6 +140,9 @@ def _render(
         leading=leading or [picture for s in sheets[:1] for picture in s.leading if not results.is_link],
         blocks=[b for layer in results.moving if (b := _block(layer, data.drawn, marks.get(layer.name), results))],
         pairs=_pairs(data.linked, results, data.titles, points), scales=_scales(results, data.titles), scale=scale,
+        lights=[d for found in results.evidence if (d := _light(found, results, data.titles, points)).shown],
+        distances=[d for found in results.evidence if (d := _distances(found, results, data.titles)).shown],
+        light=light,
     )  # fmt: skip
     return f"{page}\n", shown.pictures
 
@@ -273,7 +299,8 @@ def _pairs(
         valid = [data["valid"] for data in (a, b) if "valid" in data]
         without = text.left_out(results.regions)
         out.append(relation.draw_pair(
-            a[row.a_map], b[row.b_map], rows, names=names, valid=valid, without=without, points=points[_pair_of(row)]
+            a[row.a_map], b[row.b_map], rows, names=names, valid=valid, without=without, points=points[_pair_of(row)],
+            density=summary.density_of(results, row),
         ))  # fmt: skip
     return out
 
@@ -287,6 +314,48 @@ def _scales(results: Results, titles: summary.Titles) -> list[Picture]:
             pair = next(names), next(names)
             out.append(scale.draw_scale(found, names=pair, regions=results.regions is not None))
     return out
+
+
+def _distances(found: EvidenceFacts, results: Results, titles: summary.Titles) -> _Distances:
+    """Draw how the maps of a pair vary with distance, and say what that means."""
+    keys, regions = [(one.layer, one.map) for one in found.variograms], results.regions is not None
+    same = found.a_map == found.b_map
+    named = [titles.get(key, key[1]) + (f", {key[0]}" if same else "") for key in keys]
+    alone, twice, agreement = list[Picture](), list[Picture](), list[str]()
+    if found.variograms:
+        alone.append(distance.draw_variograms(found, titles=named, regions=regions))
+    if found.correlogram is not None:
+        pair = [titles.get(key, key[1]) for key in ((found.a, found.a_map), (found.b, found.b_map))]
+        names = text.in_words(pair[0]), text.in_words(pair[1])
+        names = (f"{names[0]} of {found.a}", f"that of {found.b}") if same else names
+        alone.append(distance.draw_correlogram(found.correlogram, names=names, regions=regions))
+    if found.twice is not None:
+        name, layers = text.in_words(titles.get((found.a, found.a_map), found.a_map)), (found.a, found.b)
+        if found.twice.rings:
+            twice.append(distance.draw_rings(found.twice, name=name, layers=layers, regions=regions))
+        agreement = distance.of_twice(found.twice, layers)
+    return _Distances(
+        of=f"{found.a} and {found.b}", shown=bool(alone or twice or agreement), alone=alone,
+        sentences=distance.of_each(found, named), twice=twice, agreement=agreement,
+    )  # fmt: skip
+
+
+def _light(
+    found: EvidenceFacts, results: Results, titles: summary.Titles,
+    points: Mapping[tuple[str, str, str, str], relation.Points],
+) -> _Light:  # fmt: skip
+    """Draw Kubelka and Munk's curve where there is one, and say what light makes of the coating."""
+    pictures, curve, key = list[Picture](), found.kubelka_munk, (found.a, found.a_map, found.b, found.b_map)
+    rows = [row for group in summary.by_pair(results) for row in group if _pair_of(row) == key]
+    if curve is not None and curve.scattering is not None and rows and key in points:
+        names = tuple(titles.get(one, one[1]) for one in (key[:2], key[2:]))
+        unit_x = "g/m²" if found.a_map.startswith("coat_weight") else "µm"
+        pictures.append(light.draw_kubelka_munk(
+            found, curve, points[key], relation.largest(rows), titles=(names[0], names[1]), unit_x=unit_x,
+            regions=results.regions is not None,
+        ))  # fmt: skip
+    said = light.sentences(found)
+    return _Light(of=f"{found.a} and {found.b}", shown=bool(said), pictures=pictures, sentences=said)
 
 
 def _valid(data: xr.Dataset, name: str) -> xr.DataArray:

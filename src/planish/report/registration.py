@@ -73,7 +73,7 @@ def ground_of(
     values, y, x = data.values.astype(np.float64), data["y"].values, data["x"].values
     window = values[valid] if valid is not None and valid.any() else values
     pixels = f"{n_of(values)} pixels of {pixel_of(x)}"
-    name, caption = "the image", f"Grey values of {pixels}, no mask."
+    name, caption = "the image", f"{title_of(data)} of {pixels}, no mask."
     if data.name != "image":
         name = f"the layer {of}"
         caption = f"In grey, {in_words(title_of(data))} of {of}: {pixels}; mask: where it is known."

@@ -54,20 +54,27 @@ def _known(a: Array, b: Array, masks: Sequence[NDArray[Any]]) -> NDArray[np.bool
 def draw_pair(
     a: xr.DataArray, b: xr.DataArray, rows: Sequence[CorrelationRow], *, names: tuple[str, str],
     valid: Sequence[xr.DataArray] = (), without: str = HOLES, points: Points | None = None,
+    density: float | None = None,
 ) -> Picture:  # fmt: skip
     """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
 
     Both are (y, x) on one grid, NaN where they are not valid; ``valid`` are masks of the pixels that count, and
     ``without`` says in words what they leave out. The rows go from the pixel to the largest points. The difference of
     two maps of the same quantity is drawn over their mean, with its mean and the limits that hold 95 % of normal
-    differences (Bland and Altman 1986). ``points`` are the larger points where they are at hand.
+    differences (Bland and Altman 1986). ``points`` are the larger points where they are at hand; ``density`` (g/cm3)
+    turns map a, a thickness, into g/m2.
     """
     fine, coarse = rows[0], largest(rows)
-    same, units = coarse.same_quantity, (unit_of(a), unit_of(b))
-    labels = [f"{name} / {u}" if u else name for name, u in zip(names, units, strict=True)]
+    same, units, axis = coarse.same_quantity, (unit_of(a), unit_of(b)), names
+    if density is not None:
+        fine, coarse, units = in_grams(fine, density), in_grams(coarse, density), ("g/m²", units[1])
+        axis = weighed(names[0], density), names[1]
+    labels = [f"{name} / {u}" if u else name for name, u in zip(axis, units, strict=True)]
     every, (p, q, *masks) = thinned(a, b, *valid)
     known = _known(p, q, masks)
     points = block_means(a, b, point_um=coarse.point_um, valid=valid) if points is None else points
+    if density is not None:
+        p, points = p * density, (points[0] * density, points[1])
     canvas = Canvas(FULL, 475)
     left = _density(canvas, _LEFT, *(m[known].astype(np.float64) for m in (p, q)), what="pixels")
     if same:
@@ -100,20 +107,27 @@ def draw_pair(
             f"n counts points, which resemble their neighbours; the interval rests on independent ones. "
             f"{capital(REGISTERED)}."
         ),
-        data={"points": _table(points, labels)},
+        data={"points": points_table(points, labels)},
     )
 
 
 def draw_points(
-    points: Points, row: CorrelationRow, *, names: tuple[str, str], units: tuple[str, str], height: float = 320.0
-) -> Picture:
-    """Draw the larger points of two maps on a third of the page, with both lines of least squares."""
+    points: Points, row: CorrelationRow, *, names: tuple[str, str], units: tuple[str, str], height: float = 320.0,
+    density: float | None = None,
+) -> Picture:  # fmt: skip
+    """Draw the larger points of two maps on a third of the page, with both lines of least squares.
+
+    ``density`` (g/cm3) turns the first, a thickness, into g/m2.
+    """
+    if density is not None:
+        points, row = (points[0] * density, points[1]), in_grams(row, density)
+        names, units = (weighed(names[0], density), names[1]), ("g/m²", units[1])
     labels = [f"{name} / {u}" if u else name for name, u in zip(names, units, strict=True)]
     canvas = Canvas(THIRD, max(height, 300.0))
     box = (76.0, 42.0, THIRD - 82, canvas.height - 92)
     size, many = plain(round(row.point_um, 4)), points[0].size > _MANY
     axes = _density(canvas, box[0], *points, what="points", wide=box[2] - 55, at=box[1], high=box[3]) if many else None
-    axes = axes or _dots(canvas, points, box)
+    axes = axes or points_axes(canvas, points, box)
     for ends, dash in _lines(row, axes.extent):
         axes.line(ends, colour="white", width=4)
         axes.line(ends, colour=ACCENT, width=2.2, dash=dash)
@@ -130,11 +144,23 @@ def draw_points(
             f"squares: solid, of the upward map on the map across; dashed, the other way round. {capital(REGISTERED)}."
             f"{doubt}"
         ),
-        data={"points": _table(points, labels)},
+        data={"points": points_table(points, labels)},
     )
 
 
-def _table(points: Points, labels: Sequence[str]) -> Table:
+def in_grams(row: CorrelationRow, density: float) -> CorrelationRow:
+    """Turn the thickness of a coating in um into g/m2: 1 um of 1 g/cm3 is 1 g/m2."""
+    other = {"slope": None if row.slope is None else row.slope / density}
+    more = {k: None if (v := getattr(row, k)) is None else v * density for k in ("slope_x_on_y", "mean_a")}
+    return row.model_copy(update=other | more)
+
+
+def weighed(name: str, density: float) -> str:
+    """Name a thickness that was turned into weight, with its density: no weight is stated without it."""
+    return f"{name.replace('Coating thickness', 'Coating')}, at {density:.3g} g/cm³"
+
+
+def points_table(points: Points, labels: Sequence[str]) -> Table:
     """Return the larger points as columns; two maps of one title are told apart."""
     names = labels if labels[0] != labels[1] else (f"{labels[0]} (across)", f"{labels[1]} (upwards)")
     return dict(zip(names, (values.tolist() for values in points), strict=True))
@@ -190,10 +216,11 @@ def _points(canvas: Canvas, a: Array, b: Array) -> Axes:
     """Draw larger points one by one, or their density where they are many."""
     if a.size > _MANY:
         return _density(canvas, _RIGHT, a, b, what="points", wide=_WIDE - 70)
-    return _dots(canvas, (a, b), (_RIGHT, _TOP, _WIDE, _HIGH))
+    return points_axes(canvas, (a, b), (_RIGHT, _TOP, _WIDE, _HIGH))
 
 
-def _dots(canvas: Canvas, points: Points, box: tuple[float, float, float, float]) -> Axes:
+def points_axes(canvas: Canvas, points: Points, box: tuple[float, float, float, float]) -> Axes:
+    """Draw larger points one by one, and return their axes."""
     a, b = points
     axes = canvas.axes(*box, (*_limits(a, 0.0), *_limits(b, 0.0)))
     many = a.size > 2000

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from planish.core.results import EvidenceFacts, PartialFacts
+from planish.core.results import EvidenceFacts, PartialFacts, ReliabilityFacts
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table
+from planish.report.statement import decimals_of_r
 from planish.report.text import REGISTERED, capital, count, fixed, left_out, number, percent, plain
 
 _TOP, _HIGH, _WIDE = 40.0, 250.0, 400.0
 _LEFT, _RIGHT = 85.0, 635.0
+_UNEVEN = 1.4  # standard error of the second opinion over that of the covariances
 
 
 def draw_scale(found: EvidenceFacts, *, names: tuple[str, str], regions: bool = False) -> Picture:
@@ -40,26 +42,27 @@ def _tables(found: EvidenceFacts) -> Mapping[str, Table]:
     curve: Table = {
         "size of a point / µm": [row.point_um for row in sizes],
         "n": [row.n for row in sizes],
-        "independent": _known(row.n_eff for row in sizes),
-        "r": _known(row.r for row in sizes),
-        "lower 95 % limit": _known(row.interval[0] if row.interval else None for row in sizes),
-        "upper 95 % limit": _known(row.interval[1] if row.interval else None for row in sizes),
-        "lower end of the band": _known(row.band[0] if row.band else None for row in sizes),
-        "upper end of the band": _known(row.band[1] if row.band else None for row in sizes),
+        "independent": known(row.n_eff for row in sizes),
+        "r": known(row.r for row in sizes),
+        "lower 95 % limit": known(row.interval[0] if row.interval else None for row in sizes),
+        "upper 95 % limit": known(row.interval[1] if row.interval else None for row in sizes),
+        "lower end of the band": known(row.band[0] if row.band else None for row in sizes),
+        "upper end of the band": known(row.band[1] if row.band else None for row in sizes),
     }
     octaves: Table = {
         "shortest wave / µm": [band.shortest_um for band in bands],
         "longest wave / µm": [band.longest_um for band in bands],
-        "squared coherence": _known(band.coherence for band in bands),
-        "p of all octaves": _known(band.p_of_bands for band in bands),
-        "phase / °": _known(band.phase_deg for band in bands),
-        "gain": _known(band.gain for band in bands),
-        "independent waves": _known(band.modes for band in bands),
+        "squared coherence": known(band.coherence for band in bands),
+        "p of all octaves": known(band.p_of_bands for band in bands),
+        "phase / °": known(band.phase_deg for band in bands),
+        "gain": known(band.gain for band in bands),
+        "independent waves": known(band.modes for band in bands),
     }
     return {name: table for name, table, rows in (("sizes", curve, sizes), ("octaves", octaves, bands)) if rows}
 
 
-def _known(values: Iterable[float | None]) -> list[object]:
+def known(values: Iterable[float | None]) -> list[object]:
+    """Give the numbers of a table; what is not known is empty."""
     return ["" if value is None else value for value in values]
 
 
@@ -82,7 +85,7 @@ def _curve(canvas: Canvas, found: EvidenceFacts) -> None:
     points = [(at, row.r or 0.0) for at, row in zip(sizes, rows, strict=True)]
     axes.line(points, colour=ACCENT, width=2.2)
     axes.dots(points, colour=ACCENT, size=5)
-    _powers(canvas, axes, "size of a point / µm", "r")
+    powers(canvas, axes, "size of a point / µm", "r")
 
 
 def _octaves(canvas: Canvas, found: EvidenceFacts) -> None:
@@ -102,12 +105,12 @@ def _octaves(canvas: Canvas, found: EvidenceFacts) -> None:
         if not certain:
             axes.dots(middle, colour="white", size=5)
         if band.gain is not None:
-            gain = f"gain {fixed(band.gain, 1) if abs(band.gain) >= 1 else fixed(band.gain, 2)}"
+            gain = f"gain {number(band.gain)}"
             axes.text((left + right) / 2, band.coherence, gain, anchor="middle", shift=(0, -9), size=11)
-    _powers(canvas, axes, "wavelength / µm", "squared coherence")
+    powers(canvas, axes, "wavelength / µm", "squared coherence")
 
 
-def _powers(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
+def powers(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
     """Draw axes whose x holds powers of ten, with round lengths at the ticks."""
     x0, x1 = axes.extent[:2]
     rounds = [m * 10**k for k in range(-1, 6) for m in (1, 2, 5)]
@@ -115,14 +118,24 @@ def _powers(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
     canvas.ticks(axes, x_label, y_label, across=places)
 
 
-def sentences(found: EvidenceFacts, point_um: float) -> list[str]:
-    """What is said beside the correlation that leads."""
+def sentences(found: EvidenceFacts, point_um: float, of_image: str = "relative grey") -> list[str]:
+    """What is said beside the correlation that leads; ``of_image`` names the values of the image."""
     out: list[str] = []
     if found.origins:
-        least, mean, largest = found.origins
+        digits = decimals_of_r((found.origins[0], found.origins[2]))
+        least, mean, largest = (fixed(v, digits) for v in found.origins)
         out.append(
-            f"Where the grid of points of {plain(point_um)} begins is arbitrary: over 16 origins r is {fixed(mean, 2)} "
-            f"on average, from {fixed(least, 2)} to {fixed(largest, 2)}."
+            f"Where the grid of points of {plain(point_um)} begins is arbitrary: over 16 origins r is {mean} on "
+            f"average, from {least} to {largest}."
+        )
+    second = found.second_opinion
+    if second is not None and second.interval is not None:
+        low, high = (fixed(v, decimals_of_r(second.interval)) for v in second.interval)
+        uneven = (second.ratio or 1.0) > _UNEVEN
+        end = "the maps do not vary alike everywhere" if uneven else "it is too narrow where maps reach far"
+        out.append(
+            f"Second opinion, from what single points of {plain(second.point_um)} add to r: 95 %: {low} to {high} "
+            f"({fixed(second.critical, 2)} standard errors after Conley); {end}."
         )
     if found.curve is not None:
         bent = found.curve
@@ -134,14 +147,14 @@ def sentences(found: EvidenceFacts, point_um: float) -> list[str]:
             where = (
                 f"Where the coating is below {plain(thin.thinner_than_um)} ({percent(thin.share, 2)} of the valid area)"
             )
-            out.append(
-                f"{where} the mean of the image differs by {number(thin.difference, 3)} (95 %: {low} to {high})."
-            )
+            out.append(f"{where} the mean {of_image} differs by {number(thin.difference, 3)} (95 %: {low} to {high}).")
     short = found.short_waves
     if short and short.r is not None and short.interval and found.short_waves_um:
-        low, high = (fixed(v, 2) for v in short.interval)
+        low, r, high = (
+            fixed(v, decimals_of_r(short.interval)) for v in (short.interval[0], short.r, short.interval[1])
+        )
         out.append(
-            f"Waves below {plain(round(found.short_waves_um, -1))} alone: r = {fixed(short.r, 2)} (95 %: {low} to "
+            f"Waves below {plain(round(found.short_waves_um, -1))} alone: r = {r} (95 %: {low} to "
             f"{high}; {count(round(short.n_eff or 0))} independent points). This says nothing of longer waves."
         )
     if found.partial:
@@ -151,7 +164,30 @@ def sentences(found: EvidenceFacts, point_um: float) -> list[str]:
             "It rests on the expected error of the registration and the texture of the map; noise lowers it further."
         )
         out.append(f"{found.ceiling_sentence} {rests}")
-    return out
+    last = len(found.reliability) - 1
+    return out + [_reliable(one, found, last=k == last) for k, one in enumerate(found.reliability)]
+
+
+def _reliable(one: ReliabilityFacts, found: EvidenceFacts, *, last: bool) -> str:
+    """Say how far two halves of a measurement agree and, behind the last one, what that bounds."""
+    name = one.map.replace("_", " ") + (f" of {one.layer}" if len(found.reliability) > 1 else "")
+    if one.value is None or one.halves_r is None:
+        return f"Reliability of {name}: not known. {one.silence or ''}".strip()
+    noise = 1 - one.value
+    size = f"over {count(one.n)} points of {plain(one.point_um)}"
+    text = (
+        f"Odd and even rows of columns are two half measurements of {name}: {size} they correlate with r = "
+        f"{_near_one(one.halves_r)}, so that at least {percent(noise, 1)} of the variance of the map is noise"
+    )
+    if last and found.ceiling_noise is not None:
+        alone = "" if found.ceiling_both is None else f", {_near_one(found.ceiling_both)} with misplacement"
+        text += f"; a perfect relation would show r = {_near_one(found.ceiling_noise)} at most by noise alone{alone}"
+    return f"{text}. It is a bound: both halves share {one.shared}."
+
+
+def _near_one(value: float) -> str:
+    """Write a number up to 1 so that it is not rounded to 1."""
+    return fixed(value, min(max(2, -math.floor(math.log10(1 - value))), 6) if 0 < value < 1 else 2)
 
 
 def _given(found: PartialFacts, shares: dict[str, float], headline: str) -> str:

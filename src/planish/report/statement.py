@@ -9,12 +9,15 @@ from planish.report.text import NONE, count, fixed, number
 
 Row = CorrelationRow | ComparisonRow
 
+_NARROW = 0.02  # width of an interval of r, below which two decimals hide it
+_MOST = 5  # decimals
+
 
 def decimals(row: Row) -> int:
     """Decimals of r² that its interval allows: those of one significant digit of half its width."""
     limits = r2_limits(row)
     half = (limits[1] - limits[0]) / 2 if limits else 0.0
-    return min(max(-math.floor(math.log10(half)), 1), 3) if half > 0 else 2
+    return min(max(-math.floor(math.log10(half)), 1), _MOST) if half > 0 else 2
 
 
 def r2_limits(row: Row) -> tuple[float, float] | None:
@@ -42,12 +45,12 @@ def r2_interval_text(row: Row | None) -> str:
 
 def r_text(row: Row | None) -> str:
     """Write r with two decimals, three where the interval is narrow."""
-    return NONE if row is None else fixed(row.r, _of_r(row))
+    return NONE if row is None else fixed(row.r, decimals_of_r(row.interval))
 
 
 def r_interval_text(row: Row | None) -> str:
     """Write the interval of r."""
-    return NONE if row is None else limits_text(row.interval, _of_r(row))
+    return NONE if row is None else limits_text(row.interval, decimals_of_r(row.interval))
 
 
 def p_text(p: float | None) -> str:
@@ -64,5 +67,7 @@ def points_text(row: Row | None) -> str:
     return count(row.n) if row.n_eff is None else f"{count(row.n)}\n{count(round(row.n_eff))}"
 
 
-def _of_r(row: Row) -> int:
-    return 3 if row.interval is not None and row.interval[1] - row.interval[0] < 0.02 else 2
+def decimals_of_r(limits: tuple[float, float] | None) -> int:
+    """Decimals of an r within limits: two, and more where they are close to each other."""
+    wide = 1.0 if limits is None else limits[1] - limits[0]
+    return min(max(2, 1 - math.floor(math.log10(wide))), _MOST) if 0 < wide < _NARROW else 2

@@ -21,6 +21,7 @@ from planish.report.text import (
     number,
     percent,
     plain,
+    the,
     typeset,
     unit,
 )  # fmt: skip
@@ -106,6 +107,18 @@ def lead_pair(results: Results) -> list[CorrelationRow]:
     return min(onto, key=lambda group: largest(group).r2 or 0.0, default=[])
 
 
+def density_of(results: Results, row: CorrelationRow) -> float | None:
+    """Density by which the coating of a correlation is drawn as a weight; None where the run knows none."""
+    pair = (row.a, row.a_map, row.b, row.b_map)
+    return next((e.density_g_cm3 for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) == pair), None)
+
+
+def quantities(results: Results) -> list[str]:
+    """Say of every image what its values are."""
+    images = [(layer.name, layer.image) for layer in results.layers if layer.image is not None]
+    return [f"{capital(the(name))}: {typeset(image.sentence)}." for name, image in images]
+
+
 def point_of(row: CorrelationRow) -> str:
     """Write the point size of a correlation."""
     return plain(round(row.point_um, 4))
@@ -188,7 +201,8 @@ def _relation(rows: list[CorrelationRow], results: Results, titles: Titles) -> s
     if not row.direction:
         return f"No relation of {what[:1].lower()}{what[1:]} with {than} is certain: {limits}"
     words = ("brighter", "darker") if image else ("larger", "smaller")
-    return f"{what} is {words[row.direction < 0]} where {than} is larger: {limits}"
+    of = f" ({title[:1].lower()}{title[1:]})" if image and (title := titles.get((pixel.b, pixel.b_map))) else ""
+    return f"{what} is {words[row.direction < 0]}{of} where {than} is larger: {limits}"
 
 
 def cautions(results: Results) -> list[str]:

@@ -92,7 +92,8 @@ def correlations(results: Results, titles: Titles) -> list[PairLine]:
     for group in by_pair(results):
         row, at = largest(group), {round(r.point_um, 4): r for r in group}
         a, b = (titles.get(key, key[1]) for key in ((row.a, row.a_map), (row.b, row.b_map)))
-        short = two and not row.same_quantity and results.layer(row.b).kind == "image"
+        # One quantity of two layers needs its name only once.
+        short = two and (a == b if row.same_quantity else results.layer(row.b).kind == "image")
         difference, units = NONE, unit(row.units or "")
         if row.same_quantity:
             mean, spread, low, high = written_difference(row)

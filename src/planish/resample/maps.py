@@ -155,9 +155,10 @@ def resample_image(
     return xr.Dataset({"image": (("y", "x"), values, image_attrs(image))}, coords=onto.coords)
 
 
-def image_attrs(image: xr.DataArray) -> dict[str, str]:
-    """Name and unit of an image's values."""
-    return {"long_name": str(image.attrs.get("long_name", "Image")), "units": "1"}
+def image_attrs(image: xr.DataArray) -> dict[str, Any]:
+    """Name and unit of an image's values, and how far each reached for its neighbours where it did."""
+    reach = {"reach_um": image.attrs["reach_um"]} if "reach_um" in image.attrs else {}
+    return {"long_name": str(image.attrs.get("long_name", "Image")), "units": "1", **reach}
 
 
 class Lattice:

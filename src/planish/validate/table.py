@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from itertools import groupby
 from typing import Any
@@ -224,6 +225,8 @@ def sum_sentence(stage: str, table: Sensitivity) -> str:
     ratio, title, names = table.ratio[stage], STAGES[stage], table.together.get(stage)
     if ratio is None:
         return f"{title}: all nuisances together add next to nothing."
+    if not math.isfinite(ratio):
+        return f"{title}: all nuisances together add nothing, although single ones do; they do not act independently."
     text = (
         f"{title}: the single errors, summed as squares, are {number(ratio, 2)} times what all together add; they "
         f"{'act' if names is None else 'do not act'} independently."

@@ -12,13 +12,14 @@ import math
 import struct
 import zipfile
 import zlib
+from collections.abc import Iterator
 from pathlib import PurePosixPath
 
 import numpy as np
 
 from planish.core.errors import FileError
 from planish.core.tables import raise_faults
-from planish.marks.regions.model import MOST_POINTS, MOST_REGIONS, Region, Regions, Ring, ring_of, text_of
+from planish.marks.regions.model import MOST_POINTS, MOST_REGIONS, Region, Regions, Ring, nested, ring_of, text_of
 
 ROI, ZIP = b"Iout", b"PK"
 """How a selection and an archive begin."""
@@ -29,6 +30,9 @@ _SPLINE, _FINE, _FINE_FROM, _FINE_BOX_FROM = 1, 128, 222, 223  # options, and ve
 _RECTANGLE, _OVAL, _POLYGONS = 1, 2, (0, 7, 8)  # drawn by points, freehand, traced
 _NO_AREA = {3: "a line", 4: "a freehand line", 5: "a segmented line", 6: "empty", 9: "an angle", 10: "points"}
 _OVERLAYS = {1: "a text", 2: "an arrow", 4: "an image"}
+_MOVE, _LINE, _QUADRATIC, _CUBIC, _CLOSE = range(5)  # codes of composite selections
+# ImageJ takes a pixel whose centre lies on a border where the region lies left of it, planish where it lies right.
+_BESIDE = np.array([2.0**-26, 2.0**-34])
 _FLATTENED = 0.01  # pixels by which the polygon of an oval may lie inside it
 _WIDEST = 1e6  # pixels
 _DRAW = "Draw each region as a polygon, rectangle, oval or freehand selection, and save it again."
@@ -87,20 +91,20 @@ def _region(data: bytes, usual: str) -> Region:
     if kind in _NO_AREA or subtype in _OVERLAYS:
         raise ValueError(f"it is {_OVERLAYS.get(subtype) or _NO_AREA.get(kind)}, which covers no area")
     if composite > 0:
-        raise ValueError("it is a composite selection; split it (More, Split in the ROI Manager)")
-    if kind in (_RECTANGLE, _OVAL):
+        polygons = nested([ring_of(ring) for ring in _shape(data, composite)])
+    elif kind in (_RECTANGLE, _OVAL):
         if kind == _RECTANGLE and rounded > 0:
             raise ValueError("it is a rectangle with rounded corners")
-        ring = _box(data, kind, fine=version >= _FINE_BOX_FROM and bool(options & _FINE))
+        polygons = ((ring_of(_box(data, kind, fine=version >= _FINE_BOX_FROM and bool(options & _FINE))),),)
     elif kind in _POLYGONS:
         if options & _SPLINE:
             raise ValueError("it is fitted with a spline; take points along it (Edit, Selection, Interpolate)")
-        ring = _polygon(data, fine=version >= _FINE_FROM and bool(options & _FINE))
+        polygons = ((ring_of(_polygon(data, fine=version >= _FINE_FROM and bool(options & _FINE))),),)
     else:
         raise ValueError(f"it is of the unknown type {kind}")
     label, properties = _second(data, second)
     texts = {key: text_of(value, key) for key, value in (("name", label or usual), *properties.items())}
-    return Region(polygons=((ring_of(ring),),), **texts)
+    return Region(polygons=polygons, **texts)
 
 
 def _box(data: bytes, kind: int, *, fine: bool) -> Ring:
@@ -128,10 +132,37 @@ def _polygon(data: bytes, *, fine: bool) -> Ring:
     if len(data) < begin + size:
         raise ValueError("it ends early")
     places = np.frombuffer(data, kind, 2 * count, begin).reshape(2, count).T.astype(np.float64)
-    if fine:
-        return places
-    places = np.maximum(np.where(places < -5000, places + 65536, places), 0)
-    return places + np.array([_short(left), _short(top)])
+    if not fine:
+        places = np.maximum(np.where(places < -5000, places + 65536, places), 0)
+        places = places + np.array([_short(left), _short(top)])
+    return places + _BESIDE
+
+
+def _shape(data: bytes, count: int) -> Iterator[Ring]:
+    """Borders of a composite selection: moves, lines and ends, each a code and its place."""
+    if count > 3 * MOST_POINTS:
+        raise ValueError(f"it has {count} numbers; {MOST_POINTS} points are possible")
+    if len(data) < _HEAD + 4 * count:
+        raise ValueError("it ends early")
+    values = np.frombuffer(data, ">f4", count, _HEAD).astype(np.float64)
+    at, begins = 0, list[list[int]]()
+    while at < count:
+        code = values[at]
+        if code in (_QUADRATIC, _CUBIC):
+            raise ValueError("it is a composite selection with curves; split it (More, Split in the ROI Manager)")
+        if code not in (_MOVE, _LINE, _CLOSE) or (code == _LINE and not begins):
+            raise ValueError("it is a composite selection of unknown parts; split it (More, Split in the ROI Manager)")
+        if code == _MOVE:
+            begins.append([])
+        if code != _CLOSE:
+            begins[-1].append(at + 1)
+        at += 1 if code == _CLOSE else 3
+    if at > count:
+        raise ValueError("it ends early")
+    for places in map(np.array, begins):
+        ring = np.stack([values[places], values[places + 1]], axis=1)
+        if len(np.unique(ring, axis=0)) > 2:  # ImageJ leaves places and lines behind, which cover no area
+            yield ring + _BESIDE
 
 
 def _short(value: int) -> int:

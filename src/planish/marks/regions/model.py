@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ Window = tuple[slice, slice]
 
 MOST_REGIONS, MOST_POINTS = 1000, 1_000_000
 LONGEST_TEXT = 500
+_SOME = 5  # places of a border, by which it is told whether it lies within another
 _FARTHEST = 1e9  # um or pixels: nothing that is drawn on paper lies farther away
 
 
@@ -93,6 +95,41 @@ def ring_of(points: NDArray[np.floating]) -> Ring:
     if (count := len(np.unique(ring, axis=0))) < 3:
         raise ValueError(f"a polygon has {count} different points; 3 are needed")
     return ring
+
+
+def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
+    """Make polygons of borders that do not cross: each outer one with the holes that lie in it.
+
+    ValueError, with the reason, where there are none or too many.
+    """
+    if not 0 < len(rings) <= MOST_REGIONS:
+        raise ValueError(f"it has {len(rings)} borders; 1 to {MOST_REGIONS} are possible")
+    boxes = np.array([[*ring.min(axis=0), *ring.max(axis=0)] for ring in rings])
+    around: list[list[int]] = []
+    for k, ring in enumerate(rings):
+        # Borders may touch, so that single places of one may lie on another: most of some decide.
+        some = (0.5 * (ring + np.roll(ring, -1, axis=0)))[:: max(1, len(ring) // _SOME)]
+        within = (boxes[:, :2] <= boxes[k, :2]).all(axis=1) & (boxes[:, 2:] >= boxes[k, 2:]).all(axis=1)
+        around.append(
+            [
+                j
+                for j in np.flatnonzero(within).tolist()
+                if j != k and 2 * sum(_inside(rings[j], place) for place in some) > len(some)
+            ]
+        )
+    found: dict[int, list[Ring]] = {k: [ring] for k, ring in enumerate(rings) if len(around[k]) % 2 == 0}
+    for k, ring in enumerate(rings):
+        if k not in found:
+            found[max((j for j in around[k] if j in found), key=lambda j: len(around[j]))].append(ring)
+    return tuple(tuple(parts) for parts in found.values())
+
+
+def _inside(ring: Ring, place: NDArray[np.float64]) -> bool:
+    """Whether a place (x, y) lies within a border, by the even-odd rule."""
+    (x, y), (xa, ya), (xb, yb) = place, ring.T, np.roll(ring, -1, axis=0).T
+    crossed = (ya <= y) != (yb <= y)
+    at = xa[crossed] + (y - ya[crossed]) * (xb - xa)[crossed] / (yb - ya)[crossed]
+    return bool(np.count_nonzero(at > x) % 2)
 
 
 def text_of(value: object, what: str) -> str:

@@ -1,0 +1,66 @@
+"""The second opinion on a correlation: its critical value against drawn ones, and where it differs."""
+
+import math
+
+import numpy as np
+import pytest
+
+from analyze.fields import gaussian_maps, related_maps
+from planish.analyze import correlate, second_opinion
+from planish.analyze.correlation import BANDWIDTH
+from planish.analyze.covariance import Lags
+from planish.analyze.second_opinion import critical_value
+
+
+def drawn_critical(known, draws=4000):
+    """How many estimated standard errors the mean of independent values is off in 5 %."""
+    rng, lags = np.random.default_rng(0), Lags(known, (1.0, 1.0))
+    weight = np.maximum(1 - lags.distance_um / (BANDWIDTH * min(known.shape)), 0.0)
+    found = []
+    for _ in range(draws):
+        values = np.where(known, rng.normal(size=known.shape), 0.0)
+        mean = values[known].mean()
+        moved = lags.transform(np.where(known, values - mean, 0.0))
+        square = float(np.sum(weight * lags.products(moved, moved))) / lags.n**2
+        found.append(abs(mean) / math.sqrt(square))
+    return float(np.quantile(found, 0.95))
+
+
+def test_the_critical_value_is_that_of_drawn_values():
+    known = np.ones((18, 24), bool)
+    known[3:9, 5:14] = False
+    # Of 4000 draws the quantile scatters by .035.
+    assert critical_value(known, (1.0, 1.0)) == pytest.approx(drawn_critical(known), abs=0.09)
+    large = np.ones((90, 120), bool)
+    large[15:45, 25:70] = False
+    assert critical_value(large, (1.0, 1.0)) == pytest.approx(critical_value(known, (1.0, 1.0)), abs=0.02)
+
+
+def test_of_even_maps_both_say_about_the_same():
+    a, b = related_maps(np.random.default_rng(1), (100, 130), 2.0, 0.5)
+    first, second = correlate(a, b, pixel_um=3.0), second_opinion(a, b, pixel_um=3.0)
+    assert second.r == pytest.approx(first.r)
+    assert np.diff(second.interval) == pytest.approx(np.diff(first.interval), rel=0.3)
+    assert 0.7 < second.ratio < 1.3
+    assert not first.warnings
+
+
+def test_of_uneven_maps_it_is_wider_than_the_covariances_alone_say():
+    rng = np.random.default_rng(2)
+    a, b = related_maps(rng, (100, 130), 1.5, 0.5)
+    level = np.exp(1.2 * gaussian_maps(rng, a.shape, 25.0, kind="gauss")[0])
+    first, second = (f(a * level, b * level, pixel_um=3.0) for f in (correlate, second_opinion))
+    assert second.ratio > 1.4
+    assert any("do not vary alike" in text for text in first.warnings)
+
+
+def test_points_masks_and_what_is_withheld():
+    a, b = related_maps(np.random.default_rng(3), (80, 100), 3.0, 0.6)
+    mask = np.ones(a.shape, bool)
+    mask[20:40, 30:60] = False
+    at_points = second_opinion(a, np.where(mask, b, 1e9), mask=mask, pixel_um=5.0, point_um=20.0)
+    assert at_points.r == pytest.approx(correlate(a, b, mask=mask, pixel_um=5.0, point_um=20.0).r)
+    assert at_points.interval[0] < at_points.r < at_points.interval[1]
+    y, x = np.mgrid[:40, :50]
+    assert math.isnan(second_opinion(y + 0.0, x + y + 0.0, pixel_um=1.0).interval[0])
+    assert second_opinion(a, 2 * a, pixel_um=5.0).r == pytest.approx(1.0)
