@@ -171,7 +171,9 @@ def set_up(lock_name: str) -> None:
         else {lock_name: locks[lock_name]}
     )
     part = STAMP.with_suffix(".part")
-    part.write_text(json.dumps({"root": str(ROOT), "project": project, **installed}, indent=1), encoding="utf-8")
+    part.write_text(
+        json.dumps({"root": str(ROOT), "project": project, **installed}, indent=1), encoding="utf-8", newline="\n"
+    )
     part.replace(STAMP)
 
 

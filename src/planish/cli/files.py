@@ -116,7 +116,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
         from planish.correct import write_picture
 
         try:
-            record.write_text(json.dumps(found.record.to_json(), indent=2) + "\n", encoding="utf-8")
+            record.write_text(json.dumps(found.record.to_json(), indent=2) + "\n", encoding="utf-8", newline="\n")
         except OSError as error:
             raise FileError(f"{record} cannot be written: {error.strerror}. The store itself is whole.") from error
         if found.before is not None:

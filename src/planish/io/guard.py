@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import threading
@@ -9,6 +10,7 @@ import warnings
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 from planish.core.errors import FileError, PlanishError, ResourceError
 
@@ -122,10 +124,28 @@ def _available_memory_bytes() -> int:
         for line in table.read_text(encoding="ascii", errors="replace").splitlines():
             if line.startswith("MemAvailable:"):
                 return int(line.split()[1]) * 1024
+    if os.name == "nt":
+        return _available_on_windows(getattr(ctypes, "windll").kernel32)  # noqa: B009  # not known to checkers elsewhere
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):
         return MEMORY_UNKNOWN_BYTES
+
+
+class _MemoryStatus(ctypes.Structure):
+    """MEMORYSTATUSEX of sysinfoapi.h."""
+
+    _fields_ = (
+        ("length", ctypes.c_uint32), ("load", ctypes.c_uint32),
+        *((name, ctypes.c_uint64) for name in ("all", "available", "all_page", "page", "all_own", "own", "extended")),
+    )  # fmt: skip
+
+
+def _available_on_windows(kernel: Any) -> int:
+    """Physical memory that is free, as the library kernel32 reports it."""
+    status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
+    found = kernel.GlobalMemoryStatusEx(ctypes.byref(status)) and int(status.available)
+    return found or MEMORY_UNKNOWN_BYTES
 
 
 def _control_group_limit_bytes() -> int:
