@@ -18,6 +18,7 @@ from typing import cast
 import click
 
 from planish import __version__
+from planish.cli.console import prepare_streams
 from planish.core.errors import PlanishError, ResourceError
 from planish.core.text import printable
 
@@ -61,6 +62,7 @@ def planish() -> None:
 def main(args: list[str] | None = None) -> None:
     """Run the command line and end the process with its exit code."""
     arguments = sys.argv[1:] if args is None else args
+    prepare_streams()
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # of zarr, about reads that a damaged chunk cut short
     try:
         code = planish.main(args=arguments, prog_name="planish", standalone_mode=False)
