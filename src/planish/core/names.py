@@ -64,7 +64,7 @@ def check_length(folder: PurePath, *, longest: int | None = None) -> None:
     longest : int, optional
         Characters that a path may have; what this system takes where not given.
     """
-    longest = _longest() if longest is None else longest
+    longest = longest_path() if longest is None else longest
     # While it is written it stands in a hidden folder of twice its name.
     needed = len(str(folder.parent)) + 2 * len(folder.name) + len("/..work/..01234567.partial/") + INSIDE
     if longest is not None and needed > longest:
@@ -75,7 +75,7 @@ def check_length(folder: PurePath, *, longest: int | None = None) -> None:
         )
 
 
-def _longest() -> int | None:
+def longest_path() -> int | None:
     """Characters that a path may have; None where there is no limit that matters."""
     if os.name != "nt":
         return None
