@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.mistakes import Place, mistakes, toml_mistake
 from planish.core.names import fault_of_name
-from planish.core.options import Params
+from planish.core.options import Params, options_of
 from planish.core.tables import read_text
 from planish.core.toml_lines import Key, KeyLines, key_lines
 from planish.flatten.params import FlattenParams
@@ -28,6 +29,10 @@ from planish.surface.params import SurfaceParams
 Kind = Literal["volume", "image", "run"]
 P = TypeVar("P", bound=Params)
 
+RUN_TOML = "run.toml"
+"""The study of a run, in its folder."""
+
+_FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 _PATHS = {"path", "run", "marks", "design", "regions"}
 _OF_A_VOLUME = ("surface", "properties", "flatten")
 _OF_A_LAYER = ("volume", "image", *_OF_A_VOLUME)
@@ -234,6 +239,18 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
         raise StudyError("; ".join(mistakes(error, Study, lambda loc: (loc, None))) + ".") from error
 
 
+def in_study_words(text: str) -> str:
+    """Name the keys of a study in a message that names options of the command line: surface.rim_um for --rim-um."""
+    sections = {"volume": VolumeParams, "image": ImageParams, "surface": SurfaceParams, "properties": MeasureParams,
+                "flatten": FlattenParams, "holes": HoleParams, "registration": RegistrationParams,
+                "correlate": CorrelateParams}  # fmt: skip
+    keys: dict[str, str] = {}
+    for section, model in sections.items():
+        for name, _, shown in options_of(model):
+            keys.setdefault(shown.flags[0], f"{section}.{name}")
+    return _FLAG.sub(lambda found: keys.get(found[0], found[0]), text)
+
+
 def _value(text: str) -> Any:
     # As in a study file; numbers with commas stand without their brackets too, which shells treat as their own.
     for written in (text, f"[{text}]"):
@@ -257,7 +274,7 @@ def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None
             return Path(p).as_posix()
 
     data = {"planish": version} | to_dict(with_paths(study, relative))
-    (folder / "run.toml").write_text(tomli_w.dumps(data), encoding="utf-8", newline="\n")
+    (folder / RUN_TOML).write_text(tomli_w.dumps(data), encoding="utf-8", newline="\n")
 
 
 def to_dict(study: Study) -> dict[str, Any]:
