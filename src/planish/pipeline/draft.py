@@ -224,7 +224,8 @@ def _placeholder(kinds: list[Any], shown: Shown) -> str:
         return f"[{', '.join(words if len(words) == count else ['NUMBER'] * count)}]"
     if str in kinds:
         return f"'{shown.metavar or 'TEXT'}'"
-    return shown.metavar if (shown.metavar or "").isalpha() and (shown.metavar or "").isupper() else "NUMBER"
+    word = shown.metavar or ""
+    return word if word.isalpha() and word.isupper() else "NUMBER"
 
 
 def _comment(sentences: list[str]) -> Iterator[str]:
