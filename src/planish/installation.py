@@ -35,7 +35,6 @@ EXTRAS = {
 NO_CACHE = "No folder can be written in which compiled kernels could be kept."
 ANOTHER_CACHE = "Set the variable NUMBA_CACHE_DIR to a folder that you may write."
 
-_LIBRARIES = {"pillow": "PIL", "pynrrd": "nrrd"}  # imported under other names than they are installed by
 _LEAST_MEMORY = 2 * 10**9
 _LEAST_DISK = 2 * 10**9
 _PYTHONS = ((3, 11), (3, 13))
@@ -133,10 +132,24 @@ def _fault_of(requirement: Requirement) -> tuple[str, str | None]:
     if not requirement.specifier.contains(version, prereleases=True):
         return version, f"{requirement.name} is {version}, needed is {requirement.specifier}"
     try:
-        importlib.import_module(_LIBRARIES.get(requirement.name, requirement.name.replace("-", "_")))
+        for module in _modules(requirement.name):
+            importlib.import_module(module)
     except Exception as error:  # noqa: BLE001  # a library that does not load may raise anything
         return version, f"{requirement.name} {version} cannot be loaded ({' '.join(str(error).split())[:120]})"
     return version, None
+
+
+def _modules(library: str) -> list[str]:
+    """Names by which the packages of a library are imported, which need not be its own."""
+    names = [str(file).split("/")[0] for file in metadata.files(library) or () if str(file).endswith("/__init__.py")]
+    single = [str(file) for file in metadata.files(library) or () if "/" not in str(file)]
+    found = dict.fromkeys([*names, *(name.removesuffix(".py") for name in single if name.endswith(".py"))])
+    alike = [name for name in found if _plain(name) in _plain(library) or _plain(library) in _plain(name)]
+    return alike or [name for name in found if name.isidentifier() and not name.startswith("_")][:1]
+
+
+def _plain(name: str) -> str:
+    return name.casefold().replace("-", "").replace("_", "").replace(".", "")
 
 
 def _requirements(extra: str | None) -> list[Requirement] | None:

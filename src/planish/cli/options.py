@@ -133,7 +133,7 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
     if len(kinds) == 1 and get_origin(kinds[0]) is Literal:
         return click.option(*shown.flags, name, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
     unit = (unit_of(name) or "").upper() or None if kinds == [float] else None
-    kind = Annotated.__class_getitem__((field.annotation, *field.metadata)) if field.metadata else field.annotation  # pyright: ignore
+    kind = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation  # pyright: ignore
     return click.option(*shown.flags, name, type=Value(kind, shown.metavar or unit, repeat=shown.repeat), **how)
 
 
