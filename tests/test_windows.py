@@ -6,11 +6,14 @@ import ast
 import ctypes
 import json
 import shutil
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path, PureWindowsPath
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import planish as pl
 from formats_written import CASES, VALUES, VOXEL
@@ -18,10 +21,13 @@ from marks import files_by_hand as by_hand
 from planish.core.errors import FileError
 from planish.core.files import move, write_whole
 from planish.core.names import INSIDE, check_length, fault_of_name, refuse_name
+from planish.core.tiles import Engine
 from planish.io import guard, read_volume
 from planish.io.run_folder import new_folder, refuse_existing
+from planish.io.store import write_store
 from planish.marks.files import read_any
 from planish.study import as_study, read_study
+from planish.surface import find_surfaces
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
@@ -209,6 +215,30 @@ def test_the_memory_is_asked_of_windows():
 
     assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=answer)) == 5 * 2**30
     assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=lambda _: 0)) == guard.MEMORY_UNKNOWN_BYTES
+
+
+@pytest.mark.study
+def test_workers_that_are_spawned_write_the_same_store(specimen_files, tmp_path):
+    """Windows has no fork: what is sent to workers has to be pickled, and modules are imported anew."""
+    volume = read_volume(specimen_files[0])
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
+        write_store(volume, tmp_path / "spawned.zarr", executor=workers, workers=2, memory_bytes=2**27)
+    write_store(volume, tmp_path / "here.zarr", memory_bytes=2**27)
+    found, expected = (
+        {p.relative_to(store).as_posix(): p.read_bytes() for p in store.rglob("*") if p.is_file()}
+        for store in (tmp_path / "spawned.zarr", tmp_path / "here.zarr")
+    )
+    assert found == expected
+
+
+@pytest.mark.study
+def test_tiles_that_are_spawned_are_the_same(specimen_files):
+    """Stages on an engine of spawned processes, as on a cluster of Windows machines."""
+    volume = read_volume(specimen_files[0])
+    expected = find_surfaces(volume)
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
+        found = find_surfaces(volume, engine=Engine(executor=workers, workers=2, memory_bytes=2**28))
+    xr.testing.assert_identical(found, expected)
 
 
 # --- rules for the code ----------------------------------------------------------------------------------------------

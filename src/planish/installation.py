@@ -186,7 +186,8 @@ def _compile_cache() -> Check:
             return _check(name, f"{_short(folder)} cannot be written.", state="fail", advice=ANOTHER_CACHE)
     kept = sum(1 for kernel in kernels if _is_kept(kernel))
     own = "beside the program" if all(f.name == "__pycache__" for f in folders) else "in the user's folder for caches"
-    where = "in NUMBA_CACHE_DIR" if os.environ.get("NUMBA_CACHE_DIR") else own
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    where = "in NUMBA_CACHE_DIR" if given and all(f.is_relative_to(given) for f in folders) else own
     first = "" if kept else " The first run takes about a minute longer, to compile them."
     return _check(name, f"{kept} of {len(kernels)} kernels are compiled and kept {where}.{first}")
 

@@ -8,8 +8,8 @@ import re
 import secrets
 import shutil
 import time
-from collections.abc import Generator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from planish.core.errors import FileError, ResourceError
@@ -39,7 +39,8 @@ def write_whole(path: Path, data: bytes) -> None:
             partial.write_bytes(data)
             move(partial, path)
         except BaseException:
-            partial.unlink(missing_ok=True)
+            with suppress(OSError):  # held open; the error that matters is the first
+                partial.unlink(missing_ok=True)
             raise
 
 
@@ -76,16 +77,23 @@ def move(source: Path, target: Path, *, over: bool = False) -> None:
     OSError
         Whatever else keeps it from being renamed.
     """
+    _insist(lambda: (source.replace if over else source.rename)(target), target)
+
+
+def delete(path: Path) -> None:
+    """Remove a file, which need not be there; as :func:`move` where another program has it open."""
+    _insist(lambda: path.unlink(missing_ok=True), path)
+
+
+def _insist(action: Callable[[], object], path: Path) -> None:
+    """Do something with a file, again for some seconds while it is refused."""
     for wait in (*_WAITS_S, None):
         try:
-            if over:
-                source.replace(target)
-            else:
-                source.rename(target)
+            action()
         except PermissionError as error:
             if wait is None:
                 raise FileError(
-                    f"{target} cannot be written: another program has it or its folder open, or you may not write "
+                    f"{path} cannot be written: another program has it or its folder open, or you may not write "
                     "there. Close programs that show this folder, pause virus scanner or synchronisation for it, or "
                     "choose a folder of your own; then give the same command again."
                 ) from error

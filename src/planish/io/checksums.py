@@ -9,7 +9,7 @@ from typing import Any
 
 import zarr
 
-from planish.core.files import move
+from planish.core.files import delete, move
 
 CHECKSUMS = "checksums.sha256"
 """List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it."""
@@ -67,7 +67,7 @@ class Journal:
             part.write_text("".join(lines), encoding="utf-8", newline="\n")
             move(part, path, over=True)
         for half in self.folder.rglob("*.partial"):  # of a writer that was killed
-            half.unlink()
+            delete(half)
 
 
 def _listed(folder: Path) -> dict[str, str]:

@@ -148,11 +148,28 @@ def _available_on_windows(kernel: Any) -> int:
     return found or MEMORY_UNKNOWN_BYTES
 
 
-def _control_group_limit_bytes() -> int:
-    """Memory limit of the container the process runs in; a huge number where there is none."""
-    for name in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
-        limit = Path(name)
-        text = limit.read_text(encoding="ascii", errors="replace").strip() if limit.is_file() else ""
+def _control_group_limit_bytes(
+    own: Path = Path("/proc/self/cgroup"), groups: Path = Path("/sys/fs/cgroup")
+) -> int:  # fmt: skip
+    """Least memory limit of the control groups of the process (containers, batch systems); a huge number if none."""
+    try:
+        lines = [line.split(":", 2) for line in own.read_text(encoding="utf-8", errors="replace").splitlines()]
+    except OSError:
+        lines = []
+    # Inside a container the path may be the one outside: the group's own files then lie at the top.
+    places = [(groups, "memory.max"), (groups / "memory", "memory.limit_in_bytes")]
+    for _, controllers, path in (line for line in lines if len(line) == 3):
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root, name = places[1] if controllers else places[0]
+        folder = Path(path.lstrip("/"))
+        places += [(root / part, name) for part in (folder, *folder.parents)]
+    found = [2**62]
+    for folder, name in places:
+        try:
+            text = (folder / name).read_text(encoding="ascii", errors="replace").strip()
+        except OSError:
+            continue
         if text.isdigit():
-            return int(text)
-    return 2**62
+            found.append(int(text))
+    return min(found)

@@ -22,7 +22,7 @@ from filelock import FileLock, Timeout
 from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError
-from planish.core.files import DiskFull, disk_full, move, writing
+from planish.core.files import DiskFull, delete, disk_full, move, writing
 from planish.core.names import check_length, check_name
 from planish.io.map_store import CHUNK, CODEC, COMPLETE, OVERVIEWS, large_groups, readable, stored_group
 
@@ -169,7 +169,7 @@ def _remove_work(work: Path) -> None:
             if entry.is_dir() and not is_link(entry):
                 remove(entry)
             else:
-                entry.unlink(missing_ok=True)
+                delete(entry)
     with suppress(OSError):
         work.rmdir()
 
