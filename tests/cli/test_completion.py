@@ -84,6 +84,7 @@ def test_where_there_is_no_powershell_it_says_what_to_do(monkeypatch):
         (("ma",), ["map", "marks"]),
         (("link", "a.tif", "--thr"), ["--through", "--threads"]),
         (("link", "--through", ""), ["z", "y", "x"]),
+        (("link", "--fringe", "a"), ["auto"]),
         (("marks", ""), ["design", "check", "simulate", "convert"]),
     ],
 )

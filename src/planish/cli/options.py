@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import click
+from click.shell_completion import CompletionItem
 from pydantic import TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
@@ -71,13 +72,17 @@ class Value(click.ParamType[Any]):
         parts = kinds_of(kind)
         self.count = next((len(get_args(p)) for p in parts if get_origin(p) is tuple), 0)
         self.any_count = any(get_args(p)[1:] == (...,) for p in parts if get_origin(p) is tuple)
-        words = [str(w) for p in parts if get_origin(p) is Literal for w in get_args(p)]
+        self.words = words = [str(w) for p in parts if get_origin(p) is Literal for w in get_args(p)]
         number = "N,..." if self.count else "NUMBER" if float in parts else "INTEGER" if int in parts else ""
         self.metavar = metavar or "|".join([*words, *filter(None, [number])]) or "TEXT"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
         """Show what is expected in the help."""
         return self.metavar
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:  # noqa: ARG002
+        """Words that begin with what was typed."""
+        return [CompletionItem(word) for word in self.words if word.startswith(incomplete)]
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Parse ``"3"`` or ``"3,1.5,1.5"``."""
