@@ -38,7 +38,7 @@ def image_with(path, holes, shape=(200, 260), pixel=5.0):
 
 def instead_of_mapping(monkeypatch, work):
     """Put ``work`` where volumes are mapped; the package hides its modules behind functions of the same names."""
-    for module in ("link", "save"):
+    for module in ("linking", "save"):
         monkeypatch.setattr(import_module(f"planish.pipeline.{module}"), "map_layer", work)
 
 
@@ -259,7 +259,7 @@ def test_a_piece_that_fills_a_third_of_its_box_is_covered(planish, specimen, tmp
 
 
 NOT_REPEATED = {
-    "all": [("link", "map_layer")],
+    "all": [("linking", "map_layer")],
     "measurement": [("sheet", "read_sheet_volume"), ("sheet", "find_surfaces"), ("sheet", "measure_properties")],
     "search": [("sheet", "find_surfaces")],
     "nothing": [],

@@ -320,7 +320,7 @@ def test_a_file_of_no_use_is_refused_before_the_volume_is_read(
     def mapped(*_args, **_more):
         pytest.fail("the volume was mapped")
 
-    for module in ("link", "save"):
+    for module in ("linking", "save"):
         monkeypatch.setattr(import_module(f"planish.pipeline.{module}"), "map_layer", mapped)
     path = written(tmp_path / "r.json", content)
     code, _, err = planish("link", *specimen_files, "--regions", path, "-o", tmp_path / "run")
