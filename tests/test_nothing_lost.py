@@ -308,7 +308,10 @@ def again(planish, run, tmp_path, monkeypatch, change, not_repeated):
 
 def test_changes_are_checked_and_named(planish, linked_run, tmp_path):
     for changes, words in (
-        (["surface.cutoff=600", "registration.tolerance_um=-1"], ["surface.cutoff: unknown; did you mean cutoff_um?", "tolerance_um"]),
+        (
+            ["surface.cutoff=600", "registration.tolerance_um=-1"],
+            ["surface.cutoff: unknown; did you mean cutoff_um?", "tolerance_um"],
+        ),
         (["bla=3", "surface.cutoff_um"], ["'bla=3': write SECTION.NAME=VALUE", "'surface.cutoff_um'"]),
         (["image.surface.cutoff_um=3"], ["no layer of this study has it"]),
     ):
