@@ -97,7 +97,8 @@ def _command() -> Check:
             "command", "planish is not on the search path.", state="unknown",
             advice="Activate its environment, or write the path of the program in front of its name.",
         )  # fmt: skip
-    if Path(found).absolute().parent == Path(sys.executable).absolute().parent:
+    # Tools that give a program an environment of its own put a link to it on the path.
+    if Path(sys.executable).absolute().parent in (Path(found).absolute().parent, Path(found).resolve().parent):
         return _check("command", "planish in a terminal is this installation.")
     return _check(
         "command", "planish in a terminal may be another installation.", state="unknown",
