@@ -172,7 +172,7 @@ def _known(facts: dict[str, Any], section: str) -> tuple[list[str], tuple[float,
     found = [f"{facts['file_name']}: {kind}, {shape} {what} ({axes}), {facts['dtype']}, {facts['bytes'] / 1e6:.1f} MB."]
     stated: tuple[float, ...] | None = None
     if facts["size_um"]:
-        stated = tuple(facts["size_um"])
+        stated = tuple(float(f"{value:.9g}") for value in facts["size_um"])
         size, extent = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
         found.append(f"{what.capitalize()} of {size} um ({axes}), from {facts['size_source']}; extent {extent} um.")
     else:
