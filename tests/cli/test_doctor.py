@@ -102,6 +102,8 @@ def test_an_extra_that_is_missing_is_no_problem_and_says_what_it_gives(monkeypat
 def test_every_extra_is_explained():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert EXTRAS.keys() == project["optional-dependencies"].keys() - OF_DEVELOPERS
+    page = (ROOT / "docs" / "how-to" / "install.md").read_text(encoding="utf-8")
+    assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == [*EXTRAS]
 
 
 def test_what_is_short_is_said_and_the_exit_code_is_4(planish, monkeypatch):
