@@ -7,6 +7,7 @@ r"""Set planish up in this folder and run it. Needs Python 3.11, 3.12 or 3.13, a
     python3 run.py check    format, lint, types, import contracts, tests (--no-tests leaves the tests out)
     python3 run.py bench    run the benchmarks
     python3 run.py docs     write docs/cli.md from the program's own help
+    python3 run.py wheel    build wheel and source archive into dist/; same sources, same bytes
     python3 run.py lock     renew requirements/*.lock (needs uv; --upgrade for newer versions)
 
 The first call makes .venv and fills it from the locked requirements, which takes the network and under a
@@ -76,6 +77,9 @@ def main(arguments: list[str]) -> int:
     if name == "docs":
         set_up("dev.lock")
         return hand_over([str(PYTHON), "-m", "planish.cli.docs", *rest])
+    if name == "wheel" and not rest:
+        set_up("run.lock")
+        return wheel()
     if name == "lock":
         return lock(rest)
     print((__doc__ or "").strip())
@@ -122,6 +126,21 @@ def lock(options: list[str]) -> int:
     )
 
 
+# --- what is handed on ---------------------------------------------------------------------------------------
+
+
+def wheel() -> int:
+    """Build the wheel and the source archive into dist/, in place of those that are there."""
+    dist = ROOT / "dist"
+    for old in dist.glob("planish-*"):
+        old.unlink()
+    if code := call([str(PYTHON), "-m", "hatchling", "build", "--directory", str(dist)]):
+        return code
+    for path in sorted(dist.glob("planish-*")):
+        say(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB, sha256 {digest(path)}")
+    return 0
+
+
 # --- setting up ----------------------------------------------------------------------------------------------
 
 
@@ -152,7 +171,9 @@ def set_up(lock_name: str) -> None:
         else {lock_name: locks[lock_name]}
     )
     part = STAMP.with_suffix(".part")
-    part.write_text(json.dumps({"root": str(ROOT), "project": project, **installed}, indent=1), encoding="utf-8")
+    part.write_text(
+        json.dumps({"root": str(ROOT), "project": project, **installed}, indent=1), encoding="utf-8", newline="\n"
+    )
     part.replace(STAMP)
 
 

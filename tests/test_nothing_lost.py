@@ -259,7 +259,7 @@ def test_a_piece_that_fills_a_third_of_its_box_is_covered(planish, specimen, tmp
 
 
 NOT_REPEATED = {
-    "all": [("link", "map_layer")],
+    "all": [("linking", "map_layer")],
     "measurement": [("sheet", "read_sheet_volume"), ("sheet", "find_surfaces"), ("sheet", "measure_properties")],
     "search": [("sheet", "find_surfaces")],
     "nothing": [],
@@ -308,7 +308,10 @@ def again(planish, run, tmp_path, monkeypatch, change, not_repeated):
 
 def test_changes_are_checked_and_named(planish, linked_run, tmp_path):
     for changes, words in (
-        (["surface.cutoff=600", "registration.tolerance_um=-1"], ["surface.cutoff: Extra", "tolerance_um"]),
+        (
+            ["surface.cutoff=600", "registration.tolerance_um=-1"],
+            ["surface.cutoff: unknown; did you mean cutoff_um?", "tolerance_um"],
+        ),
         (["bla=3", "surface.cutoff_um"], ["'bla=3': write SECTION.NAME=VALUE", "'surface.cutoff_um'"]),
         (["image.surface.cutoff_um=3"], ["no layer of this study has it"]),
     ):

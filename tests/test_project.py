@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import re
+import shutil
+import subprocess
+import sys
+import tarfile
 import tomllib
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -52,3 +59,30 @@ def test_locks_hold_names_versions_and_hashes_only(name: str) -> None:
 def test_citation_and_changelog_name_the_version() -> None:
     assert f"\nversion: {planish.__version__}\n" in read("CITATION.cff")
     assert f"\n## [{planish.__version__}]" in read("CHANGELOG.md")
+
+
+def build(folder: Path, target: str, to: Path) -> Path:
+    """Build the wheel or the source archive of a folder as run.py does."""
+    command = [sys.executable, "-m", "hatchling", "build", "--target", target, "--directory", str(to)]
+    env = {k: v for k, v in os.environ.items() if k != "SOURCE_DATE_EPOCH"}
+    subprocess.run(command, cwd=folder, env=env, check=True, capture_output=True)
+    (made,) = to.glob("planish-*")
+    return made
+
+
+def test_the_source_archive_holds_what_the_tests_read_and_builds_the_same_wheel(tmp_path: Path) -> None:
+    archive = build(ROOT, "sdist", tmp_path / "sdist")
+    with tarfile.open(archive) as tar:
+        tar.extractall(tmp_path / "unpacked", filter="data")
+    unpacked = tmp_path / "unpacked" / archive.name.removesuffix(".tar.gz")
+    if (ROOT / ".git").exists() and shutil.which("git"):
+        listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+        tracked = {name for name in listed.split("\0") if name and (ROOT / name).exists()}
+        of_the_checkout = {name for name in tracked if name.startswith(".")}
+        assert {name for name in tracked - of_the_checkout if not (unpacked / name).is_file()} == set()
+    wheels = [build(ROOT, "wheel", tmp_path / "one"), build(unpacked, "wheel", tmp_path / "two")]
+    assert len({hashlib.sha256(path.read_bytes()).hexdigest() for path in wheels}) == 1
+    packed = set(zipfile.ZipFile(wheels[0]).namelist())
+    package = ROOT / "src"
+    data = {path.relative_to(package).as_posix() for path in (package / "planish").rglob("*") if path.is_file()}
+    assert {name for name in data if "__pycache__" not in name} <= packed

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -13,7 +14,11 @@ from pydantic import Field, ValidationError, model_validator
 
 from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError, StudyError
-from planish.core.options import Params
+from planish.core.mistakes import Place, mistakes, toml_mistake
+from planish.core.names import fault_of_name
+from planish.core.options import Params, options_of
+from planish.core.tables import read_text
+from planish.core.toml_lines import Key, KeyLines, key_lines
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
@@ -24,6 +29,10 @@ from planish.surface.params import SurfaceParams
 Kind = Literal["volume", "image", "run"]
 P = TypeVar("P", bound=Params)
 
+RUN_TOML = "run.toml"
+"""The study of a run, in its folder."""
+
+_FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 _PATHS = {"path", "run", "marks", "design", "regions"}
 _OF_A_VOLUME = ("surface", "properties", "flatten")
 _OF_A_LAYER = ("volume", "image", *_OF_A_VOLUME)
@@ -79,8 +88,12 @@ class Study(Params):
         names = [layer.name for layer in self.layers]
         if not names:
             raise ValueError("a study needs a layer: a volume to map, or several layers to link")
-        if twice := sorted({name for name in names if names.count(name) > 1}):
+        # Names of files: on Windows, CT and ct are one.
+        small = [name.casefold() for name in names]
+        if twice := sorted({name for name in names if small.count(name.casefold()) > 1}):
             raise ValueError(f"every layer needs a name of its own (NAME=PATH); more than one is {', '.join(twice)}")
+        if fault := next(filter(None, map(fault_of_name, names)), None):
+            raise ValueError(f"a layer cannot have one of the names {', '.join(names)}: {fault}")
         if len(names) == 1 and self.layers[0].kind != "volume":
             raise ValueError("a single layer has to be a volume; a run or an image is linked to something")
         if self.layers[-1].marks is not None:
@@ -110,18 +123,38 @@ def read_study(path: Path) -> Study:
     InputError
         If a parameter is unknown, missing or out of range; all faults are named.
     """
+    text = read_text(path, what="study")
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {error.strerror}. Give the run.toml of a run.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        data = tomllib.loads(f"{text}\n")  # with a line end, what is wrong in the last line has a number, too
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"{path} is not a TOML file: {toml_mistake(error, text)}") from error
+    except RecursionError as error:
         raise FileError(f"{path} is not a TOML file: {error}.") from error
     data.pop("planish", None)
     try:
         study = as_study(data)
     except ValidationError as error:
-        raise InputError(f"{path} has {error.error_count()} wrong parameters: {faults_of(error)}.") from error
-    return with_paths(study, lambda p: str((path.parent / p).resolve()))
+        found = mistakes(error, Study, _place_in(key_lines(text), data))
+        number = f"{len(found)} wrong parameter{'s' if len(found) > 1 else ''}"
+        raise InputError("\n  ".join([f"{path} has {number}:", *found])) from error
+    return with_paths(study, lambda p: _absolute(path.parent / p))
+
+
+def _absolute(path: Path) -> str:
+    # On Windows, resolve() makes \\server\share of Z:, to which no relative path leads from a run on Z:.
+    return os.path.normpath(path.absolute()) if os.name == "nt" else str(path.resolve())
+
+
+def _place_in(lines: KeyLines, data: Mapping[str, Any]) -> Place:
+    """Where a file has what a study has: the short form of one volume has no list of layers."""
+
+    def place(loc: Key) -> tuple[Key, int | None]:
+        if loc[:1] == ("layers",) and "layers" not in data:
+            loc = loc[2:]
+        older = (*loc[:2], "map", *loc[2:])  # of planish 0.1.0
+        return loc, lines.of(older if older[:4] in lines.lines else loc)
+
+    return place
 
 
 def as_study(data: dict[str, Any]) -> Study:
@@ -203,7 +236,19 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
     try:
         return Study.model_validate(data)
     except ValidationError as error:
-        raise StudyError(f"{faults_of(error)}.") from error
+        raise StudyError("; ".join(mistakes(error, Study, lambda loc: (loc, None))) + ".") from error
+
+
+def in_study_words(text: str) -> str:
+    """Name the keys of a study in a message that names options of the command line: surface.rim_um for --rim-um."""
+    sections = {"volume": VolumeParams, "image": ImageParams, "surface": SurfaceParams, "properties": MeasureParams,
+                "flatten": FlattenParams, "holes": HoleParams, "registration": RegistrationParams,
+                "correlate": CorrelateParams}  # fmt: skip
+    keys: dict[str, str] = {}
+    for section, model in sections.items():
+        for name, _, shown in options_of(model):
+            keys.setdefault(shown.flags[0], f"{section}.{name}")
+    return _FLAG.sub(lambda found: keys.get(found[0], found[0]), text)
 
 
 def _value(text: str) -> Any:
@@ -229,7 +274,7 @@ def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None
             return Path(p).as_posix()
 
     data = {"planish": version} | to_dict(with_paths(study, relative))
-    (folder / "run.toml").write_text(tomli_w.dumps(data), encoding="utf-8", newline="\n")
+    (folder / RUN_TOML).write_text(tomli_w.dumps(data), encoding="utf-8", newline="\n")
 
 
 def to_dict(study: Study) -> dict[str, Any]:

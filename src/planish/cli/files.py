@@ -116,7 +116,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
         from planish.correct import write_picture
 
         try:
-            record.write_text(json.dumps(found.record.to_json(), indent=2) + "\n", encoding="utf-8")
+            record.write_text(json.dumps(found.record.to_json(), indent=2) + "\n", encoding="utf-8", newline="\n")
         except OSError as error:
             raise FileError(f"{record} cannot be written: {error.strerror}. The store itself is whole.") from error
         if found.before is not None:
@@ -127,7 +127,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
 @verb("planish properties", "planish map volume.tif --out run --property porosity --solid-grey 180", name="properties")
 def properties() -> None:
     """List the maps that --property takes: name, unit and what they show."""
-    from planish.cli.show import table
+    from planish.cli.console import table
     from planish.measure import registered
 
     table("Properties", ("name", "unit", ""), [(p.name, p.units, p.long_name) for p in registered().values()])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import sys
 import tempfile
 import traceback
@@ -18,14 +19,16 @@ from typing import cast
 import click
 
 from planish import __version__
-from planish.core.errors import PlanishError, ResourceError
+from planish.cli.console import prepare_streams
+from planish.core.errors import FileError, PlanishError, ResourceError
 from planish.core.text import printable
 
 _MODULES = {
     "link": "runs", "map": "runs", "demo": "runs", "run": "runs", "info": "files", "import": "files",
     "properties": "files", "surface": "stages", "measure": "stages", "flatten": "stages", "resample": "stages",
     "holes": "stages", "register": "stages", "correlate": "stages", "report": "stages", "marks": "marks",
-    "specimen": "validate", "validate": "validate",
+    "specimen": "validate", "validate": "validate", "doctor": "doctor",
+    "completion": "completion", "new": "studies",
 }  # fmt: skip
 """Verb -> module of this package that holds it, as ``verb``, ``verb_`` where the name is taken."""
 
@@ -45,9 +48,27 @@ class LazyGroup(click.Group):
         return cast("click.Command", getattr(module, f"{cmd_name}_", None) or getattr(module, cmd_name))
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+_START = """\
+planish {version} links 3D scans of paper sheets to 2D images of them.
+
+See it work:       planish demo
+Look at a file:    planish info FILE
+Link your own:     planish new STUDY.toml VOLUME IMAGE
+                   planish run STUDY.toml
+
+planish --help lists all commands; planish doctor checks the installation.
+"""
+
+
+@click.group(
+    cls=LazyGroup,
+    subcommand_metavar="COMMAND [ARGS]...",
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(__version__, prog_name="planish")
-def planish() -> None:
+@click.pass_context
+def planish(context: click.Context) -> None:
     """Link the 3D structure of a paper sheet to a 2D image of it.
 
     'planish link VOLUME IMAGE --out RUN' does the whole line; 'planish demo' shows it on a synthetic specimen. Each
@@ -56,11 +77,17 @@ def planish() -> None:
     Exit codes: 0 done, 1 a fault of planish, 2 wrong usage, 3 input that cannot be used, 4 finished but a check failed
     (--strict: or asks for a look), 5 memory or disk used up, 130 interrupted.
     """
+    if context.invoked_subcommand is None:
+        click.echo(_START.format(version=__version__), nl=False, err=True)
+        context.exit(2)  # wrong usage: a script whose arguments got lost must not take it for a success
 
 
 def main(args: list[str] | None = None) -> None:
     """Run the command line and end the process with its exit code."""
     arguments = sys.argv[1:] if args is None else args
+    prepare_streams()
+    if os.environ.get("_PLANISH_COMPLETE", "").startswith("powershell"):
+        import_module("planish.cli.completion")  # click knows the other shells by itself
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # of zarr, about reads that a damaged chunk cut short
     try:
         code = planish.main(args=arguments, prog_name="planish", standalone_mode=False)
@@ -91,6 +118,10 @@ def _known(error: Exception) -> PlanishError:
         from planish.core.files import as_planish
 
         return as_planish(error, Path(error.filename or "the results"))
+    from planish.installation import ANOTHER_CACHE, NO_CACHE, is_no_cache
+
+    if is_no_cache(error):
+        return FileError(f"{NO_CACHE} {ANOTHER_CACHE}")
     with tempfile.NamedTemporaryFile("w", prefix="planish-", suffix=".log", delete=False, encoding="utf-8") as log:
         log.write(f"planish {__version__}\n")
         log.write("".join(traceback.format_exception(error)))

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import click
 from pydantic import Field
 
+from planish.cli.console import table
 from planish.cli.options import Option, Value, Verb, existing, json_option, made, options, out_option
-from planish.cli.show import table
 from planish.core.files import write_whole
 from planish.marks.design.params import DesignParams, ImagingParams, StageParams
 from planish.marks.files.formats import FORMATS, TARGETS, target_of

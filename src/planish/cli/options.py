@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import click
+from click.shell_completion import CompletionItem
 from pydantic import TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from planish.core.options import Params, Shown, options_of
+from planish.core.options import Params, Shown, kinds_of, options_of, unit_of
 
 Command = Callable[..., Any]
 P = TypeVar("P", bound=Params)
@@ -69,16 +69,20 @@ class Value(click.ParamType[Any]):
 
     def __init__(self, kind: Any, metavar: str | None = None, *, repeat: bool = False) -> None:
         self.adapter, self.repeat = TypeAdapter[Any](kind), repeat
-        parts = _alternatives(kind)
+        parts = kinds_of(kind)
         self.count = next((len(get_args(p)) for p in parts if get_origin(p) is tuple), 0)
         self.any_count = any(get_args(p)[1:] == (...,) for p in parts if get_origin(p) is tuple)
-        words = [str(w) for p in parts if get_origin(p) is Literal for w in get_args(p)]
+        self.words = words = [str(w) for p in parts if get_origin(p) is Literal for w in get_args(p)]
         number = "N,..." if self.count else "NUMBER" if float in parts else "INTEGER" if int in parts else ""
         self.metavar = metavar or "|".join([*words, *filter(None, [number])]) or "TEXT"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
         """Show what is expected in the help."""
         return self.metavar
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:  # noqa: ARG002
+        """Words that begin with what was typed."""
+        return [CompletionItem(word) for word in self.words if word.startswith(incomplete)]
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Parse ``"3"`` or ``"3,1.5,1.5"``."""
@@ -94,15 +98,6 @@ class Value(click.ParamType[Any]):
         except ValidationError as error:
             reasons = "; ".join(dict.fromkeys(e["msg"].removeprefix("Value error, ") for e in error.errors()))
             self.fail(f"{value!r} is not {self.metavar}: {reasons}.", param, ctx)
-
-
-def _alternatives(annotation: Any) -> list[Any]:
-    """The types that an annotation allows, without None and without the limits."""
-    if get_origin(annotation) is Annotated:
-        return _alternatives(get_args(annotation)[0])
-    if get_origin(annotation) in (Union, UnionType):
-        return [part for inner in get_args(annotation) for part in _alternatives(inner)]
-    return [] if annotation is type(None) else [annotation]
 
 
 # --- options of the models -----------------------------------------------------------------------------------------
@@ -127,12 +122,12 @@ def options(
 
 def _inner(field: FieldInfo) -> type[Params] | None:
     """The model inside a model, which its own flag switches on."""
-    kinds = _alternatives(field.annotation)
+    kinds = kinds_of(field.annotation)
     return kinds[0] if len(kinds) == 1 and isinstance(kinds[0], type) and issubclass(kinds[0], Params) else None
 
 
 def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
-    kinds = _alternatives(field.annotation)
+    kinds = kinds_of(field.annotation)
     how: dict[str, Any] = {"help": field.description, "cls": Option, "group": group, "required": field.is_required()}
     if kinds == [bool] or _inner(field) is not None:
         return click.option(*shown.flags, name, is_flag=True, default=None, **how)
@@ -142,8 +137,8 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
         return click.option(*shown.flags, name, multiple=True, metavar=shown.metavar, **how)
     if len(kinds) == 1 and get_origin(kinds[0]) is Literal:
         return click.option(*shown.flags, name, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
-    unit = next((u for ending, u in _UNITS.items() if name.endswith(ending)), None) if kinds == [float] else None
-    kind = Annotated.__class_getitem__((field.annotation, *field.metadata)) if field.metadata else field.annotation  # pyright: ignore
+    unit = (unit_of(name) or "").upper() or None if kinds == [float] else None
+    kind = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation  # pyright: ignore
     return click.option(*shown.flags, name, type=Value(kind, shown.metavar or unit, repeat=shown.repeat), **how)
 
 
@@ -158,9 +153,6 @@ def _default(value: Any) -> str:
         return ""
     values: tuple[Any, ...] = value if isinstance(value, tuple) else (value,)
     return f"  [default: {','.join(f'{v:.7g}' if isinstance(v, float) else str(v) for v in values)}]"
-
-
-_UNITS = {"_um": "UM", "_deg": "DEG", "_g_cm3": "G/CM3", "_g_m2": "G/M2", "_s": "S"}
 
 
 def given(values: dict[str, Any], section: str) -> dict[str, Any]:

@@ -25,13 +25,13 @@ from planish.cli.options import (
 )
 from planish.cli.show import finish, free_path, run_facts, stages
 from planish.compute import Compute
-from planish.core.errors import StudyError
+from planish.core.errors import PlanishError, StudyError
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
 from planish.measure.params import MeasureParams
 from planish.register.params import RegistrationParams
-from planish.study import Study
+from planish.study import RUN_TOML, Study
 from planish.surface.params import SurfaceParams
 
 OUT = "Folder to make for the results; it must not exist."
@@ -161,7 +161,7 @@ def map_(volume: Path, out: Path, figures: bool, strict: bool, as_json: bool, **
 
 
 @verb(
-    "planish run run/run.toml",
+    "planish run study.toml --out run",
     "planish run run/run.toml --out again --threads 2",
     "planish run run/run.toml --set correlate.point_um=50 --out run-50",
     name="run",
@@ -176,24 +176,37 @@ def map_(volume: Path, out: Path, figures: bool, strict: bool, as_json: bool, **
 @strict_option
 @json_option
 def run(study: Path, out: Path | None, changes: tuple[str, ...], strict: bool, as_json: bool, **values: Any) -> int:
-    """Repeat the run described by STUDY, the run.toml of a run folder, or make another one of it with --set.
+    """Do what STUDY says: a file of 'planish new', or the run.toml of a run, which is then repeated.
 
-    Without changes the result has the same bytes; files that differ from those beside STUDY are named.
+    Mistakes in STUDY are named with line, key and the word that was probably meant. A run that is repeated without
+    changes has the same bytes; files that differ from those beside STUDY are named.
     """
     from planish.report import FIGURES
-    from planish.study import read_study
+    from planish.study import in_study_words, read_study
 
     if study.is_dir():
-        study = study / "run.toml"
+        study = study / RUN_TOML
     checked = read_study(study)
-    old = study.absolute().parent
-    figures = (old / FIGURES).is_dir()
-    if changes:
-        checked = _changed(checked, changes)
-        target = out or free_path(old.with_name(f"{old.name}-2"))
-        return _run_and_show(checked, target, values, as_json=as_json, strict=strict, old=old, figures=figures)
-    target = out or free_path(old.with_name(f"{old.name}-again"))
-    code = _run_and_show(checked, target, values, as_json=as_json, strict=strict, figures=figures)
+    old = study.absolute().parent if study.name == RUN_TOML else None  # the run that STUDY is of
+    figures = old is not None and (old / FIGURES).is_dir()
+    checked = _changed(checked, changes)
+    if old is None:
+        target = out or free_path(study.with_suffix(""))
+    else:
+        target = out or free_path(old.with_name(f"{old.name}-{'2' if changes else 'again'}"))
+    try:
+        code = _run_and_show(
+            checked, target, values, as_json=as_json, strict=strict, old=old if changes else None, figures=figures
+        )
+    except PlanishError as error:
+        raise type(error)(in_study_words(str(error))) from error
+    if old is not None and not changes:
+        _compare(old, target)
+    return code
+
+
+def _compare(old: Path, target: Path) -> None:
+    """Say whether a run that was repeated has the same bytes."""
     before = run_facts(old)
     if before is not None and before["warning"]:
         click.echo(f"{old.name} was {before['warning']}", err=True)
@@ -201,7 +214,6 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], strict: bool, a
         different = _different(old, target)
         text = "same bytes as" if not different else f"{', '.join(different)} differ from"
         click.echo(f"{target}: {text} {old}", err=True)
-    return code
 
 
 def _different(old: Path, new: Path) -> list[str]:

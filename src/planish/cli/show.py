@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
+from planish.cli.console import animated, console, letters, sentence, table
 from planish.core.text import printable
 
 if TYPE_CHECKING:
@@ -29,34 +27,23 @@ _SPOKEN: tuple[State, ...] = ("fail", "look", "unknown")
 @contextmanager
 def stages(total: int) -> Generator[Tell]:
     """Show a progress bar on a terminal, one line a stage otherwise; always on standard error."""
-    if not sys.stderr.isatty():
+    if not animated():
         yield lambda stage, detail: click.echo(f"{stage}: {printable(detail)}", err=True)
         return
     columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
+        SpinnerColumn("dots" if letters() else "line"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=console(err=True), transient=True) as bar:
         task = bar.add_task("start", total=total)
 
         def tell(stage: str, detail: str) -> None:
             bar.update(task, advance=1, description=f"{stage}: {printable(detail)}")
 
         yield tell
-
-
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table on standard output; plain columns when it is no terminal."""
-    console = Console(width=None if sys.stdout.isatty() else 110, highlight=False)
-    grid = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for k, name in enumerate(columns):
-        grid.add_column(name, justify="left" if k == 0 else "right", no_wrap=True)
-    for row in rows:
-        grid.add_row(*row)
-    console.print(grid)
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -86,7 +73,7 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
         for check in results.spoken(state):
             name = f"{check.name} ({' and '.join(check.layers)})" if several and check.layers else check.name
             text = f"planish: {state}: {name}: {check.sentence} {check.advice}".rstrip()
-            click.echo(printable(text), err=True)
+            sentence(text, err=True)
     return exit_code(results, strict=strict)
 
 
@@ -110,7 +97,7 @@ def _properties(name: str, sheet: SheetFacts) -> None:
     ]
     table(f"Properties of the {name} along its normals", ("", "unit", "mean", "sd", "p5", "p95", "columns"), rows)
     f = sheet.flatten
-    click.echo(
+    sentence(
         f"flattened: {f.sentence} Edge strain {100 * (f.edge_strain_p95 or 0):.3f} % (p95); points moved by up to "
         f"{number(f.largest_move_um, 0)} um."
     )
@@ -123,19 +110,19 @@ def _registration(layer: LayerFacts) -> None:
     e = r.expected_error
     trust = "" if e is None or e.trust == "ok" else f", {e.trust}"
     error = "" if e is None else f", expected error {number(e.median_um, 2)} um (median{trust})"
-    click.echo(
+    sentence(
         f"{layer.name} to {r.to}: {r.matched} marks used, residual {r.rms_um:.2f} um rms, leave-one-out "
         f"{number(r.leave_one_out_rms_um, 2)} um{error}; {r.model}, scale {r.scale:.4f}, rotation {r.rotation_deg:.2f} "
         f"deg{', mirrored' if r.mirrored else ''}"
     )
     shares = () if e is None or e.shares is None else (e.shares.sentence,)
-    for sentence in (*r.warnings, *shares, r.orientation.sentence):
-        click.echo(f"  {sentence}")
+    for text in (*r.warnings, *shares, r.orientation.sentence):
+        sentence(f"  {text}")
 
 
 def _comparison(results: Results) -> None:
     if any(not r.n for r in results.comparison):
-        click.echo("Points that are larger than what both show have no correlation and are left out.")
+        sentence("Points that are larger than what both show have no correlation and are left out.")
     title = f"{results.reference.name} against {results.comparison[0].property}"
     correlations(title, [(r.registration, r) for r in results.comparison if r.n])
 

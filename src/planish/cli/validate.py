@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from planish.cli.console import table
 from planish.cli.options import json_option, made, options, verb
-from planish.cli.show import table
 from planish.compute import Compute
 from planish.synthetic.presets import SpecimenOptions
 

@@ -7,13 +7,16 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Generator
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from planish.core.errors import FileError, ResourceError
+from planish.core.names import check_name
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_WAITS_S = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts to rename what another program holds open
 _CUT_SHORT = re.compile(r"\d+ requested and \d+ written")  # numpy's words where the system gives no reason
 
 
@@ -27,15 +30,17 @@ def write_whole(path: Path, data: bytes) -> None:
     ResourceError
         If the disk is full.
     """
+    check_name(path)
     if path.exists() or path.is_symlink():
         raise FileError(f"{path} is already there; nothing is overwritten. Choose another name.")
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     with writing(path, needed=len(data)):
         try:
             partial.write_bytes(data)
-            partial.rename(path)
+            move(partial, path)
         except BaseException:
-            partial.unlink(missing_ok=True)
+            with suppress(OSError):  # held open; the error that matters is the first
+                partial.unlink(missing_ok=True)
             raise
 
 
@@ -57,6 +62,44 @@ def as_planish(error: OSError, path: Path, *, needed: int | None = None) -> File
     if error.errno in _FULL or (error.errno is None and _CUT_SHORT.search(str(error))):
         return disk_full(path, needed)
     return FileError(f"{path} cannot be written: {os.strerror(error.errno) if error.errno else error}.")
+
+
+def move(source: Path, target: Path, *, over: bool = False) -> None:
+    """Rename a file or folder; over a file that is there only with ``over``.
+
+    Windows refuses it while another program has the file, or one in the folder, open: virus scanners, indexers and
+    programs that keep folders in step with a server do so for moments after a file was written.
+
+    Raises
+    ------
+    FileError
+        If it is still refused after some three seconds.
+    OSError
+        Whatever else keeps it from being renamed.
+    """
+    _insist(lambda: (source.replace if over else source.rename)(target), target)
+
+
+def delete(path: Path) -> None:
+    """Remove a file, which need not be there; as :func:`move` where another program has it open."""
+    _insist(lambda: path.unlink(missing_ok=True), path)
+
+
+def _insist(action: Callable[[], object], path: Path) -> None:
+    """Do something with a file, again for some seconds while it is refused."""
+    for wait in (*_WAITS_S, None):
+        try:
+            action()
+        except PermissionError as error:
+            if wait is None:
+                raise FileError(
+                    f"{path} cannot be written: another program has it or its folder open, or you may not write "
+                    "there. Close programs that show this folder, pause virus scanner or synchronisation for it, or "
+                    "choose a folder of your own; then give the same command again."
+                ) from error
+            time.sleep(wait)
+        else:
+            return
 
 
 class DiskFull(ResourceError):

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
@@ -80,3 +81,20 @@ def spoken(model: type[Params], *names: str) -> str:
     """Name fields for a message: by their flag, or as keys of a study file where the command line has none."""
     flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
     return " or ".join(flags.get(name, f"{name} in a study file") for name in names)
+
+
+_UNITS = {"_um": "um", "_deg": "deg", "_g_cm3": "g/cm3", "_g_m2": "g/m2", "_s": "s"}
+
+
+def unit_of(name: str) -> str | None:
+    """Unit of a field by the end of its name; None where it has none."""
+    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
+
+
+def kinds_of(annotation: Any) -> list[Any]:
+    """The types that an annotation allows, without None and without the limits."""
+    if get_origin(annotation) is Annotated:
+        return kinds_of(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return [part for inner in get_args(annotation) for part in kinds_of(inner)]
+    return [] if annotation is type(None) else [annotation]

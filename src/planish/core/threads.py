@@ -82,7 +82,7 @@ def available() -> int:
 def _quotas(own: Path, groups: Path) -> list[int]:
     """Processors that the limits of the process's control groups (version 1 and 2) amount to, rounded up."""
     try:
-        lines = [line.split(":", 2) for line in own.read_text().splitlines()]
+        lines = [line.split(":", 2) for line in own.read_text(encoding="utf-8", errors="replace").splitlines()]
     except OSError:
         return []
     found: list[int] = []
@@ -95,7 +95,9 @@ def _quotas(own: Path, groups: Path) -> list[int]:
         for root in (groups / "cpu", groups / controllers) if controllers else (groups,):
             for place in (root / folder, *(root / parent for parent in folder.parents), root):
                 try:
-                    limit, period = " ".join((place / name).read_text() for name in files).split()
+                    limit, period = " ".join(
+                        (place / name).read_text(encoding="ascii", errors="replace") for name in files
+                    ).split()
                     if int(limit) > 0 and int(period) > 0:
                         found.append(-(-int(limit) // int(period)))
                 except (OSError, ValueError):  # not there, or "max"

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.files import move
 from planish.core.threads import count_threads, thread_pool
 
 Job = TypeVar("Job")
@@ -149,4 +150,4 @@ class Engine:
             np.save(file, result)
             file.flush()
             os.fsync(file.fileno())
-        part.replace(place)
+        move(part, place, over=True)

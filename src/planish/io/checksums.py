@@ -9,6 +9,8 @@ from typing import Any
 
 import zarr
 
+from planish.core.files import delete, move
+
 CHECKSUMS = "checksums.sha256"
 """List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it."""
 
@@ -63,9 +65,9 @@ class Journal:
             lines = sorted(set(path.read_text(encoding="utf-8").splitlines(keepends=True)), key=lambda line: line[64:])
             part = path.with_suffix(".part")
             part.write_text("".join(lines), encoding="utf-8", newline="\n")
-            part.replace(path)
+            move(part, path, over=True)
         for half in self.folder.rglob("*.partial"):  # of a writer that was killed
-            half.unlink()
+            delete(half)
 
 
 def _listed(folder: Path) -> dict[str, str]:

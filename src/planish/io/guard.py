@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import threading
@@ -9,6 +10,7 @@ import warnings
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 from planish.core.errors import FileError, PlanishError, ResourceError
 
@@ -122,17 +124,52 @@ def _available_memory_bytes() -> int:
         for line in table.read_text(encoding="ascii", errors="replace").splitlines():
             if line.startswith("MemAvailable:"):
                 return int(line.split()[1]) * 1024
+    if os.name == "nt":
+        return _available_on_windows(getattr(ctypes, "windll").kernel32)  # noqa: B009  # not known to checkers elsewhere
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):
         return MEMORY_UNKNOWN_BYTES
 
 
-def _control_group_limit_bytes() -> int:
-    """Memory limit of the container the process runs in; a huge number where there is none."""
-    for name in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
-        limit = Path(name)
-        text = limit.read_text(encoding="ascii", errors="replace").strip() if limit.is_file() else ""
+class _MemoryStatus(ctypes.Structure):
+    """MEMORYSTATUSEX of sysinfoapi.h."""
+
+    _fields_ = (
+        ("length", ctypes.c_uint32), ("load", ctypes.c_uint32),
+        *((name, ctypes.c_uint64) for name in ("all", "available", "all_page", "page", "all_own", "own", "extended")),
+    )  # fmt: skip
+
+
+def _available_on_windows(kernel: Any) -> int:
+    """Physical memory that is free, as the library kernel32 reports it."""
+    status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
+    found = kernel.GlobalMemoryStatusEx(ctypes.byref(status)) and int(status.available)
+    return found or MEMORY_UNKNOWN_BYTES
+
+
+def _control_group_limit_bytes(
+    own: Path = Path("/proc/self/cgroup"), groups: Path = Path("/sys/fs/cgroup")
+) -> int:  # fmt: skip
+    """Least memory limit of the control groups of the process (containers, batch systems); a huge number if none."""
+    try:
+        lines = [line.split(":", 2) for line in own.read_text(encoding="utf-8", errors="replace").splitlines()]
+    except OSError:
+        lines = []
+    # Inside a container the path may be the one outside: the group's own files then lie at the top.
+    places = [(groups, "memory.max"), (groups / "memory", "memory.limit_in_bytes")]
+    for _, controllers, path in (line for line in lines if len(line) == 3):
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root, name = places[1] if controllers else places[0]
+        folder = Path(path.lstrip("/"))
+        places += [(root / part, name) for part in (folder, *folder.parents)]
+    found = [2**62]
+    for folder, name in places:
+        try:
+            text = (folder / name).read_text(encoding="ascii", errors="replace").strip()
+        except OSError:
+            continue
         if text.isdigit():
-            return int(text)
-    return 2**62
+            found.append(int(text))
+    return min(found)

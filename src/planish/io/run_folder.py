@@ -22,7 +22,8 @@ from filelock import FileLock, Timeout
 from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError
-from planish.core.files import DiskFull, disk_full, writing
+from planish.core.files import DiskFull, delete, disk_full, move, writing
+from planish.core.names import check_length, check_name
 from planish.io.map_store import CHUNK, CODEC, COMPLETE, OVERVIEWS, large_groups, readable, stored_group
 
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
@@ -44,6 +45,7 @@ def new_folder(path: Path, *, inside: Path | None = None, needed: int | None = N
         If the disk is full.
     """
     refuse_existing(path)
+    check_length(path.absolute())
     with writing(path, needed=needed):
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = (inside or path.parent) / f".{path.name}.{secrets.token_hex(4)}.partial"
@@ -51,7 +53,7 @@ def new_folder(path: Path, *, inside: Path | None = None, needed: int | None = N
         try:
             yield partial
             refuse_existing(path)
-            partial.rename(path)
+            move(partial, path)
         except DiskFull as error:
             raise disk_full(path, needed) from error
         finally:
@@ -71,6 +73,7 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
         If another process is writing to ``path`` at this moment, the folder cannot be made, or something that is not
         planish's has its name: a link, a file, or a folder without the marker. Nothing is touched then.
     """
+    check_length(path.absolute())
     work = path.with_name(f".{path.name}.work")
     with writing(path):
         claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
@@ -81,7 +84,7 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
             note = work / "key"
             if not (note.is_file() and note.read_text(encoding="utf-8") == key):
                 shutil.rmtree(work / "tiles", ignore_errors=True)
-                note.write_text(key, encoding="utf-8")
+                note.write_text(key, encoding="utf-8", newline="\n")
             for half in work.glob(".*.partial"):
                 shutil.rmtree(half, ignore_errors=True)
             yield work
@@ -123,8 +126,8 @@ def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> Non
     made.mkdir()
     try:
         (made / marker).write_text(text, encoding="utf-8", newline="\n")
-        made.rename(folder)
-    except OSError:
+        move(made, folder)
+    except (OSError, FileError):
         shutil.rmtree(made, ignore_errors=True)
         if not folder.is_dir():  # otherwise another process was faster
             raise
@@ -166,7 +169,7 @@ def _remove_work(work: Path) -> None:
             if entry.is_dir() and not is_link(entry):
                 remove(entry)
             else:
-                entry.unlink(missing_ok=True)
+                delete(entry)
     with suppress(OSError):
         work.rmdir()
 
@@ -194,7 +197,8 @@ def refuse_inside(path: Path, inputs: Iterable[str | Path]) -> None:
 
 
 def refuse_existing(path: Path) -> None:
-    """Raise FileError if something stands at ``path`` already."""
+    """Raise FileError if something stands at ``path`` already, or nothing can have that name."""
+    check_name(path)
     if path.exists() or path.is_symlink():
         raise FileError(
             f"{path} exists already. Results are never written over: give another name with --out, or remove it first."

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
 from planish.core.errors import InputError, ResourceError
-from planish.core.files import writing
+from planish.core.files import delete, move, writing
 from planish.core.threads import count_threads, limit_threads, thread_pool
 from planish.io.checksums import Array, Journal, Where
 from planish.io.run_folder import claim_folder, is_link, locked, refuse_existing, remove
@@ -113,8 +113,8 @@ def write_store(
         finally:
             lock.release()
         for note in (_LOCK, _SOURCE):
-            (partial / note).unlink(missing_ok=True)
-        partial.rename(path)
+            delete(partial / note)
+        move(partial, path)
 
 
 def _first_two(

@@ -44,7 +44,7 @@ class KeptMaps:
 
     def note(self, folder: Path) -> None:
         """Mark the folder that will stand there with what was asked for."""
-        (folder / _REQUEST).write_text(self.key, encoding="utf-8")
+        (folder / _REQUEST).write_text(self.key, encoding="utf-8", newline="\n")
 
 
 def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str, Layer], dict[str, Layer]]:

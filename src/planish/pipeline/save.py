@@ -13,6 +13,7 @@ import xarray as xr
 from planish import __version__
 from planish.compute import Compute, Progress, return_memory, run_key, silent
 from planish.core.errors import CannotRegister, PlanishError
+from planish.core.files import move
 from planish.core.overviews import overviews
 from planish.core.results import LayerFacts, Results
 from planish.core.threads import limit_threads
@@ -201,7 +202,7 @@ def save_run(
     )  # fmt: skip
     there = stored.stored if stored is not None else []
     if stored is not None and there:
-        stored.path.rename(folder / MAPS)
+        move(stored.path, folder / MAPS)
     write_tree(folder / MAPS, {k: data for k, data in _with_overviews(run.groups).items() if k not in there})
 
 

@@ -83,7 +83,7 @@ def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
             # Slices count down along y: so the sheet keeps its hand with its normal along the rows.
             name = f"{_PREFIX}{rows - 1 - start - k:08d}.tif"
             tifffile.imwrite(place / name, np.ascontiguousarray(row.T))
-    (place / f"{_PREFIX.removesuffix('_rec')}_rec.log").write_text(_rec_log(specimen), encoding="utf-8")
+    (place / f"{_PREFIX.removesuffix('_rec')}_rec.log").write_text(_rec_log(specimen), encoding="utf-8", newline="\n")
     last = (rows - 1) * voxel
 
     def to_physical(points: Array, _sections: xr.Dataset | None = None) -> Array:
@@ -136,7 +136,7 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
         name = f"section_{int(poses.index[k]):05d}.tif"
         tifffile.imwrite(place / name, picture, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
         lines.append(f"{name},{poses.counter_um[k]:.3f}")
-    (place / COUNTER).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (place / COUNTER).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
     middle = 0.5 * (np.array(microtome.shape[::-1]) - 1) * p.pixel_um
 
     def to_physical(points: Array, sections: xr.Dataset | None = None) -> Array:
@@ -219,7 +219,7 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
     names = ("counter_um", "y_um", "shift_x_um", "shift_z_um", "turn_rad")
     _table(folder / "sections.csv", names, np.stack([getattr(poses, n) for n in names], axis=1))
     data = {"parameters": asdict(specimen.params), "warp": asdict(specimen.warp), "camera": asdict(specimen.pose)}
-    (folder / "parameters.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    (folder / "parameters.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8", newline="\n")
 
 
 def _table(path: Path, names: tuple[str, ...], rows: Array) -> None:

@@ -1,0 +1,157 @@
+"""``planish completion``: the Tab key completes commands, options and words in a shell."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any, ClassVar
+
+import click
+from click.shell_completion import (
+    CompletionItem,
+    ShellComplete,
+    add_completion_class,
+    get_completion_class,
+)
+
+from planish.cli.options import verb
+from planish.core.errors import FileError
+
+VARIABLE = "_PLANISH_COMPLETE"  # by which a shell asks the program; its name is click's rule
+SHELLS = ("bash", "zsh", "fish", "powershell")
+
+_POWERSHELL = """\
+Register-ArgumentCompleter -Native -CommandName %(prog_name)s -ScriptBlock {
+    param($wordToComplete, $commandAst, $cursorPosition)
+    $before = $commandAst.CommandElements | Where-Object { $_.Extent.StartOffset -lt $cursorPosition }
+    $env:COMP_WORDS = ($before | ForEach-Object { $_.ToString() }) -join "`n"
+    $env:COMP_CWORD = $wordToComplete
+    $env:%(complete_var)s = "powershell_complete"
+    try {
+        & %(prog_name)s | ForEach-Object {
+            $type, $value, $help = $_ -split "`t", 3
+            if ($type -eq "plain") {
+                if (-not $help) { $help = $value }
+                [System.Management.Automation.CompletionResult]::new($value, $value, "ParameterValue", $help)
+            }
+        }
+    } finally {
+        Remove-Item Env:COMP_WORDS, Env:COMP_CWORD, Env:%(complete_var)s -ErrorAction SilentlyContinue
+    }
+}
+"""
+
+
+@add_completion_class
+class PowerShellComplete(ShellComplete):
+    """Completion for PowerShell, which completes names of files by itself where the program gives nothing."""
+
+    name: ClassVar[str] = "powershell"
+    source_template: ClassVar[str] = _POWERSHELL
+
+    def get_completion_args(self) -> tuple[list[str], str]:
+        """Words of the command line before the cursor, and the one at it."""
+        words = [word.strip("\"'") for word in os.environ["COMP_WORDS"].split("\n")]
+        incomplete = os.environ["COMP_CWORD"].strip("\"'")
+        arguments = words[1:]
+        if incomplete and arguments and arguments[-1] == incomplete:
+            arguments.pop()
+        return arguments, incomplete
+
+    def format_completion(self, item: CompletionItem[Any]) -> str:
+        """One line for a completion: kind, word, what it is."""
+        return f"{item.type}\t{item.value}\t{' '.join((item.help or '').split())}"
+
+
+def script_of(shell: str) -> str:
+    """Text that a shell reads to complete commands of planish."""
+    from planish.cli.main import planish
+
+    kind = get_completion_class(shell)
+    assert kind is not None
+    # Not the method of the class for bash, which starts bash to look at its version.
+    return ShellComplete.source(kind(planish, {}, "planish", VARIABLE))
+
+
+@verb(
+    "planish completion bash --install", "planish completion powershell >> $PROFILE", name="completion",
+)  # fmt: skip
+@click.argument("shell", type=click.Choice(SHELLS))
+@click.option("--install", is_flag=True, help="Write it into your own place for SHELL, and say where.")
+def completion(shell: str, install: bool) -> None:
+    """Print the script with which SHELL completes commands and options of planish, or install it.
+
+    --install writes one file into your own folders. For bash, zsh and PowerShell it also adds one line to the file that
+    SHELL reads at its start. New terminals then complete with the Tab key. To take it out, remove what was written.
+    """
+    if not install:
+        click.echo(script_of(shell), nl=False)
+        return
+    for line in install_script(shell):
+        click.echo(line)
+
+
+def install_script(shell: str) -> list[str]:
+    """Write the script and what loads it; return what was done.
+
+    Raises
+    ------
+    FileError
+        If a file cannot be written, or PowerShell is not there to say which file it reads at its start.
+    """
+    home = Path.home()
+    shared = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share") / "planish"
+    config = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
+    if shell == "fish":  # reads what lies there
+        place, start, line = config / "fish" / "completions" / "planish.fish", None, ""
+    elif shell == "powershell":
+        start = _profile()
+        place = start.with_name("planish.completion.ps1")
+        line = f'. "$PSScriptRoot/{place.name}"'  # beside the profile: no letters that an old code page lacks
+    else:
+        place = shared / f"completion.{shell}"
+        start = Path(os.environ.get("ZDOTDIR") or home) / ".zshrc" if shell == "zsh" else home / ".bashrc"
+        line = f'source "{place}"'
+        if shell == "zsh":  # compdef is known after compinit only
+            line = f"autoload -Uz compinit && compinit && {line}"
+    done: list[str] = []
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(script_of(shell), encoding="utf-8", newline="\n")
+        done.append(f"{place}: written")
+        if start is not None:
+            data = start.read_bytes() if start.is_file() else b""
+            coding = "utf-16-le" if data.startswith(b"\xff\xfe") else "utf-8"  # as PowerShell 5 writes its files
+            text = data.decode(coding, errors="replace")
+            if line in text.splitlines():
+                done.append(f"{start}: has the line already")
+            else:
+                gap = "" if text.endswith("\n") or not text else "\n"
+                with start.open("ab") as file:
+                    file.write(f"{gap}{line}\n".encode(coding))
+                done.append(f"{start}: one line added: {line}")
+    except OSError as error:
+        raise FileError(
+            f"{error.filename or place} cannot be written: {error.strerror}. Print the script with 'planish completion "
+            f"{shell}' and put it where {shell} reads it."
+        ) from error
+    return [*done, "Open a new terminal; the Tab key then completes commands and options."]
+
+
+def _profile() -> Path:
+    """The file that PowerShell reads at its start, as it says itself: documents may lie on a server."""
+    for program in ("pwsh", "powershell"):
+        found = shutil.which(program)
+        if found is None:
+            continue
+        asked = [found, "-NoProfile", "-NonInteractive", "-Command", "$PROFILE.CurrentUserCurrentHost"]
+        answer = subprocess.run(asked, capture_output=True, check=False, timeout=60)
+        text = answer.stdout.decode("utf-8", errors="replace").strip()
+        if answer.returncode == 0 and text:
+            return Path(text)
+    raise FileError(
+        "PowerShell is not on the search path, so its profile is not known. Write the script there yourself: planish "
+        "completion powershell >> $PROFILE"
+    )

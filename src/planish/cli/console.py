@@ -1,0 +1,131 @@
+"""What the terminal can take: colours, width and letters; sentences and tables that keep a unit beside its number."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import textwrap
+from collections.abc import Sequence
+from io import TextIOWrapper
+from typing import TYPE_CHECKING
+
+import click
+
+from planish.core.text import printable
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_UNITS = ("um", "um2", "mm", "mm2", "deg", "%", "s", "min", "h", "MB", "GB", "voxels", "pixels", "columns", "marks")
+_WITH_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(_UNITS)})(?![\w/]))")
+_NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
+_GLUE = "\N{NO-BREAK SPACE}"
+_APART = 2  # blanks between columns
+_COUNTS = ("n", "n_eff", "columns", "r", "r2", "95 %")  # columns without the unit of their row
+_NARROW = 20  # a terminal that says it has fewer columns does not mean it
+
+
+def prepare_streams() -> None:
+    """Have letters that a console lacks written by their number: a name in a file must not end a run."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # not one of a notebook or a test
+            stream.reconfigure(errors="backslashreplace")
+
+
+def plain() -> bool:
+    """Whether colours are off: ``NO_COLOR`` is set, or the terminal can show none."""
+    return bool(os.environ.get("NO_COLOR")) or _dumb()
+
+
+def animated() -> bool:
+    """Whether progress may be drawn over and over on one line of standard error."""
+    return sys.stderr.isatty() and not _dumb()
+
+
+def _dumb() -> bool:
+    return os.environ.get("TERM", "").lower() in ("dumb", "unknown")
+
+
+def console(*, err: bool = False, width: int | None = None) -> Console:
+    """A console of rich: without colours where they are off, and with brackets in names left as they are."""
+    from rich.console import Console
+
+    return Console(
+        stderr=err, width=width, highlight=False, markup=False, emoji=False, no_color=plain() or None,
+        color_system=None if plain() else "auto",
+    )  # fmt: skip
+
+
+def letters() -> bool:
+    """Whether standard error takes any letter, such as those of an animation."""
+    return (sys.stderr.encoding or "").lower().startswith("utf")
+
+
+def width(*, err: bool = False) -> int | None:
+    """Columns of the terminal; None where standard output, or standard error, is none."""
+    stream = sys.stderr if err else sys.stdout
+    return max(console(err=err).width, _NARROW) if stream.isatty() else None
+
+
+def sentence(text: str, *, err: bool = False) -> None:
+    """Print a sentence; on a terminal no line ends between a number and its unit."""
+    across = width(err=err)
+    click.echo(printable(text) if across is None else wrapped(printable(text), across), err=err)
+
+
+def wrapped(text: str, width: int) -> str:
+    """Break lines at blanks, but not between a number and its unit; further lines of a paragraph are set in."""
+    lines: list[str] = []
+    for line in text.split("\n"):
+        start = line[: len(line) - len(line.lstrip())]
+        lines += textwrap.wrap(
+            _WITH_UNIT.sub(_GLUE, line), max(width, _NARROW), initial_indent="", subsequent_indent=f"{start}  ",
+            break_long_words=False, break_on_hyphens=False, replace_whitespace=False, drop_whitespace=True,
+        ) or [""]  # fmt: skip
+    return "\n".join(lines).replace(_GLUE, " ")
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table on standard output: in columns, or one row below the other where the terminal is too narrow.
+
+    Parameters
+    ----------
+    title : str
+    columns : sequence of str
+        Headings; one may be ``unit``, that of all numbers of the row but counts, others may end with a unit.
+    rows : sequence of sequence of str
+    """
+    rows = [[printable(cell) for cell in row] for row in rows]
+    widest = [max(len(cell) for cell in cells) for cells in zip(columns, *rows, strict=True)]
+    needed = max(sum(widest) + _APART * (len(widest) - 1), len(title))
+    across = width()
+    if across is not None and needed > across:
+        click.echo(stacked(title, columns, rows, across))
+        return
+    from rich.table import Table
+
+    grid = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, _APART, 0, 0))
+    for k, name in enumerate(columns):
+        grid.add_column(name, justify="left" if k == 0 else "right", no_wrap=True)
+    for row in rows:
+        grid.add_row(*row)
+    console(width=across or needed + _APART).print(grid)
+
+
+def stacked(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> str:
+    """Text of a table for a narrow terminal: the name of a row, and below it a line for each of its values."""
+    lines = wrapped(title, width).split("\n") if title else []
+    unit_at = columns.index("unit") if "unit" in columns else None
+    for row in rows:
+        lines += wrapped(row[0], width).split("\n")
+        values = [k for k, heading in enumerate(columns) if _NUMBER.fullmatch(row[k]) and heading not in _COUNTS]
+        for k, (heading, cell) in enumerate(zip(columns, row, strict=True)):
+            if k == 0 or not cell or (k == unit_at and values):
+                continue
+            name, _, own = heading.rpartition(" ")
+            of_heading = bool(name) and own in _UNITS and heading not in _COUNTS
+            unit = own if of_heading else row[unit_at] if unit_at is not None and k in values else ""
+            text = f"{cell} {unit}" if unit not in ("", "1") and cell != "-" else cell
+            lines += wrapped(f"  {name if of_heading else heading}  {text}", width).split("\n")
+    return "\n".join(lines)

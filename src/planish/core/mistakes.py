@@ -1,0 +1,142 @@
+"""What is wrong with the parameters in a file: the line, the key, and the word that was probably meant."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+from planish.core.toml_lines import Key
+
+Place = Callable[[Key], tuple[Key, int | None]]
+"""From where a model has a value to the key that the file has for it, and its line; None where it has no line."""
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_ALIKE = 0.6  # of difflib: the share of letters that two names have in common
+_MOST_NAMES = 30
+
+_ADVICE = (
+    (re.compile(r"^[^'#]*\"[^\"\n]*\\[^\"\n]*\"", re.MULTILINE), ("Unescaped", "Invalid hex", "escape"),
+     "A path with \\ stands in single quotes: 'C:\\data\\volume.tif'. Or write it with /."),
+    (re.compile(r""), ("Cannot overwrite", "Cannot declare"), "A key or a table may be given once."),
+    (re.compile(r"=\s*-?\d+,\d"), (), "Numbers have a decimal point, several stand in brackets: [3.0, 1.5, 1.5]."),
+    (re.compile(r"=\s*[A-Za-z/\\]"), ("Invalid value",), "Words and paths stand in quotes; true and false do not."),
+    (re.compile(r"^\s*[^\[#\n=]+$", re.MULTILINE), ("after a key",), "A line reads key = value."),
+)  # fmt: skip
+
+
+def toml_mistake(error: tomllib.TOMLDecodeError, text: str) -> str:
+    """Say where a text stops being TOML, and what to write there."""
+    words = str(error)
+    found = re.search(r"\(at line (\d+), column (\d+)\)", words)
+    lines = text.splitlines()
+    if found is None or not 0 < int(found[1]) <= len(lines):
+        return f"{words}."
+    line = lines[int(found[1]) - 1]
+    advice = next(
+        (f" {what}" for pattern, kinds, what in _ADVICE
+         if pattern.search(line) and (not kinds or any(kind in words for kind in kinds))), ""
+    )  # fmt: skip
+    return f"line {found[1]}, column {found[2]}: {words[: found.start()].strip()}: {line.strip()[:80]}.{advice}"
+
+
+def mistakes(error: ValidationError, model: type[BaseModel], place: Place) -> list[str]:
+    """Name every mistake that a validation found: ``line 7, volume.thruogh: unknown; did you mean through?``.
+
+    Parameters
+    ----------
+    error : ValidationError
+    model : type
+        What was validated; names that are possible are taken from it.
+    place : callable
+        Gives key and line in the file.
+    """
+    found: list[tuple[int, str]] = []
+    seen: set[Key] = set()
+    for fault in error.errors(include_url=False):
+        loc = _within(tuple(fault["loc"]))
+        key, line = place(loc)
+        if key in seen and key:  # of a value that may be of several kinds, the first kind says enough
+            continue
+        seen.add(key)
+        where = ".".join(map(str, key))
+        at = f"line {line}" if line is not None else ""
+        head = ", ".join(filter(None, (at, where)))
+        found.append((line or 0, f"{head}: {_words(fault, loc, model)}" if head else _words(fault, loc, model)))
+    return [text for _, text in sorted(found, key=lambda one: one[0])]
+
+
+def _within(loc: Key) -> Key:
+    """The place of a value without the kinds that it may have, which pydantic names behind it."""
+    return tuple(part for part in loc if isinstance(part, int) or _NAME.fullmatch(part))
+
+
+def _words(fault: Any, loc: Key, model: type[BaseModel]) -> str:
+    message = str(fault["msg"]).removeprefix("Value error, ")
+    value = fault.get("input")
+    if fault["type"] == "extra_forbidden":
+        return _unknown(str(loc[-1]), loc[:-1], model)
+    if fault["type"] == "missing":
+        return "missing"
+    if fault["type"] == "tuple_type":
+        return f"{value!r} is not possible; needed are values in brackets, such as [1.5, 1.5]"
+    if fault["type"] == "literal_error":
+        expected = str(fault["ctx"]["expected"])
+        likely = difflib.get_close_matches(str(value).casefold(), re.findall(r"'([^']*)'", expected), 1, _ALIKE)
+        meant = f"; did you mean {likely[0]!r}?" if likely else "."
+        return f"{value!r} is not possible; needed is {expected}{meant}".removesuffix(".")
+    if isinstance(value, str | int | float | bool):
+        return f"{message} (found {value!r})"
+    return message
+
+
+def _unknown(name: str, table: Key, model: type[BaseModel]) -> str:
+    """Say that a name is unknown: the closest one of its table, or the table that has it."""
+    everywhere = dict(_tables(model, ()))
+    here = [field for one in _models_at(table, model) for field in one.model_fields]
+    here += [] if table else [place[0] for place in everywhere if place]
+    likely = difflib.get_close_matches(name.casefold(), here, 1, _ALIKE)
+    if likely:
+        return f"unknown; did you mean {likely[0]}?"
+    owners = [place for place, fields in everywhere.items() if name in fields and place]
+    if not owners:
+        near = difflib.get_close_matches(name, sorted({f for fs in everywhere.values() for f in fs}), 1, 0.8)
+        owners = [place for place, fields in everywhere.items() if near and near[0] in fields and place]
+        name = near[0] if owners else name
+    if owners:
+        tables = " or ".join(f"[{'.'.join(place)}]" for place in owners)
+        return f"unknown here; {name} belongs to {tables}"
+    return f"unknown; there {'is' if len(here) == 1 else 'are'} {', '.join(sorted(set(here))[:_MOST_NAMES])}"
+
+
+def _models_at(place: Key, model: type[BaseModel]) -> list[type[BaseModel]]:
+    """Models that may stand at a place, which has names of fields, numbers, and names of alternatives."""
+    found = [model]
+    for part in place:
+        if isinstance(part, str):
+            inner = [k for m in found if part in m.model_fields for k in models_in(m.model_fields[part].annotation)]
+            found = inner or found
+    return found
+
+
+def models_in(annotation: Any) -> Sequence[type[BaseModel]]:
+    """Models that a field may hold, as they are, optional, or several of them."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if get_origin(annotation) in (Union, UnionType, Annotated, tuple, list):
+        return [model for part in get_args(annotation) for model in models_in(part)]
+    return []
+
+
+def _tables(model: type[BaseModel], place: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], list[str]]]:
+    """All tables of a model, each with the names in it; those of an array stand where the array does."""
+    yield place, [name for name, field in model.model_fields.items() if not models_in(field.annotation)]
+    for name, field in model.model_fields.items():
+        several = get_origin(field.annotation) in (tuple, list)
+        for inner in models_in(field.annotation):
+            yield from _tables(inner, place if several else (*place, name))

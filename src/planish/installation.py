@@ -1,0 +1,285 @@
+"""Whether this installation can do its work: what ``planish doctor`` reports, in a form that can be mailed."""
+
+from __future__ import annotations
+
+import importlib
+import locale
+import os
+import pkgutil
+import platform
+import shutil
+import struct
+import sys
+import tempfile
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from packaging.markers import default_environment
+from packaging.requirements import Requirement
+
+import planish
+from planish.core import names
+from planish.core.checks import Check
+from planish.core.threads import available
+from planish.io.guard import default_memory_limit
+
+EXTRAS = {
+    "formats": "reads packed MHA and MHD, and files of instruments for topography",
+    "refine": "registration refined by the images themselves (--refine)",
+    "cluster": "work on several machines or processes (--scheduler)",
+}
+"""Extra of the package -> what it gives."""
+
+NO_CACHE = "No folder can be written in which compiled kernels could be kept."
+ANOTHER_CACHE = "Set the variable NUMBA_CACHE_DIR to a folder that you may write."
+
+_LEAST_MEMORY = 2 * 10**9
+_LEAST_DISK = 2 * 10**9
+_PYTHONS = ((3, 11), (3, 13))
+
+
+def is_no_cache(error: Exception) -> bool:
+    """Whether numba found no folder for compiled kernels, which it says when one is loaded."""
+    return isinstance(error, RuntimeError) and "cannot cache function" in str(error)
+
+
+def describe_installation() -> dict[str, str]:
+    """Versions of planish, Python and system."""
+    bits = struct.calcsize("P") * 8
+    return {
+        "planish": planish.__version__,
+        "python": f"{platform.python_version()} ({platform.python_implementation()}, {bits} bit)",
+        "system": f"{platform.system()} {platform.release()} ({platform.machine()})",
+    }
+
+
+def check_installation() -> Iterator[Check]:
+    """Check one thing after the other; states other than ``pass`` and ``unknown`` come with what to do.
+
+    Names of folders are not in it, but for a folder that cannot be written.
+    """
+    yield _python()
+    yield _command()
+    yield _libraries()
+    yield _compile_cache()
+    yield _memory()
+    yield _check("processors", f"{available()} may be used; {os.cpu_count()} are there.")
+    for name, folder in (("temporary folder", Path(tempfile.gettempdir())), ("this folder", Path.cwd())):
+        yield _disk(name, folder)
+    yield _console()
+    if os.name == "nt":
+        yield _long_paths()
+    for extra, gives in EXTRAS.items():
+        yield _extra(extra, gives)
+
+
+def _check(name: str, sentence: str, *, advice: str = "", state: Any = None, **more: Any) -> Check:
+    return Check(name=name, state=state or ("look" if advice else "pass"), sentence=sentence, advice=advice, **more)
+
+
+def _python() -> Check:
+    words, bits = platform.python_version(), struct.calcsize("P") * 8
+    low, high = (".".join(map(str, one)) for one in _PYTHONS)
+    if bits == 64 and _PYTHONS[0] <= sys.version_info[:2] <= _PYTHONS[1]:
+        return _check("Python", f"{words}, {bits} bit.")
+    return _check(
+        "Python", f"{words}, {bits} bit.", state="fail", advice=f"Needed is a 64-bit Python from {low} to {high}."
+    )
+
+
+def _command() -> Check:
+    """Whether the command in the terminal is this installation."""
+    found = shutil.which("planish")
+    if found is None:
+        return _check(
+            "command", "planish is not on the search path.", state="unknown",
+            advice="Activate its environment, or write the path of the program in front of its name.",
+        )  # fmt: skip
+    # Tools that give a program an environment of its own put a link to it on the path.
+    if Path(sys.executable).absolute().parent in (Path(found).absolute().parent, Path(found).resolve().parent):
+        return _check("command", "planish in a terminal is this installation.")
+    return _check(
+        "command", "planish in a terminal may be another installation.", state="unknown",
+        advice="Compare 'planish --version' with the first line.",
+    )  # fmt: skip
+
+
+def _libraries() -> Check:
+    """Versions of all libraries against the lower bounds, and whether they can be imported."""
+    needed, wrong, found = _requirements(None), list[str](), list[str]()
+    if needed is None:
+        return _check("libraries", "planish runs from a folder and is not installed.", state="unknown")
+    for requirement in needed:
+        version, fault = _fault_of(requirement)
+        found.append(f"{requirement.name} {version}")
+        if fault:
+            wrong.append(fault)
+    if wrong:
+        return _check(
+            "libraries", f"{'; '.join(wrong)}.", state="fail",
+            advice="Install planish again, best into an environment of its own: pip install --upgrade planish",
+        )  # fmt: skip
+    return _check("libraries", f"{', '.join(found)}.")
+
+
+def _fault_of(requirement: Requirement) -> tuple[str, str | None]:
+    """Version of a library, and what is wrong with it."""
+    try:
+        version = metadata.version(requirement.name)
+    except metadata.PackageNotFoundError:
+        return "missing", f"{requirement.name} is missing"
+    if not requirement.specifier.contains(version, prereleases=True):
+        return version, f"{requirement.name} is {version}, needed is {requirement.specifier}"
+    try:
+        for module in _modules(requirement.name):
+            importlib.import_module(module)
+    except Exception as error:  # noqa: BLE001  # a library that does not load may raise anything
+        return version, f"{requirement.name} {version} cannot be loaded ({' '.join(str(error).split())[:120]})"
+    return version, None
+
+
+def _modules(library: str) -> list[str]:
+    """Names by which the packages of a library are imported, which need not be its own."""
+    names = [str(file).split("/")[0] for file in metadata.files(library) or () if str(file).endswith("/__init__.py")]
+    single = [str(file) for file in metadata.files(library) or () if "/" not in str(file)]
+    found = dict.fromkeys([*names, *(name.removesuffix(".py") for name in single if name.endswith(".py"))])
+    alike = [name for name in found if _plain(name) in _plain(library) or _plain(library) in _plain(name)]
+    return alike or [name for name in found if name.isidentifier() and not name.startswith("_")][:1]
+
+
+def _plain(name: str) -> str:
+    return name.casefold().replace("-", "").replace("_", "").replace(".", "")
+
+
+def _requirements(extra: str | None) -> list[Requirement] | None:
+    """What planish, or one of its extras, needs on this machine; None where planish is not installed."""
+    try:
+        texts = metadata.requires("planish") or []
+    except metadata.PackageNotFoundError:
+        return None
+    here: dict[str, str] = {k: str(v) for k, v in default_environment().items()}
+    found: list[Requirement] = []
+    for requirement in map(Requirement, texts):
+        asks = requirement.marker is not None and "extra" in str(requirement.marker)
+        if asks == (extra is not None) and (
+            requirement.marker is None or requirement.marker.evaluate(here | {"extra": extra or ""})
+        ):
+            found.append(requirement)
+    return found
+
+
+def _compile_cache() -> Check:
+    """Whether compiled kernels can be kept, and how many are."""
+    name = "compile cache"
+    try:
+        kernels = list(_kernels())
+    except (ImportError, OSError) as error:
+        return _check(name, f"The kernels cannot be loaded ({error}).", state="fail", advice="See libraries.")
+    except RuntimeError as error:
+        if not is_no_cache(error):
+            raise
+        return _check(name, NO_CACHE, state="fail", advice=ANOTHER_CACHE)
+    folders = {Path(kernel.stats.cache_path) for kernel in kernels}
+    for folder in sorted(folders):
+        if not _may_write(folder):
+            return _check(name, f"{_short(folder)} cannot be written.", state="fail", advice=ANOTHER_CACHE)
+    kept = sum(1 for kernel in kernels if _is_kept(kernel))
+    own = "beside the program" if all(f.name == "__pycache__" for f in folders) else "in the user's folder for caches"
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    where = "in NUMBA_CACHE_DIR" if given and all(f.is_relative_to(given) for f in folders) else own
+    first = "" if kept else " The first run takes about a minute longer, to compile them."
+    return _check(name, f"{kept} of {len(kernels)} kernels are compiled and kept {where}.{first}")
+
+
+def _kernels() -> Iterator[Any]:
+    """All compiled functions of the package that keep their code."""
+    for info in pkgutil.walk_packages(planish.__path__, "planish."):
+        if info.name.rpartition(".")[2].startswith("_") and info.name.endswith("kernels"):
+            module = importlib.import_module(info.name)
+            for value in vars(module).values():
+                if hasattr(value, "py_func") and value.py_func.__module__ == info.name and value.stats.cache_path:
+                    yield value
+
+
+def _is_kept(kernel: Any) -> bool:
+    """Whether the cache has an index of a kernel."""
+    function = kernel.py_func
+    name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}-*.nbi"
+    return any(Path(kernel.stats.cache_path).glob(name))
+
+
+def _short(folder: Path) -> str:
+    """A folder without the name of the user."""
+    try:
+        return f"~/{folder.relative_to(Path.home()).as_posix()}"
+    except ValueError:
+        return str(folder)
+
+
+def _may_write(folder: Path) -> bool:
+    """Whether a file can be made in a folder, which is made where it is missing."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def _memory() -> Check:
+    free = int(default_memory_limit() / 0.75)
+    sentence = f"{free / 1e9:.1f} GB are free; a run takes half of that where --memory is not given."
+    low = f"Close other programs; volumes of more than {free / 3e9:.1g} GB want 'planish import' first."
+    return _check("memory", sentence, advice=low if free < _LEAST_MEMORY else "", value=free / 1e9, units="GB")
+
+
+def _disk(name: str, folder: Path) -> Check:
+    free = shutil.disk_usage(folder).free
+    if not _may_write(folder):
+        advice = (
+            "Set TMPDIR (on Windows TMP) to a folder that you may write."
+            if "temp" in name
+            else "Go to another folder, or give one with --out."
+        )
+        return _check(name, f"{_short(folder)} cannot be written.", state="fail", advice=advice)
+    sentence = f"{free / 1e9:.1f} GB are free, and it can be written."
+    low = "Free some space: maps, working stores and tiles need it."
+    return _check(name, sentence, advice=low if free < _LEAST_DISK else "", value=free / 1e9, units="GB")
+
+
+def _console() -> Check:
+    """Encodings and appearance of the terminal."""
+    encodings = {"output": sys.stdout.encoding, "messages": sys.stderr.encoding}
+    terminal = f"a terminal of {shutil.get_terminal_size().columns} columns" if sys.stdout.isatty() else "no terminal"
+    utf = "on" if sys.flags.utf8_mode else "off"
+    said = ", ".join(f"{name} {encoding}" for name, encoding in encodings.items())
+    files, texts = sys.getfilesystemencoding(), locale.getpreferredencoding(do_setlocale=False)
+    return _check(
+        "console", f"{said}; names of files {files}, texts of other programs {texts}; UTF-8 mode {utf}; {terminal}."
+    )
+
+
+def _long_paths() -> Check:
+    if names.longest_path() is None:
+        return _check("long paths", "Windows takes paths of more than 259 characters.")
+    return _check(
+        "long paths", "Windows takes paths of up to 259 characters; runs in deep folders are refused.",
+        state="unknown",
+    )  # fmt: skip
+
+
+def _extra(extra: str, gives: str) -> Check:
+    name = f"extra {extra}"
+    needed = _requirements(extra)
+    if needed is None:
+        return _check(name, f"{gives}.", state="unknown")
+    faults = [(requirement.name, *_fault_of(requirement)) for requirement in needed]
+    missing = [library for library, version, _ in faults if version == "missing"]
+    wrong = [fault for _, version, fault in faults if fault and version != "missing"]
+    if wrong:
+        return _check(name, f"{'; '.join(wrong)}.", advice=f'Run: pip install --upgrade "planish[{extra}]"')
+    if missing:
+        return _check(name, f'not installed; pip install "planish[{extra}]" gives it: {gives}.')
+    return _check(name, f"installed ({', '.join(f'{library} {v}' for library, v, _ in faults)}): {gives}.")

@@ -1,0 +1,131 @@
+"""The Tab key: commands, options and words, in the shells that are here."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from planish.cli import completion
+from planish.cli.completion import SHELLS, install_script, script_of
+from planish.core.errors import FileError
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME", "ZDOTDIR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_the_script_is_printed(planish, shell):
+    code, out, err = planish("completion", shell)
+    assert (code, err) == (0, "")
+    assert out == script_of(shell)
+    assert "_PLANISH_COMPLETE" in out
+    assert out.isascii(), "a console of any code page may write it"
+
+
+@pytest.mark.parametrize(
+    ("shell", "start", "place"),
+    [
+        ("bash", ".bashrc", ".local/share/planish/completion.bash"),
+        ("zsh", ".zshrc", ".local/share/planish/completion.zsh"),
+        ("fish", None, ".config/fish/completions/planish.fish"),
+        ("powershell", "Documents/profile.ps1", "Documents/planish.completion.ps1"),
+    ],
+)
+def test_it_is_installed_once_and_says_where(home, monkeypatch, planish, shell, start, place):
+    monkeypatch.setattr(completion, "_profile", lambda: home / "Documents" / "profile.ps1")
+    if start is not None:
+        (home / start).parent.mkdir(exist_ok=True)
+        (home / start).write_bytes(b"alias ll='ls -l'")
+    code, out, _ = planish("completion", shell, "--install")
+    assert code == 0
+    assert (home / place).read_text(encoding="utf-8") == script_of(shell)
+    assert str(home / place) in out
+    if start is None:
+        return
+    once = (home / start).read_bytes()
+    first, line, *rest = once.decode().split("\n")
+    assert (first, rest) == ("alias ll='ls -l'", [""]), "what was there stays, and one line comes behind it"
+    assert Path(place).name in line
+    planish("completion", shell, "--install")
+    assert (home / start).read_bytes() == once
+
+
+def test_a_profile_of_an_older_powershell_stays_readable(home, monkeypatch):
+    profile = home / "profile.ps1"
+    profile.write_bytes("Set-Location C:\\\r\n".encode("utf-16"))
+    monkeypatch.setattr(completion, "_profile", lambda: profile)
+    install_script("powershell")
+    assert profile.read_bytes().decode("utf-16").splitlines() == [
+        "Set-Location C:\\", '. "$PSScriptRoot/planish.completion.ps1"'
+    ]  # fmt: skip
+
+
+def test_where_there_is_no_powershell_it_says_what_to_do(monkeypatch):
+    monkeypatch.setattr(completion.shutil, "which", lambda _name: None)
+    with pytest.raises(FileError, match=r"planish completion powershell >> \$PROFILE"):
+        install_script("powershell")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("ma",), ["map", "marks"]),
+        (("link", "a.tif", "--thr"), ["--through", "--threads"]),
+        (("link", "--through", ""), ["z", "y", "x"]),
+        (("link", "--fringe", "a"), ["auto"]),
+        (("marks", ""), ["design", "check", "simulate", "convert"]),
+    ],
+)
+def test_powershell_gets_words_with_their_help(monkeypatch, capsys, words, expected):
+    from planish.cli import main
+
+    monkeypatch.setenv("_PLANISH_COMPLETE", "powershell_complete")
+    monkeypatch.setenv("COMP_WORDS", "\n".join(("planish", *filter(None, words))))
+    monkeypatch.setenv("COMP_CWORD", words[-1])
+    with pytest.raises(SystemExit):
+        main([])
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert {"plain"} == {row[0] for row in rows}
+    assert set(expected) <= {row[1] for row in rows}
+    assert all(len(row) == 3 for row in rows)
+
+
+def shell_answers(program, *arguments, home):
+    """Start a shell with a program ``planish`` on its path."""
+    found = shutil.which(program)
+    if found is None:
+        pytest.skip(f"{program} is not installed")
+    folder = home / "bin"
+    folder.mkdir()
+    command = folder / "planish"
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m planish.cli "$@"\n', encoding="utf-8", newline="\n")
+    command.chmod(0o755)
+    env = os.environ | {"PATH": f"{folder}{os.pathsep}{os.environ['PATH']}", "HOME": str(home)}
+    return subprocess.run([found, *arguments], env=env, capture_output=True, text=True, check=True, timeout=60).stdout
+
+
+def test_bash_completes(home):
+    install_script("bash")
+    asked = (
+        'source ~/.bashrc; COMP_WORDS=(planish ma); COMP_CWORD=1; _planish_completion planish; echo "${COMPREPLY[@]}"'
+    )
+    assert shell_answers("bash", "--norc", "-c", asked, home=home).split() == ["map", "marks"]
+
+
+@pytest.mark.study
+def test_fish_completes(home):
+    install_script("fish")
+    out = shell_answers("fish", "-c", 'complete -C "planish ma"', home=home)
+    assert [line.split("\t")[0] for line in out.splitlines()] == ["map", "marks"]

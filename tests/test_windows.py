@@ -1,0 +1,274 @@
+"""What Windows does differently, as far as another system can show it: names, lengths, open files, line ends."""
+
+from __future__ import annotations
+
+import ast
+import ctypes
+import json
+import re
+import shutil
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path, PureWindowsPath
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import planish as pl
+from formats_written import CASES, VALUES, VOXEL
+from marks import files_by_hand as by_hand
+from planish.core.errors import FileError
+from planish.core.files import move, write_whole
+from planish.core.names import INSIDE, check_length, fault_of_name, refuse_name
+from planish.core.tiles import Engine
+from planish.io import guard, read_volume
+from planish.io.run_folder import new_folder, refuse_existing
+from planish.io.store import write_store
+from planish.marks.files import read_any
+from planish.study import as_study, read_study
+from planish.surface import find_surfaces
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = sorted((ROOT / "src").rglob("*.py"))
+
+
+# --- names and lengths -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["aux", "CON", "nul.txt", "Com1.tar.gz", "lpt9", "prn ", "COM¹", "run.", "run ", "CONIN$", "aux .zarr"]
+)
+def test_names_that_windows_cannot_keep_are_refused_everywhere(name, tmp_path, planish):
+    assert fault_of_name(name, windows=False)
+    with pytest.raises(FileError, match="Windows"):
+        write_whole(tmp_path / name, b"")
+    with pytest.raises(FileError, match="Windows"), new_folder(tmp_path / name / "run"):
+        pytest.fail("must not get here")
+    code, _, err = planish("import", tmp_path / "none.tif", "--out", tmp_path / name)
+    assert (code, list(tmp_path.iterdir())) == (3, [])
+    assert repr(name) in err
+
+
+@pytest.mark.parametrize("name", ["run", "auxiliary", "con_1", "com", "com10", ".hidden", "Blatt ä 7.zarr", "a.b"])
+def test_other_names_are_taken(name, tmp_path):
+    assert fault_of_name(name, windows=True) is None
+    refuse_existing(tmp_path / name)
+
+
+@pytest.mark.parametrize("sign", ["?", "*", ":", "|", '"', "<", "\n"])
+def test_signs_that_only_windows_refuses_are_refused_there(sign):
+    assert fault_of_name(f"run{sign}1", windows=False) is None
+    assert fault_of_name(f"run{sign}1", windows=True)
+
+
+def test_drives_and_shares_are_no_names():
+    for place in (PureWindowsPath("C:/data/run"), PureWindowsPath(r"\\server\share\Anna\run")):
+        refuse_name(place, list(place.parts[1:]), windows=True)
+    with pytest.raises(FileError, match="'nul'"):
+        refuse_name(PureWindowsPath(r"\\server\share\nul"), ["nul"], windows=True)
+
+
+def test_a_folder_too_deep_for_windows_is_refused_before_work():
+    check_length(PureWindowsPath(r"C:\Users\anna.berg\Documents\papers\run"), longest=259)
+    deep = PureWindowsPath(
+        r"\\files.mill.example\research and development\coating\trial 17, both sides of the sheet\microtome"
+        r"\2 um\run number 1"
+    )
+    with pytest.raises(FileError, match=r"259\. Write to a shorter path such as C:\\data\\run number 1"):
+        check_length(deep, longest=259)
+    check_length(deep, longest=None)  # where there is no such limit
+
+
+def test_the_files_of_a_run_are_no_longer_than_is_allowed_for(linked_run):
+    while_written = len(".0123456789abcdef0123456789abcdef.partial")  # what zarr appends
+    longest = max(len(p.relative_to(linked_run).as_posix()) for p in linked_run.rglob("*"))
+    assert longest + while_written <= INSIDE
+
+
+def test_layers_have_names_that_can_stand_side_by_side_as_files():
+    one = {"volume": {"path": "a.tif"}}
+    for names in (("ct", "CT"), ("aux", "lm")):
+        with pytest.raises(ValueError, match="name"):
+            as_study({"layers": [{"name": name, **one} for name in names]})
+
+
+def test_a_drive_in_a_study_is_not_a_layers_name(planish, tmp_path):
+    """``C:`` is no ``NAME=``, and a path with a sign of equality stays one."""
+    for path in (r"C:\data\volume=1.tif", r"\\server\share\volume.tif"):
+        code, _, err = planish("link", path, "image.tif", "--out", tmp_path / "run")
+        assert code == 3
+        assert "volume" in err
+        assert "no name of a layer" not in err
+
+
+# --- files that another program holds open ---------------------------------------------------------------------------
+
+
+def held(times):
+    """A rename that is refused so many times, as Windows does where a virus scanner has the file."""
+    left = [times]
+    rename = Path.rename
+
+    def refused(self, target):
+        if left[0] > 0:
+            left[0] -= 1
+            raise PermissionError(13, "Permission denied", str(self))
+        return rename(self, target)
+
+    return refused
+
+
+def test_a_file_that_is_held_open_for_a_moment_is_moved(tmp_path, monkeypatch):
+    monkeypatch.setattr("planish.core.files.time.sleep", lambda _s: None)
+    monkeypatch.setattr(Path, "rename", held(3))
+    with new_folder(tmp_path / "run") as folder:
+        (folder / "a").write_text("a", encoding="utf-8")
+    assert (tmp_path / "run" / "a").read_text(encoding="utf-8") == "a"
+
+
+def test_a_file_that_stays_open_is_a_message_and_leaves_nothing(tmp_path, monkeypatch):
+    waited = []
+    monkeypatch.setattr("planish.core.files.time.sleep", waited.append)
+    monkeypatch.setattr(Path, "rename", held(100))
+    with pytest.raises(FileError, match=r"another program has it .* open.*the same command again"):
+        write_whole(tmp_path / "a.json", b"{}")
+    assert list(tmp_path.iterdir()) == []
+    assert 2 < sum(waited) < 5
+
+
+def test_what_is_there_is_replaced_only_on_request(tmp_path):
+    for name in ("new", "old"):
+        (tmp_path / name).write_text(name, encoding="utf-8")
+    move(tmp_path / "new", tmp_path / "old", over=True)
+    assert (tmp_path / "old").read_text(encoding="utf-8") == "new"
+
+
+# --- line ends -------------------------------------------------------------------------------------------------------
+
+
+def crlf(path: Path) -> Path:
+    """The same file as an editor on Windows saves it."""
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("bigwarp.csv", by_hand.bigwarp_2d()),
+        ("bigwarp.json", by_hand.bigwarp_json()),
+        ("elastix.txt", by_hand.elastix(by_hand.MOVING)),
+        ("marks.mrk.json", by_hand.slicer(by_hand.slicer_list(by_hand.MOVING / 1000, "m"))),
+        ("marks.csv", by_hand.native()),
+    ],
+)
+def test_marks_with_the_line_ends_of_windows_are_the_same(tmp_path, name, text):
+    path = tmp_path / name
+    path.write_bytes(text.encode())
+    expected = read_any(path)
+    assert str(read_any(crlf(path))) == str(expected)
+
+
+@pytest.mark.parametrize("name", ["NRRD detached", "MetaImage detached", "NRecon", "raw"])
+def test_headers_with_the_line_ends_of_windows_are_the_same(tmp_path, name):
+    given = CASES[name].write(tmp_path, VALUES, VOXEL if CASES[name].voxel == VOXEL else CASES[name].voxel)
+    texts = [p for p in tmp_path.rglob("*") if p.suffix in (".nhdr", ".mhd", ".log", ".toml")]
+    assert texts
+    for path in texts:
+        crlf(path)
+    volume = read_volume(given)
+    np.testing.assert_array_equal(np.asarray(volume.values), VALUES)
+    assert tuple(volume.attrs["voxel_um"]) == CASES[name].voxel
+
+
+def test_a_study_with_line_ends_and_byte_order_mark_of_windows_is_the_same(linked_run, tmp_path):
+    text = (linked_run / "run.toml").read_bytes()
+    path = tmp_path / "run.toml"
+    path.write_bytes(text)
+    expected = read_study(path)
+    path.write_bytes(b"\xef\xbb\xbf" + text.replace(b"\n", b"\r\n"))
+    assert read_study(path) == expected
+
+
+def test_a_run_whose_text_files_got_the_line_ends_of_windows_opens(linked_run, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(linked_run, run)
+    for path in run.iterdir():
+        if path.suffix in (".toml", ".json", ".csv"):
+            crlf(path)
+    before, after = pl.open_run(linked_run), pl.open_run(run)
+    assert after.results == before.results
+    assert after.registrations.keys() == before.registrations.keys()
+    assert json.loads((run / "marks.json").read_text(encoding="utf-8"))
+
+
+# --- the machine -----------------------------------------------------------------------------------------------------
+
+
+def test_the_memory_is_asked_of_windows():
+    def answer(status):
+        found = ctypes.cast(status, ctypes.POINTER(guard._MemoryStatus)).contents
+        assert found.length == 64, "the size that Windows expects"
+        found.available = 5 * 2**30
+        return 1
+
+    assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=answer)) == 5 * 2**30
+    assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=lambda _: 0)) == guard.MEMORY_UNKNOWN_BYTES
+
+
+@pytest.mark.study
+def test_workers_that_are_spawned_write_the_same_store(specimen_files, tmp_path):
+    """Windows has no fork: what is sent to workers has to be pickled, and modules are imported anew."""
+    volume = read_volume(specimen_files[0])
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
+        write_store(volume, tmp_path / "spawned.zarr", executor=workers, workers=2, memory_bytes=2**27)
+    write_store(volume, tmp_path / "here.zarr", memory_bytes=2**27)
+    found, expected = (
+        {p.relative_to(store).as_posix(): p.read_bytes() for p in store.rglob("*") if p.is_file()}
+        for store in (tmp_path / "spawned.zarr", tmp_path / "here.zarr")
+    )
+    assert found == expected
+
+
+@pytest.mark.study
+def test_tiles_that_are_spawned_are_the_same(specimen_files):
+    """Stages on an engine of spawned processes, as on a cluster of Windows machines."""
+    volume = read_volume(specimen_files[0])
+    expected = find_surfaces(volume)
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
+        found = find_surfaces(volume, engine=Engine(executor=workers, workers=2, memory_bytes=2**28))
+    xr.testing.assert_identical(found, expected)
+
+
+# --- rules for the code ----------------------------------------------------------------------------------------------
+
+TEXT = re.compile(r"\b(read_text|write_text|open)\(")
+LACKING = re.compile(
+    r"^\s*(?:import|from) (?:fcntl|resource|pwd|grp|termios|curses|readline|pty|posix)\b", re.MULTILINE
+)
+FOREIGN = re.compile(r"\.(?:fork|symlink_to|symlink|hardlink_to|killpg)\(")
+
+
+def test_text_files_have_one_encoding_and_one_line_end():
+    for path in SOURCES:
+        text = path.read_text(encoding="utf-8")
+        if not TEXT.search(text):
+            continue
+        for node in ast.walk(ast.parse(text)):
+            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
+                continue
+            where, name, given = f"{path}:{node.lineno}", node.func.attr, {k.arg for k in node.keywords}
+            assert name != "read_text" or "encoding" in given, where
+            assert name != "write_text" or {"encoding", "newline"} <= given, where
+            mode = node.args[0] if name == "open" and node.args else None
+            if isinstance(mode, ast.Constant) and "b" not in str(mode.value):
+                assert {"encoding", "newline"} <= given, where
+
+
+def test_nothing_is_used_that_windows_lacks():
+    for path in SOURCES:
+        text = path.read_text(encoding="utf-8")
+        assert not LACKING.search(text), path
+        assert not FOREIGN.search(text), path
