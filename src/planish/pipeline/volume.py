@@ -86,9 +86,10 @@ def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, copies: int = 
     """Refuse a volume that is neither in memory nor can be read in parts."""
     if volume.encoding.get("whole_slices"):
         size = volume.size * volume.dtype.itemsize
+        needed = math.ceil(compute.to_hold(copies * size) / 1e8) / 10
         raise ResourceError(
             f"{path.name} has {size / 1e9:.1f} GB, and its slices can only be decoded whole. To hold it, give --memory "
-            f"{math.ceil(compute.to_hold(copies * size) / 1e8) / 10:.1f}GB ({compute.memory / 1e9:.1f} GB are allowed), or bring it into a "
+            f"{needed:.1f}GB ({compute.memory / 1e9:.1f} GB are allowed), or bring it into a "
             f"store first: planish import {path.name}{options} --out {path.stem}.zarr"
         )
 
