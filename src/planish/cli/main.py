@@ -25,7 +25,7 @@ _MODULES = {
     "link": "runs", "map": "runs", "demo": "runs", "run": "runs", "info": "files", "import": "files",
     "properties": "files", "surface": "stages", "measure": "stages", "flatten": "stages", "resample": "stages",
     "holes": "stages", "register": "stages", "correlate": "stages", "report": "stages", "marks": "marks",
-    "specimen": "validate", "validate": "validate",
+    "specimen": "validate", "validate": "validate", "export": "export",
 }  # fmt: skip
 """Verb -> module of this package that holds it, as ``verb``, ``verb_`` where the name is taken."""
 

@@ -1,0 +1,123 @@
+"""OME-Zarr 0.5: maps as an image of several resolutions, written band by band."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import BloscCodec
+
+from planish.core.overviews import count_of, halved_values
+from planish.writers.content import History, Maps
+from planish.writers.params import ExportParams
+
+_CHUNK = 512  # pixels along the edge of a chunk: as high as a band, so that each is written once
+_WIDE = 8192  # pixels along the width of a shard, one file
+_PERCENT = (1.0, 99.0)
+
+
+def write(maps: Maps, path: Path, history: History, _params: ExportParams) -> None:
+    """Write maps as one image: (y, x), or (c, y, x) of several, float32.
+
+    An overview is the mean of the pixels that have a value. Scale and translation place the middle of each pixel in um.
+    """
+    names, shape = maps.names, maps.shape
+    several = len(names) > 1
+    levels = count_of(shape) + 1
+    group = zarr.open_group(path, mode="w-", zarr_format=3)
+    sizes = [shape]
+    for _ in range(levels - 1):
+        sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
+    arrays = [_made(group, k, size, len(names) if several else 0) for k, size in enumerate(sizes)]
+    windows: list[dict[str, float]] = []
+    for channel, name in enumerate(names):
+        stack = [_Level(array, channel if several else None) for array in arrays]
+        for rows, values in maps.bands(name, np.float32):
+            stack[0].add(values, rest=stack[1:], last=rows.stop == shape[0])
+        windows.append(_window(stack[-1].part))
+    group.attrs.update(_attributes(maps, windows, levels, history))
+
+
+def _made(group: zarr.Group, level: int, size: tuple[int, int], channels: int) -> Any:
+    chunk = (min(_CHUNK, size[0]), min(_CHUNK, size[1]))
+    shard = (chunk[0], min(-(-size[1] // chunk[1]), _WIDE // _CHUNK) * chunk[1])
+    more = (channels,) if channels else ()
+    one = (1,) if channels else ()
+    return group.create_array(
+        str(level), shape=(*more, *size), dtype=np.float32, chunks=(*one, *chunk), shards=(*one, *shard),
+        fill_value=np.nan, compressors=(BloscCodec(cname="lz4", clevel=1, shuffle="shuffle", typesize=4),),
+        dimension_names=[*(("c",) if channels else ()), "y", "x"], config={"write_empty_chunks": True},
+    )  # fmt: skip
+
+
+class _Level:
+    """One resolution of a map, of which rows are added; it hands on means of them to the next."""
+
+    def __init__(self, array: Any, channel: int | None) -> None:
+        self._array, self._channel, self._done = array, channel, 0
+        self._waiting: list[NDArray[np.float32]] = []
+        self.part: NDArray[np.float32] = np.empty((0, 0), np.float32)
+        """What was written last: all of the coarsest level, which is one chunk."""
+
+    def add(self, values: NDArray[np.float32], *, rest: list[_Level], last: bool) -> None:
+        """Add rows; whole chunks are written, and what is left over at the end."""
+        self._waiting.append(values)
+        high = sum(len(part) for part in self._waiting)
+        if high < _CHUNK and not last:
+            return
+        self.part = np.concatenate(self._waiting) if len(self._waiting) > 1 else values
+        self._waiting = []
+        rows = slice(self._done, self._done + high)
+        if self._channel is None:
+            self._array[rows] = self.part
+        else:
+            self._array[self._channel, rows] = self.part
+        self._done += high
+        if rest:
+            rest[0].add(halved_values(self.part), rest=rest[1:], last=last)
+
+
+def _window(values: NDArray[np.float32]) -> dict[str, float]:
+    """Limits between which viewers show a map, from its coarsest overview."""
+    known = values[np.isfinite(values)].astype(np.float64)
+    low, high = (float(v) for v in np.percentile(known, _PERCENT)) if known.size else (0.0, 1.0)
+    least, most = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    return {"min": least, "max": most, "start": low, "end": high if high > low else low + 1.0}
+
+
+def _attributes(maps: Maps, windows: list[dict[str, float]], levels: int, history: History) -> dict[str, Any]:
+    names = maps.names
+    several, pixel, first = len(names) > 1, maps.pixel_um, maps.origin_um
+    head: list[dict[str, str]] = [{"name": "c", "type": "channel"}] if several else []
+    space = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "yx"]
+    ones, zeros = ([1.0], [0.0]) if several else ([], [])
+    datasets = [
+        {
+            "path": str(k),
+            "coordinateTransformations": [
+                {"type": "scale", "scale": [*ones, *(p * 2**k for p in pixel)]},
+                {
+                    "type": "translation",
+                    "translation": [*zeros, *(f + p * (2**k - 1) / 2 for f, p in zip(first, pixel, strict=True))],
+                },
+            ],
+        }
+        for k in range(levels)
+    ]
+    title = names[0] if not several else maps.group
+    multiscale = {
+        "name": title, "axes": [*head, *space], "datasets": datasets, "type": "mean of 2 x 2 known pixels",
+    }  # fmt: skip
+    channels = [
+        {"label": f"{name} ({maps.units(name)})", "color": "FFFFFF", "active": k == 0, "window": window}
+        for k, (name, window) in enumerate(zip(names, windows, strict=True))
+    ]
+    units = {name: maps.units(name) for name in names}
+    titles = {name: maps.title(name) for name in names}
+    return {
+        "ome": {"version": "0.5", "multiscales": [multiscale], "omero": {"channels": channels}},
+        "planish": {"history": history.json(**maps.facts()), "units": units, "titles": titles},
+    }  # fmt: skip
