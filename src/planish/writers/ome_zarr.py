@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,11 @@ from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
 from planish.core.overviews import count_of, halved_values
+from planish.core.threads import thread_pool
 from planish.writers.content import History, Maps
 from planish.writers.params import ExportParams
 
-_CHUNK = 512  # pixels along the edge of a chunk: as high as a band, so that each is written once
-_WIDE = 8192  # pixels along the width of a shard, one file
+_HIGH, _WIDE = 512, 1024  # pixels of a chunk, one file: as high as a band, so that each is written once
 _PERCENT = (1.0, 99.0)
 
 
@@ -33,31 +34,37 @@ def write(maps: Maps, path: Path, history: History, _params: ExportParams) -> No
         sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
     arrays = [_made(group, k, size, len(names) if several else 0) for k, size in enumerate(sizes)]
     windows: list[dict[str, float]] = []
-    for channel, name in enumerate(names):
-        stack = [_Level(array, channel if several else None) for array in arrays]
-        for rows, values in maps.bands(name, np.float32):
-            stack[0].add(values, rest=stack[1:], last=rows.stop == shape[0])
-        windows.append(_window(stack[-1].part))
+    with thread_pool() as pool:
+        for channel, name in enumerate(names):
+            stack = [_Level(array, channel if several else None, pool) for array in arrays]
+            for rows, values in maps.bands(name, np.float32):
+                stack[0].add(values, rest=stack[1:], last=rows.stop == shape[0])
+            for level in stack:
+                level.finish()
+            windows.append(_window(stack[-1].part))
     group.attrs.update(_attributes(maps, windows, levels, history))
 
 
 def _made(group: zarr.Group, level: int, size: tuple[int, int], channels: int) -> Any:
-    chunk = (min(_CHUNK, size[0]), min(_CHUNK, size[1]))
-    shard = (chunk[0], min(-(-size[1] // chunk[1]), _WIDE // _CHUNK) * chunk[1])
+    chunk = (min(_HIGH, size[0]), min(_WIDE, size[1]))
     more = (channels,) if channels else ()
     one = (1,) if channels else ()
     return group.create_array(
-        str(level), shape=(*more, *size), dtype=np.float32, chunks=(*one, *chunk), shards=(*one, *shard),
+        str(level), shape=(*more, *size), dtype=np.float32, chunks=(*one, *chunk),
         fill_value=np.nan, compressors=(BloscCodec(cname="lz4", clevel=1, shuffle="shuffle", typesize=4),),
         dimension_names=[*(("c",) if channels else ()), "y", "x"], config={"write_empty_chunks": True},
     )  # fmt: skip
 
 
 class _Level:
-    """One resolution of a map, of which rows are added; it hands on means of them to the next."""
+    """One resolution of a map, of which rows are added; it hands on means of them to the next.
 
-    def __init__(self, array: Any, channel: int | None) -> None:
-        self._array, self._channel, self._done = array, channel, 0
+    What was added before is written by another thread meanwhile.
+    """
+
+    def __init__(self, array: Any, channel: int | None, pool: Executor) -> None:
+        self._array, self._channel, self._pool, self._done = array, channel, pool, 0
+        self._writing: Future[None] | None = None
         self._waiting: list[NDArray[np.float32]] = []
         self.part: NDArray[np.float32] = np.empty((0, 0), np.float32)
         """What was written last: all of the coarsest level, which is one chunk."""
@@ -66,18 +73,22 @@ class _Level:
         """Add rows; whole chunks are written, and what is left over at the end."""
         self._waiting.append(values)
         high = sum(len(part) for part in self._waiting)
-        if high < _CHUNK and not last:
+        if high < _HIGH and not last:
             return
         self.part = np.concatenate(self._waiting) if len(self._waiting) > 1 else values
         self._waiting = []
         rows = slice(self._done, self._done + high)
-        if self._channel is None:
-            self._array[rows] = self.part
-        else:
-            self._array[self._channel, rows] = self.part
         self._done += high
+        self.finish()
+        where = rows if self._channel is None else (self._channel, rows)
+        self._writing = self._pool.submit(self._array.__setitem__, where, self.part)
         if rest:
             rest[0].add(halved_values(self.part), rest=rest[1:], last=last)
+
+    def finish(self) -> None:
+        """Wait for what is being written."""
+        if self._writing is not None:
+            self._writing.result()
 
 
 def _window(values: NDArray[np.float32]) -> dict[str, float]:
