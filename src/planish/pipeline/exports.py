@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from planish.compute import Compute, Progress, silent
 from planish.core.errors import FileError, StudyError
-from planish.core.files import new_file
+from planish.core.files import new_file, writing
 from planish.core.options import spoken
 from planish.core.threads import limit_threads
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside
@@ -78,6 +78,8 @@ def export(
         pieces = pieces_of(request)
         if single:
             (piece,) = pieces
+            with writing(out):
+                out.parent.mkdir(parents=True, exist_ok=True)
             place = nullcontext(out) if piece.whole else new_folder(out) if piece.store else new_file(out)
             with place as path:
                 piece.write(path)

@@ -261,9 +261,12 @@ def _marks(request: Request) -> list[Piece]:
 
     def of(name: str, to: str) -> Piece:
         def write(path: Path) -> None:
-            grids = (taken.grid_of(name), taken.grid_of(to))
-            moving, fixed = (LayerPixels(origin_um=None if grid is None else grid.origin_um) for grid in grids)
-            write_any(taken.registration(name).marks, path, to="bigwarp", moving=moving, fixed=fixed)
+            marks = taken.registration(name).marks
+            layers = {key: dict(about) for key, about in marks.attrs["layers"].items()}
+            for side, grid in (("moving", taken.grid_of(name)), ("fixed", taken.grid_of(to))):
+                if grid is not None:
+                    layers[side] |= LayerPixels(origin_um=grid.origin_um).about()
+            write_any(marks.assign_attrs(layers=layers), path, to="bigwarp")
 
         return Piece(names=(f"{name}_to_{to}{request.form.suffixes[0]}",), write=write, whole=True)
 

@@ -40,12 +40,12 @@ class History:
     inputs: tuple[Mapping[str, Any], ...]
 
     def json(self, **more: Any) -> str:
-        """Return it as JSON, with what else is to be known of a file; one line, always the same."""
+        """Return it as JSON, with what else is to be known of a file: one line of ASCII, always the same."""
         data = {
             "planish": self.planish, "exported_by": self.exported_by, "study_sha256": self.study_sha256,
             "inputs": [dict(one) for one in self.inputs], **more,
         }  # fmt: skip
-        return json.dumps(data, ensure_ascii=False, allow_nan=False)
+        return json.dumps(data, allow_nan=False)
 
     @property
     def program(self) -> str:

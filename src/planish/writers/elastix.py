@@ -47,7 +47,7 @@ def _write_move(move: Move, folder: Path, history: History, scale: float) -> Non
         "Origin": [x * scale, y * scale],
         "Direction": [1, 0, 0, 1], "UseDirectionCosines": ["true"],
     }  # fmt: skip
-    note = f"// {move.name}: takes points of {move.source} to {move.target}. {history.json()}"
+    note = f"// {move.name}: takes points of {move.source} to {move.target}. "
     if not move.exact:
         field = before_affine(move)
         first = f"{move.name}_local.txt"
@@ -57,7 +57,7 @@ def _write_move(move: Move, folder: Path, history: History, scale: float) -> Non
             "GridSpacing": [v * scale for v in field.pitch_um], "GridOrigin": [v * scale for v in field.origin_um],
             "GridDirection": [1, 0, 0, 1], "BSplineTransformSplineOrder": [1], "UseCyclicTransform": ["false"],
         }  # fmt: skip
-        _put(folder / first, note, local | image)
+        _put(folder / first, note + history.json(**field.facts()), local | image)
     values = [*affine.matrix().ravel(), *(target - source)]
     linear = _common("AffineTransform", values, first) | {"CenterOfRotationPoint": list(source)}
     after = {
@@ -65,7 +65,7 @@ def _write_move(move: Move, folder: Path, history: History, scale: float) -> Non
         "Resampler": ["DefaultResampler"], "DefaultPixelValue": [_OUTSIDE], "ResultImageFormat": ["nrrd"],
         "ResultImagePixelType": ["float"], "CompressResultImage": ["false"],
     }  # fmt: skip
-    _put(folder / f"{move.name}.txt", note, linear | image | after)
+    _put(folder / f"{move.name}.txt", note + history.json(), linear | image | after)
 
 
 def _common(kind: str, values: Sequence[float] | np.ndarray, first: str) -> dict[str, Sequence[object]]:

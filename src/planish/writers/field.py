@@ -17,6 +17,7 @@ _AROUND = 0.1  # of the layer's longer side: the field reaches so far beyond it
 _COARSEST = 64  # pixels of the layer between nodes of a field
 _WRONG = 1 / 400  # of a pixel: what a field may err by in the middle between nodes
 _MOST = 2_000_000  # nodes
+_CORNERS = [(rows, cols) for rows in (slice(None, -1), slice(1, None)) for cols in (slice(None, -1), slice(1, None))]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +82,10 @@ class Field:
     error_um: float
     filled: int
 
+    def facts(self) -> dict[str, float]:
+        """How exact it is, for the history."""
+        return {"largest_error_um": float(f"{self.error_um:.3g}"), "nodes_by_affine_map": self.filled}
+
     @property
     def y_um(self) -> Array:
         """Rows."""
@@ -111,35 +116,38 @@ def _sampled(move: Move, near: Callable[[Array], Array], factor: Array) -> Field
     down, across = grid.pixel_um
     (x0, y0), (rows, cols) = grid.origin_um, grid.shape
     size = np.array([cols * across, rows * down])
-    low = np.array([x0, y0]) - 0.5 * np.array([across, down]) - _AROUND * size.max()
-    length = size + 2 * _AROUND * size.max()
+    around = _AROUND * float(size.max())
+    low = np.array([x0, y0]) - 0.5 * np.array([across, down]) - around
+    length = size + 2 * around
     pitch = _COARSEST * float(np.sqrt(down * across))
 
     def nodes(shift: float, counts: NDArray[np.intp]) -> Array:
         axes = [low[k] + pitch * (np.arange(counts[k] - (shift > 0)) + shift) for k in (0, 1)]
         return np.stack(np.meshgrid(*axes), axis=-1)
 
-    def off(at: Array) -> tuple[Array, int]:
+    def off(at: Array) -> tuple[Array, NDArray[np.bool_]]:
         there = move.function(at)
-        lost = ~np.isfinite(there).all(axis=-1)
-        there[lost] = move.affine(at[lost])
-        return there - near(at), int(lost.sum())
+        known = np.isfinite(there).all(axis=-1)
+        there[~known] = move.affine(at[~known])
+        return there - near(at), known
 
     while True:
         counts = np.ceil(length / pitch).astype(np.intp) + 1
-        at, middles = nodes(0.0, counts), nodes(0.5, counts)
-        values, filled = off(at)
-        between = 0.25 * (values[:-1, :-1] + values[1:, :-1] + values[:-1, 1:] + values[1:, 1:])
-        inside = ((middles >= low + _AROUND * size.max()) & (middles <= low + length - _AROUND * size.max())).all(
-            axis=-1
-        )
-        missed = np.linalg.norm(between - off(middles)[0], axis=-1)[inside]
+        middles = nodes(0.5, counts)
+        values, known = off(nodes(0.0, counts))
+        exact, whole = off(middles)
+        between = np.zeros_like(exact)
+        for part in _CORNERS:
+            between += 0.25 * values[part]
+            whole &= known[part]
+        whole &= ((middles >= low + around) & (middles <= low + length - around)).all(axis=-1)
+        missed = np.linalg.norm(between - exact, axis=-1)[whole]
         error = float(missed.max()) if missed.size else 0.0
         # A map that is affine needs no finer grid, however large its pixels are.
-        if error <= _WRONG * min(down, across) or 4 * values.size / 2 > _MOST:
+        if error <= _WRONG * min(down, across) or 2 * values.size > _MOST:
             break
         pitch /= 2
     return Field(
         values=values @ factor.T, origin_um=(float(low[0]), float(low[1])), pitch_um=(pitch, pitch), error_um=error,
-        filled=filled,
+        filled=int(np.count_nonzero(~known)),
     )  # fmt: skip

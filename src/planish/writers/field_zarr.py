@@ -35,7 +35,7 @@ def write_folder(moves: Moves, folder: Path, history: History, params: ExportPar
 def _put(root: zarr.Group, move: Move) -> None:
     field = displacement(move)
     group = root.create_group(move.name)
-    group.attrs.update({"source": move.source, "target": move.target, "largest_error_um": field.error_um})
+    group.attrs.update({"source": move.source, "target": move.target} | field.facts())
     for axis, at in (("y", field.y_um), ("x", field.x_um)):
         made: Any = group.create_array(axis, shape=at.shape, dtype=at.dtype, dimension_names=(axis,))
         made[:] = at

@@ -237,12 +237,12 @@ def is_file(name: str, out: Path) -> bool:
         return False
     longest = max(len(end) for end, _ in known)
     meant = [other for end, other in known if len(end) == longest]
-    if name in meant or any(low.endswith(end) for end in form.suffixes):
+    if name in meant:
         return True
     ends = f"a name that ends in {' or '.join(form.suffixes)}, or " if form.suffixes else ""
     raise FileError(
-        f"{out.name} ends as {FORMATS[meant[0]].title} does ({meant[0]}), and --to says {name}. Give {ends}a folder "
-        "without an ending."
+        f"{out.name} ends as {FORMATS[meant[0]].title} does (--to {meant[0]}), and --to says {name}. Give {ends}a "
+        "folder without an ending."
     )
 
 

@@ -42,8 +42,10 @@ def write_move(move: Move, path: Path, history: History, scale: float) -> None:
     source, target = np.array(affine.source) * scale, np.array(affine.target) * scale
     linear = ("AffineTransform_double_2_2", [*affine.matrix().ravel(), *(target - source)], list(source))
     parts: list[tuple[str, Iterable[float], Iterable[float]]] = [linear]
+    facts: dict[str, float] = {}
     if not move.exact:
         field = before_affine(move)
+        facts = field.facts()
         rows, cols = field.values.shape[:2]
         fixed = [cols, rows, *(scale * v for v in (*field.origin_um, *field.pitch_um)), 1, 0, 0, 1]
         values = (field.values * scale).ravel()
@@ -52,7 +54,7 @@ def write_move(move: Move, path: Path, history: History, scale: float) -> None:
             linear,
             ("DisplacementFieldTransform_double_2_2", values, fixed),
         ]
-    lines = ["#Insight Transform File V1.0", f"#{move.name}: {history.json()}"]
+    lines = ["#Insight Transform File V1.0", f"#{move.name}: {history.json(**facts)}"]
     for k, (kind, values, fixed) in enumerate(parts):
         lines += [f"#Transform {k}", f"Transform: {kind}"]
         if not kind.startswith("Composite"):

@@ -59,7 +59,7 @@ def _write_field(move: Move, path: Path, history: History, params: ExportParams)
     """Write the displacement (x, y) of every node; beside the field there is none, so other programs take 0 there."""
     field = displacement(move)
     about = {
-        "value_unit": params.unit, "largest_error": f"{field.error_um:.3g} um", "planish": history.json(),
+        "value_unit": params.unit, "planish": history.json(**field.facts()),
     }  # fmt: skip
     title = f"displacement of points of {move.source} to {move.target}"
     shape = (field.values.shape[0], field.values.shape[1])

@@ -59,9 +59,7 @@ def write(maps: Maps, path: Path, history: History, params: ExportParams) -> Non
 
 def colours_of(display: Display) -> Colormap:
     """Return the colours of a display; missing values are grey."""
-    found = mpl.colormaps[display.colours].copy()
-    found.set_bad(MISSING)
-    return found
+    return mpl.colormaps[display.colours].with_extremes(bad=MISSING)
 
 
 def _reduced(maps: Maps, name: str) -> tuple[NDArray[np.float32], float]:

@@ -29,7 +29,7 @@ def write(surface: Surface, path: Path, history: History, params: ExportParams) 
     cells = np.empty(len(mesh.quads), dtype=[("count", "u1"), ("nodes", "<i4", (4,))])
     cells["count"], cells["nodes"] = 4, mesh.quads
     head = [
-        "ply", "format binary_little_endian 1.0", f"comment {mesh.about}", f"comment {_ascii(history.json())}",
+        "ply", "format binary_little_endian 1.0", f"comment {mesh.about}", f"comment {history.json()}",
         f"element vertex {len(nodes)}", *(f"property {kind} {name}" for name, kind, _ in fields),
         f"element face {len(cells)}", "property list uchar int vertex_indices", "end_header",
     ]  # fmt: skip
@@ -37,7 +37,3 @@ def write(surface: Surface, path: Path, history: History, params: ExportParams) 
         file.write(("\n".join(head) + "\n").encode("ascii"))
         file.write(nodes.data)
         file.write(cells.data)
-
-
-def _ascii(text: str) -> str:
-    return text.encode("ascii", "backslashreplace").decode()
