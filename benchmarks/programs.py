@@ -242,7 +242,7 @@ def gwyddion(case: Case) -> Iterator[Row]:
     path = case.folder / "maps.gwy"
     problems = output(["gwyddion", "--check", str(path)]).strip()
     assert not problems, problems
-    yield Row(name, "gwyddion --check", "maps.gwy", "problems found", "none")
+    yield Row(name, "gwyddion (check)", "maps.gwy", "problems found", "none")
     assert "Gwyddion native format" in output(["gwyddion", "--identify", str(path)])
     size = json.loads(output([sys.executable, "-c", _GWYDDION, str(path), str(case.folder / "gwyddion.npy")]))
     values = np.load(case.folder / "gwyddion.npy") * 1e6
@@ -281,14 +281,16 @@ reader = OpenDataFile(sys.argv[1])
 reader.UpdatePipeline()
 x0, x1, y0, y1, z0, z1 = reader.GetDataInformation().GetBounds()
 view = CreateView("RenderView")
-view.ViewSize = [1000, 700]
+view.ViewSize = [1000, 620]
 view.OrientationAxesVisibility = 0
+view.UseColorPaletteForBackground = 0
+view.Background = [1, 1, 1]
 shown = Show(reader, view)
 ColorBy(shown, ("POINTS", "RGB"))
 shown.MapScalars = 0
 size = max(x1 - x0, y1 - y0)
 view.CameraFocalPoint = [(x0 + x1) / 2, (y0 + y1) / 2, (z0 + z1) / 2]
-view.CameraPosition = [(x0 + x1) / 2, y0 - 0.8 * size, z1 + 1.1 * size]
+view.CameraPosition = [(x0 + x1) / 2, y0 - 0.45 * size, z1 + 0.75 * size]
 view.CameraViewUp = [0, 0, 1]
 Render(view)
 SaveScreenshot(sys.argv[2], view)

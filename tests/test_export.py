@@ -17,6 +17,7 @@ import planish as pl
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.grid import Grid, values_at
 from planish.io import map_store
+from planish.io.run_folder import write_tree
 from planish.pipeline import open_run
 from planish.writers import FORMATS, ExportParams, formats_table, writer_of
 from planish.writers.params import FormatName
@@ -45,6 +46,7 @@ def files_of(path):
     return {path.name: path.read_bytes()}
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("to", list(SUFFIXES))
 def test_one_file_of_each_format_and_the_same_bytes_again(linked_run, tmp_path, to):
     options = OF_A_FILE.get(to, ONE)
@@ -62,6 +64,7 @@ def test_one_file_of_each_format_and_the_same_bytes_again(linked_run, tmp_path, 
                        for data in found[0].values())  # fmt: skip
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("to", ["tiff", "ome-zarr", "ply", "itk", "elastix", "bigwarp", "nrrd", "csv", "zarr"])
 def test_a_folder_gets_a_file_for_each(linked_run, tmp_path, to):
     out = tmp_path / "out"
@@ -78,6 +81,7 @@ def test_a_folder_gets_a_file_for_each(linked_run, tmp_path, to):
     }[to]  # fmt: skip
 
 
+@pytest.mark.study
 def test_all_maps_of_a_run_in_memory(linked_run, tmp_path):
     run = open_run(linked_run)
     made = pl.export(replace(run, folder=None), tmp_path / "maps.nc", to="netcdf")
@@ -87,14 +91,53 @@ def test_all_maps_of_a_run_in_memory(linked_run, tmp_path):
         assert json.loads(found.attrs["history"])["inputs"][1]["layer"] == "image"
 
 
+@pytest.mark.study
 def test_large_maps_are_read_part_by_part_with_the_same_bytes(linked_run, tmp_path, monkeypatch):
-    formats = {"tiff": ".tif", "ome-zarr": ".zarr", "netcdf": ".nc", "csv": ".csv"}
+    formats = {"tiff": ".tif", "netcdf": ".nc", "csv": ".csv"}
     for to, suffix in formats.items():
         pl.export(linked_run, tmp_path / f"one{suffix}", to=to, maps=["coating_top", "valid"])
     monkeypatch.setattr(map_store, "LARGE", 1)
     for to, suffix in formats.items():
         pl.export(linked_run, tmp_path / f"two{suffix}", to=to, maps=["coating_top", "valid"])
         assert files_of(tmp_path / f"one{suffix}").popitem()[1] == files_of(tmp_path / f"two{suffix}").popitem()[1]
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("maps", [["coating_top"], ["coating_top", "valid", "tilt"]])
+def test_chunks_of_a_store_are_copied_and_are_those_that_would_be_written(tmp_path, monkeypatch, linked_run, maps):
+    from planish.writers import ome_zarr
+
+    run = stored_run(linked_run, tmp_path)
+    copied = []
+    usual = ome_zarr._copied
+    monkeypatch.setattr(ome_zarr, "_copied", lambda *a: copied.append(usual(*a)) or copied[-1])
+    pl.export(run, tmp_path / "one.zarr", to="ome-zarr", maps=maps)
+    assert copied == [name == "coating_top" for name in maps]  # truth values and float64 are written anew
+    monkeypatch.setattr(ome_zarr, "_copied", lambda *_: False)
+    pl.export(run, tmp_path / "two.zarr", to="ome-zarr", maps=maps)
+    assert files_of(tmp_path / "one.zarr") == files_of(tmp_path / "two.zarr")
+
+
+def stored_run(linked_run, tmp_path):
+    """A copy of a run whose linked maps are so large that they were stored tile by tile."""
+    import shutil
+
+    run = tmp_path / "run"
+    shutil.copytree(linked_run, run, ignore=shutil.ignore_patterns("maps.zarr"))
+    grid, rng = Grid.regular((1300, 1100), 2.0, (5.0, 7.0)), np.random.default_rng(1)
+    coating = rng.normal(17, 4, grid.shape).astype(np.float32)
+    coating[rng.random(grid.shape) < 0.3] = np.nan
+    names = {"coating_top": coating, "valid": np.isfinite(coating), "tilt": rng.normal(size=grid.shape)}
+    maps = xr.Dataset(
+        {name: (("y", "x"), values, {"units": "um"}) for name, values in names.items()}, coords=grid.coords
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(map_store, "LARGE", 1)
+        sink = map_store.StoredMaps(run / "maps.zarr")
+        for tile in map_store.map_tiles(grid.shape):
+            sink.add("linked", grid, tile, maps.isel(y=tile.rows, x=tile.cols))
+    write_tree(run / "maps.zarr", {})
+    return run
 
 
 # --- what is worked out ----------------------------------------------------------------------------------------------
@@ -142,6 +185,7 @@ def flat(linked_run, tmp_path_factory):
     return values, first[0] + scale[0] * np.arange(len(values)), (scale, first)
 
 
+@pytest.mark.study
 def test_the_sheet_lies_flat_in_the_straightened_volume(linked_run, flat):
     values, heights, (scale, first) = flat
     run = open_run(linked_run)
@@ -167,6 +211,7 @@ def test_the_sheet_lies_flat_in_the_straightened_volume(linked_run, flat):
     assert abs(np.mean(0.5 * (top + bottom))) < 1.0
 
 
+@pytest.mark.study
 def test_the_straightened_volume_is_the_same_in_every_format(linked_run, tmp_path, flat):
     for to, suffix in (("tiff", ".tif"), ("ome-tiff", ".ome.tif")):
         path = tmp_path / f"flat{suffix}"
@@ -176,6 +221,7 @@ def test_the_straightened_volume_is_the_same_in_every_format(linked_run, tmp_pat
     np.testing.assert_allclose(volume.attrs["voxel_um"], flat[2][0], rtol=1e-6)
 
 
+@pytest.mark.study
 def test_depths_of_a_straightened_volume(linked_run, tmp_path, flat):
     path = tmp_path / "flat.tif"
     pl.export(linked_run, path, to="tiff", group="straightened", depth_um=(-8.0, 12.0))
@@ -197,12 +243,14 @@ def moved(linked_run, tmp_path, volume):
     return run
 
 
+@pytest.mark.study
 def test_a_volume_that_is_gone_is_named(linked_run, tmp_path):
     run = moved(linked_run, tmp_path, tmp_path / "gone.tif")
     with pytest.raises(FileError, match=r"needs volume.tif, and .*gone.tif is not there. Put it back, or write where"):
         pl.export(run, tmp_path / "flat.tif", to="tiff", group="straightened")
 
 
+@pytest.mark.study
 def test_another_volume_in_its_place_is_refused(linked_run, specimen_files, tmp_path):
     data = bytearray(specimen_files[0].read_bytes())
     data[-1] ^= 1
@@ -212,6 +260,7 @@ def test_another_volume_in_its_place_is_refused(linked_run, specimen_files, tmp_
         pl.export(run, tmp_path / "flat.tif", to="tiff", group="straightened")
 
 
+@pytest.mark.study
 def test_landmarks_count_from_the_first_pixel(linked_run, tmp_path):
     path = tmp_path / "landmarks.csv"
     pl.export(linked_run, path, to="bigwarp")
@@ -225,6 +274,7 @@ def test_landmarks_count_from_the_first_pixel(linked_run, tmp_path):
         np.testing.assert_allclose([v for v in found if np.isfinite(v)], [float(v) for v in expected if np.isfinite(v)])
 
 
+@pytest.mark.study
 def test_a_crate_describes_the_run(linked_run, tmp_path):
     made = pl.export(linked_run, tmp_path / "crate", to="crate")
     assert made == [tmp_path / "crate"]
@@ -293,6 +343,7 @@ def test_what_is_there_stays(linked_run, tmp_path):
         pl.export(linked_run, linked_run / "maps", to="tiff")
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("to", "out"), [("tiff", "maps.tif"), ("netcdf", "o"), ("ome-zarr", "o.zarr"), ("ply", "o")])
 def test_an_export_that_fails_leaves_nothing(linked_run, tmp_path, monkeypatch, to, out):
     module = writer_of(to)
@@ -308,6 +359,7 @@ def test_an_export_that_fails_leaves_nothing(linked_run, tmp_path, monkeypatch, 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("to", [to for to, form in FORMATS.items() if form.most is not None])
 def test_what_is_too_large_for_a_format_is_refused_before_work(planish, linked_run, tmp_path, monkeypatch, to):
     monkeypatch.setitem(FORMATS, to, replace(FORMATS[to], most=1000))
@@ -327,6 +379,7 @@ def test_a_library_of_the_extra_is_named(linked_run, tmp_path, monkeypatch):
         pl.export(linked_run, tmp_path / "o.gwy", to="gwy")
 
 
+@pytest.mark.study
 def test_a_damaged_store_is_refused(linked_run, tmp_path):
     import shutil
 

@@ -70,7 +70,7 @@ def straightened(
             f"{most:.0f} um."
         )
     first, last = int(np.floor(low / frame.voxel_um)), int(np.ceil(high / frame.voxel_um))
-    depths = np.arange(first, last + 1) * frame.voxel_um
+    depths: Array = np.arange(first, last + 1).astype(np.float64) * frame.voxel_um
     grid = Grid.of(maps)
     values = _Straightened(volume, surfaces, maps, depths, frame)
     places = {"z": depths, "y": grid.y_um, "x": grid.x_um}
@@ -117,7 +117,9 @@ class _Straightened(LazyArray):
             (at[axis] - first) / p for axis, first, p in zip((f.rows, f.cols), self._first, self._pitch, strict=True)
         )
         slope = np.stack([bilinear(field, row, col) for field in self._slopes], axis=-1)
-        normal = dict(zip((f.rows, f.cols, f.through), np.moveaxis(directions(slope, "normal"), -1, 0), strict=True))
+        normal: dict[str, Array] = dict(
+            zip((f.rows, f.cols, f.through), np.moveaxis(directions(slope, "normal"), -1, 0), strict=True)
+        )
         normal[f.through] = f.sign * normal[f.through]
         known = np.all([np.isfinite(at[axis]) & np.isfinite(normal[axis]) for axis in at], axis=0)
         if not known.any():

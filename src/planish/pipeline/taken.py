@@ -21,6 +21,7 @@ from planish.core.results import LayerFacts, Results
 from planish.core.text import likely
 from planish.core.transform import Affine, Similarity
 from planish.io import fingerprint
+from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import group_names, read_group
 from planish.measure import straightened
 from planish.pipeline.registration import Registration
@@ -37,6 +38,9 @@ IMAGE = "image"
 STRAIGHTENED = "straightened"
 """The group that is worked out: the volume along the normals."""
 
+_GRIDS = ("linked", "maps", "refined", "surfaces", "flat")
+"""Groups of maps on one grid, beside those of layers."""
+
 _HARDLY = 0.3  # of the marks' extent: what a layer whose pixels are not known is taken to reach beyond them
 
 
@@ -50,7 +54,11 @@ class Taken:
     folder : Path or None
         Where it stands; None for one that is in memory only.
     held : dict of Dataset
-        Groups that are in memory already.
+        Groups that are in memory already, or were read.
+    known : dict of Registration
+        Registrations that were read.
+    all_held : bool
+        Whether there are no other groups.
     """
 
     results: Results
@@ -58,13 +66,15 @@ class Taken:
     folder: Path | None
     held: dict[str, xr.Dataset] = field(default_factory=dict[str, xr.Dataset])
     known: dict[str, Registration] = field(default_factory=dict[str, Registration])
+    all_held: bool = False
 
     @classmethod
     def of(cls, run: Run | str | Path) -> Taken:
         """Open a run folder without its maps, or take a run that is in memory."""
         if isinstance(run, Run):
             return cls(
-                results=run.results, study=run.study, folder=run.folder, held=run.groups, known=run.registrations
+                results=run.results, study=run.study, folder=run.folder, held=dict(run.groups), all_held=True,
+                known=dict(run.registrations),
             )  # fmt: skip
         folder = Path(run)
         return cls(results=open_results(folder), study=read_study(folder / "run.toml"), folder=folder)
@@ -89,17 +99,17 @@ class Taken:
     @cached_property
     def groups(self) -> list[str]:
         """Names of the groups."""
-        if self.held:
+        if self.all_held or self.folder is None:
             return sorted(name for name in self.held if not name.startswith("overviews/"))
-        assert self.folder is not None
         return group_names(self.folder / MAPS)
 
     def group(self, name: str, variables: Sequence[str] | None = None) -> xr.Dataset:
         """Read a group, or some of its variables."""
-        if self.held:
-            return self.held[name] if variables is None else self.held[name][list(variables)]
-        assert self.folder is not None
-        return read_group(self.folder / MAPS, name, variables)
+        if name not in self.held and self.folder is not None and variables is not None:
+            return read_group(self.folder / MAPS, name, variables)
+        if name not in self.held and self.folder is not None and name in self.groups:
+            self.held[name] = read_group(self.folder / MAPS, name)
+        return self.held[name] if variables is None else self.held[name][list(variables)]
 
     def map_group(self, name: str | None) -> str:
         """The group of maps that is meant: as named, or the linked maps, or those of the sheet.
@@ -109,19 +119,14 @@ class Taken:
         InputError
             If there is none of that name.
         """
-        usual = next((group for group in ("linked", "maps") if group in self.groups), None)
         layers = [group for group in self.groups if group.startswith("layers/") and group.count("/") == 1]
-        wanted = name or usual or (layers[-1] if layers else "")
-        known = [
-            group
-            for group in self.groups
-            if group in ("linked", "maps", "refined", "surfaces", "flat") or group in layers
-        ]
+        known = [group for group in _GRIDS if group in self.groups] + layers
+        wanted = name or next((group for group in ("linked", "maps") if group in known), None)
+        if wanted is None:
+            raise InputError(f"The run holds the maps of several layers. Choose one with --group: {', '.join(known)}.")
         if wanted not in known:
-            raise InputError(
-                f"The run has no group {wanted!r}; it holds {', '.join(known)}."
-                + likely(wanted, [*known, STRAIGHTENED])
-            )
+            likely_one = likely(wanted, [*known, STRAIGHTENED])
+            raise InputError(f"The run has no group {wanted!r}; it holds {', '.join(known)}.{likely_one}")
         return wanted
 
     def map_names(self, group: str, wanted: Sequence[str]) -> list[str]:
@@ -143,6 +148,16 @@ class Taken:
         if IMAGE in names and IMAGE not in data:
             data = data.assign({IMAGE: self.image_on_sheet(data)})
         return data[list(names)]
+
+    def levels(self, group: str, name: str) -> list[Path]:
+        """Folders of a map and its overviews in the store of the run, the finest first; none where it has no store."""
+        if self.folder is None or self.all_held:
+            return []
+        store = self.folder / MAPS
+        found = [store / group / name]
+        while (place := store / OVERVIEWS / group / str(len(found)) / name).is_dir():
+            found.append(place)
+        return found if found[0].is_dir() else []
 
     def names_among(self, wanted: Sequence[str], known: Sequence[str], where: str) -> list[str]:
         """Check names of maps; InputError names the one that is not there, the likely one, and all."""
@@ -246,10 +261,9 @@ class Taken:
 
     def registration(self, name: str) -> Registration:
         """The registration of a moving layer."""
-        if name in self.known:
-            return self.known[name]
-        assert self.folder is not None
-        return Registration.read(self.folder / marks_file(self.results, name))
+        if name not in self.known and self.folder is not None:
+            self.known[name] = Registration.read(self.folder / marks_file(self.results, name))
+        return self.known[name]
 
     def registered(self, group: str | None) -> list[LayerFacts]:
         """Moving layers with a registration: all of them, or the one of a name.

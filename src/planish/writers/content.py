@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,7 @@ class Display:
 
 
 _NOT_CHOSEN: Mapping[str, Display] = {}
+_NOT_STORED: Mapping[str, Sequence[Path]] = {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,11 +79,15 @@ class Maps:
         Name of the group in the run.
     display : dict of Display
         How maps are shown, by name, as far as it is known.
+    levels : dict of sequences of Path
+        Folders of the arrays in a zarr store that hold a map and its overviews, the finest first, by name, where they
+        are there.
     """
 
     data: xr.Dataset
     group: str
     display: Mapping[str, Display] = field(default_factory=lambda: _NOT_CHOSEN)
+    levels: Mapping[str, Sequence[Path]] = field(default_factory=lambda: _NOT_STORED)
 
     @property
     def names(self) -> list[str]:

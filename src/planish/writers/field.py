@@ -107,7 +107,7 @@ def before_affine(move: Move) -> Field:
 
     Beside the field, where programs take 0, the affine map holds alone.
     """
-    return _sampled(move, move.affine, np.linalg.inv(move.affine.matrix()))
+    return _sampled(move, move.affine, move.affine.inverse.matrix())
 
 
 def _sampled(move: Move, near: Callable[[Array], Array], factor: Array) -> Field:
@@ -127,7 +127,7 @@ def _sampled(move: Move, near: Callable[[Array], Array], factor: Array) -> Field
 
     def off(at: Array) -> tuple[Array, NDArray[np.bool_]]:
         there = move.function(at)
-        known = np.isfinite(there).all(axis=-1)
+        known = np.asarray(np.isfinite(there).all(axis=-1))
         there[~known] = move.affine(at[~known])
         return there - near(at), known
 

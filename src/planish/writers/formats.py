@@ -87,45 +87,45 @@ FORMATS: dict[str, Format] = {
     "tiff": Format(
         title="TIFF", module="tiff_maps", holds=("maps", "volume"), suffixes=(".tif", ".tiff"), stack=True,
         gives="32-bit maps with pixel size in um; several in one file as channels with names; history under Show Info",
-        opens="ImageJ, Fiji, MATLAB, Python", missing="NaN",
+        opens="ImageJ, Fiji", missing="NaN",
     ),
     "ome-tiff": Format(
         title="OME-TIFF", module="tiff_maps", holds=("maps", "volume"), suffixes=(".ome.tif", ".ome.tiff"), stack=True,
         gives="the same with OME metadata: pixel size, place of the first pixel, names of channels",
-        opens="QuPath, Bio-Formats in Fiji, napari", missing="NaN",
+        opens="Fiji (Bio-Formats), QuPath", missing="NaN",
     ),
     "ome-zarr": Format(
         title="OME-Zarr", module="ome_zarr", holds=("maps", "volume"), suffixes=(".ome.zarr", ".zarr"), stack=True,
         gives="OME-Zarr 0.5 with overviews, each half as fine; size and place in um",
-        opens="napari, MoBIE, Vizarr, Python", missing="NaN",
+        opens="napari, MoBIE", missing="NaN",
     ),
     "netcdf": Format(
         title="NetCDF", module="netcdf", holds=("maps",), suffixes=(".nc",), stack=True, needs="h5netcdf",
         gives="NetCDF-4 by the CF conventions: maps in their own type, coordinates, units",
-        opens="Python, MATLAB, R, Panoply, QGIS", missing="NaN as `_FillValue`",
+        opens="R, Python, MATLAB", missing="NaN as `_FillValue`",
     ),
     "mat": Format(
         title="MATLAB", module="matlab", holds=("maps",), suffixes=(".mat",), stack=True,
         options=("mat_version",),
         gives="a variable for each map, `x_um`, `y_um`, `pixel_um`, `units`, `titles`, `history`; version 5 or 7.3",
-        opens="MATLAB; version 5 also GNU Octave", missing="NaN",
+        opens="MATLAB, GNU Octave", missing="NaN",
     ),
     "gwy": Format(
         title="Gwyddion", module="gwyddion", holds=("maps",), suffixes=(".gwy",), stack=True, needs="gwyfile",
         gives="a channel for each map, lengths in metres, with its mask; history under Metadata Browser",
-        opens="Gwyddion, Mountains (import)", missing="the mask; below it the mean of the map",
+        opens="Gwyddion", missing="the mask; below it the mean of the map",
         most=100_000_000, byte_cost=26,
     ),
     "txt": Format(
         title="plain text", module="matrix", holds=("maps",), suffixes=(".txt",),
         gives="one map as a matrix: a line for each row, tabs between; what it is stands in lines with `#`",
-        opens="Octave, MATLAB, Origin, Gwyddion, R", missing="`NaN`",
+        opens="GNU Octave, MATLAB, Origin", missing="`NaN`",
     ),
     "csv": Format(
         title="CSV", module="points", holds=("maps",), suffixes=(".csv",), stack=True, apart=False,
         options=("point_um",),
         gives="a table of points or pixels: place, every map, image, place in the volume, share that is valid",
-        opens="R, Octave, Origin, Excel, Python", missing="`NaN`; points that show nothing are left out",
+        opens="GNU Octave, R, Origin, Excel", missing="`NaN`; points that show nothing are left out",
     ),
     "png": Format(
         title="PNG", module="picture", holds=("maps",), suffixes=(".png",),
@@ -135,39 +135,39 @@ FORMATS: dict[str, Format] = {
     "svg": Format(
         title="SVG", module="picture", holds=("maps",), suffixes=(".svg",),
         gives="the same picture to edit: lines and text stay lines and text",
-        opens="Inkscape, Illustrator, browsers", missing="grey",
+        opens="browsers, Inkscape", missing="grey",
     ),
     "ply": Format(
         title="PLY", module="ply", holds=("surface",), suffixes=(".ply",),
         options=_MESH,
         gives="a surface in um with all maps as properties of its nodes, one as colour",
-        opens="ParaView, MeshLab, CloudCompare, Blender", missing="NaN, coloured grey; holes stay holes",
+        opens="MeshLab, CloudCompare, ParaView (colour only)", missing="NaN, coloured grey; holes stay holes",
         most=25_000_000, byte_cost=250,
     ),
     "obj": Format(
         title="OBJ", module="obj", holds=("surface",), suffixes=(".obj",),
         options=_MESH,
         gives="a surface in um as text, one map as colour of its nodes",
-        opens="MeshLab, Blender, Rhino", missing="coloured grey; holes stay holes", most=10_000_000, byte_cost=400,
+        opens="MeshLab, Blender", missing="coloured grey; holes stay holes", most=10_000_000, byte_cost=400,
     ),
     "stl": Format(
         title="STL", module="stl", holds=("surface",), suffixes=(".stl",),
         options=_MESH,
         gives="a surface in um as triangles, one map as their colour (15 bits)",
-        opens="MeshLab, CAD, simulation, 3D printing", missing="coloured grey; holes stay holes",
+        opens="MeshLab, CAD, simulation", missing="coloured grey; holes stay holes",
         most=10_000_000, byte_cost=450,
     ),
     "vtk": Format(
         title="VTK", module="vtu", holds=("surface",), suffixes=(".vtu",),
         options=_MESH,
         gives="a surface in um with all maps as point data",
-        opens="ParaView, VisIt, PyVista", missing="NaN; holes stay holes", most=25_000_000, byte_cost=350,
+        opens="ParaView", missing="NaN; holes stay holes", most=25_000_000, byte_cost=350,
     ),
     "itk": Format(
         title="ITK", module="itk", holds=("moves",), suffixes=(".tfm",),
         options=("unit",),
         gives="the registration as a transform, in both directions",
-        opens="SimpleITK, ITK, 3D Slicer, ANTs", missing="–", note=_BOTH,
+        opens="ITK, SimpleITK", missing="–", note=_BOTH,
     ),
     "elastix": Format(
         title="elastix", module="elastix", holds=("moves",), suffixes=(),
@@ -187,7 +187,7 @@ FORMATS: dict[str, Format] = {
         title="NRRD", module="nrrd_files", holds=("moves", "maps"), suffixes=(".nrrd",),
         options=("unit",),
         gives="the registration as displacement fields; with a group, its maps with size and place",
-        opens="3D Slicer, ITK, SimpleITK, elastix", missing="NaN",
+        opens="ITK, SimpleITK, elastix", missing="NaN",
         note="Of a registration: beside a field other programs take 0, so nothing moves there.",
     ),
     "zarr": Format(
@@ -197,7 +197,7 @@ FORMATS: dict[str, Format] = {
     "crate": Format(
         title="RO-Crate", module="crate", holds=("run",), suffixes=(), needs="rocrate",
         gives="the whole run with `ro-crate-metadata.json`: what was made by which program from which files",
-        opens="repositories for data, RO-Crate tools", missing="as in the run",
+        opens="archives for research data", missing="as in the run",
     ),
 }  # fmt: skip
 """In the order of the documents."""

@@ -67,8 +67,10 @@ def _write_5(maps: Maps, path: Path, history: History) -> None:
     for name in maps.names:
         values = np.concatenate([part for _, part in maps.bands(name)])
         variables[name] = values.astype(np.bool_) if maps.data[name].dtype.kind == "b" else values
-    with path.open("wb") as file:
-        io.savemat(file, variables | _beside(maps, history), format="5", oned_as="row", long_field_names=True)
+    beside = _beside(maps, history)
+    io.savemat(
+        str(path), variables | beside, appendmat=False, format="5", oned_as="row", long_field_names=True
+    )  # fmt: skip
     with path.open("rb+") as file:
         file.write(_heading("5.0", history))
 

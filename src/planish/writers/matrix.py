@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from planish.writers.content import History, Maps
 from planish.writers.params import ExportParams
 
+_AT_ONCE = 200_000  # numbers that are texts at a time
+
 
 def write(maps: Maps, path: Path, history: History, _params: ExportParams) -> None:
     """Write one map; numbers read back to the same float32."""
@@ -26,7 +28,9 @@ def write(maps: Maps, path: Path, history: History, _params: ExportParams) -> No
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"# {line}\n" for line in head)
         for _, values in maps.bands(name, np.float32):
-            file.writelines("\t".join(row) + "\n" for row in as_text(values))
+            step = max(1, _AT_ONCE // values.shape[1])
+            for begin in range(0, len(values), step):
+                file.writelines("\t".join(row) + "\n" for row in as_text(values[begin : begin + step]))
 
 
 def as_text(values: NDArray[Any]) -> list[list[str]]:

@@ -31,16 +31,8 @@ def write(content: Moves | Maps, path: Path, history: History, params: ExportPar
     (name,) = content.names
     dtype = plain_type(content.data[name].dtype)
     about = {"value_unit": content.units(name), "planish": history.json(**content.facts())}
-    head = _head(
-        content.title(name),
-        dtype,
-        [],
-        content.shape,
-        content.origin_um[::-1],
-        content.pixel_um[::-1],
-        params.unit,
-        about,
-    )
+    (y, x), (down, across) = content.origin_um, content.pixel_um
+    head = _head(content.title(name), dtype, [], content.shape, (x, y), (across, down), params.unit, about)
     _put(path, head, (values for _, values in content.bands(name)))
 
 

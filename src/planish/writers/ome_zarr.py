@@ -1,7 +1,10 @@
-"""OME-Zarr 0.5: maps as an image of several resolutions, written band by band."""
+"""OME-Zarr 0.5: maps as an image of several resolutions. Chunks of a run's store are copied, others are written."""
 
 from __future__ import annotations
 
+import json
+import shutil
+from collections.abc import Sequence
 from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
@@ -9,14 +12,16 @@ from typing import Any
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from zarr.codecs import BloscCodec
+from zarr.codecs import ZstdCodec
 
 from planish.core.overviews import count_of, halved_values
 from planish.core.threads import thread_pool
 from planish.writers.content import History, Maps
 from planish.writers.params import ExportParams
 
-_HIGH, _WIDE = 512, 1024  # pixels of a chunk, one file: as high as a band, so that each is written once
+# As the large maps of a run are stored, so that their chunks are those of the image, too.
+_CHUNK = 512
+_CODEC = ZstdCodec(level=1, checksum=True)
 _PERCENT = (1.0, 99.0)
 
 
@@ -27,33 +32,62 @@ def write(maps: Maps, path: Path, history: History, _params: ExportParams) -> No
     """
     names, shape = maps.names, maps.shape
     several = len(names) > 1
-    levels = count_of(shape) + 1
     group = zarr.open_group(path, mode="w-", zarr_format=3)
     sizes = [shape]
-    for _ in range(levels - 1):
+    for _ in range(count_of(shape)):
         sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
     arrays = [_made(group, k, size, len(names) if several else 0) for k, size in enumerate(sizes)]
     windows: list[dict[str, float]] = []
     with thread_pool() as pool:
         for channel, name in enumerate(names):
-            stack = [_Level(array, channel if several else None, pool) for array in arrays]
-            for rows, values in maps.bands(name, np.float32):
-                stack[0].add(values, rest=stack[1:], last=rows.stop == shape[0])
-            for level in stack:
-                level.finish()
-            windows.append(_window(stack[-1].part))
-    group.attrs.update(_attributes(maps, windows, levels, history))
+            at = channel if several else None
+            if not _copied(path, maps.levels.get(name, ()), len(arrays), at, pool):
+                stack = [_Level(array, at, pool) for array in arrays]
+                for rows, values in maps.bands(name, np.float32):
+                    stack[0].add(values, rest=stack[1:], last=rows.stop == shape[0])
+                for level in stack:
+                    level.finish()
+            windows.append(_window(np.asarray(arrays[-1][...] if at is None else arrays[-1][at])))
+    group.attrs.update(_attributes(maps, windows, len(arrays), history))
 
 
 def _made(group: zarr.Group, level: int, size: tuple[int, int], channels: int) -> Any:
-    chunk = (min(_HIGH, size[0]), min(_WIDE, size[1]))
-    more = (channels,) if channels else ()
-    one = (1,) if channels else ()
+    more, one = ((channels,), (1,)) if channels else ((), ())
     return group.create_array(
-        str(level), shape=(*more, *size), dtype=np.float32, chunks=(*one, *chunk),
-        fill_value=np.nan, compressors=(BloscCodec(cname="lz4", clevel=1, shuffle="shuffle", typesize=4),),
-        dimension_names=[*(("c",) if channels else ()), "y", "x"], config={"write_empty_chunks": True},
+        str(level), shape=(*more, *size), dtype=np.float32, chunks=(*one, *(min(n, _CHUNK) for n in size)),
+        fill_value=np.nan, compressors=(_CODEC,), dimension_names=[*(("c",) if channels else ()), "y", "x"],
+        config={"write_empty_chunks": True},
     )  # fmt: skip
+
+
+# --- chunks that are there already -----------------------------------------------------------------------------------
+
+
+def _copied(path: Path, sources: Sequence[Path], levels: int, channel: int | None, pool: Executor) -> bool:
+    """Copy the chunks of a map and its overviews; False, and nothing is done, where they are not those of the image."""
+    targets = [path / str(k) for k in range(levels)]
+    if len(sources) != levels or not all(_alike(*pair) for pair in zip(sources, targets, strict=True)):
+        return False
+    jobs: list[Future[Any]] = []
+    for source, target in zip(sources, targets, strict=True):
+        place = target / "c" if channel is None else target / "c" / str(channel)
+        for row in (source / "c").iterdir():
+            (place / row.name).mkdir(parents=True)
+            jobs += [pool.submit(shutil.copyfile, file, place / row.name / file.name) for file in row.iterdir()]
+    for job in jobs:
+        job.result()
+    return True
+
+
+def _alike(source: Path, target: Path) -> bool:
+    """Whether two arrays differ in nothing but a first axis, so that their chunks have the same bytes."""
+    one, other = (json.loads((path / "zarr.json").read_text(encoding="utf-8")) for path in (source, target))
+    same = all(one.get(key) == other.get(key) for key in ("data_type", "codecs", "chunk_key_encoding", "fill_value"))
+    chunks = [about["chunk_grid"]["configuration"]["chunk_shape"][-2:] for about in (one, other)]
+    return same and chunks[0] == chunks[1] and one["shape"] == other["shape"][-2:]
+
+
+# --- chunks that are made --------------------------------------------------------------------------------------------
 
 
 class _Level:
@@ -66,29 +100,29 @@ class _Level:
         self._array, self._channel, self._pool, self._done = array, channel, pool, 0
         self._writing: Future[None] | None = None
         self._waiting: list[NDArray[np.float32]] = []
-        self.part: NDArray[np.float32] = np.empty((0, 0), np.float32)
-        """What was written last: all of the coarsest level, which is one chunk."""
 
     def add(self, values: NDArray[np.float32], *, rest: list[_Level], last: bool) -> None:
         """Add rows; whole chunks are written, and what is left over at the end."""
         self._waiting.append(values)
         high = sum(len(part) for part in self._waiting)
-        if high < _HIGH and not last:
+        if high < _CHUNK and not last:
             return
-        self.part = np.concatenate(self._waiting) if len(self._waiting) > 1 else values
-        self._waiting = []
-        rows = slice(self._done, self._done + high)
+        part = np.concatenate(self._waiting) if len(self._waiting) > 1 else values
+        rows, self._waiting = slice(self._done, self._done + high), []
         self._done += high
         self.finish()
         where = rows if self._channel is None else (self._channel, rows)
-        self._writing = self._pool.submit(self._array.__setitem__, where, self.part)
+        self._writing = self._pool.submit(self._array.__setitem__, where, part)
         if rest:
-            rest[0].add(halved_values(self.part), rest=rest[1:], last=last)
+            rest[0].add(halved_values(part), rest=rest[1:], last=last)
 
     def finish(self) -> None:
         """Wait for what is being written."""
         if self._writing is not None:
             self._writing.result()
+
+
+# --- what is said of them --------------------------------------------------------------------------------------------
 
 
 def _window(values: NDArray[np.float32]) -> dict[str, float]:
@@ -118,9 +152,9 @@ def _attributes(maps: Maps, windows: list[dict[str, float]], levels: int, histor
         }
         for k in range(levels)
     ]
-    title = names[0] if not several else maps.group
     multiscale = {
-        "name": title, "axes": [*head, *space], "datasets": datasets, "type": "mean of 2 x 2 known pixels",
+        "name": maps.group if several else names[0], "axes": [*head, *space], "datasets": datasets,
+        "type": "mean of 2 x 2 known pixels",
     }  # fmt: skip
     channels = [
         {"label": f"{name} ({maps.units(name)})", "color": "FFFFFF", "active": k == 0, "window": window}
@@ -131,4 +165,4 @@ def _attributes(maps: Maps, windows: list[dict[str, float]], levels: int, histor
     return {
         "ome": {"version": "0.5", "multiscales": [multiscale], "omero": {"channels": channels}},
         "planish": {"history": history.json(**maps.facts()), "units": units, "titles": titles},
-    }  # fmt: skip
+    }

@@ -51,5 +51,5 @@ class ExportParams(Params):
         "um", help="itk, elastix, nrrd: unit of the images as the other program has them."
     )
     mat_version: Literal["5", "7.3"] | None = option(
-        None, help="mat: 5 holds 2 GB and opens in Octave, too; 7.3 has no limit; 5 below 200 MB where not given."
+        None, help="mat: 5 holds less than 2 GB, 7.3 has no limit; 5 up to 200 MB where not given."
     )

@@ -16,6 +16,7 @@ from planish.writers.matrix import as_text
 from planish.writers.params import ExportParams
 
 Array = NDArray[np.float64]
+_AT_ONCE = 2_000_000  # numbers in memory
 _LEAST = 0.5  # share of a point that has to be valid: as in the correlations
 
 
@@ -57,10 +58,14 @@ def write(maps: Maps, path: Path, history: History, params: ExportParams) -> Non
 def _pixels(maps: Maps, names: list[str]) -> Iterator[tuple[Array, Array]]:
     """Give places (2, n) and values (names, n) of the pixels that show anything, band by band."""
     y, x = maps.at_um
-    for rows in bands(maps.shape[0]):
-        values = np.stack([band_of(maps.data[name], rows).astype(np.float64) for name in names])
-        shows = np.isfinite(values[[k for k, name in enumerate(names) if name != "valid"] or slice(None)]).any(axis=0)
-        at = np.stack(np.broadcast_arrays(x[None, :], y[rows, None]))
+    rows, cols = maps.shape
+    step = max(1, _AT_ONCE // (cols * len(names)))
+    every = [k for k, name in enumerate(names) if name != "valid"] or slice(None)
+    for begin in range(0, rows, step):
+        part = slice(begin, min(begin + step, rows))
+        values = np.stack([band_of(maps.data[name], part).astype(np.float64) for name in names])
+        shows = np.isfinite(values[every]).any(axis=0)
+        at = np.stack(np.broadcast_arrays(x[None, :], y[part, None]))
         yield at[:, shows], values[:, shows]
 
 

@@ -67,8 +67,8 @@ def write(content: Maps | xr.DataArray, path: Path, history: History, params: Ex
             metadata["Labels"] = labels
         if depth is not None:
             metadata["spacing"] = depth
-        sizes = tuple((f.denominator, f.numerator) for f in (_fraction(pixel[1]), _fraction(pixel[0])))
-        tifffile.imwrite(path, **how, imagej=True, ome=False, resolution=sizes, metadata=metadata)
+        across, down = ((f.denominator, f.numerator) for f in (_fraction(pixel[1]), _fraction(pixel[0])))
+        tifffile.imwrite(path, **how, imagej=True, ome=False, resolution=(across, down), metadata=metadata)
     _fill(path, _parts(content, dtype), shape, dtype)
 
 
