@@ -288,3 +288,23 @@ def test_the_same_maps_give_the_same_bytes(tmp_path, to):
         files = sorted(f for f in path.rglob("*") if f.is_file()) if path.is_dir() else [path]
         found.append([(f.relative_to(path).as_posix(), f.read_bytes()) for f in files])
     assert found[0] == found[1]
+
+
+def test_a_stack_beyond_4_gb_is_refused(monkeypatch):
+    from planish.writers import ExportParams, tiff_maps
+
+    monkeypatch.setattr(tiff_maps, "MOST", 100_000)
+    tiff_maps.check(maps((60, 110)).only("tilt"), ExportParams(to="tiff"))
+    tiff_maps.check(maps((60, 110)), ExportParams(to="ome-tiff"))
+    with pytest.raises(ResourceError, match=r"holds 4 GB. Give --to ome-tiff, or a folder for a file each"):
+        tiff_maps.check(maps((60, 110)), ExportParams(to="tiff"))
+
+
+@pytest.mark.parametrize(
+    "to", ["tiff", "ome-tiff", "ome-zarr", "netcdf", "mat", "gwy", "csv", "txt", "png", "svg", "nrrd"]
+)
+def test_a_map_of_nothing_but_missing_values(tmp_path, to):
+    content = maps((60, 110)).only("tilt")
+    content.data["tilt"].values[:] = np.nan
+    written(content, tmp_path / "out", to)
+    assert (tmp_path / "out").exists()

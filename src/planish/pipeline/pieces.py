@@ -124,8 +124,8 @@ def _maps(request: Request) -> list[Piece]:
 def _of_maps(request: Request, maps: Maps, name: str) -> Piece:
     params, taken = request.params, request.taken
     writer = writer_of(params.to)
-    if params.to == "mat":
-        writer.chosen_version(maps, params)
+    if hasattr(writer, "check"):
+        writer.check(maps, params)
     if params.to == "csv" and params.point_um is None:
         params = params.model_copy(update={"point_um": taken.study.correlate.point_um})
 
@@ -172,6 +172,8 @@ def _straightened(request: Request) -> list[Piece]:
     if params.maps:
         raise StudyError("The straightened volume holds grey values, and --map chooses maps. Leave --map out.")
     volume = taken.straightened(params.depth_um, request.compute, request.progress)
+    if params.to == "tiff":
+        writer_of(params.to).check(volume, params)
     words = (
         f"{' x '.join(map(str, volume.shape))} voxels of {' x '.join(f'{v:g}' for v in volume.attrs['voxel_um'])} um"
     )

@@ -13,7 +13,8 @@ marks    --                                      a registration's marks; ``plani
 run      --                                      a run folder
 ======== ======================================= ==============================================================
 
-``path`` is new, and stays hidden until it is whole. The same content gives the same bytes.
+``check(content, params)``, where a module has it, refuses before work what the format does not hold. ``path`` is new,
+and stays hidden until it is whole. The same content gives the same bytes.
 """
 
 from __future__ import annotations

@@ -42,6 +42,11 @@ def write(maps: Maps, path: Path, history: History, params: ExportParams) -> Non
         _write_73(maps, path, history)
 
 
+def check(maps: Maps, params: ExportParams) -> None:
+    """Raise ResourceError for more than the version that was asked for holds."""
+    chosen_version(maps, params)
+
+
 def chosen_version(maps: Maps, params: ExportParams) -> str:
     """Version in which maps are written; ResourceError where the one that was asked for cannot hold them."""
     size = sum(plain_type(data.dtype).itemsize for data in maps.data.data_vars.values()) * maps.shape[0] * maps.shape[1]
@@ -76,7 +81,7 @@ def _write_5(maps: Maps, path: Path, history: History) -> None:
 
 
 def _write_73(maps: Maps, path: Path, history: History) -> None:
-    with h5py.File(path, "w", userblock_size=_HEAD, libver=("earliest", "v110"), track_order=True) as file:
+    with h5py.File(path, "w", userblock_size=_HEAD, libver="earliest") as file:
         for name in maps.names:
             _put_map(file, maps, name)
         for name, value in _beside(maps, history).items():
@@ -113,7 +118,7 @@ def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
 def _put(place: h5py.Group, name: str, value: Any) -> None:
     """Write a matrix, a text or a structure of texts."""
     if isinstance(value, dict):
-        group = place.create_group(name, track_order=True)
+        group = place.create_group(name)
         group.attrs["MATLAB_class"] = np.bytes_("struct")
         for key, text in value.items():
             _put(group, key, text)

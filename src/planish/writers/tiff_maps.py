@@ -14,11 +14,26 @@ import tifffile
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.errors import ResourceError
 from planish.writers.content import History, Maps
 from planish.writers.params import ExportParams
 
 _FINEST = 10**6  # of a pixel size as a fraction
+MOST = 2**32 - 2**20
+"""Bytes of the values of a TIFF for ImageJ."""
+
 _VOLUME_BYTES = 2**26  # of a volume that are in memory at a time
+
+
+def check(content: Maps | xr.DataArray, params: ExportParams) -> None:
+    """Raise ResourceError for more than a TIFF of ImageJ holds: places in it are counted in 32 bits."""
+    planes = len(content.names) if isinstance(content, Maps) else content.shape[0]
+    size = 4 * planes * content.shape[-2] * content.shape[-1]
+    if params.to == "tiff" and size > MOST:
+        remedy = "or a folder for a file each" if planes > 1 and isinstance(content, Maps) else "or --to ome-zarr"
+        raise ResourceError(
+            f"These values take {size / 1e9:.1f} GB, and a TIFF for ImageJ holds 4 GB. Give --to ome-tiff, {remedy}."
+        )
 
 
 def write(content: Maps | xr.DataArray, path: Path, history: History, params: ExportParams) -> None:
