@@ -315,6 +315,7 @@ def test_a_crate_describes_the_run(linked_run, tmp_path):
         ({"to": "netcdf", "group": "straightened"}, "o", InputError, "as tiff, ome-tiff, ome-zarr, not as netcdf"),
         ({"to": "tiff"}, "maps.png", FileError, r"maps.png ends as PNG does .* Give a name that ends in .tif"),
         ({"to": "tiff"}, "maps.ome.tif", FileError, "ends as OME-TIFF does"),
+        ({"to": "csv"}, "points.tsv", FileError, r"has the ending .tsv, and --to says csv. Give a name that"),
         ({"to": "png"}, "map.png", StudyError, "map.png holds one map, and 23 are asked for. Choose one with --map"),
         ({"to": "ply"}, "s.ply", StudyError, "s.ply holds one surface, and there are 5. Choose one of top, bottom"),
         ({"to": "itk", "maps": ["image"]}, "o", StudyError, "ITK holds a registration, and --map chooses maps"),

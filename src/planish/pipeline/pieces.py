@@ -20,6 +20,7 @@ from planish.writers import FORMATS, SURFACES, ExportParams, Format, Maps, Surfa
 
 _SMALL = 2**22  # pixels of a map that is read once more for the limits between which it is shown first
 _SHOWN = ("tiff", "png", "svg")  # formats that show such limits
+_NAMED = 5  # maps that are named while they are written
 _STORES = ("ome-zarr", "zarr")  # formats whose files are folders
 
 
@@ -130,7 +131,7 @@ def _of_maps(request: Request, maps: Maps, name: str) -> Piece:
         params = params.model_copy(update={"point_um": taken.study.correlate.point_um})
 
     def write(path: Path) -> None:
-        request.progress("write", ", ".join(maps.names))
+        request.progress("write", ", ".join(maps.names) if len(maps.names) < _NAMED else f"{len(maps.names)} maps")
         shown = maps
         if params.to in _SHOWN and maps.shape[0] * maps.shape[1] <= _SMALL:
             display = {one: taken.display(_with_others(taken, maps, one), one) for one in maps.names}

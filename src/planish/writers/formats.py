@@ -20,6 +20,7 @@ and stays hidden until it is whole. The same content gives the same bytes.
 from __future__ import annotations
 
 import importlib
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -76,6 +77,8 @@ class Format:
     options: tuple[str, ...] = ()
     note: str = ""
 
+
+_ENDING = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,4}")  # of a file; a folder may be called run.2
 
 _BOTH = (
     "SOURCE_to_TARGET takes points of SOURCE to TARGET, x and y of planish; programs take the same file to resample an "
@@ -230,21 +233,19 @@ def is_file(name: str, out: Path) -> bool:
     Raises
     ------
     FileError
-        If it ends as files of another format do.
+        If it ends as files of another format do, or any file.
     """
     form, low = FORMATS[name], out.name.lower()
     known = [(end, other) for other, one in FORMATS.items() for end in one.suffixes if low.endswith(end)]
-    if not known:
-        return False
-    longest = max(len(end) for end, _ in known)
+    longest = max((len(end) for end, _ in known), default=0)
     meant = [other for end, other in known if len(end) == longest]
     if name in meant:
         return True
+    if not meant and not _ENDING.fullmatch(out.suffix):
+        return False
     ends = f"a name that ends in {' or '.join(form.suffixes)}, or " if form.suffixes else ""
-    raise FileError(
-        f"{out.name} ends as {FORMATS[meant[0]].title} does (--to {meant[0]}), and --to says {name}. Give {ends}a "
-        "folder without an ending."
-    )
+    whose = f"ends as {FORMATS[meant[0]].title} does (--to {meant[0]})" if meant else f"has the ending {out.suffix}"
+    raise FileError(f"{out.name} {whose}, and --to says {name}. Give {ends}a folder without an ending.")
 
 
 def formats_table() -> str:
