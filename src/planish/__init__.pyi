@@ -9,6 +9,7 @@ from .measure import measure_properties as measure_properties
 from .pipeline import Registration as Registration
 from .pipeline import Run as Run
 from .pipeline import correlate_maps as correlate_maps
+from .pipeline import export as export
 from .pipeline import find_holes as find_holes
 from .pipeline import link as link
 from .pipeline import map_sheet as map_sheet

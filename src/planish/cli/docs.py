@@ -1,4 +1,4 @@
-"""Write the pages that the program makes itself: docs/cli.md, the options of properties, the schema of the results."""
+"""Write what the program makes of its documents: commands, options of properties, formats, schema of the results."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import click
 from planish.cli.main import planish
 from planish.core.results import Results
 from planish.measure.params import MeasureParams
+from planish.writers import formats_table
 
 _HEAD = """# Commands
 
@@ -48,6 +49,12 @@ def with_options(text: str) -> str:
     return head + "## Options\n" + "\n".join(rows) + "\n\n## " + rest.split("\n## ", 1)[1]
 
 
+def with_formats(text: str) -> str:
+    """Return the text of docs/export.md with the table of the formats as the program has them."""
+    head, rest = text.split("## All formats\n", 1)
+    return head + "## All formats\n\n" + formats_table() + "\n## " + rest.split("\n## ", 1)[1]
+
+
 def schema() -> str:
     """Return the JSON schema of results.json."""
     return json.dumps(Results.model_json_schema(), indent=1) + "\n"
@@ -57,10 +64,11 @@ def main() -> None:
     """Write the pages into the docs folder of the checkout, the schema also into the package."""
     package = Path(__file__).resolve().parents[1]
     docs = package.parents[1] / "docs"
-    properties = (docs / "properties.md").read_text(encoding="utf-8")
+    properties, formats = ((docs / name).read_text(encoding="utf-8") for name in ("properties.md", "export.md"))
     for path, text in (
         (docs / "cli.md", page()),
         (docs / "properties.md", with_options(properties)),
+        (docs / "export.md", with_formats(formats)),
         (docs / "results.schema.json", schema()),
         (package / "core" / "results.schema.json", schema()),
     ):

@@ -27,7 +27,7 @@ _MODULES = {
     "link": "runs", "map": "runs", "demo": "runs", "run": "runs", "info": "files", "import": "files",
     "properties": "files", "surface": "stages", "measure": "stages", "flatten": "stages", "resample": "stages",
     "holes": "stages", "register": "stages", "correlate": "stages", "report": "stages", "marks": "marks",
-    "specimen": "validate", "validate": "validate", "doctor": "doctor",
+    "specimen": "validate", "validate": "validate", "export": "export", "doctor": "doctor",
     "completion": "completion", "new": "studies",
 }  # fmt: skip
 """Verb -> module of this package that holds it, as ``verb``, ``verb_`` where the name is taken."""

@@ -115,3 +115,35 @@ def disk_full(path: Path, needed: int | None = None) -> DiskFull:
         f"The disk is full while writing {path}: {free}{need}. Nothing was kept of it. Free some space, or give "
         "--out on another disk."
     )
+
+
+@contextmanager
+def new_file(path: Path, *, needed: int | None = None) -> Generator[Path]:
+    """Give a hidden path to write a file to, part by part; it becomes ``path`` when the block ends well.
+
+    Parameters
+    ----------
+    path : Path
+        It must not exist; its folder is made where it is not there.
+    needed : int, optional
+        About how many bytes it takes.
+
+    Raises
+    ------
+    FileError
+        If the file is there already or cannot be written.
+    ResourceError
+        If the disk is full.
+    """
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    with writing(path, needed=needed):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield partial
+            with partial.open("rb+") as file:
+                os.fsync(file.fileno())
+            if path.exists() or path.is_symlink():
+                raise FileError(f"{path} is already there; nothing is overwritten. Choose another name.")
+            partial.rename(path)
+        finally:
+            partial.unlink(missing_ok=True)

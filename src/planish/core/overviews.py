@@ -43,7 +43,7 @@ def halved(maps: xr.Dataset) -> xr.Dataset:
     """Maps with pixels twice as wide; the last row and column of an odd number stand for themselves."""
     names = [str(name) for name, data in maps.data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"]
     coords = {str(dim): (dim, middles(maps[dim].values), maps[dim].attrs) for dim in maps[names].dims}
-    found = {name: (maps[name].dims, _means(maps[name].values), maps[name].attrs) for name in names}
+    found = {name: (maps[name].dims, halved_values(maps[name].values), maps[name].attrs) for name in names}
     return xr.Dataset(found, coords=coords, attrs=maps.attrs)
 
 
@@ -54,7 +54,8 @@ def middles(at: NDArray[np.float64]) -> NDArray[np.float64]:
     return at[0] + (at[1] - at[0]) * (0.5 + 2 * np.arange((at.size + 1) // 2))
 
 
-def _means(values: NDArray[Any]) -> NDArray[Any]:
+def halved_values(values: NDArray[Any]) -> NDArray[Any]:
+    """Values (rows, cols) of pixels twice as wide, as :func:`overviews` has them; floats or truth values."""
     out = np.empty(((values.shape[0] + 1) // 2, (values.shape[1] + 1) // 2), values.dtype)
     (halve_truth if values.dtype == np.bool_ else halve_values)(np.ascontiguousarray(values), out)
     return out

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from unicodedata import category
 
 _UNFIT = ("Cc", "Cs")  # control characters; halves of pairs, which stand for bytes that are no UTF-8
@@ -12,3 +14,15 @@ def printable(text: str) -> str:
     return "".join(
         c.encode("unicode_escape").decode() if category(c) in _UNFIT and c not in "\n\t" else c for c in text
     )
+
+
+def likely(name: str, known: Iterable[str]) -> str:
+    """Name the word that was probably meant, as the end of a message; nothing where none is close.
+
+    Examples
+    --------
+    >>> likely("coatng_top", ["coating_top", "thickness"])
+    ' Did you mean coating_top?'
+    """
+    close = get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return f" Did you mean {close[0]}?" if close else ""

@@ -250,6 +250,36 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
         }
 
 
+def group_names(path: Path) -> list[str]:
+    """Names of the groups of a store that hold arrays, without the smaller copies of maps; FileError as `read_tree`."""
+    if not (path / "zarr.json").is_file():
+        raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
+    with readable(path):
+        root = zarr.open_group(path, mode="r")
+        if root.attrs.get(COMPLETE):
+            _check_chunks(path)
+        groups = [(name, found) for name, found in root.members(max_depth=None) if isinstance(found, zarr.Group)]
+        return sorted(
+            name for name, found in groups if any(found.arrays()) and not name.startswith(f"{OVERVIEWS}/")
+        )  # fmt: skip
+
+
+def read_group(path: Path, name: str, variables: Iterable[str] | None = None) -> xr.Dataset:
+    """Read one group of a store, or some of its variables; of half a gigabyte and more, part by part when asked for.
+
+    Raises
+    ------
+    FileError
+        If it is damaged.
+    """
+    with readable(path):
+        if name in large_groups(path):
+            found = stored_group(path, name)
+            return found if variables is None else found[list(variables)]
+        with xr.open_dataset(path, engine="zarr", group=name, chunks=None) as data:
+            return (data if variables is None else data[list(variables)]).load()
+
+
 def _check_chunks(path: Path) -> None:
     """Raise FileError where a chunk was lost: zarr takes it for missing values."""
     for name, found in zarr.open_group(path, mode="r").members(max_depth=None):

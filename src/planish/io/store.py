@@ -228,12 +228,16 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     while max(shapes[-1]) > _SMALLEST and min(shapes[-1]) >= 2 * _LEAST_DEPTH:
         shapes.append(tuple(-(-n // 2) for n in shapes[-1]))
     voxel = [float(v) for v in volume.attrs["voxel_um"]]
+    first = [float(volume[axis].values[0]) for axis in "zyx"]
     datasets = [
         {
             "path": str(k),
             "coordinateTransformations": [
                 {"type": "scale", "scale": [v * 2**k for v in voxel]},
-                {"type": "translation", "translation": [v * (2**k - 1) / 2 for v in voxel]},
+                {
+                    "type": "translation",
+                    "translation": [f + v * (2**k - 1) / 2 for f, v in zip(first, voxel, strict=True)],
+                },
             ],
         }
         for k in range(len(shapes))
@@ -244,7 +248,7 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     attributes: dict[str, Any] = {"ome": {"version": ome, "multiscales": scales}}
     if ome == "0.4":
         attributes = {"multiscales": [{"version": ome, **scales[0]}]}
-    kept = ("full_scale", "voxel_um_source", "stored_dtype", "channel", "sections", "corrections")
+    kept = ("full_scale", "voxel_um_source", "stored_dtype", "channel", "sections", "corrections", "history")
     attributes["planish"] = {"source": name} | {k: volume.attrs[k] for k in kept if volume.attrs.get(k) is not None}
     group = zarr.open_group(folder, mode="a", zarr_format=3 if ome == "0.5" else 2)
     group.attrs.update(attributes)

@@ -19,4 +19,5 @@ from .registry import check_maps as check_maps
 from .registry import ray_property as ray_property
 from .registry import registered as registered
 from .registry import sheet_property as sheet_property
+from .straighten import straightened as straightened
 from .topography import scale_limited as scale_limited

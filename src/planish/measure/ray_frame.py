@@ -56,7 +56,7 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
     if below:
         raise SurfaceError(f"The top lies below the bottom at {below} points. Check --top.")
     step = pitch(surfaces)
-    slope = _slopes(heights["centre"], step, slice(0, surfaces.sizes["y"]))
+    slope = slopes_of(heights["centre"], step)
     known = np.isfinite(slope).all(axis=-1)
     stretch = np.sqrt(1 + slope[known] ** 2).mean(axis=0) if known.any() else np.zeros(2)
     unit = directions(slope, rays)
@@ -230,6 +230,11 @@ def _slopes(centre: Array, pitch: tuple[float, float], rows: slice) -> Array:
         lo, hi = max(lo - 1, 0), min(hi + 1, centre.shape[0])
     along = [np.gradient(centre[lo:hi], p, axis=i) for i, p in enumerate(pitch)]
     return np.stack(along, axis=-1)[rows.start - lo : rows.stop - lo]
+
+
+def slopes_of(heights: Array, pitch: tuple[float, float]) -> Array:
+    """Slope of a whole surface along rows and columns (rows, cols, 2)."""
+    return _slopes(heights, pitch, slice(0, heights.shape[0]))
 
 
 def directions(slope: Array, rays: Direction) -> Array:

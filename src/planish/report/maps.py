@@ -51,7 +51,7 @@ def draw_maps(
     ordered = sorted(there, key=lambda name: name != first)
     widths = {name: FULL if name == first else HALF for name in ordered}
     return [
-        _draw(maps, name, facts[name], width=width, rim_um=rim_um, shared=_partner(name, there))
+        _draw(maps, name, facts[name], width=width, rim_um=rim_um, shared=partner_of(name, there))
         for name, width in widths.items()
     ]
 
@@ -64,10 +64,10 @@ def draw_leading(
     if not there:
         return []
     name = headline if headline in there else there[0]
-    return [_draw(maps, name, facts[name], width=2 * THIRD, rim_um=rim_um, shared=_partner(name, there))]
+    return [_draw(maps, name, facts[name], width=2 * THIRD, rim_um=rim_um, shared=partner_of(name, there))]
 
 
-def _partner(name: str, there: Sequence[str]) -> str | None:
+def partner_of(name: str, there: Sequence[str]) -> str | None:
     """Return the map of the other side of the sheet: the two share their colours."""
     for side, other in (("_top", "_bottom"), ("_bottom", "_top")):
         if name.endswith(side) and (found := name.removesuffix(side) + other) in there:

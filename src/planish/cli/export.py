@@ -1,0 +1,57 @@
+"""``planish export``: a run as files of other programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from planish.cli.options import existing, given, json_option, made, options, out_option, verb
+from planish.compute import Compute
+from planish.core.errors import StudyError
+from planish.writers import FORMATS, ExportParams
+
+
+@verb(
+    "planish export run --to tiff --out maps",
+    "planish export run --map coating_top --map image --to mat --out coating.mat",
+    "planish export run --to csv --point-um 100 --out points.csv",
+    "planish export run --to ply --map top --map coating_top --out top.ply",
+    "planish export run --to ome-zarr --group straightened --out flat.ome.zarr",
+    name="export",
+)
+@existing("run")
+@out_option("Folder to make, or a file where it ends as those of the format do; it must not exist.")
+@options(ExportParams, "export", "What is exported")
+@options(Compute, "compute", "Resources", only=("memory_bytes", "threads"))
+@json_option
+def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
+    """Write maps, surfaces or the registration of a RUN for other programs.
+
+    OUT becomes a folder with a file for each map (NAME.tif ...), or one file where it ends as those of the format do.
+    docs/export.md says which format is for which program. Lengths are um, missing values are NaN where a format has
+    them; where the files come from travels with them.
+    """
+    from planish.cli.show import stages
+    from planish.pipeline import export as export_run
+
+    said = given(values, "export")
+    made(ExportParams, values, "export")
+    with stages(20) as progress:
+        try:
+            files = export_run(run, out, compute=made(Compute, values, "compute"), progress=progress, **said)
+        except StudyError as error:
+            raise click.UsageError(str(error)) from error
+    form = FORMATS[said["to"]]
+    if as_json:
+        click.echo(
+            json.dumps({"out": str(out), "format": said["to"], "files": [str(path) for path in files]}, indent=2)
+        )
+        return
+    count = "1 file" if len(files) == 1 else f"{len(files)} files"
+    missing = "" if form.missing == "–" else f"; missing values: {form.missing.replace('`', '')}"
+    click.echo(f"{out}: {form.title}, {count}{missing}")
+    if form.note:
+        click.echo(form.note, err=True)

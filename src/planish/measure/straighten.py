@@ -1,0 +1,151 @@
+"""The volume straightened along the normals, on the pixels of the flat maps: every sheet lies flat in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import StudyError, SurfaceError
+from planish.core.frame import Frame
+from planish.core.grid import Grid, bilinear, pitch
+from planish.core.lazy import LazyArray, Where, held
+from planish.core.threads import map_threads
+from planish.core.tiles import Tile, tiles_of
+from planish.measure.greys import Greys
+from planish.measure.params import MeasureParams
+from planish.measure.ray_frame import RayFrame, directions, slopes_of
+
+Array = NDArray[np.float64]
+
+_AT_ONCE = 1_000_000  # samples that a thread works on
+_WIDE = 256  # pixels along the width of a part: its box of voxels has to be small where the sheet is steep
+_MOST_DEPTH = 20.0  # sheet thicknesses: beyond that the normals have long left the sheet, and cross each other
+
+
+def straightened(
+    volume: xr.DataArray, surfaces: xr.Dataset, maps: xr.Dataset, *, params: MeasureParams | None = None,
+    depth_um: tuple[float, float] | None = None,
+) -> xr.DataArray:  # fmt: skip
+    """Straighten a volume along the normals of the centre surface.
+
+    Parameters
+    ----------
+    volume : DataArray, dims (z, y, x), coordinates in um
+        May be lazily indexed; only the voxels under a part are read.
+    surfaces : Dataset, dims (y, x), heights in um
+        As :func:`planish.surface.find_surfaces` returns them for this volume.
+    maps : Dataset, dims (v, u)
+        Flat maps of these surfaces, with ``volume_x``, ``volume_y`` and ``volume_z``.
+    params : MeasureParams, optional
+    depth_um : (float, float), optional
+        From where to where along the normals, from the centre surface, up to the top; from below the lowest to above
+        the highest face where not given.
+
+    Returns
+    -------
+    DataArray, dims (z, y, x), float32, in um
+        z is the height on the normal, y and x are v and u of the maps; worked out where it is asked for. Grey values
+        are interpolated once, between the eight voxels around a place. NaN is missing: beside the sheet and the volume.
+
+    Raises
+    ------
+    StudyError
+        The depths are out of order, or farther from the sheet than 20 of its thicknesses.
+    SurfaceError
+        Surfaces and volume do not belong together, or the maps have no places in the volume.
+    """
+    if lacking := [name for name in ("volume_x", "volume_y", "volume_z") if name not in maps]:
+        raise SurfaceError(f"The maps lack {', '.join(lacking)}. Give the maps of the sheet, not those of an image.")
+    frame = RayFrame.of(volume, surfaces, params or MeasureParams())
+    low, high = depth_um or (frame.low * frame.step_um, frame.high * frame.step_um)
+    most = _MOST_DEPTH * float(surfaces.attrs["thickness_um"])
+    if not low < high or max(abs(low), abs(high)) > most:
+        raise StudyError(
+            f"--depth-um {low:g},{high:g}: give two heights in um from the centre surface, the lower one first, within "
+            f"{most:.0f} um."
+        )
+    first, last = int(np.floor(low / frame.voxel_um)), int(np.ceil(high / frame.voxel_um))
+    depths: Array = np.arange(first, last + 1).astype(np.float64) * frame.voxel_um
+    grid = Grid.of(maps)
+    values = _Straightened(volume, surfaces, maps, depths, frame)
+    places = {"z": depths, "y": grid.y_um, "x": grid.x_um}
+    coords = {axis: (axis, at, {"units": "um"}) for axis, at in places.items()}
+    found = xr.DataArray(xr.Variable(("z", "y", "x"), held(values)), coords=coords, name="grey")
+    return found.assign_attrs(voxel_um=(frame.voxel_um, *(round(float(p), 9) for p in grid.pixel_um)))
+
+
+class _Straightened(LazyArray):
+    """The straightened volume, of which parts are worked out."""
+
+    def __init__(
+        self, volume: xr.DataArray, surfaces: xr.Dataset, maps: xr.Dataset, depths: Array, frame: RayFrame
+    ) -> None:
+        self._volume, self._depths = volume, depths
+        self._places = {axis: maps[f"volume_{axis}"] for axis in ("z", "y", "x")}
+        self._frame, self._pitch = Frame.of(surfaces), pitch(surfaces)
+        self._first = float(surfaces["y"].values[0]), float(surfaces["x"].values[0])
+        slope = slopes_of(frame.heights["centre"], self._pitch)
+        self._slopes: Sequence[Array] = (np.ascontiguousarray(slope[..., 0]), np.ascontiguousarray(slope[..., 1]))
+        self._padding = Greys.of(surfaces).padding
+        self.shape = (depths.size, *Grid.of(maps).shape)
+        self.dtype = np.dtype(np.float32)
+
+    def read(self, where: Where) -> NDArray[Any]:
+        """Work out a part, in pieces on threads."""
+        depth, rows, cols = where
+        down, across = (range(n)[s] for n, s in zip(self.shape[1:], (rows, cols), strict=True))
+        depths = self._depths[depth]
+        out = np.empty((depths.size, len(down), len(across)), np.float32)
+        high = max(1, _AT_ONCE // (_WIDE * max(depths.size, 1)))
+        tiles = tiles_of((len(down), len(across)), (high, _WIDE))
+        map_threads(partial(self._fill, out, depths, (rows, cols)), tiles)
+        return out
+
+    def _fill(self, out: NDArray[np.float32], depths: Array, where: tuple[slice, slice], tile: Tile) -> None:
+        from scipy import ndimage
+
+        part = out[:, tile.rows, tile.cols]
+        part[:] = np.nan
+        at = {axis: np.asarray(self._part(axis, where, tile)) for axis in ("z", "y", "x")}
+        f = self._frame
+        row, col = (
+            (at[axis] - first) / p for axis, first, p in zip((f.rows, f.cols), self._first, self._pitch, strict=True)
+        )
+        slope = np.stack([bilinear(field, row, col) for field in self._slopes], axis=-1)
+        normal: dict[str, Array] = dict(
+            zip((f.rows, f.cols, f.through), np.moveaxis(directions(slope, "normal"), -1, 0), strict=True)
+        )
+        normal[f.through] = f.sign * normal[f.through]
+        known = np.all([np.isfinite(at[axis]) & np.isfinite(normal[axis]) for axis in at], axis=0)
+        if not known.any():
+            return
+        places: list[Array] = []
+        box: list[slice] = []
+        for axis in map(str, self._volume.dims):
+            coords = self._volume[axis].values
+            size = float(coords[1] - coords[0])
+            index = (at[axis][known] + depths[:, None] * normal[axis][known] - float(coords[0])) / size
+            start = int(np.clip(np.floor(index.min()), 0, coords.size - 1))
+            stop = int(np.clip(np.ceil(index.max()) + 1, start + 1, coords.size))
+            places.append(index - start)
+            box.append(slice(start, stop))
+        block = self._volume.isel(dict(zip(map(str, self._volume.dims), box, strict=True))).values
+        if block.dtype.kind != "f" or np.isfinite(self._padding):
+            block = block.astype(np.float32)
+        if np.isfinite(self._padding):
+            block[block == np.float32(self._padding)] = np.nan
+        part[:, known] = ndimage.map_coordinates(
+            block, places, output=np.float32, order=1, mode="constant", cval=np.nan, prefilter=False
+        )
+
+    def _part(self, axis: str, where: tuple[slice, slice], tile: Tile) -> NDArray[Any]:
+        rows, cols = (
+            slice(w.start + w.step * a, w.start + w.step * b, w.step)
+            for w, a, b in zip(where, (tile.r0, tile.c0), (tile.r1, tile.c1), strict=True)
+        )
+        return self._places[axis][rows, cols].values

@@ -1,0 +1,342 @@
+"""A run taken apart for an export: its groups one by one, the sheet's surfaces and volume, registrations, history."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+import xarray as xr
+
+from planish import __version__
+from planish.compute import Compute, Progress
+from planish.core.bands import thinned
+from planish.core.errors import FileError, InputError
+from planish.core.grid import Grid
+from planish.core.results import LayerFacts, Results
+from planish.core.text import likely
+from planish.core.transform import Affine, Similarity
+from planish.io import fingerprint
+from planish.io.map_store import OVERVIEWS
+from planish.io.run_folder import group_names, read_group
+from planish.measure import straightened
+from planish.pipeline.registration import Registration
+from planish.pipeline.run import MAPS, Run, marks_file, open_results
+from planish.pipeline.volume import read_sheet_volume
+from planish.report.maps import colours_of, partner_of
+from planish.resample import image_attrs, resample_image
+from planish.study import LayerParams, Study, read_study, to_dict
+from planish.writers import Display, History, Move, Moves
+
+IMAGE = "image"
+"""Name of the image on the flat sheet among the maps, and of the image itself among linked maps."""
+
+STRAIGHTENED = "straightened"
+"""The group that is worked out: the volume along the normals."""
+
+_GRIDS = ("linked", "maps", "refined", "surfaces", "flat")
+"""Groups of maps on one grid, beside those of layers."""
+
+_HARDLY = 0.3  # of the marks' extent: what a layer whose pixels are not known is taken to reach beyond them
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Taken:
+    """A run of which only what is asked for is read.
+
+    Attributes
+    ----------
+    results, study : Results, Study
+    folder : Path or None
+        Where it stands; None for one that is in memory only.
+    held : dict of Dataset
+        Groups that are in memory already, or were read.
+    known : dict of Registration
+        Registrations that were read.
+    all_held : bool
+        Whether there are no other groups.
+    """
+
+    results: Results
+    study: Study
+    folder: Path | None
+    held: dict[str, xr.Dataset] = field(default_factory=dict[str, xr.Dataset])
+    known: dict[str, Registration] = field(default_factory=dict[str, Registration])
+    all_held: bool = False
+
+    @classmethod
+    def of(cls, run: Run | str | Path) -> Taken:
+        """Open a run folder without its maps, or take a run that is in memory."""
+        if isinstance(run, Run):
+            return cls(
+                results=run.results, study=run.study, folder=run.folder, held=dict(run.groups), all_held=True,
+                known=dict(run.registrations),
+            )  # fmt: skip
+        folder = Path(run)
+        return cls(results=open_results(folder), study=read_study(folder / "run.toml"), folder=folder)
+
+    @cached_property
+    def history(self) -> History:
+        """What made it."""
+        if self.folder is not None:
+            text = (self.folder / "run.toml").read_bytes()
+        else:
+            text = tomli_w.dumps({"planish": self.results.planish} | to_dict(self.study)).encode()
+        inputs = [
+            {"layer": one.name, "name": one.source.name, "sha256": one.source.sha256} for one in self.results.layers
+        ]
+        return History(
+            planish=self.results.planish, exported_by=__version__, study_sha256=hashlib.sha256(text).hexdigest(),
+            inputs=tuple(inputs),
+        )  # fmt: skip
+
+    # --- maps ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def groups(self) -> list[str]:
+        """Names of the groups."""
+        if self.all_held or self.folder is None:
+            return sorted(name for name in self.held if not name.startswith("overviews/"))
+        return group_names(self.folder / MAPS)
+
+    def group(self, name: str, variables: Sequence[str] | None = None) -> xr.Dataset:
+        """Read a group, or some of its variables."""
+        if name not in self.held and self.folder is not None and variables is not None:
+            return read_group(self.folder / MAPS, name, variables)
+        if name not in self.held and self.folder is not None and name in self.groups:
+            self.held[name] = read_group(self.folder / MAPS, name)
+        return self.held[name] if variables is None else self.held[name][list(variables)]
+
+    def map_group(self, name: str | None) -> str:
+        """The group of maps that is meant: as named, or the linked maps, or those of the sheet.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name.
+        """
+        layers = [group for group in self.groups if group.startswith("layers/") and group.count("/") == 1]
+        known = [group for group in _GRIDS if group in self.groups] + layers
+        wanted = name or next((group for group in ("linked", "maps") if group in known), None)
+        if wanted is None:
+            raise InputError(f"The run holds the maps of several layers. Choose one with --group: {', '.join(known)}.")
+        if wanted not in known:
+            likely_one = likely(wanted, [*known, STRAIGHTENED])
+            raise InputError(f"The run has no group {wanted!r}; it holds {', '.join(known)}.{likely_one}")
+        return wanted
+
+    def map_names(self, group: str, wanted: Sequence[str]) -> list[str]:
+        """Names of the maps of a group that are meant: all where none is named, and the image on the flat sheet.
+
+        Raises
+        ------
+        InputError
+            If there is no map of a name.
+        """
+        there = [str(name) for name, one in self.group(group).data_vars.items() if one.ndim == 2]
+        if group == "maps" and "linked" in self.groups and len(self.results.moving) == 1:
+            there.append(IMAGE)
+        return self.names_among(wanted, there, f"group {group}") or there
+
+    def maps(self, group: str, names: Sequence[str]) -> xr.Dataset:
+        """Maps of a group in the order of their names, the image on the flat sheet among those of the sheet."""
+        data = self.group(group)
+        if IMAGE in names and IMAGE not in data:
+            data = data.assign({IMAGE: self.image_on_sheet(data)})
+        return data[list(names)]
+
+    def levels(self, group: str, name: str) -> list[Path]:
+        """Folders of a map and its overviews in the store of the run, the finest first; none where it has no store."""
+        if self.folder is None or self.all_held:
+            return []
+        store = self.folder / MAPS
+        found = [store / group / name]
+        while (place := store / OVERVIEWS / group / str(len(found)) / name).is_dir():
+            found.append(place)
+        return found if found[0].is_dir() else []
+
+    def names_among(self, wanted: Sequence[str], known: Sequence[str], where: str) -> list[str]:
+        """Check names of maps; InputError names the one that is not there, the likely one, and all."""
+        for name in wanted:
+            if name not in known:
+                raise InputError(
+                    f"There is no map {name!r} in the {where}.{likely(name, known)} It holds {', '.join(known)}."
+                )
+        return list(dict.fromkeys(wanted))
+
+    def image_on_sheet(self, maps: xr.Dataset) -> xr.DataArray:
+        """The image on the pixels (v, u) of the flat maps: means over areas where it is finer, through the marks."""
+        image = self.group("linked", [IMAGE])[IMAGE].load()
+        grid = Grid.of(image)
+        image = image.assign_attrs(pixel_um=grid.pixel_um)
+        back = _Backwards(self.registration(self.results.moving[0].name).fit)
+        data = resample_image(image, Grid.of(maps), back)
+        # The names are those of the flat sheet.
+        values = data[IMAGE].values.astype(np.float32)
+        attrs = image_attrs(image) | {"long_name": "Grey value of the image"}
+        return xr.DataArray(values, dims=("v", "u"), coords={k: maps[k] for k in ("v", "u")}, attrs=attrs)
+
+    def display(self, data: xr.Dataset, name: str) -> Display:
+        """Colours and limits of a map, those of the page: both sides of the sheet share theirs."""
+        names = [name] if (other := partner_of(name, [str(key) for key in data.data_vars])) is None else [name, other]
+        _, parts = thinned(
+            *(data[key] for key in names), *([data["valid"]] if name == IMAGE and "valid" in data else [])
+        )
+        if len(parts) > len(names):  # the holes of an image would take most of the colours
+            parts = [np.where(parts[1], parts[0], np.nan)]
+        known = np.concatenate([part[np.isfinite(part)] for part in parts]).astype(np.float64)
+        scale = colours_of(data[name].rename(name), known)
+        return Display(low=float(scale.low), high=float(scale.high), colours=scale.colours)
+
+    # --- the sheet ----------------------------------------------------------------------------------------------
+
+    @property
+    def sheet(self) -> LayerFacts | None:
+        """The layer whose surfaces the run holds."""
+        if "surfaces" not in self.groups:
+            return None
+        return next((layer for layer in self.results.layers if layer.sheet is not None), None)
+
+    def straightened(self, depth_um: tuple[float, float] | None, compute: Compute, progress: Progress) -> xr.DataArray:
+        """The volume along the normals, on the pixels of the flat maps; worked out where it is asked for.
+
+        Raises
+        ------
+        InputError
+            If the run holds no sheet of its own.
+        FileError
+            If the volume is gone, or another file has its place.
+        """
+        facts = self.sheet
+        if facts is None or "maps" not in self.groups:
+            raise InputError(
+                "The straightened volume needs the surfaces of one sheet, and this run holds none. Give the run of "
+                "the volume itself, in layers/NAME where several were linked."
+            )
+        layer = self._layer_of(facts.name)
+        assert layer.volume is not None
+        path = (
+            Path(layer.volume.path.split(":")[0]) if not Path(layer.volume.path).exists() else Path(layer.volume.path)
+        )
+        if not path.exists():
+            raise FileError(
+                f"The straightened volume needs {facts.source.name}, and {path} is not there. Put it back, or write "
+                "where it is now into run.toml, under [layers.volume], as path."
+            )
+        progress("read", facts.source.name)
+        if fingerprint(layer.volume.path) != facts.source.sha256:
+            raise FileError(
+                f"{path} is another file than the one that was mapped: its SHA-256 is not that in results.json. Put "
+                "the volume of this run there."
+            )
+        volume, _ = read_sheet_volume(layer.volume, compute, progress)
+        places = [f"volume_{axis}" for axis in "xyz"]
+        found = straightened(
+            volume, self.group("surfaces"), self.group("maps", places), params=layer.properties, depth_um=depth_um
+        )
+        about = {
+            "group": STRAIGHTENED,
+            "file_name": facts.source.name,
+            "normal": "z, up to the top",
+            "flat": "y is v, x is u",
+        }
+        return found.assign_attrs(about)
+
+    def _layer_of(self, name: str) -> LayerParams:
+        """Parameters of a layer that was read from a volume, in this run or in the one that it was taken from."""
+        layer = next(one for one in self.study.layers if one.name == name)
+        if layer.run is None:
+            return layer
+        place = Path(layer.run)
+        if not (place / "run.toml").is_file():
+            raise FileError(f"The straightened volume needs the run {place}, which is not there. Put it back.")
+        other = next(one for one in read_study(place / "run.toml").layers if one.volume is not None)
+        return other
+
+    # --- registrations ------------------------------------------------------------------------------------------
+
+    def registration(self, name: str) -> Registration:
+        """The registration of a moving layer."""
+        if name not in self.known and self.folder is not None:
+            self.known[name] = Registration.read(self.folder / marks_file(self.results, name))
+        return self.known[name]
+
+    def registered(self, group: str | None) -> list[LayerFacts]:
+        """Moving layers with a registration: all of them, or the one of a name.
+
+        Raises
+        ------
+        InputError
+            If nothing is registered, or no layer of that name is.
+        """
+        moving = list(self.results.moving)
+        if not moving:
+            raise InputError("The run is that of one sheet: nothing is registered. Give a run of 'planish link'.")
+        names = [layer.name for layer in moving]
+        wanted = None if group in (None, "linked") else str(group).removeprefix("layers/")
+        if wanted is not None and wanted not in names:
+            raise InputError(f"No layer {wanted!r} is registered; there are {', '.join(names)}.{likely(wanted, names)}")
+        return [layer for layer in moving if wanted in (None, layer.name)]
+
+    def is_affine(self, name: str) -> bool:
+        """Whether the registration of a moving layer is an affine map."""
+        return isinstance(self.registration(name).fit.transform, Similarity | Affine)
+
+    def moves(self, layer: LayerFacts) -> Moves:
+        """The registration of a moving layer in both directions, with the pixels of both layers."""
+        assert layer.registration is not None
+        fit, target = self.registration(layer.name).fit, layer.registration.to
+        transform = fit.transform
+        middle = np.zeros(2) if isinstance(transform, Similarity) else np.array(transform.source)
+        (a, b), (c, d) = transform.matrix().tolist()
+        image = transform(middle)
+        affine = Affine(
+            linear=((a, b), (c, d)), source=(float(middle[0]), float(middle[1])),
+            target=(float(image[0]), float(image[1])),
+        )  # fmt: skip
+        exact = self.is_affine(layer.name)
+        grids = [self._grid(layer.name, fit.moving), self._grid(target, fit.fixed)]
+        forward = Move(source=layer.name, target=target, function=fit, grid=grids[0], affine=affine, exact=exact)
+        back = Move(
+            source=target, target=layer.name, function=fit.inverse, grid=grids[1], affine=affine.inverse, exact=exact
+        )
+        return Moves(forward=forward, back=back, model=fit.model)
+
+    def grid_of(self, name: str) -> Grid | None:
+        """Pixels of a layer: of an image, or of the flat maps of a sheet; None where the run does not hold them."""
+        layer = self.results.layer(name)
+        if layer.kind == "image":
+            rows, cols = layer.source.shape[:2]
+            down, across = layer.source.size_um[-2:]
+            return Grid.regular((rows, cols), (down, across))
+        if self.sheet is not None and self.sheet.name == name:
+            return Grid.of(self.group("maps", ["thickness"]))
+        if f"layers/{name}" in self.groups and name == self.results.reference.name:
+            return Grid.of(self.group(f"layers/{name}", ["thickness"]))
+        places = [self.folder / "layers" / name] if self.folder is not None else []
+        places += [Path(one.run) for one in self.study.layers if one.name == name and one.run is not None]
+        for place in places:
+            if (place / MAPS / "zarr.json").is_file() and "maps" in group_names(place / MAPS):
+                return Grid.of(read_group(place / MAPS, "maps", ["thickness"]))
+        return None
+
+    def _grid(self, name: str, marks: np.ndarray) -> Grid:
+        found = self.grid_of(name)
+        if found is not None:
+            return found
+        low, high = marks.min(axis=0), marks.max(axis=0)
+        around = _HARDLY * float((high - low).max())
+        pixel = max(float((high - low).max()) / 2000, 1e-6)
+        shape = np.ceil((high - low + 2 * around) / pixel).astype(int) + 1
+        return Grid.regular((int(shape[1]), int(shape[0])), pixel, (float(low[0] - around), float(low[1] - around)))
+
+
+class _Backwards:
+    """A fit seen from its fixed layer: takes an image there back to the moving one."""
+
+    def __init__(self, fit: object) -> None:
+        self.inverse = fit

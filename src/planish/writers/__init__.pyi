@@ -1,0 +1,13 @@
+from .content import Display as Display
+from .content import History as History
+from .content import Maps as Maps
+from .field import Move as Move
+from .field import Moves as Moves
+from .formats import FORMATS as FORMATS
+from .formats import Format as Format
+from .formats import formats_table as formats_table
+from .formats import is_file as is_file
+from .formats import writer_of as writer_of
+from .mesh import SURFACES as SURFACES
+from .mesh import Surface as Surface
+from .params import ExportParams as ExportParams

@@ -1,0 +1,135 @@
+"""MATLAB: version 5 by scipy, and version 7.3, an HDF5 file with MATLAB's classes and its order of axes, by h5py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+from scipy import io
+
+from planish.core.errors import ResourceError
+from planish.writers.content import History, Maps, plain_type
+from planish.writers.params import ExportParams
+
+MOST_5 = 2**31 - 2**20
+"""Bytes that the maps of a file of version 5 may take together."""
+
+_USUAL_5 = 200_000_000  # bytes up to which version 5 is taken where none is chosen: all of it is held in memory
+_CHUNK = 512  # pixels along the edge of a chunk: as high as a band, so that each is written once
+_HEAD = 512  # bytes before an HDF5 file of MATLAB
+_CLASSES = {"float32": "single", "float64": "double"}
+_TEXT = 116  # bytes of free text in front of both versions; the date that stands there usually is left out
+
+
+def write(maps: Maps, path: Path, history: History, params: ExportParams) -> None:
+    """Write a variable for each map, and what it needs to be read.
+
+    ``x_um`` and ``y_um`` (rows; ``u_um`` and ``v_um`` of flat maps) are the middles of the pixels, ``pixel_um`` their
+    size (y, x), ``units`` and ``titles`` structures with the maps' names, ``history`` a text. Maps are (rows, columns);
+    truth values are logical.
+
+    Raises
+    ------
+    ResourceError
+        Version 5 was asked for, and the maps take 2 GB or more.
+    """
+    if chosen_version(maps, params) == "5":
+        _write_5(maps, path, history)
+    else:
+        _write_73(maps, path, history)
+
+
+def check(maps: Maps, params: ExportParams) -> None:
+    """Raise ResourceError for more than the version that was asked for holds."""
+    chosen_version(maps, params)
+
+
+def chosen_version(maps: Maps, params: ExportParams) -> str:
+    """Version in which maps are written; ResourceError where the one that was asked for cannot hold them."""
+    size = sum(plain_type(data.dtype).itemsize for data in maps.data.data_vars.values()) * maps.shape[0] * maps.shape[1]
+    if params.mat_version == "5" and size > MOST_5:
+        raise ResourceError(
+            f"The maps take {size / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB. Leave out --mat-version, "
+            "choose fewer maps with --map, or give a folder for a file each."
+        )
+    return params.mat_version or ("5" if size <= _USUAL_5 else "7.3")
+
+
+def _beside(maps: Maps, history: History) -> dict[str, Any]:
+    """All variables but the maps."""
+    places = {f"{axis}_um": at[None, :] for axis, at in zip(maps.dims, maps.at_um, strict=True)}
+    return {
+        **places, "pixel_um": np.array([maps.pixel_um]), "units": {n: maps.units(n) for n in maps.names},
+        "titles": {n: maps.title(n) for n in maps.names}, "history": history.json(**maps.facts()),
+    }  # fmt: skip
+
+
+def _write_5(maps: Maps, path: Path, history: History) -> None:
+    variables: dict[str, Any] = {}
+    for name in maps.names:
+        values = np.concatenate([part for _, part in maps.bands(name)])
+        variables[name] = values.astype(np.bool_) if maps.data[name].dtype.kind == "b" else values
+    beside = _beside(maps, history)
+    io.savemat(
+        str(path), variables | beside, appendmat=False, format="5", oned_as="row", long_field_names=True
+    )  # fmt: skip
+    with path.open("rb+") as file:
+        file.write(_heading("5.0", history))
+
+
+def _write_73(maps: Maps, path: Path, history: History) -> None:
+    with h5py.File(path, "w", userblock_size=_HEAD, libver="earliest") as file:
+        for name in maps.names:
+            _put_map(file, maps, name)
+        for name, value in _beside(maps, history).items():
+            _put(file, name, value)
+    with path.open("rb+") as file:
+        head = _heading("7.3", history) + b"\0" * 8 + b"\x00\x02IM"
+        file.write(head.ljust(_HEAD, b"\0"))
+
+
+def _heading(version: str, history: History) -> bytes:
+    return f"MATLAB {version} MAT-file, written by {history.program}".encode("ascii").ljust(_TEXT)[:_TEXT]
+
+
+def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
+    """Write a map chunk by chunk, turned: MATLAB's first index runs fastest."""
+    dtype, (rows, cols) = plain_type(maps.data[name].dtype), maps.shape
+    chunk = (min(_CHUNK, cols), min(_CHUNK, rows))
+    data = file.create_dataset(name, shape=(cols, rows), dtype=dtype, chunks=chunk, fill_time="never")
+    for at, values in maps.bands(name):
+        for begin in range(0, cols, chunk[0]):
+            part = values[:, begin : begin + chunk[0]]
+            block = np.ascontiguousarray(part.T)
+            if block.shape != chunk:  # the last ones reach beyond the map
+                whole: NDArray[Any] = np.zeros(chunk, dtype)
+                whole[: block.shape[0], : block.shape[1]] = block
+                block = whole
+            data.id.write_direct_chunk((begin, at.start), block.data)
+    if maps.data[name].dtype.kind == "b":
+        _of_class(data, "logical", decode=1)
+    else:
+        _of_class(data, _CLASSES.get(dtype.name, dtype.name))
+
+
+def _put(place: h5py.Group, name: str, value: Any) -> None:
+    """Write a matrix, a text or a structure of texts."""
+    if isinstance(value, dict):
+        group = place.create_group(name)
+        group.attrs["MATLAB_class"] = np.bytes_("struct")
+        for key, text in value.items():
+            _put(group, key, text)
+    elif isinstance(value, str):
+        letters = np.frombuffer(value.encode("utf-16-le"), dtype="<u2")
+        _of_class(place.create_dataset(name, data=letters[:, None]), "char", decode=2)
+    else:
+        _of_class(place.create_dataset(name, data=np.asarray(value, dtype=np.float64).T), "double")
+
+
+def _of_class(data: h5py.Dataset, name: str, *, decode: int | None = None) -> None:
+    data.attrs["MATLAB_class"] = np.bytes_(name)
+    if decode is not None:
+        data.attrs["MATLAB_int_decode"] = np.int32(decode)

@@ -1,0 +1,432 @@
+"""``planish export``: what is taken from a run, where it goes, what is refused."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+import zarr
+
+import planish as pl
+from planish.core.errors import FileError, InputError, ResourceError, StudyError
+from planish.core.grid import Grid, values_at
+from planish.io import map_store
+from planish.io.run_folder import write_tree
+from planish.pipeline import open_run
+from planish.writers import FORMATS, ExportParams, formats_table, writer_of
+from planish.writers.params import FormatName
+
+SUFFIXES = {to: form.suffixes[0] for to, form in FORMATS.items() if form.suffixes}
+ONE = {"maps": ["coating_top"]}
+SURFACE = {"maps": ["top", "thickness"], "mesh_um": 40.0}
+OF_A_FILE = {
+    "ply": SURFACE, "obj": SURFACE, "stl": SURFACE, "vtk": SURFACE, "itk": {}, "bigwarp": {}, "nrrd": {}, "zarr": {},
+    "tiff": {}, "csv": {}, "netcdf": {},
+}  # fmt: skip
+"""Options with which one file is written of the small run."""
+
+
+def test_the_names_of_the_formats_stand_in_two_places():
+    from typing import get_args
+
+    assert get_args(FormatName) == tuple(FORMATS)
+    options = {name for form in FORMATS.values() for name in form.options}
+    assert options <= set(ExportParams.model_fields)
+
+
+def files_of(path):
+    if path.is_dir():
+        return {p.relative_to(path).as_posix(): p.read_bytes() for p in path.rglob("*") if p.is_file()}
+    return {path.name: path.read_bytes()}
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("to", list(SUFFIXES))
+def test_one_file_of_each_format_and_the_same_bytes_again(linked_run, tmp_path, to):
+    options = OF_A_FILE.get(to, ONE)
+    found = []
+    for folder in ("a", "b"):
+        path = tmp_path / folder / f"Blatt µ{SUFFIXES[to]}"
+        assert pl.export(linked_run, path, to=to, **options) == [path]
+        found.append(files_of(path))
+        assert [p.name for p in path.parent.iterdir()] == [path.name]  # no partial file is left
+    assert found[0] == found[1]
+    if to != "stl":  # whose head has no room for all of it
+        study = hashlib.sha256((linked_run / "run.toml").read_bytes()).hexdigest()
+        if to not in ("bigwarp",):
+            assert any(study.encode() in data or study.encode("utf-16-le") in data or study.encode("utf-16-be") in data
+                       for data in found[0].values())  # fmt: skip
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("to", ["tiff", "ome-zarr", "ply", "itk", "elastix", "bigwarp", "nrrd", "csv", "zarr"])
+def test_a_folder_gets_a_file_for_each(linked_run, tmp_path, to):
+    out = tmp_path / "out"
+    options = {"maps": ["coating_top", "image"]} if "maps" in FORMATS[to].holds[:1] else {}
+    made = pl.export(linked_run, out, to=to, **options)
+    assert sorted(made) == sorted(out.iterdir())
+    names = {path.name for path in made}
+    assert names == {
+        "tiff": {"coating_top.tif", "image.tif"}, "ome-zarr": {"coating_top.ome.zarr", "image.ome.zarr"},
+        "ply": {f"{name}.ply" for name in ("top", "bottom", "interface_top", "interface_bottom", "centre")},
+        "itk": {"sheet_to_image.tfm", "image_to_sheet.tfm"}, "nrrd": {"sheet_to_image.nrrd", "image_to_sheet.nrrd"},
+        "elastix": {"sheet_to_image.txt", "image_to_sheet.txt"},  # a similarity is affine
+        "bigwarp": {"sheet_to_image.csv"}, "csv": {"linked.csv"}, "zarr": {"sheet_to_image.zarr"},
+    }[to]  # fmt: skip
+
+
+@pytest.mark.study
+def test_all_maps_of_a_run_in_memory(linked_run, tmp_path):
+    run = open_run(linked_run)
+    made = pl.export(replace(run, folder=None), tmp_path / "maps.nc", to="netcdf")
+    with xr.open_dataset(made[0], engine="h5netcdf") as found:
+        assert set(found.data_vars) == set(run.linked.data_vars)
+        np.testing.assert_array_equal(found["tilt"], run.linked["tilt"])
+        assert json.loads(found.attrs["history"])["inputs"][1]["layer"] == "image"
+
+
+@pytest.mark.study
+def test_large_maps_are_read_part_by_part_with_the_same_bytes(linked_run, tmp_path, monkeypatch):
+    formats = {"tiff": ".tif", "netcdf": ".nc", "csv": ".csv"}
+    for to, suffix in formats.items():
+        pl.export(linked_run, tmp_path / f"one{suffix}", to=to, maps=["coating_top", "valid"])
+    monkeypatch.setattr(map_store, "LARGE", 1)
+    for to, suffix in formats.items():
+        pl.export(linked_run, tmp_path / f"two{suffix}", to=to, maps=["coating_top", "valid"])
+        assert files_of(tmp_path / f"one{suffix}").popitem()[1] == files_of(tmp_path / f"two{suffix}").popitem()[1]
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("maps", [["coating_top"], ["coating_top", "valid", "tilt"]])
+def test_chunks_of_a_store_are_copied_and_are_those_that_would_be_written(tmp_path, monkeypatch, linked_run, maps):
+    from planish.writers import ome_zarr
+
+    run = stored_run(linked_run, tmp_path)
+    copied = []
+    usual = ome_zarr._copied
+    monkeypatch.setattr(ome_zarr, "_copied", lambda *a: copied.append(usual(*a)) or copied[-1])
+    pl.export(run, tmp_path / "one.zarr", to="ome-zarr", maps=maps)
+    assert copied == [name == "coating_top" for name in maps]  # truth values and float64 are written anew
+    monkeypatch.setattr(ome_zarr, "_copied", lambda *_: False)
+    pl.export(run, tmp_path / "two.zarr", to="ome-zarr", maps=maps)
+    assert files_of(tmp_path / "one.zarr") == files_of(tmp_path / "two.zarr")
+
+
+def stored_run(linked_run, tmp_path):
+    """A copy of a run whose linked maps are so large that they were stored tile by tile."""
+    import shutil
+
+    run = tmp_path / "run"
+    shutil.copytree(linked_run, run, ignore=shutil.ignore_patterns("maps.zarr"))
+    grid, rng = Grid.regular((1300, 1100), 2.0, (5.0, 7.0)), np.random.default_rng(1)
+    coating = rng.normal(17, 4, grid.shape).astype(np.float32)
+    coating[rng.random(grid.shape) < 0.3] = np.nan
+    names = {"coating_top": coating, "valid": np.isfinite(coating), "tilt": rng.normal(size=grid.shape)}
+    maps = xr.Dataset(
+        {name: (("y", "x"), values, {"units": "um"}) for name, values in names.items()}, coords=grid.coords
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(map_store, "LARGE", 1)
+        sink = map_store.StoredMaps(run / "maps.zarr")
+        for tile in map_store.map_tiles(grid.shape):
+            sink.add("linked", grid, tile, maps.isel(y=tile.rows, x=tile.cols))
+    write_tree(run / "maps.zarr", {})
+    return run
+
+
+# --- what is worked out ----------------------------------------------------------------------------------------------
+
+
+def test_a_table_of_points_correlates_as_the_run_does(linked_run, tmp_path):
+    path = tmp_path / "points.csv"
+    pl.export(linked_run, path, to="csv")
+    rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()[1:]))
+    a, b = (np.array([float(row[name]) for row in rows]) for name in ("coating_top_um", "image"))
+    results = json.loads((linked_run / "results.json").read_text(encoding="utf-8"))
+    expected = next(r for r in results["correlations"] if r["a_map"] == "coating_top" and r["point_um"] == 100.0)
+    assert len(rows) == expected["n"]
+    assert np.corrcoef(a, b)[0, 1] == pytest.approx(expected["r"], abs=1e-6)
+    assert {"x_um", "y_um", "volume_x_um", "volume_z_um", "u_um", "tilt_deg", "valid_share"} <= set(rows[0])
+
+
+def test_the_image_comes_to_the_flat_sheet(linked_run, tmp_path):
+    path = tmp_path / "image.tif"
+    pl.export(linked_run, path, to="tiff", group="maps", maps=["image"])
+    run = open_run(linked_run)
+    found = tifffile.imread(path)
+    grid = Grid.of(run.maps)
+    assert found.shape == grid.shape
+    x, y = np.meshgrid(grid.x_um, grid.y_um)
+    at = run.registrations["sheet"](np.stack([x, y], axis=-1).reshape(-1, 2))
+    expected = values_at(run.linked, ["image"], at)[:, 0].reshape(grid.shape)
+    both = np.isfinite(found) & np.isfinite(expected)
+    assert both.mean() > 0.9
+    # Pixels of 4 um are smaller than those of 5 um in the image: bilinear values, places to 0.01 pixel.
+    steep = np.nanmax(np.abs(np.gradient(run.linked["image"].values, axis=1)))
+    assert np.abs(found - expected)[both].max() < 0.02 * steep
+
+
+@pytest.fixture(scope="module")
+def flat(linked_run, tmp_path_factory):
+    """The straightened volume of the small run: values, and heights of its planes."""
+    path = tmp_path_factory.mktemp("flat") / "flat.ome.zarr"
+    pl.export(linked_run, path, to="ome-zarr", group="straightened")
+    store = zarr.open_group(path, mode="r")
+    scale, first = (one[kind] for one, kind in zip(
+        store.attrs["ome"]["multiscales"][0]["datasets"][0]["coordinateTransformations"], ("scale", "translation"),
+        strict=True))  # fmt: skip
+    values = store["0"][...]
+    return values, first[0] + scale[0] * np.arange(len(values)), (scale, first)
+
+
+@pytest.mark.study
+def test_the_sheet_lies_flat_in_the_straightened_volume(linked_run, flat):
+    values, heights, (scale, first) = flat
+    run = open_run(linked_run)
+    grid = Grid.of(run.maps)
+    assert values.shape[1:] == grid.shape
+    assert scale == [4.0, *grid.pixel_um]
+    assert first[1:] == list(grid.origin_um[::-1])
+    thickness = run.maps["thickness"].values
+    known = np.isfinite(thickness) & np.isfinite(values).all(axis=0)
+    assert known.mean() > 0.3
+    columns, surfaces = values[:, known], run.groups["surfaces"]
+    level = 0.5 * (surfaces.attrs["grey_air"] + surfaces.attrs["grey_coating_top"])
+    inside, k = columns > level, np.arange(known.sum())
+    low, high = np.argmax(inside, axis=0), len(heights) - 1 - np.argmax(inside[::-1], axis=0)
+    step = scale[0]
+    bottom = heights[low] - step * (columns[low, k] - level) / (columns[low, k] - columns[low - 1, k])
+    top = heights[high] + step * (columns[high, k] - level) / (columns[high, k] - columns[high + 1, k])
+    # Crossings of half the contrast are where the faces are for a coating that is thicker than the blur.
+    off = top - bottom - thickness[known]
+    assert abs(np.median(off)) < 0.2
+    assert np.percentile(np.abs(off), 90) < 0.5 * step
+    # The centre surface is the mean of both faces, smoothed.
+    assert abs(np.mean(0.5 * (top + bottom))) < 1.0
+
+
+@pytest.mark.study
+def test_the_straightened_volume_is_the_same_in_every_format(linked_run, tmp_path, flat):
+    for to, suffix in (("tiff", ".tif"), ("ome-tiff", ".ome.tif")):
+        path = tmp_path / f"flat{suffix}"
+        pl.export(linked_run, path, to=to, group="straightened")
+        np.testing.assert_array_equal(tifffile.imread(path), flat[0])
+    volume = pl.read_volume(tmp_path / "flat.tif")  # as planish itself reads it
+    np.testing.assert_allclose(volume.attrs["voxel_um"], flat[2][0], rtol=1e-6)
+
+
+@pytest.mark.study
+def test_depths_of_a_straightened_volume(linked_run, tmp_path, flat):
+    path = tmp_path / "flat.tif"
+    pl.export(linked_run, path, to="tiff", group="straightened", depth_um=(-8.0, 12.0))
+    first = int(np.flatnonzero(flat[1] == -8.0)[0])
+    np.testing.assert_array_equal(tifffile.imread(path), flat[0][first : first + 6])
+    with pytest.raises(StudyError, match="give two heights in um from the centre surface, the lower one first"):
+        pl.export(linked_run, tmp_path / "no.tif", to="tiff", group="straightened", depth_um=(12.0, -8.0))
+
+
+def moved(linked_run, tmp_path, volume):
+    """A copy of a run whose volume lies elsewhere."""
+    import shutil
+
+    run = tmp_path / "run"
+    shutil.copytree(linked_run, run)
+    text = (run / "run.toml").read_text(encoding="utf-8")
+    old = next(line for line in text.splitlines() if line.startswith("path") and "volume.tif" in line)
+    (run / "run.toml").write_text(text.replace(old, f"path = {json.dumps(str(volume))}"), encoding="utf-8")
+    return run
+
+
+@pytest.mark.study
+def test_a_volume_that_is_gone_is_named(linked_run, tmp_path):
+    run = moved(linked_run, tmp_path, tmp_path / "gone.tif")
+    with pytest.raises(FileError, match=r"needs volume.tif, and .*gone.tif is not there. Put it back, or write where"):
+        pl.export(run, tmp_path / "flat.tif", to="tiff", group="straightened")
+
+
+@pytest.mark.study
+def test_another_volume_in_its_place_is_refused(linked_run, specimen_files, tmp_path):
+    data = bytearray(specimen_files[0].read_bytes())
+    data[-1] ^= 1
+    (tmp_path / "volume.tif").write_bytes(data)
+    run = moved(linked_run, tmp_path, tmp_path / "volume.tif")
+    with pytest.raises(FileError, match="is another file than the one that was mapped"):
+        pl.export(run, tmp_path / "flat.tif", to="tiff", group="straightened")
+
+
+@pytest.mark.study
+def test_landmarks_count_from_the_first_pixel(linked_run, tmp_path):
+    path = tmp_path / "landmarks.csv"
+    pl.export(linked_run, path, to="bigwarp")
+    run = open_run(linked_run)
+    u0, v0 = Grid.of(run.maps).origin_um
+    rows = {row[0]: [float(v) for v in row[2:]] for row in csv.reader(path.read_text(encoding="utf-8").splitlines())}
+    for mark in range(run.marks.sizes["mark"]):
+        one = run.marks.isel(mark=mark)
+        expected = [one.moving_x - u0, one.moving_y - v0, one.fixed_x, one.fixed_y]
+        found = rows[str(one.label.values)]
+        np.testing.assert_allclose([v for v in found if np.isfinite(v)], [float(v) for v in expected if np.isfinite(v)])
+
+
+@pytest.mark.study
+def test_a_crate_describes_the_run(linked_run, tmp_path):
+    made = pl.export(linked_run, tmp_path / "crate", to="crate")
+    assert made == [tmp_path / "crate"]
+    graph = json.loads((tmp_path / "crate" / "ro-crate-metadata.json").read_text(encoding="utf-8"))["@graph"]
+    entities = {one["@id"]: one for one in graph}
+    assert entities["ro-crate-metadata.json"]["conformsTo"] == {"@id": "https://w3id.org/ro/crate/1.1"}
+    parts = {one["@id"] for one in entities["./"]["hasPart"]}
+    assert {"results.json", "run.toml", "report.html", "marks.json", "maps.zarr/"} <= parts
+    for name in ("results.json", "marks.json"):
+        data = (tmp_path / "crate" / name).read_bytes()
+        assert data == (linked_run / name).read_bytes()
+        assert entities[name]["sha256"] == hashlib.sha256(data).hexdigest()
+    action = entities["#run"]
+    assert action["@type"] == "CreateAction"
+    assert {one["@id"] for one in action["object"]} == {"#input-sheet", "#input-image"}
+    assert entities["#input-sheet"]["sha256"] == open_run(linked_run).results.layers[0].source.sha256
+    assert (
+        xr.open_datatree(tmp_path / "crate" / "maps.zarr", engine="zarr")["linked"].sizes
+        == open_run(linked_run).linked.sizes
+    )
+    pl.export(linked_run, tmp_path / "again", to="crate")
+    assert files_of(tmp_path / "crate") == files_of(tmp_path / "again")
+
+
+# --- what is refused -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "out", "error", "words"),
+    [
+        ({"to": "tiff", "maps": ["coatng_top"]}, "o", InputError,
+         r"no map 'coatng_top' in the group linked. Did you mean coating_top\? It holds base_thickness, .*warp"),
+        ({"to": "tiff", "group": "link"}, "o", InputError, r"no group 'link'; it holds .* mean linked\?"),
+        ({"to": "tiff", "group": "layers/other"}, "o", InputError, "no group 'layers/other'"),
+        ({"to": "itk", "group": "shet"}, "o", InputError, r"No layer 'shet' is registered; .*Did you mean sheet\?"),
+        ({"to": "ply", "maps": ["topp"]}, "o", InputError, r"no map 'topp' in the surfaces. Did you mean top\?"),
+        ({"to": "ply", "group": "maps"}, "o", InputError, "PLY holds surfaces, and --group says maps"),
+        ({"to": "netcdf", "group": "straightened"}, "o", InputError, "as tiff, ome-tiff, ome-zarr, not as netcdf"),
+        ({"to": "tiff"}, "maps.png", FileError, r"maps.png ends as PNG does .* Give a name that ends in .tif"),
+        ({"to": "tiff"}, "maps.ome.tif", FileError, "ends as OME-TIFF does"),
+        ({"to": "csv"}, "points.tsv", FileError, r"has the ending .tsv, and --to says csv. Give a name that"),
+        ({"to": "png"}, "map.png", StudyError, "map.png holds one map, and 23 are asked for. Choose one with --map"),
+        ({"to": "ply"}, "s.ply", StudyError, "s.ply holds one surface, and there are 5. Choose one of top, bottom"),
+        ({"to": "itk", "maps": ["image"]}, "o", StudyError, "ITK holds a registration, and --map chooses maps"),
+        ({"to": "tiff", "point_um": 50.0}, "o", StudyError, "--point-um is for csv, and --to says tiff"),
+        ({"to": "csv", "mesh_um": 50.0}, "o", StudyError, "--mesh-um is for ply, obj, stl, vtk, and --to says csv"),
+        ({"to": "tiff", "depth_um": (0.0, 9.0)}, "o", StudyError, "--depth-um is for --group straightened"),
+        ({"to": "csv", "point_um": 1.0}, "o", StudyError, "A point of 1 um is smaller than a pixel of 5 um"),
+        ({"to": "gif"}, "o", StudyError, "to: Input should be 'tiff'"),
+        ({"to": "crate", "maps": ["image"]}, "o", StudyError, "An RO-Crate holds the whole run"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(linked_run, tmp_path, options, out, error, words):
+    with pytest.raises(error, match=words):
+        pl.export(linked_run, tmp_path / out, **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_there_stays(linked_run, tmp_path):
+    (tmp_path / "maps.tif").write_text("mine")
+    (tmp_path / "folder").mkdir()
+    for name in ("maps.tif", "folder"):
+        with pytest.raises(FileError, match=r"exists already. Results are never written over"):
+            pl.export(linked_run, tmp_path / name, to="tiff")
+    assert (tmp_path / "maps.tif").read_text() == "mine"
+    with pytest.raises(FileError, match="which is read; nothing is written there"):
+        pl.export(linked_run, linked_run / "maps", to="tiff")
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("to", "out"), [("tiff", "maps.tif"), ("netcdf", "o"), ("ome-zarr", "o.zarr"), ("ply", "o")])
+def test_an_export_that_fails_leaves_nothing(linked_run, tmp_path, monkeypatch, to, out):
+    module = writer_of(to)
+    write = module.write
+
+    def broken(content, path, history, params):
+        write(content, path, history, params)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module, "write", broken)
+    with pytest.raises(ResourceError, match="The disk is full while writing"):
+        pl.export(linked_run, tmp_path / out, to=to)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("to", [to for to, form in FORMATS.items() if form.most is not None])
+def test_what_is_too_large_for_a_format_is_refused_before_work(planish, linked_run, tmp_path, monkeypatch, to):
+    monkeypatch.setitem(FORMATS, to, replace(FORMATS[to], most=1000))
+    code, _, error = planish("export", linked_run, "--to", to, "--out", tmp_path / "o")
+    assert code == 5
+    assert f"{FORMATS[to].title} is written of at most 0 million" in " ".join(error.split())
+    monkeypatch.setitem(FORMATS, to, replace(FORMATS[to], most=10**9, byte_cost=10**12))
+    code, _, error = planish("export", linked_run, "--to", to, "--out", tmp_path / "o")
+    assert code == 5
+    assert "Allow more with --memory" in " ".join(error.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_library_of_the_extra_is_named(linked_run, tmp_path, monkeypatch):
+    monkeypatch.setitem(FORMATS, "gwy", replace(FORMATS["gwy"], needs="no_such_library"))
+    with pytest.raises(InputError, match=r'needs the library no_such_library.* pip install "planish\[export\]"'):
+        pl.export(linked_run, tmp_path / "o.gwy", to="gwy")
+
+
+@pytest.mark.study
+def test_a_damaged_store_is_refused(linked_run, tmp_path):
+    import shutil
+
+    run = tmp_path / "run"
+    shutil.copytree(linked_run, run)
+    (run / "maps.zarr" / "linked" / "coating_top" / "c" / "0" / "0").unlink()
+    with pytest.raises(FileError, match="is damaged: 1 of 1 chunks of linked/coating_top are not there"):
+        pl.export(run, tmp_path / "o", to="tiff")
+
+
+def test_a_run_without_a_link_has_maps_and_no_registration(linked_run, tmp_path):
+    run = open_run(linked_run)
+    sheet = run.results.model_copy(update={"layers": run.results.layers[:1]})
+    alone = replace(run, results=sheet, groups={k: v for k, v in run.groups.items() if k != "linked"}, registrations={})
+    made = pl.export(alone, tmp_path / "o", to="tiff", maps=["thickness"])
+    np.testing.assert_array_equal(tifffile.imread(made[0]), run.maps["thickness"].values)
+    with pytest.raises(InputError, match="nothing is registered"):
+        pl.export(alone, tmp_path / "no", to="itk")
+    with pytest.raises(InputError, match="no map 'image' in the group maps"):
+        pl.export(alone, tmp_path / "no", to="tiff", maps=["image"])
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+def test_the_command_says_what_it_made(planish, linked_run, tmp_path):
+    code, out, error = planish("export", linked_run, "--to", "gwy", "--map", "coating_top", "--out", tmp_path / "c.gwy")
+    assert code == 0, error
+    assert (
+        out.strip() == f"{tmp_path / 'c.gwy'}: Gwyddion, 1 file; missing values: the mask; below it the mean of the map"
+    )
+    code, out, error = planish("export", linked_run, "--to", "elastix", "--out", tmp_path / "e", "--json")
+    assert code == 0, error
+    assert [name.rpartition("/")[2] for name in json.loads(out)["files"]] == [
+        "sheet_to_image.txt", "image_to_sheet.txt",
+    ]  # fmt: skip
+    code, _, error = planish("export", linked_run, "--to", "png", "--out", tmp_path / "p.png")
+    assert code == 2
+    assert "holds one map, and 23 are asked for" in " ".join(error.split())
+    code, _, error = planish("export", linked_run, "--to", "tiff", "--map", "coating", "--out", tmp_path / "t")
+    assert code == 3
+    assert "Did you mean coating_top?" in " ".join(error.split())
+
+
+def test_the_table_of_the_documents_is_that_of_the_program():
+    from pathlib import Path
+
+    text = (Path(__file__).resolve().parents[1] / "docs" / "export.md").read_text(encoding="utf-8")
+    assert formats_table() in text, "run: python3 run.py docs"
