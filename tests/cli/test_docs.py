@@ -12,7 +12,7 @@ from planish.cli.docs import page, schema, with_options
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAGES = sorted((*ROOT.glob("*.md"), *DOCS.glob("*.md")))
+PAGES = sorted((*ROOT.glob("*.md"), *(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)))
 # Of run.py, of other programs, and of the change that CONTRIBUTING.md shows.
 OTHER = {"--all", "--fix", "--host", "--port", "--cpu-limit", "--coating-above-um"}
 
@@ -32,7 +32,7 @@ def test_the_published_schema_is_that_of_the_results():
     assert packed.read_text(encoding="utf-8") == schema(), "run: python3 run.py docs"
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_a_page_links_to_files_that_exist_and_names_options_that_exist(path):
     text = path.read_text(encoding="utf-8")
     links = {link for link in re.findall(r"\]\(([^)#\s]+)", text) if not link.startswith("http")}

@@ -1,0 +1,70 @@
+"""Pictures of the documents: made from runs, so that they show what the program gives.
+
+``python -m benchmarks pictures [NAME ...]`` writes docs/images/NAME.png; all of them where none is named.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+
+import planish as pl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
+_MISSING = "#d4d6d8"  # as on the page of a run
+
+
+def planish(*arguments: str, folder: Path) -> None:
+    """Run the program in a folder."""
+    subprocess.run([sys.executable, "-m", "planish", *arguments], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+
+
+def linked(path: Path, folder: Path) -> None:
+    """The image of the demo's specimen, and its coating on the same pixels."""
+    planish("demo", "--out", "demo", folder=folder)
+    maps = pl.open_run(folder / "demo" / "run").linked
+    valid = maps.valid.to_numpy()
+    y, x = (maps[name].to_numpy() / 1000.0 for name in ("y", "x"))
+    rows, cols = np.flatnonzero(valid.any(axis=1)), np.flatnonzero(valid.any(axis=0))
+    window = (slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1))
+    extent = (x[window[1]][0], x[window[1]][-1], y[window[0]][-1], y[window[0]][0])
+    figure, axes = plt.subplots(1, 2, figsize=(10, 3.5), layout="constrained")
+    for ax, name, colours, label in zip(
+        axes,
+        ("image", "coating_top"),
+        ("gray", "viridis"),
+        ("Image: grey value", "Coating, top side / µm"),
+        strict=True,
+    ):
+        seen = maps[name].to_numpy()[window]
+        low, high = np.nanpercentile(np.where(valid[window], seen, np.nan), (1, 99))
+        values = seen if name == "image" else np.where(valid[window], seen, np.nan)  # the image with its holes
+        shown = ax.imshow(values, extent=extent, cmap=colours, vmin=low, vmax=high, interpolation="none")
+        ax.set_facecolor(_MISSING)
+        ax.set_xlabel("x / mm")
+        figure.colorbar(shown, ax=ax, label=label, shrink=0.85, extend="both")
+    axes[0].set_ylabel("y / mm")
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+    plt.close(figure)
+
+
+PICTURES: dict[str, Callable[[Path, Path], None]] = {"linked": linked}
+
+
+def main(*names: str) -> int:
+    """Make the pictures that are named."""
+    for name in names or PICTURES:
+        with tempfile.TemporaryDirectory() as folder:
+            path = IMAGES / f"{name}.png"
+            PICTURES[name](path, Path(folder))
+        print(f"{path.name}: {path.stat().st_size / 1e3:.0f} kB")
+    return 0
