@@ -19,7 +19,11 @@ from collections.abc import Callable
 from pathlib import PurePosixPath
 
 import api_pages
+import fields
+import message_pages
 from public_names import ROOT
+
+from planish.measure import registered
 
 _BLOCK = re.compile(r"^```\{(\w+)\}[ ]*([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\]\(((?:\.\./)*)([\w./-]+?)(#[\w-]+)?\)")
@@ -62,9 +66,20 @@ def _root(name: str, _content: str) -> str:
     return _LINK.sub(led, text)
 
 
+def properties_table() -> str:
+    """Return name, unit and meaning of every map that a sheet may have."""
+    rows = ["| Name | Unit | Meaning |", "|---|---|---|"]
+    rows += [f"| `{name}` | {known.units} | {known.long_name} |" for name, known in sorted(registered().items())]
+    return "\n".join(rows)
+
+
 _MAKERS: dict[str, Callable[[str, str], str]] = {
     "public": lambda package, _: api_pages.package_page(package),
     "root": _root,
+    "study": lambda _, __: fields.study_page(),
+    "results": lambda _, __: fields.results_page(),
+    "properties": lambda _, __: properties_table(),
+    "messages": lambda _, patterns: message_pages.family(patterns),
 }
 
 

@@ -33,7 +33,10 @@ _OF_A_STUDY = ("holes", "registration", "correlate")
 class LayerParams(Params):
     """One layer: a volume that is mapped first, a run that is there, or an image."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
+    name: Annotated[
+        str,
+        Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40, description="Name of the layer; each one once."),
+    ]
     volume: VolumeParams | None = None
     image: ImageParams | None = None
     run: str | None = Field(None, description="Folder of a run of one volume.")
@@ -69,7 +72,7 @@ class Study(Params):
     """
 
     layers: tuple[LayerParams, ...]
-    chain: bool = False
+    chain: bool = Field(False, description="Register each layer to the next one, and carry it on from there.")
     holes: HoleParams = HoleParams()
     registration: RegistrationParams = RegistrationParams()
     correlate: CorrelateParams = CorrelateParams()
