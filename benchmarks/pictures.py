@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -13,6 +15,8 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from PIL import Image
+from tests import console
 
 import planish as pl
 
@@ -57,7 +61,50 @@ def linked(path: Path, folder: Path) -> None:
     plt.close(figure)
 
 
-PICTURES: dict[str, Callable[[Path, Path], None]] = {"linked": linked}
+def tutorial(path: Path, folder: Path) -> None:
+    """What the tutorial shows: sections through the scan, the first page of the report, two of its figures."""
+    page = (IMAGES.parent / "tutorial.md").read_text(encoding="utf-8")
+    outcomes = console.run(page, folder)
+    if faults := console.report(outcomes):
+        raise SystemExit(faults)
+    shutil.copyfile(folder / "look.png", path.with_name("tutorial-look.png"))
+    shot(folder / "run" / "report.html", path, 1100, 940)
+    planish("report", "run", "-o", "page.html", "--figures", folder=folder)
+    parts = {"slices": "slices-with-the-surfaces-found", "marks": "marks-in-the-image-and-their-residuals"}
+    for name, part in parts.items():
+        (figure,) = (folder / "figures").glob(f"*-{part}.svg")
+        shot(figure, path.with_name(f"tutorial-{name}.png"), *size_of(figure))
+
+
+def size_of(figure: Path) -> tuple[int, int]:
+    """Width and height of an SVG figure in pixels, the width being 760."""
+    box = re.search(r'viewBox="[\d.-]+ [\d.-]+ ([\d.]+) ([\d.]+)"', figure.read_text(encoding="utf-8"))
+    assert box is not None
+    width, height = float(box[1]), float(box[2])
+    return 760, round(760 * height / width)
+
+
+def shot(page: Path, path: Path, width: int, height: int) -> None:
+    """Take a picture of a page or figure as a browser shows it."""
+    browser = next((found for name in ("chromium", "google-chrome", "chrome") if (found := shutil.which(name))), None)
+    if browser is None:
+        raise SystemExit("Pictures of pages need chromium on the path.")
+    if page.suffix == ".svg":  # stretched to the window
+        holder = page.with_suffix(".html")
+        holder.write_text(f'<body style="margin:0"><img src="{page.name}" style="width:100%">', encoding="utf-8")
+        page = holder
+    with tempfile.TemporaryDirectory() as profile:
+        command = [
+            browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars",
+            "--disable-background-networking", "--disable-sync", f"--user-data-dir={profile}",
+            f"--screenshot={path}", f"--window-size={width},{height}", page.resolve().as_uri(),
+        ]  # fmt: skip
+        subprocess.run(command, check=True, capture_output=True)
+    with Image.open(path) as picture:  # few colours: a third of the bytes
+        picture.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+PICTURES: dict[str, Callable[[Path, Path], None]] = {"linked": linked, "tutorial-page": tutorial}
 
 
 def main(*names: str) -> int:
