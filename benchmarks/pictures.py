@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -104,7 +105,25 @@ def shot(page: Path, path: Path, width: int, height: int) -> None:
         picture.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
-PICTURES: dict[str, Callable[[Path, Path], None]] = {"linked": linked, "tutorial-page": tutorial}
+def gallery(path: Path, folder: Path) -> None:
+    """What the examples draw; those on measured data that are not there keep their pictures."""
+    examples = sorted((IMAGES.parents[1] / "examples").glob("*.py"))
+    for example in examples:
+        done = subprocess.run(
+            [sys.executable, str(example), str(folder)], check=False, env=os.environ | {"MPLBACKEND": "agg"}
+        )
+        drawn = folder / f"{example.stem}.png"
+        if done.returncode or not drawn.exists():
+            print(f"{example.stem}: not drawn")
+            continue
+        target = path.parent / "examples" / drawn.name
+        with Image.open(drawn) as picture:
+            picture.convert("RGB").quantize(200, dither=Image.Dither.NONE).save(target, optimize=True)
+
+
+PICTURES: dict[str, Callable[[Path, Path], None]] = {
+    "linked": linked, "tutorial-page": tutorial, "examples": gallery,
+}  # fmt: skip
 
 
 def main(*names: str) -> int:
@@ -113,5 +132,5 @@ def main(*names: str) -> int:
         with tempfile.TemporaryDirectory() as folder:
             path = IMAGES / f"{name}.png"
             PICTURES[name](path, Path(folder))
-        print(f"{path.name}: {path.stat().st_size / 1e3:.0f} kB")
+        print(f"{name}: done")
     return 0
