@@ -529,7 +529,7 @@ class EvidenceFacts(Facts):
     declared: bool = Field(description="Whether the study named the map before r was looked at.")
     sizes: tuple[SizeFacts, ...] = Field((), description="r over points of growing size.")
     bands: tuple[BandFacts, ...] = Field((), description="Coherence by octaves of wavelength.")
-    resolution_per_um: Number = Field(None, description="Waves closer in frequency than this are not told apart.")
+    resolution_per_um: Number = Field(None, description="Waves closer in frequency than this are not distinguished.")
     origins: tuple[float, float, float] | None = Field(
         None, description="Least, mean and largest r over grids of points that begin elsewhere."
     )
