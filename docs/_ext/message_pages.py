@@ -13,8 +13,9 @@ from pathlib import Path
 from messages import Message, messages
 from public_names import ROOT
 
+from planish.core import errors
+
 FOLDER = ROOT / "docs" / "reference" / "messages"
-_EXIT = {"CannotMeasure": 3, "CannotFlatten": 3, "CannotRegister": 3, "ResourceError": 5, "UsageError": 2}
 _BLOCK = re.compile(r"^```\{messages\}\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -29,9 +30,11 @@ def of(patterns: str) -> list[Message]:
 
 
 def family(patterns: str) -> str:
-    """Return a list of the messages of a family."""
-    lines = [f"- {_as_code(message.text)}" for message in of(patterns)]
-    return "\n".join(lines)
+    """Return a list of the messages of a family, and the exit codes that they end with."""
+    found = of(patterns)
+    codes = sorted({code for message in found if (code := _exit_code(message.kind)) is not None})
+    ends = f"\n\n*Exit code {' or '.join(map(str, codes))}.*" if codes else ""
+    return "\n".join(f"- {_as_code(message.text)}" for message in found) + ends
 
 
 def families() -> Iterator[tuple[Path, str]]:
@@ -39,6 +42,14 @@ def families() -> Iterator[tuple[Path, str]]:
     for path in sorted(FOLDER.glob("*.md")):
         for block in _BLOCK.findall(path.read_text(encoding="utf-8")):
             yield path, block
+
+
+def _exit_code(kind: str) -> int | None:
+    """Exit code of a kind of error; None where it is a part of another message."""
+    known = getattr(errors, kind, None)
+    if known is not None:
+        return known.exit_code
+    return 2 if kind in {"UsageError", "BadParameter"} else 5 if kind == "DiskFull" else None
 
 
 def _as_code(text: str) -> str:

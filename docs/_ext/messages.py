@@ -37,10 +37,8 @@ class Message:
 def messages() -> tuple[Message, ...]:
     """Every message, in the order of modules and lines."""
     found: list[Message] = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        module = path.relative_to(PACKAGE).as_posix()
-        constants = _constants(tree)
+    for path, tree in _trees().items():
+        module, constants = path.relative_to(PACKAGE).as_posix(), _constants(tree)
         found += [Message(module, line, kind, text) for line, kind, text in _of(tree, path, constants) if _says(text)]
     return tuple(sorted(found, key=lambda m: (m.module, m.line)))
 
@@ -49,14 +47,17 @@ def messages() -> tuple[Message, ...]:
 def kinds() -> frozenset[str]:
     """Names of the errors that a user can meet: those of ``core/errors.py``, and what is made of them elsewhere."""
     known = {"UsageError", "BadParameter"}
-    known |= {
-        node.name for node in ast.parse(_ERRORS.read_text(encoding="utf-8")).body if isinstance(node, ast.ClassDef)
-    }
-    for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    known |= {node.name for node in _trees()[_ERRORS].body if isinstance(node, ast.ClassDef)}
+    for tree in _trees().values():
+        for node in tree.body:
             if isinstance(node, ast.ClassDef) and known & {_name(base) for base in node.bases}:
                 known.add(node.name)
     return frozenset(known)
+
+
+@cache
+def _trees() -> dict[Path, ast.Module]:
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
 
 
 def _of(tree: ast.Module, path: Path, constants: dict[str, str]) -> Iterator[tuple[int, str, str]]:

@@ -192,7 +192,8 @@ def test_every_entry_has_messages_a_cause_and_a_cure():
             assert "```{messages}" in entry, f"{path.name}: {title}"
         for patterns in (block for page_, block in message_pages.families() if page_ == path):
             for line in filter(None, map(str.strip, patterns.splitlines())):
-                assert message_pages.of(line), f"{path.name}: no message fits {line!r}"
+                there = any(m.module.startswith(line.partition(": ")[0]) for m in messages.messages())
+                assert message_pages.of(line) or not there, f"{path.name}: no message fits {line!r}"
 
 
 def test_a_message_is_collected_with_gaps_for_its_values():
