@@ -27,14 +27,14 @@ class Check(Facts):
     name: str = Field(description="Short and unique in a run, as 'slices along z'.")
     state: State = Field(description="pass, look, fail or unknown.")
     sentence: str = Field(description="What was found; with unknown, why nothing can be said.")
-    value: Number = Field(None, description="What was compared.")
-    limit: Number = Field(None, description="The limit that the state was judged by.")
-    units: str = Field("", description="Of value and limit; 'share' for a part of 1.")
-    advice: str = Field("", description="What to do; empty where nothing has to be done.")
+    value: Number = Field(default=None, description="What was compared.")
+    limit: Number = Field(default=None, description="The limit that the state was judged by.")
+    units: str = Field(default="", description="Of value and limit; 'share' for a part of 1.")
+    advice: str = Field(default="", description="What to do; empty where nothing has to be done.")
     figures: tuple[str, ...] = Field(
-        (), description="What it concerns: names of maps, or properties, position, correlation."
+        default=(), description="What it concerns: names of maps, or properties, position, correlation."
     )
-    layers: tuple[str, ...] = Field((), description="Layers that it is about.")
+    layers: tuple[str, ...] = Field(default=(), description="Layers that it is about.")
 
     @classmethod
     def at_most(

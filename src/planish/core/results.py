@@ -49,11 +49,11 @@ class SurfaceFacts(Facts):
     fringe: Number = Field(description="Phase-contrast fringe as a share of an edge's step; 0 where there is none.")
     fringe_um: Number = Field(description="Distance of the fringe from the edge.")
     cutoff_um: Number = Field(description="Wavelength of the centre surface that the smoothing halves.")
-    bridged_share: Number = Field(None, description="Share of the columns where gaps needed a wider cut-off.")
-    bridged_off_rims_share: Number = Field(None, description="The same away from holes and their rims.")
+    bridged_share: Number = Field(default=None, description="Share of the columns where gaps needed a wider cut-off.")
+    bridged_off_rims_share: Number = Field(default=None, description="The same away from holes and their rims.")
     rim_um: Number = Field(description="Zone around holes and gaps that is left out.")
     missing_share: Number = Field(description="Share of the voxels that are NaN or infinite.")
-    empty_share: Number = Field(None, description="Share of the columns that hold nothing but air.")
+    empty_share: Number = Field(default=None, description="Share of the columns that hold nothing but air.")
     polarity: Number = Field(description="1 where the sheet is brighter than air, -1 where it is darker.")
     grey_air: Number = Field(description="Grey of the air.")
     grey_base: Number = Field(description="Grey of the base.")
@@ -80,7 +80,7 @@ class PropertyFacts(Facts):
     p5: Number = Field(description="5th percentile.")
     median: Number = Field(description="Median.")
     p95: Number = Field(description="95th percentile.")
-    trust: Trust = Field("ok", description="What the checks leave of the figures.")
+    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
     standard_error: Number = Field(default=None, description="Median of the standard errors of single columns.")
     n_independent: int | None = Field(
         default=None, description="How many independent values the columns have: neighbours share their errors."
@@ -103,33 +103,35 @@ class ThinFacts(Facts):
 class RoughnessFacts(Facts):
     """Areal roughness numbers (ISO 25178-2) of one face, or the reason why there are none."""
 
-    sa: Number = Field(None, description="Mean absolute height, um.")
-    sq: Number = Field(None, description="Root mean square height, um.")
-    ssk: Number = Field(None, description="Skewness of the heights.")
-    sku: Number = Field(None, description="Kurtosis of the heights.")
-    sz: Number = Field(None, description="Highest less lowest height, um; grows with the field.")
-    sdq: Number = Field(None, description="Root mean square slope.")
-    n: int | None = Field(None, description="Columns with a height.")
-    s_filter_um: Number = Field(None, description="Shorter waves were left out.")
-    l_filter_um: Number = Field(None, description="Longer waves were left out.")
-    reason: str | None = Field(None, description="Why there are no numbers; None where there are.")
+    sa: Number = Field(default=None, description="Mean absolute height, um.")
+    sq: Number = Field(default=None, description="Root mean square height, um.")
+    ssk: Number = Field(default=None, description="Skewness of the heights.")
+    sku: Number = Field(default=None, description="Kurtosis of the heights.")
+    sz: Number = Field(default=None, description="Highest less lowest height, um; grows with the field.")
+    sdq: Number = Field(default=None, description="Root mean square slope.")
+    n: int | None = Field(default=None, description="Columns with a height.")
+    s_filter_um: Number = Field(default=None, description="Shorter waves were left out.")
+    l_filter_um: Number = Field(default=None, description="Longer waves were left out.")
+    reason: str | None = Field(default=None, description="Why there are no numbers; None where there are.")
 
 
 class TwoSidesFacts(Facts):
     """Top against bottom."""
 
-    coating_difference_um: Number = Field(None, description="Mean coating of the top less that of the bottom.")
+    coating_difference_um: Number = Field(default=None, description="Mean coating of the top less that of the bottom.")
     coating_sd_ratio: Number = Field(
-        None, description="Standard deviation of the top's coating over that of the bottom's."
+        default=None, description="Standard deviation of the top's coating over that of the bottom's."
     )
-    coating_correlation: Number = Field(None, description="r of both coatings.")
-    coating_n: int | None = Field(None, description="Columns with both coatings.")
-    topography_difference_um: Number = Field(None, description="Mean topography of the top less that of the bottom.")
+    coating_correlation: Number = Field(default=None, description="r of both coatings.")
+    coating_n: int | None = Field(default=None, description="Columns with both coatings.")
+    topography_difference_um: Number = Field(
+        default=None, description="Mean topography of the top less that of the bottom."
+    )
     topography_sd_ratio: Number = Field(
-        None, description="Standard deviation of the top's topography over that of the bottom's."
+        default=None, description="Standard deviation of the top's topography over that of the bottom's."
     )
-    topography_correlation: Number = Field(None, description="r of both topographies, outward heights.")
-    topography_n: int | None = Field(None, description="Columns with both topographies.")
+    topography_correlation: Number = Field(default=None, description="r of both topographies, outward heights.")
+    topography_n: int | None = Field(default=None, description="Columns with both topographies.")
 
 
 class ProfileFacts(Facts):
@@ -146,7 +148,7 @@ class SheetNumbers(Facts):
     roughness: dict[Side, RoughnessFacts] = Field(description="Roughness of the face, by side.")
     two_sides: TwoSidesFacts = Field(description="Top against bottom.")
     profiles: ProfileFacts | None = Field(
-        None, description="Porosity and filler over the depth, where their maps were measured."
+        default=None, description="Porosity and filler over the depth, where their maps were measured."
     )
 
 
@@ -220,7 +222,7 @@ class FlattenFacts(Facts):
     edge_strain_p95: Number = Field(description="95th percentile of the absolute strain of the springs.")
     edge_strain_max: Number = Field(description="Largest absolute strain of a spring.")
     method: str = Field(description="multigrid or relaxation.")
-    neutral: Literal["base", "faces"] = Field("faces", description="Surface that was taken to stay unstrained.")
+    neutral: Literal["base", "faces"] = Field(default="faces", description="Surface that was taken to stay unstrained.")
     springs: int = Field(description="Number of springs.")
     straight_share: Number = Field(
         description="Share of the springs measured straight through space, as the surface is rough there."
@@ -259,7 +261,7 @@ class SheetFacts(Facts):
     properties: dict[str, PropertyFacts] = Field(description="Distribution of each property, by name.")
     numbers: SheetNumbers | None = Field(description="None where they are withheld.")
     flatten: FlattenFacts = Field(description="The flattening.")
-    sections: SectionFacts | None = Field(None, description="Where the volume was joined of serial sections.")
+    sections: SectionFacts | None = Field(default=None, description="Where the volume was joined of serial sections.")
 
 
 # --- layers brought together -----------------------------------------------------------------------------------------
@@ -278,7 +280,9 @@ class HoleTiltFacts(Facts):
     )
     offset_spread_um: tuple[Number, Number] = Field(description="Robust standard deviation of it from hole to hole.")
     offset_error_um: tuple[Number, Number] = Field(description="Standard error of the median.")
-    tilt_deg: tuple[Number, Number] | None = Field(None, description="The same offset as an angle, along x and y.")
+    tilt_deg: tuple[Number, Number] | None = Field(
+        default=None, description="The same offset as an angle, along x and y."
+    )
     side: Side = Field(description="Side whose rims were used.")
     sentence: str = Field(description="The same in words.")
 
@@ -286,10 +290,12 @@ class HoleTiltFacts(Facts):
 class ErrorShares(Facts):
     """Where the expected error of the places comes from: root mean squares over the map, in um."""
 
-    marks_um: Number = Field(None, description="Marks, and what the model of the registration leaves open.")
-    neutral_um: Number = Field(None, description="Which surface stays unstrained where the sheet is bent.")
-    smoothing_um: Number = Field(None, description="Smoothing of the centre surface, and its bridges over holes.")
-    sections_um: Number = Field(None, description="What is left of the poses of serial sections.")
+    marks_um: Number = Field(default=None, description="Marks, and what the model of the registration leaves open.")
+    neutral_um: Number = Field(default=None, description="Which surface stays unstrained where the sheet is bent.")
+    smoothing_um: Number = Field(
+        default=None, description="Smoothing of the centre surface, and its bridges over holes."
+    )
+    sections_um: Number = Field(default=None, description="What is left of the poses of serial sections.")
     rms_um: float = Field(description="Root mean square of the whole.")
     largest: Literal["marks", "neutral", "smoothing", "sections"] = Field(description="The share that is largest.")
     sentence: str = Field(description="The same in words, with what would lower it.")
@@ -302,8 +308,8 @@ class ExpectedError(Facts):
 
     median_um: Number = Field(description="Median over the map.")
     largest_um: Number = Field(description="Largest value of the map.")
-    trust: Trust = Field("ok", description="What the checks leave of the figures.")
-    shares: ErrorShares | None = Field(None, description="Where it comes from; of a sheet only.")
+    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
+    shares: ErrorShares | None = Field(default=None, description="Where it comes from; of a sheet only.")
 
 
 class OrientationFacts(Facts):
@@ -341,7 +347,9 @@ class LagFacts(Facts):
     length_se_um: Number = Field(description="Standard error of the length.")
     r: Number = Field(description="r at the best lag; it was searched for and measures no relation.")
     r_at_zero: Number = Field(description="r without any lag.")
-    limit_r: Number = Field(None, description="|r| that unrelated maps exceed in the search in 1 of 1000 cases.")
+    limit_r: Number = Field(
+        default=None, description="|r| that unrelated maps exceed in the search in 1 of 1000 cases."
+    )
     silence: str | None = Field(description="Why the lag is inconclusive: few, texture, border, rival or light.")
     agrees: bool | None = Field(description="Whether the lag agrees with the marks; None where inconclusive.")
     expected_um: Number = Field(description="Expected error of the registration, rms over the map.")
@@ -349,7 +357,7 @@ class LagFacts(Facts):
     pixel_um: Pair = Field(description="Pixel of the maps that were compared, along y and x.")
     n: int = Field(description="Pixels that are known.")
     reach_um: float = Field(description="Largest lag that was searched.")
-    light: Number = Field(None, description="Share of what is explained that needs the slopes of the surface.")
+    light: Number = Field(default=None, description="Share of what is explained that needs the slopes of the surface.")
     tile_um: Number = Field(description="Side of a tile.")
     tiles: tuple[LagTile, ...] = Field(description="Lags of parts of the map.")
 
@@ -365,8 +373,8 @@ class RegistrationFacts(Facts):
     matched: int = Field(description="Pairs in use.")
     second_best: int | None = Field(description="Marks that the second-best match has in common.")
     match_sentence: str | None = Field(description="How the marks were matched.")
-    design: str | None = Field(None, description="Name of the pattern that was burnt, where one was given.")
-    tilt: HoleTiltFacts | None = Field(None, description="What the holes look like through the sheet.")
+    design: str | None = Field(default=None, description="Name of the pattern that was burnt, where one was given.")
+    tilt: HoleTiltFacts | None = Field(default=None, description="What the holes look like through the sheet.")
     model: str = Field(description="Model of the transform that was fitted.")
     model_sentence: str = Field(description="The model and its errors in words.")
     warnings: tuple[str, ...] = Field(description="What to be careful about.")
@@ -378,7 +386,7 @@ class RegistrationFacts(Facts):
     shift_um: Pair = Field(description="Shift of the closest similarity, along x and y.")
     mirrored: bool = Field(description="Whether the transform mirrors.")
     orientation: OrientationFacts = Field(description="Side, hand and machine direction.")
-    lag: LagFacts | None = Field(None, description="The image-based check; of a sheet on an image only.")
+    lag: LagFacts | None = Field(default=None, description="The image-based check; of a sheet on an image only.")
 
 
 class LayerFacts(Facts):
@@ -388,9 +396,9 @@ class LayerFacts(Facts):
     kind: Literal["sheet", "image"] = Field(description="sheet or image.")
     source: InputFile = Field(description="The file that it was read from.")
     headline: str = Field(description="The map that stands for the layer.")
-    share_of_reference: Number = Field(None, description="Share of the reference's pixels that show the layer.")
-    registration: RegistrationFacts | None = Field(None, description="None for the reference.")
-    sheet: SheetFacts | None = Field(None, description="None for an image.")
+    share_of_reference: Number = Field(default=None, description="Share of the reference's pixels that show the layer.")
+    registration: RegistrationFacts | None = Field(default=None, description="None for the reference.")
+    sheet: SheetFacts | None = Field(default=None, description="None for an image.")
 
 
 class _Statement(Facts):
@@ -400,20 +408,20 @@ class _Statement(Facts):
     n: int = Field(description="Points that are valid in both. Neighbours resemble each other: n is no sample size.")
     r: Number = Field(description="Pearson's correlation.")
     r2: Number = Field(description="Its square.")
-    rho: Number = Field(None, description="Spearman's rank correlation.")
+    rho: Number = Field(default=None, description="Spearman's rank correlation.")
     slope: Number = Field(description="Least squares of b on a.")
     intercept: Number = Field(description="Of the line of b on a.")
-    slope_x_on_y: Number = Field(None, description="Least squares of a on b: a per b.")
-    mean_a: Number = Field(None, description="Mean of a over the points.")
-    mean_b: Number = Field(None, description="Mean of b over the points.")
-    n_eff: Number = Field(None, description="Independent points that would test r = 0 as well.")
+    slope_x_on_y: Number = Field(default=None, description="Least squares of a on b: a per b.")
+    mean_a: Number = Field(default=None, description="Mean of a over the points.")
+    mean_b: Number = Field(default=None, description="Mean of b over the points.")
+    n_eff: Number = Field(default=None, description="Independent points that would test r = 0 as well.")
     p: Number = Field(
-        None, description="Of the test of r = 0; none where fewer than 10 independent points say nothing."
+        default=None, description="Of the test of r = 0; none where fewer than 10 independent points say nothing."
     )
-    interval: KnownPair = Field(None, description="In which r lies with 95 %.")
-    n_eff_interval: Number = Field(None, description="Independent points that would give this interval.")
-    warnings: tuple[str, ...] = Field((), description="What to be careful about.")
-    trust: Trust = Field("ok", description="What the checks leave of the figures.")
+    interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
+    n_eff_interval: Number = Field(default=None, description="Independent points that would give this interval.")
+    warnings: tuple[str, ...] = Field(default=(), description="What to be careful about.")
+    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
 
     @property
     def direction(self) -> int:
@@ -437,14 +445,16 @@ class CorrelationRow(_Statement):
     a_map: str = Field(description="Its map.")
     b: str = Field(description="Second layer.")
     b_map: str = Field(description="Its map.")
-    p_of_table: Number = Field(None, description="p after Holm, put right for the number of rows at this point size.")
-    same_quantity: bool = Field(
-        False, description="Whether both maps are of one quantity, so that their difference means something."
+    p_of_table: Number = Field(
+        default=None, description="p after Holm, put right for the number of rows at this point size."
     )
-    difference_mean: Number = Field(None, description="Mean of b less a, for equal quantities.")
-    difference_sd: Number = Field(None, description="Standard deviation of that difference.")
-    limits: Pair | None = Field(None, description="Limits of agreement: where 95 % of the differences lie.")
-    units: str | None = Field(None, description="Unit of the difference.")
+    same_quantity: bool = Field(
+        default=False, description="Whether both maps are of one quantity, so that their difference means something."
+    )
+    difference_mean: Number = Field(default=None, description="Mean of b less a, for equal quantities.")
+    difference_sd: Number = Field(default=None, description="Standard deviation of that difference.")
+    limits: Pair | None = Field(default=None, description="Limits of agreement: where 95 % of the differences lie.")
+    units: str | None = Field(default=None, description="Unit of the difference.")
 
 
 class ComparisonRow(_Statement):
@@ -455,8 +465,8 @@ class ComparisonRow(_Statement):
     registration: str = Field(description="How the map was laid on the image.")
     property: str = Field(description="The map.")
     marks_rms_um: float = Field(description="Root mean square of the residuals of the marks.")
-    difference: Number = Field(None, description="r of the run's own registration minus this r.")
-    difference_interval: KnownPair = Field(None, description="In which the difference lies with 95 %.")
+    difference: Number = Field(default=None, description="r of the run's own registration minus this r.")
+    difference_interval: KnownPair = Field(default=None, description="In which the difference lies with 95 %.")
 
 
 class SizeFacts(Facts):
@@ -467,7 +477,7 @@ class SizeFacts(Facts):
     r: Number = Field(description="Pearson's correlation.")
     n_eff: Number = Field(description="Independent points.")
     interval: KnownPair = Field(description="In which this r lies with 95 %.")
-    band: KnownPair = Field(None, description="In which the r of all sizes lie together with 95 %.")
+    band: KnownPair = Field(default=None, description="In which the r of all sizes lie together with 95 %.")
 
 
 class BandFacts(Facts):
@@ -503,7 +513,7 @@ class PartialFacts(Facts):
     given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")
     point_um: float = Field(description="Edge of the points.")
     n: int | None = Field(default=None, description="Points that are valid in all maps.")
-    r: Number = Field(None, description="Partial correlation.")
+    r: Number = Field(default=None, description="Partial correlation.")
     n_eff: Number = Field(default=None, description="Independent points of what is left.")
     interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
     silence: str | None = Field(default=None, description="Why there is no partial correlation.")
@@ -527,19 +537,23 @@ class EvidenceFacts(Facts):
     b: str = Field(description="Second layer.")
     b_map: str = Field(description="Its map.")
     declared: bool = Field(description="Whether the study named the map before r was looked at.")
-    sizes: tuple[SizeFacts, ...] = Field((), description="r over points of growing size.")
-    bands: tuple[BandFacts, ...] = Field((), description="Coherence by octaves of wavelength.")
-    resolution_per_um: Number = Field(None, description="Waves closer in frequency than this are not distinguished.")
-    origins: tuple[float, float, float] | None = Field(
-        None, description="Least, mean and largest r over grids of points that begin elsewhere."
+    sizes: tuple[SizeFacts, ...] = Field(default=(), description="r over points of growing size.")
+    bands: tuple[BandFacts, ...] = Field(default=(), description="Coherence by octaves of wavelength.")
+    resolution_per_um: Number = Field(
+        default=None, description="Waves closer in frequency than this are not distinguished."
     )
-    curve: CurveFacts | None = Field(None, description="Whether the relation is straight or bent.")
-    thin: tuple[ThinRegionFacts, ...] = Field((), description="The image where the coating is thin.")
-    short_waves: SizeFacts | None = Field(None, description="Without waves above short_waves_um.")
-    short_waves_um: Number = Field(None, description="Longest wave that was left in for short_waves.")
-    ceiling: Number = Field(None, description="The r that a perfect relation would show, by misplacement alone.")
-    ceiling_sentence: str | None = Field(None, description="The ceiling in words.")
-    partial: PartialFacts | None = Field(None, description="Where the study names maps that stand beside.")
+    origins: tuple[float, float, float] | None = Field(
+        default=None, description="Least, mean and largest r over grids of points that begin elsewhere."
+    )
+    curve: CurveFacts | None = Field(default=None, description="Whether the relation is straight or bent.")
+    thin: tuple[ThinRegionFacts, ...] = Field(default=(), description="The image where the coating is thin.")
+    short_waves: SizeFacts | None = Field(default=None, description="Without waves above short_waves_um.")
+    short_waves_um: Number = Field(default=None, description="Longest wave that was left in for short_waves.")
+    ceiling: Number = Field(
+        default=None, description="The r that a perfect relation would show, by misplacement alone."
+    )
+    ceiling_sentence: str | None = Field(default=None, description="The ceiling in words.")
+    partial: PartialFacts | None = Field(default=None, description="Where the study names maps that stand beside.")
     commonality: dict[str, float] | None = Field(
         None,
         description="Shares of the variance of b that the maps explain alone and only together (joined by ' and '), "
@@ -578,18 +592,18 @@ class RefinementR(Facts):
     """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
 
     r: Number = Field(description="Pearson's correlation.")
-    interval: KnownPair = Field(None, description="In which r lies with 95 %.")
-    n_eff: Number = Field(None, description="Independent points.")
-    r_of_marks: Number = Field(None, description="By the marks alone, over the same pixels.")
-    gain_interval: KnownPair = Field(None, description="In which r - r_of_marks lies with 95 %.")
+    interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
+    n_eff: Number = Field(default=None, description="Independent points.")
+    r_of_marks: Number = Field(default=None, description="By the marks alone, over the same pixels.")
+    gain_interval: KnownPair = Field(default=None, description="In which r - r_of_marks lies with 95 %.")
     registration: str = Field(description="What r rests on: cross-fitted, or beside a searched null.")
     sentence: str = Field(description="The same in words.")
-    n: int | None = Field(None, description="Pixels that are reported on.")
-    tile_um: Number = Field(None, description="Side of the tiles of the checkerboard.")
-    guard_um: Number = Field(None, description="Distance kept from the pixels that were tuned on.")
-    null_95: Number = Field(None, description="|r| that the search reaches on 95 % of unrelated maps.")
-    p: Number = Field(None, description="Share of unrelated maps that reach this r.")
-    surrogates: int | None = Field(None, description="Unrelated maps that were searched.")
+    n: int | None = Field(default=None, description="Pixels that are reported on.")
+    tile_um: Number = Field(default=None, description="Side of the tiles of the checkerboard.")
+    guard_um: Number = Field(default=None, description="Distance kept from the pixels that were tuned on.")
+    null_95: Number = Field(default=None, description="|r| that the search reaches on 95 % of unrelated maps.")
+    p: Number = Field(default=None, description="Share of unrelated maps that reach this r.")
+    surrogates: int | None = Field(default=None, description="Unrelated maps that were searched.")
 
 
 class RefinementFacts(Facts):
@@ -612,19 +626,23 @@ class RefinementFacts(Facts):
 class Results(Facts):
     """All numbers of a run: a map of one sheet, or layers linked onto the last one."""
 
-    format: Literal[3] = Field(FORMAT, description="Version of this schema.")
+    format: Literal[3] = Field(default=FORMAT, description="Version of this schema.")
     planish: str = Field(description="Version of the program.")
     versions: dict[str, str] = Field(description="Versions of the libraries that numbers depend on.")
     layers: tuple[LayerFacts, ...] = Field(description="In the order given; the last one is the reference of a link.")
-    chain: bool = Field(False, description="Whether each layer was registered to the next one.")
-    correlations: tuple[CorrelationRow, ...] = Field((), description="Every pair of layers at each size of points.")
-    comparison: tuple[ComparisonRow, ...] = Field(
-        (), description="The headline correlation by projection and flattening."
+    chain: bool = Field(default=False, description="Whether each layer was registered to the next one.")
+    correlations: tuple[CorrelationRow, ...] = Field(
+        default=(), description="Every pair of layers at each size of points."
     )
-    evidence: tuple[EvidenceFacts, ...] = Field((), description="What stands beside the headline correlation.")
-    linked: LinkedArea | None = Field(None, description="How much of the reference is valid; of a link only.")
-    regions: RegionsFacts | None = Field(None, description="Declared artefacts, where there are any.")
-    refinement: RefinementFacts | None = Field(None, description="Where the registration was refined by the maps.")
+    comparison: tuple[ComparisonRow, ...] = Field(
+        default=(), description="The headline correlation by projection and flattening."
+    )
+    evidence: tuple[EvidenceFacts, ...] = Field(default=(), description="What stands beside the headline correlation.")
+    linked: LinkedArea | None = Field(default=None, description="How much of the reference is valid; of a link only.")
+    regions: RegionsFacts | None = Field(default=None, description="Declared artefacts, where there are any.")
+    refinement: RefinementFacts | None = Field(
+        default=None, description="Where the registration was refined by the maps."
+    )
     checks: tuple[Check, ...] = Field(description="Every check with its state.")
     parameters: dict[str, Any] = Field(description="Every parameter of the study; paths are left out.")
 
