@@ -111,7 +111,9 @@ def check(*, tests: bool) -> int:
 def docs(options: list[str]) -> int:
     """Write the pages that the program makes itself, build the site, check its links; warnings are errors."""
     python, site = str(PYTHON), str(ROOT / "docs" / "_build" / "html")
-    build = [python, "-m", "sphinx", "-b", "html", "-E", "-a", "-W", "--keep-going", "-q", *options, "docs", site]
+    doctrees = str(ROOT / "docs" / "_build" / "doctrees")
+    build = [python, "-m", "sphinx", "-b", "html", "-E", "-a", "-W", "--keep-going", "-q", "-d", doctrees]
+    build += [*options, "docs", site]
     for command in ([python, "-m", "planish.cli.docs"], build, [python, "docs/_ext/check_site.py", "docs/_build/html"]):
         if code := call(command):
             return code
