@@ -21,6 +21,7 @@ from planish.core import errors
 from planish.core.options import options_of
 from planish.core.results import Results
 from planish.measure import registered
+from planish.pipeline import open_run
 from planish.study import LayerParams, Study
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -147,6 +148,13 @@ def test_every_further_map_stands_with_its_unit():
 def test_every_file_of_a_run_is_named(linked_run):
     text = page("reference/run-folder.md")
     assert [path.name for path in linked_run.iterdir() if f"`{path.name}`" not in text] == []
+
+
+def test_every_check_of_a_run_is_explained(linked_run):
+    text = page("checks.md")
+    names = [check.name for check in open_run(linked_run).results.checks]
+    assert len(names) > 20
+    assert [name for name in names if f"`{re.sub(r'^holes in .*', 'holes in NAME', name)}`" not in text] == []
 
 
 # --- Python --------------------------------------------------------------------------------------------------
