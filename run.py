@@ -6,7 +6,7 @@ r"""Set planish up in this folder and run it. Needs Python 3.11, 3.12 or 3.13, a
                             --all runs the studies too (Monte Carlo, certificates, whole corpora of damage)
     python3 run.py check    format, lint, types, import contracts, tests (--no-tests leaves the tests out)
     python3 run.py bench    run the benchmarks
-    python3 run.py docs     write docs/cli.md from the program's own help
+    python3 run.py docs     write what documents say of the program, and build the site into docs/_build/html
     python3 run.py wheel    build wheel and source archive into dist/; same sources, same bytes
     python3 run.py lock     renew requirements/*.lock (needs uv; --upgrade for newer versions)
 
@@ -76,7 +76,7 @@ def main(arguments: list[str]) -> int:
         return hand_over([str(PYTHON), "-m", "benchmarks", *rest])
     if name == "docs":
         set_up("dev.lock")
-        return hand_over([str(PYTHON), "-m", "planish.cli.docs", *rest])
+        return docs(rest)
     if name == "wheel" and not rest:
         set_up("run.lock")
         return wheel()
@@ -110,6 +110,18 @@ def check(*, tests: bool) -> int:
             failed.append(name)
     say(f"--- failed: {', '.join(failed)}" if failed else f"--- passed: {', '.join(steps)}")
     return 1 if failed else 0
+
+
+def docs(options: list[str]) -> int:
+    """Write the pages that the program makes itself, build the site, check its links; warnings are errors."""
+    python, site = str(PYTHON), str(ROOT / "docs" / "_build" / "html")
+    doctrees = str(ROOT / "docs" / "_build" / "doctrees")
+    build = [python, "-m", "sphinx", "-b", "html", "-E", "-a", "-W", "--keep-going", "-q", "-d", doctrees]
+    build += [*options, "docs", site]
+    for command in ([python, "-m", "planish.cli.docs"], build, [python, "docs/_ext/check_site.py", "docs/_build/html"]):
+        if code := call(command):
+            return code
+    return 0
 
 
 def lock(options: list[str]) -> int:

@@ -18,6 +18,7 @@ from benchmarks import (
     large_image,
     matching,
     optics,
+    pictures,
     programs,
     properties,
     registration,
@@ -64,7 +65,8 @@ _MODULES = (
     fuzz,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
-_BY_NAME = {"installs": installs.main}  # takes the network and half an hour: only where it is named
+# Only where they are named: one takes the network and half an hour, the other one writes documents.
+_BY_NAME = {"installs": installs.main, "pictures": pictures.main}
 
 
 def main(arguments: list[str]) -> int:

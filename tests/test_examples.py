@@ -14,6 +14,10 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # Those that measure no sheet take a second; the others a quarter of a minute and more.
 QUICK = ("05_", "10_")
+MEASURED = {
+    "11_wound_cell": "battery_sector_right", "12_letter_packet": "letterpacket_ct", "13_dot_pattern": "dot_patterns",
+    "14_tissue": "tissue_sheet_mesh", "15_height_map": "heightmaps",
+}  # fmt: skip
 
 
 def run(example, folder, monkeypatch):
@@ -47,9 +51,26 @@ def test_a_quick_example_runs(example, tmp_path, monkeypatch):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("example", [p for p in EXAMPLES if not p.stem.startswith(QUICK)], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "example", [p for p in EXAMPLES if not p.stem.startswith((*QUICK, *MEASURED))], ids=lambda p: p.stem
+)
 def test_an_example_runs(example, tmp_path, monkeypatch):
     run(example, tmp_path, monkeypatch)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", MEASURED)
+def test_an_example_on_measured_data_runs(name, shared_data, tmp_path, monkeypatch):
+    monkeypatch.setenv("PLANISH_DATA", str(shared_data(MEASURED[name]).parent))
+    run(ROOT / "examples" / f"{name}.py", tmp_path, monkeypatch)
+
+
+def test_measured_data_are_shown_with_their_licence():
+    text = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
+    for name in MEASURED:
+        (section,) = re.findall(rf"^### [^\n]*\n\n(?:(?!^###).)*?{name}\.py", text, re.MULTILINE | re.DOTALL)
+        assert re.search(r"(MIT|Apache-2\.0) licence", section)
+        assert "licence" in (ROOT / "examples" / f"{name}.py").read_text(encoding="utf-8")
 
 
 @pytest.mark.study

@@ -52,7 +52,7 @@ def test_dev_lock_holds_the_run_lock_in_the_same_versions() -> None:
 
 @pytest.mark.parametrize("name", ["run.lock", "dev.lock"])
 def test_locks_hold_names_versions_and_hashes_only(name: str) -> None:
-    line = re.compile(r"[\w.-]+==[\w.]+( ; [\w .<>='!()]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?")
+    line = re.compile(r"[\w.-]+==[\w.]+( ; [\w .<>='!()*]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?")
     assert [text for text in read(f"requirements/{name}").splitlines() if not line.fullmatch(text)] == []
 
 

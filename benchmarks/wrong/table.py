@@ -152,7 +152,7 @@ def shown(rows: list[Row], *, markdown: bool = False) -> int:
         said = Counter("refused" for r in own if "refused" in r)
         said.update(f"{state} *{check}*" for r in own for state, check, *_ in r.get("lights", ()))
         worst = max((worst_of(r) for r in quiet or wrong), key=_size, default="")
-        mark = " (cannot be told)" if kind.hidden else " (grave)" if kind.grave else ""
+        mark = " (cannot be seen)" if kind.hidden else " (grave)" if kind.grave else ""
         counts = (str(len(own)), str(len(wrong)), str(len(quiet)))
         heard = ", ".join(f"{what} {n}" for what, n in said.most_common(5)) + (
             f", CRASH {len(crashes)}" if crashes else ""

@@ -42,12 +42,17 @@ _OF_A_STUDY = ("holes", "registration", "correlate")
 class LayerParams(Params):
     """One layer: a volume that is mapped first, a run that is there, or an image."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
+    name: Annotated[
+        str,
+        Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40, description="Name of the layer; each one once."),
+    ]
     volume: VolumeParams | None = None
     image: ImageParams | None = None
-    run: str | None = Field(None, description="Folder of a run of one volume.")
-    md_deg: float | None = Field(None, ge=-180, le=180, description="Machine direction in the map of a run.")
-    marks: str | None = Field(None, description="Marks of this layer (moving) and the one it is registered to (fixed).")
+    run: str | None = Field(default=None, description="Folder of a run of one volume.")
+    md_deg: float | None = Field(default=None, ge=-180, le=180, description="Machine direction in the map of a run.")
+    marks: str | None = Field(
+        default=None, description="Marks of this layer (moving) and the one it is registered to (fixed)."
+    )
     surface: SurfaceParams = SurfaceParams()
     properties: MeasureParams = MeasureParams()
     flatten: FlattenParams = FlattenParams()
@@ -78,7 +83,7 @@ class Study(Params):
     """
 
     layers: tuple[LayerParams, ...]
-    chain: bool = False
+    chain: bool = Field(default=False, description="Register each layer to the next one, and carry it on from there.")
     holes: HoleParams = HoleParams()
     registration: RegistrationParams = RegistrationParams()
     correlate: CorrelateParams = CorrelateParams()

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 
+import console
 from planish.cli.docs import page, schema, with_options
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted((*ROOT.glob("*.md"), *(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)))
 # Of run.py, of other programs, and of the change that CONTRIBUTING.md shows.
-OTHER = {"--all", "--fix", "--host", "--port", "--cpu-limit", "--coating-above-um"}
+OTHER = {"--all", "--fix", "--host", "--port", "--nthreads", "--eval", "--quiet", "--cpu-limit", "--coating-above-um"}
 OTHER |= {"--require-hashes", "--cpus-per-task", "--mem", "--wrap", "--bind", "--rm", "--user"}
 
 
@@ -38,7 +39,13 @@ def test_a_page_links_to_files_that_exist_and_names_options_that_exist(path):
     text = path.read_text(encoding="utf-8")
     links = {link for link in re.findall(r"\]\(([^)#\s]+)", text) if not link.startswith("http")}
     assert {link for link in links if not (path.parent / link).exists()} == set()
-    named = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]+", text))
+    commands = "".join(f"```console\n$ {said}\n```\n" for said in re.findall(r"`(planish [a-z]+ [^`\n\"]+)`", text))
+    if unknown := console.unknown_verbs(text + "\n" + commands):
+        pytest.skip(f"this planish has no command {', '.join(sorted(unknown))}")
+    said = re.sub(
+        r"^```\{messages\}.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL
+    )  # words of messages, not options
+    named = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]+", said))
     known = set(re.findall(r"--[a-z][a-z0-9-]+", (DOCS / "cli.md").read_text(encoding="utf-8")))
     assert named <= known | OTHER
 

@@ -15,6 +15,7 @@ GOES, STAYS = 4.5, 3.0
 """|z| above which two textures go together, and below which they do not."""
 
 SIDES: tuple[Side, Side] = ("top", "bottom")
+"""The two sides of a sheet."""
 _OF_A_SPECIMEN = (POSITION, CORRELATION)
 """Where nothing says that both show one specimen, a pixel may have no place in it."""
 _OF_SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom", CORRELATION)

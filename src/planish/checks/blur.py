@@ -37,7 +37,7 @@ def blur_check(volume: xr.DataArray, measured: xr.Dataset) -> Check | None:
     return Check.at_most(
         "blur of the scan", width / max(thin, 1e-9), look=1.0, units="of the coating", figures=(PROPERTIES, POSITION),
         sentence=f"{what} over {width:.3g} um, full width at half maximum; the coating is {thin:.3g} um thick.",
-        advice="Thickness and grey level of a layer that is thinner than the blur cannot be told apart. Scan with "
+        advice="Thickness and grey level of a layer that is thinner than the blur cannot be distinguished. Scan with "
         "smaller voxels, and leave out filters that smooth.",
     )  # fmt: skip
 

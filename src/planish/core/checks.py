@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Literal, Self
 
+from pydantic import Field
+
 from planish.core.facts import Facts, Number
 
 State = Literal["pass", "look", "fail", "unknown"]
@@ -19,34 +21,20 @@ CORRELATION = "correlation"
 class Check(Facts):
     """Result of one check.
 
-    Attributes
-    ----------
-    name : str
-        Short and unique in a run, as ``slices along z``.
-    state : {"pass", "look", "fail", "unknown"}
-    sentence : str
-        What was found; with ``unknown`` why nothing can be said.
-    value, limit : float or None
-        What was compared; the limit that the state was judged by.
-    units : str
-        Of value and limit; ``share`` for a part of 1.
-    advice : str
-        What to do; empty where nothing has to be done.
-    figures : tuple of str
-        What it concerns: names of maps, or ``properties``, ``position``, ``correlation``.
-    layers : tuple of str
-        Whom it is about; a stage that knows one layer only leaves it empty.
+    A stage that knows one layer only leaves ``layers`` empty.
     """
 
-    name: str
-    state: State
-    sentence: str
-    value: Number = None
-    limit: Number = None
-    units: str = ""
-    advice: str = ""
-    figures: tuple[str, ...] = ()
-    layers: tuple[str, ...] = ()
+    name: str = Field(description="Short and unique in a run, as 'slices along z'.")
+    state: State = Field(description="pass, look, fail or unknown.")
+    sentence: str = Field(description="What was found; with unknown, why nothing can be said.")
+    value: Number = Field(default=None, description="What was compared.")
+    limit: Number = Field(default=None, description="The limit that the state was judged by.")
+    units: str = Field(default="", description="Of value and limit; 'share' for a part of 1.")
+    advice: str = Field(default="", description="What to do; empty where nothing has to be done.")
+    figures: tuple[str, ...] = Field(
+        default=(), description="What it concerns: names of maps, or properties, position, correlation."
+    )
+    layers: tuple[str, ...] = Field(default=(), description="Layers that it is about.")
 
     @classmethod
     def at_most(

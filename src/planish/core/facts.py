@@ -20,6 +20,7 @@ Number = Annotated[float | None, BeforeValidator(_finite)]
 Pair = tuple[float, float]
 KnownPair = Annotated[Pair | None, BeforeValidator(_all_finite)]
 Side = Literal["top", "bottom"]
+"""Side of a sheet."""
 
 
 class Facts(BaseModel):

@@ -25,13 +25,13 @@ Trust = Literal["ok", "doubtful", "withheld"]
 class InputFile(Facts):
     """A file that was read, and the hash that tells it from every other."""
 
-    name: str
-    shape: tuple[int, ...]
-    dtype: str
-    bytes: int
-    sha256: str
+    name: str = Field(description="Name of the file or folder.")
+    shape: tuple[int, ...] = Field(description="Values along each axis: (z, y, x) or (y, x).")
+    dtype: str = Field(description="Type of the values as stored.")
+    bytes: int = Field(description="Size of the file or of all files.")
+    sha256: str = Field(description="Hash of the bytes, which tells this input from every other.")
     size_um: tuple[float, ...] = Field(description="Voxel size (z, y, x) or pixel size (y, x).")
-    size_source: str
+    size_source: str = Field(description="Where the size was taken from, such as a log or an option.")
 
 
 # --- a sheet -------------------------------------------------------------------------------------------------------
@@ -40,29 +40,31 @@ class InputFile(Facts):
 class SurfaceFacts(Facts):
     """What the surface search learnt, and how much of the sheet it measured."""
 
-    through: Literal["z", "y", "x"]
-    top_side: Literal["high", "low"]
-    row_axis: str
-    col_axis: str
-    thickness_um: Number
-    blur_um: Number
-    fringe: Number
-    fringe_um: Number
-    cutoff_um: Number
-    bridged_share: Number = Field(None, description="Share of the columns where gaps needed a wider cut-off.")
-    bridged_off_rims_share: Number = Field(None, description="The same away from holes and their rims.")
-    rim_um: Number
-    missing_share: Number
-    empty_share: Number = Field(None, description="Share of the columns that hold nothing but air.")
-    polarity: Number
-    grey_air: Number
-    grey_base: Number
-    grey_coating_top: Number
-    grey_coating_bottom: Number
-    grey_noise: Number
-    columns: int
-    particles_removed: int
-    half_closed_holes: int
+    through: Literal["z", "y", "x"] = Field(description="Axis through the sheet.")
+    top_side: Literal["high", "low"] = Field(description="End of that axis at which the top side lies.")
+    row_axis: str = Field(description="Axis of the volume that runs down the rows of the surfaces.")
+    col_axis: str = Field(description="Axis of the volume that runs along their columns.")
+    thickness_um: Number = Field(description="Median thickness of the sheet, as the first look found it.")
+    blur_um: Number = Field(description="Standard deviation of the blur of the scan.")
+    fringe: Number = Field(description="Phase-contrast fringe as a share of an edge's step; 0 where there is none.")
+    fringe_um: Number = Field(description="Distance of the fringe from the edge.")
+    cutoff_um: Number = Field(description="Wavelength of the centre surface that the smoothing halves.")
+    bridged_share: Number = Field(default=None, description="Share of the columns where gaps needed a wider cut-off.")
+    bridged_off_rims_share: Number = Field(default=None, description="The same away from holes and their rims.")
+    rim_um: Number = Field(description="Zone around holes and gaps that is left out.")
+    missing_share: Number = Field(description="Share of the voxels that are NaN or infinite.")
+    empty_share: Number = Field(default=None, description="Share of the columns that hold nothing but air.")
+    polarity: Number = Field(description="1 where the sheet is brighter than air, -1 where it is darker.")
+    grey_air: Number = Field(description="Grey of the air.")
+    grey_base: Number = Field(description="Grey of the base.")
+    grey_coating_top: Number = Field(description="Grey of the top coating; None where there is none.")
+    grey_coating_bottom: Number = Field(description="Grey of the bottom coating; None where there is none.")
+    grey_noise: Number = Field(description="Standard deviation of the grey from voxel to voxel.")
+    columns: int = Field(description="Number of columns.")
+    particles_removed: int = Field(
+        description="Particles that were left out: those that float, and those that stick to a face."
+    )
+    half_closed_holes: int = Field(description="Holes of which less than 70 % is open.")
     shares: dict[str, float] = Field(description="Share of the columns with each status.")
 
 
@@ -71,14 +73,14 @@ class PropertyFacts(Facts):
 
     WITHHELD: ClassVar = ("mean", "sd", "p5", "median", "p95", "standard_error")
 
-    units: str
-    n: int
-    mean: Number
-    sd: Number
-    p5: Number
-    median: Number
-    p95: Number
-    trust: Trust = "ok"
+    units: str = Field(description="Unit of all values; 1 for a share.")
+    n: int = Field(description="Columns with a value.")
+    mean: Number = Field(description="Mean over the columns.")
+    sd: Number = Field(description="Standard deviation over the columns.")
+    p5: Number = Field(description="5th percentile.")
+    median: Number = Field(description="Median.")
+    p95: Number = Field(description="95th percentile.")
+    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
     standard_error: Number = Field(default=None, description="Median of the standard errors of single columns.")
     n_independent: int | None = Field(
         default=None, description="How many independent values the columns have: neighbours share their errors."
@@ -92,152 +94,174 @@ class PropertyFacts(Facts):
 class ThinFacts(Facts):
     """Shares of a coating that are thinner than some limits."""
 
-    thinner_than_um: tuple[float, ...]
-    share: tuple[Number, ...]
-    support_um: float
-    warning: str | None
+    thinner_than_um: tuple[float, ...] = Field(description="Limits of the thickness.")
+    share: tuple[Number, ...] = Field(description="Share of the area that is thinner, for each limit.")
+    support_um: float = Field(description="Size of the region that one value of the thickness stands for.")
+    warning: str | None = Field(description="Set where the noise alone makes columns thin.")
 
 
 class RoughnessFacts(Facts):
     """Areal roughness numbers (ISO 25178-2) of one face, or the reason why there are none."""
 
-    sa: Number = None
-    sq: Number = None
-    ssk: Number = None
-    sku: Number = None
-    sz: Number = None
-    sdq: Number = None
-    n: int | None = None
-    s_filter_um: Number = None
-    l_filter_um: Number = None
-    reason: str | None = None
+    sa: Number = Field(default=None, description="Mean absolute height, um.")
+    sq: Number = Field(default=None, description="Root mean square height, um.")
+    ssk: Number = Field(default=None, description="Skewness of the heights.")
+    sku: Number = Field(default=None, description="Kurtosis of the heights.")
+    sz: Number = Field(default=None, description="Highest less lowest height, um; grows with the field.")
+    sdq: Number = Field(default=None, description="Root mean square slope.")
+    n: int | None = Field(default=None, description="Columns with a height.")
+    s_filter_um: Number = Field(default=None, description="Shorter waves were left out.")
+    l_filter_um: Number = Field(default=None, description="Longer waves were left out.")
+    reason: str | None = Field(default=None, description="Why there are no numbers; None where there are.")
 
 
 class TwoSidesFacts(Facts):
     """Top against bottom."""
 
-    coating_difference_um: Number = None
-    coating_sd_ratio: Number = None
-    coating_correlation: Number = None
-    coating_n: int | None = None
-    topography_difference_um: Number = None
-    topography_sd_ratio: Number = None
-    topography_correlation: Number = None
-    topography_n: int | None = None
+    coating_difference_um: Number = Field(default=None, description="Mean coating of the top less that of the bottom.")
+    coating_sd_ratio: Number = Field(
+        default=None, description="Standard deviation of the top's coating over that of the bottom's."
+    )
+    coating_correlation: Number = Field(default=None, description="r of both coatings.")
+    coating_n: int | None = Field(default=None, description="Columns with both coatings.")
+    topography_difference_um: Number = Field(
+        default=None, description="Mean topography of the top less that of the bottom."
+    )
+    topography_sd_ratio: Number = Field(
+        default=None, description="Standard deviation of the top's topography over that of the bottom's."
+    )
+    topography_correlation: Number = Field(default=None, description="r of both topographies, outward heights.")
+    topography_n: int | None = Field(default=None, description="Columns with both topographies.")
 
 
 class ProfileFacts(Facts):
-    """Mean of some properties over the depth of the sheet, 0 at the top face and 1 at the bottom face."""
+    """Mean of some properties over the depth of the base, 0 at the bottom interface and 1 at the top one."""
 
-    depth: tuple[float, ...]
-    values: dict[str, tuple[Number, ...]]
+    depth: tuple[float, ...] = Field(description="Middle of each layer of the base.")
+    values: dict[str, tuple[Number, ...]] = Field(description="Mean of each property in each layer.")
 
 
 class SheetNumbers(Facts):
     """What describes a sheet and is no map; keyed by side."""
 
-    thin: dict[Side, ThinFacts]
-    roughness: dict[Side, RoughnessFacts]
-    two_sides: TwoSidesFacts
-    profiles: ProfileFacts | None = None
+    thin: dict[Side, ThinFacts] = Field(description="Thin and bare shares of the coating, by side.")
+    roughness: dict[Side, RoughnessFacts] = Field(description="Roughness of the face, by side.")
+    two_sides: TwoSidesFacts = Field(description="Top against bottom.")
+    profiles: ProfileFacts | None = Field(
+        default=None, description="Porosity and filler over the depth, where their maps were measured."
+    )
 
 
 class Percentiles(Facts):
     """Distribution of one strain over the mesh."""
 
-    median: Number
-    p5: Number
-    p95: Number
-    p95_abs: Number
-    max_abs: Number
+    median: Number = Field(description="Median over the cells.")
+    p5: Number = Field(description="5th percentile.")
+    p95: Number = Field(description="95th percentile.")
+    p95_abs: Number = Field(description="95th percentile of the absolute value.")
+    max_abs: Number = Field(description="Largest absolute value.")
 
 
 class GeodesicFacts(Facts):
     """Relative errors of long distances: flat against along the surface."""
 
-    p50: Number
-    p95: Number
-    largest: Number
-    used: int
-    dropped: int
+    p50: Number = Field(description="Median relative error.")
+    p95: Number = Field(description="95th percentile of the relative error.")
+    largest: Number = Field(description="Largest relative error.")
+    used: int = Field(description="Lines that stay on the sheet from end to end.")
+    dropped: int = Field(description="Lines that leave it through a hole or the outline.")
 
 
 class DistortionFacts(Facts):
     """How much the flattening strained the sheet."""
 
-    area: Percentiles
-    axial_u: Percentiles
-    axial_v: Percentiles
-    shear: Percentiles
-    cells: int
-    inverted_cells: int
-    boundary_space_um: Number
-    boundary_flat_um: Number
-    growth_percent: Number
-    growth_anisotropy_percent: Number
-    growth_direction_deg: Number
-    displacement_median_um: Number
-    displacement_p95_um: Number
-    displacement_max_um: Number
-    geodesics: GeodesicFacts | None
+    area: Percentiles = Field(description="Area strain: ratio of areas less 1.")
+    axial_u: Percentiles = Field(description="Strain of the cells' edges along the rows of the mesh.")
+    axial_v: Percentiles = Field(description="Strain of the cells' edges along its columns.")
+    shear: Percentiles = Field(description="Change of the angle between both, rad.")
+    cells: int = Field(description="Cells with four known corners.")
+    inverted_cells: int = Field(description="Cells with a triangle whose flat area is not above zero.")
+    boundary_space_um: Number = Field(description="Length of all borders in space.")
+    boundary_flat_um: Number = Field(description="Length of all borders in the plane.")
+    growth_percent: Number = Field(description="Scale from the projection to the flat sheet, less 1.")
+    growth_anisotropy_percent: Number = Field(
+        description="How much more the sheet grows in one direction than across it."
+    )
+    growth_direction_deg: Number = Field(
+        description="Direction in the projection in which it grows most, from x towards y."
+    )
+    displacement_median_um: Number = Field(
+        description="Median distance from the projection to the flat place, after turning and shifting."
+    )
+    displacement_p95_um: Number = Field(description="95th percentile of that distance.")
+    displacement_max_um: Number = Field(description="Largest such distance.")
+    geodesics: GeodesicFacts | None = Field(description="Lengths of random lines, flat against along the surface.")
 
 
 class CurvatureFacts(Facts):
     """Whether the surface can be flat at all."""
 
-    patch_um: float
-    limit: float
-    share: Number
-    largest: Number
-    verdict: str
+    patch_um: float = Field(description="Half the side of the patch over which the curvature is averaged.")
+    limit: float = Field(description="Strain that paper carries.")
+    share: Number = Field(description="Share of the surface on which a patch needs more strain than that to be flat.")
+    largest: Number = Field(description="Largest strain that a patch needs.")
+    verdict: str = Field(description="The same in a sentence.")
 
 
 class FlattenFacts(Facts):
     """How the flattening ended."""
 
-    outcome: str
-    sentence: str
-    steps: int
-    energy_um2: float
-    mesh_um: float
-    folded_cells: int
-    edge_strain_p95: Number
-    edge_strain_max: Number
-    method: str
-    neutral: Literal["base", "faces"] = Field("faces", description="Surface that was taken to stay unstrained.")
-    springs: int
-    straight_share: Number
-    distortion: DistortionFacts
-    curvature: CurvatureFacts
-    largest_move_um: Number
+    outcome: str = Field(description="RESTED, HELD_OPEN and so on: how the solver ended.")
+    sentence: str = Field(description="The same in words, with what to try next.")
+    steps: int = Field(description="Steps of the solver.")
+    energy_um2: float = Field(description="Energy of the springs at the end.")
+    mesh_um: float = Field(description="Pitch of the mesh.")
+    folded_cells: int = Field(
+        description="Cells that the springs would fold and that are held open; they are not valid."
+    )
+    edge_strain_p95: Number = Field(description="95th percentile of the absolute strain of the springs.")
+    edge_strain_max: Number = Field(description="Largest absolute strain of a spring.")
+    method: str = Field(description="multigrid or relaxation.")
+    neutral: Literal["base", "faces"] = Field(default="faces", description="Surface that was taken to stay unstrained.")
+    springs: int = Field(description="Number of springs.")
+    straight_share: Number = Field(
+        description="Share of the springs measured straight through space, as the surface is rough there."
+    )
+    distortion: DistortionFacts = Field(description="Strain, lengths and growth.")
+    curvature: CurvatureFacts = Field(description="Whether the surface can be flat at all.")
+    largest_move_um: Number = Field(description="Largest distance of a column from its projected place.")
 
 
 class SectionFacts(Facts):
     """How serial sections were joined: what was taken off, and what is left of the quick errors."""
 
-    kind: str
-    count: int
-    not_aligned: int
-    missing: int
-    cutoff_um: float
-    fixed: tuple[str, ...]
-    pairs_used: int
-    pairs_refused: int
-    gain_sd: Number
-    shift_row_rms_um: Number
-    shift_col_rms_um: Number
-    jitter_left_row_um: Number
-    jitter_left_col_um: Number
+    kind: str = Field(description="Photographs of the block face, or of sections.")
+    count: int = Field(description="Sections that were read.")
+    not_aligned: int = Field(description="Sections that match no neighbour and were left out.")
+    missing: int = Field(description="Missing sections that were bridged.")
+    cutoff_um: float = Field(description="Waves longer than this along the cut were left alone.")
+    fixed: tuple[str, ...] = Field(
+        description="What held the slow waves: row, col, rotation; empty without anything fixed."
+    )
+    pairs_used: int = Field(description="Pairs of sections that were compared.")
+    pairs_refused: int = Field(description="Pairs that did not agree with the others.")
+    gain_sd: Number = Field(description="Standard deviation of the gain from section to section.")
+    shift_row_rms_um: Number = Field(description="Shifts along the rows' axis that were removed, rms.")
+    shift_col_rms_um: Number = Field(description="The same along the columns' axis.")
+    jitter_left_row_um: Number = Field(
+        description="What is left of the quick errors along the rows' axis, standard deviation."
+    )
+    jitter_left_col_um: Number = Field(description="The same along the columns' axis.")
 
 
 class SheetFacts(Facts):
     """A sheet that was measured and flattened."""
 
-    surfaces: SurfaceFacts
-    properties: dict[str, PropertyFacts]
+    surfaces: SurfaceFacts = Field(description="The surface search.")
+    properties: dict[str, PropertyFacts] = Field(description="Distribution of each property, by name.")
     numbers: SheetNumbers | None = Field(description="None where they are withheld.")
-    flatten: FlattenFacts
-    sections: SectionFacts | None = None
+    flatten: FlattenFacts = Field(description="The flattening.")
+    sections: SectionFacts | None = Field(default=None, description="Where the volume was joined of serial sections.")
 
 
 # --- layers brought together -----------------------------------------------------------------------------------------
@@ -246,29 +270,35 @@ class SheetFacts(Facts):
 class HoleTiltFacts(Facts):
     """What the holes of a sheet look like through its thickness."""
 
-    through: int
-    closed: int
-    unclear: int
-    other_side_only: int
-    offset_count: int
-    offset_um: tuple[Number, Number]
-    offset_spread_um: tuple[Number, Number]
-    offset_error_um: tuple[Number, Number]
-    tilt_deg: tuple[Number, Number] | None = None
-    side: Side
-    sentence: str
+    through: int = Field(description="Holes that are seen on both sides.")
+    closed: int = Field(description="Holes that are closed on the other side.")
+    unclear: int = Field(description="Holes whose other side is open but not round, or not known.")
+    other_side_only: int = Field(description="Holes that are seen on the other side only.")
+    offset_count: int = Field(description="Holes that the offset rests on.")
+    offset_um: tuple[Number, Number] = Field(
+        description="Median offset from the top's rims to the bottom's, along x and y."
+    )
+    offset_spread_um: tuple[Number, Number] = Field(description="Robust standard deviation of it from hole to hole.")
+    offset_error_um: tuple[Number, Number] = Field(description="Standard error of the median.")
+    tilt_deg: tuple[Number, Number] | None = Field(
+        default=None, description="The same offset as an angle, along x and y."
+    )
+    side: Side = Field(description="Side whose rims were used.")
+    sentence: str = Field(description="The same in words.")
 
 
 class ErrorShares(Facts):
     """Where the expected error of the places comes from: root mean squares over the map, in um."""
 
-    marks_um: Number = Field(None, description="Marks, and what the model of the registration leaves open.")
-    neutral_um: Number = Field(None, description="Which surface stays unstrained where the sheet is bent.")
-    smoothing_um: Number = Field(None, description="Smoothing of the centre surface, and its bridges over holes.")
-    sections_um: Number = Field(None, description="What is left of the poses of serial sections.")
-    rms_um: float
-    largest: Literal["marks", "neutral", "smoothing", "sections"]
-    sentence: str
+    marks_um: Number = Field(default=None, description="Marks, and what the model of the registration leaves open.")
+    neutral_um: Number = Field(default=None, description="Which surface stays unstrained where the sheet is bent.")
+    smoothing_um: Number = Field(
+        default=None, description="Smoothing of the centre surface, and its bridges over holes."
+    )
+    sections_um: Number = Field(default=None, description="What is left of the poses of serial sections.")
+    rms_um: float = Field(description="Root mean square of the whole.")
+    largest: Literal["marks", "neutral", "smoothing", "sections"] = Field(description="The share that is largest.")
+    sentence: str = Field(description="The same in words, with what would lower it.")
 
 
 class ExpectedError(Facts):
@@ -276,54 +306,60 @@ class ExpectedError(Facts):
 
     WITHHELD: ClassVar = ("median_um", "largest_um")
 
-    median_um: Number
-    largest_um: Number
-    trust: Trust = "ok"
-    shares: ErrorShares | None = Field(None, description="Where it comes from; of a sheet only.")
+    median_um: Number = Field(description="Median over the map.")
+    largest_um: Number = Field(description="Largest value of the map.")
+    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
+    shares: ErrorShares | None = Field(default=None, description="Where it comes from; of a sheet only.")
 
 
 class OrientationFacts(Facts):
     """How two planes lie on each other: side, hand and machine direction, as given."""
 
-    image_side: Side
-    side_given: bool
-    mirrored_volume: bool
-    md_deg_moving: Number
-    md_deg_fixed: Number
-    md_deg_fixed_from_moving: Number
-    sentence: str
+    image_side: Side = Field(description="Side that the fixed layer shows.")
+    side_given: bool = Field(description="Whether that was given; assumed otherwise.")
+    mirrored_volume: bool = Field(
+        description="Whether the marks fit mirrored only: slices numbered against the usual sense."
+    )
+    md_deg_moving: Number = Field(description="Machine direction in the moving layer, as given.")
+    md_deg_fixed: Number = Field(description="The same in the fixed layer, as given.")
+    md_deg_fixed_from_moving: Number = Field(description="The first carried over by the registration; 0 to 180.")
+    sentence: str = Field(description="The same in words.")
 
 
 class LagTile(Facts):
     """Lag of one part of the map."""
 
-    x: float
-    y: float
-    lag_um: KnownPair
-    distinct: bool
+    x: float = Field(description="Middle of the tile, um.")
+    y: float = Field(description="Middle of the tile, um.")
+    lag_um: KnownPair = Field(description="Lag of the tile, along x and y.")
+    distinct: bool = Field(description="Whether its peak stands out from chance.")
 
 
 class LagFacts(Facts):
     """What two maps say of their registration by their own texture; a check, and no gate."""
 
-    property: str
-    lag_um: KnownPair
-    se_um: KnownPair
-    length_um: Number
-    length_se_um: Number
-    r: Number
-    r_at_zero: Number
-    limit_r: Number = Field(None, description="|r| that unrelated maps exceed in the search in 1 of 1000 cases.")
-    silence: str | None
-    agrees: bool | None
-    expected_um: Number
-    sentence: str
-    pixel_um: Pair
-    n: int
-    reach_um: float
-    light: Number = Field(None, description="Share of what is explained that needs the slopes of the surface.")
-    tile_um: Number
-    tiles: tuple[LagTile, ...]
+    property: str = Field(description="The map that was compared with the image.")
+    lag_um: KnownPair = Field(
+        description="The image shows at p + lag what the map shows at p; along x and y. None where inconclusive."
+    )
+    se_um: KnownPair = Field(description="Standard error of the lag, along x and y.")
+    length_um: Number = Field(description="Length of the lag.")
+    length_se_um: Number = Field(description="Standard error of the length.")
+    r: Number = Field(description="r at the best lag; it was searched for and measures no relation.")
+    r_at_zero: Number = Field(description="r without any lag.")
+    limit_r: Number = Field(
+        default=None, description="|r| that unrelated maps exceed in the search in 1 of 1000 cases."
+    )
+    silence: str | None = Field(description="Why the lag is inconclusive: few, texture, border, rival or light.")
+    agrees: bool | None = Field(description="Whether the lag agrees with the marks; None where inconclusive.")
+    expected_um: Number = Field(description="Expected error of the registration, rms over the map.")
+    sentence: str = Field(description="The same in words.")
+    pixel_um: Pair = Field(description="Pixel of the maps that were compared, along y and x.")
+    n: int = Field(description="Pixels that are known.")
+    reach_um: float = Field(description="Largest lag that was searched.")
+    light: Number = Field(default=None, description="Share of what is explained that needs the slopes of the surface.")
+    tile_um: Number = Field(description="Side of a tile.")
+    tiles: tuple[LagTile, ...] = Field(description="Lags of parts of the map.")
 
 
 class RegistrationFacts(Facts):
@@ -332,25 +368,25 @@ class RegistrationFacts(Facts):
     to: str = Field(description="Layer that it was registered to.")
     path: tuple[str, ...] = Field(description="Layers from this one to the reference.")
     source: str = Field(description="'found', or the kind of file that the marks came from.")
-    found_moving: int
-    found_fixed: int
-    matched: int
+    found_moving: int = Field(description="Marks found in the moving layer.")
+    found_fixed: int = Field(description="Marks found in the fixed layer.")
+    matched: int = Field(description="Pairs in use.")
     second_best: int | None = Field(description="Marks that the second-best match has in common.")
-    match_sentence: str | None
-    design: str | None = None
-    tilt: HoleTiltFacts | None = None
-    model: str
-    model_sentence: str
-    warnings: tuple[str, ...]
-    rms_um: float
-    leave_one_out_rms_um: Number
-    expected_error: ExpectedError | None
-    scale: float
-    rotation_deg: float
-    shift_um: Pair
-    mirrored: bool
-    orientation: OrientationFacts
-    lag: LagFacts | None = None
+    match_sentence: str | None = Field(description="How the marks were matched.")
+    design: str | None = Field(default=None, description="Name of the pattern that was burnt, where one was given.")
+    tilt: HoleTiltFacts | None = Field(default=None, description="What the holes look like through the sheet.")
+    model: str = Field(description="Model of the transform that was fitted.")
+    model_sentence: str = Field(description="The model and its errors in words.")
+    warnings: tuple[str, ...] = Field(description="What to be careful about.")
+    rms_um: float = Field(description="Root mean square of the residuals.")
+    leave_one_out_rms_um: Number = Field(description="Root mean square of the leave-one-out errors.")
+    expected_error: ExpectedError | None = Field(description="How far a pixel may be off.")
+    scale: float = Field(description="Scale of the closest similarity.")
+    rotation_deg: float = Field(description="Rotation of the closest similarity.")
+    shift_um: Pair = Field(description="Shift of the closest similarity, along x and y.")
+    mirrored: bool = Field(description="Whether the transform mirrors.")
+    orientation: OrientationFacts = Field(description="Side, hand and machine direction.")
+    lag: LagFacts | None = Field(default=None, description="The image-based check; of a sheet on an image only.")
 
 
 class ImageFacts(Facts):
@@ -384,37 +420,37 @@ class ImageFacts(Facts):
 class LayerFacts(Facts):
     """One layer: a sheet or an image."""
 
-    name: str
-    kind: Literal["sheet", "image"]
-    source: InputFile
+    name: str = Field(description="Name of the layer.")
+    kind: Literal["sheet", "image"] = Field(description="sheet or image.")
+    source: InputFile = Field(description="The file that it was read from.")
     headline: str = Field(description="The map that stands for the layer.")
-    share_of_reference: Number = None
-    registration: RegistrationFacts | None = None
-    sheet: SheetFacts | None = None
-    image: ImageFacts | None = None
+    share_of_reference: Number = Field(default=None, description="Share of the reference's pixels that show the layer.")
+    registration: RegistrationFacts | None = Field(default=None, description="None for the reference.")
+    sheet: SheetFacts | None = Field(default=None, description="None for an image.")
+    image: ImageFacts | None = Field(default=None, description="None for a sheet.")
 
 
 class _Statement(Facts):
     """Correlation of b with a over points of one size, and how sure it is."""
 
-    point_um: float
+    point_um: float = Field(description="Edge of the squares over which both maps are averaged.")
     n: int = Field(description="Points that are valid in both. Neighbours resemble each other: n is no sample size.")
-    r: Number
-    r2: Number
-    rho: Number = Field(None, description="Spearman's rank correlation.")
+    r: Number = Field(description="Pearson's correlation.")
+    r2: Number = Field(description="Its square.")
+    rho: Number = Field(default=None, description="Spearman's rank correlation.")
     slope: Number = Field(description="Least squares of b on a.")
-    intercept: Number
-    slope_x_on_y: Number = Field(None, description="Least squares of a on b: a per b.")
-    mean_a: Number = None
-    mean_b: Number = None
-    n_eff: Number = Field(None, description="Independent points that would test r = 0 as well.")
+    intercept: Number = Field(description="Of the line of b on a.")
+    slope_x_on_y: Number = Field(default=None, description="Least squares of a on b: a per b.")
+    mean_a: Number = Field(default=None, description="Mean of a over the points.")
+    mean_b: Number = Field(default=None, description="Mean of b over the points.")
+    n_eff: Number = Field(default=None, description="Independent points that would test r = 0 as well.")
     p: Number = Field(
-        None, description="Of the test of r = 0; none where fewer than 10 independent points say nothing."
+        default=None, description="Of the test of r = 0; none where fewer than 10 independent points say nothing."
     )
-    interval: KnownPair = Field(None, description="In which r lies with 95 %.")
-    n_eff_interval: Number = Field(None, description="Independent points that would give this interval.")
-    warnings: tuple[str, ...] = ()
-    trust: Trust = "ok"
+    interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
+    n_eff_interval: Number = Field(default=None, description="Independent points that would give this interval.")
+    warnings: tuple[str, ...] = Field(default=(), description="What to be careful about.")
+    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
 
     @property
     def direction(self) -> int:
@@ -434,16 +470,20 @@ class CorrelationRow(_Statement):
 
     WITHHELD: ClassVar = (*_NUMBERS_OF_R, "p_of_table", "difference_mean", "difference_sd", "limits")
 
-    a: str
-    a_map: str
-    b: str
-    b_map: str
-    p_of_table: Number = Field(None, description="p after Holm, put right for the number of rows at this point size.")
-    same_quantity: bool = False
-    difference_mean: Number = None
-    difference_sd: Number = None
-    limits: Pair | None = None
-    units: str | None = None
+    a: str = Field(description="First layer.")
+    a_map: str = Field(description="Its map.")
+    b: str = Field(description="Second layer.")
+    b_map: str = Field(description="Its map.")
+    p_of_table: Number = Field(
+        default=None, description="p after Holm, put right for the number of rows at this point size."
+    )
+    same_quantity: bool = Field(
+        default=False, description="Whether both maps are of one quantity, so that their difference means something."
+    )
+    difference_mean: Number = Field(default=None, description="Mean of b less a, for equal quantities.")
+    difference_sd: Number = Field(default=None, description="Standard deviation of that difference.")
+    limits: Pair | None = Field(default=None, description="Limits of agreement: where 95 % of the differences lie.")
+    units: str | None = Field(default=None, description="Unit of the difference.")
 
 
 class ComparisonRow(_Statement):
@@ -451,32 +491,32 @@ class ComparisonRow(_Statement):
 
     WITHHELD: ClassVar = (*_NUMBERS_OF_R, "difference", "difference_interval")
 
-    registration: str
-    property: str
-    marks_rms_um: float
-    difference: Number = Field(None, description="r of the run's own registration minus this r.")
-    difference_interval: KnownPair = Field(None, description="In which the difference lies with 95 %.")
+    registration: str = Field(description="How the map was laid on the image.")
+    property: str = Field(description="The map.")
+    marks_rms_um: float = Field(description="Root mean square of the residuals of the marks.")
+    difference: Number = Field(default=None, description="r of the run's own registration minus this r.")
+    difference_interval: KnownPair = Field(default=None, description="In which the difference lies with 95 %.")
 
 
 class SizeFacts(Facts):
     """Correlation over points of one size, as one of many."""
 
-    point_um: float
-    n: int
-    r: Number
-    n_eff: Number
+    point_um: float = Field(description="Edge of the points.")
+    n: int = Field(description="Points that are valid in both.")
+    r: Number = Field(description="Pearson's correlation.")
+    n_eff: Number = Field(description="Independent points.")
     interval: KnownPair = Field(description="In which this r lies with 95 %.")
-    band: KnownPair = Field(None, description="In which the r of all sizes lie together with 95 %.")
+    band: KnownPair = Field(default=None, description="In which the r of all sizes lie together with 95 %.")
 
 
 class BandFacts(Facts):
     """What two maps have in common in one octave of wavelengths."""
 
-    shortest_um: float
-    longest_um: float
+    shortest_um: float = Field(description="Shortest wavelength of the octave.")
+    longest_um: float = Field(description="Longest wavelength of the octave.")
     coherence: Number = Field(description="Squared, put right for chance; a little below 0 where there is nothing.")
     p_of_bands: Number = Field(description="p of all octaves together, after Sidak.")
-    phase_deg: Number
+    phase_deg: Number = Field(description="Phase of b against a; 0 or 180 where one simply follows the other.")
     gain: Number = Field(description="Change of b per change of a, with its sign.")
     modes: Number = Field(description="Independent waves.")
 
@@ -484,16 +524,16 @@ class BandFacts(Facts):
 class CurveFacts(Facts):
     """Whether an image bends over a property: a parabola beside the straight line, at the larger points."""
 
-    point_um: float
-    n: int
-    n_eff: Number
-    slope: Number
-    slope_interval: KnownPair
+    point_um: float = Field(description="Edge of the points.")
+    n: int = Field(description="Points that are valid in both.")
+    n_eff: Number = Field(description="Independent points.")
+    slope: Number = Field(description="Slope of the straight line.")
+    slope_interval: KnownPair = Field(description="In which the slope lies with 95 %.")
     curvature: Number = Field(description="Coefficient of the square.")
     interval: KnownPair = Field(description="In which the curvature lies with 95 %.")
-    r2_line: Number
-    r2_parabola: Number
-    words: str
+    r2_line: Number = Field(description="r2 of the straight line.")
+    r2_parabola: Number = Field(description="r2 of the parabola.")
+    words: str = Field(description="The same in words.")
 
 
 class KubelkaMunkFacts(Facts):
@@ -558,9 +598,9 @@ class PartialFacts(Facts):
     """Correlation of what other maps of the sheet do not explain of two maps, by least squares."""
 
     given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")
-    point_um: float
+    point_um: float = Field(description="Edge of the points.")
     n: int | None = Field(default=None, description="Points that are valid in all maps.")
-    r: Number = None
+    r: Number = Field(default=None, description="Partial correlation.")
     n_eff: Number = Field(default=None, description="Independent points of what is left.")
     interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
     silence: str | None = Field(default=None, description="Why there is no partial correlation.")
@@ -569,11 +609,11 @@ class PartialFacts(Facts):
 class ThinRegionFacts(Facts):
     """Mean of the image where the coating is thinner than a limit, minus that elsewhere."""
 
-    thinner_than_um: float
-    share: float
-    difference: float
+    thinner_than_um: float = Field(description="Limit of the coating's thickness.")
+    share: float = Field(description="Share of the pixels where it is thinner.")
+    difference: float = Field(description="Mean of the image there less that elsewhere.")
     interval: KnownPair = Field(description="In which the difference lies with 95 %.")
-    n_eff: Number
+    n_eff: Number = Field(description="Independent points of the thin regions.")
 
 
 class ReliabilityFacts(Facts):
@@ -684,40 +724,49 @@ class TwiceFacts(Facts):
 class EvidenceFacts(Facts):
     """What stands beside the correlation of the maps that stand for two layers."""
 
-    a: str
-    a_map: str
-    b: str
-    b_map: str
+    a: str = Field(description="First layer.")
+    a_map: str = Field(description="Its map.")
+    b: str = Field(description="Second layer.")
+    b_map: str = Field(description="Its map.")
     declared: bool = Field(description="Whether the study named the map before r was looked at.")
-    sizes: tuple[SizeFacts, ...] = ()
-    bands: tuple[BandFacts, ...] = ()
-    resolution_per_um: Number = Field(None, description="Waves closer in frequency than this are not told apart.")
+    sizes: tuple[SizeFacts, ...] = Field(default=(), description="r over points of growing size.")
+    bands: tuple[BandFacts, ...] = Field(default=(), description="Coherence by octaves of wavelength.")
+    resolution_per_um: Number = Field(
+        default=None, description="Waves closer in frequency than this are not distinguished."
+    )
     origins: tuple[float, float, float] | None = Field(
-        None, description="Least, mean and largest r over grids of points that begin elsewhere."
+        default=None, description="Least, mean and largest r over grids of points that begin elsewhere."
     )
-    curve: CurveFacts | None = None
-    kubelka_munk: KubelkaMunkFacts | None = Field(None, description="Where the study asks for it.")
-    light_spread: LightSpreadFacts | None = Field(None, description="Where the study states how far light spreads.")
+    curve: CurveFacts | None = Field(default=None, description="Whether the relation is straight or bent.")
+    kubelka_munk: KubelkaMunkFacts | None = Field(default=None, description="Where the study asks for it.")
+    light_spread: LightSpreadFacts | None = Field(
+        default=None, description="Where the study states how far light spreads."
+    )
     density_g_cm3: Number = Field(
-        None, description="Of the coating, where the run knows it: it turns thickness into g/m2."
+        default=None, description="Of the coating, where the run knows it: it turns thickness into g/m2."
     )
-    thin: tuple[ThinRegionFacts, ...] = ()
-    short_waves: SizeFacts | None = Field(None, description="Without waves above short_waves_um.")
-    short_waves_um: Number = None
-    ceiling: Number = Field(None, description="The r that a perfect relation would show, by misplacement alone.")
-    ceiling_sentence: str | None = None
+    thin: tuple[ThinRegionFacts, ...] = Field(default=(), description="The image where the coating is thin.")
+    short_waves: SizeFacts | None = Field(default=None, description="Without waves above short_waves_um.")
+    short_waves_um: Number = Field(default=None, description="Longest wave that was left in for short_waves.")
+    ceiling: Number = Field(
+        default=None, description="The r that a perfect relation would show, by misplacement alone."
+    )
+    ceiling_sentence: str | None = Field(default=None, description="The ceiling in words.")
     reliability: tuple[ReliabilityFacts, ...] = Field(
-        (), description="Of the maps of sheets among the two, at the larger points."
+        default=(), description="Of the maps of sheets among the two, at the larger points."
     )
     ceiling_noise: Number = Field(
-        None, description="The r that a perfect relation would show, by the noise of these maps alone: an upper bound."
+        default=None,
+        description="The r that a perfect relation would show, by the noise of these maps alone: an upper bound.",
     )
-    ceiling_both: Number = Field(None, description="The same by noise and misplacement together.")
-    second_opinion: SecondOpinionFacts | None = None
-    variograms: tuple[VariogramFacts, ...] = ()
-    correlogram: CorrelogramFacts | None = None
-    twice: TwiceFacts | None = Field(None, description="Where both maps are of the same quantity.")
-    partial: PartialFacts | None = Field(None, description="Where the study names maps that stand beside.")
+    ceiling_both: Number = Field(default=None, description="The same by noise and misplacement together.")
+    second_opinion: SecondOpinionFacts | None = Field(
+        default=None, description="An interval from what single points add to r."
+    )
+    variograms: tuple[VariogramFacts, ...] = Field(default=(), description="How each map varies with distance.")
+    correlogram: CorrelogramFacts | None = Field(default=None, description="r at every shift of one map.")
+    twice: TwiceFacts | None = Field(default=None, description="Where both maps are of the same quantity.")
+    partial: PartialFacts | None = Field(default=None, description="Where the study names maps that stand beside.")
     commonality: dict[str, float] | None = Field(
         None,
         description="Shares of the variance of b that the maps explain alone and only together (joined by ' and '), "
@@ -728,82 +777,88 @@ class EvidenceFacts(Facts):
 class LinkedArea(Facts):
     """How much of the reference shows all layers, and how much of that is valid."""
 
-    pixels: int
-    share_on_sheet: float
-    share_valid: float
-    share_valid_of_sheet: float
-    share_valid_away_from_holes: float
+    pixels: int = Field(description="Pixels of the reference.")
+    share_on_sheet: float = Field(description="Share of them that shows the sheet.")
+    share_valid: float = Field(description="Share of them that is valid.")
+    share_valid_of_sheet: float = Field(description="Share of the sheet's pixels that is valid.")
+    share_valid_away_from_holes: float = Field(description="The same away from holes and their rims.")
 
 
 class RegionFacts(Facts):
     """A region that was declared an artefact; its texts are empty where they are not given."""
 
-    name: str
-    reason: str
-    author: str
+    name: str = Field(description="Name of the region.")
+    reason: str = Field(description="Why its pixels do not count.")
+    author: str = Field(description="Who declared it.")
     share: float = Field(description="Share of the reference's pixels.")
 
 
 class RegionsFacts(Facts):
     """Regions that were declared artefacts: their pixels are not valid and count in no correlation."""
 
-    count: int
+    count: int = Field(description="Number of regions.")
     share: float = Field(description="Share of the reference's pixels that lie in a region.")
-    regions: tuple[RegionFacts, ...]
+    regions: tuple[RegionFacts, ...] = Field(description="Each of them.")
 
 
 class RefinementR(Facts):
     """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
 
-    r: Number
-    interval: KnownPair = Field(None, description="In which r lies with 95 %.")
-    n_eff: Number = None
-    r_of_marks: Number = Field(None, description="By the marks alone, over the same pixels.")
-    gain_interval: KnownPair = Field(None, description="In which r - r_of_marks lies with 95 %.")
-    registration: str
-    sentence: str
-    n: int | None = None
-    tile_um: Number = None
-    guard_um: Number = None
-    null_95: Number = None
-    p: Number = None
-    surrogates: int | None = None
+    r: Number = Field(description="Pearson's correlation.")
+    interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
+    n_eff: Number = Field(default=None, description="Independent points.")
+    r_of_marks: Number = Field(default=None, description="By the marks alone, over the same pixels.")
+    gain_interval: KnownPair = Field(default=None, description="In which r - r_of_marks lies with 95 %.")
+    registration: str = Field(description="What r rests on: cross-fitted, or beside a searched null.")
+    sentence: str = Field(description="The same in words.")
+    n: int | None = Field(default=None, description="Pixels that are reported on.")
+    tile_um: Number = Field(default=None, description="Side of the tiles of the checkerboard.")
+    guard_um: Number = Field(default=None, description="Distance kept from the pixels that were tuned on.")
+    null_95: Number = Field(default=None, description="|r| that the search reaches on 95 % of unrelated maps.")
+    p: Number = Field(default=None, description="Share of unrelated maps that reach this r.")
+    surrogates: int | None = Field(default=None, description="Unrelated maps that were searched.")
 
 
 class RefinementFacts(Facts):
     """A registration refined by the maps themselves."""
 
-    model: str
-    metric: str
-    property: str
-    moved_rms_um: float
-    moved_most_um: float
-    share_of_expected_error: float
-    area: tuple[float, ...]
-    strain: float
-    warnings: tuple[str, ...]
-    sentence: str
-    longest_wave_um: float
-    correlation: RefinementR
+    model: str = Field(description="affine or bspline.")
+    metric: str = Field(description="What was made as large as possible.")
+    property: str = Field(description="The map that was refined.")
+    moved_rms_um: float = Field(description="Displacement, rms over the pixels.")
+    moved_most_um: float = Field(description="Largest displacement.")
+    share_of_expected_error: float = Field(description="Largest ratio of displacement to expected error.")
+    area: tuple[float, ...] = Field(description="Least and largest local change of area.")
+    strain: float = Field(description="Largest local strain, without its sign.")
+    warnings: tuple[str, ...] = Field(description="What to be careful about.")
+    sentence: str = Field(description="The same in words.")
+    longest_wave_um: float = Field(description="Longer waves were taken off both maps first.")
+    correlation: RefinementR = Field(description="r that the refinement did not maximise.")
 
 
 class Results(Facts):
     """All numbers of a run: a map of one sheet, or layers linked onto the last one."""
 
-    format: Literal[3] = FORMAT
-    planish: str
-    versions: dict[str, str]
+    format: Literal[3] = Field(default=FORMAT, description="Version of this schema.")
+    planish: str = Field(description="Version of the program.")
+    versions: dict[str, str] = Field(description="Versions of the libraries that numbers depend on.")
     layers: tuple[LayerFacts, ...] = Field(description="In the order given; the last one is the reference of a link.")
-    chain: bool = False
-    correlations: tuple[CorrelationRow, ...] = ()
-    comparison: tuple[ComparisonRow, ...] = ()
-    evidence: tuple[EvidenceFacts, ...] = ()
-    linked: LinkedArea | None = None
-    regions: RegionsFacts | None = None
-    mottle: tuple[MottleFacts, ...] = ()
-    refinement: RefinementFacts | None = None
-    checks: tuple[Check, ...]
-    parameters: dict[str, Any]
+    chain: bool = Field(default=False, description="Whether each layer was registered to the next one.")
+    correlations: tuple[CorrelationRow, ...] = Field(
+        default=(), description="Every pair of layers at each size of points."
+    )
+    comparison: tuple[ComparisonRow, ...] = Field(
+        default=(), description="The headline correlation by projection and flattening."
+    )
+    evidence: tuple[EvidenceFacts, ...] = Field(default=(), description="What stands beside the headline correlation.")
+    linked: LinkedArea | None = Field(default=None, description="How much of the reference is valid; of a link only.")
+    regions: RegionsFacts | None = Field(default=None, description="Declared artefacts, where there are any.")
+    mottle: tuple[MottleFacts, ...] = Field(default=(), description="Unevenness of the image by octaves of wavelength.")
+    refinement: RefinementFacts | None = Field(
+        default=None, description="Where the registration was refined by the maps."
+    )
+    checks: tuple[Check, ...] = Field(description="Every check with its state.")
+    parameters: dict[str, Any] = Field(description="Every parameter of the study; paths are left out.")
 
     @property
     def passed(self) -> bool:

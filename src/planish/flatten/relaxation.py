@@ -34,18 +34,18 @@ class RelaxationParams:
         motion for four times the work. ``euler``: the old velocity in the position; the paper calls it unstable, and it
         is.
     control : str
-        How Eq. (4), max |grad v| < a, is read. ``scale``: the strain of one step is limited, dt max |grad v| <= a,
-        for the velocity before and after the step. ``feedback``: dt is cut as long as max |grad v| >= a. The gradient
-        does not depend on dt, so that this comes to a halt; it is kept to show that. ``fixed``: ``fixed_dt`` and
-        ``fixed_c`` throughout.
+        How Eq. (4), ``max |grad v| < a``, is read. ``scale``: the strain of one step is limited,
+        ``dt max |grad v| <= a``, for the velocity before and after the step. ``feedback``: dt is cut as long as
+        ``max |grad v| >= a``. The gradient does not depend on dt, so that this comes to a halt; it is kept to show
+        that. ``fixed``: ``fixed_dt`` and ``fixed_c`` throughout.
     stop : str
-        How Eq. (6), mean |v| < mean_speed, is read. ``first``: the first time after the mesh has been faster once.
+        How Eq. (6), ``mean |v| < mean_speed``, is read. ``first``: the first time after the mesh has been faster once.
         ``sustained``: for a whole period of the slowest mode, 2 max(rows, cols); an oscillating mesh is slow at every
         turning point. ``residual``: no force on a node exceeds ``residual``.
     a : float
         Eq. (4); a strain of 1 % in one step.
     b : float
-        Eq. (5): c > max |grad v| / b.
+        Eq. (5): ``c > max |grad v| / b``.
     c_min : float
         Eq. (5). Critical for the slowest mode of 314 nodes a side; wider meshes creep.
     c_fall : float

@@ -17,6 +17,7 @@ from planish.marks.judge import LEAST_CONTRAST
 from planish.marks.not_taken import REASONS, count_not_taken
 
 Polarity = Literal["auto", "dark", "bright"]
+"""Whether holes are darker or brighter than the sheet."""
 
 # Shares of the depth of the holes at which a floor may end.
 FLOOR_SHARES = (0.2, 0.08, 0.13, 0.27, 0.35)

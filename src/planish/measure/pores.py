@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Options(Params):
     """Options of the pores' sizes."""
 
-    pore_limit_um: float = option(40.0, gt=0, cli=None, help="Size above which pores are not told apart.")
+    pore_limit_um: float = option(40.0, gt=0, cli=None, help="Size above which pores are not distinguished.")
 
 
 def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:

@@ -131,7 +131,7 @@ class Rays:
         return self.length(lower, upper, least=least, most=most)
 
     def crossing_se(self, contrast: float) -> Array:
-        """Standard error in um of one crossing of a blurred step (rows, cols): sqrt(2 pi) w sigma / |contrast|.
+        """Standard error in um of one crossing of a blurred step (rows, cols): ``sqrt(2 pi) w sigma / |contrast|``.
 
         A step of height C blurred with a Gaussian of standard deviation w has the slope C / (sqrt(2 pi) w) where it is
         half way, and noise of standard deviation sigma moves that place by sigma over the slope.

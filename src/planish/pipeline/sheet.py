@@ -10,7 +10,7 @@ import xarray as xr
 
 from planish.checks import check_scan
 from planish.compute import Compute, Progress, column_step, engine
-from planish.core.errors import VolumeError
+from planish.core.errors import CannotMeasure, VolumeError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.options import Params
@@ -61,7 +61,13 @@ def map_layer(
         measured = before.groups["surfaces"]
     else:
         progress("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
-        measured = measure_properties(surfaces, volume=volume, params=layer.properties, engine=tiles)
+        try:
+            measured = measure_properties(surfaces, volume=volume, params=layer.properties, engine=tiles)
+        except CannotMeasure as error:
+            hint = "" if volume is None else _other_axis(volume, v.through)
+            if hint:
+                raise CannotMeasure(f"{error} {hint}") from error
+            raise
     progress("flatten", "eight-spring mesh")
     # Before the properties: a column whose normal meets no face still has its place in the sheet.
     flattened = flatten_sheet(surfaces, params=layer.flatten)
@@ -126,11 +132,16 @@ def _search(
             surfaces = find_surfaces(volume, frame=frame, params=layer.surface, step=step, engine=tiles)
         _check_thickness(surfaces, *(_UNUSUAL_UM if v.unusual_size else _THICKNESS_UM))
     except VolumeError as error:
-        axis = likely_through(volume.values)
-        if axis in (None, v.through):
-            raise
-        raise VolumeError(f"{error} The grey changes most along {axis}: try --through {axis}.") from error
+        if hint := _other_axis(volume, v.through):
+            raise VolumeError(f"{error} {hint}") from error
+        raise
     return surfaces
+
+
+def _other_axis(volume: xr.DataArray, through: str) -> str:
+    """Name the axis that looks like the sheet's normal, where another one was given."""
+    axis = likely_through(volume.values)
+    return "" if axis in (None, through) else f"The grey changes most along {axis}: try --through {axis}."
 
 
 def changed(params: P, **values: object) -> P:

@@ -19,6 +19,7 @@ SIZES_UM = {
     "T2": (8000.0, 6000.0),  # acceptance: the paper's larger fields
     "T3": (20000.0, 15000.0),  # a whole specimen: surfaces only, no voxels
 }
+"""Sizes of specimens by name: length and width in um."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -46,19 +46,20 @@ PRESETS: dict[str, tuple[str, PaperParams]] = {
         ),
     ),
 }  # fmt: skip
+"""Papers by name: what they are, and their parameters."""
 
-# A scanner as scanners are: the plain one of the defaults has only blur and noise.
 MICRO_CT = ScannerParams(
     fwhm_um=4.0, noise=0.08, noise_px=2.0, fringe=0.12, cupping=0.04, rings=2, streak=0.03, grey=(40.0, 80.0, 180.0)
 )
+"""A scanner as scanners are: the plain one of the defaults has only blur and noise."""
 
-# Diffuse light and an even base: the image shows mostly what the coating does.
 DEMO = SpecimenParams(
     size_um=(1800.0, 1300.0),
     holes=HoleParams(pattern="irregular", count=6),
     warp=Warp(wavelength_um=2000.0),
     camera=CameraParams(shading=0.003, nuisance_sd=0.004),
 )
+"""The specimen of the demo: under diffuse light, with an even base, the image shows mostly what the coating does."""
 
 
 class Nuisance(NamedTuple):
@@ -104,6 +105,7 @@ NUISANCES: dict[str, Nuisance] = {
         ("camera_noise", "noise of the camera", "camera", {"noise": 0.0, "bits": 16}),
     )
 }
+"""Every disturbance that can be switched off, by name."""
 _INSTRUMENTS = {"scanner", "sections"}
 
 

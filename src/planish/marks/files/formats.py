@@ -23,6 +23,7 @@ from typing import Any, Literal
 from planish.core.errors import FileError
 
 Unit = Literal["um", "mm", "pixel"]
+"""Unit of the positions in a file of marks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +48,6 @@ class MarkFormat:
     writable: bool = True
 
 
-# In the order in which a file is compared with them.
 FORMATS: dict[str, MarkFormat] = {
     "matlab": MarkFormat(
         title="MATLAB", known_by="MATLAB .mat with movingPoints and fixedPoints", suffixes=(".mat",), unit="pixel",
@@ -89,6 +89,7 @@ FORMATS: dict[str, MarkFormat] = {
              "0", "", ""),
     ),
 }  # fmt: skip
+"""Formats of marks by name, in the order in which a file is compared with them."""
 
 TARGETS = tuple(name for name, form in FORMATS.items() if form.writable)
 

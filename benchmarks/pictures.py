@@ -1,0 +1,136 @@
+"""Pictures of the documents: made from runs, so that they show what the program gives.
+
+``python -m benchmarks pictures [NAME ...]`` writes docs/images/NAME.png; all of them where none is named.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from PIL import Image
+from tests import console
+
+import planish as pl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
+_MISSING = "#d4d6d8"  # as on the page of a run
+
+
+def planish(*arguments: str, folder: Path) -> None:
+    """Run the program in a folder."""
+    subprocess.run([sys.executable, "-m", "planish", *arguments], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+
+
+def linked(path: Path, folder: Path) -> None:
+    """The image of the demo's specimen, and its coating on the same pixels."""
+    planish("demo", "--out", "demo", folder=folder)
+    maps = pl.open_run(folder / "demo" / "run").linked
+    valid = maps.valid.to_numpy()
+    y, x = (maps[name].to_numpy() / 1000.0 for name in ("y", "x"))
+    rows, cols = np.flatnonzero(valid.any(axis=1)), np.flatnonzero(valid.any(axis=0))
+    window = (slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1))
+    extent = (x[window[1]][0], x[window[1]][-1], y[window[0]][-1], y[window[0]][0])
+    figure, axes = plt.subplots(1, 2, figsize=(10, 3.5), layout="constrained")
+    for ax, name, colours, label in zip(
+        axes,
+        ("image", "coating_top"),
+        ("gray", "viridis"),
+        ("Image: grey value", "Coating, top side / µm"),
+        strict=True,
+    ):
+        seen = maps[name].to_numpy()[window]
+        low, high = np.nanpercentile(np.where(valid[window], seen, np.nan), (1, 99))
+        values = seen if name == "image" else np.where(valid[window], seen, np.nan)  # the image with its holes
+        shown = ax.imshow(values, extent=extent, cmap=colours, vmin=low, vmax=high, interpolation="none")
+        ax.set_facecolor(_MISSING)
+        ax.set_xlabel("x / mm")
+        figure.colorbar(shown, ax=ax, label=label, shrink=0.85, extend="both")
+    axes[0].set_ylabel("y / mm")
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+    plt.close(figure)
+
+
+def tutorial(path: Path, folder: Path) -> None:
+    """What the tutorial shows: sections through the scan, the first page of the report, two of its figures."""
+    page = (IMAGES.parent / "tutorial.md").read_text(encoding="utf-8")
+    outcomes = console.run(page, folder)
+    if faults := console.report(outcomes):
+        raise SystemExit(faults)
+    shutil.copyfile(folder / "look.png", path.with_name("tutorial-look.png"))
+    shot(folder / "run" / "report.html", path, 1100, 940)
+    planish("report", "run", "-o", "page.html", "--figures", folder=folder)
+    parts = {"slices": "slices-with-the-surfaces-found", "marks": "marks-in-the-image-and-their-residuals"}
+    for name, part in parts.items():
+        (figure,) = (folder / "figures").glob(f"*-{part}.svg")
+        shot(figure, path.with_name(f"tutorial-{name}.png"), *size_of(figure))
+
+
+def size_of(figure: Path) -> tuple[int, int]:
+    """Width and height of an SVG figure in pixels, the width being 760."""
+    box = re.search(r'viewBox="[\d.-]+ [\d.-]+ ([\d.]+) ([\d.]+)"', figure.read_text(encoding="utf-8"))
+    assert box is not None
+    width, height = float(box[1]), float(box[2])
+    return 760, round(760 * height / width)
+
+
+def shot(page: Path, path: Path, width: int, height: int) -> None:
+    """Take a picture of a page or figure as a browser shows it."""
+    browser = next((found for name in ("chromium", "google-chrome", "chrome") if (found := shutil.which(name))), None)
+    if browser is None:
+        raise SystemExit("Pictures of pages need chromium on the path.")
+    if page.suffix == ".svg":  # stretched to the window
+        holder = page.with_suffix(".html")
+        holder.write_text(f'<body style="margin:0"><img src="{page.name}" style="width:100%">', encoding="utf-8")
+        page = holder
+    with tempfile.TemporaryDirectory() as profile:
+        command = [
+            browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars",
+            "--disable-background-networking", "--disable-sync", f"--user-data-dir={profile}",
+            f"--screenshot={path}", f"--window-size={width},{height}", page.resolve().as_uri(),
+        ]  # fmt: skip
+        subprocess.run(command, check=True, capture_output=True)
+    with Image.open(path) as picture:  # few colours: a third of the bytes
+        picture.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def gallery(path: Path, folder: Path) -> None:
+    """What the examples draw; those on measured data that are not there keep their pictures."""
+    examples = sorted((IMAGES.parents[1] / "examples").glob("*.py"))
+    for example in examples:
+        done = subprocess.run(
+            [sys.executable, str(example), str(folder)], check=False, env=os.environ | {"MPLBACKEND": "agg"}
+        )
+        drawn = folder / f"{example.stem}.png"
+        if done.returncode or not drawn.exists():
+            print(f"{example.stem}: not drawn")
+            continue
+        target = path.parent / "examples" / drawn.name
+        with Image.open(drawn) as picture:
+            picture.convert("RGB").quantize(200, dither=Image.Dither.NONE).save(target, optimize=True)
+
+
+PICTURES: dict[str, Callable[[Path, Path], None]] = {
+    "linked": linked, "tutorial-page": tutorial, "examples": gallery,
+}  # fmt: skip
+
+
+def main(*names: str) -> int:
+    """Make the pictures that are named."""
+    for name in names or PICTURES:
+        with tempfile.TemporaryDirectory() as folder:
+            path = IMAGES / f"{name}.png"
+            PICTURES[name](path, Path(folder))
+        print(f"{name}: done")
+    return 0

@@ -1,0 +1,90 @@
+"""Pages of the Python interface: a table of everything public in a package, then each with its docstring."""
+
+from __future__ import annotations
+
+import inspect
+import textwrap
+from importlib import import_module
+from typing import Any
+
+from public_names import about_constant, objects, sources
+from pydantic import BaseModel
+
+
+def package_page(package: str) -> str:
+    """Return the Markdown of all that is public in a package."""
+    shown = {} if package == "planish" else _shown_elsewhere(package)
+    rows, entries = [], []
+    for name, found in objects(package):
+        anchor = shown.get(id(found), f"{package}.{name}")
+        rows.append(f"| {{py:obj}}`{name} <{anchor}>` | {first_sentence(package, name, found)} |")
+        if id(found) not in shown:
+            entries.append(_entry(package, name, found))
+    about = inspect.getdoc(import_module(package)) or ""
+    head = "| Name | What it is |\n|---|---|\n" + "\n".join(rows)
+    return f"{_first_paragraph(about)}\n\n{head}\n\n" + "\n\n".join(entries)
+
+
+def is_constant(found: Any) -> bool:
+    """Tell whether a public name is neither a function nor a class."""
+    return not (inspect.isclass(found) or inspect.isroutine(found) or hasattr(found, "py_func"))
+
+
+def first_sentence(package: str, name: str, found: Any) -> str:
+    """Return what a public name is, in a sentence."""
+    text = about_constant(sources(package)[name], name) if is_constant(found) else inspect.getdoc(found) or ""
+    return _first_paragraph(text).replace("|", "\\|")
+
+
+def fields_table(model: type[BaseModel]) -> str:
+    """Return the fields of a model as a table: name, type, default, meaning."""
+    rows = ["| Field | Type | Default | Meaning |", "|---|---|---|---|"]
+    for name, field in model.model_fields.items():
+        default = "required" if field.is_required() else code(field.get_default(call_default_factory=True))
+        rows.append(f"| `{name}` | {code(words_of_type(field.annotation))} | {default} | {field.description or ''} |")
+    return "\n".join(rows)
+
+
+def words_of_type(annotation: Any) -> str:
+    """Return a type as a reader of Python writes it."""
+    text = inspect.formatannotation(annotation)
+    for prefix in ("typing.", "collections.abc.", "pathlib."):
+        text = text.replace(prefix, "")
+    return text.removesuffix(" | None")
+
+
+def code(value: Any) -> str:
+    """Return a value as code in a cell; nothing for None."""
+    text = value if isinstance(value, str) else "" if value is None else repr(value)
+    return f"`{text}`".replace("|", "\\|") if text else ""
+
+
+def _shown_elsewhere(package: str) -> dict[int, str]:
+    """Where to find what planish itself, or a package inside this one, shows already."""
+    inner = [other for other in ("planish.marks.design", "planish.marks.files") if other.startswith(f"{package}.")]
+    others = ["planish", *inner, *(["planish.register"] if package == "planish.pipeline" else [])]
+    return {
+        id(found): f"{other}.{name}" for other in others for name, found in objects(other) if not is_constant(found)
+    }
+
+
+def _entry(package: str, name: str, found: Any) -> str:
+    """One name under a heading of its own."""
+    full = f"{package}.{name}"
+    if is_constant(found):
+        about = textwrap.indent(about_constant(sources(package)[name], name), "   ")
+        directive = f".. py:data:: {full}\n\n{about}"
+    elif inspect.isclass(found):
+        plain = issubclass(found, (BaseModel, BaseException))
+        members = not plain and any(not member.startswith("_") for member in vars(found))
+        directive = f".. autoclass:: {full}" + ("\n   :members:" if members else "")
+    else:
+        directive = f".. autofunction:: {full}"
+    text = f"## {name}\n\n```{{eval-rst}}\n{directive}\n```"
+    if inspect.isclass(found) and issubclass(found, BaseModel):
+        text += "\n\n" + fields_table(found)
+    return text
+
+
+def _first_paragraph(text: str) -> str:
+    return text.split("\n\n", 1)[0].rstrip(":").replace("\n", " ").replace("``", "`")

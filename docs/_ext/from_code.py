@@ -1,0 +1,93 @@
+"""Sphinx extension: what a page says about the program is made from the program while the site is built.
+
+A fenced block names what stands in its place::
+
+    ```{public} planish.io
+    ```
+
+    ```{root} CHANGELOG.md
+    ```
+
+Links to files at the root of the checkout lead to the pages that show these files, and a link that is named by its file
+gets the title of the page.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import PurePosixPath
+
+import api_pages
+import fields
+import message_pages
+from public_names import ROOT
+
+from planish.measure import registered
+
+_BLOCK = re.compile(r"^```\{(\w+)\}[ ]*([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_LINK = re.compile(r"\]\(((?:\.\./)*)([\w./-]+?)(#[\w-]+)?\)")
+# A file's name helps where Markdown is read as it is; the site knows the title.
+_NAMED_BY_FILE = re.compile(r"\[[\w./-]+\.md\]\(([^)#]+\.md(?:#[\w-]+)?)\)")
+SHOWN = {"CHANGELOG.md": "changes", "CONTRIBUTING.md": "contributing", "ARCHITECTURE.md": "architecture"}
+
+
+def expand(text: str) -> str:
+    """Return a page with its blocks replaced by what they name."""
+
+    def made(block: re.Match[str]) -> str:
+        maker = _MAKERS.get(block[1])
+        return maker(block[2].strip(), block[3]) if maker else block[0]
+
+    return _BLOCK.sub(made, text)
+
+
+def with_links(text: str) -> str:
+    """Return a page whose links to the files that the site shows lead to their pages."""
+
+    def led(link: re.Match[str]) -> str:
+        page = SHOWN.get(link[2])
+        return f"](/project/{page}.md{link[3] or ''})" if page else link[0]
+
+    return _NAMED_BY_FILE.sub(r"[](\1)", _LINK.sub(led, text))
+
+
+def _root(name: str, _content: str) -> str:
+    """Return a Markdown file at the root of the checkout, its links as from the folder of the documents."""
+    text = (ROOT / name).read_text(encoding="utf-8")
+
+    def led(link: re.Match[str]) -> str:
+        inside = PurePosixPath(link[2])
+        if link[2] in SHOWN or not (ROOT / inside).exists():
+            return link[0]
+        place = f"/{inside.relative_to('docs')}" if inside.parts[0] == "docs" else f"../../{inside}"
+        return f"]({place}{link[3] or ''})"
+
+    return _LINK.sub(led, text)
+
+
+def properties_table() -> str:
+    """Return name, unit and meaning of every map that a sheet may have."""
+    rows = ["| Name | Unit | Meaning |", "|---|---|---|"]
+    rows += [f"| `{name}` | {known.units} | {known.long_name} |" for name, known in sorted(registered().items())]
+    return "\n".join(rows)
+
+
+_MAKERS: dict[str, Callable[[str, str], str]] = {
+    "public": lambda package, _: api_pages.package_page(package),
+    "root": _root,
+    "study": lambda _, __: fields.study_page(),
+    "results": lambda _, __: fields.results_page(),
+    "properties": lambda _, __: properties_table(),
+    "messages": lambda _, patterns: message_pages.family(patterns),
+}
+
+
+def _read(_app, _docname: str, source: list[str]) -> None:
+    source[0] = with_links(expand(source[0]))
+
+
+def setup(app) -> dict[str, bool]:
+    """Register with Sphinx."""
+    app.connect("source-read", _read)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,181 @@
+"""Runs the commands that a document shows, one after the other, and compares what they print.
+
+A block ``console`` holds commands behind ``$ `` and what they print; a block ``pycon`` holds Python behind ``>>> ``. In
+what is expected ``...`` stands for any text within a line, and a line of its own for any number of lines. Files that a
+document shows in a block ``text FILE`` or ``toml FILE`` are written before the commands below them. A command that ends
+with ``&`` runs until the page ends. Commands of programs that are not installed are passed over.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import io
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import click
+
+import planish
+from planish.cli import main
+from planish.cli import planish as group
+
+_BLOCK = re.compile(r"^```(\w+)(?:[ ]+([\w./-]+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_COLUMNS = "100"
+
+
+@dataclass
+class Step:
+    """A command with what it should print, Python, or a file to write."""
+
+    kind: str
+    text: str
+    expected: str = ""
+    name: str = ""
+
+    @property
+    def verb(self) -> str:
+        """The command of planish that is called; empty where there is none."""
+        words = shlex.split(self.text)
+        return words[1] if self.kind == "console" and words[0] == "planish" else ""
+
+
+@dataclass
+class Outcome:
+    """What a step printed, and the exit code that it ended with."""
+
+    step: Step
+    printed: str
+    code: int = 0
+    faults: list[str] = field(default_factory=list)
+    passed_over: str = ""
+
+
+def steps(page: str) -> list[Step]:
+    """Return what a page shows to do, in its order."""
+    found: list[Step] = []
+    for kind, name, body in _BLOCK.findall(page):
+        if kind == "console":
+            for part in re.split(r"^\$ ", body, flags=re.MULTILINE)[1:]:
+                command, _, expected = part.replace("\\\n", " ").partition("\n")
+                found.append(Step("console", command.strip(), expected))
+        elif kind == "pycon":
+            found.append(Step("pycon", body))
+        elif name:
+            found.append(Step("file", body, name=name))
+    return found
+
+
+def unknown_verbs(page: str) -> set[str]:
+    """Commands of planish that a page shows and that this planish does not have."""
+    return {step.verb for step in steps(page) if step.verb and not step.verb.startswith("-")} - {
+        *group.list_commands(click.Context(group))
+    }
+
+
+def run(page: str, folder: Path, names: dict[str, object] | None = None) -> list[Outcome]:
+    """Carry out what a page shows, in a folder; one outcome for each command and each block of Python."""
+    names = {} if names is None else names
+    outcomes: list[Outcome] = []
+    with contextlib.chdir(folder), contextlib.ExitStack() as background:
+        for step in steps(page):
+            if step.kind == "file":
+                Path(step.name).write_text(step.text, encoding="utf-8")
+            elif step.kind == "pycon":
+                outcomes.append(_python(step, names))
+            else:
+                outcomes.append(_command(step, background))
+    return outcomes
+
+
+def fits(printed: str, expected: str) -> bool:
+    """Tell whether text is what is expected, ``...`` being anything."""
+    pattern = ""
+    for line in expected.rstrip("\n").splitlines():
+        words = re.escape(line.rstrip()).replace(re.escape("..."), "[^\n]*")
+        pattern += r"(?:[^\n]*\n)*?" if line.strip() == "..." else f"{words}[ ]*\n"
+    text = printed.rstrip("\n") + "\n" if printed.strip() else ""
+    return re.fullmatch(pattern, text) is not None
+
+
+def report(outcomes: list[Outcome]) -> str:
+    """Return what went wrong, to read; empty where nothing did."""
+    parts: list[str] = []
+    for outcome in (one for one in outcomes if one.faults):
+        step = outcome.step
+        parts.append(f"$ {step.text}\n{'; '.join(outcome.faults)} (exit code {outcome.code})")
+        parts.append(f"--- expected\n{step.expected}--- printed\n{outcome.printed}")
+    return "\n".join(parts)
+
+
+def _command(step: Step, background: contextlib.ExitStack) -> Outcome:
+    words = shlex.split(step.text)
+    if words[0] == "planish":
+        printed, code = _planish(words[1:])
+    elif (program := _program(words[0])) is None:
+        return Outcome(step, "", passed_over=f"{words[0]} is not installed")
+    elif words[-1] == "&":
+        _start([program, *words[1:-1]], background)
+        return Outcome(step, "")
+    else:
+        done = subprocess.run([program, *words[1:]], capture_output=True, text=True, check=False, env=_environment())
+        printed, code = done.stdout + done.stderr, done.returncode
+    faults = [] if fits(printed, step.expected) else ["it prints something else"]
+    return Outcome(step, printed, code, faults)
+
+
+def _program(name: str) -> str | None:
+    """Where a program is: beside this Python, or on the path."""
+    return shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
+
+
+def _environment() -> dict[str, str]:
+    """Return an environment in which other processes find the planish that is tested."""
+    return os.environ | {"PYTHONPATH": str(Path(planish.__file__).resolve().parents[1])}
+
+
+def _start(words: list[str], background: contextlib.ExitStack) -> None:
+    """Run a program until the page ends."""
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=_environment())
+    background.callback(process.wait)
+    background.callback(process.terminate)
+    time.sleep(2.0)  # a scheduler answers only when it listens; the commands after it wait no longer than they have to
+
+
+def _planish(arguments: list[str]) -> tuple[str, int]:
+    """Call the command line in this process: everything that it prints, in its order, and its exit code."""
+    printed = io.StringIO()
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = _COLUMNS
+    try:
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+            try:
+                main(arguments)
+            except SystemExit as end:
+                code = end.code if isinstance(end.code, int) else 0
+    finally:
+        if before is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = before
+    return printed.getvalue(), code
+
+
+def _python(step: Step, names: dict[str, object]) -> Outcome:
+    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    test = doctest.DocTestParser().get_doctest(step.text, names, "page", None, None)
+    printed = io.StringIO()
+    runner = doctest.DocTestRunner(optionflags=flags, verbose=False)
+    result = runner.run(test, out=printed.write, clear_globs=False)
+    names.update(test.globs)
+    outcome = Outcome(step, printed.getvalue())
+    if result.failed:
+        outcome.faults.append("Python gives something else")
+    return outcome

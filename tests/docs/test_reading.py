@@ -1,0 +1,118 @@
+"""The documents and the page of a run read well: short sentences, the glossary's words, and none of the old ones."""
+
+from __future__ import annotations
+
+import re
+import statistics
+from pathlib import Path
+
+import pytest
+
+import reading
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = reading.pages(ROOT)
+MOST_WORDS = 18  # median of a page
+LONGEST = 75  # of one sentence: a list of what a table cannot hold
+# Pages that programs write: their words are those of options, docstrings and figures.
+WRITTEN = {"cli.md"}
+
+# Words of the project's early days, and what is said in their place.
+OLD = {
+    r"\btold\b": "reported, stated, distinguished",
+    r"\bthe door\b": "the entry point",
+    r"\brungs?\b": "models",
+    r"\bcrumbs?\b": "fragments",
+    r"\blook_over\b": "inspect",
+    r"\blean_of\b": "tilt of",
+    r"\b_as_seen\b": "as displayed",
+    r"\bsays nothing of\b": "inconclusive",
+    r"\bnobody said\b": "not given",
+    r"\bwhat became of\b": "status",
+    r"\btends to be\b": "is",
+    r"\bnot higher: with\b": "not chosen: its error is higher",
+    r"\bthe next best arrangement\b": "the second-best match",
+    r"\bone's way\b": "path",
+    r"\bmade-up\b": "synthetic",
+    r"\btell-tale\b": "sign",
+}
+
+# One thing, one name: other names of what the glossary has a term for.
+TERMS = {
+    r"\bmid-?surfaces?\b|\b(middle|central|median) surfaces?\b": "centre surface",
+    r"\bcontrol points?\b|\bfiducials?\b|\bregistration marks?\b|\btie points?\b": "mark",
+    r"\bgr[a]y( values?| levels?|scale)?\b|\bgreyscale\b": "grey",
+    r"\b(run|output|results?) director(y|ies)\b|\b(output|results?) folders?\b": "run folder",
+    r"\b(config(uration)?|settings|parameter) files?\b": "study",
+    r"\b(cross-validation|jack-?knife|LOO|LOOCV) errors?\b|\bLOO\b": "leave-one-out error",
+    r"\b(target|moving|source) images?\b|\breference images?\b": "moving layer, fixed layer, reference",
+    r"\b(front|back|upper|lower|wire|felt) sides?\b": "top side, bottom side",
+    r"\b(upper|lower) (face|surface)s?\b|\b(top|bottom) surfaces?\b": "face",
+    r"\b(mesh|grid) (points?|vertex|vertices)\b|\bvertex\b|\bvertices\b": "node",
+    r"\bbase (sheet|layer|stock)s?\b": "base",
+    r"\bcoating layers?\b": "coating",
+    r"\bconfidence (intervals?|limits?)\b": "interval",
+    r"\b(effective|independent) (sample size|samples)\b|\bdegrees of freedom\b": "independent points",
+    r"\bresidual errors?\b": "residual",
+    r"\btarget registration errors?\b": "expected error",
+    r"\b(unwrap|unroll|unfold)(s|ped|ed|ping|ing)? (the|a) sheet\b": "flatten",
+    r"\b(drill|puncture|pinhole)s?\b": "hole",
+    r"\bthe other side of the (paper|sheet)\b": "bottom side",
+}
+# Pages that speak of other programs, in the words of these.
+THEIRS = {"marks-files.md", "other-tools.md", "paper.md", "marks-from-bigwarp.md"}
+
+
+def name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def read(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("path", [path for path in PAGES if path.name not in WRITTEN], ids=name)
+def test_sentences_are_short(path):
+    lengths = [len(reading.words(one)) for one in reading.sentences(read(path), template=path.suffix == ".j2")]
+    if len(lengths) >= 5:
+        assert statistics.median(lengths) <= MOST_WORDS
+        assert max(lengths) <= LONGEST
+
+
+@pytest.mark.parametrize("path", [path for path in PAGES if path.name not in WRITTEN], ids=name)
+def test_no_word_of_the_old_idiolect(path):
+    text = " ".join(reading.prose(read(path)).split())
+    found = {old: instead for old, instead in OLD.items() if re.search(old, text, re.IGNORECASE)}
+    assert found == {}
+
+
+@pytest.mark.parametrize("path", [path for path in PAGES if path.name not in WRITTEN | THEIRS], ids=name)
+def test_each_term_of_the_glossary_is_used_one_way(path):
+    text = " ".join(reading.prose(read(path)).split())
+    found = {other: term for other, term in TERMS.items() if re.search(other, text, re.IGNORECASE)}
+    assert found == {}
+
+
+def test_the_terms_are_those_of_the_glossary():
+    glossary = set(re.findall(r"\*\*([\w -]+)\*\*", read(ROOT / "docs" / "glossary.md")))
+    wanted = {term for terms in TERMS.values() for term in terms.split(", ")} - {
+        "grey",
+        "flatten",
+        "moving layer",
+        "fixed layer",
+    }
+    assert wanted <= glossary | {"independent points"}
+
+
+def test_sentences_are_counted_as_a_reader_meets_them():
+    page = (
+        "# A heading\n\nTwo words here. `code` begins this one, see e.g. [a page](x.md#y) for it.\n\n"
+        "| a | table |\n|---|---|\n| that does not | count |\n\n"
+        "- One point of a list\n- Another one, with **bold** words\n\n"
+        "```\nnot counted at all\n```\n"
+    )
+    found = reading.sentences(page)
+    assert [len(reading.words(one)) for one in found] == [3, 10, 5, 5]
+    assert reading.sentences("<p>One short sentence here.</p><p>{{ value }} um are stated.</p>", template=True) == [
+        "One short sentence here.", "7 um are stated.",
+    ]  # fmt: skip

@@ -1,0 +1,210 @@
+"""Every option, public name, group, variable, results key, exit code and message occurs in the reference."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+
+import api_pages
+import click
+import fields
+import from_code
+import message_pages
+import messages
+import public_names
+import pytest
+import xarray as xr
+
+from planish.cli import planish as group
+from planish.core import errors
+from planish.core.options import options_of
+from planish.core.results import Results
+from planish.measure import registered
+from planish.pipeline import open_run
+from planish.study import LayerParams, Study
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+
+
+def page(name):
+    """A page as the site shows it."""
+    return from_code.expand((DOCS / name).read_text(encoding="utf-8"))
+
+
+def commands(command=group, name="planish"):
+    yield name, command
+    for key, inner in getattr(command, "commands", {}).items():
+        yield from commands(inner, f"{name} {key}")
+
+
+# --- the command line and the study file ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "command"), [*commands()], ids=lambda value: value if isinstance(value, str) else "")
+def test_a_command_stands_with_its_options_and_examples(name, command):
+    sections = dict(re.findall(r"^## (planish[\w -]*)\n\n```\n(.*?)^```$", page("cli.md"), re.MULTILINE | re.DOTALL))
+    text = sections[name]
+    flags = [flag for p in command.params if isinstance(p, click.Option) and not p.hidden for flag in p.opts]
+    assert [flag for flag in flags if flag not in text] == []
+    if not isinstance(command, click.Group):
+        assert f"\nExamples:\n  {name}" in text
+
+
+def test_every_key_of_a_study_has_type_and_meaning():
+    text = page("reference/study.md")
+    for _title, model in [("", Study), ("", LayerParams), *nested(LayerParams), *nested(Study)]:
+        for name, field in model.model_fields.items():
+            if not any(True for _ in fields.models_of(field.annotation)):
+                [row] = set(re.findall(rf"^\| `{name}` \|.*$", fields.study_table(model), re.MULTILINE))
+                assert row in text
+                assert all(row.split("|")[k].strip() for k in (2, 5)), f"{model.__name__}.{name}"
+        for name, _, shown in options_of(model):
+            assert f"| `{name}` |" in text
+            assert f"`{shown.flags[0]}`" in text
+
+
+def nested(model):
+    for name, inner in fields.sections_of(model):
+        yield name, inner
+        yield from nested(inner)
+
+
+# --- what a run holds ----------------------------------------------------------------------------------------
+
+
+def test_every_key_of_the_results_has_its_meaning():
+    text = page("reference/results.md")
+    models = fields.results_models()
+    assert Results in models
+    keys = 0
+    for model in models:
+        assert fields.results_table(model) in text
+        for name, field in model.model_fields.items():
+            assert field.description, f"{model.__name__}.{name} has no description"
+            assert fields.type_words(field.annotation), f"{model.__name__}.{name}"
+            keys += 1
+    assert keys > 300
+
+
+def variables(text):
+    """Groups of maps.zarr with their variables and units, from the tables of the page."""
+    tables = {}
+    for title, body in re.findall(r"^## ([^\n]*`)\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL):
+        rows = re.findall(r"^\| (`[^|]*`) \|([^|]*)\|", body, re.MULTILINE)
+        found = {name: unit.strip() for names, unit in rows for name in re.findall(r"`([^`]+)`", names)}
+        for group_name in re.findall(r"`([^`]+)`", title):
+            tables[group_name] = found
+    return tables
+
+
+def check_variables(path):
+    text = page("reference/maps.md")
+    tables, more = variables(text), registered()
+    missing = []
+    with xr.open_datatree(path, engine="zarr") as tree:
+        for node in tree.subtree:
+            name = re.sub(r"^layers/.*", "layers/NAME", node.path.strip("/"))
+            if name == "" or name.startswith("overviews") or not node.to_dataset().variables:
+                continue
+            for key, data in node.to_dataset().variables.items():
+                base = re.sub(r"_(se|status)$", "", key)
+                if base != key and (base in tables[name] or base in more):
+                    assert "`NAME_se`" in text
+                    assert "`NAME_status`" in text
+                    continue
+                unit = tables[name].get(key, more[key].units if key in more and "further maps" in text else None)
+                if unit is None or ("units" in data.attrs and data.attrs["units"] != unit):
+                    missing.append(f"{name}/{key} in {data.attrs.get('units')}, documented: {unit}")
+    assert missing == []
+
+
+def test_every_variable_of_a_link_stands_with_its_unit(linked_run):
+    check_variables(linked_run / "maps.zarr")
+
+
+@pytest.mark.study
+def test_every_variable_of_other_runs_stands_with_its_unit(planish, tmp_path):
+    code, _, err = planish(
+        "specimen", "--size", "T0", "--seed", "8", "--instrument", "sections", "--out", tmp_path / "sheet"
+    )
+    assert code == 0, err
+    further = ("porosity", "fibre_angle", "mean_curvature", "coating_difference")
+    code, _, err = planish(
+        "map", tmp_path / "sheet" / "sections", "--through", "y", "--column-um", "9", "--envelope-um", "250",
+        *(part for name in further for part in ("--property", name)), "--out", tmp_path / "run",
+    )  # fmt: skip
+    assert code in (0, 4), err
+    check_variables(tmp_path / "run" / "maps.zarr")
+
+
+def test_every_further_map_stands_with_its_unit():
+    text = page("reference/maps.md")
+    for name, known in registered().items():
+        assert f"| `{name}` | {known.units} |" in text
+
+
+def test_every_file_of_a_run_is_named(linked_run):
+    text = page("reference/run-folder.md")
+    assert [path.name for path in linked_run.iterdir() if f"`{path.name}`" not in text] == []
+
+
+def test_every_check_of_a_run_is_explained(linked_run):
+    text = page("checks.md")
+    names = [check.name for check in open_run(linked_run).results.checks]
+    assert len(names) > 20
+    assert [name for name in names if f"`{re.sub(r'^holes in .*', 'holes in NAME', name)}`" not in text] == []
+
+
+# --- Python --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("package", public_names.packages())
+def test_every_public_name_stands_with_a_sentence(package):
+    text = page(f"reference/api/{package}.md")
+    for name, found in public_names.objects(package):
+        assert re.search(rf"^\| {{py:obj}}`{name} <planish[\w.]*{name}>` \|", text, re.MULTILINE), name
+        assert len(api_pages.first_sentence(package, name, found)) > 10, f"{package}.{name} has no docstring"
+
+
+def test_every_package_has_its_page():
+    assert {path.stem for path in (DOCS / "reference" / "api").glob("planish*.md")} == set(public_names.packages())
+
+
+# --- exit codes and messages ---------------------------------------------------------------------------------
+
+
+def test_every_exit_code_is_explained():
+    kinds = [found for _, found in inspect.getmembers(errors, inspect.isclass)]
+    used = {found.exit_code for found in kinds} | {0, 2, 4, 130}
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", page("reference/exit-codes.md"), re.MULTILINE)} == used
+
+
+def test_every_message_has_its_entry():
+    covered = {message.text for _, patterns in message_pages.families() for message in message_pages.of(patterns)}
+    every = messages.messages()
+    assert len(every) > 600
+    missing = [f"{m.module}:{m.line}: {m.text}" for m in every if m.text not in covered]
+    assert missing == [], "write cause and cure into a page of docs/reference/messages"
+
+
+def test_every_entry_has_messages_a_cause_and_a_cure():
+    for path in sorted(message_pages.FOLDER.glob("*.md")):
+        text = path.read_text(encoding="utf-8")
+        entries = re.split(r"^### ", text, flags=re.MULTILINE)[1:]
+        for entry in entries:
+            title = entry.splitlines()[0]
+            assert "**Cause.**" in entry, f"{path.name}: {title}"
+            assert "**Cure.**" in entry, f"{path.name}: {title}"
+            assert "```{messages}" in entry, f"{path.name}: {title}"
+        for patterns in (block for page_, block in message_pages.families() if page_ == path):
+            for line in filter(None, map(str.strip, patterns.splitlines())):
+                there = any(m.module.startswith(line.partition(": ")[0]) for m in messages.messages())
+                assert message_pages.of(line) or not there, f"{path.name}: no message fits {line!r}"
+
+
+def test_a_message_is_collected_with_gaps_for_its_values():
+    texts = {message.text for message in messages.messages()}
+    assert "Labels are integers; this volume holds …. Give the label volume, not the grey." in texts
+    assert any("The disk is full while writing …" in text for text in texts)
