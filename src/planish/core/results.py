@@ -392,7 +392,7 @@ class RegistrationFacts(Facts):
 class ImageFacts(Facts):
     """What the values of an image are that is compared."""
 
-    quantity: Literal["relative grey", "reflectance"]
+    quantity: Literal["relative grey", "reflectance"] = Field(description="What the grey is taken for.")
     dark_grey: Number = Field(default=None, description="Grey of the dark reference, if it was given.")
     white_grey: Number = Field(default=None, description="Grey of the white reference, whose reflectance counts as 1.")
     screen_um: Number = Field(
@@ -539,10 +539,10 @@ class CurveFacts(Facts):
 class KubelkaMunkFacts(Facts):
     """Kubelka and Munk's curve of reflectance over the coating, at the larger points."""
 
-    point_um: float
+    point_um: float = Field(description="Edge of a point.")
     ratio: float = Field(description="Absorption over scattering, as it was given.")
-    n: int | None = None
-    n_eff: Number = None
+    n: int | None = Field(default=None, description="Points that are valid in both maps.")
+    n_eff: Number = Field(default=None, description="Independent points.")
     weight: bool = Field(
         default=False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."
     )
@@ -563,10 +563,10 @@ class LightSpreadFacts(Facts):
     """The headline correlation with the coating blurred as light is that spreads in paper."""
 
     width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")
-    point_um: float
-    n: int | None = None
-    r: Number = None
-    n_eff: Number = None
+    point_um: float = Field(description="Edge of a point.")
+    n: int | None = Field(default=None, description="Points that are valid in both maps.")
+    r: Number = Field(default=None, description="Correlation.")
+    n_eff: Number = Field(default=None, description="Independent points.")
     interval: KnownPair = Field(default=None, description="In which this r lies with 95 %.")
     difference: Number = Field(
         default=None, description="This r minus that of the coating as it is, at the same points."
@@ -578,19 +578,19 @@ class LightSpreadFacts(Facts):
 class MottleBandFacts(Facts):
     """How uneven an image is in one octave of wavelength."""
 
-    shortest_um: float
-    longest_um: float
-    coefficient_of_variation: float
+    shortest_um: float = Field(description="Shortest wave of the octave.")
+    longest_um: float = Field(description="Longest wave of the octave.")
+    coefficient_of_variation: float = Field(description="Standard deviation of the octave over the mean.")
 
 
 class MottleFacts(Facts):
     """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
 
-    layer: str
-    bands: tuple[MottleBandFacts, ...] = ()
-    mean: Number = None
+    layer: str = Field(description="Name of the layer.")
+    bands: tuple[MottleBandFacts, ...] = Field(default=(), description="From the longest waves to the shortest.")
+    mean: Number = Field(default=None, description="Of the image.")
     n: int | None = Field(default=None, description="Pixels, or means over several, that are known.")
-    measured: str | None = None
+    measured: str | None = Field(default=None, description="What the values are of.")
     silence: str | None = Field(default=None, description="Why there is none.")
 
 
@@ -619,16 +619,16 @@ class ThinRegionFacts(Facts):
 class ReliabilityFacts(Facts):
     """How far two half measurements of a map agree: of the odd and of the even rows of its columns."""
 
-    layer: str
-    map: str
-    point_um: float
+    layer: str = Field(description="Name of the layer.")
+    map: str = Field(description="Name of the map.")
+    point_um: float = Field(description="Edge of a point.")
     n: int | None = Field(default=None, description="Points that are known in both halves.")
     halves_r: Number = Field(default=None, description="Correlation of both halves.")
     value: Number = Field(
         default=None, description="Share of the variance of the map that both halves show: an upper bound."
     )
     interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
-    n_eff: Number = None
+    n_eff: Number = Field(default=None, description="Independent points.")
     shared: str | None = Field(default=None, description="What both halves share, which makes it an upper bound.")
     silence: str | None = Field(default=None, description="Why there is none.")
 
@@ -636,7 +636,7 @@ class ReliabilityFacts(Facts):
 class SecondOpinionFacts(Facts):
     """Interval of r that asks nothing of the covariances of the maps (Conley 1999), at the larger points."""
 
-    point_um: float
+    point_um: float = Field(description="Edge of a point.")
     interval: KnownPair = Field(description="In which r lies with 95 %.")
     standard_error: Number = Field(description="Of Fisher's z.")
     critical: Number = Field(description="Standard errors to either side.")
@@ -646,9 +646,9 @@ class SecondOpinionFacts(Facts):
 class VariogramFacts(Facts):
     """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
 
-    layer: str
-    map: str
-    units: str
+    layer: str = Field(description="Name of the layer.")
+    map: str = Field(description="Name of the map.")
+    units: str = Field(description="Of the values.")
     cell_um: Pair = Field(description="What the map was averaged over first, along y and x.")
     nugget: float = Field(description="Variance that neighbouring cells do not share, in the map's units squared.")
     sill: float = Field(description="Variance of the map.")
@@ -659,15 +659,15 @@ class VariogramFacts(Facts):
     range_along_um: Number = Field(None, description="The range within 22.5 degrees of the machine direction.")
     range_across_um: Number = Field(None, description="The same across it.")
     ratio: Number = Field(None, description="Range along over range across.")
-    distances_um: tuple[float, ...]
+    distances_um: tuple[float, ...] = Field(description="Middle of each class of distances.")
     values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
 
 
 class LagProfile(Facts):
     """r of map a with map b moved along one axis, and what unrelated maps of this texture reach."""
 
-    lags_um: tuple[float, ...]
-    r: tuple[Number, ...]
+    lags_um: tuple[float, ...] = Field(description="How far one map is shifted.")
+    r: tuple[Number, ...] = Field(description="Correlation.")
     limit: tuple[Number, ...] = Field(description="|r| that unrelated maps exceed at this lag with 1 %.")
     limit_of_any: tuple[Number, ...] = Field(description="|r| that they exceed at any of all lags with 1 %.")
 
@@ -675,26 +675,26 @@ class LagProfile(Facts):
 class CorrelogramFacts(Facts):
     """Correlation of map a with map b, moved by every lag along both axes; lags are (y, x)."""
 
-    cell_um: Pair
-    reach_um: float
-    r_at_zero: Number
-    peak_r: float
+    cell_um: Pair = Field(description="Size of a cell along x and y.")
+    reach_um: float = Field(description="Largest shift.")
+    r_at_zero: Number = Field(description="Without a shift.")
+    peak_r: float = Field(description="Largest r of all shifts.")
     lag_um: Pair = Field(description="Of the largest |r|.")
     inner: bool = Field(description="Whether that is a summit, not a slope that goes on beyond the reach.")
     widths_um: KnownPair = Field(description="Full widths at half height, the longer one first.")
     angle_deg: Number = Field(description="Direction of the longer width, clockwise from the x axis.")
-    n_eff: Number
+    n_eff: Number = Field(description="Independent points.")
     limit_of_any: Number = Field(description="|r| at lag 0 that unrelated maps exceed at any lag with 1 %.")
     beyond_chance: bool | None = Field(description="Whether some lag exceeds that; none where nothing is claimed.")
-    along_x: LagProfile
-    along_y: LagProfile
+    along_x: LagProfile = Field(description="Through no shift, along x.")
+    along_y: LagProfile = Field(description="Through no shift, along y.")
 
 
 class RingFacts(Facts):
     """How far two measurements of one quantity agree in waves of one length."""
 
-    wavelength_um: float
-    correlation: float
+    wavelength_um: float = Field(description="Middle of the ring.")
+    correlation: float = Field(description="Of the waves of the ring.")
     threshold: float = Field(description="Correlation at which the mean of both holds half a bit a wave.")
     modes: float = Field(description="Independent waves.")
 
@@ -702,22 +702,24 @@ class RingFacts(Facts):
 class TwiceFacts(Facts):
     """Two measurements of one quantity: down to which wavelength they agree, and how far they differ."""
 
-    rings: tuple[RingFacts, ...] = ()
-    resolution_um: Number = None
-    sentence: str | None = None
-    point_um: Number = None
+    rings: tuple[RingFacts, ...] = Field(default=(), description="From the longest waves to the shortest.")
+    resolution_um: Number = Field(default=None, description="Shortest wave that both show.")
+    sentence: str | None = Field(default=None, description="The same in words.")
+    point_um: Number = Field(default=None, description="Edge of a point.")
     n: int | None = Field(default=None, description="Points of which bias and scatter are.")
     bias: Number = Field(default=None, description="Mean of b - a at the larger points.")
     bias_interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
     sd: Number = Field(default=None, description="Standard deviation of b - a.")
-    sd_interval: KnownPair = None
+    sd_interval: KnownPair = Field(
+        default=None, description="In which the standard deviation of the difference lies with 95 %."
+    )
     limits: KnownPair = Field(default=None, description="Between them lie 95 % of normal differences.")
-    units: str = "1"
+    units: str = Field(default="1", description="Of the values.")
     error_ratio: Number = Field(
         default=None, description="Variance of the errors of b over that of a, as it was given."
     )
     error_slope: Number = Field(default=None, description="Slope of b over a where both have such errors (Deming).")
-    error_intercept: Number = None
+    error_intercept: Number = Field(default=None, description="Of the line by the ratio of errors.")
     error_interval: KnownPair = Field(default=None, description="In which that slope lies with 95 %.")
 
 
