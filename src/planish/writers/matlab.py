@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import io
 
 from planish.core.errors import ResourceError
+from planish.core.threads import thread_pool
 from planish.writers.content import History, Maps, plain_type
 from planish.writers.params import ExportParams
 
@@ -98,21 +100,29 @@ def _heading(version: str, history: History) -> bytes:
 def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
     """Write a map chunk by chunk, turned: MATLAB's first index runs fastest."""
     dtype, (rows, cols) = plain_type(maps.data[name].dtype), maps.shape
-    chunk = (min(_CHUNK, cols), min(_CHUNK, rows))
+    # As many columns in each chunk: what reaches beyond the map is written, too.
+    chunk = (-(-cols // -(-cols // _CHUNK)), min(_CHUNK, rows))
     data = file.create_dataset(name, shape=(cols, rows), dtype=dtype, chunks=chunk, fill_time="never")
-    for at, values in maps.bands(name):
-        for begin in range(0, cols, chunk[0]):
-            part = values[:, begin : begin + chunk[0]]
-            block = np.ascontiguousarray(part.T)
-            if block.shape != chunk:  # the last ones reach beyond the map
-                whole: NDArray[Any] = np.zeros(chunk, dtype)
-                whole[: block.shape[0], : block.shape[1]] = block
-                block = whole
-            data.id.write_direct_chunk((begin, at.start), block.data)
+    begins = range(0, cols, chunk[0])
+    with thread_pool() as pool:
+        for at, values in maps.bands(name):
+            blocks = pool.map(partial(_turned, values, chunk), begins)
+            for begin, block in zip(begins, blocks, strict=True):
+                data.id.write_direct_chunk((begin, at.start), block.data)
     if maps.data[name].dtype.kind == "b":
         _of_class(data, "logical", decode=1)
     else:
         _of_class(data, _CLASSES.get(dtype.name, dtype.name))
+
+
+def _turned(values: NDArray[Any], chunk: tuple[int, int], begin: int) -> NDArray[Any]:
+    """A chunk of a band (rows, cols) as (cols, rows), with zeros beyond the map."""
+    part = values[:, begin : begin + chunk[0]].T
+    if part.shape == chunk:
+        return np.ascontiguousarray(part)
+    block = np.zeros(chunk, values.dtype)
+    block[: part.shape[0], : part.shape[1]] = part
+    return block
 
 
 def _put(place: h5py.Group, name: str, value: Any) -> None:
