@@ -28,6 +28,7 @@ from planish.io.guard import default_memory_limit
 EXTRAS = {
     "formats": "reads packed MHA and MHD, and files of instruments for topography",
     "refine": "registration refined by the images themselves (--refine)",
+    "export": "NetCDF, Gwyddion and RO-Crate as formats of an export",
     "cluster": "work on several machines or processes (--scheduler)",
 }
 """Extra of the package -> what it gives."""
