@@ -16,10 +16,13 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+import tifffile
 from PIL import Image
+from scipy import ndimage
 from tests import console
 
 import planish as pl
+from benchmarks.evidence import field
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -105,6 +108,57 @@ def shot(page: Path, path: Path, width: int, height: int) -> None:
         picture.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
+def first_pages(path: Path, folder: Path) -> None:
+    """The first pages of six reports: what a reader meets when all is well, and when it is not."""
+    planish("demo", "--out", "demo", folder=folder)
+    specimen = ["ct", "sections", "image"]
+    which = [word for name in specimen for word in ("--instrument", name)]
+    planish("specimen", "--preset", "wfc118", "--seed", "3", *which, "--out", "sheet", folder=folder)
+    volume = "demo/specimen/volume.tif"
+    with_noise_alone(folder / "demo" / "specimen" / "image.tif", folder / "unrelated.tif")
+    overexposed(folder / "sheet" / "image.ome.tif", folder / "overexposed.tif")
+    runs = {
+        "demo": ["link", volume, "demo/specimen/image.tif"],
+        "sections": ["link", "sheet/sections", "sheet/image.ome.tif", "--through", "y", "--memory", "13GB"],
+        "two-volumes": ["link", "sheet/scan", "run-sections", "--through", "y"],
+        "unrelated": ["link", volume, "unrelated.tif"],
+        "overexposed": ["link", "sheet/scan", "overexposed.tif", "--through", "y"],
+    }
+    cell = IMAGES.parents[2] / "shared" / "data" / "battery_sector_right"
+    if cell.exists():
+        runs["wall"] = ["map", str(cell), "--voxel-um", "1", "--through", "x", "--sheet-grey", "100,255"]
+    for name, command in runs.items():
+        planish(*command, "--out", f"run-{name}", folder=folder)
+        shot(folder / f"run-{name}" / "report.html", path.with_name(f"first-{name}.png"), 1280, 900)
+
+
+def with_noise_alone(image: Path, path: Path) -> None:
+    """The image of another sheet with the holes of this one: noise of 120 um between the holes."""
+    with tifffile.TiffFile(image) as file:
+        grey, tags = file.asarray().astype(np.float64), file.pages.first.tags
+        resolution = {name: tags[name].value for name in ("XResolution", "YResolution", "ResolutionUnit")}
+    middle = float(np.median(grey))
+    holes = ndimage.binary_dilation((grey < 0.6 * middle) | (grey > 1.6 * middle), iterations=8)
+    holes = ndimage.binary_dilation(ndimage.binary_opening(holes, iterations=6), iterations=10)
+    noise, _ = field(np.random.default_rng(5), (grey.shape[0], grey.shape[1]), 30.0, "exp")
+    sheet = np.where(holes, grey, np.clip(middle + np.std(grey[~holes]) * noise, 0, 65535)).astype(np.uint16)
+    tifffile.imwrite(
+        path, sheet, resolution=(resolution["XResolution"], resolution["YResolution"]),
+        resolutionunit=resolution["ResolutionUnit"],
+    )  # fmt: skip
+
+
+def overexposed(image: Path, path: Path) -> None:
+    """The same image in 8 bits, its brightest 30 % cut off."""
+    read = pl.read_image(image)
+    grey, pixel_um = read.to_numpy(), read.attrs["pixel_um"]
+    low, high = np.percentile(grey, (2, 70))
+    tifffile.imwrite(
+        path, np.round(255 * np.clip((grey - low) / (high - low), 0, 1)).astype(np.uint8),
+        resolution=(1e4 / pixel_um[1], 1e4 / pixel_um[0]), resolutionunit="CENTIMETER",
+    )  # fmt: skip
+
+
 def gallery(path: Path, folder: Path) -> None:
     """What the examples draw; those on measured data that are not there keep their pictures."""
     examples = sorted((IMAGES.parents[1] / "examples").glob("*.py"))
@@ -122,7 +176,7 @@ def gallery(path: Path, folder: Path) -> None:
 
 
 PICTURES: dict[str, Callable[[Path, Path], None]] = {
-    "linked": linked, "tutorial-page": tutorial, "examples": gallery,
+    "linked": linked, "tutorial-page": tutorial, "first-pages": first_pages, "examples": gallery,
 }  # fmt: skip
 
 

@@ -16,7 +16,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish import __version__
+from planish.checks import exposure_check
 from planish.compute import Compute, Progress
+from planish.core.bands import thinned
 from planish.core.checks import Check
 from planish.core.results import LayerFacts, Results, Side
 from planish.core.transform import Similarity
@@ -190,6 +192,9 @@ def _gathered(
         if one.path[0].kind == "sheet" and one.path[1] is reference and one.registration.source == "found":
             alone = alone_check(maps[name], one.registration.marks, name, reference.name)
             checks += about([alone], name, reference.name)
+    if any(layer.kind == "sheet" for layer in layers):
+        images = [layer.name for layer in layers if layer.kind == "image"]
+        checks += [check for name in images for check in about([_exposure(name, maps)], name)]
     for (a, b), found in textures.items():
         # Where two layers lie is judged where one of them is the reference.
         checks += about(found.checks if b == reference.name else found.checks[:1], a, b)
@@ -273,6 +278,12 @@ def _side_of(a: Layer, b: Layer) -> Side:
 
 def _side_given(a: Layer, b: Layer) -> bool:
     return all(layer.side_given is not None for layer in (a, b) if layer.kind == "image")
+
+
+def _exposure(image: str, maps: Mapping[str, xr.Dataset]) -> Check:
+    """Whether the greys of an image are cut off where all layers are valid."""
+    _, (grey, *valid) = thinned(maps[image]["image"], *(data["valid"] for data in maps.values()))
+    return exposure_check(grey[np.logical_and.reduce(valid)])
 
 
 def _checks(layer: Layer, facts: LayerFacts, links: dict[str, Link], study: Study) -> Iterator[Check]:

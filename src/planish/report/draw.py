@@ -417,6 +417,8 @@ def _path(points: Array) -> str:
         if len(run) > 1 and known[run[0]]:
             steps = np.diff(tenths[run], axis=0)
             steps = steps[np.any(steps != 0, axis=1)]
+            if not len(steps):  # shorter than a tenth of a pixel
+                continue
             x, y = tenths[run[0]] / 10
             out.append(f"M{x:g} {y:g}l" + " ".join([f"{v:g}" for v in (steps / 10).ravel()]))
     return "".join(out)
