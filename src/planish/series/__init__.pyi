@@ -1,0 +1,1 @@
+from planish.core.series import Member as Member
