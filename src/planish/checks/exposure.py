@@ -48,6 +48,6 @@ def exposure_check(values: NDArray[Any]) -> Check:
         name, ends[worst], look=_SHARE, units="share", figures=(CORRELATION,),
         sentence=f"{100 * ends[worst]:.2g} % of the image's pixels on the sheet are as {what} as its scale allows."
         if cut else "The image's grey scale does not end within the sheet's greys.",
-        advice="The true grey of these pixels is lost, and r is too weak. Take the image again with another exposure, or "
-        "export it with a wider grey window.",
+        advice="The true grey of these pixels is lost, and r is too weak. Take the image again with another exposure, "
+        "or export it with a wider grey window.",
     )  # fmt: skip
