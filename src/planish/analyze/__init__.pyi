@@ -6,6 +6,12 @@ from .beside import of_short_waves as of_short_waves
 from .beside import origins as origins
 from .beside import partial as partial
 from .beside import without_trends as without_trends
+from .between_sheets import Equivalence as Equivalence
+from .between_sheets import SheetDifference as SheetDifference
+from .between_sheets import equivalence as equivalence
+from .between_sheets import p_of_tables as p_of_tables
+from .between_sheets import paired_over_sheets as paired_over_sheets
+from .between_sheets import two_groups as two_groups
 from .ceiling import Ceiling as Ceiling
 from .ceiling import ceiling as ceiling
 from .correlation import Correlation as Correlation
@@ -34,6 +40,8 @@ from .differences import holm as holm
 from .differences import paired_difference as paired_difference
 from .independent import IndependentPoints as IndependentPoints
 from .independent import independent_points as independent_points
+from .instruments import Instruments as Instruments
+from .instruments import compare_instruments as compare_instruments
 from .kubelka_munk import Layer as Layer
 from .kubelka_munk import pile as pile
 from .kubelka_munk import reflectance as reflectance
@@ -49,6 +57,11 @@ from .mottle import print_mottle as print_mottle
 from .octaves import Coherence as Coherence
 from .octaves import coherence as coherence
 from .params import CorrelateParams as CorrelateParams
+from .pooled import PooledCorrelation as PooledCorrelation
+from .pooled import RandomEffects as RandomEffects
+from .pooled import difference_of_pooled_r as difference_of_pooled_r
+from .pooled import pooled_r as pooled_r
+from .pooled import random_effects as random_effects
 from .reliability import Deming as Deming
 from .reliability import Disattenuated as Disattenuated
 from .reliability import Reliability as Reliability
@@ -66,6 +79,11 @@ from .screen import screen_left as screen_left
 from .screen import without_screen as without_screen
 from .second_opinion import SecondOpinion as SecondOpinion
 from .second_opinion import second_opinion as second_opinion
+from .sheets import Fields as Fields
+from .sheets import SheetMean as SheetMean
+from .sheets import SheetVariances as SheetVariances
+from .sheets import over_sheets as over_sheets
+from .sheets import variances_of as variances_of
 from .sides import SIDES as SIDES
 from .sides import SideFound as SideFound
 from .sides import image_of_sheet as image_of_sheet
