@@ -34,6 +34,10 @@ from .curve import fit_kubelka_munk as fit_kubelka_munk
 from .curve import straight_or_curved as straight_or_curved
 from .curve_of_sizes import SizeCurve as SizeCurve
 from .curve_of_sizes import size_curve as size_curve
+from .design import StudyDesign as StudyDesign
+from .design import expected_n_eff as expected_n_eff
+from .design import power_of_study as power_of_study
+from .design import sheets_needed as sheets_needed
 from .differences import Difference as Difference
 from .differences import difference_of as difference_of
 from .differences import holm as holm
