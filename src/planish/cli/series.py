@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +16,7 @@ from planish.compute import Compute
 
 if TYPE_CHECKING:
     from planish.core.series import Member
-    from planish.series import Book, Specimen
-    from planish.series.jobs import Job
+    from planish.series import Book, Plan, Specimen
 
 _WORDS = {"whole": "linked", "withheld": "a check failed", "refused": "refused", "damaged": "not done"}
 
@@ -79,42 +78,24 @@ def study(
 
 
 def _study(
-    plan: Any, out: Path, compute: Compute, jobs: int, *, watch: Path | None, settle: float, idle: float | None,
+    plan: Plan, out: Path, compute: Compute, jobs: int, *, watch: Path | None, settle: float, idle: float | None,
     as_json: bool,
 ) -> int:  # fmt: skip
-    from planish.series import Book
-    from planish.series.folder import write_pages
+    from planish.series.pages import write_series
+    from planish.series.run import run_series
     from planish.series.watch import watched
-    from planish.series.workers import outcomes
 
-    book, members = Book(out, plan), dict[str, Any]()
+    members: dict[str, Member] = {}
     told, begin, interrupted = _Told(len(plan.specimens)), time.monotonic(), False
-    of: dict[str, Specimen] = {}
-    share = compute if jobs == 1 or compute.scheduler is not None else shared(compute, jobs)
-    own = share.model_copy(update={"scheduler": None, "threads": share.threads or (1 if compute.scheduler else None)})
-
-    def coming() -> Iterator[Job | None]:
-        for specimen in plan.specimens if watch is None else watched(plan, watch, settle_s=settle, idle_s=idle):
-            if specimen is None:
-                yield None
-                continue
-            of[specimen.name] = specimen
-            found = book.open(specimen, own)
-            if not hasattr(found, "state"):
-                members[specimen.name] = specimen.member
-                yield found  # pyright: ignore[reportReturnType]
-            else:
-                members[specimen.name] = found
-                told(found, None)
-
+    coming = None if watch is None else watched(
+        plan, watch, settle_s=settle, idle_s=idle, tell=lambda text: sentence(f"planish: {text}", err=True)
+    )  # fmt: skip
     try:
-        for job, outcome in outcomes(coming(), compute, jobs):
-            members[job.name] = book.close(of[job.name], job, outcome)
-            told(members[job.name], outcome.seconds)
+        run_series(plan, out, compute=compute, jobs=jobs, tell=told, members=members, coming=coming)
     except KeyboardInterrupt:
-        interrupted = True
-    found: list[Member] = list(members.values())
-    results = write_pages(found, out, plan)
+        interrupted = watch is None  # a watch has no other end
+    found = list(members.values())
+    results = write_series(found, out, plan.more.get("compare", {}), out)
     if as_json:
         click.echo(results.to_json(), nl=False)
     counts = Counter(member.state for member in found)
@@ -138,18 +119,6 @@ def code_of(members: Sequence[Member]) -> int:
     if whole == len(members) and members:
         return 0
     return 4 if whole or any(member.state == "withheld" for member in members) else 3
-
-
-def shared(compute: Compute, jobs: int) -> Compute:
-    """What one of several jobs may use."""
-    from planish.core.threads import count_threads
-
-    return compute.model_copy(
-        update={
-            "memory_bytes": compute.memory // jobs,
-            "threads": compute.threads or max(1, count_threads(None) // jobs),
-        }
-    )
 
 
 class _Told:
@@ -191,8 +160,8 @@ def _dry_run(book: Book, specimens: Sequence[Specimen], compute: Compute, jobs: 
     memory = jobs * max((each.memory_bytes for each in open_), default=0.0)
     disk = sum(each.disk_bytes for each in open_)
     click.echo(
-        f"{len(open_)} of {len(found)} to do: about {_time(seconds)}, {memory / 1e9:.1f} GB of memory, {disk / 1e9:.2f} GB "
-        "of disk. Nothing was written."
+        f"{len(open_)} of {len(found)} to do: about {_time(seconds)}, {memory / 1e9:.1f} GB of memory, "
+        f"{disk / 1e9:.2f} GB of disk. Nothing was written."
     )
     return 0 if open_ or any(each.words.startswith("kept") for _, each in found) else 3
 

@@ -142,7 +142,7 @@ class Book:
 
         asked = to_dict(with_paths(study, without))
         before = self._note(self.home / RUNS / specimen.name)
-        stamps = {str(k): _stamp(Path(path)) for k, path in enumerate(paths)}
+        stamps = {str(k): stamp_of(Path(path)) for k, path in enumerate(paths)}
         known = {} if before is None else before.hashes
         hashes = {
             k: known[k] if before is not None and before.stamps.get(k) == stamp and k in known else _hash(Path(path))
@@ -202,7 +202,7 @@ def _hash(path: Path) -> str:
         return ""
 
 
-def _stamp(path: Path) -> str:
+def stamp_of(path: Path) -> str:
     """Number, size and latest change of the files of an input."""
     found: Sequence[Path] = sorted(path.rglob("*")) if path.is_dir() else [path]
     count = size = latest = 0

@@ -254,7 +254,7 @@ def _names(rows: Sequence[_Row]) -> list[str]:
     by_file = [Path((row.layers[:1] or (row.cells.get("volume", ""),))[0].rpartition("=")[2]).stem for row in rows]
     for guess in (by_factor, by_file):
         if all(guess) and len({one.casefold() for one in guess}) == len(guess):
-            return [row.cells.get("name", _NO_NAME.sub("-", one)) for row, one in zip(rows, guess, strict=True)]
+            return [row.cells.get("name", checked_name(one)) for row, one in zip(rows, guess, strict=True)]
     width = len(str(len(rows)))
     return [row.cells.get("name", f"specimen-{k:0{width}d}") for k, row in enumerate(rows, 1)]
 
@@ -267,6 +267,11 @@ def _fault_of(name: str) -> str | None:
     if len(name) > _LONGEST_NAME:
         return f"it has more than {_LONGEST_NAME} characters"
     return fault_of_name(name, windows=True)
+
+
+def checked_name(guess: str) -> str:
+    """A name for a folder, of factors that may hold other signs."""
+    return _NO_NAME.sub("-", guess)
 
 
 def _placed(file: str, home: Path) -> str:
