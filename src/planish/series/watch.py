@@ -47,7 +47,8 @@ def watch_params(plan: Plan) -> WatchParams:
 
 
 def watched(
-    plan: Plan, folder: Path, *, settle_s: float, idle_s: float | None, tell: Told, clock: Callable[[], float] = time.time,
+    plan: Plan, folder: Path, *, settle_s: float, idle_s: float | None, tell: Told,
+    clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Specimen | None]:  # fmt: skip
     """Give specimens as their files are whole; None where there is none as yet.
 
