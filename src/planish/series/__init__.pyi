@@ -1,5 +1,4 @@
-from planish.core.series import Member as Member
-from planish.series.jobs import Book as Book
-from planish.series.plan import Plan as Plan
-from planish.series.plan import Specimen as Specimen
-from planish.series.plan import read_plan as read_plan
+from .jobs import Book as Book
+from .plan import Plan as Plan
+from .plan import Specimen as Specimen
+from .plan import read_plan as read_plan

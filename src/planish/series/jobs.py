@@ -158,7 +158,7 @@ class Book:
     def _write(self, folder: Path, note: Note) -> None:
         path = self.home / NOTES / f"{folder.name}.json"
         path.parent.mkdir(exist_ok=True)
-        write_whole(path, json.dumps(note.model_dump(), indent=1).encode())
+        write_whole(path, json.dumps(note.model_dump(), indent=1).encode(), over=True)
 
 
 def do(job: Job) -> Outcome:
