@@ -58,7 +58,7 @@ def spoil(home: Path, how: str, folder: Path) -> None:
             grey = grey[:, ::-1]
         else:
             grey = grey.copy()
-            grey[: int(0.65 * grey.shape[0])] = np.median(grey)
+            grey[: int(0.45 * grey.shape[0])] = np.median(grey)
         tifffile.imwrite(
             image, grey, resolution=(size["XResolution"], size["YResolution"]), resolutionunit=size["ResolutionUnit"]
         )
