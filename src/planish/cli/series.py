@@ -81,9 +81,9 @@ def _study(
     plan: Plan, out: Path, compute: Compute, jobs: int, *, watch: Path | None, settle: float, idle: float | None,
     as_json: bool,
 ) -> int:  # fmt: skip
-    from planish.series.pages import write_series
     from planish.series.run import run_series
     from planish.series.watch import watched
+    from planish.series.write import write_series
 
     members: dict[str, Member] = {}
     told, begin, interrupted = _Told(len(plan.specimens)), time.monotonic(), False
@@ -95,7 +95,7 @@ def _study(
     except KeyboardInterrupt:
         interrupted = watch is None  # a watch has no other end
     found = list(members.values())
-    results = write_series(found, out, plan.more.get("compare", {}), out)
+    results = write_series(found, out, plan.declared, out)
     if as_json:
         click.echo(results.to_json(), nl=False)
     counts = Counter(member.state for member in found)
