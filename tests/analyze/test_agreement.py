@@ -20,12 +20,12 @@ def test_white_differences_have_the_textbook_numbers():
     found = bland_altman(a, a + d, pixel_um=1.0)
     n = d.size
     assert found.n == n
-    assert found.bias == pytest.approx(d.mean())
-    assert found.sd == pytest.approx(d.std(ddof=1), rel=0.01)
-    assert found.limits == pytest.approx((found.bias - 1.96 * found.sd, found.bias + 1.96 * found.sd), abs=1e-4)
+    assert found.bias == pytest.approx(d.mean(), abs=1e-12)
+    assert found.sd == pytest.approx(d.std(ddof=1), abs=1e-12)
+    assert found.limits == pytest.approx([d.mean() + k * 1.96 * d.std(ddof=1) for k in (-1, 1)], abs=1e-9)
     assert found.n_eff == pytest.approx(n, rel=0.25)
     width = np.diff(found.bias_interval)[0] / 2
-    t = 2.228  # of 10 degrees of freedom
+    t = 2.262  # of 9 degrees of freedom
     assert width == pytest.approx(t * found.sd / math.sqrt(found.n_eff), rel=0.01)
     assert found.sd_interval[1] / found.sd == pytest.approx(1 + t / math.sqrt(2 * found.n_eff_sd), rel=0.01)
     # Bland and Altman (1986): the standard error of a limit is about sqrt(3 / n) of the standard deviation.
@@ -101,7 +101,7 @@ def test_intervals_hold_the_truth(length):
     rng, held = np.random.default_rng(7), []
     for _ in range(400):
         found = bland_altman(*measured(rng, (90, 120), length=length), pixel_um=1.0)
-        truth = (2.0, 0.5, 2 - 1.959964 * 0.5, 2 + 1.959964 * 0.5)
+        truth = (2.0, 0.5, 2 - 1.96 * 0.5, 2 + 1.96 * 0.5)
         held.append([
             low < v < high
             for v, (low, high) in zip(

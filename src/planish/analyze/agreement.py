@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.analyze.chance import normal_quantile, student_quantile
+from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED, PairSums, on_one_grid
 from planish.analyze.covariance import Lags, PairCovariances, covariance_of
 from planish.core.errors import CannotMeasure
 
 _CHANCE = 0.95
 _LEAST = 3
+_LIMIT = 1.96  # standard deviations, as Bland and Altman write it
 # How well the variance of a mean is known from one map, as degrees of freedom: it scatters by two thirds of itself
 # however large the field (8 to 30 lengths across; measured), as lags are summed to a zero that scatters.
-_MOST_FREE, _POINTS_A_FREE = 10.0, 4.0
+_MOST_FREE, _POINTS_A_FREE = 9.0, 6.0
 _UNKNOWN = (math.nan, math.nan)
 
 
@@ -31,7 +32,7 @@ class Agreement:
     n : int
         Pixels that are valid in both.
     bias, sd : float
-        Mean and standard deviation of the differences, with what the removal of the mean took put back.
+        Mean and standard deviation of the differences.
     limits : (float, float)
         ``bias - 1.96 sd`` and ``bias + 1.96 sd``: between them lie 95 % of normal differences.
     bias_interval, sd_interval : (float, float)
@@ -88,8 +89,10 @@ def bland_altman(
     The variance of the mean is the sum of the covariances of the difference map over all pairs of pixels; that of the
     variance, for Gaussian differences, the sum of their squares (as of :func:`planish.correlate`). Bias and scatter of
     Gaussian differences are independent of each other. A limit holds for single pixels of this size: means over
-    larger points agree better. The quantile is of Student's t with 10 degrees of freedom at most, as the
-    variances are told from the same map: on fields of 11 to 90 correlation lengths the intervals hold in 92 to 98 %.
+    larger points agree better. Bias, standard deviation and limits are those of a textbook; on a small field the
+    standard deviation comes out too small, by a share of 1 / (2 n_eff), which the intervals about it put back. Their
+    quantile is of Student's t with 9 degrees of freedom at most, as the variances are told from the same map
+    (docs/series.md has how often they hold).
 
     References
     ----------
@@ -116,14 +119,13 @@ def bland_altman(
         )  # fmt: skip
     lags = Lags(known, pixel)
     covariance, of_mean = covariance_of(off, lags)
-    square = float(covariance[0, 0])
-    sd = math.sqrt(square)
+    square = float(covariance[0, 0])  # with what the removal of the mean took put back
+    sd = sums.difference[1]
     n_eff = min(square / of_mean, float(n)) if of_mean > 0 else math.nan
     # Of maps with these covariances; the number for the mean is smaller, as long waves weigh more in it.
     ratio = PairCovariances(off, off, lags).variance_of_r()
     n_eff_sd = min(1 + 1 / ratio, float(n)) if ratio > 0 else math.nan
-    reach = normal_quantile((1 + _CHANCE) / 2) * sd
-    limits = (bias - reach, bias + reach)
+    limits = (bias - _LIMIT * sd, bias + _LIMIT * sd)
     of_bias = of_sd = of_low = of_high = _UNKNOWN
     if min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
         free = min(n_eff / _POINTS_A_FREE, _MOST_FREE)
@@ -132,9 +134,10 @@ def bland_altman(
         of_bias = (bias - spread, bias + spread)
         # sd of Gaussian values scatters by sd / sqrt(2 df).
         share = quantile / math.sqrt(2 * (n_eff_sd - 1))
-        of_sd = (sd * math.exp(-share), sd * math.exp(share))
-        wide = quantile * math.sqrt(square / n_eff + reach**2 / (2 * (n_eff_sd - 1)))
-        of_low, of_high = ((v - wide, v + wide) for v in limits)
+        whole = math.sqrt(square)
+        of_sd = (whole * math.exp(-share), whole * math.exp(share))
+        wide = quantile * math.sqrt(square / n_eff + square * _LIMIT**2 / (2 * (n_eff_sd - 1)))
+        of_low, of_high = ((bias + s * _LIMIT * whole - wide, bias + s * _LIMIT * whole + wide) for s in (-1, 1))
     return Agreement(
         n=n, bias=bias, sd=sd, limits=limits, bias_interval=of_bias, sd_interval=of_sd, n_eff=n_eff, n_eff_sd=n_eff_sd,
         limit_intervals=(of_low, of_high), slope=slope, slope_x_on_y=other,

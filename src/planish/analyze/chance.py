@@ -30,6 +30,26 @@ def student_tail(value: float, free: float) -> float:
     return float(special.stdtr(free, -value))
 
 
+def shifted_student_tail(value: float, free: float, shift: float) -> float:
+    """The share of the noncentral Student's distribution above a value."""
+    return float(1.0 - special.nctdtr(free, shift, value))
+
+
+def f_quantile(share: float, free: float, free_below: float) -> float:
+    """The value below which a share of the F distribution lies."""
+    return float(special.fdtri(free, free_below, share))
+
+
+def f_tail(value: float, free: float, free_below: float) -> float:
+    """The share of the F distribution above a value."""
+    return float(special.fdtrc(free, free_below, value))
+
+
+def chi_square_tail(value: float, free: float) -> float:
+    """The share of the chi-square distribution with ``free`` degrees of freedom above a value."""
+    return float(special.chdtrc(free, value))
+
+
 def largest_tail(maxima: NDArray[np.float64], value: float) -> float:
     """The share of further maxima above a value, by Gumbel's distribution fitted by maximum likelihood."""
     away = maxima - maxima.min()

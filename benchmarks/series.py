@@ -1,0 +1,388 @@
+"""What is said of series of specimens, on simulated studies whose truth is known.
+
+``python -m benchmarks series [STUDIES] [MAPS]``
+
+``STUDIES`` (4000) are drawn of each kind, a tenth of it with random maps in place of random z; ``MAPS`` (2000) pairs of
+maps of two instruments. Exit code 1 where a share is outside of what is promised.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from benchmarks.evidence import field, related
+from planish.analyze import (
+    Fields,
+    bland_altman,
+    correlate,
+    difference_of_pooled_r,
+    equivalence,
+    over_sheets,
+    paired_over_sheets,
+    pooled_r,
+    power_of_study,
+    sheets_needed,
+    two_groups,
+    variances_of,
+)
+
+Array = NDArray[np.float64]
+
+MEAN_Z, N_EFF, EACH = 0.55, 70.0, 3
+_CHUNK = 50
+_OWN = 1 / (N_EFF - 3)
+
+
+def names_of(counts: Sequence[int]) -> list[str]:
+    """The sheet of every field."""
+    return [f"S{k}" for k, n in enumerate(counts) for _ in range(n)]
+
+
+def students(values: Array) -> tuple[float, float]:
+    """Interval of the mean of values that are taken for independent."""
+    wide = float(stats.t.ppf(0.975, values.size - 1)) * float(values.std(ddof=1)) / math.sqrt(values.size)
+    return float(values.mean()) - wide, float(values.mean()) + wide
+
+
+def holds(interval: tuple[float, float], truth: float) -> float:
+    """Whether an interval holds the truth; NaN where there is none."""
+    return math.nan if math.isnan(interval[0]) else float(interval[0] <= truth <= interval[1])
+
+
+# --- r and properties over sheets ------------------------------------------------------------------------------------
+
+
+def pooled(sheets: int, between: float, uneven: bool, seed: int, count: int) -> Array:
+    """Whether the interval of r holds it: by sheets, by weights (Hartung-Knapp), by fields, by n_eff alone."""
+    rng, out, truth = np.random.default_rng((seed, sheets)), [], math.tanh(MEAN_Z)
+    sheet = np.repeat(np.arange(sheets), EACH)
+    for _ in range(count):
+        n_eff = np.full(sheet.size, N_EFF)
+        if uneven:  # one sheet has much larger fields
+            n_eff = np.where(sheet == 0, 1000.0, 40.0)
+        z = MEAN_Z + between * rng.normal(size=sheets)[sheet] + rng.normal(size=sheet.size) / np.sqrt(n_eff - 3)
+        found = pooled_r(Fields(np.tanh(z).tolist(), [f"S{k}" for k in sheet]), n_eff.tolist())
+        assert found.between_sheets is not None
+        fields = students(z)
+        alone = 1.96 / math.sqrt(float(np.sum(n_eff - 3)))
+        weighted = float(np.average(z, weights=n_eff - 3))
+        out.append((
+            holds(found.interval, truth), holds(found.between_sheets.interval, MEAN_Z), holds(fields, MEAN_Z),
+            holds((weighted - alone, weighted + alone), MEAN_Z), found.interval[1] - found.interval[0],
+        ))  # fmt: skip
+    return np.array(out)
+
+
+def properties(counts: Sequence[int], between: float, seed: int, count: int) -> Array:
+    """Whether the intervals hold the mean, and the share of variance between sheets; and the mean by fields."""
+    rng, out = np.random.default_rng((seed, len(counts))), []
+    sheets, share = names_of(counts), between**2 / (between**2 + 1)
+    for _ in range(count):
+        values = np.repeat(between * rng.normal(size=len(counts)), counts) + rng.normal(size=len(sheets))
+        given = Fields(values.tolist(), sheets)
+        fields = students(values)
+        out.append((
+            holds(over_sheets(given).interval, 0.0), holds(variances_of(given).share_interval, share),
+            holds(fields, 0.0),
+        ))  # fmt: skip
+    return np.array(out)
+
+
+def differences(sheets: int, seed: int, count: int) -> Array:
+    """Whether intervals of differences hold the truth: a property and r before and after, r², and of two papers.
+
+    And how often a difference as large as the margin is called equivalent.
+    """
+    rng, out, names = np.random.default_rng((seed, sheets)), [], names_of([EACH] * sheets)
+    after = MEAN_Z + 0.1
+    r = math.tanh(after) - math.tanh(MEAN_Z)
+    r2 = math.tanh(after) ** 2 - math.tanh(MEAN_Z) ** 2
+
+    def drawn(sheet: Array, mean: float) -> Fields:
+        z = mean + np.repeat(sheet, EACH) + math.sqrt(_OWN) * rng.normal(size=len(names))
+        return Fields(z.tolist(), names)
+
+    def in_r(fields: Fields) -> Fields:
+        return Fields(np.tanh(fields.values).tolist(), names)
+
+    for _ in range(count):
+        sheet = 0.15 * rng.normal(size=sheets)
+        one, two = drawn(sheet, MEAN_Z), drawn(sheet + 0.05 * rng.normal(size=sheets), after)
+        other = drawn(0.3 * rng.normal(size=sheets), after)
+        paired = paired_over_sheets(one, two)
+        groups = two_groups(one, other)
+        out.append((
+            holds(paired.interval, 0.1),
+            holds(difference_of_pooled_r(in_r(one), in_r(two), paired=True).interval, r),
+            holds(difference_of_pooled_r(in_r(one), in_r(two), paired=True, squared=True).interval, r2),
+            holds(groups.interval, 0.1),
+            holds(difference_of_pooled_r(in_r(one), in_r(other), paired=False, squared=True).interval, r2),
+            equivalence(paired, margin=0.1).verdict == "equivalent",
+        ))  # fmt: skip
+    return np.array(out, dtype=float)
+
+
+# --- with random maps ------------------------------------------------------------------------------------------------
+
+SHAPE, LENGTH = (60, 80), 4.0
+
+
+def with_maps(sheets: int, between: float, seed: int, count: int) -> Array:
+    """The same with maps that correlate: r pooled, by fields, by n_eff alone; r and r² before and after."""
+    rng, out, names = np.random.default_rng((seed, sheets, 1)), [], names_of([EACH] * sheets)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
+    before = float(np.sum(weights * np.arctanh(0.8 * np.tanh(MEAN_Z + between * nodes))) / weights.sum())
+    r = [math.tanh(MEAN_Z), math.tanh(before)]
+    for _ in range(count):
+        true = np.tanh(MEAN_Z + between * rng.normal(size=sheets))
+        found = []
+        for value in np.repeat(true, EACH):
+            a, b = related(rng, float(value), LENGTH, shape=SHAPE)
+            worse = 0.8 * a + 0.6 * field(rng, SHAPE, LENGTH, "exp")[0]
+            found.append([correlate(m, b, pixel_um=1.0) for m in (a, worse)])
+        after, earlier = (Fields([row[k].r for row in found], names) for k in (0, 1))
+        n_eff = np.array([row[0].n_eff_interval for row in found])
+        pool = pooled_r(after, n_eff.tolist())
+        z = np.arctanh(after.values)
+        fields = students(z)
+        alone = 1.96 / math.sqrt(float(np.sum(n_eff - 3)))
+        middle = float(np.average(z, weights=n_eff - 3))
+        change = [difference_of_pooled_r(earlier, after, paired=True, squared=s).interval for s in (False, True)]
+        out.append((
+            holds(pool.interval, r[0]), holds(fields, MEAN_Z), holds((middle - alone, middle + alone), MEAN_Z),
+            holds(change[0], r[0] - r[1]), holds(change[1], r[0] ** 2 - r[1] ** 2), float(np.median(n_eff)),
+        ))  # fmt: skip
+    return np.array(out)
+
+
+# --- designs ---------------------------------------------------------------------------------------------------------
+
+DESIGNS = (
+    {"r2": (0.21, 0.26), "fields": 3, "n_eff": 498.0, "between_sheets": 0.15, "paired": True,
+     "change_between_sheets": 0.05, "shared": 0.5},
+    {"r2": (0.21, 0.26), "fields": 3, "n_eff": 498.0, "between_sheets": 0.05, "paired": False},
+    {"r2": (0.08, 0.19), "fields": 2, "n_eff": 100.0, "between_sheets": 0.15, "paired": True},
+    {"r2": (0.08, 0.19), "fields": 2, "n_eff": 100.0, "between_sheets": 0.15, "paired": False},
+)  # fmt: skip
+
+
+def designed(which: int, seed: int, count: int) -> Array:
+    """How often simulated studies of a design see the difference; and where there is none."""
+    plan = DESIGNS[which]
+    planned = sheets_needed(**plan)  # type: ignore[arg-type]
+    rng, out, k, each = np.random.default_rng((seed, which)), [], planned.sheets, planned.fields
+    mean, names = np.arctanh(np.sqrt(planned.r2)), names_of([each] * k)
+    shared, change = (float(plan.get(key, 0.0)) for key in ("shared", "change_between_sheets"))  # type: ignore[arg-type]
+    for _ in range(count):
+        sheet = float(plan["between_sheets"]) * rng.normal(size=(2, k))  # type: ignore[arg-type]
+        noise = rng.normal(size=(2, k, each)) / math.sqrt(planned.n_eff - 3)
+        if planned.paired:
+            sheet[1] = sheet[0] + change * rng.normal(size=k)
+            noise[1] = shared * noise[0] + math.sqrt(1 - shared**2) * noise[1]
+        row = []
+        for apart in (mean, mean[[0, 0]]):
+            one, two = (Fields(np.tanh(m + s[:, None] + e).ravel().tolist(), names)
+                        for m, s, e in zip(apart, sheet, noise, strict=True))  # fmt: skip
+            row.append(bool(difference_of_pooled_r(one, two, paired=planned.paired).distinguishable))
+        out.append(row)
+    return np.array(out, dtype=float)
+
+
+def designed_with_maps(paired: bool, seed: int, count: int) -> Array:
+    """How often studies with random maps see r² .2 against .3, with 5 sheets of 2 fields."""
+    rng, out, names = np.random.default_rng((seed, int(paired), 2)), [], names_of([2] * 5)
+    mean = np.arctanh(np.sqrt(MAPS_R2))
+    for _ in range(count):
+        sheet = MAPS_BETWEEN * rng.normal(size=(2, 5))
+        if paired:
+            sheet[1] = sheet[0]
+        found = [[correlate(*related(rng, math.tanh(m + s), LENGTH, shape=SHAPE), pixel_um=1.0)
+                  for s in np.repeat(row, 2)] for m, row in zip(mean, sheet, strict=True)]  # fmt: skip
+        one, two = (Fields([f.r for f in row], names) for row in found)
+        out.append((
+            bool(difference_of_pooled_r(one, two, paired=paired).distinguishable),
+            float(np.median([f.n_eff for row in found for f in row])),
+        ))  # fmt: skip
+    return np.array(out, dtype=float)
+
+
+MAPS_R2, MAPS_BETWEEN = (0.2, 0.3), 0.05
+
+
+# --- two instruments -------------------------------------------------------------------------------------------------
+
+FIELD = (90, 120)
+
+
+def white(rng: np.random.Generator) -> Array:
+    return rng.normal(size=FIELD)
+
+
+def waves(length: float | tuple[float, float], kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Array:
+    return field(rng, shape, length, kind)[0]
+
+
+def mixed(rng: np.random.Generator) -> Array:
+    """Noise of single pixels over waves."""
+    return 0.6 * field(rng, FIELD, 8.0, "exp")[0] + 0.8 * rng.normal(size=FIELD)
+
+
+def pierced() -> NDArray[np.bool_]:
+    """A field with six holes."""
+    rows, cols = np.mgrid[: FIELD[0], : FIELD[1]]
+    known = np.ones(FIELD, bool)
+    for y in (20, 60):
+        for x in (20, 60, 100):
+            known[np.hypot(rows - y, cols - x) < 12] = False
+    return known
+
+
+INSTRUMENTS: dict[str, tuple[Callable[[np.random.Generator], Array], bool]] = {
+    "independent points": (white, False),
+    **{f"side/{90 / k:.0f}": (partial(waves, k, "exp", FIELD), False) for k in (1.0, 3.0, 6.0, 8.0, 10.0)},
+    "Gaussian, side/15": (partial(waves, 6.0, "gauss", FIELD), False),
+    "Gaussian, side/8": (partial(waves, 12.0, "gauss", FIELD), False),
+    "4:1, 3 x 12 pixels": (partial(waves, (3.0, 12.0), "exp", FIELD), False),
+    "64 % noise of pixels over side/11": (mixed, False),
+    "side/11, six holes": (partial(waves, 8.0, "exp", FIELD), True),
+    "40 x 240 pixels, 4 pixels": (partial(waves, 4.0, "exp", (40, 240)), False),
+}
+
+
+def instruments(name: str, seed: int, count: int) -> Array:
+    """Whether the intervals of bias, scatter and both limits hold the truth; and what the limits are off by."""
+    make, holes = INSTRUMENTS[name]
+    rng, out, mask = np.random.default_rng((seed, *name.encode())), [], pierced() if holes else None
+    for _ in range(count):
+        a = make(rng)
+        off = 2 + 0.5 * make(rng)
+        b = a + off
+        found = bland_altman(a, b, mask=mask, pixel_um=1.0)
+        known = (b - a) if mask is None else (b - a)[mask]
+        direct = known.mean() + 1.96 * known.std(ddof=1) * np.array([-1, 1])
+        out.append((
+            holds(found.bias_interval, 2.0), holds(found.sd_interval, 0.5),
+            holds(found.limit_intervals[0], 2 - 0.98), holds(found.limit_intervals[1], 2 + 0.98),
+            float(np.abs(direct - found.limits).max()), found.n_eff,
+        ))  # fmt: skip
+    return np.array(out)
+
+
+# --- all of them -----------------------------------------------------------------------------------------------------
+
+
+def _within(share: float, low: float, high: float) -> int:
+    return 0 if low <= share <= high else 1
+
+
+def _parts(pool: ProcessPoolExecutor, work: Callable[[int, int], Array], count: int) -> Array:
+    seeds = range(0, count, _CHUNK)
+    return np.concatenate([*pool.map(work, seeds, [min(_CHUNK, count - k) for k in seeds])])
+
+
+def main(studies: int | str = 4000, maps: int | str = 2000) -> int:
+    missed, count, many = 0, int(studies), int(maps)
+    with ProcessPoolExecutor(2) as pool:
+        for line, wrong in _all(pool, count, many):
+            print(line + (" MISSED" if wrong else ""), flush=True)
+            missed += wrong
+    print(f"{missed} shares are outside of what is promised.")
+    return int(missed > 0)
+
+
+def _all(pool: ProcessPoolExecutor, count: int, many: int) -> Iterator[tuple[str, int]]:
+    yield from _over_sheets(pool, count)
+    yield from _differences(pool, count)
+    yield from _with_maps(pool, count // 10)
+    yield from _designs(pool, count)
+    yield from _instruments(pool, many)
+
+
+def _over_sheets(pool: ProcessPoolExecutor, count: int) -> Iterator[tuple[str, int]]:
+    for between in (0.0, 0.15):
+        for sheets in (3, 5, 12):
+            for uneven in (False, True):
+                found = _parts(pool, partial(pooled, sheets, between, uneven), count)
+                share = found[:, :4].mean(axis=0)
+                line = (
+                    f"r, {sheets} sheets, z varies by {between:g}{', one of large fields' if uneven else ''}: "
+                    f"by sheets {share[0]:.3f}, weighted (HK) {share[1]:.3f}, fields as independent {share[2]:.3f}, "
+                    f"n_eff alone {share[3]:.3f}; width {np.median(found[:, 4]):.2f}"
+                )
+                # With one sheet of large fields, means of sheets scatter unlike: then it may hold more often.
+                yield line, _within(share[0], 0.93, 0.995 if uneven and between == 0 else 0.97)
+    for counts in ((3,) * 3, (3,) * 5, (3,) * 12, (1, 2, 3, 6, 2), (1, 1, 8)):
+        for between in (0.0, 1.0):
+            mean, part, fields = _parts(pool, partial(properties, counts, between), count).mean(axis=0)
+            line = (
+                f"a property, fields {counts}, share between {between / (between + 1):g}: mean {mean:.3f}, share "
+                f"{part:.3f}, mean by fields {fields:.3f}"
+            )
+            yield line, _within(mean, 0.93, 0.985) + _within(part, 0.93, 0.985)
+
+
+def _differences(pool: ProcessPoolExecutor, count: int) -> Iterator[tuple[str, int]]:
+    for sheets in (3, 5, 12):
+        share = _parts(pool, partial(differences, sheets), count).mean(axis=0)
+        line = (
+            f"differences, {sheets} sheets: before and after {share[0]:.3f}, of r {share[1]:.3f}, of r² "
+            f"{share[2]:.3f}; two papers {share[3]:.3f}, of r² {share[4]:.3f}; called equivalent at the margin {share[5]:.3f}"
+        )
+        yield line, sum(_within(v, 0.92, 0.98) for v in share[:5]) + _within(share[5], 0.0, 0.06)
+
+
+def _with_maps(pool: ProcessPoolExecutor, count: int) -> Iterator[tuple[str, int]]:
+    for between in (0.0, 0.15):
+        for sheets in (3, 5, 12):
+            found = _parts(pool, partial(with_maps, sheets, between), count)
+            share = found.mean(axis=0)
+            line = (
+                f"with maps, {sheets} sheets, z varies by {between:g}, n_eff {np.median(found[:, 5]):.0f}: r "
+                f"{share[0]:.3f}, fields as independent {share[1]:.3f}, n_eff alone {share[2]:.3f}; before and after: "
+                f"r {share[3]:.3f}, r² {share[4]:.3f}"
+            )
+            # 400 studies scatter by .011.
+            yield line, sum(_within(share[k], 0.92, 0.98) for k in (0, 3, 4))
+
+
+def _designs(pool: ProcessPoolExecutor, count: int) -> Iterator[tuple[str, int]]:
+    kinds = {True: "before and after", False: "two papers"}
+    for k, plan in enumerate(DESIGNS):
+        planned = sheets_needed(**plan)  # type: ignore[arg-type]
+        seen, wrong = _parts(pool, partial(designed, k), count).mean(axis=0)
+        line = (
+            f"design r² {planned.r2}, {kinds[planned.paired]}, n_eff {planned.n_eff:g}, z varies by "
+            f"{plan['between_sheets']}: {planned.sheets} sheets of {planned.fields}; planned {planned.power:.3f}, seen "
+            f"{seen:.3f}, without a difference {wrong:.3f}"
+        )
+        yield line, _within(seen - planned.power, -0.03, 0.03) + _within(wrong, 0.03, 0.07)
+    for paired in (True, False):
+        found = _parts(pool, partial(designed_with_maps, paired), count // 10)
+        seen, n_eff = float(found[:, 0].mean()), float(np.median(found[:, 1]))
+        planned = power_of_study(
+            MAPS_R2, sheets=5, fields=2, n_eff=n_eff, between_sheets=MAPS_BETWEEN, paired=paired
+        )  # fmt: skip
+        line = (
+            f"design with maps, r² {MAPS_R2}, {kinds[paired]}, 5 sheets of 2, n_eff {n_eff:.0f}: planned "
+            f"{planned.power:.3f}, seen {seen:.3f}"
+        )
+        yield line, _within(seen - planned.power, -0.07, 0.07)
+
+
+def _instruments(pool: ProcessPoolExecutor, count: int) -> Iterator[tuple[str, int]]:
+    for name in INSTRUMENTS:
+        found = _parts(pool, partial(instruments, name), count)
+        share = np.nanmean(found[:, :4], axis=0)
+        line = (
+            f"two instruments, {name}: bias {share[0]:.3f}, sd {share[1]:.3f}, limits {share[2]:.3f} and "
+            f"{share[3]:.3f}; n_eff {np.median(found[:, 5]):.0f}, nothing claimed in "
+            f"{np.isnan(found[:, 0]).mean():.2f}; limits off by {found[:, 4].max():.0e}"
+        )
+        yield line, sum(_within(v, 0.92, 0.98) for v in share) + _within(float(found[:, 4].max()), 0.0, 1e-9)

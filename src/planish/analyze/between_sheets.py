@@ -1,0 +1,238 @@
+"""Whether two sets of sheets differ, or differ by less than a margin: before and after, or two papers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy import optimize
+
+from planish.analyze.chance import shifted_student_tail, student_quantile, student_tail
+from planish.analyze.differences import holm
+from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
+from planish.core.errors import InputError
+
+_CHANCE = 0.95
+_UNKNOWN = (math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SheetDifference:
+    """Difference of a property between two sets of sheets, the second minus the first.
+
+    Attributes
+    ----------
+    kind : {"paired", "two groups"}
+        Whether it is of the same sheets, before and after, or of different ones.
+    sheets : (int, int)
+        That count; of pairs both are the number of pairs.
+    means : (float, float)
+        Over these sheets.
+    difference : float
+        Of the means.
+    sd : float
+        Of the differences of single sheets where they pair, else NaN.
+    standard_error : float
+        Of the difference.
+    free : float
+        Degrees of freedom of its interval.
+    interval : (float, float)
+        In which it lies with 95 %; (NaN, NaN) where ``reason`` says why.
+    p : float
+        Of the test that there is no difference, two-sided.
+    p_of_table : float
+        The same, put right for all differences that were looked at (:func:`planish.analyze.p_of_tables`).
+    unpaired : tuple of str
+        Sheets that are in one of the two sets alone, where sheets pair.
+    reason : str
+        Why there is no interval; empty where there is one.
+    """
+
+    kind: Literal["paired", "two groups"]
+    sheets: tuple[int, int]
+    means: tuple[float, float] = _UNKNOWN
+    difference: float = math.nan
+    sd: float = math.nan
+    standard_error: float = math.nan
+    free: float = math.nan
+    interval: tuple[float, float] = _UNKNOWN
+    p: float = math.nan
+    p_of_table: float = math.nan
+    unpaired: tuple[str, ...] = ()
+    reason: str = ""
+
+    @property
+    def distinguishable(self) -> bool | None:
+        """Whether the interval excludes 0; None where there is none."""
+        low, high = self.interval
+        return None if math.isnan(low) else not low <= 0 <= high
+
+    def smallest_seen(self, power: float = 0.8) -> float:
+        """How large a difference has to be for such a study to see it with this power, at 5 %; NaN without interval."""
+        if math.isnan(self.free):
+            return math.nan
+        return shift_seen(power, self.free) * self.standard_error
+
+
+def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
+    """Compare the same sheets before and after, by Student's t over the differences of single sheets.
+
+    Parameters
+    ----------
+    before, after : Fields
+        Sheets pair by their names. Where both name their fields, so do fields, and those without a partner do not
+        count; else the means of all fields of a sheet pair.
+
+    Returns
+    -------
+    SheetDifference
+    """
+    rows = [*_pairs(before, after)]
+    all_sheets = [*dict.fromkeys([*before.sheets, *after.sheets])]
+    unpaired = tuple(sheet for sheet in all_sheets if sheet not in {name for name, _, _ in rows})
+    k = len(rows)
+    if k == 0:
+        return SheetDifference(kind="paired", sheets=(0, 0), unpaired=unpaired, reason="no sheet has a partner")
+    one, two = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2))
+    change = two - one
+    spread = spread_of(change)
+    if spread <= 1e-12 * float(np.abs([one, two]).max()):
+        spread = 0.0
+    found = SheetDifference(
+        kind="paired", sheets=(k, k), means=(float(one.mean()), float(two.mean())), difference=float(change.mean()),
+        sd=spread, standard_error=spread / math.sqrt(k) if k > 1 else math.nan, unpaired=unpaired,
+        reason=too_few(k) or ("" if spread > 0 else "all sheets have the same difference"),
+    )  # fmt: skip
+    return found if found.reason else _with_interval(found, k - 1.0)
+
+
+def _pairs(before: Fields, after: Fields) -> Iterator[tuple[str, float, float]]:
+    """Each sheet with its means before and after, over the fields that count."""
+    if before.names and after.names:
+        one, two = (
+            {(s, f): v for s, f, v in zip(m.sheets, m.names, m.values, strict=True) if not math.isnan(v)}
+            for m in (before, after)
+        )
+        both = [key for key in one if key in two]
+        one, two = ([(sheet, m[sheet, f]) for sheet, f in both] for m in (one, two))
+        before, after = (Fields([v for _, v in m], [s for s, _ in m]) for m in (one, two))
+    first, second = before.by_sheet, after.by_sheet
+    for sheet, values in first.items():
+        if sheet in second:
+            yield sheet, float(values.mean()), float(second[sheet].mean())
+
+
+def two_groups(first: Fields, second: Fields) -> SheetDifference:
+    """Compare sheets of two papers, or of two treatments, that have no sheet in common, after Welch.
+
+    Returns
+    -------
+    SheetDifference
+
+    References
+    ----------
+    Welch (1947), Biometrika 34, 28, doi:10.1093/biomet/34.1-2.28.
+    """
+    means = [np.array([float(v.mean()) for v in m.by_sheet.values()]) for m in (first, second)]
+    k = (means[0].size, means[1].size)
+    if min(k) == 0:
+        return SheetDifference(kind="two groups", sheets=k, reason="one of the two has no field with a value")
+    mean = (float(means[0].mean()), float(means[1].mean()))
+    parts = [spread_of(m) ** 2 / m.size for m in means]
+    error = math.sqrt(sum(parts))
+    found = SheetDifference(
+        kind="two groups", sheets=k, means=mean, difference=mean[1] - mean[0], standard_error=error,
+        reason=too_few(*k) or all_alike(error),
+    )  # fmt: skip
+    if found.reason:
+        return found
+    return _with_interval(found, sum(parts) ** 2 / sum(v * v / (n - 1) for v, n in zip(parts, k, strict=True)))
+
+
+def _with_interval(found: SheetDifference, free: float) -> SheetDifference:
+    width = student_quantile((1 + _CHANCE) / 2, free) * found.standard_error
+    return replace(
+        found, free=free, interval=(found.difference - width, found.difference + width),
+        p=2 * student_tail(abs(found.difference) / found.standard_error, free),
+    )  # fmt: skip
+
+
+def p_of_tables(differences: Sequence[SheetDifference]) -> tuple[SheetDifference, ...]:
+    """Put p right for how many differences are looked at, of all properties and pairs of papers (Holm 1979)."""
+    held = holm([d.p for d in differences])
+    return tuple(replace(d, p_of_table=p) for d, p in zip(differences, held, strict=True))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Equivalence:
+    """Whether a difference is smaller than a margin that was declared before.
+
+    Attributes
+    ----------
+    margin : float
+        Largest difference, either way, that does not matter; in the unit of the property.
+    interval : (float, float)
+        90 % interval of the difference: within the margin, it shows equivalence at 5 %.
+    p : float
+        Of the test that the difference is as large as the margin or larger.
+    verdict : {"equivalent", "larger", "undecided", "unknown"}
+        The interval lies within the margin, beyond it, across it; or there is none. A difference may be
+        distinguishable from 0 and yet equivalent.
+    """
+
+    margin: float
+    interval: tuple[float, float] = _UNKNOWN
+    p: float = math.nan
+    verdict: Literal["equivalent", "larger", "undecided", "unknown"] = "unknown"
+
+
+def equivalence(found: SheetDifference, *, margin: float) -> Equivalence:
+    """Test whether a difference is smaller than a margin, by two one-sided tests at 5 %.
+
+    Parameters
+    ----------
+    found : SheetDifference
+    margin : float
+        In the unit of the property; chosen for what matters, before the values are looked at.
+
+    Returns
+    -------
+    Equivalence
+
+    Raises
+    ------
+    InputError
+        If the margin is not above 0.
+
+    References
+    ----------
+    Schuirmann (1987), J. Pharmacokinet. Biopharm. 15, 657, doi:10.1007/BF01068419.
+    """
+    if not 0 < margin < math.inf:
+        raise InputError(f"The margin is {margin}. Give the largest difference that does not matter, above 0.")
+    if found.reason:
+        return Equivalence(margin=margin)
+    width = student_quantile(_CHANCE, found.free) * found.standard_error
+    low, high = found.difference - width, found.difference + width
+    p = max(student_tail((margin + s * found.difference) / found.standard_error, found.free) for s in (-1, 1))
+    inside, beyond = -margin < low and high < margin, low > margin or high < -margin
+    return Equivalence(
+        margin=margin, interval=(low, high), p=p,
+        verdict="equivalent" if inside else "larger" if beyond else "undecided",
+    )  # fmt: skip
+
+
+def shift_seen(power: float, free: float) -> float:
+    """How many standard errors a difference must have to be seen with a power, two-sided at 5 %."""
+    if not 0.05 < power < 1:
+        raise InputError(f"The power is {power}. Give a share between 0.05 and 1, such as 0.8.")
+    return float(optimize.brentq(lambda shift: power_of_shift(shift, free) - power, 0.0, 1e4, xtol=1e-10))
+
+
+def power_of_shift(shift: float, free: float) -> float:
+    """How often a difference of so many standard errors is seen, two-sided at 5 %."""
+    quantile = student_quantile((1 + _CHANCE) / 2, free)
+    return shifted_student_tail(quantile, free, shift) + shifted_student_tail(quantile, free, -shift)

@@ -1,0 +1,226 @@
+"""How many sheets and fields a study needs to see a difference of r²."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from planish.analyze.between_sheets import power_of_shift
+from planish.analyze.correlation import LEAST_CLAIMED
+from planish.analyze.sheets import LEAST_SHEETS
+from planish.core.errors import InputError, SizeError
+
+Array = NDArray[np.float64]
+
+_PARTS = 8  # of the edge of a point, over which its mean is taken
+_MOST_POINTS = 2_000_000
+_MOST_SHEETS = 100_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyDesign:
+    """What a study of so many sheets and fields can see.
+
+    Attributes
+    ----------
+    sheets, fields : int
+        Sheets, of each paper where two are compared, and fields of each sheet.
+    n_eff : float
+        Independent points of a field.
+    r2 : (float, float)
+        The two that are to be told apart.
+    paired : bool
+        Whether both are of the same sheets.
+    standard_error : float
+        Of the difference of r.
+    power : float
+        How often such a study distinguishes them at 5 %.
+    """
+
+    sheets: int
+    fields: int
+    n_eff: float
+    r2: tuple[float, float]
+    paired: bool
+    standard_error: float
+    power: float
+
+
+def power_of_study(
+    r2: tuple[float, float], *, sheets: int, fields: int, n_eff: float, between_sheets: float, paired: bool,
+    change_between_sheets: float = 0.0, shared: float = 0.0,
+) -> StudyDesign:  # fmt: skip
+    """Say how often a study will distinguish two r².
+
+    Parameters
+    ----------
+    r2 : (float, float)
+        The two, from 0 to below 1, of positive r.
+    sheets, fields : int
+        Sheets (of each paper where two are compared), at least 3, and fields of each sheet.
+    n_eff : float
+        Independent points of a field: of a field measured before, or :func:`planish.analyze.expected_n_eff`.
+    between_sheets : float
+        Standard deviation of Fisher's z between sheets, from earlier ones: the root of ``between`` of
+        :func:`planish.analyze.random_effects`.
+    paired : bool
+        Whether the same sheets are measured before and after.
+    change_between_sheets : float
+        Where paired: standard deviation, between sheets, of what the treatment changes z by.
+    shared : float
+        Where paired: how far the scatter of z of a field before and after is the same, from 0 (other fields) to 1.
+
+    Returns
+    -------
+    StudyDesign
+
+    Raises
+    ------
+    InputError
+        If a number means nothing, or both r² are the same.
+
+    Notes
+    -----
+    The test is that of :func:`planish.analyze.difference_of_pooled_r`: Student's t of r over sheets (r² near 0 has no
+    such test, and above 0 they say the same). The variance of z of a field is 1 / (n_eff - 3); the power follows from
+    the noncentral t distribution. Simulated studies agree (docs/series.md).
+    """
+    _check(r2, sheets, fields, n_eff, between_sheets, change_between_sheets, shared)
+    slopes = [1 - v for v in r2]  # of r over z
+    own = 1 / (n_eff - 3) / fields
+    if paired:
+        one, two = slopes
+        scatter = (one * one + two * two - 2 * shared * one * two) * own
+        variance = ((two - one) * between_sheets) ** 2 + (two * change_between_sheets) ** 2 + scatter
+        error, free = math.sqrt(variance / sheets), sheets - 1.0
+    else:
+        parts = [s * s * (between_sheets**2 + own) / sheets for s in slopes]
+        error, free = math.sqrt(sum(parts)), sum(parts) ** 2 / sum(v * v / (sheets - 1) for v in parts)
+    return StudyDesign(
+        sheets=sheets, fields=fields, n_eff=n_eff, r2=(float(r2[0]), float(r2[1])), paired=paired, standard_error=error,
+        power=power_of_shift(abs(math.sqrt(r2[1]) - math.sqrt(r2[0])) / error, free),
+    )  # fmt: skip
+
+
+def sheets_needed(
+    r2: tuple[float, float], *, fields: int, n_eff: float, between_sheets: float, paired: bool, power: float = 0.8,
+    change_between_sheets: float = 0.0, shared: float = 0.0,
+) -> StudyDesign:  # fmt: skip
+    """Find the fewest sheets with which a study distinguishes two r² with a power.
+
+    Parameters
+    ----------
+    r2, fields, n_eff, between_sheets, paired, change_between_sheets, shared
+        As of :func:`planish.analyze.power_of_study`.
+    power : float
+        How often the study is to see the difference, between 0.05 and 1.
+
+    Returns
+    -------
+    StudyDesign
+
+    Raises
+    ------
+    InputError
+        As :func:`planish.analyze.power_of_study`; if the power is not between 0.05 and 1, or 100 000 sheets do not
+        reach it.
+    """
+    if not 0.05 < power < 1:
+        raise InputError(f"The power is {power}. Give a share between 0.05 and 1, such as 0.8.")
+
+    def with_sheets(k: int) -> StudyDesign:
+        return power_of_study(
+            r2, sheets=k, fields=fields, n_eff=n_eff, between_sheets=between_sheets, paired=paired,
+            change_between_sheets=change_between_sheets, shared=shared,
+        )  # fmt: skip
+
+    low, high = LEAST_SHEETS, LEAST_SHEETS
+    while with_sheets(high).power < power:
+        low, high = high, 2 * high
+        if high > _MOST_SHEETS:
+            raise InputError(
+                f"{_MOST_SHEETS} sheets do not see a difference of {abs(r2[1] - r2[0]):g} in r². Give a larger one."
+            )
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if with_sheets(middle).power >= power else (middle, high)
+    return with_sheets(low if with_sheets(low).power >= power else high)
+
+
+def _check(
+    r2: tuple[float, float], sheets: int, fields: int, n_eff: float, between: float, change: float, shared: float
+) -> None:
+    if not all(0 <= v < 1 for v in r2) or r2[0] == r2[1]:
+        raise InputError(f"r² is {r2[0]} and {r2[1]}. Give two different ones, from 0 to below 1.")
+    if sheets < LEAST_SHEETS or fields < 1:
+        raise InputError(
+            f"The study is of {sheets} sheets with {fields} fields each. Give {LEAST_SHEETS} sheets or more, and 1 "
+            "field or more."
+        )
+    if not LEAST_CLAIMED <= n_eff < math.inf:
+        raise InputError(f"n_eff is {n_eff}. Give the independent points of a field, {LEAST_CLAIMED:.0f} or more.")
+    if not (0 <= between < math.inf and 0 <= change < math.inf and 0 <= shared <= 1):
+        raise InputError(
+            f"z varies by {between} between sheets and its change by {change}, and {shared} of the scatter is shared. "
+            "Give numbers from 0 on, and a share from 0 to 1."
+        )
+
+
+def expected_n_eff(field_um: tuple[float, float], *, length_um: float | tuple[float, float], point_um: float) -> float:
+    """Count the independent points of a field that is yet to be measured.
+
+    Parameters
+    ----------
+    field_um : (float, float)
+        Height and width.
+    length_um : float or (float, float)
+        Over which the correlation of both maps, or of a and of b, falls to 1/e.
+    point_um : float
+        Edge of the points that are compared.
+
+    Returns
+    -------
+    float
+        Dutilleul's number (1993) for maps whose correlation falls exponentially, averaged over points.
+
+    Raises
+    ------
+    SizeError
+        If a size is not above 0, or the field holds fewer than 3 points or more than two million.
+    """
+    lengths = (length_um, length_um) if isinstance(length_um, (int, float)) else length_um
+    if not all(0 < v < math.inf for v in (*field_um, *lengths, point_um)):
+        raise SizeError(
+            f"The field is {field_um} um, a length {length_um} um, a point {point_um} um. Give sizes above 0."
+        )
+    shape = [int(v / point_um + 1e-9) for v in field_um]
+    n = math.prod(shape)
+    if not 3 <= n <= _MOST_POINTS:
+        raise SizeError(f"The field holds {n} points of {point_um:g} um. Give one with 3 to {_MOST_POINTS}.")
+    own = [_of_means(shape, length / point_um) for length in lengths]
+    size = [2 * k - 1 for k in shape]
+    at = [np.abs(fft.fftfreq(k, 1 / k)).astype(np.intp) for k in size]
+    x, y = (m[np.ix_(*at)] for m in own)
+    pairs = np.outer(*(k - a for k, a in zip(shape, at, strict=True))).astype(np.float64)
+    ones = np.asarray(fft.rfft2(np.ones(shape), size))
+    rows = [np.asarray(fft.irfft2(fft.rfft2(m) * ones, size))[: shape[0], : shape[1]] for m in (x, y)]
+    whole = [float(m.sum()) for m in rows]
+    product = math.prod(n * float(m[0, 0]) - s / n for m, s in zip((x, y), whole, strict=True))
+    both = float(np.sum(pairs * x * y)) - 2 / n * float(np.sum(rows[0] * rows[1])) + math.prod(whole) / n**2
+    return min(1 + product / both, float(n))
+
+
+def _of_means(shape: list[int], length: float) -> Array:
+    """Covariance of means over points, by lag from 0 on; the length is in points."""
+    off = np.arange(1 - _PARTS, _PARTS)
+    weight = (_PARTS - np.abs(off)) / _PARTS**2
+    down, across = (np.abs(np.add.outer(np.arange(k), off / _PARTS)) for k in shape)
+    found = np.zeros(shape)
+    for i, w in enumerate(weight):
+        for j, v in enumerate(weight):
+            found += w * v * np.exp(-np.hypot(down[:, i, None], across[None, :, j]) / length)
+    return found

@@ -1,0 +1,253 @@
+"""One r from many fields: pooled over sheets, and how much sheets differ (meta-analysis)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.analyze.between_sheets import SheetDifference, paired_over_sheets, two_groups
+from planish.analyze.chance import chi_square_tail, student_quantile
+from planish.analyze.sheets import Fields, over_sheets
+from planish.core.errors import InputError
+
+Array = NDArray[np.float64]
+
+_CHANCE = 0.95
+_UNKNOWN = (math.nan, math.nan)
+_STEPS = 200
+_MOST_SCATTERED = 4.0  # independent points; the variance of z is 1 / (n - 3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RandomEffects:
+    """Mean of effects that differ, each known with a variance of its own.
+
+    Attributes
+    ----------
+    effects : int
+    mean : float
+        With weights of 1 over the sum of both variances.
+    standard_error : float
+        Of the mean, from the weights.
+    between : float
+        Variance of the true effects (Paule and Mandel 1982); 0 where their own variances explain all.
+    interval : (float, float)
+        In which the mean lies with 95 % (Hartung and Knapp 2001); (NaN, NaN) with fewer than 3 effects. It holds in as
+        few as .87 where one of three effects is much better known than the others (docs/series.md).
+    q, q_p : float
+        Cochran's Q, and p of the test that all effects are the same.
+    i2 : float
+        Share of the variance of the effects that is between them (Higgins and Thompson 2002), not below 0.
+    """
+
+    effects: int
+    mean: float
+    standard_error: float
+    between: float
+    interval: tuple[float, float]
+    q: float
+    q_p: float
+    i2: float
+
+
+def random_effects(effects: Sequence[float] | Array, variances: Sequence[float] | Array) -> RandomEffects:
+    """Pool effects that differ from each other.
+
+    Parameters
+    ----------
+    effects, variances : sequence of float
+        Of each field or sheet, all known; the variance is that of the effect as it was measured.
+
+    Returns
+    -------
+    RandomEffects
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 2 effects, not as many variances, or one that is not above 0.
+
+    References
+    ----------
+    Paule and Mandel (1982), J. Res. Natl. Bur. Stand. 87, 377, doi:10.6028/jres.087.022.
+    Hartung and Knapp (2001), Statist. Med. 20, 3875, doi:10.1002/sim.1009.
+    Higgins and Thompson (2002), Statist. Med. 21, 1539, doi:10.1002/sim.1186.
+    """
+    y, v = (np.asarray(m, dtype=np.float64) for m in (effects, variances))
+    if y.ndim != 1 or y.shape != v.shape or y.size < 2 or not np.isfinite(y).all() or not (v > 0).all():
+        raise InputError(
+            f"There are {y.size} effects and {v.size} variances. Give two effects or more, each a number with a "
+            "variance above 0."
+        )
+    if not np.isfinite(v).all():
+        raise InputError("The variance of an effect is infinite. Leave that effect out.")
+    k = y.size
+    q = _excess(0.0, y, v)[0]
+    between = _between(y, v)
+    weight = 1 / (v + between)
+    mean = float(np.sum(weight * y) / weight.sum())
+    interval = _UNKNOWN
+    if k > 2:
+        squares = float(np.sum(weight * (y - mean) ** 2))
+        width = student_quantile((1 + _CHANCE) / 2, k - 1) * math.sqrt(squares / float(weight.sum()) / (k - 1))
+        interval = (mean - width, mean + width)
+    return RandomEffects(
+        effects=k, mean=mean, standard_error=1 / math.sqrt(float(weight.sum())), between=between, interval=interval,
+        q=q, q_p=chi_square_tail(q, k - 1), i2=max(1 - (k - 1) / q, 0.0) if q > 0 else 0.0,
+    )  # fmt: skip
+
+
+def _excess(between: float, y: Array, v: Array) -> tuple[float, float]:
+    """The weighted sum of squares about the weighted mean, and how it falls with the variance between."""
+    weight = 1 / (v + between)
+    square = (y - np.sum(weight * y) / weight.sum()) ** 2
+    return float(np.sum(weight * square)), float(np.sum(weight * weight * square))
+
+
+def _between(y: Array, v: Array) -> float:
+    """The variance at which the weighted sum of squares is its expectation, by Newton's steps from 0.
+
+    The sum falls and is convex, so that the steps never pass the solution but by rounding.
+    """
+    between = 0.0
+    for _ in range(_STEPS):
+        total, slope = _excess(between, y, v)
+        step = (total - (y.size - 1)) / slope if slope > 0 else 0.0
+        if step <= 1e-15 * between:
+            break
+        between += step
+    return between
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PooledCorrelation:
+    """One r of fields of several sheets.
+
+    Attributes
+    ----------
+    sheets, fields : int
+        That count.
+    missing : int
+        Fields without r or without a known scatter: too few independent points.
+    r : float
+        Mean over sheets, by Fisher's z, in which every sheet counts alike.
+    interval : (float, float)
+        In which it lies with 95 %, by Student's t over sheets; (NaN, NaN) where ``reason`` says why.
+    reason : str
+        Why there is no interval; empty where there is one.
+    between_sheets : RandomEffects or None
+        Of the z of sheets: how much sheets differ by more than their fields' own scatter. None with one sheet.
+    between_fields : RandomEffects or None
+        Of the z of all fields, as if each were of a sheet of its own. None with one field.
+    """
+
+    sheets: int
+    fields: int
+    missing: int
+    r: float = math.nan
+    interval: tuple[float, float] = _UNKNOWN
+    reason: str = ""
+    between_sheets: RandomEffects | None = None
+    between_fields: RandomEffects | None = None
+
+
+def pooled_r(r: Fields, n_eff: Sequence[float]) -> PooledCorrelation:
+    """Pool the correlations of fields over sheets.
+
+    Parameters
+    ----------
+    r : Fields
+        Correlation of every field, all over points of one size; NaN is missing.
+    n_eff : sequence of float
+        ``n_eff_interval`` of every :class:`planish.analyze.Correlation`. A field where it is NaN or at most 4 does not
+        count, nor does one whose r is 1 or -1, as of a map with itself.
+
+    Returns
+    -------
+    PooledCorrelation
+
+    Raises
+    ------
+    InputError
+        If there are not as many n_eff as fields, or a correlation is beyond 1.
+
+    Notes
+    -----
+    The z of a sheet is the mean of those of its fields. Weights by n_eff would narrow the interval a little where
+    fields differ in size, but with few sheets it would hold in less than 95 %, as the weights take the variance between
+    sheets for known (docs/series.md).
+    """
+    z, variance = _of_z(r, n_eff)
+    counted = z.by_sheet
+    mean = over_sheets(z)
+    fields = [(k, v) for k, v in zip(z.values, variance, strict=True) if not math.isnan(k)]
+    by_sheet = Fields([v if not math.isnan(k) else math.nan for k, v in zip(z.values, variance, strict=True)], z.sheets)
+    of_sheets = [float(v.sum()) / v.size**2 for v in by_sheet.by_sheet.values()]
+    return PooledCorrelation(
+        sheets=mean.sheets, fields=mean.fields, missing=mean.missing, r=math.tanh(mean.mean),
+        interval=(math.tanh(mean.interval[0]), math.tanh(mean.interval[1])), reason=mean.reason,
+        between_sheets=random_effects([float(v.mean()) for v in counted.values()], of_sheets)
+        if len(counted) > 1 else None,
+        between_fields=random_effects(*zip(*fields, strict=True)) if len(fields) > 1 else None,
+    )  # fmt: skip
+
+
+def difference_of_pooled_r(first: Fields, second: Fields, *, paired: bool, squared: bool = False) -> SheetDifference:
+    """Compare the r, or r², of two sets of sheets.
+
+    Parameters
+    ----------
+    first, second : Fields
+        Correlations of fields, all over points of one size; NaN is missing.
+    paired : bool
+        Whether both are of the same sheets (:func:`planish.analyze.paired_over_sheets`), else
+        :func:`planish.analyze.two_groups`.
+    squared : bool
+        Compare r².
+
+    Returns
+    -------
+    SheetDifference
+        In r, or r²: ``means`` are those of the means of z.
+
+    Raises
+    ------
+    InputError
+        If a correlation is beyond 1.
+
+    Notes
+    -----
+    Means are taken of Fisher's z, in which r of few independent points has no bias, and each sheet adds to the
+    difference of r what it adds to z, times the slope of r over z there (delta method).
+    """
+    z = [_of_z(m, None)[0] for m in (first, second)]
+    compare = paired_over_sheets if paired else two_groups
+    means = compare(*z).means
+    return compare(*(_in_r(m, at, squared) for m, at in zip(z, means, strict=True)))
+
+
+def _in_r(z: Fields, at: float, squared: bool) -> Fields:
+    """Values of r, or r², that are linear in z and right at one z."""
+    r = math.tanh(at)
+    value, slope = (r * r, 2 * r * (1 - r * r)) if squared else (r, 1 - r * r)
+    return replace(z, values=[value + slope * (k - at) for k in z.values])
+
+
+def _of_z(r: Fields, n_eff: Sequence[float] | None) -> tuple[Fields, list[float]]:
+    """Fisher's z of fields and its variances, both NaN where a field does not count."""
+    if n_eff is not None and len(n_eff) != len(r.values):
+        raise InputError(f"There are {len(r.values)} correlations and {len(n_eff)} n_eff. Give one for each.")
+    if any(abs(v) > 1 for v in r.values):
+        raise InputError("A correlation is beyond 1. Give r of every field, from -1 to 1, or NaN.")
+    z: list[float] = []
+    variance: list[float] = []
+    for k, value in enumerate(r.values):
+        n = math.inf if n_eff is None else n_eff[k]
+        known = abs(value) < 1 and n > _MOST_SCATTERED
+        z.append(math.atanh(value) if known else math.nan)
+        variance.append(1 / (n - 3) if known and n_eff is not None else math.nan)
+    return replace(r, values=z), variance

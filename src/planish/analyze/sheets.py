@@ -1,0 +1,254 @@
+"""Fields nested in sheets: what holds for the paper, where sheets, not fields, are the sample.
+
+Fields of one sheet resemble each other, so twelve fields of four sheets say what four sheets say. Everything here is
+over means of sheets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.analyze.chance import f_quantile, f_tail, student_quantile
+from planish.core.errors import InputError
+
+LEAST_SHEETS = 3
+"""Sheets below which there is no interval."""
+
+_CHANCE = 0.95
+_SAME = 1e-12  # of the largest value: what rounding leaves of a spread
+_UNKNOWN = (math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Fields:
+    """One figure of every field: a property, or r.
+
+    Parameters
+    ----------
+    values : sequence of float
+        One of each field; NaN is missing.
+    sheets : sequence of str
+        The sheet of each field. Sheets of two papers need no names of their own.
+    names : sequence of str, optional
+        The name of each field, unlike all others of its sheet: by it a field before pairs with the field after.
+
+    Raises
+    ------
+    InputError
+        If the sequences are not of one length, a value is infinite, or a sheet has a name twice.
+    """
+
+    values: Sequence[float]
+    sheets: Sequence[str]
+    names: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Check the lengths, the values and the names."""
+        n = len(self.values)
+        if len(self.sheets) != n or len(self.names) not in (0, n):
+            raise InputError(
+                f"There are {n} values of fields, {len(self.sheets)} sheets and {len(self.names)} names. Give one "
+                "sheet for each value, and a name for each or for none."
+            )
+        if any(math.isinf(v) for v in self.values):
+            raise InputError("The value of a field is infinite. Give numbers, or NaN where one is missing.")
+        both = list(zip(self.sheets, self.names, strict=False))
+        if len(set(both)) < len(both):
+            twice = next(pair for pair in both if both.count(pair) > 1)
+            raise InputError(f"Sheet {twice[0]} has the field {twice[1]} twice. Give each field a name of its own.")
+
+    @property
+    def by_sheet(self) -> dict[str, NDArray[np.float64]]:
+        """The known values of each sheet that has any, sheets in the order in which they come."""
+        found: dict[str, list[float]] = {}
+        for sheet, value in zip(self.sheets, self.values, strict=True):
+            if not math.isnan(value):
+                found.setdefault(sheet, []).append(float(value))
+        return {sheet: np.array(values) for sheet, values in found.items()}
+
+    @property
+    def known(self) -> int:
+        """Number of fields whose value is known."""
+        return sum(not math.isnan(v) for v in self.values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SheetMean:
+    """Mean of a property over sheets.
+
+    Attributes
+    ----------
+    sheets, fields : int
+        That count: fields with a value, and their sheets.
+    missing : int
+        Fields without a value.
+    mean : float
+        Of the means of the sheets; NaN without any field.
+    sd : float
+        Standard deviation of the means of the sheets; NaN with one sheet.
+    standard_error : float
+        Of ``mean``.
+    interval : (float, float)
+        In which the mean of such sheets lies with 95 %; (NaN, NaN) where ``reason`` says why.
+    reason : str
+        Why there is no interval; empty where there is one.
+    """
+
+    sheets: int
+    fields: int
+    missing: int
+    mean: float = math.nan
+    sd: float = math.nan
+    standard_error: float = math.nan
+    interval: tuple[float, float] = _UNKNOWN
+    reason: str = ""
+
+
+def over_sheets(fields: Fields) -> SheetMean:
+    """Take the mean over sheets, with its interval by Student's t.
+
+    Returns
+    -------
+    SheetMean
+
+    Notes
+    -----
+    Every sheet counts alike, however many fields it has. Means of sheets are taken for normal; where sheets have
+    different numbers of fields, their means scatter differently, which the interval withstands (docs/series.md).
+    """
+    means = np.array([float(v.mean()) for v in fields.by_sheet.values()])
+    k, known = means.size, fields.known
+    found = SheetMean(sheets=k, fields=known, missing=len(fields.values) - known, reason=too_few(k))
+    if k == 0:
+        return found
+    spread = spread_of(means)
+    error = spread / math.sqrt(k) if k > 1 else math.nan
+    interval, reason = _UNKNOWN, found.reason or all_alike(spread)
+    if not reason:
+        width = student_quantile((1 + _CHANCE) / 2, k - 1) * error
+        interval = (float(means.mean()) - width, float(means.mean()) + width)
+    return SheetMean(
+        sheets=k, fields=known, missing=found.missing, mean=float(means.mean()), sd=spread, standard_error=error,
+        interval=interval, reason=reason,
+    )  # fmt: skip
+
+
+def spread_of(values: NDArray[np.float64]) -> float:
+    """Standard deviation of a sample; exactly 0 where only rounding sets values apart, NaN of one value."""
+    if values.size < 2:
+        return math.nan
+    if float(np.ptp(values)) <= _SAME * float(np.abs(values).max()):
+        return 0.0
+    return float(values.std(ddof=1))
+
+
+def too_few(*sheets: int) -> str:
+    """Why there is no interval where sheets are too few; empty where there are enough."""
+    fewest = min(sheets)
+    return "" if fewest >= LEAST_SHEETS else f"{fewest} of at least {LEAST_SHEETS} sheets"
+
+
+def all_alike(spread: float) -> str:
+    """Why there is no interval where sheets do not differ at all; empty where they do."""
+    return "" if spread > 0 else "all sheets have the same value"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SheetVariances:
+    """How much of the variance of a property is between sheets, and how much within them.
+
+    Attributes
+    ----------
+    sheets, fields : int
+        That count.
+    between : float
+        Variance of sheets, without what the scatter of their fields adds; 0 where that explains all.
+    within : float
+        Variance of the fields of one sheet; NaN where no sheet has two.
+    share : float
+        ``between`` over the sum of both.
+    share_interval : (float, float)
+        In which the share lies with 95 %; (NaN, NaN) with fewer than 3 sheets.
+    p : float
+        Of the test that all sheets are alike.
+    reason : str
+        Why there is no share or no interval; empty where there are both.
+    """
+
+    sheets: int
+    fields: int
+    between: float = math.nan
+    within: float = math.nan
+    share: float = math.nan
+    share_interval: tuple[float, float] = _UNKNOWN
+    p: float = math.nan
+    reason: str = ""
+
+    @property
+    def sd_between(self) -> float:
+        """Standard deviation of sheets, in the unit of the property."""
+        return math.sqrt(self.between)
+
+    @property
+    def sd_within(self) -> float:
+        """Standard deviation of the fields of one sheet, in the unit of the property."""
+        return math.sqrt(self.within)
+
+    def error_of_mean(self, sheets: int, fields: int) -> float:
+        """Standard error of the mean over so many sheets with so many fields each."""
+        return math.sqrt(self.between / sheets + self.within / (sheets * fields))
+
+
+def variances_of(fields: Fields) -> SheetVariances:
+    """Split the variance of a property into that between sheets and that within them.
+
+    Returns
+    -------
+    SheetVariances
+
+    Notes
+    -----
+    Analysis of variance with unweighted means: the variance within is pooled over sheets; the variance of the means of
+    sheets, less the variance within over the harmonic mean of the numbers of fields, is that between, without bias as
+    long as it is above 0. With as many fields in every sheet these are the textbook's estimates, and the interval of
+    the share is exact for normal values; else it is that of Thomas and Hultquist (1978). ``p`` is of the F test.
+
+    References
+    ----------
+    Thomas and Hultquist (1978), Ann. Statist. 6, 582, doi:10.1214/aos/1176344202.
+    """
+    sheets = [*fields.by_sheet.values()]
+    counts = np.array([v.size for v in sheets])
+    k, n = len(sheets), int(counts.sum())
+    if k < 2 or n == k:
+        one = "no sheet has two fields" if k > 1 else f"{k} of at least 2 sheets"
+        within = float(sheets[0].var(ddof=1)) if k == 1 and n > 1 else math.nan
+        return SheetVariances(sheets=k, fields=n, within=within, reason=one)
+    means = np.array([float(v.mean()) for v in sheets])
+    inside = sum(float(np.sum((v - v.mean()) ** 2)) for v in sheets)
+    within, spread = inside / (n - k), spread_of(means) ** 2
+    if not within > (_SAME * float(np.abs(means).max())) ** 2:
+        return SheetVariances(
+            sheets=k, fields=n, between=spread, within=0.0, share=1.0 if spread > 0 else math.nan,
+            reason="all fields of a sheet have the same value",
+        )  # fmt: skip
+    each = k / float(np.sum(1 / counts))  # fields of a sheet, harmonic mean
+    between = max(spread - within / each, 0.0)
+    whole = sum(float(v.sum()) for v in sheets) / n
+    ratio = float(np.sum(counts * (means - whole) ** 2)) / (k - 1) / within
+    interval = _UNKNOWN
+    if not too_few(k):
+        low, high = (
+            max(each * spread / within / f_quantile(share, k - 1, n - k) - 1, 0.0) / each
+            for share in ((1 + _CHANCE) / 2, (1 - _CHANCE) / 2)
+        )
+        interval = (low / (1 + low), high / (1 + high))
+    return SheetVariances(
+        sheets=k, fields=n, between=between, within=within, share=between / (between + within),
+        share_interval=interval, p=f_tail(ratio, k - 1, n - k), reason=too_few(k),
+    )  # fmt: skip
