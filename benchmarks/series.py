@@ -333,7 +333,8 @@ def _differences(pool: ProcessPoolExecutor, count: int) -> Iterator[tuple[str, i
         share = _parts(pool, partial(differences, sheets), count).mean(axis=0)
         line = (
             f"differences, {sheets} sheets: before and after {share[0]:.3f}, of r {share[1]:.3f}, of r² "
-            f"{share[2]:.3f}; two papers {share[3]:.3f}, of r² {share[4]:.3f}; called equivalent at the margin {share[5]:.3f}"
+            f"{share[2]:.3f}; two papers {share[3]:.3f}, of r² {share[4]:.3f}; called equivalent at the margin "
+            f"{share[5]:.3f}"
         )
         yield line, sum(_within(v, 0.92, 0.98) for v in share[:5]) + _within(share[5], 0.0, 0.06)
 

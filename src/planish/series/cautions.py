@@ -128,17 +128,12 @@ def _kinds(counted: Sequence[Specimen]) -> Iterator[str]:
 
 def _supports(found: Gathered, counted: Sequence[Specimen], quantities: Sequence[Quantity]) -> Iterator[str]:
     """Standard deviations and thin shares depend on the size of what one value stands for."""
-    maps = {q.map for q in quantities if q.what in ("sd", "thin_share")}
-    names = {one.member.name for one in counted}
-    for name in dict.fromkeys(q.map for q in quantities if q.map in maps):
-        sizes = [b.support_um for k, b in found.briefs.items() if k in names and b.support_um]
-        if sizes and max(sizes) > _UNLIKE * min(sizes):
-            yield (
-                f"Columns are {min(sizes):.3g} to {max(sizes):.3g} um wide. Standard deviations and thin shares depend on "
-                "that: compare those of one width only."
-            )
-            return
-        del name
+    sizes = [um for one in counted if (um := found.briefs[one.member.name].column_um) is not None]
+    if sizes and max(sizes) > _UNLIKE * min(sizes) and any(q.what in ("sd", "thin_share") for q in quantities):
+        yield (
+            f"Columns are {min(sizes):.3g} to {max(sizes):.3g} um wide. Standard deviations and thin shares depend on "
+            "that: compare those of one width only."
+        )
 
 
 def listed(names: Sequence[str]) -> str:

@@ -38,6 +38,8 @@ class Brief:
         Of the worst of its layers.
     thin_um : float or None
         Limit of the study for thin regions.
+    column_um : float or None
+        Width of a column, where thin shares state it; of a voxel otherwise.
     instruments : tuple of InstrumentFacts
         Of two volumes.
     """
@@ -53,6 +55,7 @@ class Brief:
     leave_one_out_um: float | None
     expected_error_um: float | None
     thin_um: float | None
+    column_um: float | None
     instruments: tuple[InstrumentFacts, ...]
 
 
@@ -90,7 +93,8 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
         A run that is missing or damaged does not end it: its member says so.
     """
     found, rows, briefs = list[Member](), list[Row](), dict[str, Brief]()
-    for member in members:
+    for given in members:
+        member = given.model_copy(update={"seconds": None})  # of a clock: no two runs take the same
         folder = member.folder(home)
         if folder is None or member.state in ("refused", "damaged"):
             found.append(member)
@@ -133,6 +137,7 @@ def _brief(member: Member, results: Results) -> Brief:
         leave_one_out_um=_largest([r.leave_one_out_rms_um for r in registered]),
         expected_error_um=_largest(errors),
         thin_um=float(thin) if isinstance(thin, int | float) else None,
+        column_um=max((um for layer in sheets if (um := _column_um(layer)) is not None), default=None),
         instruments=tuple(_instruments(member, results)),
     )
 
@@ -143,6 +148,13 @@ def _kind(results: Results, sheets: Sequence[LayerFacts]) -> RunKind:
     if len(results.layers) == 2 and sheets:
         return "two volumes" if len(sheets) == 2 else "sheet on image"
     return "layers"
+
+
+def _column_um(layer: LayerFacts) -> float | None:
+    """Width of a column, where thin shares state it; of a voxel otherwise."""
+    numbers = None if layer.sheet is None else layer.sheet.numbers
+    stated = [] if numbers is None else [thin.support_um for thin in numbers.thin.values()]
+    return max([*stated, *layer.source.size_um[1:]], default=None)
 
 
 def _largest(values: Sequence[float | None]) -> float | None:
