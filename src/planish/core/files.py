@@ -20,8 +20,8 @@ _WAITS_S = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts to rename what an
 _CUT_SHORT = re.compile(r"\d+ requested and \d+ written")  # numpy's words where the system gives no reason
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file that is not there yet; where that fails, nothing is left.
+def write_whole(path: Path, data: bytes, *, over: bool = False) -> None:
+    """Write a file that is not there yet, or over an older one of planish's own; where that fails, nothing is left.
 
     Raises
     ------
@@ -31,13 +31,13 @@ def write_whole(path: Path, data: bytes) -> None:
         If the disk is full.
     """
     check_name(path)
-    if path.exists() or path.is_symlink():
+    if not over and (path.exists() or path.is_symlink()):
         raise FileError(f"{path} is already there; nothing is overwritten. Choose another name.")
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     with writing(path, needed=len(data)):
         try:
             partial.write_bytes(data)
-            move(partial, path)
+            move(partial, path, over=over)
         except BaseException:
             with suppress(OSError):  # held open; the error that matters is the first
                 partial.unlink(missing_ok=True)

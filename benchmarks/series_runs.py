@@ -1,0 +1,148 @@
+"""Series of real links: killed and resumed, on one process, two, and dask workers; four of twelve cannot be used.
+
+    python -m benchmarks series_runs FOLDER [make|kill|processes|cluster|overhead]
+
+Twelve specimens of the demo's size: one file damaged, one image mirrored, one of another sheet, one with too few holes.
+"""
+
+from __future__ import annotations
+
+import filecmp
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import tifffile
+
+from planish.synthetic import DEMO, make_specimen, write_instruments
+
+COUNT = 12
+WRONG = {9: "damaged", 10: "mirrored", 11: "other", 12: "few"}
+_COLUMNS = "name,volume,image,paper,sheet\n"
+
+
+def make(folder: Path, count: int = COUNT, *, wrong: bool = True) -> Path:
+    """Write specimens and their table."""
+    rows: list[str] = []
+    for k in range(1, count + 1):
+        home = folder / f"s{k:02d}"
+        if not home.exists():
+            write_instruments(make_specimen(replace(DEMO, seed=k)), home)
+            if wrong and k in WRONG:
+                spoil(home, WRONG[k], folder)
+        rows.append(f"{home.name},{home.name}/volume.tif,{home.name}/image.tif,{'AB'[k % 2]},{(k + 1) // 2}\n")
+    table = folder / "specimens.csv"
+    table.write_text(_COLUMNS + "".join(rows), encoding="utf-8")
+    return table
+
+
+def spoil(home: Path, how: str, folder: Path) -> None:
+    """Make a specimen that cannot be used."""
+    volume, image = home / "volume.tif", home / "image.tif"
+    if how == "damaged":
+        os.truncate(volume, volume.stat().st_size // 2)
+    elif how == "other":
+        shutil.copyfile(folder / "s01" / "image.tif", image)
+    else:
+        with tifffile.TiffFile(image) as file:
+            grey, tags = file.asarray(), file.pages.first.tags
+            size = {name: tags[name].value for name in ("XResolution", "YResolution", "ResolutionUnit")}
+        if how == "mirrored":
+            grey = grey[:, ::-1]
+        else:
+            grey = grey.copy()
+            grey[: int(0.65 * grey.shape[0])] = np.median(grey)
+        tifffile.imwrite(
+            image, grey, resolution=(size["XResolution"], size["YResolution"]), resolutionunit=size["ResolutionUnit"]
+        )
+
+
+def study(table: Path, out: Path, *more: str) -> list[str]:
+    """The command of a series."""
+    return [sys.executable, "-m", "planish", "study", str(table), "--out", str(out), *more]
+
+
+def different(a: Path, b: Path) -> list[str]:
+    """Files that are not the same in both folders; notes of times do not count."""
+    names = {
+        p.relative_to(root).as_posix() for root in (a, b) for p in root.rglob("*")
+        if p.is_file() and ".series" not in p.parts
+    }  # fmt: skip
+    _, other, missing = filecmp.cmpfiles(a, b, names, shallow=False)
+    return sorted([*other, *missing])
+
+
+def timed(command: list[str]) -> tuple[int, float, float]:
+    """Exit code, seconds, and seconds of processor time with children."""
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    done = subprocess.run(command, check=False)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return done.returncode, time.perf_counter() - begin, cpu
+
+
+def killed(table: Path, out: Path, times: int, *more: str, pause_s: float = 12.0) -> int:
+    """Kill a series and its children so many times, then let it end; its exit code."""
+    rng = np.random.default_rng(2)
+    for _ in range(times):
+        process = subprocess.Popen(study(table, out, *more), stderr=subprocess.DEVNULL)
+        time.sleep(float(rng.uniform(0.6, 1.4)) * pause_s)
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+    return subprocess.run(study(table, out, *more), check=False).returncode
+
+
+def main(folder: str = "", *parts: str) -> int:
+    home = Path(folder or "series-runs").absolute()
+    home.mkdir(parents=True, exist_ok=True)
+    table = make(home)
+    whole = home / "one"
+    if not whole.exists():
+        print("one process: exit %d, %.0f s, %.0f s of processor time" % timed(study(table, whole)), flush=True)
+    for k in range(1, COUNT + 1):
+        name, alone = f"s{k:02d}", home / "single" / f"s{k:02d}"
+        if k not in WRONG and "single" in parts and not alone.exists():
+            files = [str(home / name / file) for file in ("volume.tif", "image.tif")]
+            subprocess.run([sys.executable, "-m", "planish", "link", *files, "--out", str(alone)], check=True)
+            print(f"{name} against a single link:", different(alone, whole / "runs" / name) or "same bytes", flush=True)
+    if "kill" in parts:
+        code = killed(table, home / "killed", 5)
+        print(f"killed 5 times: exit {code},", different(whole, home / "killed") or "same bytes", flush=True)
+    if "processes" in parts:
+        code = killed(table, home / "two", 2, "--jobs", "2")
+        print(f"two processes: exit {code},", different(whole, home / "two") or "same bytes", flush=True)
+    if "cluster" in parts:
+        print("cluster:", cluster(table, home, whole), flush=True)
+    return 0
+
+
+def cluster(table: Path, home: Path, whole: Path) -> str:
+    """The series on two dask workers, one of which is killed."""
+    address = "tcp://127.0.0.1:18786"
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "18786",
+         "--no-dashboard"], stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    command = [
+        sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--host", "127.0.0.1",
+        "--no-dashboard", "--no-nanny", "--memory-limit", "0",
+    ]  # fmt: skip
+    workers = [subprocess.Popen(command, stderr=subprocess.DEVNULL) for _ in range(2)]
+    try:
+        time.sleep(8)
+        process = subprocess.Popen(study(table, home / "cluster", "--scheduler", address))
+        time.sleep(25)
+        workers[0].kill()
+        code = process.wait()
+    finally:
+        for one in (*workers, scheduler):
+            one.kill()
+            one.wait()
+    return f"exit {code}, {different(whole, home / 'cluster') or 'same bytes'}"

@@ -1,0 +1,282 @@
+"""What a series is made of: a table of specimens with their files and factors, and the options that they share."""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+from pydantic import ValidationError
+
+from planish.core.errors import FileError, InputError, StudyError
+from planish.core.mistakes import mistakes, toml_mistake
+from planish.core.names import fault_of_name
+from planish.core.series import Member
+from planish.core.tables import parse_table, raise_faults, read_text
+from planish.core.toml_lines import KeyLines, key_lines
+from planish.pipeline.build import study_of
+from planish.study import Study, as_study, in_study_words, with_paths, with_values
+
+_FILES = ("volume", "image", "layers")
+_OWN = ("name", *_FILES, "set")
+_NEEDED = "It needs a column volume, or layers with a semicolon between them"
+_NO_NAME = re.compile(r'[/\\<>:"|?*\x00-\x1f]')
+_LONGEST_NAME = 80
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Specimen:
+    """One specimen as the table has it.
+
+    Attributes
+    ----------
+    name : str
+        Name of the specimen and of the folder of its run.
+    files : tuple of str
+        Volume and image, or layers with the reference last; absolute, ``NAME=PATH`` where a layer has a name.
+    factors : dict
+        Text by factor, in the order of the table; empty cells are left out.
+    changes : tuple of str
+        Options of this specimen alone, ``SECTION.NAME=VALUE``.
+    """
+
+    name: str
+    files: tuple[str, ...]
+    factors: dict[str, str] = field(default_factory=dict[str, str])
+    changes: tuple[str, ...] = ()
+
+    @property
+    def member(self) -> Member:
+        """The specimen as the page of the series names it, not yet done."""
+        return Member(name=self.name, factors=self.factors)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """A series as its file describes it.
+
+    Attributes
+    ----------
+    specimens : tuple of Specimen
+    home : Path
+        Folder of the file, to which paths in it are relative.
+    sections : dict
+        Options of all specimens, by section, as in a study file.
+    more : dict
+        Tables of the series itself: ``compare``, ``watch``.
+    """
+
+    specimens: tuple[Specimen, ...]
+    home: Path
+    sections: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
+    more: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
+    changes: tuple[str, ...] = ()
+
+    def study(self, specimen: Specimen) -> Study:
+        """The study of one specimen.
+
+        Raises
+        ------
+        PlanishError
+            If one of its files is missing or of another kind, or an option means nothing for them.
+        """
+        try:
+            study = study_of(specimen.files, self.sections)
+            study = with_values(study, (*self.changes, *specimen.changes))
+        except StudyError as error:
+            raise StudyError(in_study_words(str(error))) from error
+        return with_paths(study, lambda path: os.path.normpath(self.home / path))
+
+
+def read_plan(path: Path, changes: Sequence[str] = ()) -> Plan:
+    """Read a series: a study file with ``[[specimens]]``, or a CSV table of specimens.
+
+    Parameters
+    ----------
+    path : Path
+        ``.toml``, or a table with the columns ``volume`` and ``image`` (or ``layers``), ``name`` and factors. A column
+        with a point in its name, such as ``volume.through``, is an option of each specimen.
+    changes : sequence of str
+        Options of all specimens, ``SECTION.NAME=VALUE``.
+
+    Raises
+    ------
+    FileError
+        If it cannot be read, or is the study of one specimen.
+    InputError
+        If an option or a column is unknown, or two specimens are the same; all faults are named.
+    """
+    text = read_text(path, what="table of specimens")
+    home = path.absolute().parent
+    if path.suffix.lower() == ".toml":
+        return _of_toml(path, text, home, tuple(changes))
+    return _plan(path, _rows_of(path, text), home, {}, {}, tuple(changes))
+
+
+# --- the two forms ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """One specimen before it is checked, and where it stands."""
+
+    where: str
+    cells: dict[str, str]
+    changes: tuple[str, ...] = ()
+    layers: tuple[str, ...] = ()
+
+
+def _rows_of(path: Path, text: str) -> list[_Row]:
+    table = parse_table(text, path.name, needed=(), error=InputError, advice=f"{_NEEDED}.")
+    if not {"volume", "layers"} & set(table.header):
+        table.faults.append(f"neither a column volume nor layers (found {', '.join(table.header)[:120]}). {_NEEDED}")
+    table.check("Correct the table.")
+    rows: list[_Row] = []
+    for row in table.rows:
+        cells = {name: table.text(row, name) for name in table.header if name}
+        options = tuple(f"{name}={cells.pop(name)}" for name in list(cells) if "." in name and cells[name])
+        cells = {name: cell for name, cell in cells.items() if cell and "." not in name}
+        layers = tuple(part.strip() for part in cells.pop("layers", "").split(";") if part.strip())
+        rows.append(_Row(f"row {row.line}", cells, options, layers))
+    return rows
+
+
+def _of_toml(path: Path, text: str, home: Path, changes: tuple[str, ...]) -> Plan:
+    try:
+        data = tomllib.loads(f"{text}\n")
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"{path} is not a TOML file: {toml_mistake(error, text)}") from error
+    if "specimens" not in data:
+        raise FileError(
+            f"{path} is the study of one specimen. Do it with: planish run {path}. A series has a table [[specimens]] "
+            "for each of them."
+        )
+    lines = key_lines(text)
+    listed = data.pop("specimens")
+    if not isinstance(listed, list) or not all(isinstance(one, dict) for one in cast("list[Any]", listed)):
+        raise InputError(f"{path}: specimens are tables, each under a line [[specimens]].")
+    data.pop("planish", None)
+    more = {name: data.pop(name) for name in ("compare", "watch") if name in data}
+    _check_common(path, data, lines)
+    faults: list[str] = []
+    rows: list[_Row] = []
+    for k, one in enumerate(cast("list[dict[str, Any]]", listed)):
+        where = f"line {lines.of(('specimens', k))}"
+        cells: dict[str, str] = {}
+        for name, value in one.items():
+            if name in ("set", "layers"):
+                if not isinstance(value, list) or not all(isinstance(v, str) for v in cast("list[Any]", value)):
+                    faults.append(f"{where}: {name} is a list of texts, such as {_EXAMPLES[name]}")
+            elif isinstance(value, (str, int, float)) and not isinstance(value, bool):
+                cells[name] = str(value)
+            else:
+                faults.append(f"{where}: {name} has to be a text or a number; options stand in set = [...]")
+        given = {name: one[name] for name in ("set", "layers") if isinstance(one.get(name), list)}
+        rows.append(_Row(where, cells, tuple(given.get("set", ())), tuple(given.get("layers", ()))))
+    raise_faults(path.name, faults, "Correct these lines.", error=InputError)
+    for kind in ("volume", "image"):  # stands for the specimens that name none
+        if common := data.get(kind, {}).pop("path", None):
+            for row in rows:
+                if not row.layers:
+                    row.cells.setdefault(kind, str(common))
+    return _plan(path, rows, home, data, more, changes)
+
+
+_EXAMPLES = {"set": '["volume.top=low"]', "layers": '["ct=scan", "image.tif"]'}
+
+
+def _check_common(path: Path, data: Mapping[str, Any], lines: KeyLines) -> None:
+    """Refuse options that no study has; each with its line."""
+    if "layers" in data:
+        raise InputError(
+            f"{path}: line {lines.of(('layers',))}, layers: each specimen names its own; take them out, or write "
+            f"layers = {_EXAMPLES['layers']} under [[specimens]]."
+        )
+    tables = {name: dict(value) if isinstance(value, Mapping) else value for name, value in data.items()}  # type: ignore[reportUnknownArgumentType]
+    for kind in ("volume", "image"):
+        if isinstance(table := tables.setdefault(kind, {}), dict):
+            cast("dict[str, Any]", table).setdefault("path", "x")
+    try:
+        as_study(tables)
+    except ValidationError as error:
+        found = mistakes(error, Study, lambda loc: (loc, lines.of(loc)) if loc[:1] != ("layers",) else (
+            loc[2:], lines.of(loc[2:])
+        ))  # fmt: skip
+        number = f"{len(found)} wrong parameter{'s' if len(found) > 1 else ''}"
+        raise InputError("\n  ".join([f"{path} has {number}:", *found])) from error
+
+
+# --- what both have in common ----------------------------------------------------------------------------------------
+
+
+def _plan(
+    path: Path, rows: Sequence[_Row], home: Path, sections: dict[str, Any], more: dict[str, Any],
+    changes: tuple[str, ...],
+) -> Plan:  # fmt: skip
+    """Check the specimens of either form against each other."""
+    faults: list[str] = []
+    found: list[Specimen] = []
+    if not rows and "watch" not in more:
+        raise InputError(f"{path} names no specimen. {_NEEDED}.")
+    names = _names(rows)
+    for row, name in zip(rows, names, strict=True):
+        if row.layers and {"volume", "image"} & set(row.cells):
+            faults.append(f"{row.where}: give layers, or volume and image, not both")
+        if not row.layers and "volume" not in row.cells:
+            faults.append(f"{row.where}: no volume")
+        if fault := _fault_of(name):
+            faults.append(f"{row.where}: {name!r} cannot name a specimen: {fault}; give it another name")
+        files = row.layers or tuple(row.cells[kind] for kind in ("volume", "image") if kind in row.cells)
+        factors = {key: cell for key, cell in row.cells.items() if key not in _OWN}
+        found.append(
+            Specimen(name=name, files=tuple(_placed(one, home) for one in files), factors=factors, changes=row.changes)
+        )
+    seen: dict[str, str] = {}
+    same: dict[tuple[tuple[str, ...], tuple[str, ...]], str] = {}
+    for row, one in zip(rows, found, strict=True):
+        for what, first in (
+            (f"the name {one.name!r}", seen.setdefault(one.name.casefold(), row.where)),
+            ("the same files and options", same.setdefault((one.files, one.changes), row.where)),
+        ):
+            if first != row.where:
+                faults.append(f"{row.where}: {what} as {first}")
+    raise_faults(path.name, faults, "Correct the table.", error=InputError)
+    return Plan(specimens=tuple(found), home=home, sections=sections, more=more, changes=changes)
+
+
+def _names(rows: Sequence[_Row]) -> list[str]:
+    """Names as given; else the factors, or the files, whichever tells all specimens apart."""
+    by_factor = ["-".join(cell for key, cell in row.cells.items() if key not in _OWN) for row in rows]
+    by_file = [Path((row.layers[:1] or (row.cells.get("volume", ""),))[0].rpartition("=")[2]).stem for row in rows]
+    for guess in (by_factor, by_file):
+        if all(guess) and len({one.casefold() for one in guess}) == len(guess):
+            return [row.cells.get("name", checked_name(one)) for row, one in zip(rows, guess, strict=True)]
+    width = len(str(len(rows)))
+    return [row.cells.get("name", f"specimen-{k:0{width}d}") for k, row in enumerate(rows, 1)]
+
+
+def _fault_of(name: str) -> str | None:
+    if not name.strip() or name.startswith("."):
+        return "a name begins with a letter or a digit"
+    if found := _NO_NAME.search(name):
+        return f"{found[0]!r} cannot stand in the name of a folder"
+    if len(name) > _LONGEST_NAME:
+        return f"it has more than {_LONGEST_NAME} characters"
+    return fault_of_name(name, windows=True)
+
+
+def checked_name(guess: str) -> str:
+    """A name for a folder, of factors that may hold other signs."""
+    return _NO_NAME.sub("-", guess)
+
+
+def _placed(file: str, home: Path) -> str:
+    """An absolute path; ``NAME=`` stays before it."""
+    name, sign, rest = file.partition("=")
+    if sign and rest and not (home / file).exists():
+        return f"{name}={os.path.normpath(home / rest)}"
+    return os.path.normpath(home / file)

@@ -1,0 +1,112 @@
+"""New scans of a folder as they appear: pairs of files that are whole and have stood still for a while."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from planish.core.errors import InputError, PlanishError
+from planish.core.options import Params
+from planish.core.tables import model_faults
+from planish.io.info import describe
+from planish.series.jobs import stamp_of
+from planish.series.plan import Plan, Specimen, checked_name
+
+_FACTOR = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
+
+Told = Callable[[str], None]
+
+
+class WatchParams(Params):
+    """How the files of a folder pair."""
+
+    volume: str = Field(description="Name of a volume with its factors in braces, such as {sheet}_ct.tif.")
+    image: str | None = Field(default=None, description="Name of its image, such as {sheet}_img.tif.")
+
+
+def watch_params(plan: Plan) -> WatchParams:
+    """The patterns of a plan; InputError where they are missing or do not fit together."""
+    example = "[watch] with volume = '{sheet}_ct.tif' and image = '{sheet}_img.tif'"
+    if "watch" not in plan.more:
+        raise InputError(f"--watch needs to know how files pair. Write a table {example} into the study.")
+    try:
+        found = WatchParams.model_validate(plan.more["watch"])
+    except ValidationError as error:
+        raise InputError(f"{'; '.join(model_faults(error, ['watch']))}. Needed: {example}.") from error
+    names = _FACTOR.findall(found.volume)
+    if not names or len(set(names)) < len(names):
+        raise InputError(f"watch.volume {found.volume!r} needs each factor once, in braces. Needed: {example}.")
+    if found.image is not None and sorted(set(_FACTOR.findall(found.image))) != sorted(names):
+        raise InputError(f"watch.image {found.image!r} needs the factors of watch.volume. Needed: {example}.")
+    return found
+
+
+def watched(
+    plan: Plan, folder: Path, *, settle_s: float, idle_s: float | None, tell: Told,
+    clock: Callable[[], float] = time.monotonic,
+) -> Iterator[Specimen | None]:  # fmt: skip
+    """Give specimens as their files are whole; None where there is none as yet.
+
+    A file is taken when it has not changed for ``settle_s`` and its own reader finds it complete. One that is not
+    complete is named once, and tried again when it changes.
+    """
+    params = watch_params(plan)
+    pattern = _pattern(params.volume)
+    given: dict[str, str] = {}  # name of a specimen -> stamp of its files
+    refused: dict[str, str] = {}
+    since: dict[str, tuple[str, float]] = {}  # stamp of files, and when it was first seen
+    last = clock()
+    while True:
+        came = False
+        for volume in sorted(folder.iterdir()):
+            found = pattern.fullmatch(volume.name)
+            if found is None:
+                continue
+            factors = found.groupdict()
+            files = [volume, *([folder / params.image.format(**factors)] if params.image else [])]
+            name = checked_name("-".join(factors.values()))
+            if not all(file.exists() for file in files):
+                continue
+            stamp = " ".join(stamp_of(file) for file in files)
+            first = since.get(name)
+            if first is None or first[0] != stamp:
+                since[name] = stamp, clock()
+                continue
+            if clock() - first[1] < settle_s or given.get(name) == stamp or refused.get(name) == stamp:
+                continue
+            if fault := _incomplete(files):
+                refused[name] = stamp
+                tell(f"{name}: {fault} It is tried again when the file changes.")
+                continue
+            given[name], came = stamp, True
+            last = clock()
+            yield Specimen(name=name, files=tuple(str(file.absolute()) for file in files), factors=factors)
+        if not came:
+            if idle_s is not None and clock() - last >= idle_s:
+                return
+            yield None
+
+
+def _pattern(text: str) -> re.Pattern[str]:
+    """A name with its factors as groups."""
+    parts = _FACTOR.split(text)
+    return re.compile("".join(
+        re.escape(part) if k % 2 == 0 else f"(?P<{part}>[^/\\\\]+?)" for k, part in enumerate(parts)
+    ))  # fmt: skip
+
+
+def _incomplete(files: list[Path]) -> str | None:
+    """What is missing of a file by its own header."""
+    for file in files:
+        try:
+            facts: dict[str, Any] = describe(file)
+        except PlanishError as error:
+            return str(error)
+        if not facts["shape"]:
+            return f"{file.name} holds nothing."
+    return None
