@@ -714,6 +714,9 @@ class TwiceFacts(Facts):
         default=None, description="In which the standard deviation of the difference lies with 95 %."
     )
     limits: KnownPair = Field(default=None, description="Between them lie 95 % of normal differences.")
+    limit_intervals: tuple[KnownPair, KnownPair] = Field(
+        default=(None, None), description="In which the lower and the upper limit lie with 95 %."
+    )
     units: str = Field(default="1", description="Of the values.")
     error_ratio: Number = Field(
         default=None, description="Variance of the errors of b over that of a, as it was given."

@@ -1,0 +1,229 @@
+"""What a series of specimens says in numbers: frozen models that make its ``results.json`` and its page.
+
+Sheets, not fields, are the sample: means, intervals and tests are over means of sheets.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, ValidationError
+
+from planish.core.checks import State
+from planish.core.errors import FileError
+from planish.core.facts import Facts, KnownPair, Number
+from planish.core.results import Trust
+from planish.core.series import Member
+from planish.core.tables import read_text
+
+FORMAT = 1
+"""Version of the schema."""
+
+What = Literal["mean", "sd", "thin_share", "r"]
+"""Statistics that are compared over specimens."""
+
+RunKind = Literal["map", "sheet on image", "two volumes", "layers"]
+"""What a run is: one sheet mapped; a sheet linked to an image; two sheets linked; more layers, or two images."""
+
+
+class Quantity(Facts):
+    """One figure that every specimen has: a statistic of a map, or r of two maps."""
+
+    layer: str = Field(default="", description="Layer of the map; empty where each specimen has one sheet.")
+    map: str = Field(description="Name of the map.")
+    what: What = Field(description="mean, sd, thin_share, or r with the other map.")
+    other_layer: str = Field(default="", description="Layer of the other map of r; empty as for layer.")
+    other_map: str = Field(default="", description="The other map of r.")
+    at_um: Number = Field(default=None, description="Limit of a thin share, or edge of the points of r.")
+    unit: str = Field(description="Of its values; 1 for a share and for r.")
+    title: str = Field(description="The same in words.")
+
+    @property
+    def key(self) -> tuple[str, str, str, str, str]:
+        """What it is, but for lengths."""
+        return self.layer, self.map, self.what, self.other_layer, self.other_map
+
+
+class Cell(Facts):
+    """A quantity of one specimen."""
+
+    value: Number = Field(default=None, description="None where it was not measured, or is withheld.")
+    low: Number = Field(default=None, description="Lower end of its 95 % interval, of r only.")
+    high: Number = Field(default=None, description="Upper end of it.")
+    n_eff: Number = Field(default=None, description="Independent points, of r only.")
+    n_eff_interval: Number = Field(default=None, description="Independent points that would give the interval of r.")
+    trust: Trust = Field(default="ok", description="What the checks leave of it.")
+    counts: bool = Field(default=False, description="Whether it takes part in means and comparisons.")
+    why_not: str = Field(default="", description="Why it does not; empty where it does.")
+
+
+class Specimen(Facts):
+    """One specimen: what it is, what was found, and what its checks say."""
+
+    member: Member = Field(description="Name, factors, state and run.")
+    kind: RunKind | None = Field(default=None, description="None where there is no run.")
+    sheet: str = Field(default="", description="Sheet that it counts as a field of, among those of its paper.")
+    light: State | None = Field(default=None, description="Worst state of its checks.")
+    spoken: dict[State, tuple[str, ...]] = Field(
+        default_factory=dict, description="Names of the checks that fail, ask for a look, or could not be answered."
+    )
+    marks_used: int | None = Field(default=None, description="Pairs of marks in use; the fewest of its layers.")
+    leave_one_out_um: Number = Field(
+        default=None, description="Root mean square of the leave-one-out errors; the largest of its layers."
+    )
+    expected_error_um: Number = Field(
+        default=None, description="Median of the expected error of a pixel; the largest of its layers."
+    )
+    cells: tuple[Cell, ...] = Field(default=(), description="One for each quantity of the series.")
+
+
+class VarianceFacts(Facts):
+    """How much of the variance is between sheets."""
+
+    sd_between: Number = Field(default=None, description="Standard deviation of sheets, beyond what fields add.")
+    sd_within: Number = Field(default=None, description="Standard deviation of the fields of one sheet.")
+    share: Number = Field(default=None, description="Share of the variance that is between sheets.")
+    share_interval: KnownPair = Field(default=None, description="In which the share lies with 95 %.")
+    p: Number = Field(default=None, description="Of the test that all sheets are alike.")
+    reason: str = Field(default="", description="Why a number is missing.")
+
+
+class HeterogeneityFacts(Facts):
+    """Whether correlations differ by more than their own intervals say."""
+
+    effects: int = Field(description="Sheets, or fields.")
+    sd_between: Number = Field(description="Standard deviation of the true z; 0 where their own scatter explains all.")
+    i2: Number = Field(description="Share of the variance of z that is between them.")
+    q: Number = Field(description="Cochran's Q.")
+    p: Number = Field(description="Of the test that all are the same.")
+
+
+class GroupFacts(Facts):
+    """One quantity over the sheets of one group."""
+
+    quantity: int = Field(description="Number of the quantity, from 0.")
+    group: dict[str, str] = Field(description="Levels of the factors; empty where all specimens are one group.")
+    sheets: int = Field(description="Sheets that count.")
+    fields: int = Field(description="Specimens that count; each is a field of a sheet.")
+    left_out: tuple[str, ...] = Field(default=(), description="Specimens of the group that do not count.")
+    mean: Number = Field(default=None, description="Over the means of sheets; of r by Fisher's z.")
+    sd: Number = Field(default=None, description="Standard deviation of the means of sheets; none of r.")
+    interval: KnownPair = Field(default=None, description="In which the mean of such sheets lies with 95 %.")
+    reason: str = Field(default="", description="Why there is no interval.")
+    variances: VarianceFacts | None = Field(default=None, description="Of a property.")
+    between_sheets: HeterogeneityFacts | None = Field(default=None, description="Of r, over sheets.")
+    between_fields: HeterogeneityFacts | None = Field(
+        default=None, description="Of r, over all fields as if each were of a sheet of its own."
+    )
+
+
+class EquivalenceFacts(Facts):
+    """Whether a difference is smaller than a margin that was declared."""
+
+    margin: float = Field(description="Largest difference that does not matter.")
+    interval: KnownPair = Field(default=None, description="90 % interval of the difference.")
+    p: Number = Field(default=None, description="Of the test that it is as large as the margin or larger.")
+    verdict: Literal["equivalent", "larger", "undecided", "unknown"] = Field(
+        description="Whether that interval lies within the margin, beyond it, or across it."
+    )
+
+
+class DifferenceFacts(Facts):
+    """One quantity of two levels of a factor, the second minus the first."""
+
+    quantity: int = Field(description="Number of the quantity, from 0.")
+    within: dict[str, str] = Field(description="Levels of the other factors that both share.")
+    factor: str = Field(description="Factor that is compared.")
+    levels: tuple[str, str] = Field(description="Its two levels.")
+    kind: Literal["paired", "two groups"] = Field(description="Of the same sheets, or of different ones.")
+    sheets: tuple[int, int] = Field(description="Sheets that count.")
+    means: tuple[Number, Number] = Field(description="Over these sheets.")
+    difference: Number = Field(default=None, description="Of the means.")
+    interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
+    p: Number = Field(default=None, description="Of the test that there is none.")
+    p_of_table: Number = Field(default=None, description="The same after Holm, for all differences of the series.")
+    smallest_seen: Number = Field(default=None, description="Difference that such a study sees in 80 % of cases.")
+    unpaired: tuple[str, ...] = Field(default=(), description="Sheets without a partner, where sheets pair.")
+    left_out: tuple[str, ...] = Field(default=(), description="Specimens of both levels that do not count.")
+    reason: str = Field(default="", description="Why there is no interval.")
+    equivalence: EquivalenceFacts | None = Field(default=None, description="Where a margin was declared.")
+
+    @property
+    def verdict(self) -> Literal["differ", "not after Holm", "not distinguishable", "unknown"]:
+        """Whether both levels differ, also among all differences that were looked at."""
+        if self.interval is None or self.p_of_table is None:
+            return "unknown"
+        low, high = self.interval
+        if low <= 0 <= high:
+            return "not distinguishable"
+        return "differ" if self.p_of_table < 0.05 else "not after Holm"
+
+
+class InstrumentFacts(Facts):
+    """Two measurements of one sheet, b less a."""
+
+    specimen: str = Field(description="Name of the specimen.")
+    a: str = Field(description="First layer.")
+    b: str = Field(description="Second layer.")
+    map: str = Field(description="The map that both show.")
+    unit: str = Field(description="Of bias and limits.")
+    point_um: Number = Field(default=None, description="Edge of the points.")
+    n: int | None = Field(default=None, description="Points.")
+    bias: Number = Field(default=None, description="Mean difference.")
+    bias_interval: KnownPair = Field(default=None, description="In which the bias lies with 95 %.")
+    limits: KnownPair = Field(default=None, description="Between them lie 95 % of normal differences.")
+    limit_intervals: tuple[KnownPair, KnownPair] = Field(
+        default=(None, None), description="In which each limit lies with 95 %."
+    )
+    slopes: KnownPair = Field(default=None, description="Slope of b over a, and 1 over that of a over b.")
+    shared_um: Number = Field(default=None, description="Both show the same in waves of this length and longer.")
+    sentence: str = Field(default="", description="What the rings of waves say, in words.")
+    trust: Trust = Field(default="ok", description="What the checks leave of it.")
+
+
+class SeriesResults(Facts):
+    """All numbers of a series of specimens."""
+
+    format: Literal[1] = Field(default=FORMAT, description="Version of this schema.")
+    planish: str = Field(description="Version of the program.")
+    declared: dict[str, object] = Field(description="What was declared: factor, margins, maps, doubtful figures.")
+    quantities: tuple[Quantity, ...] = Field(description="What is compared, the leading map first.")
+    headline_declared: bool = Field(description="Whether the maps were declared; else they are those of the runs.")
+    factors: tuple[str, ...] = Field(default=(), description="All factors of the table.")
+    grouped_by: tuple[str, ...] = Field(default=(), description="Factors that make the groups.")
+    compared_by: str | None = Field(default=None, description="Factor that is compared; None where there is none.")
+    sheets_given: bool = Field(description="Whether the table names the sheet of every specimen.")
+    specimens: tuple[Specimen, ...] = Field(description="In the order of the table.")
+    groups: tuple[GroupFacts, ...] = Field(default=(), description="By group and quantity.")
+    differences: tuple[DifferenceFacts, ...] = Field(default=(), description="By quantity and pair of levels.")
+    instruments: tuple[InstrumentFacts, ...] = Field(default=(), description="Specimens measured by two instruments.")
+    cautions: tuple[str, ...] = Field(default=(), description="What to be careful about.")
+
+    @property
+    def members(self) -> tuple[Member, ...]:
+        """What became of each specimen."""
+        return tuple(one.member for one in self.specimens)
+
+    def to_json(self) -> str:
+        """The text of ``results.json``."""
+        return self.model_dump_json(indent=2) + "\n"
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read ``results.json`` of a series.
+
+        Raises
+        ------
+        FileError
+            If it cannot be read, or is not of a series.
+        """
+        try:
+            return cls.model_validate_json(read_text(path, what="results of a series"))
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            raise FileError(
+                f"{path} is no results file of a series: {'.'.join(map(str, first['loc']))}: {first['msg']}. Give the "
+                "folder that 'planish study' or 'planish compare --out' made."
+            ) from error
+

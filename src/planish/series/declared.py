@@ -1,0 +1,36 @@
+"""What a series of specimens is looked at for, declared before it is looked at."""
+
+from __future__ import annotations
+
+from pydantic import field_validator
+
+from planish.core.options import Params, option
+
+
+class Declared(Params):
+    """What is compared, and which difference would matter."""
+
+    compare: str | None = option(
+        None, cli="--by", metavar="FACTOR",
+        help="Factor whose levels are compared; treatment where not given, or else paper.",
+    )  # fmt: skip
+    headline: tuple[str, ...] = option(
+        (), metavar="MAP", help="Map to compare; repeatable, the leading one first. Those of the runs where not given."
+    )  # fmt: skip
+    margin: dict[str, float] = option(
+        {}, cli=None,
+        help="Largest difference that does not matter, by MAP (its mean), MAP.sd, MAP.thin_share or r.",
+    )  # fmt: skip
+    thin_um: float | None = option(
+        None, ge=0, help="Limit of the thin share that is compared; that of the runs where not given."
+    )
+    doubtful: bool = option(False, cli="--with-doubtful", help="Take doubtful figures into means and comparisons, too.")
+
+    @field_validator("margin")
+    @classmethod
+    def _above_zero(cls, margin: dict[str, float]) -> dict[str, float]:
+        if wrong := [name for name, value in margin.items() if not value > 0]:
+            raise ValueError(f"the margin of {wrong[0]} has to be above 0")
+        return margin
+
+
