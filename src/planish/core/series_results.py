@@ -226,4 +226,3 @@ class SeriesResults(Facts):
                 f"{path} is no results file of a series: {'.'.join(map(str, first['loc']))}: {first['msg']}. Give the "
                 "folder that 'planish study' or 'planish compare --out' made."
             ) from error
-

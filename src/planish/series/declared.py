@@ -32,5 +32,3 @@ class Declared(Params):
         if wrong := [name for name, value in margin.items() if not value > 0]:
             raise ValueError(f"the margin of {wrong[0]} has to be above 0")
         return margin
-
-

@@ -109,7 +109,13 @@ def _correlations(rows: Sequence[Row], name: str, layers: Layers) -> list[Quanti
         other = f"{other_layer or 'the image'}" if second == "image" else f"that of {other_layer}"
         out.append(
             Quantity(
-                layer=layer, map=first, what="r", other_layer=other_layer, other_map=second, at_um=at_um, unit="1",
+                layer=layer,
+                map=first,
+                what="r",
+                other_layer=other_layer,
+                other_map=second,
+                at_um=at_um,
+                unit="1",
                 title=f"r of {words} and {other}, points of {at_um:g} um",
             )  # fmt: skip
         )

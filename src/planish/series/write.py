@@ -68,9 +68,7 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
     moved = {one.name: _moved(one, home, out) for one in found.members}
     results = results.model_copy(
         update={
-            "specimens": tuple(
-                one.model_copy(update={"member": moved[one.member.name]}) for one in results.specimens
-            )
+            "specimens": tuple(one.model_copy(update={"member": moved[one.member.name]}) for one in results.specimens)
         }  # fmt: skip
     )
     write_whole(out / VALUES, values_text(found.rows, results.factors).encode())
