@@ -19,7 +19,9 @@ def write(folder: Path, text: str, name: str = "specimens.csv") -> Path:
 
 
 def test_a_table_gives_files_factors_and_options(tmp_path: Path) -> None:
-    table = write(tmp_path, "volume,image,Paper,sheet,volume.through\na/v.tif,a/i.tif,Süd 1,1,y\nb/v.tif,b/i.tif,Nord,1,\n")
+    table = write(
+        tmp_path, "volume,image,Paper,sheet,volume.through\na/v.tif,a/i.tif,Süd 1,1,y\nb/v.tif,b/i.tif,Nord,1,\n"
+    )
     first, second = read_plan(table).specimens
     assert first.name == "Süd 1-1"
     assert first.files == (str(tmp_path / "a" / "v.tif"), str(tmp_path / "a" / "i.tif"))

@@ -9,6 +9,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from planish.core.options import Params, option
 
 Size = Annotated[float, Field(gt=0)]
+
+
 def _all_alike(count: int) -> BeforeValidator:
     """One number stands for that along every axis."""
     return BeforeValidator(lambda size: (size,) * count if isinstance(size, (int, float)) else size)
