@@ -78,7 +78,7 @@ class Plan:
     specimens: tuple[Specimen, ...]
     home: Path
     sections: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
-    declared: Declared = Declared()
+    declared: Declared = field(default_factory=Declared)
     watch: dict[str, Any] = field(default_factory=dict[str, Any])
     changes: tuple[str, ...] = ()
 
