@@ -46,8 +46,7 @@ def _left_out(counted: Sequence[Specimen], quantities: Sequence[Quantity]) -> It
             ]  # fmt: skip
             if kept:
                 yield (
-                    f"Doubtful figures of {_count(len(kept), 'specimen')} take part in means and comparisons, as was "
-                    f"declared: {listed(kept)}."
+                    f"Doubtful figures take part in means and comparisons, as was declared: those of {listed(kept)}."
                 )
     few = [one.member.name for one in counted if any(c.why_not.startswith("too few") for c in one.cells)]
     if few:
@@ -63,7 +62,9 @@ def _left_out(counted: Sequence[Specimen], quantities: Sequence[Quantity]) -> It
 def _sheets(found: Gathered, counted: Sequence[Specimen]) -> Iterator[str]:
     without = [one.member.name for one in counted if not one.member.factors.get("sheet")]
     if without and len(counted) > 1:
-        which = "The table names no sheets" if len(without) == len(counted) else f"No sheet is named for {listed(without)}"
+        which = (
+            "The table names no sheets" if len(without) == len(counted) else f"No sheet is named for {listed(without)}"
+        )
         yield (
             f"{which}: each specimen counts as a sheet of its own. If some are fields of one sheet, the intervals are "
             "too narrow; if sheets were measured before and after, they do not pair. Add a column sheet."

@@ -178,10 +178,15 @@ def _instruments(member: Member, results: Results) -> list[InstrumentFacts]:
         slopes = (row.slope, 1 / row.slope_x_on_y) if row.slope is not None and row.slope_x_on_y else None
         found.append(
             InstrumentFacts.model_validate(
-                about | {
-                    "bias": row.difference_mean, "bias_interval": e.twice.bias_interval, "limits": row.limits,
-                    "limit_intervals": e.twice.limit_intervals, "slopes": slopes,
-                    "shared_um": e.twice.resolution_um, "sentence": e.twice.sentence or "",
+                about
+                | {
+                    "bias": row.difference_mean,
+                    "bias_interval": e.twice.bias_interval,
+                    "limits": row.limits,
+                    "limit_intervals": e.twice.limit_intervals,
+                    "slopes": slopes,
+                    "shared_um": e.twice.resolution_um,
+                    "sentence": e.twice.sentence or "",
                 }  # fmt: skip
             )
         )

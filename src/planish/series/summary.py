@@ -158,8 +158,13 @@ def _specimens(found: Gathered, quantities: Sequence[Quantity], declared: Declar
         paper, sheet = member.factors.get("paper", ""), member.factors.get("sheet", "")
         out.append(
             Specimen(
-                member=member, kind=brief.kind, light=brief.light, spoken=brief.spoken, marks_used=brief.marks_used,
-                leave_one_out_um=brief.leave_one_out_um, expected_error_um=brief.expected_error_um,
+                member=member,
+                kind=brief.kind,
+                light=brief.light,
+                spoken=brief.spoken,
+                marks_used=brief.marks_used,
+                leave_one_out_um=brief.leave_one_out_um,
+                expected_error_um=brief.expected_error_um,
                 sheet=" ".join(filter(None, (paper, f"sheet {sheet}"))) if sheet else own,
                 cells=cells_of(member.name, rows[member.name], quantities, layers, doubtful=declared.doubtful),
             )  # fmt: skip
@@ -269,5 +274,3 @@ def _difference(pair: _Pair, factor: str, margin: float | None) -> DifferenceFac
         found, quantity=pair.quantity, within=pair.within, factor=factor, levels=pair.levels, left_out=pair.left_out,
         smallest_seen=found.smallest_seen(), equivalence=held,
     )  # fmt: skip
-
-
