@@ -17,6 +17,7 @@ from .pipeline import open_run as open_run
 from .pipeline import register_marks as register_marks
 from .pipeline import resample_maps as resample_maps
 from .report import write_report as write_report
+from .series import open_study as open_study
 from .surface import find_surfaces as find_surfaces
 from .synthetic import make_specimen as make_specimen
 

@@ -38,11 +38,7 @@ class Quantity(Facts):
     at_um: Number = Field(default=None, description="Limit of a thin share, or edge of the points of r.")
     unit: str = Field(description="Of its values; 1 for a share and for r.")
     title: str = Field(description="The same in words.")
-
-    @property
-    def key(self) -> tuple[str, str, str, str, str]:
-        """What it is, but for lengths."""
-        return self.layer, self.map, self.what, self.other_layer, self.other_map
+    map_title: str = Field(description="Title of the map.")
 
 
 class Cell(Facts):

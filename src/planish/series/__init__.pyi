@@ -1,4 +1,13 @@
+from .declared import Declared as Declared
+from .declared import declared_of as declared_of
+from .gather import Gathered as Gathered
+from .gather import gather as gather
 from .jobs import Book as Book
+from .open import open_study as open_study
+from .pages import write_series as write_series
 from .plan import Plan as Plan
 from .plan import Specimen as Specimen
 from .plan import read_plan as read_plan
+from .rows import Row as Row
+from .rows import rows_of as rows_of
+from .summary import summary_of as summary_of

@@ -46,8 +46,7 @@ def _left_out(counted: Sequence[Specimen], quantities: Sequence[Quantity]) -> It
             ]  # fmt: skip
             if kept:
                 yield (
-                    f"Doubtful figures of {_count(len(kept), 'specimen')} take part in means and comparisons, as was "
-                    f"declared: {listed(kept)}."
+                    f"Doubtful figures take part in means and comparisons, as was declared: those of {listed(kept)}."
                 )
     few = [one.member.name for one in counted if any(c.why_not.startswith("too few") for c in one.cells)]
     if few:

@@ -93,7 +93,9 @@ def _statistic(rows: Sequence[Row], what: What, layer: str, thin_um: float | Non
         "thin_share": f"share with {words} below {thin_um:g} um" if thin_um else f"share without {words}",
     }[what]  # fmt: skip
     at_um = thin_um if what == "thin_share" else None
-    return Quantity(layer=layer, map=rows[0].map, what=what, at_um=at_um, unit=rows[0].unit, title=title)
+    return Quantity(
+        layer=layer, map=rows[0].map, what=what, at_um=at_um, unit=rows[0].unit, title=title, map_title=words
+    )
 
 
 def _correlations(rows: Sequence[Row], name: str, layers: Layers) -> list[Quantity]:
@@ -117,6 +119,7 @@ def _correlations(rows: Sequence[Row], name: str, layers: Layers) -> list[Quanti
                 at_um=at_um,
                 unit="1",
                 title=f"r of {words} and {other}, points of {at_um:g} um",
+                map_title=words,
             )  # fmt: skip
         )
     return out

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from planish.core.files import write_whole
+from planish.core.files import delete, write_whole
 from planish.core.series import Member
 from planish.core.series_results import Quantity, SeriesResults
 from planish.core.tables import table_text
-from planish.report import write_series_report
-from planish.series.declared import Declared
+from planish.report import series_page
+from planish.series.declared import Declared, declared_of
 from planish.series.gather import gather
 from planish.series.rows import Row
 from planish.series.summary import summary_of
@@ -31,7 +31,9 @@ _OF_A_ROW = (
 _TEXTS = ("layer", "map", "other_layer", "other_map", "quantity", "unit", "trust", "checks")
 
 
-def write_series(members: Sequence[Member], home: Path, declared: Declared, out: Path) -> SeriesResults:
+def write_series(
+    members: Sequence[Member], home: Path, declared: Declared | Mapping[str, Any], out: Path
+) -> SeriesResults:  # fmt: skip
     """Write the page of a series, its numbers and its tables.
 
     Parameters
@@ -40,10 +42,11 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
         Specimens in the order of their table.
     home : path
         Folder that their runs are relative to.
-    declared : Declared
+    declared : Declared, or the values of one
     out : path
         Folder that is there: report.html, results.json, specimens.csv (a row for each specimen) and values.csv (a row
-        for each figure) are written into it, each whole; values.parquet, too, where pyarrow is installed.
+        for each figure) are written into it, each whole, over those of an earlier time; values.parquet, too, where
+        pyarrow is installed.
 
     Returns
     -------
@@ -53,9 +56,9 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
     Raises
     ------
     InputError
-        If the factor or a map that was declared is not there.
+        If what was declared means nothing, or its factor or a map is not there.
     FileError, ResourceError
-        If a file is there already, or cannot be written.
+        If a file cannot be written.
 
     Notes
     -----
@@ -63,7 +66,7 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
     version of pyarrow.
     """
     found = gather(members, home)
-    results = summary_of(found, declared)
+    results = summary_of(found, declared_of(declared))
     drawn = thumbnails_of(results, home)
     moved = {one.name: _moved(one, home, out) for one in found.members}
     results = results.model_copy(
@@ -71,12 +74,16 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
             "specimens": tuple(one.model_copy(update={"member": moved[one.member.name]}) for one in results.specimens)
         }  # fmt: skip
     )
-    write_whole(out / VALUES, values_text(found.rows, results.factors).encode())
-    if find_spec("pyarrow") is not None:
-        write_whole(out / PARQUET, parquet_bytes(found.rows, results.factors))
-    write_whole(out / SPECIMENS, specimens_text(results).encode())
-    write_whole(out / RESULTS, results.to_json().encode())
-    write_series_report(out / REPORT, results=results, maps=drawn)
+    table = values_text(found.rows, results.factors).encode()
+    packed = parquet_bytes(found.rows, results.factors) if find_spec("pyarrow") is not None else None
+    for name, data in (
+        (VALUES, table), (PARQUET, packed), (SPECIMENS, specimens_text(results).encode()),
+        (RESULTS, results.to_json().encode()), (REPORT, series_page(results, drawn).encode()),
+    ):  # fmt: skip
+        if data is None:
+            delete(out / name)  # one of an earlier time would say something else
+        else:
+            write_whole(out / name, data, over=True)
     return results
 
 
