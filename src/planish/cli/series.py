@@ -81,9 +81,9 @@ def _study(
     plan: Plan, out: Path, compute: Compute, jobs: int, *, watch: Path | None, settle: float, idle: float | None,
     as_json: bool,
 ) -> int:  # fmt: skip
+    from planish.series.pages import write_series
     from planish.series.run import run_series
     from planish.series.watch import watched
-    from planish.series.write import write_series
 
     members: dict[str, Member] = {}
     told, begin, interrupted = _Told(len(plan.specimens)), time.monotonic(), False
