@@ -71,7 +71,7 @@ def run_study(
     with limit_threads(compute.threads):
         if out is None:
             check_request(study, compute, held=True)
-            return _done(study, compute=compute, progress=progress, kept=None)
+            return _done(study, compute=_settled(compute), progress=progress, kept=None)
         out = Path(out)
         refuse_existing(out)
         refuse_inside(out, [layer.path for layer in study.layers])
@@ -92,7 +92,13 @@ def run_study(
             sink = StoredMaps(work / f".{secrets.token_hex(4)}.partial") if len(study.layers) > 1 else None
             try:
                 run = _done(
-                    study, compute=compute, progress=progress, kept=work / "tiles", mapped=mapped, near=near, sink=sink
+                    study,
+                    compute=_settled(compute),
+                    progress=progress,
+                    kept=work / "tiles",
+                    mapped=mapped,
+                    near=near,
+                    sink=sink,
                 )
             except PlanishError as error:
                 with suppress(PlanishError):  # a disk that is full now does not hide what was wrong before
@@ -110,6 +116,11 @@ def run_study(
                 save_run(run, folder, home=out, stored=sink, figures=figures)
             moved = {name: stored_group(out / MAPS, name) for name in sink.stored} if sink is not None else {}
             return replace(run, groups=run.groups | moved)
+
+
+def _settled(compute: Compute) -> Compute:
+    """The same with its memory in bytes: what is free changes while a run works, and columns must not."""
+    return compute.model_copy(update={"memory_bytes": compute.memory})
 
 
 def _of_layer(out: Path, layer: LayerParams, study: Study) -> Path:
