@@ -67,11 +67,13 @@ def run_study(
         link stays beside it, as ``OUT-map``.
     """
     compute = compute or Compute()
-    return_memory(compute)
+    # What is free changes while a run works, and the width of its columns must not.
+    settled = compute.model_copy(update={"memory_bytes": compute.memory})
+    return_memory(settled)
     with limit_threads(compute.threads):
         if out is None:
             check_request(study, compute, held=True)
-            return _done(study, compute=_settled(compute), progress=progress, kept=None)
+            return _done(study, compute=settled, progress=progress, kept=None)
         out = Path(out)
         refuse_existing(out)
         refuse_inside(out, [layer.path for layer in study.layers])
@@ -93,7 +95,7 @@ def run_study(
             try:
                 run = _done(
                     study,
-                    compute=_settled(compute),
+                    compute=settled,
                     progress=progress,
                     kept=work / "tiles",
                     mapped=mapped,
@@ -116,11 +118,6 @@ def run_study(
                 save_run(run, folder, home=out, stored=sink, figures=figures)
             moved = {name: stored_group(out / MAPS, name) for name in sink.stored} if sink is not None else {}
             return replace(run, groups=run.groups | moved)
-
-
-def _settled(compute: Compute) -> Compute:
-    """The same with its memory in bytes: what is free changes while a run works, and columns must not."""
-    return compute.model_copy(update={"memory_bytes": compute.memory})
 
 
 def _of_layer(out: Path, layer: LayerParams, study: Study) -> Path:
