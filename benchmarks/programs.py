@@ -2,9 +2,9 @@
 
     python -m benchmarks programs [--run RUN] [--folder DIR] [--pictures DIR]
 
-ImageJ (`ij.jar`, through JPype), GNU Octave, Gwyddion, R, ParaView (`pvpython`), ITK (SimpleITK), elastix (`transformix`),
-Pillow, netCDF-C, TensorStore and meshio. A program that is not installed is skipped, and said. Without ``--run`` a
-small specimen is linked first. The last column is the largest difference to what the run holds.
+ImageJ (`ij.jar`, through JPype), GNU Octave, Gwyddion, R, ParaView (`pvpython`), ITK (SimpleITK), elastix
+(`transformix`), Pillow, netCDF-C, TensorStore and meshio. A program that is not installed is skipped, and said. Without
+``--run`` a small specimen is linked first. The last column is the largest difference to what the run holds.
 """
 
 from __future__ import annotations
