@@ -50,7 +50,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark tests on measured data, leave the studies out unless they are asked for, choose the order of the files."""
+    """Mark tests on measured data, leave the studies out unless they are asked for, put the longest files first."""
     for item in items:
         if "shared_data" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.realdata)
@@ -59,12 +59,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if studies and not wanted:
         config.hook.pytest_deselected(items=studies)
         items[:] = [item for item in items if not item.get_closest_marker("study")]
-    # One file of links compiles all kernels of a link, 48 s; the other workers take long files without a link meanwhile,
-    # and find the kernels when they come to those with one. Short files at the end let the workers finish together.
+    # Short files at the end let the workers finish together.
     links = {"specimen", "specimen_files", "measured"}
-    linked = [item.path for item in items if links & set(getattr(item, "fixturenames", ()))]
-    ranks = {item.path: 1 for item in studies} | dict.fromkeys(linked, 2) | dict.fromkeys(linked[:1], 0)
-    items.sort(key=lambda item: ranks.get(item.path, 3))
+    long = {item.path for item in items if links & set(getattr(item, "fixturenames", ()))}
+    long |= {item.path for item in studies}
+    items.sort(key=lambda item: item.path not in long)
 
 
 # --- CPU time of each test -----------------------------------------------------------------------------------

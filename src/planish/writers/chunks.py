@@ -72,7 +72,7 @@ class Chunks:
     def _read(self, row: int, col: int, into: NDArray[Any]) -> None:
         block = np.empty((BAND, self.wide), self.dtype)
         packed = (self.folder / "c" / str(row) / str(col)).read_bytes()
-        found = imagecodecs.zstd_decode(packed, out=block.reshape(-1).view(np.uint8))
+        found = imagecodecs.zstd_decode(packed, out=block.reshape(-1).view(np.uint8).data)
         if len(found) != block.nbytes:
             raise ValueError(f"{len(found)} bytes in a chunk of {block.nbytes}")
         into[...] = block[: into.shape[0], : into.shape[1]]
