@@ -38,6 +38,8 @@ def _among(results: SeriesResults) -> str:
     """How many of all differences are distinguishable."""
     total, seen = len(results.differences), sum(d.verdict == "differ" for d in results.differences)
     unknown = sum(d.verdict == "unknown" for d in results.differences)
+    if unknown == total:
+        return f"None of {total} differences can be told."
     words = "none is" if seen == 0 else "1 is" if seen == 1 else f"{seen} are"
     tail = f"; {unknown} cannot be told" if unknown else ""
     return f"Of {total} differences, {words} distinguishable after Holm{tail}."
@@ -90,6 +92,11 @@ def with_points(text: str, q: Quantity) -> str:
     return f"{text}\u202f% points" if q.what == "thin_share" and text != NONE else with_units(text, q)
 
 
+def margin_text(margin: float, q: Quantity) -> str:
+    """Write a declared margin as it was given."""
+    return with_points(f"{100 * margin if q.what == 'thin_share' else margin:g}", q)
+
+
 def title(q: Quantity) -> str:
     """Title of a quantity at the beginning of a line; r stays small."""
     return typeset(q.title) if q.what == "r" else capital(typeset(q.title))
@@ -107,7 +114,7 @@ def short(q: Quantity) -> str:
     """Heading of a column: the statistic with its unit."""
     at = "" if q.at_um is None else f"{q.at_um:g} µm"
     name = {"mean": "Mean", "sd": "Standard deviation", "thin_share": f"Below {at}" if q.at_um else "Bare",
-            "r": f"r, points of {at}"}[q.what]  # fmt: skip
+            "r": f"r with {q.other_layer or 'the image'}, points of {at}"}[q.what]  # fmt: skip
     return f"{name} / {units(q)}" if units(q) else name
 
 
@@ -171,7 +178,7 @@ def _within_margin(d: DifferenceFacts, q: Quantity) -> str:
     e = d.equivalence
     if e is None or e.verdict == "unknown":
         return ""
-    margin = with_points(value(e.margin, q), q)
+    margin = margin_text(e.margin, q)
     return {"equivalent": f" They are equivalent within the declared margin of {margin}.",
             "larger": f" The difference is larger than the declared margin of {margin}.",
             "undecided": f" Whether it is smaller than the declared margin of {margin} is undecided."}[e.verdict]  # fmt: skip
@@ -201,7 +208,7 @@ def equivalent(d: DifferenceFacts, q: Quantity) -> str:
     e = d.equivalence
     if e is None:
         return ""
-    margin = with_points(value(e.margin, q), q)
+    margin = margin_text(e.margin, q)
     words = {"equivalent": f"equivalent within ± {margin}", "larger": f"larger than ± {margin}",
              "undecided": f"undecided at ± {margin}", "unknown": f"± {margin}: cannot be told"}[e.verdict]  # fmt: skip
     return words if e.interval is None else f"{words} (90 %: {interval(e.interval, q)}; p {p_text(e.p)})"
@@ -272,10 +279,7 @@ def spans(results: SeriesResults, columns: Sequence[int]) -> list[tuple[str, int
     """Headings over the columns of one map: its title, and how many there are."""
     out: list[tuple[str, int]] = []
     for k in columns:
-        q = results.quantities[k]
-        title = capital(q.title.removeprefix("r of ") if q.what == "r" else q.map_title)
-        if q.what == "r":
-            title = capital(title.rpartition(", points of")[0])
+        title = capital(results.quantities[k].map_title)
         if out and out[-1][0] == title:
             out[-1] = (title, out[-1][1] + 1)
         else:
@@ -297,3 +301,8 @@ def declared(results: SeriesResults) -> list[tuple[str, str]]:
         ("Sheets", "named in the table" if results.sheets_given else "not all named: see the cautions"),
     ]  # fmt: skip
     return rows
+
+
+def plain_words(said: str) -> str:
+    """Write a sentence for a terminal: units in ASCII, usual blanks and minus signs."""
+    return said.replace("\u202f", " ").replace("µm", "um").replace("−", "-").replace("±", "+-").replace("²", "2")

@@ -35,9 +35,9 @@ def _left_out(counted: Sequence[Specimen], quantities: Sequence[Quantity]) -> It
         names = [name for name, titles in of.items() if titles]
         if names:
             every = all(len(titles) == len(quantities) for titles in of.values() if titles)
-            what = "all their figures" if every else "some of their figures (they are marked in the table)"
+            what = "all figures" if every else "some figures (marked in the table)"
             yield (
-                f"{_count(len(names), 'specimen')} left out of means and comparisons with {what}, because {meaning}: "
+                f"{word.capitalize()} figures take part in no mean and no comparison, because {meaning}: {what} of "
                 f"{listed(names)}."
             )
         if word == "doubtful":
@@ -141,7 +141,3 @@ def listed(names: Sequence[str]) -> str:
     """Names in a sentence, the first ones and how many there are more."""
     shown = [*names[:_MOST_NAMES], *([f"{len(names) - _MOST_NAMES} more"] if len(names) > _MOST_NAMES else [])]
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
-
-
-def _count(n: int, word: str) -> str:
-    return f"{n} {word} is" if n == 1 else f"{n} {word}s are"

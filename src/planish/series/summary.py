@@ -118,6 +118,8 @@ def _compared_by(found: Gathered, factors: Sequence[str], declared: Declared) ->
     if name is None:
         usual = ("treatment", "paper", "side")
         return next((f for f in usual if f in factors and len(_levels(found, f)) > 1), None)
+    # Tables are read in small letters.
+    name = next((f for f in factors if f == name), next((f for f in factors if f.casefold() == name.casefold()), name))
     if name in _NEST:
         raise InputError(
             f"{name.capitalize()}s are the sample and are not compared with each other. Compare by another factor: "
