@@ -46,7 +46,7 @@ def measure(rows: int, cols: int, folder: Path, memory: str) -> None:
     shutil.rmtree(out, ignore_errors=True)
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     command = [sys.executable, "-m", "planish", "link", volume, image, "--out", out, "--memory", memory]
-    code, stages, said = timed([str(part) for part in command])
+    code, stages, said, peak = timed([str(part) for part in command])
     seconds, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     pixels = rows * cols
@@ -56,7 +56,7 @@ def measure(rows: int, cols: int, folder: Path, memory: str) -> None:
     if code not in (0, 4):
         print(said)
         return
-    print(f"  peak memory {after.ru_maxrss * 1024 / 1e9:.2f} GB (of this and all smaller ones before)")
+    print(f"  peak memory {peak / 1e9:.2f} GB")
     print(f"  page {(out / 'report.html').stat().st_size / 1e6:.1f} MB, maps "
           f"{sum(f.stat().st_size for f in (out / 'maps.zarr').rglob('*') if f.is_file()) / 1e9:.1f} GB")  # fmt: skip
     shutil.rmtree(out, ignore_errors=True)

@@ -58,7 +58,7 @@ def spoil(home: Path, how: str, folder: Path) -> None:
             grey = grey[:, ::-1]
         else:
             grey = grey.copy()
-            grey[: int(0.65 * grey.shape[0])] = np.median(grey)
+            grey[: int(0.45 * grey.shape[0])] = np.median(grey)
         tifffile.imwrite(
             image, grey, resolution=(size["XResolution"], size["YResolution"]), resolutionunit=size["ResolutionUnit"]
         )
@@ -105,7 +105,8 @@ def main(folder: str = "", *parts: str) -> int:
     table = make(home)
     whole = home / "one"
     if not whole.exists():
-        print("one process: exit %d, %.0f s, %.0f s of processor time" % timed(study(table, whole)), flush=True)
+        code, seconds, cpu = timed(study(table, whole))
+        print(f"one process: exit {code}, {seconds:.0f} s, {cpu:.0f} s of processor time", flush=True)
     for k in range(1, COUNT + 1):
         name, alone = f"s{k:02d}", home / "single" / f"s{k:02d}"
         if k not in WRONG and "single" in parts and not alone.exists():

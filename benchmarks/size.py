@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -149,9 +150,8 @@ def measure(gvoxel: float, folder: str, asked: argparse.Namespace) -> None:
     shutil.rmtree(out, ignore_errors=True)
     command = [sys.executable, "-m", "planish", "map", str(store), "--out", str(out), "--column-um", asked.column_um]
     command += ["--memory", asked.memory, *(["--scheduler", asked.scheduler] if asked.scheduler else [])]
-    done, stages, said = timed(command)
+    done, stages, said, peak = timed(command)
     took = sum(stages.values())
-    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
     print(f"  surfaces and six maps {took:.1f} s, {voxels / took / 1e6:.0f} Mvoxel/s, {took / read:.1f} plain passes")
     print("  " + ", ".join(f"{name} {seconds:.1f} s" for name, seconds in stages.items()))
     rest = took - stages.get("check", 0.0)
@@ -170,13 +170,19 @@ def measure(gvoxel: float, folder: str, asked: argparse.Namespace) -> None:
             print(f"  {check['state']}: {check['name']}: {check['sentence']}")
 
 
-def timed(command: list[str]) -> tuple[int, dict[str, float], str]:
-    """Run planish; exit code, seconds from each stage that it names to the next one, and all that it said."""
+def timed(command: list[str]) -> tuple[int, dict[str, float], str, float]:
+    """Run planish; exit code, seconds from each stage that it names to the next one, what it said, peak bytes.
+
+    The peak is read while it runs: what the system reports of a child begins with the size of the process that started
+    it, and that has just made a specimen.
+    """
     stages = {"start": 0.0}
     said: list[str] = []
     last, name = time.perf_counter(), "start"
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as run:
         assert run.stderr is not None
+        peak = [0.0]
+        threading.Thread(target=_follow, args=(run, peak), daemon=True).start()
         for line in run.stderr:
             said.append(line)
             now = time.perf_counter()
@@ -184,7 +190,15 @@ def timed(command: list[str]) -> tuple[int, dict[str, float], str]:
             last, name = now, line.partition(":")[0]
         code = run.wait()
     stages[name] = stages.get(name, 0.0) + time.perf_counter() - last
-    return code, stages, "".join(said)
+    return code, stages, "".join(said), peak[0]
+
+
+def _follow(run: subprocess.Popen[str], peak: list[float]) -> None:
+    while run.poll() is None:
+        with suppress(OSError, StopIteration, ValueError):
+            lines = Path(f"/proc/{run.pid}/status").read_text(encoding="utf-8").splitlines()
+            peak[0] = max(peak[0], 1024.0 * int(next(line for line in lines if line.startswith("VmHWM")).split()[1]))
+        time.sleep(0.2)
 
 
 def volume(shape: tuple[int, int, int]) -> xr.DataArray:

@@ -136,6 +136,8 @@ def read_study(path: Path) -> Study:
     except RecursionError as error:
         raise FileError(f"{path} is not a TOML file: {error}.") from error
     data.pop("planish", None)
+    if "specimens" in data:
+        raise FileError(f"{path} is a series of specimens. Do it with: planish study {path} --out OUT.")
     try:
         study = as_study(data)
     except ValidationError as error:

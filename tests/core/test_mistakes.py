@@ -39,7 +39,7 @@ rim_um = 100.0
         ('side = "top"', "volume.side: unknown here; side belongs to [image]"),
         ('through = "Y "', "volume.through: 'Y ' is not possible; needed is 'z', 'y' or 'x'; did you mean 'y'?"),
         ("md_deg = 400", "volume.md_deg: Input should be less than or equal to 180 (found 400)"),
-        ("voxel_um = 3", "volume.voxel_um: 3 is not possible; needed are values in brackets, such as [1.5, 1.5]"),
+        ("fixed_rows = 3", "volume.fixed_rows: 3 is not possible; needed are values in brackets, such as [1.5, 1.5]"),
         ("voxel_um = [\n 3.0, # z\n -1.0,\n 3.0]", "volume.voxel_um.1: Input should be greater than 0 (found -1.0)"),
         ("xyz = 1", "volume.xyz: unknown; there are channel, column_um"),
     ],

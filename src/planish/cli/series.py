@@ -95,7 +95,7 @@ def _study(
     except KeyboardInterrupt:
         interrupted = watch is None  # a watch has no other end
     found = list(members.values())
-    results = write_series(found, out, plan.more.get("compare", {}), out)
+    results = write_series(found, out, plan.declared, out)
     if as_json:
         click.echo(results.to_json(), nl=False)
     counts = Counter(member.state for member in found)

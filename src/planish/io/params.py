@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from planish.core.options import Params, option
 
 Size = Annotated[float, Field(gt=0)]
+
+
+def _all_alike(count: int) -> BeforeValidator:
+    """One number stands for that along every axis."""
+    return BeforeValidator(lambda size: (size,) * count if isinstance(size, (int, float)) else size)
+
+
 Index = Annotated[int, Field(ge=0)]
 Channel = Literal["luminance", "red", "green", "blue"]
 
@@ -21,7 +28,7 @@ class VolumeParams(Params):
     """A volume and how the sheet lies in it."""
 
     path: str = option(help="File or folder of the volume (docs/formats.md).", cli=None)
-    voxel_um: tuple[Size, Size, Size] | None = option(
+    voxel_um: Annotated[tuple[Size, Size, Size] | None, _all_alike(3)] = option(
         None, metavar="SIZE|Z,Y,X", repeat=True, help="Voxel size in um, where the file does not state it."
     )
     through: Literal["z", "y", "x"] = option("z", help="Axis that runs through the sheet.")
@@ -62,7 +69,7 @@ class ImageParams(Params):
     """An image, and which side of the sheet it shows."""
 
     path: str = option(help="File of the image.", cli=None)
-    pixel_um: tuple[Size, Size] | None = option(
+    pixel_um: Annotated[tuple[Size, Size] | None, _all_alike(2)] = option(
         None, metavar="SIZE|Y,X", repeat=True, help="Pixel size in um, where the image does not state it."
     )
     channel: str = option(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -99,6 +100,8 @@ class Book:
 
     def close(self, specimen: Specimen, job: Job, outcome: Outcome) -> Member:
         """Remember what became of a job."""
+        # The same words wherever the series stands.
+        outcome = outcome.model_copy(update={"message": outcome.message.replace(f"{self.home}{os.sep}", "")})
         self._write(job.folder, job.note.model_copy(update=outcome.model_dump()))
         if is_run(job.folder):
             return self.member(specimen, job.folder)

@@ -6,7 +6,7 @@ import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,6 +19,7 @@ from planish.core.series import Member
 from planish.core.tables import parse_table, raise_faults, read_text
 from planish.core.toml_lines import KeyLines, key_lines
 from planish.pipeline.build import study_of
+from planish.series.declared import Declared
 from planish.study import Study, as_study, in_study_words, with_paths, with_values
 
 _FILES = ("volume", "image", "layers")
@@ -66,14 +67,19 @@ class Plan:
         Folder of the file, to which paths in it are relative.
     sections : dict
         Options of all specimens, by section, as in a study file.
-    more : dict
-        Tables of the series itself: ``compare``, ``watch``.
+    declared : Declared
+        What is compared, of the table ``compare``.
+    watch : dict
+        The table ``watch``, empty where there is none.
+    changes : tuple of str
+        Options of all specimens, ``SECTION.NAME=VALUE``.
     """
 
     specimens: tuple[Specimen, ...]
     home: Path
     sections: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
-    more: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
+    declared: Declared = field(default_factory=Declared)
+    watch: dict[str, Any] = field(default_factory=dict[str, Any])
     changes: tuple[str, ...] = ()
 
     def study(self, specimen: Specimen) -> Study:
@@ -114,7 +120,7 @@ def read_plan(path: Path, changes: Sequence[str] = ()) -> Plan:
     home = path.absolute().parent
     if path.suffix.lower() == ".toml":
         return _of_toml(path, text, home, tuple(changes))
-    return _plan(path, _rows_of(path, text), home, {}, {}, tuple(changes))
+    return _plan(path, _rows_of(path, text), Plan(specimens=(), home=home, changes=tuple(changes)))
 
 
 # --- the two forms ---------------------------------------------------------------------------------------------------
@@ -160,8 +166,13 @@ def _of_toml(path: Path, text: str, home: Path, changes: tuple[str, ...]) -> Pla
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in cast("list[Any]", listed)):
         raise InputError(f"{path}: specimens are tables, each under a line [[specimens]].")
     data.pop("planish", None)
-    more = {name: data.pop(name) for name in ("compare", "watch") if name in data}
+    own = {name: data.pop(name) for name in ("compare", "watch") if name in data}
     _check_common(path, data, lines)
+    try:
+        declared = Declared.model_validate(own.get("compare", {}))
+    except ValidationError as error:
+        found = mistakes(error, Declared, lambda loc: (("compare", *loc), lines.of(("compare", *loc))))
+        raise InputError(f"{path}: {'; '.join(found)}.") from error
     faults: list[str] = []
     rows: list[_Row] = []
     for k, one in enumerate(cast("list[dict[str, Any]]", listed)):
@@ -183,7 +194,10 @@ def _of_toml(path: Path, text: str, home: Path, changes: tuple[str, ...]) -> Pla
             for row in rows:
                 if not row.layers:
                     row.cells.setdefault(kind, str(common))
-    return _plan(path, rows, home, data, more, changes)
+    watch = own.get("watch", {})
+    return _plan(
+        path, rows, Plan(specimens=(), home=home, sections=data, declared=declared, watch=watch, changes=changes)
+    )
 
 
 _EXAMPLES = {"set": '["volume.top=low"]', "layers": '["ct=scan", "image.tif"]'}
@@ -213,14 +227,12 @@ def _check_common(path: Path, data: Mapping[str, Any], lines: KeyLines) -> None:
 # --- what both have in common ----------------------------------------------------------------------------------------
 
 
-def _plan(
-    path: Path, rows: Sequence[_Row], home: Path, sections: dict[str, Any], more: dict[str, Any],
-    changes: tuple[str, ...],
-) -> Plan:  # fmt: skip
+def _plan(path: Path, rows: Sequence[_Row], plan: Plan) -> Plan:
     """Check the specimens of either form against each other."""
+    home = plan.home
     faults: list[str] = []
     found: list[Specimen] = []
-    if not rows and "watch" not in more:
+    if not rows and not plan.watch:
         raise InputError(f"{path} names no specimen. {_NEEDED}.")
     names = _names(rows)
     for row, name in zip(rows, names, strict=True):
@@ -245,7 +257,13 @@ def _plan(
             if first != row.where:
                 faults.append(f"{row.where}: {what} as {first}")
     raise_faults(path.name, faults, "Correct the table.", error=InputError)
-    return Plan(specimens=tuple(found), home=home, sections=sections, more=more, changes=changes)
+    known = {factor for one in found for factor in one.factors}
+    if (by := plan.declared.compare) is not None and by not in known and not plan.watch:
+        raise InputError(
+            f"{path}: compare names {by}, and no specimen has that factor; there are "
+            f"{', '.join(sorted(known)) or 'none'}. Add a column {by}, or name another one."
+        )
+    return replace(plan, specimens=tuple(found))
 
 
 def _names(rows: Sequence[_Row]) -> list[str]:

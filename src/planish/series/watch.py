@@ -32,10 +32,10 @@ class WatchParams(Params):
 def watch_params(plan: Plan) -> WatchParams:
     """The patterns of a plan; InputError where they are missing or do not fit together."""
     example = "[watch] with volume = '{sheet}_ct.tif' and image = '{sheet}_img.tif'"
-    if "watch" not in plan.more:
+    if not plan.watch:
         raise InputError(f"--watch needs to know how files pair. Write a table {example} into the study.")
     try:
-        found = WatchParams.model_validate(plan.more["watch"])
+        found = WatchParams.model_validate(plan.watch)
     except ValidationError as error:
         raise InputError(f"{'; '.join(model_faults(error, ['watch']))}. Needed: {example}.") from error
     names = _FACTOR.findall(found.volume)

@@ -1,0 +1,102 @@
+"""What is remembered of a series: kept, refused, tried again; never over a run that is there."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from planish.cli.series import code_of
+from planish.compute import Compute
+from planish.core.series import Member, MemberState
+from planish.series import Book, Plan, Specimen
+from planish.series.jobs import Job, Outcome, do
+
+COMPUTE = Compute()
+
+
+@pytest.fixture
+def specimen(tmp_path: Path) -> Specimen:
+    tifffile.imwrite(tmp_path / "v.tif", np.arange(504, dtype=np.uint8).reshape(9, 8, 7), imagej=True)
+    tifffile.imwrite(tmp_path / "i.tif", np.zeros((8, 7), np.uint8))
+    return Specimen(name="A 1", files=(str(tmp_path / "v.tif"), str(tmp_path / "i.tif")))
+
+
+def book(folder: Path, *specimens: Specimen, changes: tuple[str, ...] = ()) -> Book:
+    home = folder / "out"
+    home.mkdir(exist_ok=True)
+    return Book(home, Plan(specimens=specimens, home=folder, changes=changes))
+
+
+def opened(one: Book, specimen: Specimen) -> Job:
+    job = one.open(specimen, COMPUTE)
+    assert isinstance(job, Job)
+    return job
+
+
+def test_what_was_refused_is_not_tried_again_until_it_changes(tmp_path: Path, specimen: Specimen) -> None:
+    one = book(tmp_path, specimen)
+    refused = one.close(specimen, opened(one, specimen), Outcome(state="refused", message="no hole", seconds=1.0))
+    assert (refused.state, refused.message, refused.run) == ("refused", "no hole", None)
+    again = book(tmp_path, specimen).open(specimen, COMPUTE)
+    assert isinstance(again, Member)
+    assert again == refused
+    other = book(tmp_path, specimen, changes=("correlate.point_um=50",)).open(specimen, COMPUTE)
+    assert isinstance(other, Job)
+    tifffile.imwrite(tmp_path / "i.tif", np.ones((8, 7), np.uint8))
+    assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Job)
+
+
+def test_want_of_memory_or_disk_is_tried_again(tmp_path: Path, specimen: Specimen) -> None:
+    one = book(tmp_path, specimen)
+    one.close(specimen, opened(one, specimen), Outcome(state="damaged", message="memory", seconds=1.0))
+    assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Job)
+
+
+def test_same_bytes_are_the_same_whatever_their_date(tmp_path: Path, specimen: Specimen) -> None:
+    one = book(tmp_path, specimen)
+    one.close(specimen, opened(one, specimen), Outcome(state="refused", message="no hole", seconds=1.0))
+    os.utime(tmp_path / "i.tif", (1e9, 1e9))
+    assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Member)
+
+
+def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, specimen: Specimen) -> None:
+    other = Specimen(name="A 1-2", files=specimen.files, changes=("correlate.point_um=50",))
+    one = book(tmp_path, specimen, other)
+    foreign = one.home / "runs" / "A 1"
+    foreign.mkdir(parents=True)
+    assert opened(one, specimen).folder.name == "A 1-3"  # A 1-2 belongs to the other specimen
+    assert opened(one, other).folder.name == "A 1-2"
+
+
+def test_a_missing_file_concerns_its_specimen(tmp_path: Path, specimen: Specimen) -> None:
+    gone = Specimen(name="B", files=(str(tmp_path / "gone.tif"),))
+    found = do(opened(book(tmp_path, specimen, gone), gone))
+    assert found.state == "refused"
+    assert "gone.tif" in found.message
+
+
+def test_a_job_never_raises(tmp_path: Path, specimen: Specimen, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = opened(book(tmp_path, specimen), specimen)
+    assert do(job).state == "refused"  # eight pixels are no sheet
+    for error, words in ((MemoryError(), "memory"), (ZeroDivisionError("x"), "fault of planish: ZeroDivisionError")):
+
+        def fails(*_: object, error: Exception = error, **__: object) -> None:
+            raise error
+
+        monkeypatch.setattr("planish.series.jobs.run_study", fails)
+        found = do(job)
+        assert found.state == "damaged"
+        assert words in found.message
+
+
+@pytest.mark.parametrize(
+    ("states", "code"),
+    [
+        (["whole", "whole"], 0), (["whole", "refused"], 4), (["refused", "damaged"], 3), (["withheld"], 4),
+        (["withheld", "whole"], 4), ([], 3),
+    ],
+)  # fmt: skip
+def test_exit_codes(states: list[MemberState], code: int) -> None:
+    assert code_of([Member(name=str(k), state=state) for k, state in enumerate(states)]) == code
