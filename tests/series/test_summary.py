@@ -205,3 +205,14 @@ def test_more_than_eight_levels_are_not_compared_two_by_two(tmp_path):
     results = said(tmp_path, *(({"paper": str(k)}, results_of(mean=20.0 + k)) for k in range(9)))
     assert results.differences == ()
     assert any("9 levels" in c for c in results.cautions)
+
+
+def test_sheets_that_pair_by_a_factor_of_ones_own_are_said_to_be_the_same_sheets(tmp_path):
+    rows = [({"papier": p, "sheet": s}, results_of(mean=20.0 + k)) for k, (p, s) in enumerate(
+        (p, s) for p in "AB" for s in "123")]  # fmt: skip
+    results = said(tmp_path, *rows, compare="papier")
+    assert results.differences[0].kind == "paired"
+    assert any("count as the same sheets" in c and "call the factor paper" in c for c in results.cautions)
+    usual = said(tmp_path / "b", *(({"paper": f["papier"], "sheet": f["sheet"]}, run) for f, run in rows))
+    assert usual.differences[0].kind == "two groups"
+    assert not any("same sheets" in c for c in usual.cautions)

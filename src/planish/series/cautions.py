@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
+from planish.core.series import FACTORS
 from planish.core.series_results import Quantity, Specimen
 from planish.series.gather import Gathered
 
@@ -108,6 +109,8 @@ def _factors(
         if without:
             yield f"No {name} is given for {listed(without)}; they make a group of their own and are compared with none."
     if compared_by is not None:
+        if compared_by not in FACTORS:
+            yield from _pairs(counted, compared_by)
         many = len(dict.fromkeys(levels[compared_by]))
         if many < 2:
             yield f"There is nothing to compare: {compared_by} has one level among the specimens that have a run."
@@ -116,6 +119,19 @@ def _factors(
                 f"{compared_by.capitalize()} has {many} levels, and differences of every two of more than {most_levels} "
                 "are not listed. Compare fewer of them."
             )
+
+
+def _pairs(counted: Sequence[Specimen], factor: str) -> Iterator[str]:
+    """Sheets that pair by a factor of which the program cannot know whether it is done to a sheet, or tells sheets."""
+    levels: dict[str, set[str]] = {}
+    for one in counted:
+        if one.member.factors.get("sheet") and (level := one.member.factors.get(factor, "")):
+            levels.setdefault(one.sheet, set()).add(level)
+    if both := [sheet for sheet, own in levels.items() if len(own) > 1]:
+        yield (
+            f"{listed(both)} stand under several levels of {factor} and count as the same sheets, measured under each. "
+            "If they are different ones, call the factor paper, or give each sheet a name of its own."
+        )
 
 
 def _kinds(counted: Sequence[Specimen]) -> Iterator[str]:

@@ -86,11 +86,10 @@ def open_study(path: str | Path) -> xr.Dataset:
         found |= _arrays(quantity, [_entry(row, several) for row in own], names, _dims(quantity))
     data = xr.Dataset(found)
     data = data.assign_coords(specimen=("specimen", np.array(names, dtype=object)))
+    taken = {"state", *map(str, data.dims), *map(str, data.data_vars)}
     for name, column in zip(results.factors, factor_columns(results.factors), strict=True):
         levels = [one.member.factors.get(name, "") for one in results.specimens]
-        data = data.assign_coords(
-            {column if column not in data.dims and column not in data else f"factor_{column}": ("specimen", levels)}
-        )
+        data = data.assign_coords({f"factor_{name}" if column in taken else column: ("specimen", levels)})
     data = data.assign_coords(state=("specimen", [one.member.state for one in results.specimens]))
     return data.assign_attrs(planish=results.planish, compared_by=results.compared_by or "")
 
