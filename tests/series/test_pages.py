@@ -85,7 +85,7 @@ def test_the_table_is_written_in_every_order_and_the_style_shows_the_chosen_one(
         r'<input type="radio" name="order" id="order-\d"(?: checked)?>&#8288;<label for="order-\d">(.+?)<', text
     )
     bodies = re.findall(r'<div class="order order-(\d)">.*?<tbody>(.*?)</tbody>', text, re.S)
-    assert names == ["as listed", "state", "sheet", "mean", "r"]
+    assert names == ["as listed", "state", "sheet", "mean", "standard deviation"]
     assert len(bodies) == len(names)
     orders = [tuple(re.findall(r'<th scope="row" class="name">(?:<a[^>]*>)?(.*?)<', body)) for _, body in bodies]
     assert all(sorted(order) == sorted(orders[0]) and len(order) == len(members) for order in orders)
