@@ -7,10 +7,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from report.runs import a_run
-
 from planish.core.results import Results
 from planish.core.series import Member
+from report.runs import a_run
 
 
 @cache

@@ -4,11 +4,11 @@ import json
 import shutil
 
 import pytest
-from series.runs import put, results_of
 
 from planish.cli.main import main
 from planish.core.errors import FileError, InputError
 from planish.series.members import members_of
+from series.runs import put, results_of
 
 
 @pytest.fixture
@@ -71,7 +71,8 @@ def test_runs_alone_give_a_table_and_their_mean(runs, capsys):
         (["Läufe/Blatt 0", "Läufe/Blatt 1", "--table", "table.csv"], 3, "4 rows without a run"),
     ],
 )
-def test_what_cannot_be_compared_is_said_in_a_sentence(runs, capsys, args, code, words):
+@pytest.mark.usefixtures("runs")
+def test_what_cannot_be_compared_is_said_in_a_sentence(capsys, args, code, words):
     found, _, err = called(capsys, "compare", *args)
     assert found == code
     assert words in err

@@ -7,8 +7,6 @@ import shutil
 import numpy as np
 import pytest
 import xarray as xr
-from report.pages import Page
-from series.runs import results_of, series, two_volumes
 
 import planish as pl
 from planish.core.errors import FileError
@@ -19,6 +17,8 @@ from planish.report import series_page, small_map
 from planish.report.series import natural
 from planish.series import Declared, gather, write_series
 from planish.series.pages import parquet_bytes
+from report.pages import Page
+from series.runs import results_of, series, two_volumes
 
 FILES = ["report.html", "results.json", "specimens.csv", "values.csv"]
 
@@ -162,7 +162,7 @@ def test_two_volumes_keep_their_layers_in_arrays_and_have_a_section(tmp_path):
     ("name", "change", "words"),
     [
         ("values.csv", None, "holds no values.csv"),
-        ("results.json", lambda t: "{", "no results file of a series"),
+        ("results.json", lambda _: "{", "no results file of a series"),
         ("values.csv", lambda t: t.replace("run-1,", "run-77,"), "run-77"),
         ("values.csv", lambda t: t.replace("20.0", "2x", 1), "is no number"),
         ("values.csv", lambda t: t[:-20], "columns"),

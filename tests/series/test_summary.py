@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
-from series.runs import results_of, series, two_volumes
 
 from planish.core.errors import InputError
 from planish.core.series import Member
 from planish.series import Declared, declared_of, gather, summary_of
+from series.runs import results_of, series, two_volumes
 
 
 def said(home, *runs, members=(), **declared):
@@ -197,7 +197,7 @@ def test_factors_that_do_not_fit_are_an_error_or_a_caution(tmp_path):
             summary_of(found, Declared(**wrong))
     with pytest.raises(InputError, match="margin"):
         declared_of({"margin": {"coating_top": 0}})
-    with pytest.raises(InputError, match="compare.by"):
+    with pytest.raises(InputError, match=r"compare\.by"):
         declared_of({"by": "paper"})
 
 

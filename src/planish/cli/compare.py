@@ -26,7 +26,7 @@ def _margin(_context: click.Context, _parameter: click.Parameter, given: tuple[s
             sign = ""
         if not sign or not name.strip() or not 0 < found[name.strip()] < float("inf"):
             raise click.BadParameter(
-                f"{one!r} is no margin. Write MAP=UM, MAP.sd=UM, MAP.thin_share=SHARE or r=NUMBER with a number above 0."
+                f"{one!r} is no margin. Write MAP=UM, MAP.sd=UM, MAP.thin_share=SHARE or r=NUMBER, above 0."
             )
     return found
 

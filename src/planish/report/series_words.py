@@ -63,7 +63,7 @@ def light_of(results: SeriesResults) -> str:
     return "look" if out else "pass"
 
 
-# --- numbers -----------------------------------------------------------------------------------------------------------
+# --- numbers -------------------------------------------------------------------------------------------------------
 
 
 def value(v: float | None, q: Quantity, spread: float | None = None) -> str:
@@ -136,7 +136,7 @@ def sheets_text(n: int) -> str:
     return "1 sheet" if n == 1 else f"{count(n)} sheets"
 
 
-# --- sentences ---------------------------------------------------------------------------------------------------------
+# --- sentences -----------------------------------------------------------------------------------------------------
 
 
 def group_sentence(g: GroupFacts, results: SeriesResults) -> str:
@@ -181,7 +181,7 @@ def _within_margin(d: DifferenceFacts, q: Quantity) -> str:
     margin = margin_text(e.margin, q)
     return {"equivalent": f" They are equivalent within the declared margin of {margin}.",
             "larger": f" The difference is larger than the declared margin of {margin}.",
-            "undecided": f" Whether it is smaller than the declared margin of {margin} is undecided."}[e.verdict]  # fmt: skip
+            "undecided": f" Smaller than the declared margin of {margin} or not: undecided."}[e.verdict]  # fmt: skip
 
 
 def signed(v: float | None, q: Quantity, spread: float | None) -> str:
@@ -235,7 +235,7 @@ def tiles(results: SeriesResults) -> list[Tile]:
                     "% points" if q.what == "thin_share" else units(q),
                     about,
                     note,
-                )  # fmt: skip
+                )
             )
         elif g is not None:
             note = f"95 %: {interval(g.interval, q)}" if g.interval else f"no interval: {g.reason}"

@@ -1,4 +1,4 @@
-"""What a reader of a series has to be careful about: what was left out, what does not match, what was taken for what."""
+"""What a reader of a series has to be careful about: what was left out, what does not match."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def _factors(
     for name in grouped_by:
         without = [one.member.name for one in counted if not one.member.factors.get(name)]
         if without:
-            yield f"No {name} is given for {listed(without)}; they make a group of their own and are compared with none."
+            yield f"No {name} is given for {listed(without)}; they make a group of their own, compared with none."
     if compared_by is not None:
         if compared_by not in FACTORS:
             yield from _pairs(counted, compared_by)
@@ -116,7 +116,7 @@ def _factors(
             yield f"There is nothing to compare: {compared_by} has one level among the specimens that have a run."
         if many > most_levels:
             yield (
-                f"{compared_by.capitalize()} has {many} levels, and differences of every two of more than {most_levels} "
+                f"{compared_by.capitalize()} has {many} levels, and of more than {most_levels} the differences of every two "
                 "are not listed. Compare fewer of them."
             )
 

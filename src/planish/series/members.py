@@ -127,8 +127,8 @@ def _factors(rows: tuple[Table, list[Row]], table: Path | None, places: Sequence
     if idle := [row for row in lines if not used[row.line]]:
         shown = ", ".join(sheet.text(row, "run") or sheet.text(row, "name") or "empty" for row in idle[:_MOST_NAMES])
         raise InputError(
-            f"{sheet.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that was given: {shown}. Give "
-            "these runs, too, or take the rows out."
+            f"{sheet.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that was given: {shown}. "
+            "Give these runs, too, or take the rows out."
         )
     return found
 

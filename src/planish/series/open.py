@@ -44,8 +44,8 @@ def open_study(path: str | Path) -> xr.Dataset:
         map, limit_um); ``r``, ``n_eff``, ``bias`` ... over (specimen, pair, point_um); ``marks_used`` ... over
         (specimen, registration); ``coefficient_of_variation`` over (specimen, map, wave_um); counts of checks over
         (specimen). Quantities with intervals have ``r_low`` and ``r_high`` beside them. ``trust``, ``pair_trust`` and
-        ``registration_trust`` say what the checks leave: 0 ok, 1 doubtful, 2 withheld, -1 not there. Factors and ``state`` are coordinates of
-        ``specimen``; specimens without a run are there, too. A map is named by its layer, too, where specimens have
+        ``registration_trust`` say what the checks leave: 0 ok, 1 doubtful, 2 withheld, -1 not there. Factors and
+        ``state`` are coordinates of ``specimen``; specimens without a run are there, too. A map is named by its layer, too, where specimens have
         several sheets.
 
     Raises
@@ -126,8 +126,8 @@ def _entry(row: Mapping[str, str], several: bool) -> Entry:
         at = (first, _number(row["at_um"]))
     elif not _dims(quantity):
         at = ()
-    values = (_number(row[name]) for name in ("value", "low", "high"))
-    return ((row["specimen"], *at), *values, _TRUST.get(row["trust"], -1), row["unit"])
+    value, low, high = (_number(row[name]) for name in ("value", "low", "high"))
+    return (row["specimen"], *at), value, low, high, _TRUST.get(row["trust"], -1), row["unit"]
 
 
 def _number(text: str) -> float:
@@ -142,8 +142,7 @@ def _arrays(
 ) -> dict[str, xr.DataArray]:
     """A quantity as an array, the ends of its intervals where it has any, and what the checks leave of it."""
     labels: list[list[Any]] = [list(names)]
-    for k in range(len(dims)):
-        labels.append(_labels(entry[0][k + 1] for entry in entries))
+    labels += [_labels(entry[0][k + 1] for entry in entries) for k in range(len(dims))]
     places = [{label: k for k, label in enumerate(own)} for own in labels]
     shape = tuple(len(own) for own in labels)
     values, low, high = (np.full(shape, np.nan) for _ in range(3))
