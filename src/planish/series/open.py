@@ -45,8 +45,8 @@ def open_study(path: str | Path) -> xr.Dataset:
         (specimen, registration); ``coefficient_of_variation`` over (specimen, map, wave_um); counts of checks over
         (specimen). Quantities with intervals have ``r_low`` and ``r_high`` beside them. ``trust``, ``pair_trust`` and
         ``registration_trust`` say what the checks leave: 0 ok, 1 doubtful, 2 withheld, -1 not there. Factors and
-        ``state`` are coordinates of ``specimen``; specimens without a run are there, too. A map is named by its layer, too, where specimens have
-        several sheets.
+        ``state`` are coordinates of ``specimen``; specimens without a run are there, too. Where specimens have several
+        sheets, a map is named with its layer, ``LAYER.MAP``.
 
     Raises
     ------
