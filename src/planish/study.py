@@ -136,7 +136,7 @@ def read_study(path: Path) -> Study:
     except RecursionError as error:
         raise FileError(f"{path} is not a TOML file: {error}.") from error
     data.pop("planish", None)
-    if "specimens" in data:
+    if {"specimens", "watch"} & set(data):
         raise FileError(f"{path} is a series of specimens. Do it with: planish study {path} --out OUT.")
     try:
         study = as_study(data)

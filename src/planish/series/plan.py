@@ -156,13 +156,13 @@ def _of_toml(path: Path, text: str, home: Path, changes: tuple[str, ...]) -> Pla
         data = tomllib.loads(f"{text}\n")
     except tomllib.TOMLDecodeError as error:
         raise FileError(f"{path} is not a TOML file: {toml_mistake(error, text)}") from error
-    if "specimens" not in data:
+    if not {"specimens", "watch"} & set(data):
         raise FileError(
             f"{path} is the study of one specimen. Do it with: planish run {path}. A series has a table [[specimens]] "
             "for each of them."
         )
     lines = key_lines(text)
-    listed = data.pop("specimens")
+    listed = data.pop("specimens", [])
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in cast("list[Any]", listed)):
         raise InputError(f"{path}: specimens are tables, each under a line [[specimens]].")
     data.pop("planish", None)
