@@ -116,7 +116,7 @@ def _factors(
             yield f"There is nothing to compare: {compared_by} has one level among the specimens that have a run."
         if many > most_levels:
             yield (
-                f"{compared_by.capitalize()} has {many} levels. Of more than {most_levels} the differences of every two "
+                f"{compared_by.capitalize()} has {many} levels. Of more than {most_levels}, differences of every two "
                 "are not listed: compare fewer of them."
             )
 
