@@ -10,6 +10,8 @@ from planish.report.statement import p_text
 from planish.report.summary import Tile
 from planish.report.text import NONE, beside, capital, count, fixed, number, typeset, unit
 
+_LED = 2  # differences of one quantity in the first sentences
+_NAMED = 6  # specimens that are left out, in a cell
 _STATES = {
     "whole": "whole", "withheld": "with a check that failed", "refused": "refused", "damaged": "damaged",
     "open": "not done yet",
@@ -24,8 +26,9 @@ def lead(results: SeriesResults) -> str:
         first = results.differences[0]
         alike = [d for d in results.differences if d.quantity == first.quantity]
         more = f" {_among(results)}" if len(results.differences) > 1 else ""
-        other = f" The same is asked of {len(alike) - 1} more below." if len(alike) > 1 else ""
-        return f"{difference(first, results)}{more}{other}"
+        said = " ".join(difference(d, results) for d in alike[:_LED])
+        other = f" {len(alike) - _LED} more of this quantity stand below." if len(alike) > _LED else ""
+        return f"{said}{other}{more}"
     own = [g for g in results.groups if g.fields]
     if not own:
         return f"Nothing can be compared: no figure of any specimen counts. {states(results)}"
@@ -164,8 +167,8 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
     of_what, names = typeset(q.title), f"{first} and {second}"
     if d.interval is None:
         return capital(f"{of}whether {names} differ in {of_what} cannot be told: {d.reason or 'no figure counts'}.")
-    verdict = {"differ": "differ", "not after Holm": "are not distinguishable, among all differences that were looked "
-               "at,", "not distinguishable": "are not distinguishable"}[d.verdict]  # fmt: skip
+    verdict = {"differ": "differ", "not after Holm": "are not distinguishable after Holm",
+               "not distinguishable": "are not distinguishable"}[d.verdict]  # fmt: skip
     change = with_points(signed(d.difference, q, half(d.interval)), q)
     return capital(
         f"{of}{names} {verdict} in {of_what}: {second} − {first} = {change} "
@@ -199,8 +202,16 @@ def sampled(d: DifferenceFacts) -> str:
 
 def verdict(d: DifferenceFacts) -> str:
     """The verdict on a difference, short."""
-    return {"differ": "differ", "not after Holm": "not among all", "not distinguishable": "not distinguishable",
-            "unknown": d.reason or "no figure counts"}[d.verdict]  # fmt: skip
+    return {
+        "differ": "differ", "not after Holm": "not distinguishable after Holm",
+        "not distinguishable": "not distinguishable", "unknown": d.reason or "no figure counts",
+    }[d.verdict]  # fmt: skip
+
+
+def left_out(names: Sequence[str]) -> str:
+    """Name the specimens that do not count, the first of them where they are many."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more if names else "none"
 
 
 def equivalent(d: DifferenceFacts, q: Quantity) -> str:
