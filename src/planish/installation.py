@@ -29,6 +29,7 @@ EXTRAS = {
     "formats": "reads packed MHA and MHD, and files of instruments for topography",
     "refine": "registration refined by the images themselves (--refine)",
     "export": "maps for NetCDF and Gwyddion, a run as RO-Crate (planish export)",
+    "parquet": "the figures of a series as Parquet (planish study, planish compare)",
     "cluster": "work on several machines or processes (--scheduler)",
 }
 """Extra of the package -> what it gives."""

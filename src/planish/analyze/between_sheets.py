@@ -229,7 +229,10 @@ def shift_seen(power: float, free: float) -> float:
     """How many standard errors a difference must have to be seen with a power, two-sided at 5 %."""
     if not 0.05 < power < 1:
         raise InputError(f"The power is {power}. Give a share between 0.05 and 1, such as 0.8.")
-    return float(optimize.brentq(lambda shift: power_of_shift(shift, free) - power, 0.0, 1e4, xtol=1e-10))
+    high = 4.0  # not at once a large one: far out, the distribution's numbers are not defined
+    while power_of_shift(high, free) < power:
+        high *= 2
+    return float(optimize.brentq(lambda shift: power_of_shift(shift, free) - power, 0.0, high, xtol=1e-10))
 
 
 def power_of_shift(shift: float, free: float) -> float:

@@ -203,9 +203,9 @@ figures_option = click.option(
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 
 
-def out_option(what: str) -> Command:
+def out_option(what: str, *, required: bool = True) -> Command:
     """Where the results go; what stands there already is never overwritten."""
-    return click.option("--out", "-o", required=True, type=click.Path(path_type=Path), help=what)
+    return click.option("--out", "-o", required=required, type=click.Path(path_type=Path), help=what)
 
 
 def existing(name: str) -> Command:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from planish.report.series_words import title as title_of_quantity
 from planish.report.text import plain, title_of, unit_of
 
 _ROW, _TOP, _LETTER = 30.0, 14.0, 6.3  # pixels: of a group, above the first, of a letter
-_WIDEST_NAME = 150.0
+_WIDEST_NAME = 190.0
 _WIDE = 150.0  # CSS pixels of the widest small map
 _LEAST = 24.0
 
@@ -97,7 +97,7 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     fields = [np.array([v for _, v in one]) * factor for one in own]
     ends = [v * factor for g in groups for v in (g.interval or ())]
     low, high = _range(np.concatenate([*fields, np.array(ends)]))
-    names = [label(g.group) for g in groups]
+    names = [_name(g.group) for g in groups]
     left = min(max(len(name) for name in names) * _LETTER + 16, _WIDEST_NAME)
     high_px = _ROW * len(groups)
     canvas = Canvas(HALF, _TOP + high_px + 50)
@@ -113,7 +113,7 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
             axes.line([(v * factor, at + 0.3) for v in g.interval], colour=ACCENT, width=2)
         if g.mean is not None:
             axes.dots([(g.mean * factor, at + 0.3)], colour=ACCENT, size=7)
-        canvas.text(left - 8, _TOP + _ROW * at + 4, _short(names[i], left), anchor="end")
+        canvas.text(left - 8, _TOP + _ROW * at + 4, names[i], anchor="end")
     canvas.line([(left, _TOP + high_px), (HALF - 20, _TOP + high_px)], colour=SOFT, width=0.8)
     step = round_step((high - low) / 4)
     for tick in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step:
@@ -148,6 +148,11 @@ def _range(values: Array) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _short(name: str, left: float) -> str:
-    most = int((left - 12) / _LETTER)
-    return name if len(name) <= most else f"{name[: most - 1]}…"
+def _name(group: Mapping[str, str]) -> str:
+    """Name a group beside its row: where that is too long, by the beginnings of its levels."""
+    name, most = label(group), int((_WIDEST_NAME - 16) / _LETTER)
+    if len(name) <= most:
+        return name
+    each = max(most // len(group) - 3, 4)
+    spare = sum(max(each - len(level), 0) for level in group.values())
+    return label({f: v if len(v) <= each + spare else f"{v[: each + spare - 1]}…" for f, v in group.items()})

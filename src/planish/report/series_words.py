@@ -10,6 +10,8 @@ from planish.report.statement import p_text
 from planish.report.summary import Tile
 from planish.report.text import NONE, beside, capital, count, fixed, number, typeset, unit
 
+_LED = 2  # differences of one quantity in the first sentences
+_NAMED = 6  # specimens that are left out, in a cell
 _STATES = {
     "whole": "whole", "withheld": "with a check that failed", "refused": "refused", "damaged": "damaged",
     "open": "not done yet",
@@ -24,8 +26,9 @@ def lead(results: SeriesResults) -> str:
         first = results.differences[0]
         alike = [d for d in results.differences if d.quantity == first.quantity]
         more = f" {_among(results)}" if len(results.differences) > 1 else ""
-        other = f" The same is asked of {len(alike) - 1} more below." if len(alike) > 1 else ""
-        return f"{difference(first, results)}{more}{other}"
+        said = " ".join(difference(d, results) for d in alike[:_LED])
+        other = f" {len(alike) - _LED} more of this quantity stand below." if len(alike) > _LED else ""
+        return f"{said}{other}{more}"
     own = [g for g in results.groups if g.fields]
     if not own:
         return f"Nothing can be compared: no figure of any specimen counts. {states(results)}"
@@ -38,6 +41,8 @@ def _among(results: SeriesResults) -> str:
     """How many of all differences are distinguishable."""
     total, seen = len(results.differences), sum(d.verdict == "differ" for d in results.differences)
     unknown = sum(d.verdict == "unknown" for d in results.differences)
+    if unknown == total:
+        return f"None of {total} differences can be told."
     words = "none is" if seen == 0 else "1 is" if seen == 1 else f"{seen} are"
     tail = f"; {unknown} cannot be told" if unknown else ""
     return f"Of {total} differences, {words} distinguishable after Holm{tail}."
@@ -61,7 +66,7 @@ def light_of(results: SeriesResults) -> str:
     return "look" if out else "pass"
 
 
-# --- numbers -----------------------------------------------------------------------------------------------------------
+# --- numbers -------------------------------------------------------------------------------------------------------
 
 
 def value(v: float | None, q: Quantity, spread: float | None = None) -> str:
@@ -90,6 +95,11 @@ def with_points(text: str, q: Quantity) -> str:
     return f"{text}\u202f% points" if q.what == "thin_share" and text != NONE else with_units(text, q)
 
 
+def margin_text(margin: float, q: Quantity) -> str:
+    """Write a declared margin as it was given."""
+    return with_points(f"{100 * margin if q.what == 'thin_share' else margin:g}", q)
+
+
 def title(q: Quantity) -> str:
     """Title of a quantity at the beginning of a line; r stays small."""
     return typeset(q.title) if q.what == "r" else capital(typeset(q.title))
@@ -107,7 +117,7 @@ def short(q: Quantity) -> str:
     """Heading of a column: the statistic with its unit."""
     at = "" if q.at_um is None else f"{q.at_um:g} µm"
     name = {"mean": "Mean", "sd": "Standard deviation", "thin_share": f"Below {at}" if q.at_um else "Bare",
-            "r": f"r, points of {at}"}[q.what]  # fmt: skip
+            "r": f"r with {q.other_layer or 'the image'}, points of {at}"}[q.what]  # fmt: skip
     return f"{name} / {units(q)}" if units(q) else name
 
 
@@ -129,7 +139,7 @@ def sheets_text(n: int) -> str:
     return "1 sheet" if n == 1 else f"{count(n)} sheets"
 
 
-# --- sentences ---------------------------------------------------------------------------------------------------------
+# --- sentences -----------------------------------------------------------------------------------------------------
 
 
 def group_sentence(g: GroupFacts, results: SeriesResults) -> str:
@@ -157,8 +167,8 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
     of_what, names = typeset(q.title), f"{first} and {second}"
     if d.interval is None:
         return capital(f"{of}whether {names} differ in {of_what} cannot be told: {d.reason or 'no figure counts'}.")
-    verdict = {"differ": "differ", "not after Holm": "are not distinguishable, among all differences that were looked "
-               "at,", "not distinguishable": "are not distinguishable"}[d.verdict]  # fmt: skip
+    verdict = {"differ": "differ", "not after Holm": "are not distinguishable after Holm",
+               "not distinguishable": "are not distinguishable"}[d.verdict]  # fmt: skip
     change = with_points(signed(d.difference, q, half(d.interval)), q)
     return capital(
         f"{of}{names} {verdict} in {of_what}: {second} − {first} = {change} "
@@ -171,10 +181,10 @@ def _within_margin(d: DifferenceFacts, q: Quantity) -> str:
     e = d.equivalence
     if e is None or e.verdict == "unknown":
         return ""
-    margin = with_points(value(e.margin, q), q)
+    margin = margin_text(e.margin, q)
     return {"equivalent": f" They are equivalent within the declared margin of {margin}.",
             "larger": f" The difference is larger than the declared margin of {margin}.",
-            "undecided": f" Whether it is smaller than the declared margin of {margin} is undecided."}[e.verdict]  # fmt: skip
+            "undecided": f" Smaller than the declared margin of {margin} or not: undecided."}[e.verdict]  # fmt: skip
 
 
 def signed(v: float | None, q: Quantity, spread: float | None) -> str:
@@ -192,8 +202,16 @@ def sampled(d: DifferenceFacts) -> str:
 
 def verdict(d: DifferenceFacts) -> str:
     """The verdict on a difference, short."""
-    return {"differ": "differ", "not after Holm": "not among all", "not distinguishable": "not distinguishable",
-            "unknown": d.reason or "no figure counts"}[d.verdict]  # fmt: skip
+    return {
+        "differ": "differ", "not after Holm": "not distinguishable after Holm",
+        "not distinguishable": "not distinguishable", "unknown": d.reason or "no figure counts",
+    }[d.verdict]  # fmt: skip
+
+
+def left_out(names: Sequence[str]) -> str:
+    """Name the specimens that do not count, the first of them where they are many."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more if names else "none"
 
 
 def equivalent(d: DifferenceFacts, q: Quantity) -> str:
@@ -201,7 +219,7 @@ def equivalent(d: DifferenceFacts, q: Quantity) -> str:
     e = d.equivalence
     if e is None:
         return ""
-    margin = with_points(value(e.margin, q), q)
+    margin = margin_text(e.margin, q)
     words = {"equivalent": f"equivalent within ± {margin}", "larger": f"larger than ± {margin}",
              "undecided": f"undecided at ± {margin}", "unknown": f"± {margin}: cannot be told"}[e.verdict]  # fmt: skip
     return words if e.interval is None else f"{words} (90 %: {interval(e.interval, q)}; p {p_text(e.p)})"
@@ -228,7 +246,7 @@ def tiles(results: SeriesResults) -> list[Tile]:
                     "% points" if q.what == "thin_share" else units(q),
                     about,
                     note,
-                )  # fmt: skip
+                )
             )
         elif g is not None:
             note = f"95 %: {interval(g.interval, q)}" if g.interval else f"no interval: {g.reason}"
@@ -272,10 +290,7 @@ def spans(results: SeriesResults, columns: Sequence[int]) -> list[tuple[str, int
     """Headings over the columns of one map: its title, and how many there are."""
     out: list[tuple[str, int]] = []
     for k in columns:
-        q = results.quantities[k]
-        title = capital(q.title.removeprefix("r of ") if q.what == "r" else q.map_title)
-        if q.what == "r":
-            title = capital(title.rpartition(", points of")[0])
+        title = capital(results.quantities[k].map_title)
         if out and out[-1][0] == title:
             out[-1] = (title, out[-1][1] + 1)
         else:
@@ -297,3 +312,8 @@ def declared(results: SeriesResults) -> list[tuple[str, str]]:
         ("Sheets", "named in the table" if results.sheets_given else "not all named: see the cautions"),
     ]  # fmt: skip
     return rows
+
+
+def plain_words(said: str) -> str:
+    """Write a sentence for a terminal: units in ASCII, usual blanks and minus signs."""
+    return said.replace("\u202f", " ").replace("µm", "um").replace("−", "-").replace("±", "+-").replace("²", "2")

@@ -1,10 +1,11 @@
-"""What a reader of a series has to be careful about: what was left out, what does not match, what was taken for what."""
+"""What a reader of a series has to be careful about: what was left out, what does not match."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
+from planish.core.series import FACTORS
 from planish.core.series_results import Quantity, Specimen
 from planish.series.gather import Gathered
 
@@ -35,9 +36,9 @@ def _left_out(counted: Sequence[Specimen], quantities: Sequence[Quantity]) -> It
         names = [name for name, titles in of.items() if titles]
         if names:
             every = all(len(titles) == len(quantities) for titles in of.values() if titles)
-            what = "all their figures" if every else "some of their figures (they are marked in the table)"
+            what = "all figures" if every else "some figures (marked in the table)"
             yield (
-                f"{_count(len(names), 'specimen')} left out of means and comparisons with {what}, because {meaning}: "
+                f"{word.capitalize()} figures take part in no mean and no comparison, because {meaning}: {what} of "
                 f"{listed(names)}."
             )
         if word == "doubtful":
@@ -106,16 +107,31 @@ def _factors(
     for name in grouped_by:
         without = [one.member.name for one in counted if not one.member.factors.get(name)]
         if without:
-            yield f"No {name} is given for {listed(without)}; they make a group of their own and are compared with none."
+            yield f"No {name} is given for {listed(without)}; they make a group of their own, compared with none."
     if compared_by is not None:
+        if compared_by not in FACTORS:
+            yield from _pairs(counted, compared_by)
         many = len(dict.fromkeys(levels[compared_by]))
         if many < 2:
             yield f"There is nothing to compare: {compared_by} has one level among the specimens that have a run."
         if many > most_levels:
             yield (
-                f"{compared_by.capitalize()} has {many} levels, and differences of every two of more than {most_levels} "
-                "are not listed. Compare fewer of them."
+                f"{compared_by.capitalize()} has {many} levels. Of more than {most_levels}, differences of every two "
+                "are not listed: compare fewer of them."
             )
+
+
+def _pairs(counted: Sequence[Specimen], factor: str) -> Iterator[str]:
+    """Sheets that pair by a factor of which the program cannot know whether it is done to a sheet, or tells sheets."""
+    levels: dict[str, set[str]] = {}
+    for one in counted:
+        if one.member.factors.get("sheet") and (level := one.member.factors.get(factor, "")):
+            levels.setdefault(one.sheet, set()).add(level)
+    if both := [sheet for sheet, own in levels.items() if len(own) > 1]:
+        yield (
+            f"{listed(both)} stand under several levels of {factor} and count as the same sheets, measured under each. "
+            "If they are different ones, call the factor paper, or give each sheet a name of its own."
+        )
 
 
 def _kinds(counted: Sequence[Specimen]) -> Iterator[str]:
@@ -141,7 +157,3 @@ def listed(names: Sequence[str]) -> str:
     """Names in a sentence, the first ones and how many there are more."""
     shown = [*names[:_MOST_NAMES], *([f"{len(names) - _MOST_NAMES} more"] if len(names) > _MOST_NAMES else [])]
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
-
-
-def _count(n: int, word: str) -> str:
-    return f"{n} {word} is" if n == 1 else f"{n} {word}s are"

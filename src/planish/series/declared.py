@@ -17,7 +17,7 @@ class Declared(Params):
 
     compare: str | None = option(
         None, cli="--by", metavar="FACTOR",
-        help="Factor whose levels are compared; treatment where not given, or else paper.",
+        help="Factor whose levels are compared; where not given the first that varies of treatment, paper, side.",
     )  # fmt: skip
     headline: tuple[str, ...] = option(
         (), metavar="MAP", help="Map to compare; repeatable, the leading one first. Those of the runs where not given."

@@ -187,7 +187,7 @@ def _instruments(member: Member, results: Results) -> list[InstrumentFacts]:
                     "slopes": slopes,
                     "shared_um": e.twice.resolution_um,
                     "sentence": e.twice.sentence or "",
-                }  # fmt: skip
+                }
             )
         )
     return found

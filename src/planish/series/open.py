@@ -44,9 +44,9 @@ def open_study(path: str | Path) -> xr.Dataset:
         map, limit_um); ``r``, ``n_eff``, ``bias`` ... over (specimen, pair, point_um); ``marks_used`` ... over
         (specimen, registration); ``coefficient_of_variation`` over (specimen, map, wave_um); counts of checks over
         (specimen). Quantities with intervals have ``r_low`` and ``r_high`` beside them. ``trust``, ``pair_trust`` and
-        ``registration_trust`` say what the checks leave: 0 ok, 1 doubtful, 2 withheld, -1 not there. Factors and ``state`` are coordinates of
-        ``specimen``; specimens without a run are there, too. A map is named by its layer, too, where specimens have
-        several sheets.
+        ``registration_trust`` say what the checks leave: 0 ok, 1 doubtful, 2 withheld, -1 not there. Factors and
+        ``state`` are coordinates of ``specimen``; specimens without a run are there, too. Where specimens have several
+        sheets, a map is named with its layer, ``LAYER.MAP``.
 
     Raises
     ------
@@ -86,11 +86,10 @@ def open_study(path: str | Path) -> xr.Dataset:
         found |= _arrays(quantity, [_entry(row, several) for row in own], names, _dims(quantity))
     data = xr.Dataset(found)
     data = data.assign_coords(specimen=("specimen", np.array(names, dtype=object)))
+    taken = {"state", *map(str, data.dims), *map(str, data.data_vars)}
     for name, column in zip(results.factors, factor_columns(results.factors), strict=True):
         levels = [one.member.factors.get(name, "") for one in results.specimens]
-        data = data.assign_coords(
-            {column if column not in data.dims and column not in data else f"factor_{column}": ("specimen", levels)}
-        )
+        data = data.assign_coords({f"factor_{name}" if column in taken else column: ("specimen", levels)})
     data = data.assign_coords(state=("specimen", [one.member.state for one in results.specimens]))
     return data.assign_attrs(planish=results.planish, compared_by=results.compared_by or "")
 
@@ -127,8 +126,8 @@ def _entry(row: Mapping[str, str], several: bool) -> Entry:
         at = (first, _number(row["at_um"]))
     elif not _dims(quantity):
         at = ()
-    values = (_number(row[name]) for name in ("value", "low", "high"))
-    return ((row["specimen"], *at), *values, _TRUST.get(row["trust"], -1), row["unit"])
+    value, low, high = (_number(row[name]) for name in ("value", "low", "high"))
+    return (row["specimen"], *at), value, low, high, _TRUST.get(row["trust"], -1), row["unit"]
 
 
 def _number(text: str) -> float:
@@ -143,8 +142,7 @@ def _arrays(
 ) -> dict[str, xr.DataArray]:
     """A quantity as an array, the ends of its intervals where it has any, and what the checks leave of it."""
     labels: list[list[Any]] = [list(names)]
-    for k in range(len(dims)):
-        labels.append(_labels(entry[0][k + 1] for entry in entries))
+    labels += [_labels(entry[0][k + 1] for entry in entries) for k in range(len(dims))]
     places = [{label: k for k, label in enumerate(own)} for own in labels]
     shape = tuple(len(own) for own in labels)
     values, low, high = (np.full(shape, np.nan) for _ in range(3))

@@ -72,7 +72,7 @@ def write_series(
     results = results.model_copy(
         update={
             "specimens": tuple(one.model_copy(update={"member": moved[one.member.name]}) for one in results.specimens)
-        }  # fmt: skip
+        }
     )
     table = values_text(found.rows, results.factors).encode()
     packed = parquet_bytes(found.rows, results.factors) if find_spec("pyarrow") is not None else None

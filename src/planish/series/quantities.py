@@ -120,7 +120,7 @@ def _correlations(rows: Sequence[Row], name: str, layers: Layers) -> list[Quanti
                 unit="1",
                 title=f"r of {words} and {other}, points of {at_um:g} um",
                 map_title=words,
-            )  # fmt: skip
+            )
         )
     return out
 
@@ -159,8 +159,10 @@ def cells_of(
         Whether doubtful figures take part.
     """
     return tuple(
-        (_cell_of_r if q.what == "r" else _cell)(specimen, rows, q, layers, doubtful=doubtful) for q in quantities
-    )
+        _cell_of_r(rows, q, layers, doubtful=doubtful) if q.what == "r"
+        else _cell(specimen, rows, q, layers, doubtful=doubtful)
+        for q in quantities
+    )  # fmt: skip
 
 
 def _cell(specimen: str, rows: Sequence[Row], q: Quantity, layers: Layers, *, doubtful: bool) -> Cell:
@@ -176,7 +178,7 @@ def _cell(specimen: str, rows: Sequence[Row], q: Quantity, layers: Layers, *, do
     return Cell(why_not="not measured")
 
 
-def _cell_of_r(specimen: str, rows: Sequence[Row], q: Quantity, layers: Layers, *, doubtful: bool) -> Cell:
+def _cell_of_r(rows: Sequence[Row], q: Quantity, layers: Layers, *, doubtful: bool) -> Cell:
     key = (q.layer, q.map, q.other_layer, q.other_map)
     own = [row for row in rows if row.other_map and key_of(row, layers) == key]
     sizes = _largest_points(own, q.map, layers)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from planish.core.checks import concerned
-from planish.core.results import LayerFacts, Results, Trust
+from planish.core.results import CorrelationRow, LayerFacts, Results, SheetNumbers, Trust, TwiceFacts
 from planish.core.series import Member
 
 _OF_A_PROPERTY = ("mean", "sd", "p5", "median", "p95")
@@ -98,20 +98,22 @@ def _of_sheet(layer: LayerFacts, results: Results) -> Iterator[dict[str, Any]]:
         for what in ("mean_standard_error", "support_um"):
             if (value := getattr(p, what)) is not None:
                 yield about | {"quantity": what, "value": value, "unit": "um" if what == "support_um" else p.units}
-        if name.startswith("coating_"):
+        if name in ("coating_top", "coating_bottom"):
             yield from (about | one for one in _thin(sheet.numbers, name))
-        if name.startswith("topography_") and sheet.numbers is not None:
-            rough = sheet.numbers.roughness.get(name.removeprefix("topography_"))  # pyright: ignore
+        if name in ("topography_top", "topography_bottom") and sheet.numbers is not None:
+            rough = sheet.numbers.roughness.get("top" if name.endswith("_top") else "bottom")
             for what in _OF_A_FACE if rough is not None else ():
                 yield about | {"quantity": what, "value": getattr(rough, what), "unit": "um"}
     share = sheet.surfaces.shares.get("measured")
     yield {"layer": layer.name, "quantity": "measured_share", "value": share}
 
 
-def _thin(numbers: Any, name: str) -> Iterator[dict[str, Any]]:
+def _thin(numbers: SheetNumbers | None, name: str) -> Iterator[dict[str, Any]]:
     """Shares of a coating that is thinner than some limits; those of a withheld map are withheld as well."""
-    found = None if numbers is None else numbers.thin.get(name.removeprefix("coating_"))
-    for limit, share in zip(found.thinner_than_um, found.share, strict=True) if found is not None else ():
+    found = None if numbers is None else numbers.thin.get("top" if name.endswith("_top") else "bottom")
+    if found is None:
+        return
+    for limit, share in zip(found.thinner_than_um, found.share, strict=True):
         yield {"quantity": "thin_share", "value": share, "at_um": limit}
 
 
@@ -153,13 +155,12 @@ def _of_pairs(results: Results) -> Iterator[dict[str, Any]]:
             }  # fmt: skip
 
 
-def _differences(row: Any, twice: Any) -> Iterator[dict[str, Any]]:
+def _differences(row: CorrelationRow, twice: TwiceFacts | None) -> Iterator[dict[str, Any]]:
     """Bias and limits of two measurements of one quantity, with intervals at the points where the run states them."""
-    known = twice is not None and twice.point_um is not None and abs(twice.point_um - row.point_um) < 1e-6
-    withheld = row.trust == "withheld"
     bias, limits = row.difference_mean, row.limits or (None, None)
     ends, of_limits, shared = None, (None, None), None
-    if known and not withheld:
+    at_points = twice is not None and twice.point_um is not None and abs(twice.point_um - row.point_um) < 1e-6
+    if twice is not None and at_points and row.trust != "withheld":
         ends, of_limits, shared = twice.bias_interval, twice.limit_intervals, twice.resolution_um
     low, high = ends or (None, None)
     yield {"quantity": "bias", "value": bias, "low": low, "high": high}

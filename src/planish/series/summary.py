@@ -84,8 +84,9 @@ def summary_of(found: Gathered, declared: Declared) -> SeriesResults:
     """
     factors = tuple(dict.fromkeys(name for member in found.members for name in member.factors))
     compared_by = _compared_by(found, factors, declared)
+    apart = [*_HELD_APART] if compared_by is None else [*_HELD_APART, compared_by]
     grouped_by = tuple(
-        name for name in dict.fromkeys([*_HELD_APART, *([compared_by] if compared_by else [])])
+        name for name in dict.fromkeys(apart)
         if name in factors and len(_levels(found, name)) > 1
     )  # fmt: skip
     quantities = quantities_of(found, declared)
@@ -118,6 +119,9 @@ def _compared_by(found: Gathered, factors: Sequence[str], declared: Declared) ->
     if name is None:
         usual = ("treatment", "paper", "side")
         return next((f for f in usual if f in factors and len(_levels(found, f)) > 1), None)
+    # Tables are read in small letters.
+    alike = [f for f in factors if f.casefold() == name.casefold()]
+    name = name if name in factors or not alike else alike[0]
     if name in _NEST:
         raise InputError(
             f"{name.capitalize()}s are the sample and are not compared with each other. Compare by another factor: "
@@ -167,7 +171,7 @@ def _specimens(found: Gathered, quantities: Sequence[Quantity], declared: Declar
                 expected_error_um=brief.expected_error_um,
                 sheet=" ".join(filter(None, (paper, f"sheet {sheet}"))) if sheet else own,
                 cells=cells_of(member.name, rows[member.name], quantities, layers, doubtful=declared.doubtful),
-            )  # fmt: skip
+            )
         )
     return out
 

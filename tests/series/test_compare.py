@@ -1,0 +1,123 @@
+"""``planish compare``: a table, a folder, and clear words for what cannot be compared."""
+
+import json
+import shutil
+
+import pytest
+
+from planish.cli.main import main
+from planish.core.errors import FileError, InputError
+from planish.series.members import members_of
+from series.runs import put, results_of
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch):
+    """Six runs in folders with blanks and umlauts, and a table of them."""
+    monkeypatch.chdir(tmp_path)
+    lines = ["run;Paper;sheet"]
+    for k in range(6):
+        put(tmp_path / "Läufe" / f"Blatt {k}", results_of(mean=20.0 + k + 4 * (k > 2), r=0.5 + k / 50))
+        lines.append(f"Läufe/Blatt {k};{'AB'[k > 2]};{k % 3}")
+    (tmp_path / "table.csv").write_text("\n".join(lines), encoding="utf-8")
+    return sorted((tmp_path / "Läufe").iterdir())
+
+
+def called(capsys, *args):
+    with pytest.raises(SystemExit) as end:
+        main([str(a) for a in args])
+    found = capsys.readouterr()
+    return end.value.code, found.out, found.err
+
+
+def test_runs_are_compared_and_written_into_a_folder(runs, capsys):
+    code, out, _ = called(
+        capsys, "compare", "--table", "table.csv", "--by", "Paper", "--margin", "coating_top=0.5", "--out", "both"
+    )
+    assert code == 0
+    assert "A and B differ in mean coating thickness (top side): B - A = +7.0" in out
+    assert "Blatt 5" in out
+    folder = runs[0].parents[1] / "both"
+    assert {"report.html", "results.json", "specimens.csv", "values.csv"} <= {p.name for p in folder.iterdir()}
+    results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    assert results["specimens"][0]["member"]["run"] == "../Läufe/Blatt 0"
+    assert results["differences"][0]["equivalence"]["verdict"] == "larger"
+    code, out, err = called(capsys, "compare", "--table", "table.csv", "--out", "both")
+    assert (code, "exists already" in err) == (3, True)
+
+
+def test_runs_alone_give_a_table_and_their_mean(runs, capsys):
+    code, out, err = called(capsys, "compare", *runs, "--json")
+    assert code == 0
+    results = json.loads(out)
+    assert [s["member"]["name"] for s in results["specimens"]] == [f"Blatt {k}" for k in range(6)]
+    assert results["groups"][0]["sheets"] == 6
+    assert results["differences"] == []
+    assert "names no sheets" in err
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "words"),
+    [
+        (["Läufe/Blatt 0"], 2, "two runs or more"),
+        (["Läufe/Blatt 0", "Läufe/Blatt 1", "--by", "paper"], 2, "--table"),
+        (["Läufe/Blatt 0", "Läufe/Blatt 1", "--margin", "coating_top"], 2, "no margin"),
+        (["Läufe/Blatt 0", "Läufe/Blatt 1", "--margin", "r=-1"], 2, "no margin"),
+        (["Läufe/Blatt 0", "Läufe/nirgends"], 3, "is not there"),
+        (["Läufe/Blatt 0", "Läufe"], 3, "is no run"),
+        (["Läufe/Blatt 0", "Läufe/../Läufe/Blatt 0"], 3, "given twice"),
+        (["Läufe/Blatt 0", "Läufe/Blatt 1", "--headline", "coatng_top"], 3, "Did you mean coating_top"),
+        (["--table", "table.csv", "--by", "papier"], 3, "Did you mean paper"),
+        (["Läufe/Blatt 0", "Läufe/Blatt 1", "--table", "table.csv"], 3, "4 rows without a run"),
+    ],
+)
+@pytest.mark.usefixtures("runs")
+def test_what_cannot_be_compared_is_said_in_a_sentence(capsys, args, code, words):
+    found, _, err = called(capsys, "compare", *args)
+    assert found == code
+    assert words in err
+
+
+def test_a_copy_counts_once(runs):
+    shutil.copytree(runs[0], runs[0].parent / "copy")
+    with pytest.raises(InputError, match="one is a copy"):
+        members_of([runs[0], runs[0].parent / "copy"], home=runs[0].parent)
+
+
+def test_a_damaged_run_ends_with_4_and_none_that_can_be_read_with_3(runs, capsys):
+    (runs[0] / "results.json").write_text("{}")
+    code, out, err = called(capsys, "compare", *runs[:3])
+    assert code == 4
+    assert "Blatt 0: damaged" in err
+    assert "Blatt 2" in out
+    for run in runs[1:3]:
+        (run / "results.json").write_text(f"{{{run.name}")
+    code, _, err = called(capsys, "compare", *runs[:3], "--out", "none")
+    assert code == 3
+    assert "None of 3 runs can be read" in err
+    assert not (runs[0].parents[1] / "none").exists()
+
+
+def test_runs_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    for k in "ab":
+        put(tmp_path / k / "run", results_of(mean=ord(k)))
+    found = members_of([tmp_path / "a" / "run", tmp_path / "b" / "run"], home=tmp_path / "b")
+    assert [(m.name, m.run) for m in found] == [("a/run", "../a/run"), ("b/run", "run")]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("paper\nA\n", "neither a column run nor name"), ("run,paper\n", "no rows"),
+        ("name,paper\nrun-1,A\nrun-1,B\n", "2 rows for the run run-1"), ("name,paper\nother,A\n", "no row for the run"),
+    ],
+)  # fmt: skip
+def test_a_table_that_does_not_fit_is_an_error(tmp_path, text, words):
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(InputError, match=words):
+        members_of([put(tmp_path / "run-1", results_of())], home=tmp_path, table=tmp_path / "t.csv")
+
+
+def test_a_missing_table_is_named(tmp_path):
+    with pytest.raises(FileError, match=r"none.csv"):
+        members_of([], home=tmp_path, table=tmp_path / "none.csv")

@@ -1,0 +1,218 @@
+"""What a series says: over sheets, equal to textbook formulas; nothing takes part in a mean in silence."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from planish.core.errors import InputError
+from planish.core.series import Member
+from planish.series import Declared, declared_of, gather, summary_of
+from series.runs import results_of, series, two_volumes
+
+
+def said(home, *runs, members=(), **declared):
+    found = gather([*series(home, *runs), *members], home)
+    return summary_of(found, Declared(**declared))
+
+
+def number_of(results, what, name="coating_top"):
+    return next(k for k, q in enumerate(results.quantities) if (q.map, q.what) == (name, what))
+
+
+def of(results, what, **group):
+    k = number_of(results, what)
+    return next(g for g in results.groups if g.quantity == k and g.group == group)
+
+
+def test_two_papers_are_compared_over_sheets_not_fields(tmp_path):
+    rng = np.random.default_rng(3)
+    sheets = {("A", k): rng.normal(20, 1, 2) for k in "123"} | {("B", k): rng.normal(21, 1, 2) for k in "1234"}
+    results = said(
+        tmp_path,
+        *(({"paper": p, "sheet": s, "field": str(f)}, results_of(mean=v))
+          for (p, s), values in sheets.items() for f, v in enumerate(values)),
+    )  # fmt: skip
+    means = {p: np.array([v.mean() for (paper, _), v in sheets.items() if paper == p]) for p in "AB"}
+    a, b = of(results, "mean", paper="A"), of(results, "mean", paper="B")
+    assert (a.sheets, a.fields, b.sheets, b.fields) == (3, 6, 4, 8)
+    assert a.interval == pytest.approx(stats.t.interval(0.95, 2, means["A"].mean(), stats.sem(means["A"])), rel=1e-12)
+    welch = stats.ttest_ind(means["B"], means["A"], equal_var=False)
+    d = results.differences[number_of(results, "mean")]
+    assert (d.factor, d.levels, d.kind, d.sheets) == ("paper", ("A", "B"), "two groups", (3, 4))
+    assert d.p == pytest.approx(welch.pvalue, rel=1e-9)
+    assert d.interval == pytest.approx(tuple(welch.confidence_interval()), rel=1e-9)
+    assert [k.p is None for k in results.differences] == [False, True, True, True]  # all sheets are alike in the others
+    assert d.p_of_table == pytest.approx(4 * d.p)  # but they were looked at
+
+
+def test_the_same_sheets_before_and_after_are_paired_and_before_comes_first(tmp_path):
+    after, before = np.array([18.0, 19.5, 18.7]), np.array([20.0, 21.0, 20.9])
+    rows = [({"treatment": "after", "sheet": str(k)}, results_of(mean=v)) for k, v in enumerate(after)]
+    rows += [({"treatment": "before", "sheet": str(k)}, results_of(mean=v)) for k, v in enumerate(before)]
+    rows += [({"treatment": "before", "sheet": "9"}, results_of(mean=99.0))]
+    d = said(tmp_path, *rows, margin={"coating_top": 5.0}).differences[0]
+    paired = stats.ttest_rel(after, before)
+    assert (d.levels, d.kind, d.sheets, d.unpaired) == (("before", "after"), "paired", (3, 3), ("sheet 9",))
+    assert d.p == pytest.approx(paired.pvalue, rel=1e-9)
+    assert d.interval == pytest.approx(tuple(paired.confidence_interval()), rel=1e-9)
+    assert d.equivalence.verdict == "equivalent"
+    assert d.difference == pytest.approx((after - before).mean())
+
+
+def test_two_papers_before_and_after_are_compared_within_each_paper(tmp_path):
+    rows = [
+        ({"paper": p, "treatment": t, "sheet": s}, results_of(mean=20.0 + k))
+        for k, (p, t, s) in enumerate((p, t, s) for p in "AB" for t in ("before", "after") for s in "123")
+    ]
+    results = said(tmp_path, *rows)
+    k = number_of(results, "mean")
+    assert [(d.within, d.kind) for d in results.differences if d.quantity == k] == [
+        ({"paper": "A"}, "paired"), ({"paper": "B"}, "paired"),
+    ]  # fmt: skip
+    by_paper = said(tmp_path / "again", *rows, compare="paper")
+    assert [(d.within, d.kind) for d in by_paper.differences if d.quantity == k] == [
+        ({"treatment": "before"}, "two groups"), ({"treatment": "after"}, "two groups"),
+    ]  # fmt: skip
+
+
+def test_doubtful_and_withheld_figures_take_part_only_where_that_was_declared(tmp_path):
+    rows = [({"sheet": str(k)}, results_of(mean=20.0 + k, r=0.5 + k / 100)) for k in range(3)]
+    rows += [
+        ({"sheet": "8"}, results_of(mean=90.0, trust="doubtful", state="look")),
+        ({"sheet": "9"}, results_of(trust="withheld", state="fail")),
+    ]
+    results = said(tmp_path, *rows)
+    assert of(results, "mean").mean == pytest.approx(21.0)
+    for what in ("mean", "sd", "thin_share", "r"):
+        assert of(results, what).left_out == ("run-4", "run-5")
+    assert results.specimens[3].cells[0].why_not == "doubtful (coverage)"
+    assert [one.member.state for one in results.specimens] == ["whole"] * 4 + ["withheld"]
+    assert "coverage" in results.specimens[4].member.message
+    assert any("Doubtful figures" in c and "run-4" in c for c in results.cautions)
+    assert any("Withheld figures" in c and "run-5" in c for c in results.cautions)
+    kept = said(tmp_path / "again", *rows, doubtful=True)
+    assert of(kept, "mean").mean == pytest.approx((20 + 21 + 22 + 90) / 4)
+    assert any("as was declared" in c and "run-4" in c for c in kept.cautions)
+
+
+def test_r_is_pooled_by_z_over_sheets_with_heterogeneity(tmp_path):
+    r = [0.3, 0.5, 0.7]
+    results = said(tmp_path, *(({"sheet": str(k)}, results_of(r=v, mean=20.0 + k)) for k, v in enumerate(r)))
+    z, found = np.arctanh(r), of(results, "r")
+    assert found.mean == pytest.approx(math.tanh(z.mean()))
+    assert found.interval == pytest.approx(np.tanh(stats.t.interval(0.95, 2, z.mean(), stats.sem(z))), rel=1e-12)
+    q = float(((z - z.mean()) ** 2).sum() * 67)  # weights of n_eff 70, less 3, alike
+    assert found.between_sheets.q == pytest.approx(q)
+    assert found.between_sheets.p == pytest.approx(stats.chi2.sf(q, 2))
+
+
+def test_r_of_few_points_or_points_of_another_size_takes_part_in_nothing_and_says_so(tmp_path):
+    rows = [({"sheet": str(k)}, results_of(mean=20.0 + k)) for k in range(3)]
+    rows += [({"sheet": "5"}, results_of(mean=1, n_eff=3.0)), ({"sheet": "6"}, results_of(mean=2, point_um=60.0))]
+    results = said(tmp_path, *rows)
+    assert of(results, "r").left_out == ("run-4", "run-5")
+    k = number_of(results, "r")
+    assert [one.cells[k].why_not for one in results.specimens[3:]] == [
+        "too few independent points", "points of 60 um, others of 100 um",
+    ]  # fmt: skip
+    assert any("too few" in c for c in results.cautions)
+    assert any("another size" in c for c in results.cautions)
+
+
+def test_fewer_than_three_sheets_have_no_interval_and_the_reason(tmp_path):
+    one_sheet = [({"sheet": "1", "field": str(k)}, results_of(mean=20.0 + k)) for k in range(4)]
+    found = of(said(tmp_path, *one_sheet), "mean")
+    assert (found.sheets, found.fields, found.interval, found.reason) == (1, 4, None, "1 of at least 3 sheets")
+    assert found.mean == pytest.approx(21.5)
+
+
+def test_without_sheets_each_specimen_is_one_but_those_of_one_volume_are_one(tmp_path):
+    rows = [({"paper": "A"}, results_of(mean=20.0 + k, volume="same" if k < 2 else "")) for k in range(4)]
+    results = said(tmp_path, *rows)
+    assert [one.sheet for one in results.specimens] == [
+        "specimen run-1", "specimen run-1", "specimen run-3", "specimen run-4",
+    ]  # fmt: skip
+    assert of(results, "mean").sheets == 3
+    assert any("names no sheets" in c for c in results.cautions)
+    assert any("same volume and count as one sheet" in c for c in results.cautions)
+    wrong = said(tmp_path / "wrong", *(({"sheet": str(k)}, results_of(volume="same", r=0.1 * k)) for k in range(3)))
+    assert any("byte by byte" in c for c in wrong.cautions)
+
+
+def test_maps_without_an_image_and_links_meet_in_what_both_have(tmp_path):
+    rows = [({"sheet": "1"}, results_of()), ({"sheet": "2"}, results_of(mean=21.0, linked=False))]
+    results = said(tmp_path, *rows)
+    assert [one.kind for one in results.specimens] == ["sheet on image", "map"]
+    assert of(results, "mean").fields == 2
+    assert of(results, "r").left_out == ("run-2",)
+    assert results.specimens[1].cells[number_of(results, "r")].why_not == "not linked"
+    assert any("different kinds" in c for c in results.cautions)
+
+
+def test_what_is_not_there_stays_named_and_has_no_figures(tmp_path):
+    refused = Member(name="fünf 5", state="refused", message="The volume shows no sheet.")
+    moved = Member(name="moved", run="elsewhere")
+    results = said(tmp_path, ({}, results_of()), ({}, results_of(mean=3)), members=(refused, moved))
+    assert [(m.name, m.state) for m in results.members][2:] == [("fünf 5", "refused"), ("moved", "damaged")]
+    assert "is no run" in results.members[3].message
+    assert str(tmp_path) not in results.members[3].message
+    assert results.specimens[3].cells == ()
+
+
+def test_a_damaged_run_is_named_and_stops_nothing(tmp_path):
+    members = series(tmp_path, ({}, results_of()), ({}, results_of(mean=3)))
+    (tmp_path / "run-1" / "results.json").write_text('{"format": 3,')
+    found = gather(members, tmp_path)
+    assert [m.state for m in found.members] == ["damaged", "whole"]
+    assert "cannot be read" in found.members[0].message
+    assert {row.specimen for row in found.rows} == {"run-2"}
+
+
+def test_two_volumes_list_bias_limits_and_the_scale_that_both_share(tmp_path):
+    results = said(tmp_path, ({}, two_volumes()), ({}, results_of()))
+    [found] = results.instruments
+    assert (found.specimen, found.a, found.b, found.map) == ("run-1", "ct", "sections", "coating_top")
+    assert (found.bias, found.limits, found.shared_um) == (0.5, (-1.46, 2.46), 40.0)
+    assert found.limit_intervals[1] == (2.2, 2.8)
+    assert found.slopes == pytest.approx((0.8, 1 / 0.9))
+    rows = {(r.quantity, r.at_um): r for r in gather(series(tmp_path / "b", ({}, two_volumes())), tmp_path / "b").rows}
+    assert (rows["bias", 100.0].low, rows["bias", 100.0].high, rows["shared_um", 100.0].value) == (0.4, 0.6, 40.0)
+
+
+def test_factors_that_do_not_fit_are_an_error_or_a_caution(tmp_path):
+    rows = [({"paper": "A", "load": str(k)}, results_of(mean=20.0 + k)) for k in range(3)]
+    rows += [({"paper": "a"}, results_of(mean=30.0)), ({}, results_of(mean=31.0))]
+    results = said(tmp_path, *rows)
+    assert any("differ in capitals only" in c for c in results.cautions)
+    assert any("--by load" in c for c in results.cautions)
+    assert any("No paper is given for run-5" in c for c in results.cautions)
+    found = gather(series(tmp_path / "b", *rows), tmp_path / "b")
+    for wrong, words in (
+        ({"compare": "papr"}, "Did you mean paper"), ({"compare": "sheet"}, "Sheets are the sample"),
+        ({"headline": ("coatng_top",)}, "Did you mean coating_top"), ({"margin": {"thicknes.sd": 1.0}}, "thickness"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            summary_of(found, Declared(**wrong))
+    with pytest.raises(InputError, match="margin"):
+        declared_of({"margin": {"coating_top": 0}})
+    with pytest.raises(InputError, match=r"compare\.by"):
+        declared_of({"by": "paper"})
+
+
+def test_more_than_eight_levels_are_not_compared_two_by_two(tmp_path):
+    results = said(tmp_path, *(({"paper": str(k)}, results_of(mean=20.0 + k)) for k in range(9)))
+    assert results.differences == ()
+    assert any("9 levels" in c for c in results.cautions)
+
+
+def test_sheets_that_pair_by_a_factor_of_ones_own_are_said_to_be_the_same_sheets(tmp_path):
+    rows = [({"papier": p, "sheet": s}, results_of(mean=20.0 + k)) for k, (p, s) in enumerate(
+        (p, s) for p in "AB" for s in "123")]  # fmt: skip
+    results = said(tmp_path, *rows, compare="papier")
+    assert results.differences[0].kind == "paired"
+    assert any("count as the same sheets" in c and "call the factor paper" in c for c in results.cautions)
+    usual = said(tmp_path / "b", *(({"paper": f["papier"], "sheet": f["sheet"]}, run) for f, run in rows))
+    assert usual.differences[0].kind == "two groups"
+    assert not any("same sheets" in c for c in usual.cautions)
