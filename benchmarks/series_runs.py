@@ -1,6 +1,6 @@
 """Series of real links: killed and resumed, on one process, two, and dask workers; four of twelve cannot be used.
 
-    python -m benchmarks series_runs FOLDER [make|kill|processes|cluster|overhead]
+    python -m benchmarks series_runs FOLDER [single|kill|processes|cluster|watch]
 
 Twelve specimens of the demo's size: one file damaged, one image mirrored, one of another sheet, one with too few holes.
 """
@@ -119,6 +119,8 @@ def main(folder: str = "", *parts: str) -> int:
     if "processes" in parts:
         code = killed(table, home / "two", 2, "--jobs", "2")
         print(f"two processes: exit {code},", different(whole, home / "two") or "same bytes", flush=True)
+    if "watch" in parts:
+        print("watch:", watch(home), flush=True)
     if "cluster" in parts:
         print("cluster:", cluster(table, home, whole), flush=True)
     return 0
@@ -147,3 +149,34 @@ def cluster(table: Path, home: Path, whole: Path) -> str:
             one.kill()
             one.wait()
     return f"exit {code}, {different(whole, home / 'cluster') or 'same bytes'}"
+
+
+def watch(home: Path, count: int = 10) -> str:
+    """Scans written slowly into a watched folder, two half-written, one renamed at the end."""
+    source = make(home / "sources", count + 1, wrong=False).parent
+    folder, out = home / "watched", home / "watch-out"
+    folder.mkdir()
+    plan = home / "watch.toml"
+    plan.write_text("[watch]\nvolume = '{sheet}_ct.tif'\nimage = '{sheet}_img.tif'\n", encoding="utf-8")
+    command = [*study(plan, out), "--watch", str(folder), "--settle", "4", "--idle", "45"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    halves = {4, 8}
+    for k in range(1, count + 1):
+        volume, image = (source / f"s{k:02d}" / name for name in ("volume.tif", "image.tif"))
+        shutil.copyfile(image, folder / f"{k}_img.tif")
+        data = volume.read_bytes()
+        target = folder / (f"{k}_ct.part" if k == 6 else f"{k}_ct.tif")
+        with target.open("wb") as file:
+            for part in range(6):
+                file.write(data[part * len(data) // 6 : (part + 1) * len(data) // 6])
+                file.flush()
+                time.sleep(0.5)
+                if k in halves and part == 3:
+                    break
+        if k == 6:
+            target.rename(folder / "6_ct.tif")
+    _, said = process.communicate()
+    whole = sorted(path.name for path in (out / "runs").iterdir())
+    named = [k for k in halves if f"{k}: " in said and "tried again" in said]
+    twice = [line for line in said.splitlines() if "kept" in line]
+    return f"exit {process.returncode}; linked {whole}; named as not whole {named}; taken twice {twice}"
