@@ -27,6 +27,7 @@ from planish.core.grid import Grid
 from planish.io.map_store import StoredMaps, map_tiles
 from planish.io.run_folder import write_tree
 from planish.pipeline import link
+from planish.register.params import RegistrationParams
 from planish.synthetic import CameraParams, HoleParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
 
 FORMATS = ("tiff", "ome-tiff", "ome-zarr", "netcdf", "mat")
@@ -146,19 +147,19 @@ def answer(code: str, *arguments: object) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip().splitlines()[-1]
 
 
-def small_run(folder: Path) -> Path:
+def small_run(folder: Path, name: str = "small", holes: int = 5, **sections: RegistrationParams) -> Path:
     """A run of a small specimen, made once."""
-    run = folder / "small"
+    run = folder / name
     if not run.exists():
         made = make_specimen(
             SpecimenParams(
-                size_um=(1300.0, 1000.0), holes=HoleParams(pattern="irregular", count=5), seed=5,
+                size_um=(1300.0, 1000.0), holes=HoleParams(pattern="irregular", count=holes), seed=5,
                 scanner=ScannerParams(voxel_um=4.0), camera=CameraParams(pixel_um=5.0),
             )
         )  # fmt: skip
-        files = write_instruments(made, folder / "specimen")
+        files = write_instruments(made, folder / f"{name}-specimen")
         assert files.image is not None
-        link(files.volume, files.image, out=run)
+        link(files.volume, files.image, out=run, **sections)
     return run
 
 

@@ -73,7 +73,7 @@ def different(a: Path, b: Path) -> list[str]:
     """Files that are not the same in both folders; notes of times do not count."""
     names = {
         p.relative_to(root).as_posix() for root in (a, b) for p in root.rglob("*")
-        if p.is_file() and ".series" not in p.parts
+        if p.is_file() and ".series" not in p.parts and not p.name.startswith(".")
     }  # fmt: skip
     _, other, missing = filecmp.cmpfiles(a, b, names, shallow=False)
     return sorted([*other, *missing])

@@ -280,3 +280,13 @@ def test_a_mapped_volume_counts_as_memory_and_the_limit_is_kept(tmp_path):
         peaks.append(1024 * int(done.stdout.splitlines()[-1].split()[1]))
     assert peaks[0] < 1.0e9
     assert bytes_of(tmp_path / "low") == bytes_of(tmp_path / "high")
+
+
+@pytest.mark.study
+def test_memory_that_others_take_meanwhile_changes_no_column(specimen_files, monkeypatch):
+    free = iter([10**10])  # then next to nothing
+    monkeypatch.setattr(
+        Compute, "memory", property(lambda self: self.memory_bytes or next(free, 2 * 10**8))
+    )  # fmt: skip
+    run = map_sheet(specimen_files[0])
+    assert run.study.layers[0].volume.column_um is None

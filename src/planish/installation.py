@@ -121,7 +121,8 @@ def _libraries() -> Check:
     if wrong:
         return _check(
             "libraries", f"{'; '.join(wrong)}.", state="fail",
-            advice="Install planish again, best into an environment of its own: pip install --upgrade planish",
+            advice="Install planish again, best into an environment of its own: pip install --upgrade, and the path of "
+            "its wheel or folder.",
         )  # fmt: skip
     return _check("libraries", f"{', '.join(found)}.")
 
@@ -279,9 +280,10 @@ def _extra(extra: str, gives: str) -> Check:
         return _check(name, f"{gives}.", state="unknown")
     faults = [(requirement.name, *_fault_of(requirement)) for requirement in needed]
     missing = [library for library, version, _ in faults if version == "missing"]
-    wrong = [fault for _, version, fault in faults if fault and version != "missing"]
+    wrong = {library: fault for library, version, fault in faults if fault and version != "missing"}
     if wrong:
-        return _check(name, f"{'; '.join(wrong)}.", advice=f'Run: pip install --upgrade "planish[{extra}]"')
+        again = " ".join(f'"{one.name}{one.specifier}"' for one in needed if one.name in wrong)
+        return _check(name, f"{'; '.join(wrong.values())}.", advice=f"Run: pip install --upgrade {again}")
     if missing:
         return _check(name, f'not installed; pip install "planish[{extra}]" gives it: {gives}.')
     return _check(name, f"installed ({', '.join(f'{library} {v}' for library, v, _ in faults)}): {gives}.")

@@ -99,6 +99,12 @@ def test_an_extra_that_is_missing_is_no_problem_and_says_what_it_gives(monkeypat
     assert found.sentence == f'not installed; pip install "planish[cluster]" gives it: {EXTRAS["cluster"]}.'
 
 
+def test_an_extra_that_is_too_old_names_the_library_to_renew(monkeypatch):
+    found = states(monkeypatch, ['numpy>=99; extra == "cluster"'])["extra cluster"]
+    assert found.state == "look"
+    assert found.advice == 'Run: pip install --upgrade "numpy>=99"'
+
+
 def test_every_extra_is_explained():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert EXTRAS.keys() == project["optional-dependencies"].keys() - OF_DEVELOPERS

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import csv
+import io
 import json
 import xml.etree.ElementTree as ET
 
@@ -242,13 +244,22 @@ def test_pictures_show_the_pixels_in_their_colours(tmp_path):
     # 9 pixels of the picture across one of the map, 17.08 down; the map begins at 180, 84.
     from matplotlib import colormaps
 
+    root = ET.fromstring(written(content, tmp_path / "map.svg", "svg").read_text(encoding="utf-8"))
+    drawn = next(root.iter("{http://www.w3.org/2000/svg}image"))
+    assert drawn.get("transform").startswith("scale(1 -1)")  # its last row is the first one that is seen
+    coded = drawn.get("{http://www.w3.org/1999/xlink}href").partition(",")[2]
+    inside = np.asarray(Image.open(io.BytesIO(base64.b64decode(coded))).convert("RGB"))[::-1]
+    assert inside.shape[:2] == (1025, 9 * 110)
     expected = values(content, "coating_top")
-    for row, col in ((3, 4), (30, 50), (59, 109)):
+    seen = 0
+    for row, col in ((3, 4), (30, 50), (59, 109), *np.argwhere(np.isnan(expected))[:3].tolist()):
         colour = colormaps["viridis"](expected[row, col] / 40.0, bytes=True)[:3]
         if np.isnan(expected[row, col]):
-            colour = (0xD4, 0xD6, 0xD8)
-        assert pixels[84 + int((row + 0.5) * 1025 / 60), 180 + 9 * col + 4].tolist() == list(map(int, colour))
-    root = ET.fromstring(written(content, tmp_path / "map.svg", "svg").read_text(encoding="utf-8"))
+            colour, seen = (0xD4, 0xD6, 0xD8), seen + 1
+        down, right = int((row + 0.5) * 1025 / 60), 9 * col + 4
+        assert pixels[84 + down, 180 + right].tolist() == list(map(int, colour))
+        assert inside[down, right].tolist() == list(map(int, colour))
+    assert seen >= 3
     words = {"".join(e.itertext()).strip() for e in root.iter("{http://www.w3.org/2000/svg}text")}
     assert {"Coating thickness, top side", "µm", "x / µm", "20 µm"} <= words
 

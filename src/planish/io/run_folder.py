@@ -155,6 +155,13 @@ def _check_work_folder(work: Path, path: Path) -> None:
         )
 
 
+def sweep(path: Path) -> None:
+    """Remove the work folder that a process left which was killed when ``path`` was whole already."""
+    work = path.with_name(f".{path.name}.work")
+    if (work / WORK_MARKER).is_file():
+        _remove_work(work)
+
+
 def _is_work_name(name: str) -> bool:
     """Whether a file or folder of this name may stand in a work folder."""
     return name in (WORK_MARKER, "key", "lock", "tiles") or (name.startswith(".") and name.endswith(".partial"))

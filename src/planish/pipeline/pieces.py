@@ -107,7 +107,7 @@ def _maps(request: Request) -> list[Piece]:
     names = taken.map_names(group, request.params.maps)
     if group == "maps" and IMAGE in names:
         _check_image(request)
-    levels = {name: taken.levels(group, name) for name in names} if request.params.to == "ome-zarr" else {}
+    levels = {name: taken.levels(group, name) for name in names}
     maps = Maps(data=taken.maps(group, names), group=group, levels=levels)
     rows, cols = maps.shape
     check_size(request, rows * cols, f"{rows} x {cols}", "Write them as tiff, txt or netcdf, which have no limit.")

@@ -67,11 +67,13 @@ def run_study(
         link stays beside it, as ``OUT-map``.
     """
     compute = compute or Compute()
-    return_memory(compute)
+    # What is free changes while a run works, and the width of its columns must not.
+    settled = compute.model_copy(update={"memory_bytes": compute.memory})
+    return_memory(settled)
     with limit_threads(compute.threads):
         if out is None:
             check_request(study, compute, held=True)
-            return _done(study, compute=compute, progress=progress, kept=None)
+            return _done(study, compute=settled, progress=progress, kept=None)
         out = Path(out)
         refuse_existing(out)
         refuse_inside(out, [layer.path for layer in study.layers])
@@ -92,7 +94,13 @@ def run_study(
             sink = StoredMaps(work / f".{secrets.token_hex(4)}.partial") if len(study.layers) > 1 else None
             try:
                 run = _done(
-                    study, compute=compute, progress=progress, kept=work / "tiles", mapped=mapped, near=near, sink=sink
+                    study,
+                    compute=settled,
+                    progress=progress,
+                    kept=work / "tiles",
+                    mapped=mapped,
+                    near=near,
+                    sink=sink,
                 )
             except PlanishError as error:
                 with suppress(PlanishError):  # a disk that is full now does not hide what was wrong before

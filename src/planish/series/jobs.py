@@ -19,6 +19,7 @@ from planish.core.facts import Facts
 from planish.core.files import write_whole
 from planish.core.series import Member, MemberState
 from planish.io import fingerprint
+from planish.io.run_folder import sweep
 from planish.pipeline.run import is_run, open_results
 from planish.pipeline.save import run_study
 from planish.series.plan import Plan, Specimen
@@ -110,6 +111,7 @@ class Book:
     def member(self, specimen: Specimen, folder: Path) -> Member:
         """A specimen with its run, as its results judge it."""
         run = folder.relative_to(self.home).as_posix()
+        sweep(folder)
         try:
             results = open_results(folder)
         except PlanishError as error:

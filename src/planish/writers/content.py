@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from planish.core.bands import band_of, bands
 from planish.core.errors import SizeError
 from planish.core.threads import thread_pool
+from planish.writers.chunks import Chunks
 
 _DIGITS = 12  # significant digits of a pixel size: sums of its multiples have no more
 
@@ -151,17 +152,32 @@ class Maps:
         """
         data = self.data[name]
         target = plain_type(data.dtype) if dtype is None else np.dtype(dtype)
+        stored = self.levels.get(name)
+        chunks = Chunks.of(stored[0], self.shape, data.dtype) if stored else None
 
         def read(rows: slice) -> NDArray[Any]:
             return np.ascontiguousarray(band_of(data, rows), dtype=target)
 
+        def start(rows: slice) -> Callable[[], NDArray[Any]]:
+            if chunks is None:
+                return pool.submit(read, rows).result
+            begun = chunks.start(rows, target, pool)
+
+            def done() -> NDArray[Any]:
+                try:
+                    return begun()
+                except (OSError, RuntimeError, ValueError):
+                    return read(rows)  # says what is wrong with the store
+
+            return done
+
         parts = list(bands(self.shape[0]))
         with thread_pool() as pool:
-            ahead = pool.submit(read, parts[0]) if parts else None
+            ahead = start(parts[0]) if parts else None
             for k, rows in enumerate(parts):
                 assert ahead is not None
-                values = ahead.result()
-                ahead = pool.submit(read, parts[k + 1]) if k + 1 < len(parts) else None
+                values = ahead()
+                ahead = start(parts[k + 1]) if k + 1 < len(parts) else None
                 yield rows, values
 
 
