@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from planish.core.series_results import SeriesResults
 
 
+_CLOSE = 0.995  # r of two measurements of one quantity, of which more decimals are written
+
+
 def _margin(_context: click.Context, _parameter: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
     """Margins of ``MAP=UM``."""
     found: dict[str, float] = {}
@@ -98,7 +101,7 @@ def _show(results: SeriesResults) -> None:
     from planish.report import series_words as words
 
     quantities = results.quantities
-    names = [f"{q.map} {_short(q.what)}" + (f" {q.other_layer}".rstrip() if q.what == "r" else "") for q in quantities]
+    names = [" ".join(filter(None, (q.layer, q.map, _short(q.what), q.other_layer))) for q in quantities]
     columns = ["", *results.factors, "checks", *names]
     rows = [
         [one.member.name, *(one.member.factors.get(f, "") for f in results.factors), one.light or one.member.state,
@@ -127,7 +130,7 @@ def _show(results: SeriesResults) -> None:
         limits = "-" if one.limits is None else _ends(one.limits, "mean")
         sentence(
             f"{one.specimen}: {one.b} less {one.a}, {one.map}: bias {_number(one.bias, 'mean')} {one.unit}, limits "
-            f"{limits} {one.unit}; the same in waves from {_number(one.shared_um, 'mean')} um"
+            f"{limits} {one.unit}. {one.sentence}".rstrip()
         )
     sentence(words.plain_words(words.lead(results)))
 
@@ -137,7 +140,8 @@ def _short(what: str) -> str:
 
 
 def _number(value: float | None, what: str) -> str:
-    return "-" if value is None else f"{value:.4f}" if what == "thin_share" else f"{value:.3f}"
+    digits = 4 if what == "thin_share" else 5 if what == "r" and abs(value or 0.0) > _CLOSE else 3
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
 def _ends(limits: tuple[float, float], what: str) -> str:
@@ -147,5 +151,6 @@ def _ends(limits: tuple[float, float], what: str) -> str:
 def _cell(cell: Any, what: str) -> str:
     text = _number(cell.value, what)
     if what == "r" and cell.low is not None:
-        text += f" ({cell.low:.2f} to {cell.high:.2f})"
+        digits = 5 if cell.low > _CLOSE else 2
+        text += f" ({cell.low:.{digits}f} to {cell.high:.{digits}f})"
     return text if cell.counts or cell.value is None else f"{text} *"

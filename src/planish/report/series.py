@@ -15,7 +15,7 @@ from planish.report.draw import Picture
 from planish.report.page import template
 from planish.report.series_figures import SmallMap, draw_groups, tile_maps
 
-_MOST_COLUMNS = 8  # quantities of the table of specimens
+_MOST_COLUMNS = 8  # quantities of the table of specimens, and of figures
 _MOST_ORDERS = 9
 _OUT = ("refused", "damaged", "withheld", "open")
 _SOURCES = (
@@ -66,10 +66,10 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     str
         The same input gives the same text.
     """
-    pictures: list[tuple[int, Picture]] = [
-        (k, picture) for k in range(len(results.quantities)) if (picture := draw_groups(results, k)) is not None
-    ]
     columns = list(range(min(len(results.quantities), _MOST_COLUMNS)))
+    pictures: list[tuple[int, Picture]] = [
+        (k, picture) for k in columns if (picture := draw_groups(results, k)) is not None
+    ]
     factors = [
         name for name in results.factors if any(name in one.member.factors for one in results.specimens)
     ]  # fmt: skip

@@ -11,7 +11,7 @@ import xarray as xr
 from planish.core.series_results import GroupFacts, SeriesResults
 from planish.report.colours import Array, Scale, image_uri, limits
 from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, reduced, round_step
-from planish.report.series_words import label, units, value
+from planish.report.series_words import label, sheets_text, units, value
 from planish.report.series_words import title as title_of_quantity
 from planish.report.text import plain, title_of, unit_of
 
@@ -90,7 +90,7 @@ def _bar(one: SmallMap, scale: Scale, um: float) -> Picture:
 def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     """Draw one quantity of every sheet, by group, with the mean over sheets and its interval."""
     q, groups = results.quantities[k], [g for g in results.groups if g.quantity == k and g.fields]
-    if not groups:
+    if sum(g.fields for g in groups) < 2:
         return None
     factor = 100.0 if q.what == "thin_share" else 1.0
     own = [_members(results, g, k) for g in groups]
@@ -124,13 +124,14 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     canvas.text((left + HALF - 20) / 2, _TOP + high_px + 38, f"{title} / {units(q)}" if units(q) else title,
                 anchor="middle")  # fmt: skip
     rows = [(label(g.group), s, v) for g, one in zip(groups, own, strict=True) for s, v in one]
+    means = [f"{label(g.group)} {value(g.mean, q)} ({sheets_text(g.sheets)})" for g in groups]
     return canvas.picture(
         title=title,
         caption=(
             "Pale: single specimens; blue: sheets; red: mean over sheets with its 95 % interval, where there are 3 "
-            f"sheets. {'; '.join(f'{label(g.group)}: {value(g.mean, q)}, n = {g.sheets} sheets' for g in groups)}."
+            f"sheets. Means: {'; '.join(means)}."
         ),
-        data={"sheets": {"group": [r[0] for r in rows], "sheet": [r[1] for r in rows], "value": [r[2] for r in rows]}},
+        data={"sheets": dict(zip(("group", "sheet", "value"), map(list, zip(*rows, strict=True)), strict=True))},
     )
 
 

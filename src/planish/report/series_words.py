@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from planish.core.series_results import Cell, DifferenceFacts, GroupFacts, Quantity, SeriesResults
-from planish.report.statement import p_text
+from planish.report.statement import decimals_of_r, p_text
 from planish.report.summary import Tile
 from planish.report.text import NONE, beside, capital, count, fixed, number, typeset, unit
 
 _LED = 2  # differences of one quantity in the first sentences
+_CLOSE, _OF_CLOSE = 0.995, 5  # r of two measurements of one quantity, and its decimals
 _NAMED = 6  # specimens that are left out, in a cell
 _STATES = {
     "whole": "whole", "withheld": "with a check that failed", "refused": "refused", "damaged": "damaged",
@@ -76,7 +77,8 @@ def value(v: float | None, q: Quantity, spread: float | None = None) -> str:
     if q.what == "thin_share":
         return number(100 * v, 2) if spread is None else beside(100 * v, 100 * spread)
     if q.what == "r":
-        return fixed(v, 2)
+        ends = None if spread is None else (v - spread, v + spread)
+        return fixed(v, _OF_CLOSE if abs(v) > _CLOSE and spread is None else decimals_of_r(ends))
     return number(v) if spread is None else beside(v, spread)
 
 
@@ -125,7 +127,8 @@ def cell_text(cell: Cell, q: Quantity) -> str:
     """Write a quantity of one specimen; r with its interval below."""
     text = value(cell.value, q)
     if q.what == "r" and cell.low is not None and cell.high is not None:
-        return f"{text}\n{fixed(cell.low, 2)} to {fixed(cell.high, 2)}"
+        digits = decimals_of_r((cell.low, cell.high))
+        return f"{fixed(cell.value, digits)}\n{fixed(cell.low, digits)} to {fixed(cell.high, digits)}"
     return text
 
 

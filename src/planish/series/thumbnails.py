@@ -40,7 +40,7 @@ def thumbnails_of(results: SeriesResults, home: Path) -> list[SmallMap]:
     pixels = _PIXELS * min(1.0, math.sqrt(_MANY / max(len(results.specimens), 1)))
     for one in results.specimens:
         folder = one.member.folder(home)
-        if one.kind is None or folder is None:
+        if one.kind is None or folder is None or one.cells[0].why_not == "not measured":
             continue
         try:
             data = _read(folder / MAPS, one, lead.map, lead.layer)
