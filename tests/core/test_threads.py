@@ -29,7 +29,7 @@ def noted(thread):
 threading.Thread.start = noted
 before = []
 from planish.cli import main
-import numpy, scipy.linalg  # a linear algebra library starts its threads when it is imported
+import numpy, pandas, scipy.linalg  # linear algebra and Arrow, which pandas looks for, start threads when imported
 before = len(os.listdir("/proc/self/task"))
 try:
     main(arguments)
