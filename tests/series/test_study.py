@@ -27,7 +27,8 @@ def table(specimen_files: tuple[Path, Path], tmp_path_factory: pytest.TempPathFa
             shutil.copyfile(file, home / name / file.name)
     os.truncate(home / "cut" / "volume.tif", 100_000)
     rows = [
-        f"{name} ö,{name}/volume.tif,{name}/image.tif,{paper}" for name, paper in zip(("a", "b", "c", "cut"), "AABB")
+        f"{name} ö,{name}/volume.tif,{name}/image.tif,{paper}"
+        for name, paper in zip(("a", "b", "c", "cut"), "AABB", strict=True)
     ]
     table = home / "specimens.csv"
     # One file is not two specimens: other points of two of them.
