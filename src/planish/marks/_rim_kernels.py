@@ -49,7 +49,7 @@ def edge_worth(rises, step):
         for t in range(1, count - 1):
             here = rises[k, t]
             if here > 0.0 and here >= rises[k, t - 1] and here >= rises[k, t + 1]:
-                value = min(here / step, 1.0)
+                value = min(here / step, 1.0) if step != 0.0 else 1.0  # of saturated paper
                 for s in range(t - 1, t + 2):
                     worth[k, s] = max(worth[k, s], value)
     return worth
