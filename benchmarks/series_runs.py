@@ -1,6 +1,6 @@
 """Series of real links: killed and resumed, on one process, two, and dask workers; four of twelve cannot be used.
 
-    python -m benchmarks series_runs FOLDER [single|kill|processes|cluster|watch]
+    python -m benchmarks series_runs FOLDER [single kill processes cluster watch | many]
 
 Twelve specimens of the demo's size: one file damaged, one image mirrored, one of another sheet, one with too few holes.
 """
@@ -102,6 +102,8 @@ def killed(table: Path, out: Path, times: int, *more: str, pause_s: float = 12.0
 def main(folder: str = "", *parts: str) -> int:
     home = Path(folder or "series-runs").absolute()
     home.mkdir(parents=True, exist_ok=True)
+    if parts == ("many",):
+        return many(home / "many")
     table = make(home)
     whole = home / "one"
     if not whole.exists():
@@ -124,6 +126,68 @@ def main(folder: str = "", *parts: str) -> int:
     if "cluster" in parts:
         print("cluster:", cluster(table, home, whole), flush=True)
     return 0
+
+
+def many(home: Path, count: int = 40, planned: int = 200, pairs: int = 6) -> int:
+    """Cost of a series beside that of its links, its memory as it goes on, and two processes against one."""
+    home.mkdir(exist_ok=True)
+    table = make(home, count, wrong=False)
+    for k in range(count + 1, planned + 1):  # the same files once more: a plan reads no more than their heads
+        (home / f"s{k:02d}").mkdir(exist_ok=True)
+        for file in ("volume.tif", "image.tif"):
+            target = home / f"s{k:02d}" / file
+            if not target.exists():
+                os.link(home / f"s{1 + k % count:02d}" / file, target)
+    wide = home / "planned.csv"
+    rows = [f"s{k:02d},s{k:02d}/volume.tif,s{k:02d}/image.tif,A,{k}\n" for k in range(1, planned + 1)]
+    wide.write_text(_COLUMNS + "".join(rows), encoding="utf-8")
+    code, seconds, cpu = timed([*study(wide, home / "planned"), "--dry-run"])
+    print(f"plan of {planned}: exit {code}, {seconds:.1f} s, {cpu:.1f} s of processor time", flush=True)
+    few = home / "few.csv"
+    few.write_text("".join(table.read_text(encoding="utf-8").splitlines(keepends=True)[: pairs + 1]), encoding="utf-8")
+    for jobs in ("1", "2", "1", "2"):
+        shutil.rmtree(home / "few", ignore_errors=True)
+        code, seconds, cpu = timed(study(few, home / "few", "--jobs", jobs, "--threads", "1"))
+        print(f"{pairs} with one thread, processes {jobs}: exit {code}, {seconds:.1f} s, cpu {cpu:.1f} s", flush=True)
+    print("series:", watched_memory(study(table, home / "series")), flush=True)
+    total = 0.0
+    for k in range(1, count + 1):
+        name, alone = f"s{k:02d}", home / "single" / f"s{k:02d}"
+        files = [str(home / name / file) for file in ("volume.tif", "image.tif")]
+        total += timed([sys.executable, "-m", "planish", "link", *files, "--out", str(alone)])[2]
+    print(f"{count} single links: {total:.0f} s of processor time", flush=True)
+    return 0
+
+
+def watched_memory(command: list[str]) -> str:
+    """Run a series; its processor time, and the memory of it and its children as specimens were done."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    process, held = subprocess.Popen(command), list[float]()
+    while process.poll() is None:
+        held.append(sum(resident_gb(pid) for pid in family(process.pid)))
+        time.sleep(0.5)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    most = [f"{max(part):.2f}" for part in np.array_split(held, 4)]
+    return f"exit {process.returncode}, {cpu:.0f} s of processor time, most GB in each quarter of it: {' '.join(most)}"
+
+
+def family(pid: int) -> list[int]:
+    """A process and all below it."""
+    children = Path(f"/proc/{pid}/task").glob("*/children")
+    try:
+        below = [int(one) for file in children for one in file.read_text(encoding="ascii").split()]
+    except OSError:
+        return [pid]
+    return [pid, *(one for child in below for one in family(child))]
+
+
+def resident_gb(pid: int) -> float:
+    """Memory that a process holds now, 0 where it has ended."""
+    try:
+        return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * resource.getpagesize() / 1e9
+    except OSError:
+        return 0.0
 
 
 def cluster(table: Path, home: Path, whole: Path) -> str:
