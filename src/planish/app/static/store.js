@@ -107,12 +107,8 @@ export class Store {
    * @returns {null}
    */
   refused(error) {
-    if (error.status === 409 && error.body?.state) {
-      this.setState(error.body.state);
-      this.alarm("Another window changed the session at the same time. Look at it and try again.");
-    } else {
-      this.alarm(error.status === 0 && !this.readOnly ? `${error.message} The change was not saved.` : error.message);
-    }
+    if (error.status === 409 && error.body?.version) this.setState(error.body);
+    this.alarm(error.status === 0 && !this.readOnly ? `${error.message} The change was not saved.` : error.message);
     for (const listener of this.listeners) listener(this.state); // a box that was ticked shows again what stands
     return null;
   }
