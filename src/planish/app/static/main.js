@@ -54,8 +54,11 @@ async function start() {
     );
     return;
   }
-  const app = Object.assign(new Store(api, session, state, lines), lines, { openTab, onTab });
+  const { cursor, predicted, selection, slicePosition } = lines;
+  const extras = { cursor, predicted, selection, slicePosition, openTab, onTab };
+  const app = Object.assign(new Store(api, session, state, lines), extras);
   nameRun(session);
+  app.say(session.read_only ? `Open to read only. ${session.reason}` : "");
   bindHistory(app);
   mountTabs(app);
   mountApply(find("apply"), app);
@@ -69,7 +72,8 @@ function nameRun(session) {
   find("run-name").title = name;
   document.title = `${name} – planish`;
   if (session.read_only) {
-    lines.message(`Open to read only${session.read_only_reason ? `: ${session.read_only_reason}` : ""}.`);
+    find("run-name").textContent = `${name} (read only)`;
+    find("run-name").title = session.reason;
   }
 }
 
