@@ -11,11 +11,10 @@ from planish.app.changes import ChangeError, Mark, State, applied, change_of, nu
 
 
 def state() -> State:
-    pairs = tuple(
-        Mark.model_validate({"id": f"m0-{k}", "label": f"hole {k}", "moving": (k, 2 * k), "fixed": (k + 1, k)})
-        for k in (1.0, 2.0, 3.0)
+    marks = tuple(
+        Mark.model_validate({"id": f"m0-{k}", "label": f"hole {k}", "moving": (1.0 * k, 2.0), "fixed": (3.0, 1.0 * k)})
+        for k in (1, 2, 3)
     )
-    marks = tuple(m.model_copy(update={"id": f"m0-{k}", "label": f"hole {k}"}) for k, m in enumerate(pairs, 1))
     return State(marks={"sheet": marks, "other": ()}, first="sheet")
 
 
