@@ -13,6 +13,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
+from planish.app.applying import Applying
 from planish.app.guard import Guard
 from planish.app.live import Live
 from planish.app.pictures import Pictures
@@ -47,6 +48,7 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
     app.state.live = Live(session)
     app.state.pictures = Pictures.of(session.folder, session.image_params)
     app.state.tiles = Tiles(app.state.pictures)
+    app.state.applying = Applying(session)
     return app
 
 
