@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from planish.app.changes import Change, ChangeError, End, Mark, Region, State, applied, change_of, numbered
+from planish.app.corrections import corrections_of
 from planish.app.journal import InUse, Journal
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.results import Results
@@ -274,6 +275,7 @@ class Session:
                     polygon=_ring(rings[0]), holes=tuple(map(_ring, rings[1:])),
                 ) for k, (one, rings) in enumerate(declared, 1)
             ),
+            corrections=corrections_of(self.study),
             first=self.layers[0],
         )  # fmt: skip
 
