@@ -171,6 +171,7 @@ async function mountTab(name) {
 // --- the server's news -------------------------------------------------------------------------------------------
 
 const LOST = "No connection to planish. Nothing is saved until it is back; start 'planish view' again if it was ended.";
+const ANEW = "This page lost its connection: planish was started anew. Open the address that it printed.";
 
 /**
  * Follow the changes of other windows, and say when the server is lost and found.
@@ -184,9 +185,9 @@ function followServer(api, app) {
       if (line.version > app.state.version) void app.refresh().catch(() => {});
       app.news?.(line);
     },
-    onLost: () => {
+    onLost: (status) => {
       lost = true;
-      app.alarm(LOST);
+      app.alarm(status === 401 ? ANEW : LOST);
     },
     onFound: async () => {
       await app.refresh(true);
@@ -199,4 +200,5 @@ function followServer(api, app) {
   });
 }
 
+window.addEventListener("hashchange", () => location.hash.includes("token=") && location.reload());
 void start();
