@@ -78,7 +78,14 @@ class Maps {
     this.profile = make("div");
     this.values = make("div", { class: "values" });
     panel.classList.add("maps");
-    this.views = make("div", { class: "views" }, this.left.element, this.right.element);
+    const scatter = make(
+      "section",
+      { class: "view", "aria-label": "Scatter of both layers" },
+      make("div", { class: "head" }, make("h2", {}, "Scatter"), this.scatter.fields),
+      this.scatter.element,
+      this.scatterWords,
+    );
+    this.views = make("div", { class: "views" }, this.left.element, this.right.element, scatter);
     const fixed = this.pictures[0].plane === "fixed";
     this.artefacts = fixed ? new Artefacts(app, { draw: () => this.sketch("Polygon"), show: (all) => this.showArtefacts(all) }) : null;
     panel.append(
@@ -87,11 +94,9 @@ class Maps {
       make(
         "div",
         { class: "beside" },
-        make("section", { class: "view", "aria-label": "Scatter of both layers" }, make("div", { class: "head" }, make("h2", {}, "Scatter"), this.scatter.fields), this.scatter.element, this.scatterWords),
         make("section", { class: "panel", "aria-label": "Values at the cursor" }, make("h2", {}, "At the cursor"), this.values),
+        make("div", { class: "panel" }, this.profile, this.artefacts?.element ?? null),
       ),
-      this.profile,
-      this.artefacts?.element ?? null,
       make("p", { class: "help soft" }, HELP),
     );
     this.link();
@@ -189,12 +194,12 @@ class Maps {
       return range ? [{ picture: side.picture, low: range[0], high: range[1] }] : [];
     });
     const layers = new Set(this.sides.map((side) => side.picture.layer));
-    const valid = this.onlyValid.checked ? this.masks.filter((mask) => layers.has(mask.layer)) : [];
-    for (const side of this.sides) side.draw({ brushes, valid });
+    const more = { brushes, valid: this.masks.filter((mask) => layers.has(mask.layer)), onlyValid: this.onlyValid.checked };
+    for (const side of this.sides) side.draw(more);
     if (this.over) this.left.view.map.removeLayer(this.over);
     this.over = null;
     if (!this.blended) return;
-    this.over = rawTileLayer(this.right.picture, this.app.api, { ...this.right.look, brushes, valid });
+    this.over = rawTileLayer(this.right.picture, this.app.api, { ...this.right.look, ...more });
     this.over.setOpacity(Number(this.share.value));
     this.left.view.map.getLayers().insertAt(1, this.over);
   }

@@ -19,7 +19,7 @@ export class MapSide {
   constructor({ side, pictures, chosen, app, onLayer, onLook, onBrush }) {
     this.app = app;
     this.pictures = pictures;
-    this.onBrush = onBrush;
+    this.onLook = onLook;
     this.element = make("div", { class: "view" });
     this.view = new MapView({ element: this.element, name: `${side} map`, app });
     this.layer = choice(pictures.map((/** @type {any} */ one) => [one.name, titled(one)]), () => {
@@ -57,7 +57,8 @@ export class MapSide {
   choose(then) {
     const { range } = this.picture;
     this.palette.value = paletteOf(this.picture);
-    this.rangeField.value = range.map(shown).join(", ");
+    this.rangeField.value = this.given = range.map(shown).join(", ");
+    this.counted = null;
     this.brushField.value = "";
     this.brushName.textContent = `Brush ${this.picture.name}`;
     this.view.show(this.picture);
@@ -105,9 +106,14 @@ export class MapSide {
     if (this.counted) this.showHistogram(this.counted);
   }
 
-  /** @param {any} found */
+  /** Show how the valid values are distributed; the first time the colours are given their range. @param {any} found */
   showHistogram(found) {
+    const first = this.counted !== found;
     this.counted = found;
+    if (first && this.rangeField.value === this.given) {
+      this.rangeField.value = this.given = found.range.map(shown).join(", ");
+      this.onLook();
+    }
     const { low, high } = this.look;
     this.histogram.replaceChildren(histogram(found, this.picture, [low, high]));
   }
