@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
-import numpy as np
 import pytest
 import tifffile
 
 from planish.app.apply import STAGED, Before, order_of, place_of
-from planish.app.applying import Applying, Busy
 from planish.app.changes import change_of
 from planish.app.session import Session
 from planish.core.results import Results
