@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import secrets
 import shutil
 import subprocess
@@ -81,6 +82,7 @@ class Applying:
     _ready: subprocess.Popen[str] | None = None
     _reader: threading.Thread | None = None
     _stopped: bool = False
+    _closed: bool = False
     _unlisten: Callable[[], None] = lambda: None
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
@@ -100,7 +102,7 @@ class Applying:
     def warm(self) -> None:
         """Start the process that the next Apply will use, which takes a second or two."""
         with self._lock:
-            if self._ready is None or self._ready.poll() is not None:
+            if not self._closed and (self._ready is None or self._ready.poll() is not None):
                 self._ready = _worker()
 
     def _foresee(self) -> None:
@@ -152,7 +154,8 @@ class Applying:
             with suppress(OSError):
                 process.stdin.close()
             try:
-                process.wait(_PATIENCE_S)
+                # Before its first stage it writes nothing, and hears nothing.
+                process.wait(_PATIENCE_S if self.progress.stage else 0)
             except subprocess.TimeoutExpired:
                 process.kill()
             reader.join()
@@ -162,23 +165,20 @@ class Applying:
         """End with the server."""
         self.cancel()
         with self._lock:
-            ready, self._ready = self._ready, None
+            ready, self._ready, self._closed = self._ready, None, True
         if ready is not None:
             ready.kill()
-            ready.wait()
+            _end(ready)
 
     def _follow(self, process: subprocess.Popen[str], out: Path) -> None:
         """Hear what a process says until it ends."""
         assert process.stdout is not None
-        assert process.stdin is not None
         last: dict[str, Any] = {}
         for line in process.stdout:
             last = json.loads(line)
             if last["state"] == "working":
                 self._say(last["stage"], last["message"])
-        process.wait()
-        with suppress(OSError):
-            process.stdin.close()
+        _end(process)
         state, message = str(last.get("state", "")), str(last.get("message", ""))
         if state == "done":
             end = self._done(out)
@@ -214,5 +214,14 @@ class Applying:
 def _worker() -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "planish.app.apply_worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        encoding="utf-8",
+        encoding="utf-8", env={"OPENBLAS_NUM_THREADS": "1"} | os.environ,  # as the command line has it
     )  # fmt: skip
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """Wait for the end of a process, and close what led to it."""
+    process.wait()
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            with suppress(OSError):
+                stream.close()
