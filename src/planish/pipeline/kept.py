@@ -11,7 +11,7 @@ from planish import __version__
 from planish.compute import Compute, run_key
 from planish.core.errors import PlanishError
 from planish.pipeline.layers import Layer
-from planish.pipeline.run import is_run, open_results, open_run
+from planish.pipeline.run import is_run, open_results, open_sheet
 from planish.study import LayerParams, Study, read_study, to_dict
 
 _REQUEST = ".request"  # file of such a run: what was asked for, as a hash
@@ -38,7 +38,7 @@ class KeptMaps:
     def read(self) -> Layer | None:
         """The sheet, where it was mapped before and is whole."""
         try:
-            return open_run(self.path).sheet() if is_run(self.path) else None
+            return open_sheet(self.path) if is_run(self.path) else None
         except PlanishError:
             return None
 
@@ -69,7 +69,7 @@ def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str,
             continue
         same = before.model_copy(update={"marks": layer.marks}) == layer
         with suppress(PlanishError):  # damaged: it is mapped again
-            found[0 if same else 1][layer.name] = open_run(place).sheet()
+            found[0 if same else 1][layer.name] = open_sheet(place)
     return found
 
 

@@ -93,8 +93,10 @@ def map_layer(
         facts = SheetFacts(numbers=before.facts.numbers, **seen)
         own = (*sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured))
         names = {check.name for check in own}
+        same = {k: v for k, v in before.unchanged.items() if k in ("surfaces", "slices", "sections")}
         return Layer(
             params=params, source=before.source, groups=groups | {"slices": before.groups["slices"]}, facts=facts,
+            unchanged=same,
             checks=(*own, *(check for check in before.checks if check.name not in names)), md_deg=md_deg,
         )  # fmt: skip
     frame = Frame(through=v.through, top=v.top)
