@@ -22,8 +22,8 @@ import matplotlib as mpl  # noqa: E402
 mpl.use("agg")
 
 import large  # noqa: E402
-import says  # noqa: E402
 import specimens  # noqa: E402
+import statements  # noqa: E402
 
 from planish.cli import main as planish  # noqa: E402
 
@@ -54,7 +54,7 @@ def main(given: list[str] | None = None) -> int:
             if not (folder / "results.json").is_file():
                 failed = True
                 continue
-            statement = says.said(study, folder, options.out / f"{study}.png")
+            statement = statements.statement(study, folder, options.out / f"{study}.png")
         print(f"\n{study} ({cpu_s() - began:.0f} s of CPU time): {statement}", flush=True)
     return int(failed)
 

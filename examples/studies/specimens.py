@@ -41,7 +41,7 @@ ARTEFACTS = {
     "features": [
         {
             "type": "Feature",
-            "properties": {"name": "web", "reason": "shows the form of the file: nothing is wrong here", "author": "planish"},
+            "properties": {"name": "web", "reason": "an example: nothing is wrong here", "author": "planish"},
             "geometry": {
                 "type": "Polygon", "coordinates": [[[500, 400], [800, 400], [800, 600], [500, 600], [500, 400]]],
             },
@@ -112,7 +112,9 @@ def flattening(size: Size) -> list[Made]:
     found: list[Made] = []
     for sheet in ("1", "2", "3") if size == "full" else ("1",):
         params = base("wfc118", 190 + int(sheet), size, SIZES_UM["T1"])
-        warp = Warp(slope=0.7, wavelength_um=2600.0, phase_rad=0.6 + 2.0 * int(sheet), ruling_deg=20.0 + 40 * int(sheet))
+        warp = Warp(
+            slope=0.7, wavelength_um=2600.0, phase_rad=0.6 + 2.0 * int(sheet), ruling_deg=20.0 + 40 * int(sheet)
+        )
         found.append(Made(name=f"sheet-{sheet}", params=replace(params, warp=warp)))
     return found
 

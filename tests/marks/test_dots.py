@@ -40,7 +40,9 @@ def test_dots_become_paper_and_nothing_else_changes():
     y, x = np.mgrid[: image.shape[0], : image.shape[1]] * PIXEL
     inside = np.min([np.hypot(x - a, y - b) for a, b in CENTRES], axis=0) < HOLE / 2 - 10
     assert np.array_equal(out[inside], image[inside])
-    far = np.min([np.hypot(x - a, y - b) for a, b in CENTRES], axis=0) > HOLE / 2 + DOT  # in which a dot may lie that a hole cuts
+    far = (
+        np.min([np.hypot(x - a, y - b) for a, b in CENTRES], axis=0) > HOLE / 2 + DOT
+    )  # in which a dot may lie that a hole cuts
     far[:30], far[-30:], far[:, :30], far[:, -30:] = False, False, False, False  # a dot that the border cuts may stay
     assert out[far].min() > 0.75
     paper = image > 0.79

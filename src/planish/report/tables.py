@@ -27,8 +27,8 @@ class PairLine(NamedTuple):
 
 
 _SIDE_LIGHT = 0.25
-"""Share of what image and sheet have in common that needs the slopes. On synthetic sheets with less of it, no displacement
-raises r of 100 um points by 0.005; at 0.6 one of 30 um raises it by 0.02 to 0.1 (tests/report/test_side_light.py)."""
+"""Share of what image and sheet have in common that needs the slopes. On synthetic sheets with less, no displacement
+raises r of 100 um points by 0.005; at 0.56 to 0.71, one of 30 um raises it by 0.03 to 0.1: tests/test_side_light.py."""
 
 _COLOURS = {"measured": "measured", "rim": "rim", "no_sheet": "none", "leaves_volume": "none",
             "normal_leaves_sheet": "normal"}  # fmt: skip
@@ -93,8 +93,8 @@ def _light(results: Results) -> str:
     if lag is None or lag.light is None or lag.light < _SIDE_LIGHT:
         return ""
     return (
-        f" The image also shows the slopes of the face, as light from one side does ({lag.light:.0%} of what it shares "
-        "with the sheet needs them): then a map that is displaced towards the light can have a larger r. Judge the "
+        f" The image also shows the slopes of the face, as light from one side does ({100 * lag.light:.0f} % of what it "
+        "shares with the sheet needs them): then a map that is displaced towards the light can have a larger r. Judge the "
         "registration by its marks."
     )
 
