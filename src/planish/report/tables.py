@@ -92,11 +92,10 @@ def _light(results: Results) -> str:
     lag = next((layer.registration.lag for layer in results.layers if layer.registration is not None), None)
     if lag is None or lag.light is None or lag.light < _SIDE_LIGHT:
         return ""
-    share = f"{100 * lag.light:.0f} %"
+    share = f"{100 * lag.light:.0f} % of what it shares with the sheet needs them"
     return (
-        f" The image also shows the slopes of the face, as light from one side does ({share} of what it shares with the "
-        "sheet needs them): then a map that is displaced towards the light can have a larger r. Judge the registration "
-        "by its marks."
+        f" The image also shows the slopes of the face, as light from one side does ({share}): then a map that is "
+        "displaced towards the light can have a larger r. Judge the registration by its marks."
     )
 
 
