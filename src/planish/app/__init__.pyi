@@ -1,0 +1,2 @@
+from .server import create_app as create_app
+from .session import Session as Session
