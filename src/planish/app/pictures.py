@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from planish.app.made_levels import MadeLevels, cache_place
+from planish.app.strain import strains
 from planish.core.errors import InputError
 from planish.core.grid import Grid
 from planish.core.lazy import Where, held
@@ -253,7 +254,7 @@ def _of_run(run: Path) -> Iterator[Picture]:
     """The pictures of a run: of every moving layer, then of what lies on the reference."""
     results, study = open_results(run), read_study(run / "run.toml")
     if not results.is_link:
-        yield from _group(run, "maps", plane="moving", layer=results.layers[0].name, prefix="")
+        yield from _sheet(run, layer=results.layers[0].name, prefix="")
         return
     together = study.is_sheet_on_image
     for facts in results.moving:
@@ -278,7 +279,19 @@ def _moving(run: Path, params: LayerParams, *, prefix: str) -> Iterator[Picture]
             yield image_picture(file, plane="moving", name=f"{prefix}image")
         return
     inner = run / "layers" / params.name
-    yield from _group(inner if is_run(inner) else run, "maps", plane="moving", layer=params.name, prefix=prefix)
+    yield from _sheet(inner if is_run(inner) else run, layer=params.name, prefix=prefix)
+
+
+def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[Picture]:
+    """The maps of a sheet on its own plane, and the strains of its flattening."""
+    maps = [*_group(run, "maps", plane="moving", layer=layer, prefix=prefix)]
+    yield from maps
+    places = {one.name.removeprefix(prefix): one.levels for one in maps}
+    for name, shown, levels in strains(run, places) if (run / MAPS / "strain").is_dir() else ():
+        yield Picture(
+            id="", plane="moving", layer=layer, name=prefix + name, title=shown.title, units=shown.units,
+            levels=_Stored(levels),
+        )  # fmt: skip
 
 
 def _group(run: Path, group: str, *, plane: Plane, layer: str, prefix: str) -> Iterator[Picture]:

@@ -16,6 +16,8 @@ from planish.core.lazy import LazyArray, Where, held
 from planish.io.map_store import stored_group
 from planish.io.run_folder import read_group
 from planish.pipeline.run import MAPS
+from planish.study import RUN_TOML, read_study
+
 
 class Strain(NamedTuple):
     """How a variable of the group ``strain`` is shown: ``factor * (value - unstrained)``."""
@@ -35,8 +37,18 @@ STRAINS = {
 }
 """What is shown of the group ``strain``: all are 0 where the sheet was laid flat without any strain."""
 
+SPACE = ("projected_u", "projected_v", "warp")
+"""Maps of where the sheet was in space, seen from its top."""
+
 MOST_POINTS = 40_000
 """Points of the lines of a mesh that a page is given."""
+
+
+def sheet_run(run: Path, layer: str) -> Path | None:
+    """Folder of the run that a layer was flattened in: this one, or one within it; None where it is no sheet."""
+    params = next((one for one in read_study(run / RUN_TOML).layers if one.name == layer), None)
+    inside = () if params is None or params.kind == "image" else (run / "layers" / layer, run)
+    return next((one for one in inside if (one / MAPS / "strain").is_dir()), None)
 
 
 class _OfCells(LazyArray):

@@ -16,7 +16,8 @@ const MESH_COLOUR = "rgba(20, 20, 20, 0.55)";
 
 /** @param {HTMLElement} panel @param {any} app */
 export async function mount(panel, app) {
-  const sheet = app.session.sheet;
+  const layer = encodeURIComponent(app.state.layer);
+  const sheet = await app.api.get(`flattening?layer=${layer}`);
   if (!sheet) {
     panel.append(make("p", { class: "empty" }, "Neither layer of this registration is a sheet: nothing was flattened."));
     return;
@@ -62,7 +63,7 @@ const meshStyle = () => new ol.style.Style({ stroke: new ol.style.Stroke({ color
 async function showMesh(app, layer, wanted) {
   layer.setVisible(wanted);
   if (!wanted || layer.getSource().getFeatures().length) return;
-  const { lines, every } = await app.api.get("mesh");
+  const { lines, every } = await app.api.get(`mesh?layer=${encodeURIComponent(app.state.layer)}`);
   const features = lines.map((line) => new ol.Feature(new ol.geom.LineString(line.map(flipped))));
   layer.getSource().addFeatures(features);
   app.say(every > 1 ? `Every ${every}th line of the mesh is drawn.` : "All lines of the mesh are drawn.");
