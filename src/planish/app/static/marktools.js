@@ -1,0 +1,71 @@
+/** The tools above the views: model and its error, and what can be done with the chosen mark. */
+
+import { button, choice, labelled, make } from "./dom.js";
+
+export class MarkTools {
+  /**
+   * @param {any} app
+   * @param {{walk: (step: 1|-1) => void, snap: () => void, remove: () => void}} marks
+   */
+  constructor(app, marks) {
+    this.app = app;
+    this.model = choice(app.session.models ?? [app.state.model], (model) =>
+      app.change({ do: "model", model }, `Model ${model}`),
+    );
+    this.fit = make("span", { class: "fit" });
+    this.label = make("input", { type: "text", size: 10, maxlength: 200, onchange: () => this.relabel() });
+    this.snap = button("Snap", () => marks.snap(), { title: "Move both ends to the middle of the hole" });
+    this.remove = button("Delete", () => marks.remove(), { title: "Delete the chosen mark" });
+    this.chosen = make(
+      "div",
+      { class: "group", role: "group", "aria-label": "Chosen mark" },
+      button("Previous", () => marks.walk(-1), { title: "P in a view" }),
+      button("Next", () => marks.walk(1), { title: "N in a view" }),
+      labelled("Label", this.label),
+      this.snap,
+      this.remove,
+    );
+    const model = make("div", { class: "group" }, labelled("Model", this.model), this.fit);
+    this.element = make("div", { class: "tools" }, model, this.chosen);
+    this.mark = null;
+  }
+
+  /** Add what concerns the views. @param {...HTMLElement} parts */
+  viewing(...parts) {
+    const last = /** @type {HTMLElement} */ (parts.pop());
+    this.element.append(make("div", { class: "group" }, ...parts), last);
+  }
+
+  async relabel() {
+    const label = this.label.value.trim();
+    if (this.mark && label && label !== this.mark.label) {
+      await this.app.change({ do: "label", id: this.mark.id, label }, `Mark called ${label}`);
+    }
+  }
+
+  /**
+   * @param {import("./store.js").State} state
+   * @param {import("./store.js").Mark|null} mark
+   */
+  show(state, mark) {
+    const fixed = this.app.readOnly;
+    if (document.activeElement !== this.label || mark?.id !== this.mark?.id) this.label.value = mark?.label ?? "";
+    this.mark = mark;
+    this.label.disabled = this.remove.disabled = !mark || fixed;
+    this.snap.disabled = !mark || fixed;
+    this.model.value = state.model;
+    this.model.disabled = fixed;
+    this.fit.textContent = said(state);
+    this.fit.classList.toggle("warned", Boolean(state.fit?.error));
+  }
+}
+
+/** The fit in words. @param {import("./store.js").State} state */
+function said({ fit, marks, model }) {
+  if (!fit) return "";
+  if (fit.error) return fit.error;
+  const used = marks.filter((mark) => mark.used && mark.moving && mark.fixed).length;
+  const um = (/** @type {number|null} */ value) => (value === null || value === undefined ? "–" : `${value.toFixed(2)} um`);
+  const taken = fit.model && fit.model !== model ? `${fit.model}: ` : "";
+  return `${taken}${used} pairs, residual ${um(fit.rms_um)}, leave-one-out ${um(fit.loo_rms_um)} (rms)`;
+}
