@@ -2,8 +2,9 @@
 
 Around the points a face is expected where kriging puts it: between the points and the face around them, which is known
 from the search. What lies there within its error stays as it was found. The other columns are searched again close to
-the expected place, for an edge whose levels are free, because an inclusion has levels of its own. Where the image
-shows none the expected place is taken, and the error of the kriging becomes that of the face.
+the expected place, for an edge whose levels are free, because an inclusion has levels of its own. The face is the mean of
+this edge and the expected place, each weighted by its variance; where the image shows no edge it is the expected place.
+Its standard error follows.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ _BAND = (2.0, 8.0)  # voxels: how far from the expected place an edge is sought,
 _MISFIT = 0.03  # of the base's contrast: no column is a staircase to within less
 _LEAST, _LEAST_INNER = 0.15, 0.3  # of the step of the base, or of the interface: smaller ones are texture
 _GAIN = 25.0  # an edge of five standard errors
+_EDGE = 1.0  # voxels by which an edge may be off where something misled the search: it has levels of its own
 _NEVER = (Status.NO_SHEET, Status.LEAVES_VOLUME)
 
 
@@ -207,9 +209,11 @@ class _Drawing:
         contrast = abs(self.attrs["grey_base"] - self.attrs["grey_air"])
         found = self._edges(face, window, where, height, error, offset, rides=True, sign=1.0, least=_LEAST * contrast)
         seen = np.isfinite(found)
-        self._set(self.heights[face], window, where, np.where(seen, found, height))
+        # Both say where the face is, each as sure as it is.
+        share = error**2 / (error**2 + (_EDGE * self.voxel_um) ** 2)
+        self._set(self.heights[face], window, where, np.where(seen, height + share * (found - height), height))
         self._set(self.how[face], window, where, np.where(seen, IMAGE, INTERPOLATED))
-        self._set(self.error[face], window, where, np.where(seen, 0.0, error))
+        self._set(self.error[face], window, where, np.where(seen, np.sqrt(1 - share) * error, error))
 
     def _redraw_interface(self, face: Face, window: Tile, where: Mask, thick: tuple[Array, Array]) -> None:
         """Set the interface below a face that was drawn, in the image or by the coating around it."""
