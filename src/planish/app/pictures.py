@@ -107,6 +107,8 @@ class Picture:
     title, units : str
     levels : sequence of DataArray (rows, cols)
         Full resolution first, each next one with pixels twice as wide; values are read where they are asked for.
+    around_zero : bool
+        Whether 0 is in the middle of its colours.
     """
 
     id: str
@@ -116,6 +118,7 @@ class Picture:
     title: str
     units: str
     levels: Sequence[xr.DataArray]
+    around_zero: bool = False
 
     @property
     def full(self) -> xr.DataArray:
@@ -156,6 +159,9 @@ class Picture:
         if self.is_mask:
             return 0.0, 1.0
         low, high = np.percentile(self._typical, [2, 98]) if self._typical.size else (0.0, 1.0)
+        if self.around_zero:
+            high = max(abs(low), abs(high))
+            low = -high
         return (float(low), float(high)) if high > low else (float(low) - 0.5, float(low) + 0.5)
 
     @cached_property
@@ -290,7 +296,7 @@ def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[Picture]:
     for name, shown, levels in strains(run, places) if (run / MAPS / "strain").is_dir() else ():
         yield Picture(
             id="", plane="moving", layer=layer, name=prefix + name, title=shown.title, units=shown.units,
-            levels=_Stored(levels),
+            levels=_Stored(levels), around_zero=True,
         )  # fmt: skip
 
 

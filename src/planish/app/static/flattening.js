@@ -1,7 +1,7 @@
 /** The tab Flattening: what the flattening did to the sheet as a map, and the sheet as it lay in the scanner, in space. */
 
 import { choice, labelled, make } from "./dom.js";
-import { coloursOf } from "./colour.js";
+import { colourAt, paletteOf } from "./colour.js";
 import { sizeOf, wholeLevel } from "./level.js";
 import { MapView, flipped } from "./mapview.js";
 import { drawShaded } from "./sheetmesh.js";
@@ -84,7 +84,7 @@ async function inSpace(pane, app, sheet, pictures) {
       y.values[k] = -y.values[k]; // rows run down, and space has y upwards
       if (Number.isNaN(x.values[k]) || Number.isNaN(y.values[k])) z.values[k] = NaN;
     }
-    const colours = coloursOf(shown.values, colour.range);
+    const colours = coloursOf(shown.values, colour);
     return { rows: z.rows, cols: z.cols, x: x.values, y: y.values, z: z.values, colours };
   }, warp.levels);
   const shapeAt = (level) => {
@@ -120,6 +120,19 @@ async function inSpace(pane, app, sheet, pictures) {
     event.preventDefault();
   });
   new ResizeObserver(() => relief.resize()).observe(canvas);
+}
+
+/** Red, green and blue of each value; grey where there is none. */
+function coloursOf(values, picture) {
+  const [low, high] = picture.range;
+  const palette = paletteOf(picture);
+  const table = Array.from({ length: 256 }, (_, k) => colourAt(palette, k / 255));
+  const out = new Uint8Array(3 * values.length);
+  for (let k = 0; k < values.length; k++) {
+    const share = (values[k] - low) / (high - low || 1);
+    out.set(Number.isNaN(share) ? [128, 128, 128] : table[Math.round(255 * Math.min(1, Math.max(0, share)))], 3 * k);
+  }
+  return out;
 }
 
 /** Load three.js, which is needed here alone, and show the sheet; fails where there is no WebGL. */
