@@ -23,9 +23,9 @@ export async function mount(panel, app) {
     return;
   }
   const pictures = new Map(app.pictures.map((one) => [one.id, one]));
-  const left = make("section", { class: "pane", "aria-label": "Strain" });
-  const right = make("section", { class: "pane", "aria-label": "In space" });
-  panel.append(make("div", { class: "panes" }, left, right));
+  const left = make("section", { "aria-label": "Strain" });
+  const right = make("section", { "aria-label": "In space" });
+  panel.append(make("div", { class: "flattening" }, left, right));
   strainMap(left, app, sheet, pictures);
   await inSpace(right, app, sheet, pictures);
 }
@@ -35,13 +35,15 @@ export async function mount(panel, app) {
 function strainMap(pane, app, sheet, pictures) {
   const shown = sheet.strain.map((id) => pictures.get(id)).filter(Boolean);
   const bar = make("div", { class: "fields" });
-  const note = make("p", { class: "note" });
-  pane.append(make("h2", {}, "Strain that flattening needed"), bar, note);
+  const note = make("p", { class: "soft" });
+  const scale = new ScaleBar();
+  pane.append(make("h2", {}, "Strain left by flattening"), bar, scale.element, note);
   const view = new MapView({ element: pane, name: "Flat sheet", app });
   const show = (id) => {
     const picture = pictures.get(id);
     view.show(picture);
-    note.textContent = noteOf(picture);
+    scale.show(picture);
+    note.textContent = "0 where the sheet was laid flat without strain; 96 % of it lie within the range of colours.";
   };
   bar.append(labelled("Strain", choice(shown.map((one) => [one.id, one.title]), show)));
   const mesh = new ol.layer.Vector({ source: new ol.source.Vector(), style: meshStyle(), visible: false });
@@ -52,9 +54,22 @@ function strainMap(pane, app, sheet, pictures) {
   app.onTab((name) => name === "flattening" && view.map.updateSize());
 }
 
-function noteOf({ title, units, range: [low, high] }) {
-  const unit = units && units !== "1" ? ` ${units}` : "";
-  return `${title}: most of the sheet lies between ${Number(low.toPrecision(3))} and ${Number(high.toPrecision(3))}${unit}.`;
+/** The colours of a picture with the values at both ends. */
+class ScaleBar {
+  constructor() {
+    this.canvas = make("canvas", { width: 160, height: 1, "aria-hidden": "true" });
+    [this.low, this.high] = [make("span"), make("span")];
+    this.element = make("div", { class: "scale-bar" }, this.low, this.canvas, this.high);
+  }
+
+  show(picture) {
+    const context = this.canvas.getContext("2d");
+    const row = context.createImageData(160, 1);
+    for (let k = 0; k < 160; k++) row.data.set([...colourAt(paletteOf(picture), k / 159), 255], 4 * k);
+    context.putImageData(row, 0, 0);
+    const unit = picture.units && picture.units !== "1" ? ` ${picture.units}` : "";
+    [this.low.textContent, this.high.textContent] = picture.range.map((v) => `${Number(v.toPrecision(3))}${unit}`);
+  }
 }
 
 const meshStyle = () => new ol.style.Style({ stroke: new ol.style.Stroke({ color: MESH_COLOUR, width: 1 }) });
@@ -75,9 +90,11 @@ async function inSpace(pane, app, sheet, pictures) {
   const [u, v, warp] = sheet.space.map((id) => pictures.get(id));
   const canvas = make("canvas", { class: "space", tabindex: 0, role: "img", "aria-label": "Sheet in space" });
   const bar = make("div", { class: "fields" });
-  const note = make("p", { class: "note" });
-  pane.append(make("h2", {}, "Centre surface as it lay in the scanner"), bar, canvas, note);
+  const note = make("p", { class: "soft" });
+  const scale = new ScaleBar();
+  pane.append(make("h2", {}, "Centre surface as it lay in the scanner"), bar, scale.element, canvas, note);
   let colour = pictures.get(sheet.colours[0]);
+  scale.show(colour);
   const gridAt = thinned(async (level) => {
     const [x, y, z, shown] = await Promise.all([u, v, warp, colour].map((one) => wholeLevel(app.api, one, level)));
     for (let k = 0; k < z.values.length; k++) {
@@ -101,12 +118,14 @@ async function inSpace(pane, app, sheet, pictures) {
   bar.append(
     labelled("Colour", choice(sheet.colours.map((id) => [id, pictures.get(id).title]), (id) => {
       colour = pictures.get(id);
+      scale.show(colour);
       void redraw();
     })),
     labelled("Heights", height),
   );
   if (!relief) {
     note.textContent = "This browser has no WebGL: the sheet is shown from above, with shadows.";
+    canvas.classList.add("from-above");
     await redraw();
     return;
   }
