@@ -14,7 +14,7 @@ from planish.pipeline.layers import Layer
 from planish.pipeline.run import is_run, open_results, open_run
 from planish.study import LayerParams, Study, read_study, to_dict
 
-_REQUEST = ".request"  # file of such a run: what was asked for, as a hash
+_REQUEST = ".request"  # file of such a run: what was asked for, as a hash, and the study of the link
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,9 +42,9 @@ class KeptMaps:
         except PlanishError:
             return None
 
-    def note(self, folder: Path) -> None:
-        """Mark the folder that will stand there with what was asked for."""
-        (folder / _REQUEST).write_text(self.key, encoding="utf-8", newline="\n")
+    def note(self, folder: Path, study: Study) -> None:
+        """Mark the folder that will stand there with what was asked for, and the link that was refused."""
+        (folder / _REQUEST).write_text(f"{self.key}\n{study.model_dump_json()}\n", encoding="utf-8", newline="\n")
 
 
 def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str, Layer], dict[str, Layer]]:
@@ -73,8 +73,20 @@ def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str,
     return found
 
 
-def _noted(path: Path) -> str:
+def noted_study(path: Path) -> Study | None:
+    """The link that was refused after it had made these maps; None where they are of no such link."""
     try:
-        return (path / _REQUEST).read_text(encoding="utf-8") if is_run(path) else ""
+        return Study.model_validate_json(_lines(path)[1])
+    except (IndexError, ValueError):
+        return None
+
+
+def _noted(path: Path) -> str:
+    return next(iter(_lines(path)), "")
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return (path / _REQUEST).read_text(encoding="utf-8").splitlines() if is_run(path) else []
     except (OSError, UnicodeDecodeError):
-        return ""
+        return []

@@ -103,12 +103,15 @@ def run_study(
                     sink=sink,
                 )
             except PlanishError as error:
-                with suppress(PlanishError):  # a disk that is full now does not hide what was wrong before
+                with suppress(PlanishError, OSError):  # a disk that is full now does not hide what was wrong before
+                    for name in before.keys() & maps.keys():
+                        if maps[name].path.exists():
+                            maps[name].note(maps[name].path, study)
                     for name in mapped.keys() - before.keys():
                         sheet, place = mapped[name], maps[name]
                         with new_folder(place.path, inside=work) as folder:
                             save_run(_run_of_sheet(sheet, Study(layers=(sheet.params,))), folder, home=place.path)
-                            place.note(folder)
+                            place.note(folder, study)
                 more = _next_step(error, maps, study)
                 if not more:
                     raise

@@ -1,0 +1,372 @@
+"""What a person can change in a session: immutable states, and one function that takes a state to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
+
+from planish.core.errors import InputError
+from planish.core.text import printable
+from planish.marks.files.content import MOST_MARKS
+from planish.marks.regions.model import LONGEST_TEXT
+from planish.register.params import ModelChoice
+
+FARTHEST_UM = 1e9
+"""Positions beyond a kilometre are errors, as in files of marks."""
+MOST_POINTS = 10_000
+"""Of one polygon or one correction."""
+
+Um = Annotated[float, Field(ge=-FARTHEST_UM, le=FARTHEST_UM)]
+Id = Annotated[str, Field(pattern=r"^[a-z][0-9]{1,9}(-[0-9]{1,6})?$")]
+Text = Annotated[str, Field(max_length=LONGEST_TEXT)]
+Label = Annotated[str, Field(min_length=1, max_length=200)]
+Layer = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
+Source = Literal["detected", "clicked", "predicted", "imported"]
+
+
+class ChangeError(InputError):
+    """A change that cannot be made: it is malformed, or what it names is not there."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+
+class End(_Part):
+    """One end of a mark, in um of its plane, with what is known of it: the fields of files of marks."""
+
+    x: Um
+    y: Um
+    source: Source = "clicked"
+    cov_xx: float | None = None
+    cov_xy: float | None = None
+    cov_yy: float | None = None
+    diameter: float | None = None
+    axis_ratio: float | None = None
+    arc_coverage: float | None = None
+
+    @property
+    def xy(self) -> tuple[float, float]:
+        """The place, in um."""
+        return self.x, self.y
+
+
+def _end(value: Any) -> Any:
+    """A place ``[x, y]`` is an end that was clicked."""
+    if isinstance(value, list | tuple) and len(value) == 2:  # pyright: ignore[reportUnknownArgumentType]
+        return {"x": value[0], "y": value[1]}
+    return value  # pyright: ignore[reportUnknownVariableType]
+
+
+OneEnd = Annotated[End, BeforeValidator(_end)]
+
+
+class Mark(_Part):
+    """A mark of one registration; an end that is not known yet is None."""
+
+    id: Id
+    label: Label
+    used: bool = True
+    moving: OneEnd | None = None
+    fixed: OneEnd | None = None
+
+    @property
+    def paired(self) -> bool:
+        """Whether it lies in both planes."""
+        return self.moving is not None and self.fixed is not None
+
+
+class CorrectedPoint(_Part):
+    """A place of a face in the volume, in um."""
+
+    z: Um
+    y: Um
+    x: Um
+    face: Literal["top", "bottom"]
+
+
+Points = Annotated[tuple[CorrectedPoint, ...], Field(min_length=1, max_length=MOST_POINTS)]
+Polygon = Annotated[tuple[tuple[Um, Um], ...], Field(min_length=3, max_length=MOST_POINTS)]
+
+
+class Correction(_Part):
+    """A stretch of a face that was found wrong, and the points that it runs through."""
+
+    id: Id
+    layer: Layer | None = None
+    points: Points
+    reach_um: Annotated[float, Field(gt=0, le=FARTHEST_UM)] | None = None
+    note: Text = ""
+
+
+class Region(_Part):
+    """A polygon of the reference, ``(x, y)`` in um, that is declared an artefact."""
+
+    id: Id
+    name: Label
+    author: Text = ""
+    reason: Text = ""
+    polygon: Polygon
+    holes: Annotated[tuple[Polygon, ...], Field(max_length=1000)] = ()
+
+
+# --- the changes -----------------------------------------------------------------------------------------------------
+
+FREE = "m0"
+"""Id of what the journal has not numbered yet."""
+
+
+class _Change(_Part):
+    layer: Layer | None = None
+
+
+class Add(_Change):
+    """A new mark, with one end or both."""
+
+    do: Literal["add"] = "add"
+    id: Id = FREE
+    label: Label | None = None
+    moving: OneEnd | None = None
+    fixed: OneEnd | None = None
+
+
+class Move(_Change):
+    """New places for one end of a mark, or both."""
+
+    do: Literal["move"] = "move"
+    id: Id
+    moving: OneEnd | None = None
+    fixed: OneEnd | None = None
+
+
+class Use(_Change):
+    """Whether a mark takes part in the fit."""
+
+    do: Literal["use"] = "use"
+    id: Id
+    used: bool
+
+
+class Relabel(_Change):
+    """Another label."""
+
+    do: Literal["label"] = "label"
+    id: Id
+    label: Label
+
+
+class Delete(_Change):
+    """A mark less."""
+
+    do: Literal["delete"] = "delete"
+    id: Id
+
+
+class Import(_Change):
+    """Other marks in place of all that are there."""
+
+    do: Literal["import"] = "import"
+    marks: Annotated[tuple[Mark, ...], Field(max_length=MOST_MARKS)]
+
+
+class ChooseModel(_Change):
+    """The transformation that is fitted."""
+
+    do: Literal["model"] = "model"
+    model: ModelChoice
+
+
+class Correct(_Change):
+    """A correction of a face."""
+
+    do: Literal["correct"] = "correct"
+    id: Id = FREE
+    points: Points
+    reach_um: Annotated[float, Field(gt=0, le=FARTHEST_UM)] | None = None
+    note: Text = ""
+
+
+class Uncorrect(_Change):
+    """A correction less."""
+
+    do: Literal["uncorrect"] = "uncorrect"
+    id: Id
+
+
+class DeclareRegion(_Change):
+    """A region that is an artefact."""
+
+    do: Literal["region"] = "region"
+    id: Id = FREE
+    name: Label
+    author: Text = ""
+    reason: Text = ""
+    polygon: Polygon
+
+
+class Unregion(_Change):
+    """A region less."""
+
+    do: Literal["unregion"] = "unregion"
+    id: Id
+
+
+Change = Annotated[
+    Add | Move | Use | Relabel | Delete | Import | ChooseModel | Correct | Uncorrect | DeclareRegion | Unregion,
+    Field(discriminator="do"),
+]
+_CHANGE: TypeAdapter[Change] = TypeAdapter(Change)
+_NEW = {"add": "m", "correct": "c", "region": "r"}
+
+
+def change_of(data: bytes | str) -> Change:
+    """Read a change from JSON, as the page sends it or the journal holds it.
+
+    Raises
+    ------
+    ChangeError
+        If it is none; the message names every fault.
+    """
+    try:
+        return _CHANGE.validate_json(data)
+    except ValidationError as error:
+        raise ChangeError(f"This is no change: {faults_of(error)}.") from error
+
+
+def faults_of(error: ValidationError) -> str:
+    """What is wrong with data from outside, without the data themselves."""
+    found = error.errors(include_url=False, include_input=False, include_context=False)
+    return "; ".join(f"{'.'.join(map(str, e['loc'])) or 'content'}: {e['msg']}" for e in found[:8])
+
+
+def numbered(change: Change, line: int) -> Change:
+    """The change with the ids of what it makes: those of its line in the journal, so that no id ever returns."""
+    if isinstance(change, Import):
+        marks = (mark.model_copy(update={"id": f"m{line}-{k}"}) for k, mark in enumerate(change.marks, 1))
+        return change.model_copy(update={"marks": tuple(marks)})
+    letter = _NEW.get(change.do)
+    return change if letter is None else change.model_copy(update={"id": f"{letter}{line}"})
+
+
+# --- the states ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class State:
+    """What stands after some changes.
+
+    Attributes
+    ----------
+    marks : mapping of str to tuple of Mark
+        By the name of the moving layer, newest last.
+    model : str
+        Transformation that is fitted.
+    corrections : tuple of Correction
+    regions : tuple of Region
+    """
+
+    marks: Mapping[str, tuple[Mark, ...]]
+    model: str = "auto"
+    corrections: tuple[Correction, ...] = ()
+    regions: tuple[Region, ...] = ()
+    first: str = field(default="")  # the layer of changes that name none
+
+    def of(self, layer: str | None) -> tuple[Mark, ...]:
+        """Marks of one registration, of the first where none is named; ChangeError for another name."""
+        name = layer or self.first
+        if name not in self.marks:
+            raise ChangeError(f"There is no registration {name!r}; there is {', '.join(self.marks) or 'none'}.")
+        return self.marks[name]
+
+    def mark(self, layer: str | None, wanted: str) -> Mark:
+        """The mark of an id; ChangeError where it is not there."""
+        return _found(self.of(layer), wanted)
+
+
+def applied(state: State, change: Change) -> State:
+    """The state after a change, which does not change the one before.
+
+    Raises
+    ------
+    ChangeError
+        If the change names a mark, layer, correction or region that is not there, or leaves a mark without a place.
+    """
+    match change:
+        case ChooseModel():
+            return replace(state, model=change.model)
+        case Correct():
+            made = Correction.model_validate(change.model_dump(exclude={"do"}))
+            return replace(state, corrections=(*state.corrections, made))
+        case Uncorrect():
+            return replace(state, corrections=_without(state.corrections, change.id))
+        case DeclareRegion():
+            declared = Region.model_validate(change.model_dump(exclude={"do", "layer"}))
+            return replace(state, regions=(*state.regions, declared))
+        case Unregion():
+            return replace(state, regions=_without(state.regions, change.id))
+        case _:
+            marks = _marks_after(state.of(change.layer), change)
+            return replace(state, marks={**state.marks, change.layer or state.first: marks})
+
+
+def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Delete | Import) -> tuple[Mark, ...]:
+    match change:
+        case Add():
+            return (*marks, _added(marks, change))
+        case Move():
+            ends = {side: end for side in ("moving", "fixed") if (end := getattr(change, side)) is not None}
+            if not ends:
+                raise ChangeError("A move gives no new place. Give moving or fixed.")
+            return _changed(marks, change.id, ends)
+        case Use():
+            return _changed(marks, change.id, {"used": change.used})
+        case Relabel():
+            if any(mark.label == change.label and mark.id != change.id for mark in marks):
+                raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
+            return _changed(marks, change.id, {"label": checked_label(change.label)})
+        case Delete():
+            return _without(marks, change.id)
+        case Import():
+            return change.marks
+
+
+def _added(marks: tuple[Mark, ...], change: Add) -> Mark:
+    if change.moving is None and change.fixed is None:
+        raise ChangeError("A new mark has no place. Give moving or fixed.")
+    if len(marks) >= MOST_MARKS:
+        raise ChangeError(f"There are {len(marks)} marks; {MOST_MARKS} are the most.")
+    taken = {mark.label for mark in marks}
+    if change.label in taken:
+        raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
+    label = change.label or next(name for k in range(1, len(marks) + 2) if (name := f"mark {k}") not in taken)
+    return Mark(id=change.id, label=checked_label(label), moving=change.moving, fixed=change.fixed)
+
+
+def checked_label(label: str) -> str:
+    """A label that can stand in a table; ChangeError for one with line ends, or with nothing to see."""
+    if not label.strip() or printable(label) != label or {*label} & {*"\n\t"}:
+        raise ChangeError(f"The label {label!r} cannot be read. Give letters, digits, signs and blanks.")
+    return label
+
+
+T = TypeVar("T", Mark, Correction, Region)
+
+
+def _changed(marks: tuple[Mark, ...], wanted: str, values: Mapping[str, Any]) -> tuple[Mark, ...]:
+    old = _found(marks, wanted)
+    return tuple(mark.model_copy(update=dict(values)) if mark is old else mark for mark in marks)
+
+
+def _without(parts: tuple[T, ...], wanted: str) -> tuple[T, ...]:
+    old = _found(parts, wanted)
+    return tuple(part for part in parts if part is not old)
+
+
+def _found(parts: tuple[T, ...], wanted: str) -> T:
+    named: Callable[[T], bool] = lambda part: part.id == wanted  # noqa: E731
+    if (part := next(filter(named, parts), None)) is None:
+        raise ChangeError(f"{wanted} is not there any more. The page shows what is.")
+    return part

@@ -1,0 +1,190 @@
+"""The journal of a session: one line per change, on the disk before anybody is told that the change was made."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from filelock import FileLock, Timeout
+
+from planish.core.errors import FileError, PlanishError, ResourceError
+from planish.core.files import as_planish, writing
+
+FORMAT = "planish journal 1"
+LOCK = ".lock"
+
+
+class InUse(FileError):
+    """Another process writes this journal."""
+
+
+class Journal:
+    """Lines of JSON that are appended, each forced to the disk, and never changed.
+
+    The first line says what the file is. The end of a line that a killed process did not finish is dropped. Nothing is
+    written before the first change.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it need not be there.
+    of : str
+        What the changes are made to, such as the hash of a run's results; a journal of something else is refused.
+    write : bool
+        Whether lines will be appended; at most one process can.
+
+    Raises
+    ------
+    InUse
+        If another process writes it.
+    FileError
+        If it cannot be read, is damaged, or is of something else; with ``write`` also where it cannot be written.
+    """
+
+    def __init__(self, path: Path, *, of: str, write: bool) -> None:
+        self.path, self.of = path, of
+        self._lock = _locked(path) if write else None
+        try:
+            data = _content(path)
+            whole = data.rfind(b"\n") + 1
+            self.lines = _lines(data[:whole], path, of)
+            self._end = whole
+            if write and whole < len(data):
+                with writing(path), path.open("r+b") as file:
+                    file.truncate(whole)
+        except BaseException:
+            self.close()
+            raise
+
+    def append(self, line: bytes) -> None:
+        """Write one line, JSON without line ends; it is on the disk when this returns, or nothing of it is.
+
+        Raises
+        ------
+        ResourceError
+            If the disk is full.
+        FileError
+            If it cannot be written otherwise, or the journal was opened to be read.
+        """
+        if self._lock is None:
+            raise FileError(f"{self.path} is read only here. Nothing was changed.")
+        made = self._end == 0
+        data = (_head(self.of) if made else b"") + line + b"\n"
+        try:
+            with self.path.open("ab" if made else "r+b", buffering=0) as file:
+                try:
+                    file.truncate(self._end)  # what an earlier failure may have left
+                    file.seek(self._end)
+                    _write_all(file, data)
+                    os.fsync(file.fileno())
+                except BaseException:
+                    with suppress(OSError):
+                        file.truncate(self._end)
+                    raise
+            if made:
+                _sync_folder(self.path.parent)
+        except OSError as error:
+            raise _refused(error, self.path) from error
+        self._end += len(data)
+        self.lines.append(line)
+
+    def close(self) -> None:
+        """Let others write; a folder without a journal is removed."""
+        if self._lock is not None:
+            self._lock.release()
+            if not self.path.exists():
+                with suppress(OSError):
+                    (self.path.parent / LOCK).unlink(missing_ok=True)
+                    self.path.parent.rmdir()
+            self._lock = None
+
+    def __enter__(self) -> Self:
+        """Use it in a block."""
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, _error: BaseException | None, _at: TracebackType | None
+    ) -> None:
+        """Close it."""
+        self.close()
+
+
+def _locked(path: Path) -> FileLock:
+    with writing(path):
+        path.parent.mkdir(exist_ok=True)
+        lock = FileLock(path.parent / LOCK)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout as error:
+            raise InUse(
+                f"{path.parent.parent} is open in another planish view, which may change it. Close that one, or open "
+                "this one with --read-only."
+            ) from error
+    return lock
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        return b""
+    except OSError as error:
+        raise FileError(f"{path} cannot be read: {os.strerror(error.errno or 0)}.") from error
+
+
+def _lines(data: bytes, path: Path, of: str) -> list[bytes]:
+    head, *lines = data.splitlines() or [b""]
+    if not head:
+        return []
+    stated = _object(head)
+    if stated.get("format") != FORMAT:
+        raise FileError(f"{path} is no journal of this planish ({FORMAT!r}). Rename it to begin anew.")
+    if stated.get("of") != of:
+        raise FileError(f"{path} holds changes of something else than what lies beside it. Rename it to begin anew.")
+    for k, line in enumerate(lines, 2):
+        if not _object(line):
+            raise FileError(
+                f"{path} is damaged in line {k} of {len(lines) + 1}. Cut the file before this line to keep the changes "
+                "that were made until then."
+            )
+    return lines
+
+
+def _object(line: bytes) -> Mapping[str, Any]:
+    try:
+        found: Any = json.loads(line)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType]
+
+
+def _head(of: str) -> bytes:
+    return json.dumps({"format": FORMAT, "of": of}).encode() + b"\n"
+
+
+def _write_all(file: Any, data: bytes) -> None:
+    """Write all of it: a disk that fills up takes the first part of a write without a word."""
+    rest = memoryview(data)
+    while rest:
+        rest = rest[file.write(rest) :]
+
+
+def _sync_folder(folder: Path) -> None:
+    if os.name != "nt":  # Windows keeps the names of files by itself
+        at = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(at)
+        finally:
+            os.close(at)
+
+
+def _refused(error: OSError, path: Path) -> PlanishError:
+    known = as_planish(error, path)
+    kind = ResourceError if isinstance(known, ResourceError) else FileError
+    what = "the disk is full" if kind is ResourceError else str(known).removesuffix(".")
+    return kind(f"The change could not be saved and was not made: {what}. Free some space, then do it again.")

@@ -1,0 +1,162 @@
+"""Routes of the marks: the session, its state, changes, undo and redo, and news for every window."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import anyio
+import numpy as np
+import xarray as xr
+from anyio.to_thread import run_sync
+from pydantic import BaseModel, ConfigDict, ValidationError
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from planish.app.changes import Change, ChangeError, faults_of
+from planish.app.live import Live
+from planish.app.session import Session, Stale
+from planish.marks.find import USUAL_UM
+from planish.register import RegistrationParams
+
+HEARTBEAT_S = 0.5
+
+
+class _Asked(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+    version: int | None = None
+
+
+class _Step(_Asked):
+    """Undo, redo, or something that needs no more than the version that was seen."""
+
+
+class _Changing(_Asked):
+    change: Change
+
+
+async def _asked(request: Request, model: type[Any]) -> Any:
+    """The body of a request; ChangeError where it is no such thing."""
+    try:
+        return model.model_validate_json(await request.body() or b"{}")
+    except ValidationError as error:
+        raise ChangeError(f"This cannot be read: {faults_of(error)}.") from error
+
+
+# --- what there is -----------------------------------------------------------------------------------------------------
+
+
+async def get_session(request: Request) -> Response:
+    """What does not change while the server runs."""
+    session: Session = request.app.state.session
+    return JSONResponse(await run_sync(_session_of, session, request.app))
+
+
+def _session_of(session: Session, app: Any) -> dict[str, Any]:
+    layers: list[dict[str, Any]] = []
+    for layer in session.layers:
+        holes = {plane: _circles(found) for plane, found in session.holes(layer).items()}
+        layers.append({"name": layer, "to": session.target(layer), "holes": holes})
+    pictures: Any = getattr(app.state, "pictures", None)
+    return {
+        "run": session.folder.name, "read_only": session.read_only, "reason": session.reason,
+        "linked": session.results.is_link, "layers": layers, "holes": layers[0]["holes"],
+        "models": _models(), "pictures": [] if pictures is None else pictures.described(),
+    }  # fmt: skip
+
+
+def _circles(holes: xr.Dataset) -> list[list[float]]:
+    size = holes["diameter"].values if "diameter" in holes else np.full(holes.sizes["mark"], USUAL_UM)
+    return np.stack([holes["x"].values, holes["y"].values, np.where(np.isfinite(size), size, USUAL_UM)], 1).tolist()
+
+
+def _models() -> list[str]:
+    schema: Any = RegistrationParams.model_json_schema()["properties"]["model"]
+    return list(schema["enum"])
+
+
+async def get_state(request: Request) -> Response:
+    """What stands now."""
+    return JSONResponse(await run_sync(_state_of, request))
+
+
+def _state_of(request: Request) -> dict[str, Any]:
+    session: Session = request.app.state.session
+    live: Live = request.app.state.live
+    return live.shown(request.query_params.get("layer") or session.state.first)
+
+
+async def get_events(request: Request) -> Response:
+    """One line of JSON for each new version, and one each half second, by which a lost server is noticed."""
+    session: Session = request.app.state.session
+    news = anyio.Event()
+
+    async def lines() -> AsyncIterator[bytes]:
+        nonlocal news
+        stop = session.listen(_waker(lambda: news.set()))
+        try:
+            while True:
+                yield json.dumps({"version": session.version}).encode() + b"\n"
+                with anyio.move_on_after(HEARTBEAT_S):
+                    await news.wait()
+                news = anyio.Event()
+        finally:
+            stop()
+
+    return StreamingResponse(lines(), media_type="application/x-ndjson")
+
+
+def _waker(wake: Callable[[], None]) -> Callable[[], None]:
+    """A function for any thread that calls another in this loop."""
+    loop = asyncio.get_running_loop()
+    return lambda: loop.call_soon_threadsafe(wake) and None
+
+
+# --- what is changed ---------------------------------------------------------------------------------------------------
+
+
+async def post_change(request: Request) -> Response:
+    """Make a change."""
+    asked: _Changing = await _asked(request, _Changing)
+    session: Session = request.app.state.session
+    return await _done(request, lambda: session.change(asked.change, version=asked.version))
+
+
+async def post_undo(request: Request) -> Response:
+    """Take the last change back."""
+    asked: _Step = await _asked(request, _Step)
+    session: Session = request.app.state.session
+    return await _done(request, lambda: session.undo(version=asked.version))
+
+
+async def post_redo(request: Request) -> Response:
+    """Make it again."""
+    asked: _Step = await _asked(request, _Step)
+    session: Session = request.app.state.session
+    return await _done(request, lambda: session.redo(version=asked.version))
+
+
+async def _done(request: Request, action: Callable[[], object]) -> Response:
+    """Do something, and give the state after it; with what stands now where that was seen too late."""
+
+    def doing() -> Response:
+        try:
+            action()
+        except Stale as error:
+            return JSONResponse({"error": str(error)} | _state_of(request), 409)
+        return JSONResponse(_state_of(request))
+
+    return await run_sync(doing)
+
+
+ROUTES = [
+    Route("/api/session", get_session),
+    Route("/api/state", get_state),
+    Route("/api/events", get_events),
+    Route("/api/change", post_change, methods=["POST"]),
+    Route("/api/undo", post_undo, methods=["POST"]),
+    Route("/api/redo", post_redo, methods=["POST"]),
+]

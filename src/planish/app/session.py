@@ -1,0 +1,361 @@
+"""A session: a run as it was, and what a person changed since; every change is saved before it counts."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+import xarray as xr
+
+from planish.app.changes import Change, ChangeError, End, Mark, Region, State, applied, change_of, numbered
+from planish.app.journal import InUse, Journal
+from planish.core.errors import FileError, InputError, PlanishError
+from planish.core.results import Results
+from planish.io import fingerprint, read_image
+from planish.io.params import ImageParams
+from planish.io.run_folder import read_group
+from planish.marks.regions import read_regions
+from planish.pipeline import Registration, find_holes
+from planish.pipeline.kept import noted_study
+from planish.pipeline.regions import REGIONS
+from planish.pipeline.run import MAPS, marks_file, open_results
+from planish.study import Study, read_study
+
+EDITS = "edits"
+"""Folder of a run that holds what a person made of it."""
+Plane = Literal["moving", "fixed"]
+PLANES: tuple[Plane, Plane] = ("moving", "fixed")
+
+_KNOWN = ("cov_xx", "cov_xy", "cov_yy", "diameter", "axis_ratio", "arc_coverage")
+_UNDO, _REDO = b'{"do": "undo"}', b'{"do": "redo"}'
+
+
+class Stale(InputError):
+    """A change of something that was changed meanwhile."""
+
+
+@dataclass(eq=False)
+class Session:
+    """What one server serves.
+
+    Attributes
+    ----------
+    folder : Path
+        The run; a map where ``image_params`` is given.
+    study : Study
+        Of the run.
+    results : Results
+    registrations : dict of Registration
+        As the run has them, by the name of the moving layer; empty for a map and an image that were never linked.
+    image_params : ImageParams or None
+        The image of a link that was refused at the marks.
+    reason : str
+        Why nothing can be changed; empty where it can.
+    version : int
+        Lines of the journal, and one more for everything since that a window has to show.
+    """
+
+    folder: Path
+    study: Study
+    results: Results
+    registrations: dict[str, Registration]
+    image_params: ImageParams | None
+    journal: Journal
+    reason: str
+    version: int = 0
+    changed_at: int = 0  # version of the last change: what was asked for before is stale
+    _done: list[State] = field(default_factory=list[State])
+    _undone: list[State] = field(default_factory=list[State])
+    _lock: threading.RLock = field(default_factory=threading.RLock)
+    _listeners: set[Callable[[], None]] = field(default_factory=set[Callable[[], None]])
+
+    @classmethod
+    def open(cls, run: Path, image: Path | ImageParams | None = None, *, read_only: bool = False) -> Self:
+        """Open a run, or the maps of a refused link with the image, with all changes that were made to it.
+
+        Raises
+        ------
+        FileError
+            If it is no run, is damaged, is open elsewhere, or needs an image.
+        SizeError
+            If the pixel size of the image is not known.
+        """
+        results, study = open_results(run), read_study(run / "run.toml")
+        params = _image_params(run, image, results)
+        of = fingerprint(run / "results.json")
+        name = "journal.jsonl"
+        if params is not None:
+            shown = f"{fingerprint(Path(params.path))} {params.model_dump_json(exclude={'path'})}"
+            of, name = f"{of} {shown}", f"journal-{sha256(shown.encode()).hexdigest()[:12]}.jsonl"
+        registrations = {
+            layer.name: Registration.read(run / marks_file(results, layer.name)) for layer in results.moving
+        }
+        journal, reason = _journal(run / EDITS / name, of=of, read_only=read_only)
+        session = cls(
+            folder=run, study=study, results=results, registrations=registrations, image_params=params,
+            journal=journal, reason=reason,
+        )  # fmt: skip
+        try:
+            session._replay()
+        except BaseException:
+            session.close()
+            raise
+        return session
+
+    # --- what it is about ---------------------------------------------------------------------------------------------
+
+    @property
+    def read_only(self) -> bool:
+        """Whether nothing can be changed."""
+        return bool(self.reason)
+
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """Names of the moving layers, each with a registration."""
+        return tuple(self.registrations) or (self.results.layers[0].name,)
+
+    def target(self, layer: str) -> str:
+        """Name of the layer that a moving one is registered to."""
+        facts = self.results.layer(layer).registration
+        return "image" if facts is None else facts.to
+
+    def mirrored(self, layer: str) -> bool | None:
+        """Whether the fixed plane shows the other side of the sheet; None where either hand may fit."""
+        return None if self.study.registration.mirror else self._side(layer) != self._side(self.target(layer))
+
+    def _side(self, layer: str) -> str:
+        own = {one.name: one.image for one in self.study.layers}
+        image = self.image_params if self.image_params is not None and layer == "image" else own.get(layer)
+        return "top" if image is None else image.side or "top"
+
+    @cached_property
+    def image(self) -> xr.DataArray | None:
+        """The image of a link that was refused, as the link reads it; None for a run."""
+        if self.image_params is None:
+            return None
+        wanted = self.image_params.model_dump(include={"pixel_um", "channel", "override_size", "unusual_size"})
+        return read_image(self.image_params.path, **wanted)
+
+    def holes(self, layer: str) -> dict[Plane, xr.Dataset]:
+        """All holes that were found in both planes, matched or not: ``x``, ``y``, ``diameter`` in um, covariances."""
+        if layer in self.registrations:
+            marks = self.registrations[layer].marks
+            return {plane: _holes_in(marks, plane) for plane in PLANES}
+        return self._found
+
+    @cached_property
+    def _found(self) -> dict[Plane, xr.Dataset]:
+        assert self.image is not None
+        maps, side = read_group(self.folder / MAPS, "maps"), self._side("image")
+        params = self.study.holes
+        return {
+            "moving": find_holes(maps, params=params, side="bottom" if side == "bottom" else "top"),
+            "fixed": find_holes(self.image, params=params, side="bottom" if side == "bottom" else "top"),
+        }
+
+    # --- what was changed ---------------------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> State:
+        """What stands now."""
+        return self._done[-1]
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is a change to take back."""
+        return len(self._done) > 1
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether there is a change to make again."""
+        return bool(self._undone)
+
+    def change(self, change: Change, *, version: int | None = None) -> State:
+        """Make a change: it is saved when this returns, or was not made.
+
+        Raises
+        ------
+        Stale
+            If something was changed after ``version``.
+        ChangeError
+            If it cannot be made of what stands now.
+        FileError, ResourceError
+            If it cannot be saved.
+        """
+        with self._lock:
+            self._check(version)
+            made = numbered(change, len(self.journal.lines) + 1)
+            state = applied(self.state, made)
+            self.journal.append(made.model_dump_json(exclude_none=True).encode())
+            self._step(state)
+            return state
+
+    def undo(self, *, version: int | None = None) -> State:
+        """Take the last change back; ChangeError where there is none."""
+        with self._lock:
+            self._check(version)
+            if not self.can_undo:
+                raise ChangeError("There is nothing to undo: the run stands as it was.")
+            self.journal.append(_UNDO)
+            self._back()
+            return self.state
+
+    def redo(self, *, version: int | None = None) -> State:
+        """Make the change that was taken back again; ChangeError where there is none."""
+        with self._lock:
+            self._check(version)
+            if not self.can_redo:
+                raise ChangeError("There is nothing to redo.")
+            self.journal.append(_REDO)
+            self._forth()
+            return self.state
+
+    def _check(self, version: int | None) -> None:
+        if version is not None and version < self.changed_at:
+            raise Stale("Something was changed in another window meanwhile. What stands now is shown; do it again.")
+
+    def _step(self, state: State) -> None:
+        self._done.append(state)
+        self._undone.clear()
+        self._changed()
+
+    def _back(self) -> None:
+        self._undone.append(self._done.pop())
+        self._changed()
+
+    def _forth(self) -> None:
+        self._done.append(self._undone.pop())
+        self._changed()
+
+    def _changed(self) -> None:
+        self.publish()
+        self.changed_at = self.version
+
+    def _replay(self) -> None:
+        self._done = [self._first()]
+        for k, line in enumerate(self.journal.lines, 1):
+            try:
+                if line == _UNDO and self.can_undo:
+                    self._back()
+                elif line == _REDO and self.can_redo:
+                    self._forth()
+                else:
+                    self._step(applied(self.state, change_of(line)))
+            except ChangeError as error:
+                raise FileError(
+                    f"{self.journal.path} is damaged: its change {k} cannot be made ({error}) Cut the file before that "
+                    "line to keep the changes that were made until then."
+                ) from error
+
+    def _first(self) -> State:
+        """The run as it was."""
+        regions = read_regions(self.folder / REGIONS) if self.results.regions else None
+        declared = [] if regions is None else [
+            (one, rings) for one in regions.declared for rings in one.polygons
+        ]  # fmt: skip
+        return State(
+            marks={name: _marks_of(r.marks) for name, r in self.registrations.items()} or {self.layers[0]: ()},
+            model=self.study.registration.model,
+            regions=tuple(
+                Region(
+                    id=f"r0-{k}", name=one.name, author=one.author, reason=one.reason,
+                    polygon=_ring(rings[0]), holes=tuple(map(_ring, rings[1:])),
+                ) for k, (one, rings) in enumerate(declared, 1)
+            ),
+            first=self.layers[0],
+        )  # fmt: skip
+
+    # --- news for the windows -----------------------------------------------------------------------------------------
+
+    def publish(self) -> None:
+        """Count the version up, and call everybody who listens; from any thread."""
+        with self._lock:
+            self.version += 1
+            heard = tuple(self._listeners)
+        for listener in heard:
+            with suppress(RuntimeError):  # a loop that was closed meanwhile
+                listener()
+
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Have a function called at each new version, in any thread; what is returned ends it."""
+        with self._lock:
+            self._listeners.add(listener)
+        return lambda: self._listeners.discard(listener)
+
+    def close(self) -> None:
+        """Let others change the run."""
+        self.journal.close()
+
+
+def _journal(path: Path, *, of: str, read_only: bool) -> tuple[Journal, str]:
+    """The journal, and why it is only read."""
+    if read_only:
+        return Journal(path, of=of, write=False), "It was opened with --read-only."
+    try:
+        return Journal(path, of=of, write=True), ""
+    except InUse:
+        raise
+    except PlanishError as error:
+        return Journal(path, of=of, write=False), f"The run cannot be written, so nothing can be changed. {error}"
+
+
+def _image_params(run: Path, image: Path | ImageParams | None, results: Results) -> ImageParams | None:
+    """How the image of a refused link is read: as it is asked for, as it was then, or by its own metadata."""
+    place = Path(image.path) if isinstance(image, ImageParams) else image
+    if results.is_link:
+        if place is not None:
+            raise FileError(f"{run} is linked to an image already. Leave {place.name} out: planish view {run}")
+        return None
+    if place is None:
+        raise FileError(f"{run} holds the map of one sheet. Give the image as well: planish view {run} IMAGE")
+    if not place.is_file():
+        raise FileError(f"{place} is no file. Give the image of the sheet.")
+    asked = image.model_dump(exclude_unset=True) if isinstance(image, ImageParams) else {}
+    asked["path"] = str(place.resolve())
+    noted = noted_study(run)
+    for layer in () if noted is None else noted.layers:
+        if layer.image is not None and layer.image.path == asked["path"]:
+            return layer.image.model_copy(update=asked)
+    return ImageParams.model_validate(asked)
+
+
+def _marks_of(marks: xr.Dataset) -> tuple[Mark, ...]:
+    """The pairs of a run."""
+    ends = {plane: ends_of(marks, plane) for plane in PLANES}
+    rows = zip(marks["label"].values, marks["used"].values, ends["moving"], ends["fixed"], strict=True)
+    return tuple(
+        Mark(id=f"m0-{k}", label=str(label), used=bool(used), moving=moving, fixed=fixed)
+        for k, (label, used, moving, fixed) in enumerate(rows, 1)
+        if moving is not None and fixed is not None
+    )
+
+
+def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
+    """Where marks of a file lie in a plane, with all that is known of them."""
+    names = {key: f"{plane}_{key}" for key in ("x", "y", *_KNOWN) if f"{plane}_{key}" in marks}
+    columns = {key: np.asarray(marks[name].values, dtype=np.float64) for key, name in names.items()}
+    sources = marks[f"{plane}_source"].values if f"{plane}_source" in marks else None
+    found: list[End | None] = []
+    for k in range(marks.sizes["mark"]):
+        known: dict[str, Any] = {key: float(v[k]) for key, v in columns.items() if np.isfinite(v[k])}
+        source = "imported" if sources is None else str(sources[k])
+        found.append(End(**known, source=source) if {"x", "y"} <= known.keys() else None)  # pyright: ignore
+    return found
+
+
+def _holes_in(marks: xr.Dataset, plane: Plane) -> xr.Dataset:
+    """The marks of a plane as holes."""
+    names = {f"{plane}_{key}": key for key in ("x", "y", *_KNOWN) if f"{plane}_{key}" in marks}
+    there = np.flatnonzero(np.isfinite(marks[f"{plane}_x"].values))
+    return marks[[*names]].rename(names).isel(mark=there)
+
+
+def _ring(points: Any) -> tuple[tuple[float, float], ...]:
+    return tuple((float(x), float(y)) for x, y in points)
