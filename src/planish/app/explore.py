@@ -66,7 +66,7 @@ def explore(
         progress("maps", str(run))
         maps = maps_of(taken)
         stacks = _stacks(taken, maps, compute, progress)
-        notes = _notes(taken, maps, stacks)
+        notes = _notes(maps, stacks)
         page = render(taken.results, maps, stacks, notes).encode()
     assert len(page) <= LARGEST
     write_whole(out, page)
@@ -84,7 +84,7 @@ def _stacks(taken: Taken, maps: MapsOfPage, compute: Compute, progress: Progress
     return [stack for stack in found if stack is not None]
 
 
-def _notes(taken: Taken, maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
+def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
     """What the page holds, and what was left out of it."""
     down, across = maps.grid.pixel_um
     size = plain(round(across, 4)) if abs(down - across) < 1e-6 * across else (

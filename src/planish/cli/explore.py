@@ -24,7 +24,7 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     It shows two maps, their scatter and the slice at the cursor, in any browser since 2023, without server or network.
     The report stays what is printed and kept.
     """
-    from planish.app.explore import explore as write
+    from planish.app import explore as write
     from planish.cli.show import stages
 
     with stages(6) as progress:

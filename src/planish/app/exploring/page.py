@@ -18,7 +18,7 @@ from planish.core.area import area_mean
 from planish.core.checks import CORRELATION, POSITION, concerned
 from planish.core.results import Results
 from planish.pipeline.checks import trust_of
-from planish.report import first, summary, tables, text
+from planish.report import summary
 from planish.report.colours import MISSING, colours_in_steps, image_uri
 from planish.report.page import template
 from planish.report.slices import LINES
@@ -42,10 +42,9 @@ def render(results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: S
     blocks = list(_blocks(maps, stacks))
     lead = maps.maps[0]
     page = template(_PACKAGE, "explore.html.j2").render(
-        results=results, layers=results.layers, titles=maps.titles, summary=summary, text=text, first=first,
-        tables=tables, maps=maps.maps, lead=lead, still=_still(maps), notes=notes, stacks=stacks, lines=LINES,
+        results=results, layers=results.layers, titles=maps.titles, summary=summary, maps=maps.maps, lead=lead, still=_still(maps), notes=notes, stacks=stacks,
         style=style, script=script, policy=_policy(style, script), data=_json(_data(results, maps, stacks)),
-        blocks=blocks, colour_names={name: colour for name, _, colour, _ in LINES},
+        blocks=blocks,
     )  # fmt: skip
     return f"{page}\n"
 
@@ -120,7 +119,7 @@ def _data(results: Results, maps: MapsOfPage, stacks: Sequence[Stack]) -> dict[s
             }
             for k, one in enumerate(stacks)
         ],
-        "lines": [{"name": name, "title": title, "colour": colour, "dash": dash} for name, title, colour, dash in LINES],
+        "lines": [dict(zip(("name", "title", "colour", "dash"), line, strict=True)) for line in LINES],
         "palettes": {
             name: base64.b64encode(colours_in_steps(name).tobytes()).decode("ascii")
             for name in sorted({one.scale.colours for one in maps.maps})

@@ -149,7 +149,7 @@ class MapView {
     const here = [xOf(state.col), yOf(state.row)], first = this.first;
     this.first = first ? null : here;
     if (first) setRegion([Math.min(first[0], here[0]), Math.min(first[1], here[1]), Math.max(first[0], here[0]), Math.max(first[1], here[1])]);
-    else at("message").textContent = "First corner of the region set. Move the cursor and press Enter again.";
+    else at("selection").textContent = "First corner of the region set. Move the cursor and press Enter again.";
   }
 }
 

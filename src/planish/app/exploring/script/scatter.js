@@ -1,11 +1,18 @@
 // How many pixels have which values of the left and of the right map; what is chosen stands out.
-const BINS = 128, MARGIN = { left: 62, right: 10, top: 10, bottom: 44 };
+const MOST_BINS = 128, MARGIN = { left: 62, right: 10, top: 10, bottom: 44 };
+
+// Bins of equally many codes, so that none is fuller than its neighbours by the packing alone.
+function axisOf(map) {
+  const code = (v) => clamp(Math.round((v - map.low) / map.step) + 2, 2, map.top - 1);
+  const first = code(map.span[0]), many = Math.max(code(map.span[1]) - first + 1, 2), each = Math.ceil(many / MOST_BINS);
+  const bins = Math.ceil(many / each), low = map.low + map.step * (first - 2.5);
+  return { axis: { first, each, bins }, span: [low, low + map.step * each * bins] };
+}
 
 class Scatter {
   constructor() {
     this.frame = at("scatter");
     this.picture = document.createElement("canvas");
-    this.picture.width = this.picture.height = BINS;
     for (const [name, of] of [["pointerdown", this.pressed], ["pointermove", this.moved], ["pointerup", this.released]]) this.frame.addEventListener(name, of.bind(this));
     this.frame.addEventListener("keydown", (event) => this.key(event));
   }
@@ -14,24 +21,26 @@ class Scatter {
   paint() {
     const [a, b] = sides.map(shown), valid = [a, b].map((m) => data.groups[m.group].valid?.codes);
     const bins = [a, b].map((m) => table(m, Uint8Array, (value, code) => {
-      const k = code > 1 && code < m.top ? Math.floor((BINS * (value - m.span[0])) / (m.span[1] - m.span[0])) : 255;
-      return k >= 0 && k < BINS ? k : 255;
+      const k = code > 1 && code < m.top ? Math.floor((code - m.axis.first) / m.axis.each) : 255;
+      return k >= 0 && k < m.axis.bins ? k : 255;
     }));
-    const all = new Uint32Array(BINS * BINS), chosen = new Uint32Array(BINS * BINS), counts = state.chosen;
+    const [wide, tall] = [a.axis.bins, b.axis.bins], counts = state.chosen;
+    const all = new Uint32Array(wide * tall), chosen = new Uint32Array(wide * tall);
     for (let i = 0; i < pixels; i++) {
       const x = bins[0][a.codes[i]], y = bins[1][b.codes[i]];
       if (x === 255 || y === 255 || (valid[0] && !valid[0][i]) || (valid[1] && !valid[1][i])) continue;
-      const k = (BINS - 1 - y) * BINS + x;
+      const k = (tall - 1 - y) * wide + x;
       all[k]++;
       chosen[k] += counts[i];
     }
-    const most = Math.log(1 + all.reduce((m, v) => Math.max(m, v), 1)), image = new ImageData(BINS, BINS), shades = data.ramp;
+    const most = Math.log(1 + all.reduce((m, v) => Math.max(m, v), 1)), image = new ImageData(wide, tall), shades = data.ramp;
     for (let k = 0; k < all.length; k++) {
       if (!all[k]) continue;
       const share = Math.log(1 + (chosen[k] || all[k])) / most, s = 3 * Math.round(254 * share);
       const grey = 205 - 90 * share;
       image.data.set(chosen[k] ? [shades[s], shades[s + 1], shades[s + 2], 255] : [grey, grey, grey, 255], 4 * k);
     }
+    [this.picture.width, this.picture.height] = [wide, tall];
     this.picture.getContext("2d").putImageData(image, 0, 0);
   }
 

@@ -70,7 +70,8 @@ class SliceView {
     const stack = this.stack;
     if (!stack) return;
     const wide = this.frame.clientWidth, um = stack.size[0] / wide;
-    const tall = clamp(stack.size[1] / um, 40, 260);
+    const tall = Math.max(stack.size[1] / um, 40);
+    this.higher = tall / (stack.size[1] / um);
     const near = Math.min(NEAR * Math.max(1, wide / 480), stack.size[0]), nearTall = clamp((wide * Math.min(stack.size[1], 0.42 * near)) / near, 60, 330);
     const along = this.here ? this.here[stack.cols] : NaN, height = this.here ? stack.sign * this.here[stack.through] : NaN;
     const left = stack.start, top = this.k < 0 ? 0 : stack.top[this.k];
@@ -127,7 +128,7 @@ class SliceView {
     const words = ["x", "y", "z"].map((axis) => `${axis} ${place(this.here[axis])}`).join(", ");
     const off = stack.at[this.k] - this.here[stack.rows];
     said.textContent = `${words} µm in the volume${data.several ? ` of ${stack.sheet}` : ""}; slice ${this.k + 1} of ${stack.at.length}, at ${stack.rows} = ${place(stack.at[this.k])} µm` +
-      `${Math.abs(off) >= 0.05 ? `, ${place(Math.abs(off))} µm beside the cursor` : ""}${this.far ? ". No slice is nearer" : ""}.`;
+      `${Math.abs(off) >= 0.05 ? `, ${place(Math.abs(off))} µm beside the cursor` : ""}${this.far ? ". No slice is nearer" : ""}.${this.higher > 1.01 ? ` Heights of the upper picture are drawn ${fixed(this.higher, 1)} times too large.` : ""}`;
   }
 
   // To a place along the slice; the cursor of the maps follows.

@@ -39,8 +39,9 @@ function tellCursor() {
     const map = shown(side), valid = data.groups[map.group].valid?.codes, value = written(map, map.codes[i]);
     const beside = map.codes[i] && valid && !valid[i] ? ", does not count here" : "";
     const doubt = map.trust === "ok" ? "" : `, ${map.trust} (${map.why.join(", ")})`;
-    at(`${side}-value`).textContent = `${value} ${map.units}${beside}${doubt}`;
-    parts.push(`${named(map)} ${value} ${map.units}`.trim() + beside + doubt);
+    const measure = map.codes[i] ? `${value} ${map.units}`.trim() : "no value";
+    at(`${side}-value`).textContent = `${map.codes[i] ? measure : "No value here"}${beside}${doubt}`;
+    parts.push(`${named(map)} ${measure}${beside}${doubt}`);
   }
   for (const group of data.groups) {
     if (!group.sheet) continue;
@@ -116,7 +117,11 @@ function join() {
     item.append(key, line.title);
     at("slice-lines").append(item);
   }
-  new ResizeObserver(() => { view.um = 0; redraw("window"); }).observe(document.querySelector("main"));
+  let wide = 0;
+  new ResizeObserver(([entry]) => {
+    if (entry.contentRect.width === wide) return;
+    wide = entry.contentRect.width; view.um = 0; redraw("window");
+  }).observe(document.querySelector("main"));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { readColours(); redraw("choice"); });
 }
 
@@ -136,12 +141,22 @@ function chosen() {
   redraw("cursor");
 }
 
+// The cursor begins at the pixel that counts next to the middle.
+function begin() {
+  let best = Infinity;
+  const middle = [grid.rows >> 1, grid.cols >> 1];
+  for (let i = 0; i < pixels; i++) {
+    if (!state.chosen[i]) continue;
+    const row = Math.floor(i / grid.cols), col = i % grid.cols, d = Math.hypot(row - middle[0], col - middle[1]);
+    if (d < best) { best = d; state.row = row; state.col = col; }
+  }
+}
+
 async function start() {
   const began = performance.now();
   for (const [name, shades] of Object.entries(data.palettes)) data.palettes[name] = bytesOf(shades);
-  const specs = data.maps.map((map) => map);
-  const found = await Promise.all(specs.map(unpack));
-  found.forEach((one, k) => { data.maps[k] = Object.assign(one, { palette: data.palettes[one.colours] }); });
+  const found = await Promise.all(data.maps.map(unpack));
+  found.forEach((one, k) => { data.maps[k] = Object.assign(one, { palette: data.palettes[one.colours] }, axisOf(one)); });
   data.ramp = data.palettes[data.maps[0].colours];
   for (const group of data.groups) {
     if (group.valid) group.valid = await unpack(group.valid);
@@ -155,6 +170,8 @@ async function start() {
   at("still").hidden = true;
   at("desk").hidden = false;
   join();
+  choose();
+  begin();
   chosen();
   drawDue();
   document.documentElement.dataset.ready = String(Math.round(performance.now() - began));
