@@ -11,17 +11,19 @@ from planish.analyze import texture_lag, textures
 from planish.core.grid import Grid
 from planish.core.results import Results
 from planish.report.tables import _SIDE_LIGHT, comparison_sentence
-from planish.synthetic import CameraParams, SpecimenParams, Warp, make_specimen
+from planish.synthetic import PRESETS, CameraParams, SpecimenParams, Warp, make_specimen
 from planish.synthetic.camera import image_material
 from report.runs import a_run
 
 POINT_UM, PIXEL_UM, BORDER = 100.0, 6.0, 20
 
 
-def seen(shading: float, seed: int):
+def seen(paper: str, shading: float, seed: int):
     """True coating and face on the pixels of an image, the image, and where they count; no marks, so no errors."""
     camera = CameraParams(shading=shading, oracle_r2=0.2, pixel_um=PIXEL_UM)
-    params = SpecimenParams(size_um=(3000.0, 2200.0), warp=Warp(bump_um=0.0), camera=camera, seed=seed)
+    params = SpecimenParams(
+        size_um=(3000.0, 2200.0), paper=PRESETS[paper][1], warp=Warp(bump_um=0.0), camera=camera, seed=seed
+    )
     made = make_specimen(params)
     sheet, (u, v) = made.sheet, image_material(made.pose, made.image.shape, PIXEL_UM)
     top, below = (sheet.at(face, u, v) for face in sheet.faces[:2])
@@ -38,23 +40,24 @@ def displaced(coating, image, use, by_um: float) -> float:
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("paper", ["wfc90", "wfc118", "wfc135"])
 @pytest.mark.parametrize(("shading", "diffuse"), [(0.003, True), (0.02, False)])
-def test_a_displacement_towards_the_light_raises_r_only_under_light_from_one_side(shading, diffuse, seed):
-    coating, face, image, use = seen(shading, seed)
+def test_a_displacement_towards_the_light_raises_r_only_under_light_from_one_side(shading, diffuse, paper, seed):
+    coating, face, image, use = seen(paper, shading, seed)
     towards, right, away = (displaced(coating, image, use, by) for by in (-30.0, 0.0, 30.0))
     maps = {"coating": coating, "face": face, "image": image.values}
     known = {k: np.where(use, m, np.nan) for k, m in maps.items()}
     found = textures(known, use, Grid.of(image).pixel_um).with_slopes("face")
     lag = texture_lag(found, ["coating", "face_x", "face_y"], "image", slopes=2, reach_um=150.0)
-    print(f"shading {shading}: towards {towards:.3f}, in place {right:.3f}, away {away:.3f}; light {lag.light:.2f}")
+    print(f"{paper}, shading {shading}: {towards:.3f}, {right:.3f}, {away:.3f}; light {lag.light:.2f}")
     assert (lag.light < _SIDE_LIGHT) == diffuse
     assert lag.length_um < 1.0  # with the slopes beside the coating, the lag stays right
     assert away < right  # by 0.02 and more
     if diffuse:
         assert towards < right
     else:
-        assert towards > right + 0.02
+        assert 0.02 < towards - right < 0.12
 
 
 def sentence_with(light: float | None) -> str:

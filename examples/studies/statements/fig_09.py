@@ -30,7 +30,8 @@ def _mottle(run: pl.Run) -> str:
     """In which octave of wavelength the print is most uneven."""
     bands = [band for one in run.results.mottle for band in one.bands]
     if not bands:
-        return ""
+        why = "; ".join(one.silence for one in run.results.mottle if one.silence)
+        return f" How uneven the print is, is stated for no octave of wavelength{f': {why}' if why else ''}."
     most = max(bands, key=lambda band: band.coefficient_of_variation)
     return (
         f" The print is most uneven in waves of {most.shortest_um:.0f} to {most.longest_um:.0f} um "

@@ -35,7 +35,7 @@ def state(folder: Path, figure: Figure) -> str:
     declared = len(run.results.regions.regions) if run.results.regions else 0
     left_out = f" Left out beside the holes: {declared} declared region{'s' * (declared > 1)}." if declared else ""
     return (
-        f"r = {row.r:.2f} (95 % interval {interval(row.interval)}) over {row.n} points of {row.point_um:.0f} um, "
+        f"r = {row.r:.3f} (95 % interval {interval(row.interval, 3)}) over {row.n} points of {row.point_um:.0f} um, "
         f"{row.n_eff:.0f} of them independent. {row.b} less {row.a}: {twice.bias:+.2f} um (95 % interval "
         f"{interval(twice.bias_interval)}); limits of agreement {interval(twice.limits, 1)} um (the lower one "
         f"{interval(twice.limit_intervals[0], 1)}, the upper one {interval(twice.limit_intervals[1], 1)}). "

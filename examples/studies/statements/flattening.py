@@ -57,6 +57,6 @@ def _gain(before: Fields, after: Fields) -> str:
     low, high = (math.tanh(float(np.mean(np.arctanh(fields.values)))) ** 2 for fields in (before, after))
     reason = f", because {found.reason}" if found.reason else ""
     return (
-        f"r² {low:.3f}, flattened {high:.3f} (factor {low / high:.2f}), difference {high - low:+.3f} (95 % interval "
+        f"r² {low:.3f}, flattened {high:.3f} ({high / low:.1f} times), difference {high - low:+.3f} (95 % interval "
         f"{interval(found.interval, 3)}{reason})"
     )
