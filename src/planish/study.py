@@ -39,7 +39,7 @@ EDITS_APPLIED = ("surface.json",)
 """Files in it that a run was made with."""
 
 _FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
-_PATHS = {"path", "run", "marks", "design", "regions"}
+_PATHS = {"path", "run", "marks", "design", "regions", "corrections"}
 _OF_A_VOLUME = ("surface", "properties", "flatten")
 _OF_A_LAYER = ("volume", "image", *_OF_A_VOLUME)
 _OF_A_STUDY = ("holes", "registration", "correlate")

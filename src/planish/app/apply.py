@@ -12,19 +12,21 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.app.changes import End, Mark, State
-from planish.app.changes import Region as Drawn
+from planish.app.session import PLANES, Session, ends_of
 from planish.core.files import free_path
-from planish.marks.files import Places, holes_of, layer_names, make_marks, marks_text
+from planish.marks.files import Places, make_marks, marks_text
 from planish.marks.regions import Region, Regions, geojson_text
 from planish.marks.regions.model import ring_of
-from planish.study import Study
+from planish.pipeline.kept import noted_study
+from planish.pipeline.regions import REGIONS
+from planish.pipeline.sheet import changed
+from planish.study import EDITS, LayerParams, Study
 
 Floats = NDArray[np.float64]
 
-STAGED = ".apply"
-"""Hidden folder in ``edits`` of a run, where files stand until the new run has its own."""
+STAGED = f"{EDITS}/.apply"
+"""Hidden folder of a run where files of an order stand until the new run has its own."""
 
-_SIDES = ("moving", "fixed")
 _EXTRAS = ("cov_xx", "cov_xy", "cov_yy", "diameter", "axis_ratio", "arc_coverage")
 _OF_A_MAP = re.compile(r"-map(-\d+)?$")
 
@@ -39,15 +41,34 @@ class Before:
         With absolute paths; of a map that is linked to an image in the session, the study of that link.
     state : State
     marks : mapping of str to Dataset (mark)
-        All holes and marks of each registration, by the name of the moving layer.
-    regions : Regions or None
-        Declared artefacts as the run has them.
+        All holes and marks of each registration, matched or not, by the name of the moving layer.
     """
 
     study: Study
     state: State
     marks: Mapping[str, xr.Dataset]
-    regions: Regions | None = None
+
+    @classmethod
+    def of(cls, session: Session) -> Before:
+        """What a session began with."""
+        if session.image_params is None:
+            marks = {name: one.marks for name, one in session.registrations.items()}
+            return cls(study=session.study, state=session.first, marks=marks)
+        sheet, noted = session.study.layers[0], noted_study(session.folder)
+        study = session.study if noted is None else noted
+        name = next((layer.name for layer in study.layers if layer.image is not None), "image")
+        image = LayerParams(name=name, image=session.image_params)
+        holes = session.holes(sheet.name)
+        rows = {side: np.arange(holes[side].sizes["mark"]) for side in PLANES}
+        apart = {
+            "moving": np.append(rows["moving"], rows["fixed"] * 0 - 1),
+            "fixed": np.append(rows["moving"] * 0 - 1, rows["fixed"]),
+        }
+        labels = [f"{side} {k + 1}" for side in PLANES for k in rows[side]]
+        marks = make_marks(labels, {side: Places.of_holes(holes[side], apart[side]) for side in PLANES})
+        return cls(
+            study=study.model_copy(update={"layers": (sheet, image)}), state=session.first, marks={sheet.name: marks}
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,21 +89,16 @@ def order_of(before: Before, state: State, staged: Path) -> Order:
         What is to be applied. Where it is as it was, so is the study, and no file is written.
     staged : Path
         Folder where the files of the order will stand while the run is made.
-
-    Returns
-    -------
-    Order
     """
     files: dict[str, str] = {}
     study = _with_marks(before, state, staged, files)
     if state.model != before.state.model:
-        registration = study.registration.model_copy(update={"model": state.model})
-        study = study.model_copy(update={"registration": registration})
+        study = changed(study, registration=changed(study.registration, model=state.model))
     if state.regions != before.state.regions:
-        regions = None
+        path = None
         if state.regions:
-            regions, files["regions.geojson"] = str(staged / "regions.geojson"), geojson_text(_regions(before, state))
-        study = study.model_copy(update={"correlate": study.correlate.model_copy(update={"regions": regions})})
+            path, files[REGIONS] = str(staged / REGIONS), geojson_text(_regions(state))
+        study = changed(study, correlate=changed(study.correlate, regions=path))
     return Order(study=study, files=files)
 
 
@@ -90,7 +106,7 @@ def place_of(run: Path, *, linked: bool) -> Path:
     """Where the new run will stand: ``RUN-2`` beside RUN, ``OUT`` of the ``OUT-map`` that is linked to an image."""
     if linked and (found := _OF_A_MAP.search(run.name)) and found.start():
         return free_path(run.with_name(run.name[: found.start()]))
-    return free_path(run.with_name(f"{run.name}-2"))
+    return free_path(run)
 
 
 # --- marks -----------------------------------------------------------------------------------------------------------
@@ -99,19 +115,17 @@ def place_of(run: Path, *, linked: bool) -> Path:
 def _with_marks(before: Before, state: State, staged: Path, files: dict[str, str]) -> Study:
     """The study with the marks of each registration that has others than before."""
     study, usual_um = before.study, float(np.mean(before.study.holes.hole_um))
-    changed = {name: marks for name, marks in state.marks.items() if marks != before.state.marks.get(name, ())}
     alone = len(state.marks) == 1
-    for name, marks in changed.items():
+    for name, marks in state.marks.items():
+        if marks == before.state.marks[name]:
+            continue
         file = "marks.json" if alone else f"marks-{name}.json"
         files[file] = marks_text(all_marks(marks, before.marks[name], usual_um=usual_um))
-        own = None if alone else str(staged / file)
-        layers = tuple(
-            layer.model_copy(update={"marks": own}) if layer.name == name else layer for layer in study.layers
-        )
-        study = study.model_copy(update={"layers": layers})
+        path = str(staged / file)
         if alone:
-            registration = study.registration.model_copy(update={"marks": str(staged / file)})
-            study = study.model_copy(update={"registration": registration})
+            study = changed(study, registration=changed(study.registration, marks=path))
+        layers = (changed(m, marks=None if alone else path) if m.name == name else m for m in study.layers)
+        study = changed(study, layers=tuple(layers))
     return study
 
 
@@ -131,53 +145,38 @@ def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> 
     -------
     Dataset (mark)
     """
-    ends = {side: [getattr(mark, side) for mark in marks] for side in _SIDES}
+    ends = {side: [getattr(mark, side) for mark in marks] for side in PLANES}
     labels, used = [mark.label for mark in marks], [mark.used for mark in marks]
-    holes = {side: holes_of(before, side) for side in _SIDES if side in layer_names(before)}
     free: dict[str, list[End]] = {}
-    for side, found in holes.items():
-        inside = _inside(ends[side], found)
+    for side in PLANES:
+        holes = [end for end in ends_of(before, side) if end is not None]
+        inside = _inside(ends[side], holes)
+        size = [next((holes[k].diameter for k in np.flatnonzero(row)), None) or usual_um for row in inside]
         ends[side] = [
-            end if end is None or end.diameter is not None else end.model_copy(
-                update={"diameter": float(found["diameter"].values[row.argmax()]) if row.any() else usual_um}
-            )
-            for end, row in zip(ends[side], inside, strict=True)
-        ]  # fmt: skip
-        free[side] = _holes(found, np.flatnonzero(~inside.any(axis=0)), before, side)
+            end.model_copy(update={"diameter": end.diameter or um}) if end is not None else None
+            for end, um in zip(ends[side], size, strict=True)
+        ]
+        free[side] = [hole for k, hole in enumerate(holes) if not inside[:, k].any()]
     for side, more in free.items():
         labels += _labels(side, len(more), {*labels})
         used += [True] * len(more)
-        for other in _SIDES:
+        for other in PLANES:
             ends[other] += more if other == side else [None] * len(more)
-    places = {side: _places(ends[side]) for side in _SIDES}
+    places = {side: _places(ends[side]) for side in PLANES}
     return make_marks(labels, places, used=used, about=before.attrs.get("layers", {}))
 
 
-def _inside(ends: Sequence[End | None], holes: xr.Dataset) -> NDArray[np.bool_]:
+def _inside(ends: Sequence[End | None], holes: Sequence[End]) -> NDArray[np.bool_]:
     """Which end (rows) lies in which hole (columns): each in the nearest at most."""
-    found = np.zeros((len(ends), holes.sizes["mark"]), dtype=bool)
+    found = np.zeros((len(ends), len(holes)), dtype=bool)
     if not found.size:
         return found
     at = np.array([(np.nan, np.nan) if end is None else end.xy for end in ends])
-    apart = np.linalg.norm(at[:, None] - np.stack([holes["x"].values, holes["y"].values], axis=1), axis=2)
-    known = np.where(apart < 0.5 * holes["diameter"].values, apart, np.inf)
-    nearest = known.argmin(axis=1)
-    rows = np.arange(len(ends))
+    apart = np.linalg.norm(at[:, None] - np.array([hole.xy for hole in holes]), axis=2)
+    known = np.where(apart < 0.5 * np.array([hole.diameter or np.nan for hole in holes]), apart, np.inf)
+    rows, nearest = np.arange(len(ends)), known.argmin(axis=1)
     found[rows, nearest] = np.isfinite(known[rows, nearest])
     return found
-
-
-def _holes(holes: xr.Dataset, rows: NDArray[np.intp], before: xr.Dataset, side: str) -> list[End]:
-    """Some holes as ends of marks."""
-    sources = before[f"{side}_source"].values[np.isfinite(before[f"{side}_x"].values)]
-    known = [name for name in _EXTRAS if name in holes]
-    return [
-        End.model_validate(
-            {"x": float(holes["x"].values[k]), "y": float(holes["y"].values[k]), "source": str(sources[k])}
-            | {name: v for name in known if np.isfinite(v := float(holes[name].values[k]))}
-        )
-        for k in rows
-    ]
 
 
 def _labels(side: str, count: int, taken: set[str]) -> list[str]:
@@ -200,16 +199,13 @@ def _places(ends: Sequence[End | None]) -> Places:
 # --- regions ---------------------------------------------------------------------------------------------------------
 
 
-def _regions(before: Before, state: State) -> Regions:
-    """Declared regions: those that the run has with all their borders, others as they were drawn."""
-    kept = dict(zip((one.id for one in before.state.regions), _declared(before), strict=False))
-    return Regions(declared=tuple(kept.get(one.id) or _drawn(one) for one in state.regions))
-
-
-def _declared(before: Before) -> tuple[Region, ...]:
-    return () if before.regions is None else before.regions.declared
-
-
-def _drawn(one: Drawn) -> Region:
-    ring = ring_of(np.array(one.polygon))
-    return Region(name=one.name, reason=one.reason, author=one.author, polygons=((ring,),))
+def _regions(state: State) -> Regions:
+    return Regions(
+        declared=tuple(
+            Region(
+                name=one.name, reason=one.reason, author=one.author,
+                polygons=(tuple(ring_of(np.array(ring)) for ring in (one.polygon, *one.holes)),),
+            )
+            for one in state.regions
+        )
+    )  # fmt: skip

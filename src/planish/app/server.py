@@ -13,6 +13,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
+from planish.app.applying import Applying
 from planish.app.guard import Guard
 from planish.app.live import Live
 from planish.app.session import Session, Stale
@@ -43,6 +44,7 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
     )
     app.state.session = session
     app.state.live = Live(session)
+    app.state.applying = Applying(session)
     return app
 
 

@@ -168,6 +168,11 @@ class Session:
         return self._done[-1]
 
     @property
+    def first(self) -> State:
+        """The run as it was."""
+        return self._done[0]
+
+    @property
     def can_undo(self) -> bool:
         """Whether there is a change to take back."""
         return len(self._done) > 1

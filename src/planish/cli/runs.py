@@ -23,9 +23,10 @@ from planish.cli.options import (
     strict_option,
     verb,
 )
-from planish.cli.show import finish, free_path, run_facts, stages
+from planish.cli.show import finish, run_facts, stages
 from planish.compute import Compute
 from planish.core.errors import PlanishError, StudyError
+from planish.core.files import free_path
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams

@@ -22,6 +22,7 @@ from planish.io.map_store import OVERVIEWS, MapSink, StoredMaps, stored_group
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, take_group, work_folder, write_tree
 from planish.marks import write_marks
 from planish.pipeline.checks import about, with_trust
+from planish.pipeline.corrections import CORRECTIONS, write_corrections
 from planish.pipeline.facts import parameters, versions
 from planish.pipeline.figures import figures_text
 from planish.pipeline.kept import KeptMaps, sheets_of
@@ -206,7 +207,7 @@ def save_run(
     if run.regions is not None:
         write_regions(run.regions, folder)
         study = changed(study, correlate=changed(study.correlate, regions=str(home / REGIONS)))
-    study = _with_own_marks(study, run, home)
+    study = _with_own_corrections(_with_own_marks(study, run, home), run, folder, home)
     write_study(study, folder, home=home, version=__version__)
     pairs = {name: registration.pairs() for name, registration in run.registrations.items()}
     write_report(
@@ -220,6 +221,20 @@ def save_run(
         take_group(folder / MAPS, store, name)
     own = {name: data for name, data in run.groups.items() if name not in run.unchanged}
     write_tree(folder / MAPS, {name: data for name, data in _with_overviews(own).items() if name not in there})
+
+
+def _with_own_corrections(study: Study, run: Run, folder: Path, home: Path) -> Study:
+    """Corrections of its own sheets are files of the run; those of ``run.sheets`` stand in their folders by now."""
+    files: dict[str, str | None] = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
+    files = {name: file if (folder / str(file)).is_file() else None for name, file in files.items()}
+    if "surfaces" in run.groups:
+        files[study.layers[0].name] = write_corrections(run.groups["surfaces"], folder)
+    layers = tuple(
+        changed(layer, surface=changed(layer.surface, corrections=str(home / file) if file else None))
+        if layer.kind == "volume" and (file := files.get(layer.name, "")) != "" else layer
+        for layer in study.layers
+    )  # fmt: skip
+    return changed(study, layers=layers)
 
 
 def _with_own_marks(study: Study, run: Run, home: Path) -> Study:

@@ -160,7 +160,9 @@ def _other_surfaces(
     return {name: (np.where(known, filled(values), np.nan), title) for name, (values, title) in found.items()}
 
 
-def centre_surface(middle: Array, outline: Mask, pitch: tuple[float, float], params: SurfaceParams) -> tuple[Array, Array]:
+def centre_surface(
+    middle: Array, outline: Mask, pitch: tuple[float, float], params: SurfaceParams
+) -> tuple[Array, Array]:
     """Smooth the mean of the faces and carry it across holes; the centre surface and the cut-off used, in um."""
     cutoff_um = params.cutoff_um
     if params.method == "paper":

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.checks import PROPERTIES, Check
 from planish.core.errors import InputError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
@@ -15,8 +16,8 @@ from planish.core.status import Status
 from planish.core.tiles import Engine
 from planish.surface.assemble import centre_surface
 from planish.surface.columns import Columns
-from planish.surface.corrections import Corrections
-from planish.surface.draw import FACES, Drawn, draw_faces
+from planish.surface.corrections import FACES, Corrections
+from planish.surface.draw import IMAGE, INTERPOLATED, Drawn, draw_faces
 from planish.surface.params import SurfaceParams
 
 Array = NDArray[np.float64]
@@ -25,6 +26,7 @@ _REPAIRED = (Status.FACE_NOT_FOUND, Status.PARTICLE, Status.TOUCHING)
 _SEEN_UM = 0.001  # the centre surface moves where a correction moves it by more
 _SUPPORT = 3.0  # cut-offs: how far the smoothing of the centre surface reaches
 _HOW = "found image interpolated"
+_MOST_DRAWN = 0.1  # of the sheet
 _UNCHANGED = 255  # of ``found_status``
 _TILES = "corrected_tiles"
 _HEIGHTS = ("top", "bottom", "interface_top", "interface_bottom")
@@ -98,6 +100,24 @@ def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
         before[own] = before[own].copy(data=np.where(where, surfaces[f"found_{own}"].values, before[own].values))
     before.attrs = {name: value for name, value in surfaces.attrs.items() if name not in ("corrections", _TILES)}
     return before
+
+
+def correction_check(surfaces: xr.Dataset) -> Check | None:
+    """How much of the sheet was corrected by hand; None where nothing was."""
+    if "corrections" not in surfaces.attrs:
+        return None
+    stretches = Corrections.model_validate_json(surfaces.attrs["corrections"]).stretches
+    points = sum(len(one.points) for one in stretches)
+    how = np.maximum(*(surfaces[f"correction_{face}"].values for face in FACES))
+    sheet = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
+    drawn, guessed = (int(np.count_nonzero(how >= least)) for least in (IMAGE, INTERPOLATED))
+    return Check.at_most(
+        "corrections", drawn / sheet, look=_MOST_DRAWN,
+        sentence=f"Faces of {drawn} columns ({100 * drawn / sheet:.2g} % of the sheet) were drawn to {points} points "
+        f"of {len(stretches)} corrections by hand; {guessed} of them show no edge there and are interpolated.",
+        advice="Search the surfaces with other options (--sheet-grey, --seed-um) rather than by hand.",
+        figures=(PROPERTIES,),
+    )  # fmt: skip
 
 
 def _with_drawn(found: xr.Dataset, drawn: Drawn, params: SurfaceParams) -> xr.Dataset:

@@ -13,31 +13,43 @@ from planish.core.options import Params
 from planish.core.tables import read_text
 
 Face = Literal["top", "bottom"]
-Point = tuple[float, float, float]
+FACES: tuple[Face, Face] = ("top", "bottom")
 
-_FORMAT = "planish surface corrections"
+REACH_UM = 60.0
+"""Where none is stated."""
 _REMEDY = "docs/how-to/correct-faces.md shows an example."
 
 
-class Stretch(Params):
-    """A stretch of one face that is drawn to points, in um of the volume.
+class Point(Params):
+    """A place of a face, in um of the volume."""
 
-    ``reach_um``: columns farther than this from the line through the points, seen along the axis through the sheet,
-    keep their faces.
+    z: float
+    y: float
+    x: float
+    face: Face
+
+
+class Stretch(Params):
+    """A stretch of the faces that is drawn to points.
+
+    Columns farther than ``reach_um`` from the line through the points of a face, in their order and seen along the axis
+    through the sheet, keep that face.
     """
 
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=40)]
-    face: Face
-    points: Annotated[tuple[Point, ...], Field(min_length=1, max_length=500, description="Points as (z, y, x).")]
-    reach_um: Annotated[float, Field(gt=0, le=2000)] = 60.0
-    author: Annotated[str, Field(max_length=200)] = ""
-    reason: Annotated[str, Field(max_length=1000)] = ""
+    points: Annotated[tuple[Point, ...], Field(min_length=1, max_length=10_000)]
+    reach_um: Annotated[float, Field(gt=0, le=5000)] = REACH_UM
+    note: Annotated[str, Field(max_length=1000)] = ""
+
+    def of(self, face: Face) -> tuple[Point, ...]:
+        """Its points of one face."""
+        return tuple(point for point in self.points if point.face == face)
 
 
 class Corrections(Params):
-    """All stretches of one sheet, in the order in which they are applied."""
+    """All stretches of one sheet, in the order in which they are drawn."""
 
-    format: Literal["planish surface corrections"] = _FORMAT
+    format: Literal["planish surface corrections"] = "planish surface corrections"
     version: Literal[1] = 1
     units: Literal["um"] = "um"
     stretches: Annotated[tuple[Stretch, ...], Field(max_length=1000)] = ()

@@ -2,15 +2,16 @@
 
 Around the points a face is expected where kriging puts it: between the points and the face around them, which is known
 from the search. What lies there within its error stays as it was found. The other columns are searched again close to
-the expected place, for an edge whose levels are free, because an inclusion has levels of its own. The face is the mean of
-this edge and the expected place, each weighted by its variance; where the image shows no edge it is the expected place.
-Its standard error follows.
+the expected place, for an edge whose levels are free, because an inclusion has levels of its own. The face is the
+mean of this edge and the expected place, each weighted by its variance; where the image shows no edge it is the
+expected place. Its standard error follows.
 """
 
 from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,14 +26,13 @@ from planish.core.status import Status
 from planish.core.tiles import Engine, Tile
 from planish.surface import _draw_kernels
 from planish.surface.columns import Columns, Guide, Scale, oriented, voxel_pitch
-from planish.surface.corrections import Corrections, Face, Stretch
+from planish.surface.corrections import FACES, Corrections, Face, Stretch
 from planish.surface.kriging import Kriging, variogram_slope
 from planish.surface.learnt import FRINGE_PX
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FACES: tuple[Face, Face] = ("top", "bottom")
 KEPT, IMAGE, INTERPOLATED = 0, 1, 2
 """A column's face was left as it was found, found again in the image, or interpolated."""
 
@@ -96,22 +96,24 @@ class _Drawing:
         self.status: NDArray[np.uint8] = surfaces["status"].values
         self.centre = surfaces["centre"].values.astype(np.float64)
         self.how: dict[Face, NDArray[np.uint8]] = {face: np.zeros(self.status.shape, np.uint8) for face in FACES}
-        self.error = {face: np.full(self.status.shape, np.nan) for face in FACES}
+        self.error: dict[Face, Array] = {face: np.full(self.status.shape, np.nan) for face in FACES}
         self.tiles: list[Tile] = []
 
     def drawn(self, corrections: Corrections) -> Drawn:
         for stretch in corrections.stretches:
-            self._draw(stretch)
+            for face in FACES:
+                if stretch.of(face):
+                    self._draw(stretch, face)
         return Drawn(heights=self.heights, how=self.how, error_um=self.error, tiles=self.tiles)
 
-    def _draw(self, stretch: Stretch) -> None:
-        points = self._points(stretch)
+    def _draw(self, stretch: Stretch, face: Face) -> None:
+        points = self._points(stretch, face)
         places, clicked = points[:, :2], points[:, 2]
         ring_um = max(_RING_UM, 0.5 * stretch.reach_um)
         window = self._window(places, stretch.reach_um + ring_um)
         at = np.stack(np.meshgrid(self.rows_um[window.rows], self.cols_um[window.cols], indexing="ij"), axis=-1)
         away = distance_to_line(at, places)
-        known = self._known(stretch.face, window)
+        known = self._known(face, window)
         inside = (away <= stretch.reach_um) & ~np.isin(self.status[window.rows, window.cols], _NEVER)
         around = np.isfinite(known) & (away > stretch.reach_um) & (away <= stretch.reach_um + ring_um)
         click = np.full(len(clicked), (_CLICK * self.voxel_um) ** 2)
@@ -147,24 +149,24 @@ class _Drawing:
         trusted = right if np.count_nonzero(right) >= 10 else around
         expected = expect(trusted, known, wrong)
         assert expected is not None
-        self._redraw(stretch.face, window, wrong, expected)
-        other: Face = "bottom" if stretch.face == "top" else "top"
+        self._redraw(face, window, wrong, expected)
+        other: Face = "bottom" if face == "top" else "top"
         missing = wrong & ~np.isfinite(self.heights[other][window.rows, window.cols])
         opposite = self._known(other, window)
         if (expected := expect(np.isfinite(opposite) & near, opposite, missing, points=False)) is not None:
             self._redraw(other, window, missing, expected)
-        for face in FACES:
-            interface = self.heights[f"interface_{face}"]
-            redone = wrong if face == stretch.face else missing
+        redrawn: dict[Face, Mask] = {face: wrong, other: missing}
+        for side, redone in redrawn.items():
+            interface = self.heights[f"interface_{side}"]
             if not np.isfinite(interface).any() or not redone.any():
                 continue
-            coating = np.abs(interface - self.heights[face])[window.rows, window.cols]
+            coating = np.abs(interface - self.heights[side])[window.rows, window.cols]
             trusted = near & ~redone & np.isfinite(coating)
             if (thick := expect(trusted, coating, redone, points=False)) is not None:
-                self._redraw_interface(face, window, redone, thick)
+                self._redraw_interface(side, window, redone, thick)
 
-    def _points(self, stretch: Stretch) -> Array:
-        """Points as (row, col, height) in um.
+    def _points(self, stretch: Stretch, face: Face) -> Array:
+        """Points of a face as (row, col, height) in um.
 
         Raises
         ------
@@ -172,15 +174,16 @@ class _Drawing:
             If a point lies outside the columns.
         """
         order = ["zyx".index(axis) for axis in (self.frame.rows, self.frame.cols, self.frame.through)]
-        points = np.asarray(stretch.points, dtype=np.float64)[:, order]
+        given = [(point.z, point.y, point.x) for point in stretch.of(face)]
+        points = np.asarray(given, dtype=np.float64)[:, order]
         depth = self.columns.depth_um
-        for point, given in zip(points, stretch.points, strict=True):
+        for point, place in zip(points, given, strict=True):
             for axis, value, places in zip(("rows", "cols", "through"), point, (self.rows_um, self.cols_um, depth),
                                            strict=True):  # fmt: skip
                 name = getattr(self.frame, axis)
                 if not places[0] - 1e-6 <= value <= places[-1] + 1e-6:
                     raise InputError(
-                        f"A point of correction {stretch.id}, z, y, x = {', '.join(f'{v:g}' for v in given)} um, lies "
+                        f"A point of correction {stretch.id}, z, y, x = {', '.join(f'{v:g}' for v in place)} um, lies "
                         f"outside the volume: its {name} goes from {places[0]:g} to {places[-1]:g} um. Move the point "
                         "or take the correction out."
                     )
@@ -190,7 +193,9 @@ class _Drawing:
         """Columns within a reach of any of the points."""
         low, high = places.min(axis=0) - reach_um, places.max(axis=0) + reach_um
         r0, c0 = (int(np.searchsorted(um, v)) for um, v in zip((self.rows_um, self.cols_um), low, strict=True))
-        r1, c1 = (int(np.searchsorted(um, v, "right")) for um, v in zip((self.rows_um, self.cols_um), high, strict=True))
+        r1, c1 = (
+            int(np.searchsorted(um, v, "right")) for um, v in zip((self.rows_um, self.cols_um), high, strict=True)
+        )
         return Tile(r0, max(r1, r0 + 1), c0, max(c1, c0 + 1))
 
     def _known(self, face: Face, window: Tile) -> Array:
@@ -321,7 +326,7 @@ def _spread_over(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def distance_to_line(at: Array, places: Array) -> Array:
     """Distance of places (..., 2) from the line through points (n, 2), in their order."""
     away = np.hypot(*np.moveaxis(at - places[0], -1, 0))
-    for start, end in zip(places[:-1], places[1:], strict=True):
+    for start, end in pairwise(places):
         along = end - start
         length = float(along @ along)
         share = np.clip(((at - start) @ along) / length, 0, 1) if length > 0 else np.zeros(at.shape[:-1])
