@@ -29,12 +29,14 @@ export const button = (name, act, attributes = {}) =>
   make("button", { type: "button", onclick: act, ...attributes }, name);
 
 /**
- * A field or box below its label.
+ * A field or box beside its label.
  * @param {string} label
  * @param {HTMLElement} field
+ * @param {string} [unseen] what stands before the label for those who do not see where the field is
  * @returns {HTMLLabelElement}
  */
-export const labelled = (label, field) => make("label", { class: "field" }, make("span", {}, label), field);
+export const labelled = (label, field, unseen = "") =>
+  make("label", { class: "field" }, make("span", {}, make("span", { class: "sr" }, unseen), label), field);
 
 /**
  * A box of choices; each is `value` or `[value, words]`.

@@ -25,7 +25,7 @@ export class MapView {
     this.name = name;
     this.app = app;
     this.nudge = nudge ?? (() => false);
-    this.centreField = centreField ?? make("input", { type: "text", size: 18, spellcheck: "false" });
+    this.centreField = centreField ?? make("input", { type: "text", size: 16, spellcheck: "false" });
     this.pixelField = pixelField ?? make("input", { type: "number", min: 0, step: "any" });
     this.element = make("div", { class: "map", role: "application", "aria-label": name, tabindex: 0 });
     this.scale = make("div", { class: "scale", "aria-hidden": "true" }, make("span"));
@@ -33,8 +33,8 @@ export class MapView {
     this.fields = make(
       "div",
       { class: "fields" },
-      ...(centreField ? [] : [labelled(`${name} centre, um`, this.centreField)]),
-      ...(pixelField ? [] : [labelled(`${name}, um per screen pixel`, this.pixelField)]),
+      ...(centreField ? [] : [labelled("centre, um", this.centreField, `${name} `)]),
+      ...(pixelField ? [] : [labelled("um per screen pixel", this.pixelField, `${name}, `)]),
     );
     element.append(this.element, this.fields);
     this.picture = null;

@@ -45,9 +45,9 @@ class Marks {
     this.warnings = make("ul", { class: "warnings", "aria-label": "Warnings" });
     panel.classList.add("marks");
     panel.replaceChildren(
-      this.tools.element,
+      this.tools.above,
       make("div", { class: "views" }, places.moving, places.fixed),
-      make("div", { class: "under" }, this.step, this.warnings, this.table.element, make("p", { class: "help soft" }, HELP)),
+      make("div", { class: "under" }, this.step, this.tools.below, this.warnings, this.table.element, make("p", { class: "help soft" }, HELP)),
     );
     this.views = { moving: this.view("moving", places.moving), fixed: this.view("fixed", places.fixed) };
     this.layers = { moving: new MarkLayer(this.views.moving, "moving"), fixed: new MarkLayer(this.views.fixed, "fixed") };
@@ -58,7 +58,8 @@ class Marks {
       this.overlay.setWay(value);
       app.say(this.overlay.words);
     });
-    this.tools.viewing(labelled("View", way), this.overlay.control, this.followBox(), exchange(app));
+    this.tools.above.append(make("div", { class: "group" }, labelled("View", way), this.overlay.control, this.followBox()));
+    this.tools.below.append(exchange(app));
     for (const side of SIDES) {
       this.choosePicture(side, places[side]);
       this.layers[side].showHoles(app.session.holes?.[side] ?? []);
@@ -82,7 +83,9 @@ class Marks {
       if (side === "moving") this.overlay.show(picture, this.app);
     };
     const box = choice(pictures.map((/** @type {any} */ one) => [one.id, one.title]), show);
-    place.prepend(make("div", { class: "head" }, make("h2", {}, NAMES[side]), labelled(`${NAMES[side]} shows`, box)));
+    const head = make("div", { class: "head" }, make("h2", {}, NAMES[side]), labelled("", box, `${NAMES[side]} shows`));
+    place.prepend(head);
+    head.append(this.views[side].fields);
     if (pictures.length) show(box.value);
   }
 

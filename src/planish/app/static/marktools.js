@@ -1,4 +1,4 @@
-/** The tools above the views: model and its error, and what can be done with the chosen mark. */
+/** The tools of the marks: above the views the model and its error, below them what can be done with the chosen mark. */
 
 import { button, choice, labelled, make } from "./dom.js";
 
@@ -16,7 +16,7 @@ export class MarkTools {
     this.label = make("input", { type: "text", size: 10, maxlength: 200, onchange: () => this.relabel() });
     this.snap = button("Snap", () => marks.snap(), { title: "Move both ends to the middle of the hole" });
     this.remove = button("Delete", () => marks.remove(), { title: "Delete the chosen mark" });
-    this.chosen = make(
+    const chosen = make(
       "div",
       { class: "group", role: "group", "aria-label": "Chosen mark" },
       button("Previous", () => marks.walk(-1), { title: "P in a view" }),
@@ -26,14 +26,9 @@ export class MarkTools {
       this.remove,
     );
     const model = make("div", { class: "group" }, labelled("Model", this.model), this.fit);
-    this.element = make("div", { class: "tools" }, model, this.chosen);
+    this.above = make("div", { class: "tools" }, model);
+    this.below = make("div", { class: "tools" }, chosen);
     this.mark = null;
-  }
-
-  /** Add what concerns the views. @param {...HTMLElement} parts */
-  viewing(...parts) {
-    const last = /** @type {HTMLElement} */ (parts.pop());
-    this.element.append(make("div", { class: "group" }, ...parts), last);
   }
 
   async relabel() {

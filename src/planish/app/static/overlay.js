@@ -67,7 +67,7 @@ export class Overlay {
     const on = way !== "two" && this.fit !== null;
     this.place.setVisible(on);
     this.control.hidden = !on || (way !== "blend" && way !== "swipe");
-    this.control.firstChild.textContent = way === "swipe" ? "Swipe, % from the left" : "Share of the Volume side, %";
+    this.control.firstChild.lastChild.textContent = way === "swipe" ? "Swipe, % from the left" : "Share of the Volume side, %";
     if (!on || other) {
       clearInterval(this.timer);
       this.timer = 0;
