@@ -47,10 +47,10 @@ def state(folder: Path, figure: Figure) -> str:
     )
     ax.set_xscale("log")
     ax.set_xticks(ticks := [3, 5, 10, 20, 50, 100], [str(k) for k in ticks])
-    ax.legend(frameon=False, fontsize=7, loc="lower right")
+    ax.legend(frameon=False, fontsize=7, loc="upper left")
     return (
         f"To distinguish r² {R2[0]} from {R2[1]} with a power of 0.8 in fields of {points:.0f} independent points "
         f"takes so many sheets (of each paper), where z varies by {BETWEEN[0]} or {BETWEEN[1]} between sheets: "
-        f"{'; '.join(text)}. In this series z varied by {math.sqrt(found.between):.2f} between its {int(use.sum())} fields, which are too "
-        "few to state it well."
+        f"{'; '.join(text)}. In this series z varied by {math.sqrt(found.between):.2f} "
+        f"between its {int(use.sum())} fields, which are too few to state it well."
     )
