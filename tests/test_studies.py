@@ -75,7 +75,7 @@ def test_every_study_has_its_specimens_and_its_statement(make):
 
 def test_the_page_shows_every_study_with_its_figure():
     page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
-    assert re.findall(r"studies/make\.py ([\w-]+) --size full", page) == list(NAMES)
+    assert re.findall(r"```\npython examples/studies/make\.py ([\w-]+)(?: --size full)?\n```", page) == list(NAMES)
     assert re.findall(r"\(images/studies/([\w-]+)\.png\)", page) == list(NAMES)
     assert {path.stem for path in (ROOT / "docs" / "images" / "studies").glob("*.png")} == set(NAMES)
 

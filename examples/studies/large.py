@@ -131,7 +131,7 @@ def draw(sheet: Sheet, r2: dict[str, float], picture: Path) -> None:
     left.set(title="Centre surface", xlabel="x / mm", ylabel="y / mm")
     bars = right.bar(range(len(r2)), list(r2.values()), tick_label=[k.replace(", ", ",\n") for k in r2])
     right.bar_label(bars, fmt="%.3f")
-    right.set(title=f"r² of coating and brightness, {POINT_UM:.0f} µm")
+    right.set(title="Coating and brightness", ylabel=f"r² at {POINT_UM:.0f} µm")
     figure.savefig(picture, dpi=100, metadata={"Software": None})
     plt.close(figure)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ def state(folder: Path, figure: Figure) -> str:
     r, n_eff = fields_of(series, lambda _: True)
     use = np.array(n_eff) > LEAST_POINTS
     points = float(np.median(np.array(n_eff)[use]))
-    found = random_effects(np.arctanh(r.values)[use], 1 / (np.array(n_eff)[use] - 3)).sd_between
+    found = random_effects(np.arctanh(r.values)[use], 1 / (np.array(n_eff)[use] - 3))
     counts = np.unique(np.geomspace(3, 100, 40).astype(int))
     ax, text = figure.subplots(), list[str]()
     designs = [(paired, fields) for paired in (True, False) for fields in (1, 3)]
@@ -46,10 +47,10 @@ def state(folder: Path, figure: Figure) -> str:
     )
     ax.set_xscale("log")
     ax.set_xticks(ticks := [3, 5, 10, 20, 50, 100], [str(k) for k in ticks])
-    ax.legend(frameon=False, fontsize=7, loc="lower right")
+    ax.legend(frameon=False, fontsize=7, loc="upper left")
     return (
         f"To distinguish r² {R2[0]} from {R2[1]} with a power of 0.8 in fields of {points:.0f} independent points "
         f"takes so many sheets (of each paper), where z varies by {BETWEEN[0]} or {BETWEEN[1]} between sheets: "
-        f"{'; '.join(text)}. In this series z varied by {found:.2f} between its {int(use.sum())} fields, which are too "
-        "few to state it well."
+        f"{'; '.join(text)}. In this series z varied by {math.sqrt(found.between):.2f} "
+        f"between its {int(use.sum())} fields, which are too few to state it well."
     )
