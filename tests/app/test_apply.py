@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import filecmp
 import json
 import os
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
-import numpy as np
 import pytest
 
 from planish.app.apply import STAGED, Before, order_of, place_of
-from planish.app.applying import Applying, Busy
 from planish.app.changes import change_of
 from planish.app.session import Session
 from planish.core.results import Results
-from planish.pipeline import is_run, link, open_run, run_study
+from planish.pipeline import open_run, run_study
 from planish.study import read_study
 
 UNCHANGED = ("surfaces", "flat", "strain", "maps", "slices", "overviews/maps")

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.app.changes import End, Mark, State
-from planish.app.session import PLANES, Session, ends_of
+from planish.app.session import PLANES, Session, ends_of, places_of
 from planish.core.files import free_path
 from planish.marks.files import Places, make_marks, marks_text
 from planish.marks.regions import Region, Regions, geojson_text
@@ -27,7 +27,6 @@ Floats = NDArray[np.float64]
 STAGED = f"{EDITS}/.apply"
 """Hidden folder of a run where files of an order stand until the new run has its own."""
 
-_EXTRAS = ("cov_xx", "cov_xy", "cov_yy", "diameter", "axis_ratio", "arc_coverage")
 _OF_A_MAP = re.compile(r"-map(-\d+)?$")
 
 
@@ -162,7 +161,7 @@ def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> 
         used += [True] * len(more)
         for other in PLANES:
             ends[other] += more if other == side else [None] * len(more)
-    places = {side: _places(ends[side]) for side in PLANES}
+    places = {side: places_of(ends[side]) for side in PLANES}
     return make_marks(labels, places, used=used, about=before.attrs.get("layers", {}))
 
 
@@ -182,18 +181,6 @@ def _inside(ends: Sequence[End | None], holes: Sequence[End]) -> NDArray[np.bool
 def _labels(side: str, count: int, taken: set[str]) -> list[str]:
     names = (name for k in range(1, count + len(taken) + 1) if (name := f"{side} {k}") not in taken)
     return [name for name, _ in zip(names, range(count), strict=False)]
-
-
-def _places(ends: Sequence[End | None]) -> Places:
-    def column(name: str) -> Floats:
-        values = [None if end is None else getattr(end, name) for end in ends]
-        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-
-    return Places(
-        um=np.stack([column("x"), column("y")], axis=1),
-        source=["imported" if end is None else end.source for end in ends],
-        extras={name: column(name) for name in _EXTRAS},
-    )
 
 
 # --- regions ---------------------------------------------------------------------------------------------------------

@@ -75,7 +75,7 @@ class Live:
                 layer, (key, marks, model) = self._wanted.popitem()
             try:
                 found = self._fitted(layer, marks, model, quick=False)
-            except Exception:
+            except Exception:  # noqa: BLE001  it is in the log, and the quick fit stays
                 _log.exception("A fault in planish: a fit")
                 continue
             with self._lock:

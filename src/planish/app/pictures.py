@@ -21,10 +21,12 @@ from planish.core.errors import InputError
 from planish.core.grid import Grid
 from planish.core.lazy import Where, held
 from planish.core.overviews import count_of, middles
-from planish.io.image import channel_of
+from planish.io import ImageParams
+from planish.io.image import across, channel_of
 from planish.io.map_store import OVERVIEWS, stored_group
 from planish.io.picture import Picture as Decoded
 from planish.io.picture import is_mapped, load_picture
+from planish.io.sizes import PIXEL, agreed_size
 from planish.pipeline.compare import is_property
 from planish.pipeline.linking import LINKED
 from planish.pipeline.run import MAPS, is_run, open_results
@@ -205,6 +207,17 @@ class ImageFile:
     channel: str = "luminance"
     layer: str = "image"
 
+    @classmethod
+    def of(cls, params: ImageParams, layer: str = "image") -> Self:
+        """As options ask for it; SizeError where the pixel size is not known."""
+        path = Path(params.path)
+        stated = across(load_picture(path, decode=False).stated)
+        size, _ = agreed_size(
+            stated, params.pixel_um, file_name=path.name, asked=PIXEL, override=params.override_size,
+            unusual=params.unusual_size,
+        )  # fmt: skip
+        return cls(path=path, pixel_um=(size[0], size[1]), channel=params.channel, layer=layer)
+
 
 class Pictures:
     """All pictures of a session, by their ids."""
@@ -213,7 +226,7 @@ class Pictures:
         self._by_id = {one.id: one for one in (replace(p, id=f"p{k}") for k, p in enumerate(found))}
 
     @classmethod
-    def of(cls, run: Path, image: ImageFile | None = None) -> Self:
+    def of(cls, run: Path, image: ImageParams | None = None) -> Self:
         """Find the pictures of a run folder, and of the image that it shall be linked to.
 
         Raises
@@ -223,7 +236,7 @@ class Pictures:
         """
         found = [*_of_run(run)]
         if image is not None:
-            found.append(image_picture(image, plane="fixed", name="image"))
+            found.append(image_picture(ImageFile.of(image), plane="fixed", name="image"))
         return cls(found)
 
     def __iter__(self) -> Iterator[Picture]:
@@ -245,9 +258,9 @@ class Pictures:
         layers = {p.layer for p in pictures}
         return [p for p in self.beside(pictures[0]) if p.layer in layers and p.name.split("/")[-1] == "valid"]
 
-    def facts(self) -> list[PictureFacts]:
-        """What a page has to know of all of them."""
-        return [one.facts for one in self]
+    def described(self) -> list[dict[str, Any]]:
+        """What a page has to know of all of them, as JSON has it."""
+        return [one.facts.model_dump() for one in self]
 
 
 def _same_pixels(a: Picture, b: Picture) -> bool:
@@ -277,12 +290,8 @@ def _of_run(run: Path) -> Iterator[Picture]:
 def _moving(run: Path, params: LayerParams, *, prefix: str) -> Iterator[Picture]:
     """A moving layer on its own plane: the maps of a sheet, or an image."""
     if params.image is not None:
-        path = Path(params.image.path)
-        if path.is_file() and params.image.pixel_um is not None:
-            size = params.image.pixel_um
-            pixel = (size, size) if isinstance(size, int | float) else size
-            file = ImageFile(path=path, pixel_um=pixel, channel=params.image.channel, layer=params.name)
-            yield image_picture(file, plane="moving", name=f"{prefix}image")
+        if Path(params.image.path).is_file():
+            yield image_picture(ImageFile.of(params.image, params.name), plane="moving", name=f"{prefix}image")
         return
     inner = run / "layers" / params.name
     yield from _sheet(inner if is_run(inner) else run, layer=params.name, prefix=prefix)
