@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.app.changes import End, Mark, State
+from planish.app.corrections import changed_corrections
 from planish.app.session import PLANES, Session, ends_of, places_of
 from planish.core.files import free_path
 from planish.marks.files import Places, make_marks, marks_text
@@ -98,7 +99,23 @@ def order_of(before: Before, state: State, staged: Path) -> Order:
         if state.regions:
             path, files[REGIONS] = str(staged / REGIONS), geojson_text(_regions(state))
         study = changed(study, correlate=changed(study.correlate, regions=path))
+    study = _with_corrections(study, before, state, staged, files)
     return Order(study=study, files=files)
+
+
+def _with_corrections(study: Study, before: Before, state: State, staged: Path, files: dict[str, str]) -> Study:
+    """The study with the corrections of each layer that has others than before."""
+    for name, corrections in changed_corrections(study, before.state.corrections, state.corrections).items():
+        file = f"surface-{name}.json"
+        path = str(staged / file) if corrections.stretches else None
+        if path is not None:
+            files[file] = corrections.to_json()
+        layers = tuple(
+            changed(layer, surface=changed(layer.surface, corrections=path)) if layer.name == name else layer
+            for layer in study.layers
+        )
+        study = changed(study, layers=layers)
+    return study
 
 
 def place_of(run: Path, *, linked: bool) -> Path:

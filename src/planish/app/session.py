@@ -16,6 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.app.changes import Change, ChangeError, End, Mark, Region, State, applied, change_of, numbered
+from planish.app.corrections import corrections_of
 from planish.app.journal import InUse, Journal
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.facts import Side
@@ -280,6 +281,7 @@ class Session:
                     polygon=_ring(rings[0]), holes=tuple(map(_ring, rings[1:])),
                 ) for k, (one, rings) in enumerate(declared, 1)
             ),
+            corrections=corrections_of(self.study),
             first=self.layers[0],
         )  # fmt: skip
 

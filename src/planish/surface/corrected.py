@@ -16,8 +16,8 @@ from planish.core.status import Status
 from planish.core.tiles import Engine
 from planish.surface.assemble import centre_surface
 from planish.surface.columns import Columns
-from planish.surface.corrections import FACES, Corrections
-from planish.surface.draw import IMAGE, INTERPOLATED, Drawn, draw_faces
+from planish.surface.corrections import FACES, Corrections, Face, Stretch
+from planish.surface.draw import IMAGE, INTERPOLATED, RING_UM, Drawn, draw_faces
 from planish.surface.params import SurfaceParams
 
 Array = NDArray[np.float64]
@@ -76,11 +76,9 @@ def correct_surfaces(
             "Faces are corrected in grey values, with --surface-method profile. Correct labels in the program that "
             "made them, or leave --corrections out."
         )
-    frame = Frame.of(found)
-    steps = pitch(found)
-    voxel = dict(zip("zyx", map(float, found.attrs["voxel_um"]), strict=True))
-    step = max(1, round(float(np.sqrt(steps[0] * steps[1] / (voxel[frame.rows] * voxel[frame.cols])))))
-    columns = Columns(volume=volume, frame=frame, step=step, padding=found.attrs.get("padding"))
+    columns = Columns(
+        volume=volume, frame=Frame.of(found), step=columns_step(found), padding=found.attrs.get("padding")
+    )
     drawn = draw_faces(found, columns, corrections, engine)
     return _with_drawn(found, drawn, params).assign_attrs(
         {"corrections": corrections.to_json(), _TILES: len(drawn.tiles)}
@@ -100,6 +98,69 @@ def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
         before[own] = before[own].copy(data=np.where(where, surfaces[f"found_{own}"].values, before[own].values))
     before.attrs = {name: value for name, value in surfaces.attrs.items() if name not in ("corrections", _TILES)}
     return before
+
+
+def preview_faces(
+    surfaces: xr.Dataset, volume: xr.DataArray, corrections: Corrections, part: tuple[slice, slice]
+) -> tuple[tuple[slice, slice], dict[Face, Array]] | None:
+    """What corrections would make of the faces in a part of the columns; only what is near it is read.
+
+    Parameters
+    ----------
+    surfaces : Dataset, dims (y, x)
+        May be left in its file.
+    volume : DataArray, dims (z, y, x), coordinates in um
+    corrections : Corrections
+    part : two slices
+        Rows and columns that are to be seen.
+
+    Returns
+    -------
+    (rows, columns) and heights by face, or None
+        Window of the columns that was drawn, which holds all that changes in ``part``; None where nothing does.
+    """
+    frame, steps = Frame.of(surfaces), pitch(surfaces)
+    boxes: list[tuple[slice, slice]] = []
+    chosen: list[Stretch] = []
+    for stretch in corrections.stretches:
+        box = _box(stretch, surfaces, frame, steps)
+        if all(own.start < asked.stop and own.stop > asked.start for own, asked in zip(box, part, strict=True)):
+            chosen.append(stretch)
+            boxes.append(box)
+    if not chosen:
+        return None
+    rows, cols = (slice(min(b[k].start for b in boxes), max(b[k].stop for b in boxes)) for k in (0, 1))
+    step = columns_step(surfaces)
+    near = uncorrected(surfaces.isel(y=rows, x=cols).load())
+    voxels = {
+        frame.rows: slice(rows.start * step, rows.stop * step),
+        frame.cols: slice(cols.start * step, cols.stop * step),
+    }
+    columns = Columns(volume=volume.isel(voxels), frame=frame, step=step, padding=near.attrs.get("padding"))
+    drawn = draw_faces(near, columns, corrections.model_copy(update={"stretches": tuple(chosen)}), Engine(threads=1))
+    faces: dict[Face, Array] = {face: drawn.heights[face] for face in FACES}
+    crossed = frame.sign * (faces["top"] - faces["bottom"]) <= 0
+    return (rows, cols), {face: np.where(crossed, near[face].values, faces[face]) for face in FACES}
+
+
+def _box(stretch: Stretch, surfaces: xr.Dataset, frame: Frame, steps: tuple[float, float]) -> tuple[slice, slice]:
+    """Columns that the drawing of a stretch may look at."""
+    margin = 1.5 * stretch.reach_um + 2 * RING_UM
+    found: list[slice] = []
+    for dim, axis, step in (("y", frame.rows, steps[0]), ("x", frame.cols, steps[1])):
+        at = [float(getattr(point, axis)) for point in stretch.points]
+        places = surfaces[dim].values
+        first = int((min(at) - margin - float(places[0])) // step)
+        last = int((max(at) + margin - float(places[0])) // step) + 2
+        found.append(slice(max(first, 0), max(min(last, places.size), max(first, 0) + 1)))
+    return found[0], found[1]
+
+
+def columns_step(surfaces: xr.Dataset) -> int:
+    """Voxels along the edge of a column."""
+    frame, steps = Frame.of(surfaces), pitch(surfaces)
+    voxel = dict(zip("zyx", map(float, surfaces.attrs["voxel_um"]), strict=True))
+    return max(1, round(float(np.sqrt(steps[0] * steps[1] / (voxel[frame.rows] * voxel[frame.cols])))))
 
 
 def correction_check(surfaces: xr.Dataset) -> Check | None:

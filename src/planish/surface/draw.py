@@ -36,7 +36,8 @@ Mask = NDArray[np.bool_]
 KEPT, IMAGE, INTERPOLATED = 0, 1, 2
 """A column's face was left as it was found, found again in the image, or interpolated."""
 
-_RING_UM = 25.0  # least width of the face around a stretch that it is interpolated from
+RING_UM = 25.0
+"""Least width of the face around a stretch that it is interpolated from."""
 _KNOWN = 160  # heights at most that stand for the face around
 _CLICK = 0.5  # voxels: standard error of a point, and of a face that was found
 _SURE = 2.0  # standard errors within which a face is where it is expected
@@ -109,7 +110,7 @@ class _Drawing:
     def _draw(self, stretch: Stretch, face: Face) -> None:
         points = self._points(stretch, face)
         places, clicked = points[:, :2], points[:, 2]
-        ring_um = max(_RING_UM, 0.5 * stretch.reach_um)
+        ring_um = max(RING_UM, 0.5 * stretch.reach_um)
         window = self._window(places, stretch.reach_um + ring_um)
         at = np.stack(np.meshgrid(self.rows_um[window.rows], self.cols_um[window.cols], indexing="ij"), axis=-1)
         away = distance_to_line(at, places)
@@ -144,7 +145,7 @@ class _Drawing:
         # Beside what is wrong a face turns towards it.
         beside = int(np.ceil(2 * self.attrs["blur_um"] / min(self.pitch))) + 1
         wrong = ndimage.binary_dilation(wrong, iterations=beside) & inside
-        near = ndimage.binary_dilation(wrong, iterations=max(2, int(np.ceil(_RING_UM / min(self.pitch)))))
+        near = ndimage.binary_dilation(wrong, iterations=max(2, int(np.ceil(RING_UM / min(self.pitch)))))
         right = near & ~wrong & np.isfinite(known) & (inside | around)
         trusted = right if np.count_nonzero(right) >= 10 else around
         expected = expect(trusted, known, wrong)

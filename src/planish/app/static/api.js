@@ -77,17 +77,19 @@ export class Api {
 
   /**
    * Follow the server's news for as long as the page is open, through lost connections.
-   * @param {{onNews: (line: any) => void, onLost: () => void, onFound: () => Promise<void>}} listener
+   * @param {{onNews: (line: any) => void, onLost: (status: number) => void, onFound: () => Promise<void>}} listener
+   *   `onLost` is told the status with which the server refuses this page, 0 where it does not answer
    * @returns {Promise<never>}
    */
   async follow({ onNews, onLost, onFound }) {
     for (let first = true; ; first = false) {
+      let status = 0;
       try {
         await this.readLines("events", onNews, first ? async () => {} : onFound);
-      } catch {
-        // whatever ended it, the connection is gone until the next attempt succeeds
+      } catch (/** @type {any} */ error) {
+        status = error.status ?? 0; // whatever ended it, the connection is gone until the next attempt succeeds
       }
-      onLost();
+      onLost(status);
       await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
     }
   }

@@ -28,15 +28,19 @@ export function make(tag, attributes = {}, ...children) {
 export const button = (name, act, attributes = {}) =>
   make("button", { type: "button", onclick: act, ...attributes }, name);
 
+let fields = 0;
+
 /**
  * A field or box beside its label.
  * @param {string} label
  * @param {HTMLElement} field
  * @param {string} [unseen] what stands before the label for those who do not see where the field is
- * @returns {HTMLLabelElement}
+ * @returns {HTMLElement}
  */
-export const labelled = (label, field, unseen = "") =>
-  make("label", { class: "field" }, make("span", {}, make("span", { class: "sr" }, unseen), label), field);
+export function labelled(label, field, unseen = "") {
+  field.id ||= `field-${++fields}`;
+  return make("span", { class: "field" }, make("label", { for: field.id }, make("span", { class: "sr" }, unseen), label), field);
+}
 
 /**
  * A box of choices; each is `value` or `[value, words]`.

@@ -1,4 +1,4 @@
-/** Plane geometry: the similarity and the affine map through pairs of points (x, y) in um. */
+/** Plane geometry: affine maps of points (x, y) in um. */
 
 /**
  * An affine map: (x, y) -> (a x + b y + e, c x + d y + f).
@@ -9,29 +9,14 @@
 const mean = (/** @type {number[]} */ values) => values.reduce((sum, value) => sum + value, 0) / values.length;
 
 /**
- * Least-squares similarity, mirrored where that fits better and three pairs can tell.
- * @param {Point[]} from
- * @param {Point[]} to
- * @returns {Affine|null} null below two pairs, or where all points are one
+ * The map of a similarity as the server gives it: x reversed first where it is mirrored, then turned and scaled.
+ * @param {{scale: number, rotation_rad: number, shift_um: number[], mirrored: boolean}} similarity
+ * @returns {Affine}
  */
-export function similarity(from, to) {
-  if (from.length < 2) return null;
-  const [mx, my] = [mean(from.map((p) => p[0])), mean(from.map((p) => p[1]))];
-  const [nx, ny] = [mean(to.map((p) => p[0])), mean(to.map((p) => p[1]))];
-  let [size, dot, cross, mirroredDot, mirroredCross] = [0, 0, 0, 0, 0];
-  from.forEach((p, i) => {
-    const [x, y, u, v] = [p[0] - mx, p[1] - my, to[i][0] - nx, to[i][1] - ny];
-    size += x * x + y * y;
-    dot += x * u + y * v;
-    cross += x * v - y * u;
-    mirroredDot += x * u - y * v;
-    mirroredCross += x * v + y * u;
-  });
-  if (size === 0) return null;
-  const mirrored = from.length > 2 && Math.hypot(mirroredDot, mirroredCross) > Math.hypot(dot, cross);
-  const [a, c] = mirrored ? [mirroredDot / size, mirroredCross / size] : [dot / size, cross / size];
-  const [b, d] = mirrored ? [c, -a] : [-c, a];
-  return { a, b, c, d, e: nx - a * mx - b * my, f: ny - c * mx - d * my };
+export function ofSimilarity({ scale, rotation_rad, shift_um, mirrored }) {
+  const [cos, sin] = [scale * Math.cos(rotation_rad), scale * Math.sin(rotation_rad)];
+  const flip = mirrored ? -1 : 1;
+  return { a: cos * flip, b: -sin, c: sin * flip, d: cos, e: shift_um[0], f: shift_um[1] };
 }
 
 /**
@@ -86,8 +71,8 @@ export const scaleOf = ({ a, b, c, d }) => Math.sqrt(Math.abs(a * d - b * c));
 /** Whether a map is a mirror image. @param {Affine} map */
 export const isMirrored = ({ a, b, c, d }) => a * d - b * c < 0;
 
-/** Angle by which a map turns the x axis, in radians, in the sense from x to y. @param {Affine} map */
-export const angleOf = ({ a, c }) => Math.atan2(c, a);
+/** Angle by which a map turns the sheet, in radians, in the sense from x to y. @param {Affine} map */
+export const angleOf = ({ b, d }) => Math.atan2(-b, d);
 
 /** A turn by an angle in radians, in the sense from x to y. @param {number} angle @returns {Affine} */
 export const turned = (angle) => {

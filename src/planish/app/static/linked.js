@@ -1,24 +1,20 @@
 /** Two views that show the same place of the sheet: where one goes, the other follows. */
 
-import { angleOf, inverse, isMirrored, mapped, scaleOf, similarity } from "./geometry.js";
+import { angleOf, inverse, isMirrored, mapped, ofSimilarity, scaleOf } from "./geometry.js";
 
 /** Pairs from which on the views move together. */
 export const LINKED_FROM = 3;
 
 /**
- * The similarity through the pairs in use.
- * @param {import("./store.js").Mark[]} marks
- * @param {typeof similarity} [fit]
+ * From the moving to the fixed plane by the closest similarity to the fit, once enough pairs are in use.
+ * @param {import("./store.js").State} state
  * @returns {import("./geometry.js").Affine|null}
  */
-export function throughPairs(marks, fit = similarity) {
-  const pairs = marks.filter((mark) => mark.used && mark.moving && mark.fixed);
-  if (pairs.length < LINKED_FROM) return null;
-  return fit(
-    pairs.map((mark) => /** @type {any} */ (mark.moving)),
-    pairs.map((mark) => /** @type {any} */ (mark.fixed)),
-  );
-}
+export const similarityOf = (state) =>
+  pairsOf(state).length >= LINKED_FROM && state.fit?.transform ? ofSimilarity(state.fit.transform) : null;
+
+/** Marks in use with both ends. @param {import("./store.js").State} state */
+export const pairsOf = ({ marks }) => marks.filter((mark) => mark.used && mark.moving && mark.fixed);
 
 export class Linked {
   /**

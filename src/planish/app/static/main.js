@@ -54,8 +54,11 @@ async function start() {
     );
     return;
   }
-  const app = Object.assign(new Store(api, session, state, lines), lines, { openTab, onTab });
+  const { cursor, predicted, selection, slicePosition } = lines;
+  const extras = { cursor, predicted, selection, slicePosition, openTab, onTab };
+  const app = Object.assign(new Store(api, session, state, lines), extras);
   nameRun(session);
+  app.say(session.read_only ? `Open to read only. ${session.reason}` : "");
   bindHistory(app);
   mountTabs(app);
   mountApply(find("apply"), app);
@@ -69,7 +72,8 @@ function nameRun(session) {
   find("run-name").title = name;
   document.title = `${name} – planish`;
   if (session.read_only) {
-    lines.message(`Open to read only${session.read_only_reason ? `: ${session.read_only_reason}` : ""}.`);
+    find("run-name").textContent = `${name} (read only)`;
+    find("run-name").title = session.reason;
   }
 }
 
@@ -168,6 +172,7 @@ async function mountTab(name) {
 // --- the server's news -------------------------------------------------------------------------------------------
 
 const LOST = "No connection to planish. Nothing is saved until it is back; start 'planish view' again if it was ended.";
+const ANEW = "This page lost its connection: planish was started anew. Open the address that it printed.";
 
 /**
  * Follow the changes of other windows, and say when the server is lost and found.
@@ -181,9 +186,9 @@ function followServer(api, app) {
       if (line.version > app.state.version) void app.refresh().catch(() => {});
       app.news?.(line);
     },
-    onLost: () => {
+    onLost: (status) => {
       lost = true;
-      app.alarm(LOST);
+      app.alarm(status === 401 ? ANEW : LOST);
     },
     onFound: async () => {
       await app.refresh(true);
@@ -196,4 +201,5 @@ function followServer(api, app) {
   });
 }
 
+window.addEventListener("hashchange", () => location.hash.includes("token=") && location.reload());
 void start();

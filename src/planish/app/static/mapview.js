@@ -29,7 +29,8 @@ export class MapView {
     this.pixelField = pixelField ?? make("input", { type: "number", min: 0, step: "any" });
     this.element = make("div", { class: "map", role: "application", "aria-label": name, tabindex: 0 });
     this.scale = make("div", { class: "scale", "aria-hidden": "true" }, make("span"));
-    this.element.append(this.scale, make("div", { class: "cross", "aria-hidden": "true" }));
+    this.hintLine = make("div", { class: "hint", "aria-hidden": "true", hidden: true });
+    this.element.append(this.scale, this.hintLine, make("div", { class: "cross", "aria-hidden": "true" }));
     this.fields = make(
       "div",
       { class: "fields" },
@@ -121,12 +122,18 @@ export class MapView {
     }
   }
 
+  /** Say over the map what is to be done in it. @param {string} text */
+  hint(text) {
+    this.hintLine.textContent = text;
+    this.hintLine.hidden = !text;
+  }
+
   /** Write where the view is into the fields, and draw the scale bar. */
   showPlace() {
     const focused = document.activeElement;
     if (this.centreField !== focused) this.centreField.value = this.centre.map((um) => um.toFixed(2)).join(", ");
     if (this.pixelField !== focused) this.pixelField.value = String(Number(this.pixel.toPrecision(5)));
-    const longest = 120 * this.pixel;
+    const longest = 145 * this.pixel;
     const power = 10 ** Math.floor(Math.log10(longest));
     const length = power * ([5, 2].find((step) => step * power <= longest) ?? 1);
     this.scale.style.width = `${length / this.pixel}px`;

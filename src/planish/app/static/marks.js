@@ -2,7 +2,7 @@
 
 import { labelled, choice, make, written } from "./dom.js";
 import { exchange } from "./exchange.js";
-import { Linked, throughPairs } from "./linked.js";
+import { Linked, similarityOf } from "./linked.js";
 import { MapView, flipped } from "./mapview.js";
 import { MarkLayer } from "./marklayer.js";
 import { MarkTools } from "./marktools.js";
@@ -41,13 +41,12 @@ class Marks {
     });
     this.tools = new MarkTools(app, this);
     const places = { moving: make("div", { class: "view" }), fixed: make("div", { class: "view" }) };
-    this.step = make("p", { class: "step" });
     this.warnings = make("ul", { class: "warnings", "aria-label": "Warnings" });
     panel.classList.add("marks");
     panel.replaceChildren(
       this.tools.above,
       make("div", { class: "views" }, places.moving, places.fixed),
-      make("div", { class: "under" }, this.step, this.tools.below, this.warnings, this.table.element, make("p", { class: "help soft" }, HELP)),
+      make("div", { class: "under" }, this.tools.below, this.warnings, this.table.element, make("p", { class: "help soft" }, HELP)),
     );
     this.views = { moving: this.view("moving", places.moving), fixed: this.view("fixed", places.fixed) };
     this.layers = { moving: new MarkLayer(this.views.moving, "moving"), fixed: new MarkLayer(this.views.fixed, "fixed") };
@@ -58,13 +57,12 @@ class Marks {
       this.overlay.setWay(value);
       app.say(this.overlay.words);
     });
+    this.tools.above.prepend(...this.layerBox());
     this.tools.above.append(make("div", { class: "group" }, labelled("View", way), this.overlay.control, this.followBox()));
     this.tools.below.append(exchange(app));
-    for (const side of SIDES) {
-      this.choosePicture(side, places[side]);
-      this.layers[side].showHoles(app.session.holes?.[side] ?? []);
-      this.bind(side);
-    }
+    this.boxes = { moving: this.pictureBox("moving", places.moving), fixed: this.pictureBox("fixed", places.fixed) };
+    this.showLayer();
+    for (const side of SIDES) this.bind(side);
     app.onState((/** @type {import("./store.js").State} */ state) => this.show(state));
   }
 
@@ -74,19 +72,48 @@ class Marks {
     return new MapView({ element, name: NAMES[side], app: this.app, nudge });
   }
 
-  /** The box that says which picture a view shows, and the first one. @param {Side} side @param {HTMLElement} place */
-  choosePicture(side, place) {
-    const pictures = this.app.pictures.filter((/** @type {any} */ one) => one.plane === side && one.name !== "valid");
-    const show = (/** @type {string} */ id) => {
-      const picture = pictures.find((/** @type {any} */ one) => one.id === id);
-      this.views[side].show(picture);
-      if (side === "moving") this.overlay.show(picture, this.app);
-    };
-    const box = choice(pictures.map((/** @type {any} */ one) => [one.id, one.title]), show);
+  /** The box that says which picture a view shows. @param {Side} side @param {HTMLElement} place */
+  pictureBox(side, place) {
+    const box = choice([], (id) => this.showPicture(side, id));
     const head = make("div", { class: "head" }, make("h2", {}, NAMES[side]), labelled("", box, `${NAMES[side]} shows`));
     place.prepend(head);
     head.append(this.views[side].fields);
-    if (pictures.length) show(box.value);
+    return box;
+  }
+
+  /** @param {Side} side @param {string} id */
+  showPicture(side, id) {
+    const picture = this.app.pictures.find((/** @type {any} */ one) => one.id === id);
+    this.views[side].show(picture);
+    if (side === "moving") this.overlay.show(picture, this.app);
+  }
+
+  /** Show the pictures and holes of the registration that is chosen. */
+  showLayer() {
+    const { pictures, layer, session } = this.app;
+    const facts = session.layers?.find((/** @type {any} */ one) => one.name === layer);
+    for (const side of SIDES) {
+      const shown = pictures.filter(
+        (/** @type {any} */ one) =>
+          one.plane === side && !/(^|\/)valid$/.test(one.name) && (side === "fixed" || one.layer === layer),
+      );
+      const options = shown.map((/** @type {any} */ one) => make("option", { value: one.id }, one.title));
+      this.boxes[side].replaceChildren(...options);
+      if (shown.length) this.showPicture(side, shown[0].id);
+      this.layers[side].showHoles((facts?.holes ?? session.holes)?.[side] ?? []);
+    }
+  }
+
+  /** Where several layers are registered: the box that says which one. @returns {HTMLElement[]} */
+  layerBox() {
+    const names = (this.app.session.layers ?? []).map((/** @type {any} */ one) => one.name);
+    if (names.length < 2) return [];
+    const box = choice(names, async (name) => {
+      this.chosen = null;
+      await this.app.chooseLayer(name);
+      this.showLayer();
+    });
+    return [make("div", { class: "group" }, labelled("Layer", box))];
   }
 
   followBox() {
@@ -112,7 +139,7 @@ class Marks {
   /** @param {import("./store.js").State} state */
   show(state) {
     if (this.chosen !== null && !state.marks.some((mark) => mark.id === this.chosen)) this.chosen = null;
-    this.linked.update(throughPairs(state.marks));
+    this.linked.update(similarityOf(state));
     this.overlay.update(state);
     this.redraw();
   }
@@ -122,10 +149,8 @@ class Marks {
     for (const side of SIDES) this.layers[side].showMarks(state.marks, this.chosen);
     this.table.show(state, this.chosen);
     this.tools.show(state, this.mark);
-    const open = this.open;
-    this.step.textContent = open
-      ? `${open.label} has one end. Click its place in the ${NAMES[open.moving ? "fixed" : "moving"]} (Delete removes it).`
-      : "";
+    const { open } = this;
+    for (const side of SIDES) this.views[side].hint(open && !open[side] ? `Click ${open.label} here` : "");
     const general = (state.warnings ?? []).filter((/** @type {any} */ one) => one.id === undefined || one.id === null);
     this.warnings.replaceChildren(...general.map((/** @type {any} */ one) => make("li", {}, one.text)));
     this.prediction.showFor(this.mark ?? open);
@@ -183,6 +208,7 @@ class Marks {
       return id === null ? { do: "add", [side]: point } : { do: "move", id, [side]: point };
     }, `Mark set in the ${NAMES[side]}`);
     if (!state) return;
+    if (this.open) this.app.say(`${this.app.did} Now set ${this.open.label} in the ${NAMES[other(side)]}.`);
     this.choose(id ?? state.marks.at(-1).id);
     this.lead(side);
   }
@@ -213,7 +239,7 @@ class Marks {
 
   async snap() {
     const { mark } = this;
-    if (mark) await this.app.write(() => this.app.api.post("snap", { id: mark.id }), `${mark.label} moved to the hole`);
+    if (mark) await this.app.write(() => this.app.post("snap", { id: mark.id, layer: this.app.layer }), `${mark.label} snapped to its hole`);
   }
 
   /** @param {Side} side @param {[number, number]|null} point */

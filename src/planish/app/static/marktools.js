@@ -1,6 +1,7 @@
 /** The tools of the marks: above the views the model and its error, below them what can be done with the chosen mark. */
 
 import { button, choice, labelled, make } from "./dom.js";
+import { pairsOf } from "./linked.js";
 
 export class MarkTools {
   /**
@@ -56,11 +57,12 @@ export class MarkTools {
 }
 
 /** The fit in words. @param {import("./store.js").State} state */
-function said({ fit, marks, model }) {
+function said(state) {
+  const { fit } = state;
   if (!fit) return "";
   if (fit.error) return fit.error;
-  const used = marks.filter((mark) => mark.used && mark.moving && mark.fixed).length;
   const um = (/** @type {number|null} */ value) => (value === null || value === undefined ? "–" : `${value.toFixed(2)} um`);
-  const taken = fit.model && fit.model !== model ? `${fit.model}: ` : "";
-  return `${taken}${used} pairs, residual ${um(fit.rms_um)}, leave-one-out ${um(fit.loo_rms_um)} (rms)`;
+  const model = fit.model === state.model ? "" : `${fit.model}: `;
+  const follows = fit.follows ? `; ${state.model} follows` : "";
+  return `${model}${pairsOf(state).length} pairs, residual ${um(fit.rms_um)}, leave-one-out ${um(fit.loo_rms_um)} (rms)${follows}`;
 }

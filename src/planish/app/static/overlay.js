@@ -1,9 +1,9 @@
 /** The moving picture laid over the fixed one: blend, swipe, blink and checkerboard. */
 
-import { affine, after, angleOf, inverse, mapped, scaleOf, similarity, turned } from "./geometry.js";
+import { affine, after, angleOf, inverse, mapped, scaleOf, turned } from "./geometry.js";
 import { labelled, make } from "./dom.js";
 import { rawTileLayer } from "./rawtiles.js";
-import { throughPairs } from "./linked.js";
+import { pairsOf, similarityOf } from "./linked.js";
 import { flipped } from "./mapview.js";
 
 /* global ol */
@@ -55,8 +55,13 @@ export class Overlay {
    * @param {import("./store.js").State} state
    */
   update(state) {
-    this.model = (state.fit?.model ?? state.model) === "affine" ? "affine" : "similarity";
-    this.fit = throughPairs(state.marks, this.model === "affine" ? affine : similarity);
+    this.model = state.fit?.model === "affine" ? "affine" : "similarity";
+    this.fit = similarityOf(state);
+    if (this.fit && this.model === "affine") {
+      const pairs = pairsOf(state);
+      const [from, to] = [pairs.map((mark) => mark.moving), pairs.map((mark) => mark.fixed)];
+      this.fit = affine(/** @type {any} */ (from), /** @type {any} */ (to));
+    }
     this.setWay(this.way);
   }
 

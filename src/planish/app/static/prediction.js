@@ -55,10 +55,10 @@ export class Prediction {
       this.wanted = null;
       const there = side === "moving" ? "fixed" : "moving";
       const query = `predict?side=${side}&x=${point[0]}&y=${point[1]}`;
-      const found = await this.app.api.get(query).catch(() => null);
+      const found = await this.app.api.get(this.app.ofLayer(query)).catch(() => null);
       if (!this.inside) break;
       this.layers[there].showGhost(found ? [found.x, found.y] : null);
-      this.app.predicted(found ? `${NAMES[there]} x, y: ${written([found.x, found.y])} um` : "Not yet: no pair");
+      this.app.predicted(found ? `${NAMES[there]} x, y: ${written([found.x, found.y])} um; ${found.text}` : "No pair yet");
     }
     this.busy = false;
   }

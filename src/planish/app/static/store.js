@@ -7,8 +7,9 @@ import { ApiError } from "./api.js";
  * @typedef {{id: string|number, label: string, used: boolean, moving: Point|null, fixed: Point|null, source: string,
  *   residual_um: number|null, leave_one_out_um: number|null, predicted?: {moving?: Point, fixed?: Point},
  *   note?: string}} Mark
- * @typedef {{model: string, rms_um: number|null, loo_rms_um: number|null, error?: string}} Fit
- * @typedef {{version: number, layer: string, marks: Mark[], model: string, fit: Fit|null,
+ * @typedef {{model: string, rms_um: number|null, loo_rms_um: number|null, follows?: boolean, error?: string,
+ *   transform?: {scale: number, rotation_rad: number, shift_um: Point, mirrored: boolean}|null}} Fit
+ * @typedef {{version: number, layer: string, marks: Mark[], model: string, fit: Fit|null, message?: string, said?: string,
  *   warnings: {id?: string|number, text: string}[], corrections: any[], regions: any[], can_undo: boolean,
  *   can_redo: boolean}} State
  */
@@ -25,12 +26,35 @@ export class Store {
     this.session = session;
     this.pictures = session.pictures ?? [];
     this.state = state;
-    this.say = lines.message;
+    this.lines = lines;
     this.alarm = lines.alarm;
+    this.did = "";
+    /** Registration that is shown, by the name of its moving layer. */
+    this.layer = state.layer;
     /** @type {((state: State) => void)[]} */
     this.listeners = [];
     this.queue = Promise.resolve();
     this.readOnly = Boolean(session.read_only);
+  }
+
+  /**
+   * Say what was done; what the fit has to say of the marks stands behind it.
+   * @param {string} text
+   */
+  say(text) {
+    this.did = text;
+    this.lines.message([text, this.state.message].filter(Boolean).join(" "));
+  }
+
+  /** Show another registration. @param {string} layer */
+  async chooseLayer(layer) {
+    this.layer = layer;
+    await this.refresh(true);
+  }
+
+  /** @param {string} path */
+  ofLayer(path) {
+    return `${path}${path.includes("?") ? "&" : "?"}layer=${encodeURIComponent(this.layer)}`;
   }
 
   /**
@@ -46,6 +70,7 @@ export class Store {
   setState(state) {
     if (state.version < this.state.version) return;
     this.state = state;
+    this.say(this.did);
     for (const listener of this.listeners) listener(state);
   }
 
@@ -54,7 +79,7 @@ export class Store {
    * @param {boolean} [anew] whatever its version: the server may have been started again
    */
   async refresh(anew = false) {
-    const state = await this.api.get("state");
+    const state = await this.api.get(this.ofLayer("state"));
     if (anew) this.state = { ...this.state, version: -1 };
     this.setState(state);
   }
@@ -68,16 +93,21 @@ export class Store {
   change(change, words) {
     return this.write(() => {
       const now = typeof change === "function" ? change(this.state) : change;
-      return now && this.api.post("change", { change: now });
+      return now && this.post("change", { change: { ...now, layer: this.layer } });
     }, words);
   }
 
+  /** Write, and get the state of the registration that is shown. @param {string} path @param {object} [body] */
+  post(path, body = {}) {
+    return this.api.post(this.ofLayer(path), body);
+  }
+
   undo() {
-    return this.state.can_undo ? this.write(() => this.api.post("undo"), "Undone") : Promise.resolve(null);
+    return this.state.can_undo ? this.write(() => this.post("undo"), "Undone") : Promise.resolve(null);
   }
 
   redo() {
-    return this.state.can_redo ? this.write(() => this.api.post("redo"), "Done again") : Promise.resolve(null);
+    return this.state.can_redo ? this.write(() => this.post("redo"), "Done again") : Promise.resolve(null);
   }
 
   /**
@@ -93,7 +123,7 @@ export class Store {
       if (!state) return null;
       this.alarm(null);
       this.setState(state);
-      this.say(`${words}. Saved.`);
+      this.say(`${state.said ? `${words}. ${state.said}` : `${words}.`} Saved.`);
       return state;
     });
     const caught = done.catch((error) => this.refused(error));

@@ -75,6 +75,7 @@ export class MarkTable {
       head.setAttribute("aria-sort", sort);
     });
     this.draw();
+    this.element.scrollTop = 0;
   }
 
   /** The marks in the order of the rows. @returns {Mark[]} */
