@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Codes = NDArray[np.uint8] | NDArray[np.uint16]
+Codes = NDArray[np.unsignedinteger[Any]]
 
 _TYPES = {8: np.uint8, 16: np.uint16}
 _BEYOND = 0.05  # per cent of the values that may lie beyond either end, where single ones would take the digits
