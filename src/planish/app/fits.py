@@ -51,7 +51,7 @@ class Fitted:
         Pairs in use, and those that stand out.
     labels : tuple of str
     error : str
-        Why there is no fit.
+        Why there is no fit of the model; a similarity stands for it where there is one.
     follows : bool
         Whether the fit of the model is still worked out.
     warnings : tuple of Warned
@@ -133,7 +133,7 @@ def fitted(
     rows = [mark for mark in marks if mark.paired]
     moving, fixed = (_places(rows, plane) for plane in PLANES)
     used = np.array([mark.used for mark in rows], dtype=np.bool_)
-    hand = bool(mirrored)
+    hand = _hand(moving[used], fixed[used]) if mirrored is None else mirrored
     named = np.zeros(len(rows), dtype=np.bool_)
     named[used] = standing_out(moving[used], fixed[used], hand, tolerance_um=params.tolerance_um)
     nothing = np.full(len(rows), np.nan)
@@ -142,27 +142,29 @@ def fitted(
         "fixed": fixed, "used": used, "mirrored": mirrored, "follows": quick and len(rows) > 1,
     }  # fmt: skip
     warned = [*_twice(rows), *_too_few(int(used.sum()))]
-    instead = quick and model not in QUICK
+    error = ""
     try:
         if model == "auto" and not quick:
             fit = _as_applied([m for m in rows if m.used], mirrored, params)
         else:
-            kind = "similarity" if instead else model
-            fit = fit_transform(
-                moving[used], fixed[used], model=kind, mirrored=mirrored, robust=False, inspect=not quick,
-                lowest="similarity",
+            kind = model if not quick or model in QUICK else "similarity"
+            fit = _plain(moving[used], fixed[used], kind, mirrored, inspect=not quick)
+    except PlanishError as refused:
+        error = _said(refused, rows, used)
+        try:  # there is something to look at: which marks are wrong
+            fit = _plain(moving[used], fixed[used], "similarity", mirrored, inspect=False)
+        except PlanishError:
+            return Fitted(
+                **own, fit=None, named=named, residual_um=nothing, leave_one_out_um=nothing, error=error,
+                warnings=tuple(warned),
             )  # fmt: skip
-    except PlanishError as error:
-        return Fitted(
-            **own, fit=None, named=named, residual_um=nothing, leave_one_out_um=nothing, error=_said(error, rows, used),
-            warnings=tuple(warned),
-        )  # fmt: skip
     residual, left = np.linalg.norm(fixed - fit(moving), axis=1), nothing.copy()
     left[used], left[~used] = fit.leave_one_out_um, residual[~used]
     if named.any():
-        left = _left_by_others(fit, moving, fixed, used & ~named, mirrored, left)
+        kind = "auto" if model == "auto" and not quick and not error else fit.model
+        left = _left_by_others(kind, moving, fixed, used & ~named, mirrored, left)
     return Fitted(
-        **own, fit=fit, named=named, residual_um=residual, leave_one_out_um=left,
+        **own, fit=fit, named=named, residual_um=residual, leave_one_out_um=left, error=error,
         warnings=(*warned, *_of_rows(rows, used, named, fit, residual, left), *_of_fit(fit)),
     )  # fmt: skip
 
@@ -189,15 +191,25 @@ def holes_of(rows: Sequence[Mark], plane: Plane) -> xr.Dataset:
     return xr.Dataset({name: ("mark", np.array([getattr(e, name) for e in ends], dtype=np.float64)) for name in names})
 
 
+def _hand(moving: Floats, fixed: Floats) -> bool:
+    """Whether a mirrored similarity fits better."""
+    try:
+        return _plain(moving, fixed, "similarity", None, inspect=False).mirrored
+    except PlanishError:
+        return False
+
+
+def _plain(moving: Floats, fixed: Floats, model: str, mirrored: bool | None, **how: Any) -> FittedTransform:
+    """Least squares, in which no mark is left out."""
+    return fit_transform(moving, fixed, model=model, mirrored=mirrored, robust=False, lowest="similarity", **how)
+
+
 def _left_by_others(
-    fit: FittedTransform, moving: Floats, fixed: Floats, held: NDArray[np.bool_], mirrored: bool | None, left: Floats
+    model: str, moving: Floats, fixed: Floats, held: NDArray[np.bool_], mirrored: bool | None, left: Floats
 ) -> Floats:  # fmt: skip
     """Leave-one-out errors where the marks that stand out take part in no fit: they would spoil those of the others."""
     try:
-        others = fit_transform(
-            moving, fixed, model=fit.model, mirrored=mirrored, robust=False, inspect=False,
-            weights=held.astype(np.float64), lowest="similarity",
-        )  # fmt: skip
+        others = _plain(moving, fixed, model, mirrored, inspect=False, weights=held.astype(np.float64))
     except PlanishError:  # too few are left for this model
         return left
     return others.leave_one_out_um
@@ -215,7 +227,7 @@ def _few(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, Non
     if len(moving) < 2:
         return None, None, ""
     try:
-        fit = fit_transform(moving, fixed, model="similarity", mirrored=hand, robust=False, inspect=False)
+        fit = _plain(moving, fixed, "similarity", mirrored, inspect=False)
     except PlanishError:
         return None, None, ""
     return fit, None, f"from {len(moving)} marks, a similarity: its error is not known"
