@@ -23,7 +23,7 @@ from planish.core.lazy import LazyArray, Where, held
 BASE_PIXELS = 4_000_000
 """Pixels of the overview from which densities and histograms are made."""
 
-_BINS = 256
+_BINS = 128
 _TAILS = (0.1, 99.9)  # percentiles between which points are drawn; those beyond are counted
 
 Number = float | None
@@ -52,13 +52,14 @@ class Density(_Answer):
 
 
 class Histogram(_Answer):
-    """How the values of a picture are distributed, of pixels of the stated size."""
+    """How the values of a picture are distributed, of pixels of the stated size; ``range``: 2nd to 98th percentile."""
 
     pixel_um: tuple[float, float]
     n: int
     beyond: int
     low: float
     high: float
+    range: tuple[float, float]
     counts: tuple[int, ...]
     mean: Number
     sd: Number
@@ -135,10 +136,11 @@ def density(
     )  # fmt: skip
 
 
-def histogram(tiles: Tiles, picture: Picture, window: Region | None = None, *, bins: int = _BINS // 2) -> Histogram:
+def histogram(tiles: Tiles, picture: Picture, window: Region | None = None, *, bins: int = _BINS) -> Histogram:
     """Count the values of a picture where they are valid."""
     level, (values,) = _base(tiles, picture)
-    low, high = _limits(values[np.isfinite(values)])
+    every = values[np.isfinite(values)]
+    (low, high), usual = _limits(every), np.percentile(every, [2, 98]) if every.size else (0.0, 1.0)
     if window is not None:
         values = values[window.on(picture, level)]
     known = values[np.isfinite(values)].astype(np.float64)
@@ -146,7 +148,8 @@ def histogram(tiles: Tiles, picture: Picture, window: Region | None = None, *, b
     some = known.size > 0
     return Histogram(
         pixel_um=_pixel(picture, level), n=known.size, beyond=known.size - int(counts.sum()), low=low, high=high,
-        counts=tuple(counts.tolist()), mean=float(known.mean()) if some else None,
+        range=(float(usual[0]), float(usual[1])), counts=tuple(counts.tolist()),
+        mean=float(known.mean()) if some else None,
         sd=float(known.std(ddof=1)) if known.size > 1 else None, median=float(np.median(known)) if some else None,
     )  # fmt: skip
 

@@ -4,8 +4,9 @@
  * @typedef {{id: string, name: string, units: string, shape: number[], pixel_um: number[], origin_um: number[],
  *   levels: number, tile: number, scale: number, offset: number, range: number[]}} Picture
  * @typedef {{picture: Picture, low: number, high: number}} Brush pixels whose value lies from `low` to `high`
- * @typedef {{palette?: string, low?: number, high?: number, valid?: Picture[], brushes?: Brush[]}} Look
- *   `valid`: masks outside of which nothing is drawn; `brushes`: pixels that lie in all of them are chosen
+ * @typedef {{palette?: string, low?: number, high?: number, valid?: Picture[], onlyValid?: boolean,
+ *   brushes?: Brush[]}} Look
+ *   `brushes`: pixels that lie in all of them, and in all masks `valid`, are chosen; `onlyValid`: no others are drawn
  */
 
 import { CHOSEN, codesBetween, coloursOfCodes, packed, paletteOf } from "./colour.js";
@@ -14,6 +15,11 @@ import { CHOSEN, codesBetween, coloursOfCodes, packed, paletteOf } from "./colou
 
 /** Tiles that are held, 128 KiB each. */
 const MOST_TILES = 768;
+
+/** Code of a pixel of a mask that is true; 1 is false. */
+const VALID = 2;
+/** @type {{codes: [number, number]}} */
+const ONLY_VALID = { codes: [VALID, VALID] };
 
 /** Lengths of the page are um; OpenLayers takes this for that of the views, by its code. */
 const PROJECTION = new ol.proj.Projection({ code: "um", units: "m", metersPerUnit: 1e-6, getPointResolution: (r) => r });
@@ -101,7 +107,8 @@ export class RawTileSource extends ol.source.ImageTile {
   look(look) {
     const { palette = paletteOf(this.picture), low = this.picture.range[0], high = this.picture.range[1] } = look;
     this.colours = coloursOfCodes(this.picture, { palette, low, high });
-    this.valid = look.valid ?? [];
+    this.onlyValid = look.onlyValid ?? false;
+    this.valid = this.onlyValid || look.brushes?.length ? (look.valid ?? []) : [];
     this.brushes = (look.brushes ?? []).map((brush) => ({
       picture: brush.picture,
       codes: codesBetween(brush.picture, brush.low, brush.high),
@@ -117,7 +124,7 @@ export class RawTileSource extends ol.source.ImageTile {
    * @returns {Promise<HTMLCanvasElement>}
    */
   async draw(level, row, col) {
-    const [colours, brushes, valid] = [this.colours, this.brushes, this.valid];
+    const { colours, brushes, valid, onlyValid } = this;
     const pictures = [this.picture, ...valid, ...brushes.map((brush) => brush.picture)];
     const [codes, ...others] = await Promise.all(pictures.map((one) => this.tiles.get(one, level, row, col)));
     const side = this.picture.tile;
@@ -127,10 +134,11 @@ export class RawTileSource extends ol.source.ImageTile {
     const image = context.createImageData(side, side);
     const pixels = new Uint32Array(image.data.buffer);
     for (let i = 0; i < pixels.length; i++) pixels[i] = colours[codes[i]];
-    for (const mask of others.slice(0, valid.length)) {
-      for (let i = 0; i < pixels.length; i++) if (mask[i] !== 2) pixels[i] = 0;
+    const masks = others.slice(0, valid.length);
+    for (const mask of onlyValid ? masks : []) {
+      for (let i = 0; i < pixels.length; i++) if (mask[i] !== VALID) pixels[i] = 0;
     }
-    if (brushes.length) choose(pixels, brushes, others.slice(valid.length));
+    if (brushes.length) choose(pixels, [...brushes, ...masks.map(() => ONLY_VALID)], [...others.slice(valid.length), ...masks]);
     context.putImageData(image, 0, 0);
     return canvas;
   }

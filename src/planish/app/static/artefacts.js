@@ -1,0 +1,86 @@
+/** Regions of the reference that a person declares as artefacts, with author and reason. */
+
+import { button, labelled, make } from "./dom.js";
+
+/** Read "x, y; x, y; …" as corners; null where it is none of three corners or more. @param {string} text */
+export function cornersOf(text) {
+  const corners = text
+    .trim()
+    .split(/[;\n]+/)
+    .filter((part) => part.trim())
+    .map((part) => part.trim().split(/[\s,]+/).map(Number));
+  return corners.length >= 3 && corners.every((one) => one.length === 2 && one.every(Number.isFinite)) ? corners : null;
+}
+
+export class Artefacts {
+  /**
+   * @param {any} app
+   * @param {{draw: () => void, show: (polygons: number[][][]) => void}} maps
+   *   `draw` lets a person draw a polygon, which comes back by `drawn`
+   */
+  constructor(app, maps) {
+    this.app = app;
+    this.maps = maps;
+    this.name = make("input", { type: "text", size: 14, maxlength: 60 });
+    this.author = make("input", { type: "text", size: 14, maxlength: 100 });
+    this.reason = make("input", { type: "text", size: 26, maxlength: 300 });
+    this.polygon = make("input", { type: "text", size: 40, spellcheck: "false" });
+    this.list = make("ul", { class: "artefacts", "aria-label": "Declared artefacts" });
+    this.element = make(
+      "section",
+      { class: "panel", "aria-label": "Artefacts" },
+      make("h2", {}, "Artefacts"),
+      make("p", { class: "soft" }, "What lies in a declared region does not count after Apply. Draw it, or write its corners."),
+      make(
+        "div",
+        { class: "group" },
+        labelled("Name", this.name, "Artefact: "),
+        labelled("Author", this.author, "Artefact: "),
+        labelled("Reason", this.reason, "Artefact: "),
+      ),
+      make(
+        "div",
+        { class: "group" },
+        button("Draw polygon", () => maps.draw()),
+        labelled("Polygon, um", this.polygon),
+        button("Declare artefact", () => void this.declare()),
+      ),
+      this.list,
+    );
+    app.onState((/** @type {any} */ state) => this.show(state.regions ?? []));
+  }
+
+  /** A polygon that was drawn. @param {number[][]} corners */
+  drawn(corners) {
+    this.polygon.value = corners.map((point) => point.map((um) => um.toFixed(1)).join(", ")).join("; ");
+    this.name.focus();
+  }
+
+  async declare() {
+    const polygon = cornersOf(this.polygon.value);
+    this.polygon.setAttribute("aria-invalid", String(!polygon));
+    if (!polygon) return this.app.say('A polygon is "x, y; x, y; x, y": three corners or more, in um.');
+    const name = this.name.value.trim() || "artefact";
+    const [author, reason] = [this.author.value.trim(), this.reason.value.trim()];
+    const done = await this.app.change({ do: "region", name, author, reason, polygon }, `${name} declared an artefact`);
+    if (done) this.name.value = this.reason.value = this.polygon.value = "";
+  }
+
+  /** @param {any[]} regions */
+  show(regions) {
+    this.maps.show(regions.map((one) => one.polygon));
+    this.list.replaceChildren(
+      ...regions.map((one) => {
+        const by = [one.reason, one.author && `by ${one.author}`].filter(Boolean).join(", ");
+        const remove = () => this.app.change({ do: "unregion", id: one.id }, `${one.name} no longer an artefact`);
+        return make(
+          "li",
+          {},
+          make("strong", {}, one.name),
+          by ? `: ${by} ` : " ",
+          button("Remove", remove, { "aria-label": `Remove artefact ${one.name}` }),
+        );
+      }),
+    );
+  }
+}

@@ -1,0 +1,417 @@
+/** The tab Maps: two layers beside or over each other, their scatter, and what is selected in one shown in the other. */
+
+import { Artefacts } from "./artefacts.js";
+import { profile, shown } from "./charts.js";
+import { button, choice, labelled, make, numbers } from "./dom.js";
+import { flipped } from "./mapview.js";
+import { MapSide } from "./mapside.js";
+import { rawTileLayer } from "./rawtiles.js";
+import { Scatter } from "./scatter.js";
+
+/* global ol */
+
+const HELP =
+  "Drag in the scatter to choose values; their pixels are painted in both maps. Choose a region to see its points and r. " +
+  "Keys in a map: arrows move it, + and - zoom, 0 shows all, Enter takes the place in the middle. Esc in the scatter clears.";
+const ACCENT = "#ff4800";
+const styled = (/** @type {string} */ stroke, /** @type {string} */ fill, /** @type {number[]} */ dash = []) => [
+  new ol.style.Style({ stroke: new ol.style.Stroke({ color: "#fff", width: 4 }) }),
+  new ol.style.Style({ stroke: new ol.style.Stroke({ color: stroke, width: 2, lineDash: dash }), fill: new ol.style.Fill({ color: fill }) }),
+];
+const STYLES = {
+  region: styled(ACCENT, "rgba(255, 72, 0, 0.08)"),
+  line: styled("#0b5cad", "transparent"),
+  artefact: styled("#7a1fa2", "rgba(122, 31, 162, 0.18)", [6, 4]),
+};
+
+/** Pictures on the pixels of most of them: the reference where there is one. @param {any[]} pictures */
+function together(pictures) {
+  /** @type {Map<string, any[]>} */
+  const grids = new Map();
+  for (const one of pictures) {
+    const key = JSON.stringify([one.plane, one.shape, one.origin_um, one.pixel_um]);
+    grids.set(key, [...(grids.get(key) ?? []), one]);
+  }
+  const fixed = [...grids.values()].filter((group) => group[0].plane === "fixed" && group.length > 2);
+  const from = fixed.length ? fixed : [...grids.values()];
+  return from.reduce((most, group) => (group.length > most.length ? group : most), []);
+}
+
+const isMask = (/** @type {any} */ one) => one.name.split("/").at(-1) === "valid";
+const named = (/** @type {any[]} */ pictures, /** @type {string} */ name) =>
+  pictures.find((one) => one.name.split("/").at(-1) === name);
+
+/** @param {HTMLElement} panel @param {any} app */
+export function mount(panel, app) {
+  new Maps(panel, app);
+}
+
+class Maps {
+  /** @param {HTMLElement} panel @param {any} app */
+  constructor(panel, app) {
+    this.app = app;
+    this.pictures = together(app.pictures);
+    if (!this.pictures.length) {
+      panel.append(make("p", {}, "This run has no maps."));
+      return;
+    }
+    this.masks = this.pictures.filter(isMask);
+    const layers = this.pictures.filter((one) => !isMask(one));
+    const left = named(layers, "coating_top") ?? layers.find((one) => !one.name.endsWith("image")) ?? layers[0];
+    const right = named(layers, "image") ?? layers.find((one) => one !== left) ?? left;
+    /** @type {number[]|null} */
+    this.region = null;
+    this.shapes = new ol.source.Vector();
+    const on = { app, pictures: layers, onLayer: () => this.changed(), onLook: () => this.draw(), onBrush: () => this.brushed() };
+    this.left = new MapSide({ ...on, side: "Left", chosen: left });
+    this.right = new MapSide({ ...on, side: "Right", chosen: right });
+    this.sides = [this.left, this.right];
+    this.scatter = new Scatter({
+      onBrush: (a, b) => {
+        [this.left.brush, this.right.brush] = [a, b];
+        this.brushed();
+      },
+      onClear: () => this.clear(),
+      say: app.say,
+    });
+    this.scatterWords = make("p", { class: "soft" });
+    this.profile = make("div");
+    this.values = make("div", { class: "values" });
+    panel.classList.add("maps");
+    const scatter = make(
+      "section",
+      { class: "view", "aria-label": "Scatter of both layers" },
+      make("div", { class: "head" }, make("h2", {}, "Scatter"), this.scatter.fields),
+      this.scatter.element,
+      this.scatterWords,
+    );
+    this.views = make("div", { class: "views" }, this.left.element, this.right.element, scatter);
+    const fixed = this.pictures[0].plane === "fixed";
+    this.artefacts = fixed ? new Artefacts(app, { draw: () => this.sketch("Polygon"), show: (all) => this.showArtefacts(all) }) : null;
+    panel.append(
+      this.tools(),
+      this.views,
+      make(
+        "div",
+        { class: "beside" },
+        make("section", { class: "panel", "aria-label": "Values at the cursor" }, make("h2", {}, "At the cursor"), this.values),
+        make("div", { class: "panel" }, this.profile, this.artefacts?.element ?? null),
+      ),
+      make("p", { class: "help soft" }, HELP),
+    );
+    this.link();
+    for (const side of this.sides) this.bind(side);
+    this.changed();
+  }
+
+  /** Controls above the maps. */
+  tools() {
+    const way = choice(["Side by side", "Blended"], (value) => this.blend(value === "Blended"));
+    this.share = make("input", { type: "range", min: 0, max: 1, step: 0.05, value: 0.5, oninput: () => this.draw() });
+    this.shareBox = labelled("Share of the right layer", this.share);
+    this.shareBox.hidden = true;
+    this.onlyValid = make("input", { type: "checkbox", onchange: () => this.draw() });
+    this.regionField = make("input", { type: "text", size: 26, spellcheck: "false" });
+    this.lineField = make("input", { type: "text", size: 26, spellcheck: "false" });
+    this.field(this.regionField, "A region is \"x0, y0, x1, y1\" in um.", (region) => this.setRegion(region));
+    this.field(this.lineField, "A line is \"x0, y0, x1, y1\" in um.", (line) => void this.drawProfile(line));
+    this.slice = button("Show slice", () => this.showSlice(), { disabled: true });
+    return make(
+      "div",
+      { class: "tools" },
+      make(
+        "div",
+        { class: "group" },
+        labelled("View", way),
+        this.shareBox,
+        this.masks.length ? make("label", { class: "check" }, this.onlyValid, make("span", {}, "Only valid pixels")) : null,
+        this.slice,
+      ),
+      make(
+        "div",
+        { class: "group" },
+        button("Draw region", () => this.sketch("Box")),
+        labelled("Region, um", this.regionField),
+        button("Draw line", () => this.sketch("LineString")),
+        labelled("Line, um", this.lineField),
+        button("Clear selection", () => this.clear()),
+      ),
+    );
+  }
+
+  /** @param {HTMLInputElement} field @param {string} needed @param {(values: number[]|null) => void} use */
+  field(field, needed, use) {
+    field.addEventListener("change", () => {
+      const values = numbers(field.value, 4);
+      const valid = values !== null || field.value.trim() === "";
+      field.setAttribute("aria-invalid", String(!valid));
+      if (valid) use(values);
+      else this.app.say(needed);
+    });
+  }
+
+  // --- both maps as one ------------------------------------------------------------------------------------------
+
+  /** Let both maps show the same place. */
+  link() {
+    const [a, b] = this.sides.map((side) => side.view.view);
+    const follow = (/** @type {any} */ from, /** @type {any} */ to) =>
+      from.on(["change:center", "change:resolution", "change:rotation"], () => {
+        if (String(to.getCenter()) !== String(from.getCenter())) to.setCenter(from.getCenter());
+        if (to.getResolution() !== from.getResolution()) to.setResolution(from.getResolution());
+        if (to.getRotation() !== from.getRotation()) to.setRotation(from.getRotation());
+      });
+    follow(a, b);
+    follow(b, a);
+    for (const side of this.sides) {
+      const style = (/** @type {any} */ feature) => STYLES[/** @type {keyof STYLES} */ (feature.get("kind"))];
+      side.view.map.addLayer(new ol.layer.Vector({ source: this.shapes, style, zIndex: 5 }));
+    }
+  }
+
+  /** @param {boolean} on */
+  blend(on) {
+    this.blended = on;
+    this.shareBox.hidden = !on;
+    this.views.classList.toggle("one", on);
+    this.right.view.element.hidden = on;
+    for (const side of this.sides) side.view.map.updateSize();
+    this.draw();
+  }
+
+  /** Another layer is shown. */
+  changed() {
+    this.draw();
+    this.scatter.showBrush([this.left.brush, this.right.brush]);
+    void this.count();
+    void this.select();
+  }
+
+  /** Draw both maps as they are to look now; the server is asked for nothing but tiles that were never shown. */
+  draw() {
+    const brushes = this.sides.flatMap((side) => {
+      const range = side.brush;
+      return range ? [{ picture: side.picture, low: range[0], high: range[1] }] : [];
+    });
+    const layers = new Set(this.sides.map((side) => side.picture.layer));
+    const more = { brushes, valid: this.masks.filter((mask) => layers.has(mask.layer)), onlyValid: this.onlyValid.checked };
+    for (const side of this.sides) side.draw(more);
+    if (this.over) this.left.view.map.removeLayer(this.over);
+    this.over = null;
+    if (!this.blended) return;
+    this.over = rawTileLayer(this.right.picture, this.app.api, { ...this.right.look, ...more });
+    this.over.setOpacity(Number(this.share.value));
+    this.left.view.map.getLayers().insertAt(1, this.over);
+  }
+
+  // --- what is selected ------------------------------------------------------------------------------------------
+
+  brushed() {
+    this.draw();
+    this.scatter.showBrush([this.left.brush, this.right.brush]);
+    void this.select();
+  }
+
+  /** @param {number[]|null} region */
+  setRegion(region) {
+    this.region = region && [Math.min(region[0], region[2]), Math.min(region[1], region[3]), Math.max(region[0], region[2]), Math.max(region[1], region[3])];
+    this.regionField.value = this.region ? this.region.map((um) => String(Number(um.toFixed(3)))).join(", ") : "";
+    this.shape("region", this.region && ol.geom.Polygon.fromExtent([this.region[0], -this.region[3], this.region[2], -this.region[1]]));
+    void this.countRegion();
+    void this.select();
+  }
+
+  clear() {
+    for (const side of this.sides) side.brush = null;
+    this.app.selection("");
+    this.setRegion(null);
+    this.brushed();
+  }
+
+  get query() {
+    return `a=${this.left.picture.id}&b=${this.right.picture.id}${this.region ? `&region=${this.region.join()}` : ""}`;
+  }
+
+  /** Density and histograms of the layers that are shown. */
+  async count() {
+    const [a, b] = [this.left.picture, this.right.picture];
+    const found = await this.latest("density", `density?a=${a.id}&b=${b.id}`);
+    if (found) {
+      const title = (/** @type {any} */ one) => `${one.name}${one.units && one.units !== "1" ? `, ${one.units}` : ""}`;
+      this.scatter.show(found, [title(a), title(b)]);
+      const beyond = found.beyond ? `, ${found.beyond} of them beyond its limits` : "";
+      this.scatterWords.textContent = `Scatter of ${found.n} points${beyond}; pixels of ${shown(found.pixel_um[1])} um.`;
+      await this.countRegion();
+    }
+    for (const side of this.sides) {
+      const counted = await this.latest(`histogram ${side.view.name}`, `histogram?id=${side.picture.id}`);
+      if (counted) side.showHistogram(counted);
+    }
+  }
+
+  async countRegion() {
+    if (!this.region) return this.scatter.showRegion(null);
+    const found = await this.latest("points", `density?${this.query}`);
+    if (found && this.region) this.scatter.showRegion(found);
+  }
+
+  /** Say what is selected, of all pixels; after it was drawn. */
+  async select() {
+    const [a, b] = [this.left.brush, this.right.brush];
+    this.running.selection?.abort();
+    if (!this.region && !a && !b) return this.app.selection("");
+    this.app.selection("n: counting all pixels …");
+    const brushes = `${a ? `&brush_a=${a.join()}` : ""}${b ? `&brush_b=${b.join()}` : ""}`;
+    const found = await this.latest("selection", `selection?${this.query}${brushes}`);
+    if (!found) return;
+    const what = `${this.left.picture.name} and ${this.right.picture.name}`;
+    const parts = [`n ${found.n}`];
+    if (found.r !== null) parts.push(`r ${found.r.toFixed(4)}`);
+    if (found.interval) parts.push(`95 % interval ${found.interval.map((/** @type {number} */ v) => v.toFixed(4)).join(" to ")}`);
+    if (found.n_eff !== null) parts.push(`n_eff ${found.n_eff.toFixed(1)}`);
+    if (a || b) parts.push("no r: values were picked, which biases it");
+    const words = [`${parts.join("; ")} (${what}, pixels of ${shown(found.pixel_um[1])} um).`, ...found.warnings];
+    this.app.selection(words.join(" "));
+  }
+
+  /** @type {Record<string, AbortController>} */
+  running = {};
+
+  /**
+   * What the server answers to the newest of some questions; null to those that are not wanted any more.
+   * @param {string} kind
+   * @param {string} path
+   */
+  async latest(kind, path) {
+    this.running[kind]?.abort();
+    const mine = (this.running[kind] = new AbortController());
+    try {
+      const found = await this.app.api.get(path, { signal: mine.signal });
+      return this.running[kind] === mine ? found : null;
+    } catch (/** @type {any} */ error) {
+      if (mine.signal.aborted) return null;
+      if (kind === "selection") this.app.selection("");
+      this.app.say(error.message);
+      return null;
+    }
+  }
+
+  // --- cursor, line, polygon -------------------------------------------------------------------------------------
+
+  /** @param {MapSide} side */
+  bind(side) {
+    const { map, element } = side.view;
+    map.on("pointermove", (/** @type {any} */ event) => !event.dragging && void this.point(flipped(event.coordinate), side));
+    map.on("click", (/** @type {any} */ event) => !this.sketching && void this.take(flipped(event.coordinate), side));
+    element.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
+      if (event.key === "Enter") void this.take(side.view.centre, side);
+      else if (event.key === "Escape") this.endSketch();
+      else void this.point(side.view.centre, side);
+    });
+  }
+
+  /** Say what lies at a point. @param {number[]} point @param {MapSide} side */
+  async point([x, y], side) {
+    this.wanted = [x, y];
+    if (this.asking) return null;
+    this.asking = true;
+    let found = null;
+    while (this.wanted) {
+      const [px, py] = this.wanted;
+      this.wanted = null;
+      found = await this.app.api.get(`cursor?id=${side.picture.id}&x=${px}&y=${py}`).catch(() => null);
+    }
+    this.asking = false;
+    if (found) this.showCursor(found);
+    return found;
+  }
+
+  /** @param {any} found */
+  showCursor(found) {
+    const text = (/** @type {any} */ one) =>
+      one.value === null ? "no value" : isMask(one) ? (one.value ? "yes" : "no") : `${shown(one.value)}${one.units && one.units !== "1" ? ` ${one.units}` : ""}`;
+    const { volume } = found;
+    const place = volume ? `volume x ${volume.x.toFixed(2)}, y ${volume.y.toFixed(2)}, z ${volume.z.toFixed(2)} um` : "not in the volume";
+    const shownNow = [this.left.picture.id, this.right.picture.id];
+    const first = (/** @type {any} */ one) => (shownNow.includes(one.id) ? 0 : 1);
+    const values = [...found.values].sort((a, b) => first(a) - first(b));
+    this.app.cursor(`x ${found.x.toFixed(2)}, y ${found.y.toFixed(2)} um; ${place}; ${values.map((one) => `${one.name} ${text(one)}`).join("; ")}`);
+    const rows = values.map((one) => make("tr", {}, make("th", { scope: "row" }, one.name), make("td", { class: "n" }, text(one)), make("td", {}, one.title)));
+    this.values.replaceChildren(make("p", {}, `x ${found.x.toFixed(1)}, y ${found.y.toFixed(1)} um; ${place}`), make("table", { "aria-label": "Values at the cursor" }, make("tbody", {}, ...rows)));
+  }
+
+  /** Take a place whose slice is shown. @param {number[]} point @param {MapSide} side */
+  async take(point, side) {
+    this.wanted = null;
+    const found = await this.app.api.get(`cursor?id=${side.picture.id}&x=${point[0]}&y=${point[1]}`).catch(() => null);
+    if (!found) return;
+    this.showCursor(found);
+    this.taken = found.volume;
+    this.slice.disabled = !this.taken;
+    const { x, y, z } = found.volume ?? {};
+    this.app.slicePosition?.(found.volume ? `x ${x.toFixed(2)}, y ${y.toFixed(2)}, z ${z.toFixed(2)} um` : "");
+  }
+
+  async showSlice() {
+    if (!this.taken) return;
+    await this.app.openTab("surfaces");
+    this.app.showSlice?.(this.taken.x, this.taken.y, this.taken.z);
+  }
+
+  /** @param {string} kind @param {any} geometry null removes it */
+  shape(kind, geometry) {
+    for (const old of this.shapes.getFeatures().filter((/** @type {any} */ one) => one.get("kind") === kind)) this.shapes.removeFeature(old);
+    if (geometry) this.shapes.addFeature(new ol.Feature({ geometry, kind }));
+  }
+
+  /** @param {number[][][]} polygons */
+  showArtefacts(polygons) {
+    this.shape("artefact", null);
+    for (const one of polygons) {
+      this.shapes.addFeature(new ol.Feature({ geometry: new ol.geom.Polygon([one.map((p) => flipped(p))]), kind: "artefact" }));
+    }
+  }
+
+  /** Let a person draw in either map. @param {"Box"|"LineString"|"Polygon"} type */
+  sketch(type) {
+    this.endSketch();
+    const more = type === "Box" ? { type: "Circle", geometryFunction: ol.interaction.Draw.createBox() } : { type, ...(type === "LineString" ? { maxPoints: 2 } : {}) };
+    this.sketching = this.sides.map((side) => {
+      const draw = new ol.interaction.Draw(more);
+      side.view.map.addInteraction(draw);
+      draw.on("drawend", (/** @type {any} */ event) => setTimeout(() => this.sketched(type, event.feature.getGeometry())));
+      return draw;
+    });
+    const how = { Box: "Click two corners of the region.", LineString: "Click both ends of the line.", Polygon: "Click the corners; a double click ends." };
+    this.app.say(`${how[type]} Esc in a map leaves it.`);
+    this.left.view.element.focus();
+  }
+
+  /** @param {string} type @param {any} geometry */
+  sketched(type, geometry) {
+    this.endSketch();
+    this.app.say("");
+    if (type === "Polygon") return this.artefacts?.drawn(geometry.getCoordinates()[0].slice(0, -1).map(flipped));
+    if (type === "Box") {
+      const [left, bottom, right, top] = geometry.getExtent();
+      return this.setRegion([left, -top, right, -bottom]);
+    }
+    const ends = geometry.getCoordinates().flatMap((/** @type {number[]} */ one) => flipped(one));
+    this.lineField.value = ends.map((/** @type {number} */ um) => um.toFixed(1)).join(", ");
+    void this.drawProfile(ends);
+  }
+
+  endSketch() {
+    this.sketching?.forEach((/** @type {any} */ draw, /** @type {number} */ k) => this.sides[k].view.map.removeInteraction(draw));
+    this.sketching = null;
+  }
+
+  /** @param {number[]|null} line */
+  async drawProfile(line) {
+    this.shape("line", line && new ol.geom.LineString([flipped(line.slice(0, 2)), flipped(line.slice(2))]));
+    this.profile.replaceChildren();
+    if (!line) return;
+    const found = await this.latest("profile", `profile?a=${this.left.picture.id}&b=${this.right.picture.id}&line=${line.join()}`);
+    if (found) this.profile.replaceChildren(profile(found));
+  }
+}
