@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import time
 from contextlib import contextmanager
 
 import pytest
+import tifffile
 
 from planish.app.apply import STAGED, Before, order_of, place_of
 from planish.app.changes import change_of
@@ -21,7 +21,7 @@ UNCHANGED = ("surfaces", "flat", "strain", "maps", "slices", "overviews/maps")
 
 
 @pytest.fixture
-def run(linked_run, specimen_files, tmp_path):
+def run(linked_run, tmp_path):
     """The small link beside its files, to be worked on."""
     shutil.copytree(linked_run, tmp_path / "made" / "run")
     at_home(linked_run, tmp_path / "made" / "run")
@@ -181,22 +181,28 @@ def test_without_a_change_every_number_is_the_same(run):
     assert {name for name in old | new if old.get(name) != new.get(name)} <= {"edits/.lock"}
 
 
-def test_one_mark_less_leaves_the_sheet_as_it_is(planish, run):
-    """The groups of the sheet keep their bytes; the study of the new run gives its bytes again, from its own marks."""
+def test_one_mark_less_leaves_the_sheet_as_it_is(run):
     with opened(run) as session:
         do(session, do="use", id=session.state.of(None)[0].id, used=False)
         out = made(session)
     for group in UNCHANGED:
         assert held(out, group) == held(run, group), group
-    same = [os.path.samefile(p, out / "maps.zarr" / p.relative_to(run / "maps.zarr"))
-            for p in (run / "maps.zarr" / "maps").rglob("c/*/*")]  # fmt: skip
+    store, chunks = out / "maps.zarr", (run / "maps.zarr" / "maps").rglob("c/*/*")
+    same = [chunk.samefile(store / chunk.relative_to(run / "maps.zarr")) for chunk in chunks]
     assert same
     assert all(same)
     old, new = Results.read(run / "results.json"), Results.read(out / "results.json")
     assert new.layers[0].sheet == old.layers[0].sheet
     assert new.layers[0].registration.matched == old.layers[0].registration.matched - 1
     assert 'marks = "marks.json"' in (out / "run.toml").read_text()
-    shutil.rmtree(run)  # the new one stands by itself
+
+
+@pytest.mark.study
+def test_one_mark_less_repeats_itself_without_the_run_it_came_from(planish, run):
+    with opened(run) as session:
+        do(session, do="use", id=session.state.of(None)[0].id, used=False)
+        out = made(session)
+    shutil.rmtree(run)
     code, _, err = planish("run", out / "run.toml")
     assert (code in (0, 4), f"same bytes as {out}" in err) == (True, True), err
 
@@ -237,3 +243,171 @@ def test_a_sheet_seen_from_its_low_end_is_applied_in_its_own_frame(planish, laid
     assert fits[1].transform.scale == pytest.approx(fits[0].transform.scale, abs=0.02)
     code, _, err = planish("run", out / "run.toml")
     assert (code in (0, 4), f"same bytes as {out}" in err) == (True, True), err
+
+
+@pytest.mark.study
+def test_pairs_by_hand_link_what_was_refused_for_want_of_holes(planish, specimen_files, linked_run, tmp_path):
+    """Two of the image's holes are left: the link refuses, and pairs that a person sets on the maps make a run."""
+    volume, image = specimen_files
+    marks = [one for one in json.loads((linked_run / "marks.json").read_text())["marks"] if len(one["at"]) == 2]
+    grey = tifffile.imread(image)
+    y, x = np.indices(grey.shape) * 5.0
+    for one in marks[2:]:  # filled with paper from beside it
+        at = one["at"]["fixed"]
+        near = np.hypot(x - at["x"], y - at["y"]) < 130
+        grey[near] = np.random.default_rng(1).permutation(grey[(np.hypot(x - at["x"], y - at["y"]) < 210) & ~near])[
+            np.arange(near.sum()) % 1000
+        ]
+    two = tmp_path / "two.tif"
+    tifffile.imwrite(two, grey, resolution=(1e4 / 5.0,) * 2, resolutionunit="CENTIMETER")
+    assert planish("map", volume, "-o", tmp_path / "run-map")[0] == 0
+    code, _, err = planish("link", tmp_path / "run-map", two, "-o", tmp_path / "run")
+    assert (code, "at least 3 are needed" in err) == (3, True), err
+    with opened(tmp_path / "run-map", two) as session:
+        for one in marks:
+            ends = {side: [one["at"][side]["x"], one["at"][side]["y"]] for side in ("moving", "fixed")}
+            do(session, do="add", label=one["label"], **ends)
+        out = made(session)
+    assert out == tmp_path / "run"
+    found, first = open_run(out), open_run(linked_run)
+    fits = [next(iter(one.registrations.values())).fit for one in (first, found)]
+    assert fits[1].rms_um == pytest.approx(fits[0].rms_um, rel=0.2)
+    for group in UNCHANGED:
+        assert held(out, group) == held(tmp_path / "run-map", group), group
+    sources = {one["at"]["fixed"]["source"] for one in json.loads((out / "marks.json").read_text())["marks"]}
+    assert sources == {"clicked"}
+    code, _, err = planish("run", out / "run.toml")
+    assert (code in (0, 4), f"same bytes as {out}" in err) == (True, True), err
+
+
+@pytest.mark.study
+def test_marks_of_one_of_several_layers(planish, linked_run, specimen_files, tmp_path):
+    """Two images of one sheet and its volume: only the layer whose marks were changed gets marks of its own."""
+    image = specimen_files[1]
+    code, _, err = planish("link", f"a={linked_run}", f"b={image}", f"c={image}", "-o", tmp_path / "run")
+    assert code in (0, 4), err
+    with opened(tmp_path / "run") as session:
+        do(session, do="use", layer="a", id=session.state.of("a")[0].id, used=False)
+        order = ordered(session)
+        out = made(session)
+    assert [Path(layer.marks).name if layer.marks else None for layer in order.study.layers] == [
+        "marks-a.json", None, None,
+    ]  # fmt: skip
+    assert [layer.marks for layer in read_study(out / "run.toml").layers] == [str(out / "marks-a.json"), None, None]
+    old, new = (Results.read(folder / "results.json") for folder in (tmp_path / "run", out))
+    assert new.layer("a").registration.matched == old.layer("a").registration.matched - 1
+    assert new.layer("b").registration == old.layer("b").registration
+    code, _, err = planish("run", out / "run.toml")
+    assert (code in (0, 4), f"same bytes as {out}" in err) == (True, True), err
+
+
+# --- the process -----------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def applying(session):
+    found = Applying(session)
+    try:
+        yield found
+    finally:
+        found.close()
+
+
+def ended(applied):
+    """How it ended."""
+    wait_for(lambda: applied.progress.state != "working")
+    return applied.progress
+
+
+def test_a_process_makes_the_run_and_says_how_far_it_is(run):
+    with opened(run) as session, applying(session) as applied:
+        do(session, do="model", model="similarity")
+        assert applied.progress.state == "idle"
+        begun = applied.start()
+        assert (begun.state, begun.share) == ("working", 0.0)
+        with pytest.raises(Busy, match="being made already"):
+            applied.start()
+        seen = []
+        wait_for(lambda: seen.append(applied.progress) or seen[-1].state != "working")
+        end = seen[-1]
+    assert (end.state, end.share, end.run) == ("done", 1.0, str(run.with_name("run-2"))), end.message
+    shares = [one.share for one in seen]
+    assert shares == sorted(shares)
+    assert {"link", "correlate", "write"} <= {one.stage for one in seen}
+    assert open_run(run.with_name("run-2")).results.layers[0].registration.model == "similarity"
+    assert applied.reports[end.report.rpartition("/")[2]] == run.with_name("run-2") / "report.html"
+    assert sorted(p.name for p in run.parent.iterdir()) == ["run", "run-2"]
+    assert not (run / STAGED).exists()
+
+
+def test_what_cannot_be_applied_is_said_and_nothing_is_left(run):
+    with opened(run) as session, applying(session) as applied:
+        for mark in session.state.of(None)[2:]:
+            do(session, do="use", id=mark.id, used=False)
+        applied.start()
+        end = ended(applied)
+        assert (end.state, end.run) == ("failed", None)
+        assert "2 pairs of marks in use" in end.message
+        assert [p.name for p in run.parent.iterdir()] == ["run"]
+        assert not (run / STAGED).exists()
+
+
+@pytest.mark.study
+def test_a_cancel_at_any_moment_leaves_nothing(run):
+    with opened(run) as session, applying(session) as applied:
+        do(session, do="use", id=session.state.of(None)[0].id, used=False)
+        for stage in ("", "read", "register", "link", "correlate", "write"):
+            applied.start()
+            wait_for(lambda stage=stage: stage in ("", applied.progress.stage) or applied.progress.state != "working")
+            begun = time.monotonic()
+            end = applied.cancel()
+            print(f"cancelled in {stage or 'the beginning'} within {time.monotonic() - begun:.2f} s")
+            assert end.state == "cancelled" or (stage == "write" and end.state == "done"), end
+            if end.state == "cancelled":
+                assert [p.name for p in run.parent.iterdir()] == ["run"]
+            assert not (run / STAGED).exists()
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("stage", ["read", "link", "correlate", "write"])
+def test_a_server_that_is_killed_in_mid_apply_leaves_nothing(run, stage):
+    """SIGKILL to the server alone: the process that works for it notices, and clears up."""
+    code = (
+        "import sys, time; from pathlib import Path; from planish.app.session import Session\n"
+        "from planish.app.applying import Applying; from planish.app.changes import change_of\n"
+        "session = Session.open(Path(sys.argv[1])); applied = Applying(session)\n"
+        'session.change(change_of(\'{"do": "use", "id": "m0-1", "used": false}\')); applied.start()\n'
+        "while True:\n"
+        "    print(applied.progress.stage, applied._process and applied._process.pid, flush=True)\n"
+        "    time.sleep(0.01)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code, str(run)], stdout=subprocess.PIPE, text=True) as server:
+        worker = next(line.split()[1] for line in server.stdout if line.startswith(stage))
+        server.send_signal(signal.SIGKILL)
+        server.stdout.close()
+    wait_for(lambda: not Path(f"/proc/{worker}").exists(), 20)
+    assert [p.name for p in run.parent.iterdir()] == ["run"]
+    assert not (run / STAGED).exists()
+
+
+@pytest.mark.study
+def test_what_both_left_when_they_were_killed_goes_at_the_next_start(run):
+    with opened(run) as session:
+        do(session, do="use", id=session.state.of(None)[0].id, used=False)
+        applied = Applying(session)
+        applied.start()
+        wait_for(lambda: applied.progress.stage == "correlate")
+        applied._process.kill()
+        end = ended(applied)
+        assert end.state == "failed"
+        assert "ended without a word" in end.message
+        assert [p.name for p in run.parent.iterdir()] == ["run"]
+        # As if the server had gone first.
+        (run / STAGED).mkdir()
+        (run / STAGED / "target").write_text(str(run.with_name("run-2")))
+        work = run.with_name(".run-2.work")
+        work.mkdir()
+        (work / "planish-work-folder").write_text("Results of single tiles")
+    with opened(run) as session, applying(session):
+        assert [p.name for p in run.parent.iterdir()] == ["run"]
+        assert not (run / STAGED).exists()

@@ -18,7 +18,7 @@ from planish.surface.corrections import FACES
 from planish.surface.draw import distance_to_line
 from planish.surface.kriging import Kriging, variogram_slope
 
-VOXEL, SHAPE, RADIUS = 3.0, (84, 150, 160), 36.0
+VOXEL, SHAPE, RADIUS = 3.0, (84, 120, 126), 36.0
 AIR, BASE, COAT = 40.0, 90.0, 200.0
 MIDDLE = tuple(n // 2 * VOXEL for n in SHAPE[1:])
 
@@ -156,7 +156,10 @@ def test_where_the_image_shows_no_edge_the_standard_error_is_that_of_the_interpo
     assert np.median(error[how == 2]) > np.median(error[how == 1])
     assert np.mean(off[how > 0] < 2 * error[how > 0]) > 0.85  # two standard errors
     se = [measure_properties(one)["thickness_se"].values for one in (found(), corrected)]
-    np.testing.assert_allclose(se[1][how > 0], np.hypot(se[0][how > 0], error[how > 0]), rtol=0.05)
+    # The coating that is found there has an error of its own.
+    assert (se[1][how > 0] >= 0.999 * error[how > 0]).all()
+    assert (se[1] > 1.2 * se[0])[how == 2].mean() > 0.9
+    np.testing.assert_allclose(se[1][how == 0], se[0][how == 0], rtol=0.02)  # the centre surface turned a little
     check = correction_check(corrected)
     assert check is not None
     assert f"{np.count_nonzero(how)} columns" in check.sentence
@@ -174,13 +177,16 @@ def test_corrections_of_a_search_are_read_from_a_file(tmp_path):
     assert surfaces_of(measure_properties(at_once))["top"].equals(at_once["top"])
 
 
-def test_a_point_where_the_face_was_right_changes_nothing():
+def test_a_point_where_the_face_was_right_changes_next_to_nothing():
     volume, truth, frame = spoilt()
     place = {"z": float(found()["top"].values[20, 20]), "y": 60.0, "x": 60.0, "face": "top"}
     asked = Corrections(stretches=(Stretch.model_validate({"id": "c1", "points": [place]}),))
     corrected = correct_surfaces(found(), volume, asked)
-    assert not corrected["correction_top"].values.any()
-    assert corrected["top"].equals(found()["top"])
+    near = np.hypot(*np.moveaxis(places() - [60, 60], -1, 0)) <= 60
+    drawn = corrected["correction_top"].values > 0
+    assert not drawn[~near].any()
+    assert np.count_nonzero(drawn) < 0.02 * np.count_nonzero(near)
+    assert np.abs(corrected["top"].values - truth)[near].max() < VOXEL
 
 
 @pytest.mark.parametrize(
@@ -206,7 +212,7 @@ def test_a_point_outside_the_volume_is_refused():
     asked = Corrections.model_validate(
         {"stretches": [{"id": "c1", "points": [{"z": 100, "y": 1e4, "x": 10, "face": "top"}]}]}
     )
-    with pytest.raises(InputError, match="its y goes from 0 to 447 um"):
+    with pytest.raises(InputError, match="its y goes from 0 to 357 um"):
         correct_surfaces(found(), volume, asked)
 
 

@@ -152,7 +152,8 @@ class Applying:
             with suppress(OSError):
                 process.stdin.close()
             try:
-                process.wait(_PATIENCE_S)
+                # Before its first stage it writes nothing, and hears nothing.
+                process.wait(_PATIENCE_S if self.progress.stage else 0)
             except subprocess.TimeoutExpired:
                 process.kill()
             reader.join()
@@ -165,20 +166,17 @@ class Applying:
             ready, self._ready = self._ready, None
         if ready is not None:
             ready.kill()
-            ready.wait()
+            _end(ready)
 
     def _follow(self, process: subprocess.Popen[str], out: Path) -> None:
         """Hear what a process says until it ends."""
         assert process.stdout is not None
-        assert process.stdin is not None
         last: dict[str, Any] = {}
         for line in process.stdout:
             last = json.loads(line)
             if last["state"] == "working":
                 self._say(last["stage"], last["message"])
-        process.wait()
-        with suppress(OSError):
-            process.stdin.close()
+        _end(process)
         state, message = str(last.get("state", "")), str(last.get("message", ""))
         if state == "done":
             end = self._done(out)
@@ -216,3 +214,12 @@ def _worker() -> subprocess.Popen[str]:
         [sys.executable, "-m", "planish.app.apply_worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
         encoding="utf-8",
     )  # fmt: skip
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """Wait for the end of a process, and close what led to it."""
+    process.wait()
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            with suppress(OSError):
+                stream.close()

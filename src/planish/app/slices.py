@@ -378,7 +378,8 @@ def contour(height: Array, x: Array, y: Array) -> Array:
     """Segments (n, 4: x0, y0, x1, y1) along which a field (y, x) crosses 0, linear between its nodes."""
     value = np.asarray(height, dtype=np.float64)
     corners = np.stack([value[:-1, :-1], value[:-1, 1:], value[1:, 1:], value[1:, :-1]])
-    cells = np.flatnonzero((np.isfinite(corners).all(axis=0) & (np.ptp(corners >= 0, axis=0) > 0)).ravel())
+    above = corners >= 0
+    cells = np.flatnonzero((np.isfinite(corners).all(axis=0) & above.any(axis=0) & ~above.all(axis=0)).ravel())
     rows, cols = np.unravel_index(cells, corners.shape[1:]) if cells.size else (cells, cells)
     picked = corners[:, rows, cols]
     at_x = np.stack([x[cols], x[cols + 1], x[cols + 1], x[cols]]) if cells.size else np.empty((4, 0))

@@ -156,13 +156,21 @@ def stored_group(path: Path, name: str) -> xr.Dataset:
         group = zarr.open_group(path, path=name, mode="r")
         coords: dict[str, Any] = {}
         variables: dict[str, Any] = {}
+        beside: set[str] = set()  # coordinates that are no axis, as xarray notes them
         for key, array in sorted(_arrays(group)):
             dims = tuple(map(str, array.metadata.dimension_names or ()))
-            attrs = {k: v for k, v in array.attrs.items() if k != "_FillValue"}
+            attrs = {k: v for k, v in array.attrs.items() if k not in ("_FillValue", "coordinates")}
+            beside |= {*str(array.attrs.get("coordinates", "")).split()}
             (coords if dims == (key,) else variables)[key] = xr.Variable(
                 dims, held(_Stored(path, array)) if array.ndim == 2 else array[...], attrs
             )
+        coords |= {key: variables.pop(key) for key in beside & variables.keys()}
         return xr.Dataset(variables, coords=coords, attrs=dict(group.attrs))
+
+
+def is_large(group: xr.Dataset) -> bool:
+    """Whether the maps of a group stay in their store."""
+    return sum(data.nbytes for data in group.data_vars.values() if data.ndim == 2) >= LARGE
 
 
 def large_groups(path: Path) -> Iterator[str]:

@@ -11,7 +11,7 @@ import secrets
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Container, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from zarr.errors import ZarrUserWarning
 from planish.core.errors import FileError
 from planish.core.files import DiskFull, delete, disk_full, move, writing
 from planish.core.names import check_length, check_name
-from planish.io.map_store import CHUNK, CODEC, COMPLETE, OVERVIEWS, large_groups, readable, stored_group
+from planish.io.map_store import CHUNK, CODEC, COMPLETE, OVERVIEWS, is_large, large_groups, readable, stored_group
 
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
 _METADATA = "zarr.json"
@@ -253,8 +253,19 @@ def _link_or_copy(source: str, target: str) -> None:
     shutil.copy2(source, target)
 
 
-def read_tree(path: Path, names: Container[str] | None = None) -> dict[str, xr.Dataset]:
-    """Read all groups of a store into memory, or those of ``names``; without the smaller copies of maps.
+def read_groups(path: Path, names: Iterable[str]) -> dict[str, xr.Dataset]:
+    """Read those of some groups of a store that are there, as :func:`read_tree` does."""
+    with readable(path):
+        root = zarr.open_group(path, mode="r")
+        there = [name for name in names if name in root]
+        if root.attrs.get(COMPLETE):
+            _check_chunks(path, there)
+        groups = {name: stored_group(path, name) for name in there}
+        return {name: group if is_large(group) else group.load() for name, group in groups.items()}
+
+
+def read_tree(path: Path) -> dict[str, xr.Dataset]:
+    """Read all groups of a store into memory, without the smaller copies of maps.
 
     Groups of half a gigabyte and more stay in the store, with their smaller copies: of those, each part is read when it
     is asked for.
@@ -269,14 +280,12 @@ def read_tree(path: Path, names: Container[str] | None = None) -> dict[str, xr.D
     with readable(path), xr.open_datatree(path, engine="zarr") as tree:
         if tree.attrs.get(COMPLETE):
             _check_chunks(path)
-        large = {name: stored_group(path, name) for name in large_groups(path) if names is None or name in names}
+        large = {name: stored_group(path, name) for name in large_groups(path)}
         return large | {
-            name: node.to_dataset(inherit=False).load()
+            node.path.strip("/"): node.to_dataset(inherit=False).load()
             for node in tree.subtree
-            for name in [node.path.strip("/")]
-            if node.data_vars and not node.path.startswith(f"/{OVERVIEWS}/") and name not in large
-            and (names is None or name in names)
-        }  # fmt: skip
+            if node.data_vars and not node.path.startswith(f"/{OVERVIEWS}/") and node.path.strip("/") not in large
+        }
 
 
 def group_names(path: Path) -> list[str]:
@@ -309,9 +318,10 @@ def read_group(path: Path, name: str, variables: Iterable[str] | None = None) ->
             return (data if variables is None else data[list(variables)]).load()
 
 
-def _check_chunks(path: Path) -> None:
+def _check_chunks(path: Path, groups: Iterable[str] = ("",)) -> None:
     """Raise FileError where a chunk was lost: zarr takes it for missing values."""
-    for name, found in zarr.open_group(path, mode="r").members(max_depth=None):
+    parts = (zarr.open_group(path, path=name, mode="r").members(max_depth=None) for name in groups)
+    for name, found in (one for part in parts for one in part):
         if isinstance(found, zarr.Array) and found.nchunks_initialized < found.nchunks:
             raise FileError(
                 f"{path} is damaged: {found.nchunks - found.nchunks_initialized} of {found.nchunks} chunks of {name} "

@@ -12,7 +12,7 @@ from planish import __version__
 from planish.core.checks import Check
 from planish.core.errors import FileError
 from planish.core.results import Results
-from planish.io.run_folder import read_tree
+from planish.io.run_folder import read_groups, read_tree
 from planish.marks.regions import Regions, read_regions
 from planish.pipeline.layers import Layer
 from planish.pipeline.regions import REGIONS
@@ -176,7 +176,7 @@ def open_sheet(path: str | Path) -> Layer:
     """
     folder = Path(path)
     results, study = open_results(folder), read_study(folder / RUN_TOML)
-    run = Run(study=study, results=results, groups=read_tree(folder / MAPS, _SHEET_GROUPS), folder=folder)
+    run = Run(study=study, results=results, groups=read_groups(folder / MAPS, _SHEET_GROUPS), folder=folder)
     sheet = run.sheet()
     same = results.planish == __version__
     return replace(sheet, unchanged=dict.fromkeys(sheet.groups, folder / MAPS) if same else {})

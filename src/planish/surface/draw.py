@@ -40,7 +40,8 @@ RING_UM = 25.0
 """Least width of the face around a stretch that it is interpolated from."""
 _KNOWN = 160  # heights at most that stand for the face around
 _CLICK = 0.5  # voxels: standard error of a point, and of a face that was found
-_SURE = 2.0  # standard errors within which a face is where it is expected
+_SURE = 2.0  # standard errors within which an edge is sought
+_WRONG = 3.0  # standard errors beyond which it is not
 _BAND = (2.0, 8.0)  # voxels: how far from the expected place an edge is sought, at least and at most
 _MISFIT = 0.03  # of the base's contrast: no column is a staircase to within less
 _LEAST, _LEAST_INNER = 0.15, 0.3  # of the step of the base, or of the interface: smaller ones are texture
@@ -139,7 +140,7 @@ class _Drawing:
             return
         wrong = np.zeros_like(inside)
         off = np.abs(known[inside] - first[0])
-        wrong[inside] = ~(off <= _SURE * first[1] + _CLICK * self.voxel_um)
+        wrong[inside] = ~(off <= _WRONG * first[1] + _CLICK * self.voxel_um)
         if not wrong.any():
             return
         # Beside what is wrong a face turns towards it.

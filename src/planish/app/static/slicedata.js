@@ -1,0 +1,93 @@
+/** Slices of the volume as the server sends them: facts, pixels of 16 bits, lines and contours. */
+
+/**
+ * @typedef {{name: string, first_um: number, step_um: number, count: number}} Axis
+ * @typedef {{layer: string, direction: string, normal: string, index: number, at_um: number, across: Axis, down: Axis,
+ *   scale: number, offset: number, missing: number, lines: string[], columns: Axis|null,
+ *   segments: Record<string, number>}} Facts
+ */
+
+export class Slice {
+  /** @param {ArrayBuffer} data */
+  constructor(data) {
+    const length = new DataView(data).getUint32(0, true);
+    /** @type {Facts} */
+    this.facts = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+    const { across, down, columns, lines, segments } = this.facts;
+    let at = 4 + length;
+    this.pixels = new Uint16Array(data, at, across.count * down.count);
+    at += 4 * Math.ceil(this.pixels.byteLength / 4);
+    /** @type {Map<string, Float32Array>} */
+    this.lines = new Map();
+    for (const name of lines) {
+      this.lines.set(name, new Float32Array(data, at, columns?.count ?? 0));
+      at += 4 * (columns?.count ?? 0);
+    }
+    /** @type {Map<string, Float32Array>} */
+    this.contours = new Map();
+    for (const [name, count] of Object.entries(segments)) {
+      this.contours.set(name, new Float32Array(data, at, 4 * count));
+      at += 16 * count;
+    }
+  }
+
+  /** Grey value of a pixel, NaN where it is missing. @param {number} row @param {number} col */
+  value(row, col) {
+    const { across, down, scale, offset, missing } = this.facts;
+    if (row < 0 || col < 0 || row >= down.count || col >= across.count) return NaN;
+    const code = this.pixels[row * across.count + col];
+    return code === missing ? NaN : offset + scale * code;
+  }
+
+  /** Column of the surfaces at a place across, -1 where there is none. @param {number} um */
+  column(um) {
+    const { columns } = this.facts;
+    if (!columns) return -1;
+    const at = Math.round((um - columns.first_um) / columns.step_um);
+    return at >= 0 && at < columns.count ? at : -1;
+  }
+
+  /** Value of a line at a place across, NaN where there is none. @param {string} name @param {number} um */
+  at(name, um) {
+    const column = this.column(um);
+    return column < 0 ? NaN : (this.lines.get(name)?.[column] ?? NaN);
+  }
+
+  /** Codes between which most pixels lie. @returns {[number, number]} */
+  usual() {
+    const every = Math.max(1, Math.floor(this.pixels.length / 20000));
+    const seen = [];
+    for (let k = 0; k < this.pixels.length; k += every) {
+      if (this.pixels[k] !== this.facts.missing) seen.push(this.pixels[k]);
+    }
+    seen.sort((a, b) => a - b);
+    if (!seen.length) return [0, 1];
+    const pick = (/** @type {number} */ share) => seen[Math.min(seen.length - 1, Math.floor(share * seen.length))];
+    return [pick(0.002), Math.max(pick(0.998), pick(0.002) + 1)];
+  }
+
+  /**
+   * Place in the volume of a place in the slice, in um.
+   * @param {number} across @param {number} down @param {{rows: string, cols: string, through: string}} frame
+   * @returns {{x: number, y: number, z: number}}
+   */
+  place(across, down, frame) {
+    const { facts } = this;
+    const found = /** @type {any} */ ({ [facts.normal]: facts.at_um, [facts.across.name]: across });
+    if (facts.direction !== "straight") {
+      found[facts.down.name] = down;
+      return found;
+    }
+    found[frame.through] = this.at("place", across);
+    for (const part of /** @type {const} */ (["rows", "cols", "through"])) {
+      found[frame[part]] += down * this.at(`normal_${part}`, across);
+    }
+    return found;
+  }
+}
+
+/** Distance in um of a place from the first pixel of an axis. @param {Axis} axis @param {number} um */
+export const along = (axis, um) => (um - axis.first_um) * Math.sign(axis.step_um);
+
+/** The place so far from the first pixel. @param {Axis} axis @param {number} distance */
+export const placeAt = (axis, distance) => axis.first_um + distance * Math.sign(axis.step_um);
