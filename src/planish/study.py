@@ -32,8 +32,14 @@ P = TypeVar("P", bound=Params)
 RUN_TOML = "run.toml"
 """The study of a run, in its folder."""
 
+EDITS = "edits"
+"""Folder of a run for what is changed in the browser."""
+
+EDITS_APPLIED = ("surface.json",)
+"""Files in it that a run was made with."""
+
 _FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
-_PATHS = {"path", "run", "marks", "design", "regions"}
+_PATHS = {"path", "run", "marks", "design", "regions", "corrections"}
 _OF_A_VOLUME = ("surface", "properties", "flatten")
 _OF_A_LAYER = ("volume", "image", *_OF_A_VOLUME)
 _OF_A_STUDY = ("holes", "registration", "correlate")

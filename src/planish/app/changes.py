@@ -98,7 +98,7 @@ class Correction(_Part):
     id: Id
     layer: Layer | None = None
     points: Points
-    reach_um: Annotated[float, Field(gt=0, le=FARTHEST_UM)] | None = None
+    reach_um: Annotated[float, Field(gt=0, le=5000)] | None = None
     note: Text = ""
 
 
@@ -185,7 +185,7 @@ class Correct(_Change):
     do: Literal["correct"] = "correct"
     id: Id = FREE
     points: Points
-    reach_um: Annotated[float, Field(gt=0, le=FARTHEST_UM)] | None = None
+    reach_um: Annotated[float, Field(gt=0, le=5000)] | None = None
     note: Text = ""
 
 

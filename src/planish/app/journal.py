@@ -131,7 +131,7 @@ def _locked(path: Path) -> FileLock:
 def _content(path: Path) -> bytes:
     try:
         return path.read_bytes()
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return b""
     except OSError as error:
         raise FileError(f"{path} cannot be read: {os.strerror(error.errno or 0)}.") from error

@@ -16,9 +16,11 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from planish.app.changes import Change, ChangeError, faults_of
+from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer, faults_of
+from planish.app.exchange import Given, exported, formats, imported
 from planish.app.live import Live
-from planish.app.session import Session, Stale
+from planish.app.session import PLANES, Session, Stale
+from planish.app.snap import not_snapped, snapped
 from planish.marks.find import USUAL_UM
 from planish.register import RegistrationParams
 
@@ -38,6 +40,17 @@ class _Changing(_Asked):
     change: Change
 
 
+class _Snapping(_Asked):
+    id: Id
+    layer: Layer | None = None
+
+
+class _Importing(Given):
+    layer: Layer | None = None
+    second: Given | None = None
+    version: int | None = None
+
+
 async def _asked(request: Request, model: type[Any]) -> Any:
     """The body of a request; ChangeError where it is no such thing."""
     try:
@@ -46,7 +59,7 @@ async def _asked(request: Request, model: type[Any]) -> Any:
         raise ChangeError(f"This cannot be read: {faults_of(error)}.") from error
 
 
-# --- what there is -----------------------------------------------------------------------------------------------------
+# --- what there is ---------------------------------------------------------------------------------------------------
 
 
 async def get_session(request: Request) -> Response:
@@ -64,7 +77,7 @@ def _session_of(session: Session, app: Any) -> dict[str, Any]:
     return {
         "run": session.folder.name, "read_only": session.read_only, "reason": session.reason,
         "linked": session.results.is_link, "layers": layers, "holes": layers[0]["holes"],
-        "models": _models(), "pictures": [] if pictures is None else pictures.described(),
+        "models": _models(), "export_formats": formats(), "pictures": [] if pictures is None else pictures.described(),
     }  # fmt: skip
 
 
@@ -83,10 +96,15 @@ async def get_state(request: Request) -> Response:
     return JSONResponse(await run_sync(_state_of, request))
 
 
-def _state_of(request: Request) -> dict[str, Any]:
+def _layer(request: Request) -> str:
+    """The registration that is asked for; the first where none is."""
     session: Session = request.app.state.session
+    return request.query_params.get("layer") or session.state.first
+
+
+def _state_of(request: Request) -> dict[str, Any]:
     live: Live = request.app.state.live
-    return live.shown(request.query_params.get("layer") or session.state.first)
+    return live.shown(_layer(request))
 
 
 async def get_events(request: Request) -> Response:
@@ -115,7 +133,7 @@ def _waker(wake: Callable[[], None]) -> Callable[[], None]:
     return lambda: loop.call_soon_threadsafe(wake) and None
 
 
-# --- what is changed ---------------------------------------------------------------------------------------------------
+# --- what is changed -------------------------------------------------------------------------------------------------
 
 
 async def post_change(request: Request) -> Response:
@@ -139,17 +157,87 @@ async def post_redo(request: Request) -> Response:
     return await _done(request, lambda: session.redo(version=asked.version))
 
 
+async def post_snap(request: Request) -> Response:
+    """Move both ends of a mark into the holes that they lie in."""
+    asked: _Snapping = await _asked(request, _Snapping)
+    session: Session = request.app.state.session
+
+    def snap() -> str:
+        layer = asked.layer or session.state.first
+        mark = session.state.mark(layer, asked.id)
+        move = snapped(session, request.app.state.pictures, layer, mark)
+        session.change(move, version=asked.version)
+        return not_snapped(mark, move)
+
+    return await _done(request, snap)
+
+
+async def post_import(request: Request) -> Response:
+    """Take the marks of a file in place of all that are there."""
+    asked: _Importing = await _asked(request, _Importing)
+    session: Session = request.app.state.session
+
+    def take() -> str:
+        layer = asked.layer or session.state.first
+        change = imported(session, request.app.state.pictures, layer, asked, asked.second)
+        session.change(change, version=asked.version)
+        return f"{len(change.marks)} pairs of marks imported."
+
+    return await _done(request, take)
+
+
 async def _done(request: Request, action: Callable[[], object]) -> Response:
     """Do something, and give the state after it; with what stands now where that was seen too late."""
 
     def doing() -> Response:
         try:
-            action()
+            said = action()
         except Stale as error:
             return JSONResponse({"error": str(error)} | _state_of(request), 409)
-        return JSONResponse(_state_of(request))
+        return JSONResponse(_state_of(request) | ({"said": said} if isinstance(said, str) and said else {}))
 
     return await run_sync(doing)
+
+
+# --- what is asked ---------------------------------------------------------------------------------------------------
+
+
+async def get_predict(request: Request) -> Response:
+    """Where a point of one plane lies in the other."""
+    live: Live = request.app.state.live
+    side, x, y = (request.query_params.get(key, "") for key in ("side", "x", "y"))
+    if side not in PLANES:
+        raise ChangeError("A point is predicted of side=moving or side=fixed.")
+    at = _number(x), _number(y)
+    found = await run_sync(lambda: live.fit(_layer(request)).predicted(side, at))
+    if found is None:
+        return JSONResponse(None)
+    (there_x, there_y), error_um, words = found
+    return JSONResponse({"x": there_x, "y": there_y, "error_um": error_um, "text": words})
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) <= FARTHEST_UM:
+        raise ChangeError(f"{text[:40]!r} is no place in um.")
+    return value
+
+
+async def get_export(request: Request) -> Response:
+    """The marks as a file."""
+    session: Session = request.app.state.session
+    live: Live = request.app.state.live
+    layer, to = _layer(request), request.query_params.get("format", "json")
+
+    def write() -> tuple[str, bytes]:
+        return exported(session, request.app.state.pictures, layer, to, live.fit(layer))
+
+    name, data = await run_sync(write)
+    headers = {"content-disposition": f'attachment; filename="{name}"'}
+    return Response(data, headers=headers, media_type="application/octet-stream")
 
 
 ROUTES = [
@@ -159,4 +247,8 @@ ROUTES = [
     Route("/api/change", post_change, methods=["POST"]),
     Route("/api/undo", post_undo, methods=["POST"]),
     Route("/api/redo", post_redo, methods=["POST"]),
+    Route("/api/snap", post_snap, methods=["POST"]),
+    Route("/api/predict", get_predict),
+    Route("/api/marks/import", post_import, methods=["POST"]),
+    Route("/api/marks/export", get_export),
 ]

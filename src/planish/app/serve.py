@@ -44,8 +44,11 @@ def serve(session: Session, *, host: str, port: int, started: Callable[[str], No
             logging.getLogger("uvicorn").setLevel(logging.ERROR)
             shown = "127.0.0.1" if host in ("127.0.0.1", "localhost", "0.0.0.0") else host
             started(f"http://{shown}:{bound}/#token={token}")
-            with suppress(KeyboardInterrupt):  # how a server ends
-                uvicorn.Server(config).run(sockets=[socket_])
+            try:
+                with suppress(KeyboardInterrupt):  # how a server ends
+                    uvicorn.Server(config).run(sockets=[socket_])
+            finally:
+                app.state.applying.close()
     finally:
         session.close()
 

@@ -13,9 +13,12 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
+from planish.app.applying import Applying
 from planish.app.guard import Guard
 from planish.app.live import Live
+from planish.app.pictures import Pictures
 from planish.app.session import Session, Stale
+from planish.app.tiles import Tiles
 from planish.core.errors import PlanishError, ResourceError
 
 PARTS = ("marks", "maps", "surfaces", "apply", "flattening")
@@ -43,6 +46,9 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
     )
     app.state.session = session
     app.state.live = Live(session)
+    app.state.pictures = Pictures.of(session.folder, session.image_params)
+    app.state.tiles = Tiles(app.state.pictures)
+    app.state.applying = Applying(session)
     return app
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,14 +13,19 @@ from typing import Any, Literal, Self
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from planish.app.changes import Change, ChangeError, End, Mark, Region, State, applied, change_of, numbered
+from planish.app.corrections import corrections_of
 from planish.app.journal import InUse, Journal
 from planish.core.errors import FileError, InputError, PlanishError
+from planish.core.facts import Side
 from planish.core.results import Results
 from planish.io import fingerprint, read_image
 from planish.io.params import ImageParams
 from planish.io.run_folder import read_group
+from planish.marks.files import Places
+from planish.marks.files.model import EXTRAS
 from planish.marks.regions import read_regions
 from planish.pipeline import Registration, find_holes
 from planish.pipeline.kept import noted_study
@@ -33,7 +38,8 @@ EDITS = "edits"
 Plane = Literal["moving", "fixed"]
 PLANES: tuple[Plane, Plane] = ("moving", "fixed")
 
-_KNOWN = ("cov_xx", "cov_xy", "cov_yy", "diameter", "axis_ratio", "arc_coverage")
+KNOWN = tuple(EXTRAS)
+"""What may be known of an end beside its place."""
 _UNDO, _REDO = b'{"do": "undo"}', b'{"do": "redo"}'
 
 
@@ -128,9 +134,10 @@ class Session:
 
     def mirrored(self, layer: str) -> bool | None:
         """Whether the fixed plane shows the other side of the sheet; None where either hand may fit."""
-        return None if self.study.registration.mirror else self._side(layer) != self._side(self.target(layer))
+        return None if self.study.registration.mirror else self.side_of(layer) != self.side_of(self.target(layer))
 
-    def _side(self, layer: str) -> str:
+    def side_of(self, layer: str) -> Side:
+        """Side of the sheet that a layer shows: the top for flat maps, and for an image where nothing is given."""
         own = {one.name: one.image for one in self.study.layers}
         image = self.image_params if self.image_params is not None and layer == "image" else own.get(layer)
         return "top" if image is None else image.side or "top"
@@ -153,11 +160,11 @@ class Session:
     @cached_property
     def _found(self) -> dict[Plane, xr.Dataset]:
         assert self.image is not None
-        maps, side = read_group(self.folder / MAPS, "maps"), self._side("image")
+        maps, side = read_group(self.folder / MAPS, "maps"), self.side_of("image")
         params = self.study.holes
         return {
-            "moving": find_holes(maps, params=params, side="bottom" if side == "bottom" else "top"),
-            "fixed": find_holes(self.image, params=params, side="bottom" if side == "bottom" else "top"),
+            "moving": find_holes(maps, params=params, side=side),
+            "fixed": find_holes(self.image, params=params, side=side),
         }
 
     # --- what was changed ---------------------------------------------------------------------------------------------
@@ -166,6 +173,11 @@ class Session:
     def state(self) -> State:
         """What stands now."""
         return self._done[-1]
+
+    @property
+    def first(self) -> State:
+        """The run as it was."""
+        return self._done[0]
 
     @property
     def can_undo(self) -> bool:
@@ -269,6 +281,7 @@ class Session:
                     polygon=_ring(rings[0]), holes=tuple(map(_ring, rings[1:])),
                 ) for k, (one, rings) in enumerate(declared, 1)
             ),
+            corrections=corrections_of(self.study),
             first=self.layers[0],
         )  # fmt: skip
 
@@ -339,7 +352,7 @@ def _marks_of(marks: xr.Dataset) -> tuple[Mark, ...]:
 
 def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     """Where marks of a file lie in a plane, with all that is known of them."""
-    names = {key: f"{plane}_{key}" for key in ("x", "y", *_KNOWN) if f"{plane}_{key}" in marks}
+    names = {key: f"{plane}_{key}" for key in ("x", "y", *KNOWN) if f"{plane}_{key}" in marks}
     columns = {key: np.asarray(marks[name].values, dtype=np.float64) for key, name in names.items()}
     sources = marks[f"{plane}_source"].values if f"{plane}_source" in marks else None
     found: list[End | None] = []
@@ -350,9 +363,23 @@ def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     return found
 
 
+def places_of(ends: Sequence[End | None]) -> Places:
+    """Ends as files of marks have them."""
+
+    def column(name: str) -> NDArray[np.float64]:
+        values = [None if end is None else getattr(end, name) for end in ends]
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+    return Places(
+        um=np.stack([column("x"), column("y")], axis=1),
+        source=["imported" if end is None else end.source for end in ends],
+        extras={name: column(name) for name in KNOWN},
+    )
+
+
 def _holes_in(marks: xr.Dataset, plane: Plane) -> xr.Dataset:
     """The marks of a plane as holes."""
-    names = {f"{plane}_{key}": key for key in ("x", "y", *_KNOWN) if f"{plane}_{key}" in marks}
+    names = {f"{plane}_{key}": key for key in ("x", "y", *KNOWN) if f"{plane}_{key}" in marks}
     there = np.flatnonzero(np.isfinite(marks[f"{plane}_x"].values))
     return marks[[*names]].rename(names).isel(mark=there)
 

@@ -23,15 +23,16 @@ from planish.cli.options import (
     strict_option,
     verb,
 )
-from planish.cli.show import finish, free_path, run_facts, stages
+from planish.cli.show import finish, run_facts, stages
 from planish.compute import Compute
 from planish.core.errors import PlanishError, StudyError
+from planish.core.files import free_path
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
 from planish.measure.params import MeasureParams
 from planish.register.params import RegistrationParams
-from planish.study import RUN_TOML, Study
+from planish.study import EDITS, EDITS_APPLIED, RUN_TOML, Study
 from planish.surface.params import SurfaceParams
 
 OUT = "Folder to make for the results; it must not exist."
@@ -218,11 +219,12 @@ def _compare(old: Path, target: Path) -> None:
 
 def _different(old: Path, new: Path) -> list[str]:
     """Name the files of either folder that are not the same in both."""
-    # Not the hidden note of maps that outlived a refused link: it says what was asked, not what came out.
+    # Not the hidden note of maps that outlived a refused link: it says what was asked, not what came out. Nor what was
+    # changed since in the browser.
+    found = (p.relative_to(root) for root in (old, new) for p in root.rglob("*") if p.is_file())
     files = {
-        p.relative_to(root).as_posix() for root in (old, new) for p in root.rglob("*")
-        if p.is_file() and not p.name.startswith(".")
-    }  # fmt: skip
+        p.as_posix() for p in found if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)
+    }
     _, other, missing = filecmp.cmpfiles(old, new, files, shallow=False)
     return sorted([*other, *missing])
 

@@ -246,12 +246,3 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
 def duration(seconds: float) -> str:
     """Write a time, roughly."""
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
-
-
-def free_path(path: Path) -> Path:
-    """Give the first of path, path-2, path-3 ... that does not exist."""
-    candidate, k = path, 1
-    while candidate.exists():
-        k += 1
-        candidate = path.with_name(f"{path.name}-{k}")
-    return candidate

@@ -44,6 +44,15 @@ def write_whole(path: Path, data: bytes, *, over: bool = False) -> None:
             raise
 
 
+def free_path(path: Path) -> Path:
+    """Give the first of path, path-2, path-3 ... that does not exist."""
+    candidate, k = path, 1
+    while candidate.exists():
+        k += 1
+        candidate = path.with_name(f"{path.name}-{k}")
+    return candidate
+
+
 @contextmanager
 def writing(path: Path, *, needed: int | None = None) -> Generator[None]:
     """Turn a failed write into the error that says what to do about it; ``needed``: bytes, where known."""

@@ -108,7 +108,15 @@ def across(stated: Sequence[Stated]) -> list[Stated]:
 
 
 def pick_channel(picture: Picture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
-    """Take one channel as float32, and name it."""
+    """Take one channel as float32, and name it; FileError where no pixel has a number."""
+    picked, long_name = channel_of(picture, channel, file_name=file_name)
+    if not np.isfinite(picked).any():
+        raise FileError(f"{file_name} has no pixel with a number in it, all are missing. Export it again.")
+    return picked, long_name
+
+
+def channel_of(picture: Picture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
+    """One channel as float32, of a whole picture or a window of it, and its name."""
     values = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
     samples = values.shape[-1]
     word = channel.strip().casefold()
@@ -136,8 +144,6 @@ def pick_channel(picture: Picture, channel: str, *, file_name: str) -> tuple[NDA
         raise InputError(f"{file_name} {what}, so it has no {word}. Choose {choice} with --channel.")
     else:
         raise InputError(f"{channel!r} is no channel. Choose luminance, red, green, blue or a number with --channel.")
-    if not np.isfinite(picked).any():
-        raise FileError(f"{file_name} has no pixel with a number in it, all are missing. Export it again.")
     return picked, long_name
 
 

@@ -24,6 +24,7 @@ from planish.io.tiff import (
     is_tiff,
     long_axes,
     map_or_decode,
+    mapped_from,
     open_series,
     shape_words,
 )
@@ -102,6 +103,15 @@ def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = 
             orientation = page.tags.valueof(274, default=1)
         stated = stated_by_tiff(tif, page, path)
     return _picture(values, colour, bits, stated, orientation)
+
+
+def is_mapped(path: Path) -> bool:
+    """Whether windows of a picture are read from its file without decoding all of it."""
+    if kind_of(path) != "tiff":
+        return False
+    with open_series(path, error=FileError, advice=ADVICE) as (_, series):
+        palette = series.keyframe.photometric == PHOTOMETRIC.PALETTE
+        return mapped_from(series) is not None and not palette
 
 
 def pixels_of(path: Path) -> tuple[int, int]:

@@ -11,7 +11,7 @@ import secrets
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Container, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from planish.core.names import check_length, check_name
 from planish.io.map_store import CHUNK, CODEC, COMPLETE, OVERVIEWS, large_groups, readable, stored_group
 
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
+_METADATA = "zarr.json"
 _WORK_TEXT = "Results of single tiles of a run that planish is working on. It removes this folder at the end.\n"
 
 
@@ -233,8 +234,27 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
         tree.to_zarr(path, mode="a", zarr_format=3, consolidated=True, write_inherited_coords=False, encoding=encoding)
 
 
-def read_tree(path: Path) -> dict[str, xr.Dataset]:
-    """Read all groups of a store into memory, without the smaller copies of maps.
+def take_group(path: Path, source: Path, name: str) -> None:
+    """Put a group of one store into another as it stands, with its smaller copies.
+
+    Chunks become links to the same files where the disk has these, otherwise copies: none is ever written over.
+    """
+    shutil.copytree(source / name, path / name, copy_function=_link_or_copy)
+    if (source / OVERVIEWS / name).is_dir():
+        shutil.copytree(source / OVERVIEWS / name, path / OVERVIEWS / name, copy_function=_link_or_copy)
+        shutil.copy2(source / OVERVIEWS / _METADATA, path / OVERVIEWS)
+
+
+def _link_or_copy(source: str, target: str) -> None:
+    if Path(source).name != _METADATA:
+        with suppress(OSError):  # another disk, or one without links
+            os.link(source, target)
+            return
+    shutil.copy2(source, target)
+
+
+def read_tree(path: Path, names: Container[str] | None = None) -> dict[str, xr.Dataset]:
+    """Read all groups of a store into memory, or those of ``names``; without the smaller copies of maps.
 
     Groups of half a gigabyte and more stay in the store, with their smaller copies: of those, each part is read when it
     is asked for.
@@ -249,12 +269,14 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
     with readable(path), xr.open_datatree(path, engine="zarr") as tree:
         if tree.attrs.get(COMPLETE):
             _check_chunks(path)
-        large = {name: stored_group(path, name) for name in large_groups(path)}
+        large = {name: stored_group(path, name) for name in large_groups(path) if names is None or name in names}
         return large | {
-            node.path.strip("/"): node.to_dataset(inherit=False).load()
+            name: node.to_dataset(inherit=False).load()
             for node in tree.subtree
-            if node.data_vars and not node.path.startswith(f"/{OVERVIEWS}/") and node.path.strip("/") not in large
-        }
+            for name in [node.path.strip("/")]
+            if node.data_vars and not node.path.startswith(f"/{OVERVIEWS}/") and name not in large
+            and (names is None or name in names)
+        }  # fmt: skip
 
 
 def group_names(path: Path) -> list[str]:

@@ -240,11 +240,9 @@ def _uncompressed_bytes(page: TiffPage) -> int | None:
 def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | None) -> NDArray[Any]:
     """Return the values of a checked series, mapped from the file where they lie there as they are."""
     with reading(path):
-        offset = series.dataoffset
-        turned = series.keyframe.photometric == PHOTOMETRIC.MINISWHITE
-        native = series.dtype.newbyteorder(series.keyframe.parent.byteorder) == series.dtype.newbyteorder("=")
-        if offset is not None and native and not turned:
+        if (offset := mapped_from(series)) is not None:
             return np.memmap(path, dtype=series.dtype, mode="r", offset=offset, shape=series.shape)
+        turned = series.keyframe.photometric == PHOTOMETRIC.MINISWHITE
     check_memory(path, needed_bytes=series.nbytes, limit_bytes=memory_bytes)
     with reading(path):
         values = np.empty(series.shape, series.dtype.newbyteorder("="))
@@ -252,6 +250,13 @@ def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | Non
     if decoded.shape != values.shape:
         raise damaged(path, f"its data decode to {decoded.shape}, not {values.shape}")
     return turn_white(values, path=path, bits=series.keyframe.bitspersample, out=values) if turned else values
+
+
+def mapped_from(series: TiffPageSeries) -> int | None:
+    """Byte of the file from which the values lie there as they are; None where they have to be decoded."""
+    turned = series.keyframe.photometric == PHOTOMETRIC.MINISWHITE
+    native = series.dtype.newbyteorder(series.keyframe.parent.byteorder) == series.dtype.newbyteorder("=")
+    return series.dataoffset if native and not turned else None
 
 
 def turn_white(values: NDArray[Any], *, path: Path, bits: int, out: NDArray[Any] | None = None) -> NDArray[Any]:

@@ -20,6 +20,7 @@ from planish.measure.registry import PROPERTIES, SIDES, Side, chosen
 from planish.measure.uncertainty import Shared, common_errors, thickness_errors
 
 THICKNESSES = ("coating_top", "coating_bottom", "base_thickness", "thickness")
+_OF_BOTH = ("base_thickness", "thickness")
 
 
 def measure_properties(
@@ -132,6 +133,10 @@ def _with_errors(found: xr.Dataset, noise_um: float = float("nan")) -> xr.Datase
         common, patch = dict(shared.common_um), shared.patch_um2
     else:
         return found
+    for side in SIDES:
+        if (drawn := found.get(f"correction_{side}_error")) is not None:
+            more_um = np.nan_to_num(drawn.values.astype(np.float64))
+            errors |= {name: np.hypot(errors[name], more_um) for name in (f"coating_{side}", *_OF_BOTH)}
     more: dict[str, tuple[tuple[str, str], NDArray[np.float32], dict[str, object]]] = {}
     for name in THICKNESSES:
         title = f"Standard error of {PROPERTIES[name][0].lower()}{PROPERTIES[name][1:]}"

@@ -10,8 +10,9 @@ from pathlib import Path
 from planish import __version__
 from planish.compute import Compute, run_key
 from planish.core.errors import PlanishError
+from planish.pipeline.corrections import asked_corrections, made_corrections, uncorrected_params
 from planish.pipeline.layers import Layer
-from planish.pipeline.run import is_run, open_results, open_run
+from planish.pipeline.run import is_run, open_results, open_sheet
 from planish.study import LayerParams, Study, read_study, to_dict
 
 _REQUEST = ".request"  # file of such a run: what was asked for, as a hash, and the study of the link
@@ -27,8 +28,10 @@ class KeptMaps:
     @classmethod
     def of(cls, layer: LayerParams, sha256: str, out: Path, compute: Compute) -> KeptMaps:
         """Find the folder with the maps of a volume as a link to ``out`` asks for them, or a name that is free."""
-        asked = to_dict(Study(layers=(layer.model_copy(update={"marks": None}),)))
-        key = run_key(asked, [sha256, str(compute.memory_bytes)])  # the memory decides how wide the columns are
+        bare = layer.model_copy(update={"marks": None, "surface": uncorrected_params(layer.surface)})
+        # The memory decides how wide the columns are.
+        found = [sha256, str(compute.memory_bytes), *filter(None, [asked_corrections(layer)])]
+        key = run_key(to_dict(Study(layers=(bare,))), found)
         path, k = out.with_name(f"{out.name}-map"), 1
         while path.exists() and _noted(path) != key:
             k += 1
@@ -38,7 +41,7 @@ class KeptMaps:
     def read(self) -> Layer | None:
         """The sheet, where it was mapped before and is whole."""
         try:
-            return open_run(self.path).sheet() if is_run(self.path) else None
+            return open_sheet(self.path) if is_run(self.path) else None
         except PlanishError:
             return None
 
@@ -50,7 +53,8 @@ class KeptMaps:
 def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str, Layer], dict[str, Layer]]:
     """Sheets of a run that a study asks for, of the same files and by this version of planish.
 
-    First those whose parameters are the same, then those of the same surface with other properties or flattening.
+    First those whose parameters are the same, then those of the same surface with other properties, flattening, or
+    corrections.
     """
     try:
         results, asked = open_results(old), {layer.name: layer for layer in read_study(old / "run.toml").layers}
@@ -64,12 +68,15 @@ def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str,
         if layer.kind != "volume" or before is None or results.planish != __version__:
             continue
         place = old if whole else old / "layers" / layer.name
-        near = (before.volume, before.surface) == (layer.volume, layer.surface) and sources.get(layer.name) == sha256
-        if not (near and is_run(place)):
+        bare = uncorrected_params(layer.surface)
+        near = (before.volume, uncorrected_params(before.surface)) == (layer.volume, bare)
+        if not (near and sources.get(layer.name) == sha256 and is_run(place)):
             continue
-        same = before.model_copy(update={"marks": layer.marks}) == layer
+        same = before.model_copy(update={"marks": layer.marks, "surface": layer.surface}) == layer
         with suppress(PlanishError):  # damaged: it is mapped again
-            found[0 if same else 1][layer.name] = open_run(place).sheet()
+            sheet = open_sheet(place)
+            same &= made_corrections(sheet.groups["surfaces"]) == asked_corrections(layer)
+            found[0 if same else 1][layer.name] = sheet
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 import xarray as xr
@@ -27,6 +28,8 @@ class Layer:
     # Of a sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
     # ``sections`` of serial sections.
     groups: dict[str, xr.Dataset] = field(default_factory=dict[str, xr.Dataset])
+    # Groups that stand in the store of another run with the same bytes, and that store.
+    unchanged: dict[str, Path] = field(default_factory=dict[str, Path])
     facts: SheetFacts | None = None  # of a sheet
     checks: tuple[Check, ...] = ()  # of a sheet and its volume
     _holes: dict[Side, xr.Dataset] = field(default_factory=dict)

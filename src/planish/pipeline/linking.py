@@ -39,7 +39,7 @@ from planish.pipeline.optics import mottle_of
 from planish.pipeline.refinement import refine_link
 from planish.pipeline.regions import region_facts, regions_on
 from planish.pipeline.registration import Registration, check_marks, register_layers
-from planish.pipeline.run import Run, open_run
+from planish.pipeline.run import Run, open_sheet
 from planish.pipeline.sheet import changed, map_layer
 from planish.pipeline.texture import texture_of
 from planish.pipeline.through_scale import NAME as THROUGH_SCALE
@@ -132,7 +132,7 @@ def _as_compared(layer: Layer, regions: Regions | None) -> Layer:
 
 
 def _read_run(params: LayerParams, study: Study) -> Layer:
-    sheet = open_run(params.path).sheet()
+    sheet = open_sheet(params.path)
     md_deg = sheet.md_deg if params.md_deg is None else params.md_deg
     name = params.name
     if study.is_sheet_on_image and sheet.params.volume is not None:
@@ -243,6 +243,7 @@ def _gathered(
     return Run(
         study=study, results=with_trust(results), groups=groups,
         registrations={name: link.registration for name, link in links.items()}, regions=away.regions,
+        unchanged=layers[0].unchanged if study.is_sheet_on_image else {},
         sheets={} if study.is_sheet_on_image else {
             layer.name: layer for layer in layers if layer.params.kind == "volume"
         },

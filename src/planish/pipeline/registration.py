@@ -253,7 +253,7 @@ def check_marks(layer: Layer | str, to: Layer | str, study: Study, marks: str | 
 def read_given(path: str, moving: Layer, fixed: Layer) -> xr.Dataset:
     """Read marks from a file of any known format and put them into the planes of two layers."""
     marks = _read_pairs(path, moving, fixed)
-    return _volume_to_map(marks, moving) if "volume_x" in marks else marks
+    return volume_to_map(marks, moving) if "volume_x" in marks else marks
 
 
 def _read_pairs(path: str, moving: Layer | str, fixed: Layer | str) -> xr.Dataset:
@@ -274,7 +274,7 @@ def _read_pairs(path: str, moving: Layer | str, fixed: Layer | str) -> xr.Datase
     return marks
 
 
-def _volume_to_map(marks: xr.Dataset, layer: Layer) -> xr.Dataset:
+def volume_to_map(marks: xr.Dataset, layer: Layer) -> xr.Dataset:
     """Marks that were set in the volume, on the flat map of its sheet."""
     if layer.kind == "image":
         raise MarkError(

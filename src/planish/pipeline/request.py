@@ -11,6 +11,7 @@ from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import pixels_of
 from planish.marks.regions import read_regions
 from planish.measure import PROPERTIES, check_maps
+from planish.pipeline.corrections import asked_corrections
 from planish.pipeline.registration import read_design
 from planish.study import LayerParams, Study
 
@@ -40,7 +41,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
         are to stand beside their sum, what is asked of light or errors needs other layers or references, or the
         pattern of the holes cannot be read.
     FileError
-        If an image cannot be opened, or a file of regions is of no use.
+        If an image cannot be opened, or a file of regions or corrections is of no use.
     ResourceError
         If an image is too large for the memory.
     """
@@ -52,6 +53,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
                 "Further maps are measured in grey values; a volume of labels has none. Leave --property out."
             )
         check_maps(layer.properties)
+        asked_corrections(layer)
         headline, known = study.correlate.headline, {*PROPERTIES, *layer.properties.maps}
         if headline is not None and headline not in known:
             raise InputError(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import xarray as xr
 
+from planish import __version__
 from planish.core.checks import Check
 from planish.core.errors import FileError
 from planish.core.results import Results
@@ -16,12 +17,13 @@ from planish.marks.regions import Regions, read_regions
 from planish.pipeline.layers import Layer
 from planish.pipeline.regions import REGIONS
 from planish.pipeline.registration import Registration
-from planish.study import Study, read_study
+from planish.study import RUN_TOML, Study, read_study
 
 MAPS = "maps.zarr"
 """Name of the store with the groups of a run."""
 
 _OF_A_SHEET = ("surfaces", "flat", "strain", "maps", "slices")
+_SHEET_GROUPS = (*_OF_A_SHEET, "sections")  # of serial sections
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,6 +42,8 @@ class Run:
         ``refined``. Of other links ``layers/NAME`` on the pixels of the reference.
     registrations : dict of Registration
         By the name of the moving layer.
+    unchanged : dict of Path
+        Groups that stand in the store of another run with the same bytes, and that store.
     sheets : dict of Layer
         Sheets that were mapped on the way to a link of other layers than one sheet and one image.
     regions : Regions or None
@@ -54,6 +58,7 @@ class Run:
     registrations: dict[str, Registration] = field(default_factory=dict[str, Registration])
     sheets: dict[str, Layer] = field(default_factory=dict[str, Layer])
     regions: Regions | None = None
+    unchanged: dict[str, Path] = field(default_factory=dict[str, Path])
     folder: Path | None = None
 
     @property
@@ -106,7 +111,7 @@ class Run:
                 "or 'planish link VOLUME IMAGE'."
             )
         params = next(layer for layer in self.study.layers if layer.name == facts.name)
-        kept = {k: v for k, v in self.groups.items() if k in (*_OF_A_SHEET, "sections")}
+        kept = {k: v for k, v in self.groups.items() if k in _SHEET_GROUPS}
         md_deg = params.md_deg if params.volume is None else params.volume.md_deg
         own = tuple(check for check in self.checks if check.layers == (facts.name,))
         return Layer(params=params, source=facts.source, md_deg=md_deg, groups=kept, facts=facts.sheet, checks=own)
@@ -127,7 +132,7 @@ class Run:
 
 def is_run(path: Path) -> bool:
     """Whether a folder holds a run."""
-    return (path / "run.toml").is_file() and (path / MAPS).is_dir()
+    return (path / RUN_TOML).is_file() and (path / MAPS).is_dir()
 
 
 def open_run(path: str | Path) -> Run:
@@ -156,9 +161,25 @@ def open_run(path: str | Path) -> Run:
         layer.name: Registration.read(folder / marks_file(results, layer.name)) for layer in results.moving
     }
     return Run(
-        study=read_study(folder / "run.toml"), results=results, groups=read_tree(folder / MAPS),
+        study=read_study(folder / RUN_TOML), results=results, groups=read_tree(folder / MAPS),
         registrations=registrations, regions=read_regions(folder / REGIONS) if results.regions else None, folder=folder,
     )  # fmt: skip
+
+
+def open_sheet(path: str | Path) -> Layer:
+    """The sheet that was mapped in a run folder; what it was linked to is not read.
+
+    Raises
+    ------
+    FileError
+        If it is no run, holds no sheet of its own, or a file of it is missing or damaged.
+    """
+    folder = Path(path)
+    results, study = open_results(folder), read_study(folder / RUN_TOML)
+    run = Run(study=study, results=results, groups=read_tree(folder / MAPS, _SHEET_GROUPS), folder=folder)
+    sheet = run.sheet()
+    same = results.planish == __version__
+    return replace(sheet, unchanged=dict.fromkeys(sheet.groups, folder / MAPS) if same else {})
 
 
 def open_results(folder: Path) -> Results:

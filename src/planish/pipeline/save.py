@@ -19,9 +19,10 @@ from planish.core.results import LayerFacts, Results
 from planish.core.threads import limit_threads
 from planish.io import fingerprint
 from planish.io.map_store import OVERVIEWS, MapSink, StoredMaps, stored_group
-from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, work_folder, write_tree
+from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, take_group, work_folder, write_tree
 from planish.marks import write_marks
 from planish.pipeline.checks import about, with_trust
+from planish.pipeline.corrections import CORRECTIONS, write_corrections
 from planish.pipeline.facts import parameters, versions
 from planish.pipeline.figures import figures_text
 from planish.pipeline.kept import KeptMaps, sheets_of
@@ -29,12 +30,13 @@ from planish.pipeline.layers import Layer
 from planish.pipeline.linking import LINKED, link_study
 from planish.pipeline.regions import REGIONS, write_regions
 from planish.pipeline.request import check_request
-from planish.pipeline.run import MAPS, Run, marks_file
+from planish.pipeline.run import MAPS, Run, is_run, marks_file
 from planish.pipeline.sheet import changed, map_layer
 from planish.report import FIGURES, write_report
 from planish.study import LayerParams, Study, to_dict, write_study
 
 _NONE: Mapping[str, Layer] = {}
+_DEEP = 3  # edits/NAME/FILE of a run
 _PAGES = 5_000_000  # bytes of report.html and the tables
 
 
@@ -73,7 +75,7 @@ def run_study(
     with limit_threads(compute.threads):
         if out is None:
             check_request(study, compute, held=True)
-            return _done(study, compute=settled, progress=progress, kept=None)
+            return replace(_done(study, compute=settled, progress=progress, kept=None), unchanged={})
         out = Path(out)
         refuse_existing(out)
         refuse_inside(out, [layer.path for layer in study.layers])
@@ -120,7 +122,7 @@ def run_study(
             with new_folder(out, inside=work, needed=_size(run)) as folder:
                 save_run(run, folder, home=out, stored=sink, figures=figures)
             moved = {name: stored_group(out / MAPS, name) for name in sink.stored} if sink is not None else {}
-            return replace(run, groups=run.groups | moved)
+            return replace(run, groups=run.groups | moved, unchanged={})
 
 
 def _of_layer(out: Path, layer: LayerParams, study: Study) -> Path:
@@ -166,7 +168,7 @@ def _run_of_sheet(sheet: Layer, study: Study) -> Run:
         planish=__version__, versions=versions(), layers=(facts,), checks=tuple(about(sheet.checks, sheet.name)),
         parameters=parameters(study),
     )  # fmt: skip
-    return Run(study=study, results=with_trust(results), groups=sheet.groups)
+    return Run(study=study, results=with_trust(results), groups=sheet.groups, unchanged=sheet.unchanged)
 
 
 def _size(run: Run) -> int:
@@ -205,6 +207,7 @@ def save_run(
     if run.regions is not None:
         write_regions(run.regions, folder)
         study = changed(study, correlate=changed(study.correlate, regions=str(home / REGIONS)))
+    study = _with_own_corrections(_with_own_marks(study, run, home), run, folder, home)
     write_study(study, folder, home=home, version=__version__)
     pairs = {name: registration.pairs() for name, registration in run.registrations.items()}
     write_report(
@@ -214,7 +217,45 @@ def save_run(
     there = stored.stored if stored is not None else []
     if stored is not None and there:
         move(stored.path, folder / MAPS)
-    write_tree(folder / MAPS, {k: data for k, data in _with_overviews(run.groups).items() if k not in there})
+    for name, store in run.unchanged.items():
+        take_group(folder / MAPS, store, name)
+    own = {name: data for name, data in run.groups.items() if name not in run.unchanged}
+    write_tree(folder / MAPS, {name: data for name, data in _with_overviews(own).items() if name not in there})
+
+
+def _with_own_corrections(study: Study, run: Run, folder: Path, home: Path) -> Study:
+    """Corrections of its own sheets are files of the run; those of ``run.sheets`` stand in their folders by now."""
+    files: dict[str, str | None] = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
+    files = {name: file if (folder / str(file)).is_file() else None for name, file in files.items()}
+    if "surfaces" in run.groups:
+        files[study.layers[0].name] = write_corrections(run.groups["surfaces"], folder)
+    layers = tuple(
+        changed(layer, surface=changed(layer.surface, corrections=str(home / file) if file else None))
+        if layer.kind == "volume" and (file := files.get(layer.name, "")) != "" else layer
+        for layer in study.layers
+    )  # fmt: skip
+    return changed(study, layers=layers)
+
+
+def _with_own_marks(study: Study, run: Run, home: Path) -> Study:
+    """Marks of another run are in this one too, with all that is known of them: from now on they are its own."""
+    own = {
+        name: str(home / marks_file(run.results, name)) for name, one in run.registrations.items()
+        if one.source == "json"
+    }  # fmt: skip
+    layers = tuple(
+        changed(layer, marks=own[layer.name]) if layer.name in own and _in_a_run(layer.marks) else layer
+        for layer in study.layers
+    )
+    registration = study.registration
+    if len(run.registrations) == 1 and own and _in_a_run(registration.marks):
+        registration = changed(registration, marks=next(iter(own.values())))
+    return changed(study, layers=layers, registration=registration)
+
+
+def _in_a_run(path: str | None) -> bool:
+    """Whether a file lies in a run or in a folder of one."""
+    return path is not None and any(is_run(folder) for folder in Path(path).parents[:_DEEP])
 
 
 def _hash(path: str) -> str:

@@ -20,13 +20,14 @@ from planish.flatten import flatten_sheet
 from planish.io import find_place, likely_through
 from planish.measure import measure_properties, sheet_numbers, surfaces_of
 from planish.pipeline.checks import hand_check, sheet_checks
+from planish.pipeline.corrections import asked_corrections, made_corrections
 from planish.pipeline.facts import flatten_facts, input_file, property_facts, section_facts, surface_facts
 from planish.pipeline.layers import Layer
 from planish.pipeline.through_scale import thickness_scale_check
 from planish.pipeline.volume import read_sheet_volume, some_slices
 from planish.resample import resample_maps
 from planish.study import LayerParams
-from planish.surface import cutoff_check, find_surfaces
+from planish.surface import Corrections, correct_surfaces, correction_check, cutoff_check, find_surfaces
 
 P = TypeVar("P", bound=Params)
 
@@ -41,11 +42,14 @@ def map_layer(
     """Go from a volume to flattened maps of its properties.
 
     ``kept`` is the folder for the results of single tiles, where a run that was killed finds them again. ``before`` is
-    a sheet of the same volume with the same surface: only what other parameters change is done anew.
+    a sheet of the same volume with the same surface but for corrections: only what other parameters change is done
+    anew, and only the tiles that a correction touches are searched again.
     """
     v = layer.volume
     assert v is not None
-    measured_before = before is not None and before.params.properties == layer.properties
+    wanted = asked_corrections(layer)
+    as_before = before is not None and made_corrections(before.groups["surfaces"]) == wanted
+    measured_before = before is not None and as_before and before.params.properties == layer.properties
     volume = sections = None
     if not measured_before:
         progress("read", find_place(v.path).path.name)
@@ -54,6 +58,11 @@ def map_layer(
     if before is not None:
         surfaces = surfaces_of(before.groups["surfaces"])
         sections = before.groups.get("sections")
+        if not as_before:
+            assert volume is not None
+            progress("surface", "corrections")
+            corrections = Corrections.model_validate_json(wanted) if wanted else Corrections()
+            surfaces = correct_surfaces(surfaces, volume, corrections, params=layer.surface, engine=tiles)
     else:
         assert volume is not None
         surfaces = _search(volume, layer, compute=compute, progress=progress, kept=kept)
@@ -93,8 +102,10 @@ def map_layer(
         facts = SheetFacts(numbers=before.facts.numbers, **seen)
         own = (*sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured))
         names = {check.name for check in own}
+        same = {k: v for k, v in before.unchanged.items() if k in ("surfaces", "slices", "sections")}
         return Layer(
             params=params, source=before.source, groups=groups | {"slices": before.groups["slices"]}, facts=facts,
+            unchanged=same,
             checks=(*own, *(check for check in before.checks if check.name not in names)), md_deg=md_deg,
         )  # fmt: skip
     frame = Frame(through=v.through, top=v.top)
@@ -111,7 +122,8 @@ def map_layer(
     return Layer(
         params=changed(params, volume=sizes), source=input_file(volume, v.path), groups=groups, facts=facts,
         checks=(
-            *sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured), *hand_check(volume), *scan,
+            *sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured),
+            *filter(None, [correction_check(measured)]), *hand_check(volume), *scan,
         ),
         md_deg=md_deg,
     )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -134,7 +135,7 @@ def _render(
         data.drawn, results, data.titles, points.get(_pair_of(lead[0])) if lead else None, without=without
     )  # fmt: skip
     shown = _Shown()
-    page = template("planish.report", "report.html.j2").render(
+    page = report_template().render(
         results=results, layers=results.layers, reference=results.reference, titles=data.titles, tables=tables,
         summary=summary, statement=statement, text=text, first=first, shown=shown, sheets=sheets,
         leading=leading or [picture for s in sheets[:1] for picture in s.leading if not results.is_link],
@@ -157,6 +158,12 @@ class _Shown:
         """Return the number of a figure that is shown now."""
         self.pictures.append(picture)
         return len(self.pictures)
+
+
+@cache
+def report_template() -> Template:
+    """The template of the page, which takes a second to compile."""
+    return template("planish.report", "report.html.j2")
 
 
 def template(package: str, name: str) -> Template:

@@ -60,7 +60,7 @@ def assemble(
             f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of {params.rim_um:g} um only; "
             "nothing is left to measure. Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
         )
-    centre, cutoff_used = _centre(middle, outline, pitch[:2], params)
+    centre, cutoff_used = centre_surface(middle, outline, pitch[:2], params)
     status = _status(centre, sheet, rim, seen, stuck, touching, runs_out)
     bridged = cutoff_used > params.cutoff_um
     off_rims = (status != Status.NO_SHEET) & (status != Status.RIM)
@@ -148,19 +148,21 @@ def _other_surfaces(
     shorter = params.model_copy(update={"cutoff_um": _SHORTER * params.cutoff_um})
     found = {
         "centre_shorter": (
-            _centre(middle, outline, pitch, shorter)[0] - centre,
+            centre_surface(middle, outline, pitch, shorter)[0] - centre,
             f"Centre surface of {_SHORTER:g} of the cut-off, over the centre surface",
         )
     }
     if np.isfinite(between).mean() >= 0.5 * np.isfinite(middle).mean():
         found["base_middle"] = (
-            _centre(between, outline, pitch, params)[0],
+            centre_surface(between, outline, pitch, params)[0],
             "Middle of the base, over the centre surface",
         )
     return {name: (np.where(known, filled(values), np.nan), title) for name, (values, title) in found.items()}
 
 
-def _centre(middle: Array, outline: Mask, pitch: tuple[float, float], params: SurfaceParams) -> tuple[Array, Array]:
+def centre_surface(
+    middle: Array, outline: Mask, pitch: tuple[float, float], params: SurfaceParams
+) -> tuple[Array, Array]:
     """Smooth the mean of the faces and carry it across holes; the centre surface and the cut-off used, in um."""
     cutoff_um = params.cutoff_um
     if params.method == "paper":

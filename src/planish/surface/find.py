@@ -11,6 +11,8 @@ from planish.core.frame import Frame
 from planish.core.tiles import Engine
 from planish.surface.assemble import assemble
 from planish.surface.columns import Columns, make_guide
+from planish.surface.corrected import correct_surfaces
+from planish.surface.corrections import read_corrections
 from planish.surface.faces import find_faces
 from planish.surface.labels import surfaces_from_labels
 from planish.surface.learn import learn
@@ -64,7 +66,9 @@ def find_surfaces(
     VolumeError
         If the volume holds no sheet, several, or one that fills it from end to end; if a label has no meaning or two.
     InputError
-        If columns of labels are wider than a voxel.
+        If columns of labels are wider than a voxel, or a point of a correction lies outside the volume.
+    FileError
+        If the corrections cannot be read.
 
     Notes
     -----
@@ -75,6 +79,11 @@ def find_surfaces(
     params = params or SurfaceParams()
     engine = engine or Engine()
     if params.labels is not None:
+        if params.corrections is not None:
+            raise InputError(
+                "Faces are corrected in grey values. Correct labels in the program that made them, or leave "
+                "--corrections out."
+            )
         if step > 1:
             raise InputError(
                 f"The labels of {step} x {step} voxels have no mean: labels need columns of one voxel. Give more "
@@ -97,4 +106,7 @@ def find_surfaces(
     surfaces.attrs |= {"missing_share": survey.missing_share, "empty_share": survey.empty_share}
     if survey.padding is not None:
         surfaces.attrs["padding"] = survey.padding
-    return surfaces
+    if params.corrections is None:
+        return surfaces
+    corrections = read_corrections(params.corrections)
+    return correct_surfaces(surfaces, volume, corrections, params=params, engine=engine)

@@ -67,5 +67,8 @@ class SurfaceParams(Params):
         None, cli="--labels",
         help="The volume holds labels of another program: 0 air, 1 base, 2 coating where not given otherwise.",
     )  # fmt: skip
+    corrections: str | None = option(
+        None, metavar="FILE", help="Corrections of the faces: JSON with points that they are drawn to."
+    )
     cutoff_um: float = option(400.0, gt=0, help="Wavelength of the centre surface that its smoothing passes by half.")
     rim_um: float = option(100.0, ge=0, help="Zone around holes and gaps that is left out of all results.")

@@ -167,6 +167,12 @@ def write_any(
     return list(files)
 
 
+def marks_text(marks: xr.Dataset) -> str:
+    """Marks in planish's own JSON, as :func:`write_any` writes them; MarkError where they cannot be read back."""
+    check_marks(marks, "The marks")
+    return module_of("json").write(marks, {})[""].decode()
+
+
 def _read(place: Path) -> tuple[str, xr.Dataset | list[PointList]]:
     content = read_content(place)
     name = _recognised(content)

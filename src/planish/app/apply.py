@@ -1,0 +1,215 @@
+"""From a session to the study of a new run, with the files that it names: only what was changed is written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.app.changes import End, Mark, State
+from planish.app.corrections import changed_corrections
+from planish.app.session import PLANES, Session, ends_of, places_of
+from planish.core.files import free_path
+from planish.marks.files import Places, make_marks, marks_text
+from planish.marks.regions import Region, Regions, geojson_text
+from planish.marks.regions.model import ring_of
+from planish.pipeline.kept import noted_study
+from planish.pipeline.regions import REGIONS
+from planish.pipeline.sheet import changed
+from planish.study import EDITS, LayerParams, Study
+
+Floats = NDArray[np.float64]
+
+STAGED = f"{EDITS}/.apply"
+"""Hidden folder of a run where files of an order stand until the new run has its own."""
+
+_OF_A_MAP = re.compile(r"-map(-\d+)?$")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Before:
+    """A run as it was before anything was changed.
+
+    Attributes
+    ----------
+    study : Study
+        With absolute paths; of a map that is linked to an image in the session, the study of that link.
+    state : State
+    marks : mapping of str to Dataset (mark)
+        All holes and marks of each registration, matched or not, by the name of the moving layer.
+    """
+
+    study: Study
+    state: State
+    marks: Mapping[str, xr.Dataset]
+
+    @classmethod
+    def of(cls, session: Session) -> Before:
+        """What a session began with."""
+        if session.image_params is None:
+            marks = {name: one.marks for name, one in session.registrations.items()}
+            return cls(study=session.study, state=session.first, marks=marks)
+        sheet, noted = session.study.layers[0], noted_study(session.folder)
+        study = session.study if noted is None else noted
+        name = next((layer.name for layer in study.layers if layer.image is not None), "image")
+        image = LayerParams(name=name, image=session.image_params)
+        holes = session.holes(sheet.name)
+        rows = {side: np.arange(holes[side].sizes["mark"]) for side in PLANES}
+        apart = {
+            "moving": np.append(rows["moving"], rows["fixed"] * 0 - 1),
+            "fixed": np.append(rows["moving"] * 0 - 1, rows["fixed"]),
+        }
+        labels = [f"{side} {k + 1}" for side in PLANES for k in rows[side]]
+        marks = make_marks(labels, {side: Places.of_holes(holes[side], apart[side]) for side in PLANES})
+        return cls(
+            study=study.model_copy(update={"layers": (sheet, image)}), state=session.first, marks={sheet.name: marks}
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """What a new run is made of: its study, and texts of files by name, which the study finds in ``staged``."""
+
+    study: Study
+    files: Mapping[str, str] = field(default_factory=dict[str, str])
+
+
+def order_of(before: Before, state: State, staged: Path) -> Order:
+    """The study of a session.
+
+    Parameters
+    ----------
+    before : Before
+    state : State
+        What is to be applied. Where it is as it was, so is the study, and no file is written.
+    staged : Path
+        Folder where the files of the order will stand while the run is made.
+    """
+    files: dict[str, str] = {}
+    study = _with_marks(before, state, staged, files)
+    if state.model != before.state.model:
+        study = changed(study, registration=changed(study.registration, model=state.model))
+    if state.regions != before.state.regions:
+        path = None
+        if state.regions:
+            path, files[REGIONS] = str(staged / REGIONS), geojson_text(_regions(state))
+        study = changed(study, correlate=changed(study.correlate, regions=path))
+    study = _with_corrections(study, before, state, staged, files)
+    return Order(study=study, files=files)
+
+
+def _with_corrections(study: Study, before: Before, state: State, staged: Path, files: dict[str, str]) -> Study:
+    """The study with the corrections of each layer that has others than before."""
+    for name, corrections in changed_corrections(study, before.state.corrections, state.corrections).items():
+        file = f"surface-{name}.json"
+        path = str(staged / file) if corrections.stretches else None
+        if path is not None:
+            files[file] = corrections.to_json()
+        layers = tuple(
+            changed(layer, surface=changed(layer.surface, corrections=path)) if layer.name == name else layer
+            for layer in study.layers
+        )
+        study = changed(study, layers=layers)
+    return study
+
+
+def place_of(run: Path, *, linked: bool) -> Path:
+    """Where the new run will stand: ``RUN-2`` beside RUN, ``OUT`` of the ``OUT-map`` that is linked to an image."""
+    if linked and (found := _OF_A_MAP.search(run.name)) and found.start():
+        return free_path(run.with_name(run.name[: found.start()]))
+    return free_path(run)
+
+
+# --- marks -----------------------------------------------------------------------------------------------------------
+
+
+def _with_marks(before: Before, state: State, staged: Path, files: dict[str, str]) -> Study:
+    """The study with the marks of each registration that has others than before."""
+    study, usual_um = before.study, float(np.mean(before.study.holes.hole_um))
+    alone = len(state.marks) == 1
+    for name, marks in state.marks.items():
+        if marks == before.state.marks[name]:
+            continue
+        file = "marks.json" if alone else f"marks-{name}.json"
+        files[file] = marks_text(all_marks(marks, before.marks[name], usual_um=usual_um))
+        path = str(staged / file)
+        if alone:
+            study = changed(study, registration=changed(study.registration, marks=path))
+        layers = (changed(m, marks=None if alone else path) if m.name == name else m for m in study.layers)
+        study = changed(study, layers=tuple(layers))
+    return study
+
+
+def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> xr.Dataset:
+    """Marks of a session as files have them, and the holes in which none of them lies: these are masked too.
+
+    Parameters
+    ----------
+    marks : sequence of Mark
+        Used or not, with one end or both. An end keeps what it says of itself; without a diameter it takes that of the
+        hole in which it lies, or ``usual_um``.
+    before : Dataset (mark)
+        All marks of the run, matched or not, as ``marks.json`` has them.
+    usual_um : float
+
+    Returns
+    -------
+    Dataset (mark)
+    """
+    ends = {side: [getattr(mark, side) for mark in marks] for side in PLANES}
+    labels, used = [mark.label for mark in marks], [mark.used for mark in marks]
+    free: dict[str, list[End]] = {}
+    for side in PLANES:
+        holes = [end for end in ends_of(before, side) if end is not None]
+        inside = _inside(ends[side], holes)
+        size = [next((holes[k].diameter for k in np.flatnonzero(row)), None) or usual_um for row in inside]
+        ends[side] = [
+            end.model_copy(update={"diameter": end.diameter or um}) if end is not None else None
+            for end, um in zip(ends[side], size, strict=True)
+        ]
+        free[side] = [hole for k, hole in enumerate(holes) if not inside[:, k].any()]
+    for side, more in free.items():
+        labels += _labels(side, len(more), {*labels})
+        used += [True] * len(more)
+        for other in PLANES:
+            ends[other] += more if other == side else [None] * len(more)
+    places = {side: places_of(ends[side]) for side in PLANES}
+    return make_marks(labels, places, used=used, about=before.attrs.get("layers", {}))
+
+
+def _inside(ends: Sequence[End | None], holes: Sequence[End]) -> NDArray[np.bool_]:
+    """Which end (rows) lies in which hole (columns): each in the nearest at most."""
+    found = np.zeros((len(ends), len(holes)), dtype=bool)
+    if not found.size:
+        return found
+    at = np.array([(np.nan, np.nan) if end is None else end.xy for end in ends])
+    apart = np.linalg.norm(at[:, None] - np.array([hole.xy for hole in holes]), axis=2)
+    known = np.where(apart < 0.5 * np.array([hole.diameter or np.nan for hole in holes]), apart, np.inf)
+    rows, nearest = np.arange(len(ends)), known.argmin(axis=1)
+    found[rows, nearest] = np.isfinite(known[rows, nearest])
+    return found
+
+
+def _labels(side: str, count: int, taken: set[str]) -> list[str]:
+    names = (name for k in range(1, count + len(taken) + 1) if (name := f"{side} {k}") not in taken)
+    return [name for name, _ in zip(names, range(count), strict=False)]
+
+
+# --- regions ---------------------------------------------------------------------------------------------------------
+
+
+def _regions(state: State) -> Regions:
+    return Regions(
+        declared=tuple(
+            Region(
+                name=one.name, reason=one.reason, author=one.author,
+                polygons=(tuple(ring_of(np.array(ring)) for ring in (one.polygon, *one.holes)),),
+            )
+            for one in state.regions
+        )
+    )  # fmt: skip

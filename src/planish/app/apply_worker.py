@@ -1,0 +1,126 @@
+"""The process that makes a new run, ``python -m planish.app.apply_worker``; :mod:`planish.app.applying` starts it.
+
+It reads one order from standard input and tells its progress on standard output, a line of JSON each. Where standard
+input is closed before it is done, by a cancel or because the server is gone, it stops and leaves nothing.
+"""
+
+from __future__ import annotations
+
+import _thread
+import json
+import os
+import shutil
+import signal
+import sys
+import threading
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TextIO
+
+from planish.core.errors import PlanishError, ResourceError
+from planish.core.files import as_planish, writing
+
+_NICE = 5  # the page and whatever else a person does come first
+TARGET = "target"
+"""File among those of an order: where the new run will stand."""
+
+
+def main() -> None:
+    """Make one run."""
+    tell = _words()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored where the server was started
+    with suppress(OSError, AttributeError):
+        os.nice(_NICE)
+    try:
+        _warm_up()
+        line = sys.stdin.readline()
+        if not line:
+            return
+        _end_with(sys.stdin)
+        _make(json.loads(line), tell)
+    except KeyboardInterrupt:
+        tell({"state": "cancelled"})
+
+
+def _warm_up() -> None:
+    """Load what every run needs, while nobody waits for it."""
+    from planish.pipeline import run_study
+    from planish.report.page import report_template
+
+    assert callable(run_study)  # it is loaded when it is asked for
+    report_template()
+
+
+def _make(order: Mapping[str, Any], tell: Any) -> None:
+    from planish.pipeline import run_study
+    from planish.study import Study, in_study_words
+
+    def progress(stage: str, detail: str) -> None:
+        tell({"state": "working", "stage": stage, "message": f"{stage}: {detail}"})
+
+    out = Path(order["out"])
+    try:
+        with _staged(Path(order["staged"]), order["files"], out):
+            run_study(Study.model_validate_json(order["study"]), out, old=Path(order["run"]), progress=progress)
+        tell({"state": "done"})
+    except Exception as error:  # noqa: BLE001  the page gets a sentence
+        known = _known(error)
+        tell({"state": "failed", "message": in_study_words(str(known))})
+
+
+@contextmanager
+def _staged(folder: Path, files: Mapping[str, str], out: Path) -> Generator[None]:
+    """Files of an order in a folder of the old run, while the new one is made."""
+    try:
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, text in {TARGET: str(out), **files}.items():
+                (folder / name).write_text(text, encoding="utf-8", newline="\n")
+    except PlanishError:
+        if files:
+            raise
+    try:
+        yield
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _known(error: Exception) -> PlanishError:
+    if isinstance(error, PlanishError):
+        return error
+    if isinstance(error, MemoryError):
+        return ResourceError("The memory is used up. Close other programs, or apply it on a machine with more memory.")
+    if isinstance(error, OSError):
+        return as_planish(error, Path(error.filename or "the new run"))
+    return PlanishError(f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. Please report it.")
+
+
+def _words() -> Any:
+    """A function that writes a line to whoever started this process; what others print goes to standard error."""
+    stream: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+
+    def tell(line: Mapping[str, Any]) -> None:
+        with suppress(OSError):  # nobody listens any more
+            print(json.dumps(line), file=stream, flush=True)
+
+    return tell
+
+
+def _end_with(stream: TextIO) -> None:
+    """Interrupt the work when a stream ends."""
+    main_thread = threading.get_ident()
+
+    def watch() -> None:
+        stream.read()
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(main_thread, signal.SIGINT)  # also out of a wait
+        else:
+            _thread.interrupt_main()
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+if __name__ == "__main__":
+    main()

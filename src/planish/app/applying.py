@@ -1,0 +1,218 @@
+"""Apply: a new run made by a process of its own, so that the page stays quick and a cancel is at once."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from planish.app.apply import STAGED, Before, order_of, place_of
+from planish.app.apply_worker import TARGET
+from planish.app.session import Session
+from planish.core.errors import InputError
+from planish.core.facts import Facts
+from planish.io.run_folder import sweep
+
+Phase = Literal["idle", "working", "done", "failed", "cancelled"]
+
+# Share of the work that is behind it when a stage begins, by the time that stages take.
+_BEHIND = {
+    "read": 0.02, "surface": 0.05, "measure": 0.25, "flatten": 0.35, "resample": 0.4, "check": 0.42, "register": 0.45,
+    "link": 0.5, "correlate": 0.65, "write": 0.88,
+}  # fmt: skip
+_PATIENCE_S = 5.0  # for a process that was asked to stop
+_LOST = (
+    "The process that made the run ended without a word, most likely because the memory was used up. Close other "
+    "programs and apply it again."
+)
+
+
+class Progress(Facts):
+    """How far it is.
+
+    Attributes
+    ----------
+    state : {"idle", "working", "done", "failed", "cancelled"}
+    stage, message : str
+        What is done at this moment, or what was wrong.
+    share : float
+        Of the work, 0 to 1.
+    run : str or None
+        Folder of the new run, when it is done.
+    report : str or None
+        Where its page is served.
+    """
+
+    state: Phase = "idle"
+    stage: str = ""
+    share: float = 0.0
+    message: str = ""
+    run: str | None = None
+    report: str | None = None
+
+
+class Busy(InputError):
+    """Something is being applied already."""
+
+
+@dataclass(eq=False)
+class Applying:
+    """Apply of one session: at most one new run at a time.
+
+    Attributes
+    ----------
+    session : Session
+    reports : dict of Path
+        Pages of runs that were made, by ticket.
+    """
+
+    session: Session
+    reports: dict[str, Path] = field(default_factory=dict[str, Path])
+    _progress: Progress = field(default_factory=Progress)
+    _process: subprocess.Popen[str] | None = None
+    _ready: subprocess.Popen[str] | None = None
+    _reader: threading.Thread | None = None
+    _stopped: bool = False
+    _unlisten: Callable[[], None] = lambda: None
+    _lock: threading.RLock = field(default_factory=threading.RLock)
+
+    def __post_init__(self) -> None:
+        """Remove what an Apply left that was killed together with the process that worked for it."""
+        if self.session.read_only:
+            return
+        self._clean()
+        self._unlisten = self.session.listen(self._foresee)
+
+    @property
+    def progress(self) -> Progress:
+        """How far it is now."""
+        with self._lock:
+            return self._progress
+
+    def warm(self) -> None:
+        """Start the process that the next Apply will use, which takes a second or two."""
+        with self._lock:
+            if self._ready is None or self._ready.poll() is not None:
+                self._ready = _worker()
+
+    def _foresee(self) -> None:
+        """Once something was changed, it will be applied."""
+        if self.session.state is not self.session.first:
+            self._unlisten()
+            threading.Thread(target=self.warm, daemon=True).start()
+
+    def start(self) -> Progress:
+        """Begin to make a run of what stands in the session.
+
+        Raises
+        ------
+        Busy
+            If one is being made.
+        PlanishError
+            If what stands cannot be written, such as two marks of one name.
+        """
+        with self._lock:
+            if self._progress.state == "working":
+                raise Busy("A run is being made already. Wait for it, or cancel it first.")
+            folder = self.session.folder.absolute()
+            staged = folder / STAGED
+            order = order_of(Before.of(self.session), self.session.state, staged)
+            out = place_of(folder, linked=self.session.image_params is not None)
+            self.warm()
+            process, self._ready = self._ready, None
+            assert process is not None
+            assert process.stdin is not None
+            text = {
+                "study": order.study.model_dump_json(), "files": dict(order.files), "out": str(out),
+                "run": str(folder), "staged": str(staged),
+            }  # fmt: skip
+            with suppress(BrokenPipeError):  # it died: whoever reads from it says so
+                process.stdin.write(json.dumps(text) + "\n")
+                process.stdin.flush()
+            self._process, self._stopped = process, False
+            self._progress = Progress(state="working", message=f"Making {out.name} ...")
+            self._reader = threading.Thread(target=self._follow, args=(process, out), daemon=True)
+            self._reader.start()
+            return self._progress
+
+    def cancel(self) -> Progress:
+        """Stop; when this returns, nothing is left of the new run, or it was done already."""
+        with self._lock:
+            process, reader, self._stopped = self._process, self._reader, True
+        if process is not None and reader is not None:
+            assert process.stdin is not None
+            with suppress(OSError):
+                process.stdin.close()
+            try:
+                process.wait(_PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+            reader.join()
+        return self.progress
+
+    def close(self) -> None:
+        """End with the server."""
+        self.cancel()
+        with self._lock:
+            ready, self._ready = self._ready, None
+        if ready is not None:
+            ready.kill()
+            ready.wait()
+
+    def _follow(self, process: subprocess.Popen[str], out: Path) -> None:
+        """Hear what a process says until it ends."""
+        assert process.stdout is not None
+        assert process.stdin is not None
+        last: dict[str, Any] = {}
+        for line in process.stdout:
+            last = json.loads(line)
+            if last["state"] == "working":
+                self._say(last["stage"], last["message"])
+        process.wait()
+        with suppress(OSError):
+            process.stdin.close()
+        state, message = str(last.get("state", "")), str(last.get("message", ""))
+        if state == "done":
+            end = self._done(out)
+        else:
+            self._clean()
+            sweep(out)
+            if state == "cancelled" or (state != "failed" and self._stopped):
+                end = Progress(state="cancelled", message="Cancelled; nothing was written.")
+            else:
+                end = Progress(state="failed", message=message if state == "failed" else _LOST)
+        with self._lock:
+            self._process = self._reader = None
+            self._progress = end
+
+    def _say(self, stage: str, message: str) -> None:
+        with self._lock:
+            share = max(self._progress.share, _BEHIND.get(stage, 0.0))
+            self._progress = Progress(state="working", stage=stage, share=share, message=message)
+
+    def _done(self, out: Path) -> Progress:
+        ticket = secrets.token_urlsafe(24)
+        self.reports[ticket] = out / "report.html"
+        return Progress(state="done", share=1.0, message=f"{out} is made.", run=str(out), report=f"/report/{ticket}")
+
+    def _clean(self) -> None:
+        """Remove the files of an order, and what there is of its run."""
+        staged = self.session.folder / STAGED
+        with suppress(OSError, ValueError):
+            sweep(Path((staged / TARGET).read_text(encoding="utf-8")))
+        shutil.rmtree(staged, ignore_errors=True)
+
+
+def _worker() -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "planish.app.apply_worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        encoding="utf-8",
+    )  # fmt: skip

@@ -1,0 +1,162 @@
+"""Marks of a session from files of any format, and to them."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import io
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Annotated
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field
+
+from planish.app.changes import ChangeError, Import, Mark, checked_label
+from planish.app.fits import Fitted
+from planish.app.pictures import Pictures
+from planish.app.session import PLANES, Plane, Session, ends_of, places_of
+from planish.core.errors import MarkError
+from planish.io.run_folder import read_group
+from planish.marks.files import FORMATS, LayerPixels, make_marks, pair_of_layers, read_any, write_any
+from planish.marks.files.formats import TARGETS
+from planish.pipeline.layers import Layer
+from planish.pipeline.registration import volume_to_map
+from planish.pipeline.run import MAPS, is_run
+
+_SUFFIXES = (".mrk.json", ".json", ".csv", ".txt", ".pts", ".mat")
+_ENDS = {"json": ".json", "slicer": ".mrk.json", "elastix": ".txt", "matlab": ".mat"}
+
+
+class Given(BaseModel):
+    """A file that the page read: its name, and its text or, of one that is no text, its bytes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    name: Annotated[str, Field(max_length=255)]
+    text: str | None = None
+    base64: str | None = None
+
+    @property
+    def suffix(self) -> str:
+        """Of its name, where it means something: nothing else of the name is used."""
+        name = PurePosixPath(self.name).name.lower()
+        return next((suffix for suffix in _SUFFIXES if name.endswith(suffix)), ".csv")
+
+    def content(self) -> bytes:
+        """Its bytes; ChangeError where there are none."""
+        if (self.text is None) == (self.base64 is None):
+            raise ChangeError("A file of marks is sent as text or as base64.")
+        if self.text is not None:
+            return self.text.encode("utf-8", "surrogatepass")
+        try:
+            return base64.b64decode(self.base64 or "", validate=True)
+        except (binascii.Error, ValueError) as error:
+            raise ChangeError(f"This is no base64: {error}.") from error
+
+
+def imported(
+    session: Session, pictures: Pictures, layer: str, given: Given, second: Given | None = None
+) -> Import:  # fmt: skip
+    """The marks of a file, in the planes of a registration, as a change.
+
+    Parameters
+    ----------
+    second : Given, optional
+        The fixed layer, where a format has one layer a file.
+
+    Raises
+    ------
+    FileError, MarkError, SizeError
+        If it is in no known format, or its marks cannot be used here.
+    """
+    with tempfile.TemporaryDirectory(prefix="planish-") as folder:
+        paths: list[Path] = []
+        for name, one in (("marks", given), ("second", second)):
+            if one is not None:
+                paths.append(Path(folder) / f"{name}{one.suffix}")
+                paths[-1].write_bytes(one.content())
+        about = {plane: _pixels(pictures, layer, plane) for plane in PLANES}
+        marks = read_any(*paths, moving=about["moving"], fixed=about["fixed"])
+    moving, fixed = pair_of_layers(marks, name=given.name)
+    if moving == "volume":
+        marks, moving = volume_to_map(marks, _sheet(session, layer)), "moving"
+    ends = ends_of(marks, moving), ends_of(marks, fixed)
+    rows = zip(marks["label"].values, marks["used"].values, *ends, strict=True)
+    return Import(
+        layer=layer,
+        marks=tuple(
+            Mark(id="m0", label=checked_label(str(label)), used=bool(used), moving=a, fixed=b)
+            for label, used, a, b in rows
+            if a is not None and b is not None
+        ),
+    )
+
+
+def exported(
+    session: Session, pictures: Pictures, layer: str, to: str, fitted: Fitted
+) -> tuple[str, bytes]:  # fmt: skip
+    """Name and bytes of a file with the marks; a ZIP where the format has a file for each layer.
+
+    Raises
+    ------
+    ChangeError
+        If there is no such format to write.
+    MarkError
+        If there is no mark, or none that the format can hold.
+    """
+    if to not in TARGETS:
+        raise ChangeError(f"Marks are written as {', '.join(TARGETS)}.")
+    marks = dataset_of(session.state.of(layer), fitted)
+    about = {plane: _pixels(pictures, layer, plane) for plane in PLANES}
+    with tempfile.TemporaryDirectory(prefix="planish-") as folder:
+        path = Path(folder) / f"marks{_ENDS.get(to, '.csv')}"
+        made = write_any(marks, path, to=to, moving=about["moving"], fixed=about["fixed"])
+        if len(made) == 1:
+            return made[0].name, made[0].read_bytes()
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, "w") as archive:
+            for one in made:
+                archive.writestr(one.name, one.read_bytes())
+        return "marks.zip", packed.getvalue()
+
+
+def dataset_of(marks: Sequence[Mark], fitted: Fitted) -> xr.Dataset:
+    """Marks of a session as files have them, with what the fit that is shown leaves of each."""
+    place = {name: k for k, name in enumerate(fitted.ids)}
+    rows = np.array([place.get(mark.id, len(place)) for mark in marks], dtype=np.intp)
+    left = {"residual": fitted.residual_um, "leave_one_out": fitted.leave_one_out_um}
+    return make_marks(
+        [mark.label for mark in marks],
+        {plane: places_of([getattr(mark, plane) for mark in marks]) for plane in PLANES},
+        used=[mark.used for mark in marks],
+        results={name: np.append(values, np.nan)[rows] for name, values in left.items()},
+    )
+
+
+def formats() -> list[dict[str, str]]:
+    """What marks can be exported as."""
+    return [{"name": name, "title": FORMATS[name].title} for name in TARGETS]
+
+
+def _pixels(pictures: Pictures, layer: str, plane: Plane) -> LayerPixels:
+    """Pixels of a plane, for files that count in them."""
+    own = [p for p in pictures if p.plane == plane and (plane == "fixed" or p.layer == layer)]
+    if not own:
+        return LayerPixels()
+    grid = own[0].grid
+    return LayerPixels(pixel_um=grid.pixel_um, origin_um=grid.origin_um, shape=grid.shape)
+
+
+def _sheet(session: Session, layer: str) -> Layer:
+    """A sheet with what takes places in its volume to its map."""
+    facts = session.results.layer(layer)
+    if facts.sheet is None:
+        raise MarkError(f"The marks have places in a volume, and {layer} is an image. Give marks with places in both.")
+    inner = session.folder / "layers" / layer
+    store = (inner if is_run(inner) else session.folder) / MAPS
+    params = next(one for one in session.study.layers if one.name == layer)
+    groups = {name: read_group(store, name) for name in ("surfaces", "flat")}
+    return Layer(params=params, source=facts.source, groups=groups, facts=facts.sheet)

@@ -1,0 +1,154 @@
+"""Routes of the maps: tiles, values at the cursor, along a line and of a region, densities and histograms."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from typing import TypeVar
+
+import anyio
+from anyio.to_thread import run_sync
+from pydantic import BaseModel
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from planish.app.pictures import Picture
+from planish.app.probe import cursor, profile
+from planish.app.selection import Brush, Region, Stopped, density, histogram, select
+from planish.app.tiles import Tiles
+from planish.core.errors import InputError
+
+_GONE_S = 0.1  # how often it is asked whether the page still waits
+_FULL = anyio.CapacityLimiter(1)  # passes over whole maps, one at a time: the other core is for the screen
+
+T = TypeVar("T")
+
+
+async def get_tile(request: Request) -> Response:
+    """One tile of a picture."""
+    at, tiles = request.path_params, _tiles(request)
+    data = await run_sync(tiles.tile, at["id"], at["level"], at["row"], at["col"])
+    return Response(data, media_type="application/octet-stream")
+
+
+async def get_cursor(request: Request) -> Response:
+    """All values at a point."""
+    x, y = _number(request, "x"), _number(request, "y")
+    picture = _picture(request, "id")
+    return await _answer(lambda: cursor(_tiles(request), picture, x, y))
+
+
+async def get_profile(request: Request) -> Response:
+    """Values along a line."""
+    line = _numbers(request, "line", 4)
+    if line is None:
+        raise InputError("A profile needs a line: x0, y0, x1, y1 in um.")
+    pictures = [_picture(request, key) for key in ("a", "b") if key in request.query_params]
+    x0, y0, x1, y1 = line
+    return await _answer(lambda: profile(_tiles(request), pictures, (x0, y0, x1, y1)))
+
+
+async def get_density(request: Request) -> Response:
+    """Density of two pictures, or of a region of them."""
+    (a, b), region = _pair(request), _region(request)
+    return await _answer(lambda: density(_tiles(request), a, b, region))
+
+
+async def get_histogram(request: Request) -> Response:
+    """Histogram of a picture, or of a region of it."""
+    picture, region = _picture(request, "id"), _region(request)
+    return await _answer(lambda: histogram(_tiles(request), picture, region))
+
+
+async def get_selection(request: Request) -> Response:
+    """Pixels of a region or of brushes at full resolution; given up where the page goes away."""
+    (a, b), region = _pair(request), _region(request)
+    brushes: list[Brush] = []
+    for key, picture in (("brush_a", a), ("brush_b", b)):
+        found = _numbers(request, key, 2)
+        if found is not None:
+            brushes.append(Brush(picture, min(found), max(found)))
+    stop = threading.Event()
+
+    async def watch() -> None:
+        while not await request.is_disconnected():
+            await anyio.sleep(_GONE_S)
+        stop.set()
+
+    found: list[Response | InputError] = []
+    async with anyio.create_task_group() as group:
+        group.start_soon(watch)
+        try:
+            found.append(
+                await _answer(
+                    lambda: select(_tiles(request), a, b, region=region, brushes=brushes, stop=stop), limiter=_FULL
+                )
+            )
+        except Stopped:
+            found.append(Response(status_code=204))
+        except InputError as error:  # raised outside of the group, which would wrap it
+            found.append(error)
+        group.cancel_scope.cancel()
+    if isinstance(found[0], InputError):
+        raise found[0]
+    return found[0]
+
+
+async def _answer(make: Callable[[], BaseModel], *, limiter: anyio.CapacityLimiter | None = None) -> Response:
+    """What a thread finds, as JSON."""
+    found = await run_sync(lambda: make().model_dump_json(), limiter=limiter)
+    return Response(found, media_type="application/json")
+
+
+def _tiles(request: Request) -> Tiles:
+    return request.app.state.tiles
+
+
+def _picture(request: Request, key: str) -> Picture:
+    return _tiles(request).pictures[request.query_params.get(key, "")]
+
+
+def _pair(request: Request) -> tuple[Picture, Picture]:
+    """Two pictures on the same pixels."""
+    a, b = _picture(request, "a"), _picture(request, "b")
+    if b not in _tiles(request).pictures.beside(a):
+        raise InputError(f"{a.name} and {b.name} do not lie on the same pixels. Choose two layers of one plane.")
+    return a, b
+
+
+def _region(request: Request) -> Region | None:
+    found = _numbers(request, "region", 4)
+    return None if found is None else Region(*found)
+
+
+def _number(request: Request, key: str) -> float:
+    found = _numbers(request, key, 1)
+    if found is None:
+        raise InputError(f"{key} is missing: a number is needed.")
+    return found[0]
+
+
+def _numbers(request: Request, key: str, count: int) -> list[float] | None:
+    """Finite numbers of a query, apart by commas; None where it is not given."""
+    text = request.query_params.get(key)
+    if text is None:
+        return None
+    try:
+        found = [float(word) for word in text[:200].split(",")]
+    except ValueError:
+        found = []
+    if len(found) != count or not all(map(math.isfinite, found)):
+        raise InputError(f"{key} is {text[:40]!r}: {count} number{'s' if count > 1 else ''} needed, apart by commas.")
+    return found
+
+
+ROUTES = [
+    Route("/api/tiles/{id}/{level:int}/{row:int}/{col:int}", get_tile),
+    Route("/api/cursor", get_cursor),
+    Route("/api/profile", get_profile),
+    Route("/api/density", get_density),
+    Route("/api/histogram", get_histogram),
+    Route("/api/selection", get_selection),
+]

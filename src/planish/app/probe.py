@@ -1,0 +1,138 @@
+"""Values of pictures at a point and along a line, of full resolution and read by window."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from planish.app.pictures import Picture
+from planish.app.tiles import Tiles
+from planish.core.errors import InputError
+
+MOST_SAMPLES = 2000
+"""Pixels along a profile; a longer line is read from a coarser level."""
+
+Number = float | None
+
+
+class _Answer(BaseModel):
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+class ValueAt(_Answer):
+    """Value of one picture at a point; None where it has none."""
+
+    id: str
+    layer: str
+    name: str
+    title: str
+    units: str
+    value: Number
+
+
+class VolumePlace(_Answer):
+    """Place of the centre surface in the volume, in um along its axes."""
+
+    layer: str
+    x: float
+    y: float
+    z: float
+
+
+class Cursor(_Answer):
+    """All values at a point (x, y) of a plane, in um, and the place in the volume that it shows."""
+
+    x: float
+    y: float
+    row: int | None
+    col: int | None
+    values: tuple[ValueAt, ...]
+    volume: VolumePlace | None
+
+
+class ProfileOf(_Answer):
+    """Values of one picture along a line."""
+
+    id: str
+    name: str
+    units: str
+    values: tuple[Number, ...]
+
+
+class Profile(_Answer):
+    """Values along a line at ``at_um`` from its beginning, of pixels that are ``pixel_um`` wide."""
+
+    pixel_um: float
+    at_um: tuple[float, ...]
+    lines: tuple[ProfileOf, ...]
+
+
+def cursor(tiles: Tiles, picture: Picture, x: float, y: float) -> Cursor:
+    """Values of all pictures on the pixels of one, at the pixel that holds a point."""
+    rows, cols = _pixels(picture, np.array([[x, y]]), 0)
+    inside = _inside(picture, 0, rows, cols)[0]
+    beside = tiles.pictures.beside(picture)
+    found = {p.id: _number(tiles.values_at(p, 0, rows, cols)[0]) if inside else None for p in beside}
+    return Cursor(
+        x=x, y=y, row=int(rows[0]) if inside else None, col=int(cols[0]) if inside else None,
+        values=tuple(
+            ValueAt(id=p.id, layer=p.layer, name=p.name, title=p.title, units=p.units, value=found[p.id])
+            for p in beside
+        ),
+        volume=_volume(picture, beside, found),
+    )  # fmt: skip
+
+
+def profile(tiles: Tiles, pictures: list[Picture], line: tuple[float, float, float, float]) -> Profile:
+    """Values of pictures on one grid along the line from (x0, y0) to (x1, y1) in um, each of the pixel it crosses."""
+    x0, y0, x1, y1 = line
+    length = math.hypot(x1 - x0, y1 - y0)
+    if length == 0:
+        raise InputError("The line has no length. Give two places: x0, y0, x1, y1 in um.")
+    first = pictures[0]
+    pixel = min(first.grid.pixel_um)
+    coarsest = len(first.levels) - 1
+    level = min(max(0, math.ceil(math.log2(length / pixel / MOST_SAMPLES))), coarsest)
+    step = pixel * 2**level
+    at = np.linspace(0, length, min(int(length / step), 4 * MOST_SAMPLES) + 1)
+    points = np.array([x0, y0]) + (at / length)[:, None] * np.array([x1 - x0, y1 - y0])
+    rows, cols = _pixels(first, points, level)
+    inside = _inside(first, level, rows, cols)
+    lines: list[ProfileOf] = []
+    for picture in pictures:
+        values = np.full(at.size, np.nan)
+        values[inside] = tiles.values_at(picture, level, rows[inside], cols[inside])
+        lines.append(
+            ProfileOf(id=picture.id, name=picture.name, units=picture.units, values=tuple(map(_number, values)))
+        )
+    return Profile(pixel_um=step, at_um=tuple(at.tolist()), lines=tuple(lines))
+
+
+def _pixels(picture: Picture, points: NDArray[np.float64], level: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the pixels of a level that hold points (n, 2: x, y); those of a level share one corner."""
+    (x0, y0), (dy, dx) = picture.grid.origin_um, picture.grid.pixel_um
+    rows = np.floor((points[:, 1] - y0) / dy + 0.5).astype(np.intp) >> level
+    cols = np.floor((points[:, 0] - x0) / dx + 0.5).astype(np.intp) >> level
+    return rows, cols
+
+
+def _inside(picture: Picture, level: int, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.bool_]:
+    height, width = picture.levels[level].shape
+    return (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+
+
+def _volume(picture: Picture, beside: list[Picture], found: dict[str, Number]) -> VolumePlace | None:
+    """The place in the volume, of the picture's own layer or the first one that has it."""
+    places = {(p.layer, p.name.split("/")[-1]): found[p.id] for p in beside}
+    for layer in dict.fromkeys([picture.layer, *(p.layer for p in beside)]):
+        x, y, z = (places.get((layer, f"volume_{axis}")) for axis in "xyz")
+        if x is not None and y is not None and z is not None:
+            return VolumePlace(layer=layer, x=x, y=y, z=z)
+    return None
+
+
+def _number(value: float) -> Number:
+    return float(value) if np.isfinite(value) else None

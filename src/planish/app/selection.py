@@ -1,0 +1,257 @@
+"""What two pictures have in common: their density and histograms from an overview, a selection at full resolution."""
+
+from __future__ import annotations
+
+import base64
+import math
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from planish.analyze import correlate
+from planish.app.pictures import Picture
+from planish.app.tiles import Tiles
+from planish.core.bands import band_of, bands
+from planish.core.errors import InputError
+from planish.core.lazy import LazyArray, Where, held
+
+BASE_PIXELS = 4_000_000
+"""Pixels of the overview from which densities and histograms are made."""
+
+_BINS = 256
+_TAILS = (0.1, 99.9)  # percentiles between which points are drawn; those beyond are counted
+
+Number = float | None
+Window = tuple[slice, slice]
+
+
+class _Answer(BaseModel):
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+class Density(_Answer):
+    """How many points lie where in the plane of two quantities, of pixels of the stated size.
+
+    ``counts`` are little-endian 32-bit numbers in base64, ``bins`` x ``bins``, rows of b from ``b_low`` up.
+    """
+
+    pixel_um: tuple[float, float]
+    n: int
+    beyond: int
+    bins: int
+    a_low: float
+    a_high: float
+    b_low: float
+    b_high: float
+    counts: str
+
+
+class Histogram(_Answer):
+    """How the values of a picture are distributed, of pixels of the stated size."""
+
+    pixel_um: tuple[float, float]
+    n: int
+    beyond: int
+    low: float
+    high: float
+    counts: tuple[int, ...]
+    mean: Number
+    sd: Number
+    median: Number
+
+
+class Selected(_Answer):
+    """Pixels that were selected, at full resolution; what is said of r holds for a region, not for picked values."""
+
+    n: int
+    pixel_um: tuple[float, float]
+    r: Number = None
+    n_eff: Number = None
+    interval: tuple[float, float] | None = None
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Brush:
+    """Pixels of a picture whose value lies from ``low`` to ``high``."""
+
+    picture: Picture
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Pixels whose middle lies in a rectangle, in um of the plane."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+
+    def on(self, picture: Picture, level: int = 0) -> Window:
+        """Rows and columns of a level of a picture; InputError where it holds none of them."""
+        data = picture.levels[level]
+        (y, x), (dy, dx) = (data[dim].values for dim in data.dims), picture.grid.pixel_um
+        rows, cols = _between(y, self.y0, self.y1, dy), _between(x, self.x0, self.x1, dx)
+        if rows.start >= rows.stop or cols.start >= cols.stop:
+            raise InputError("No pixel lies in this region. Give x0, y0, x1, y1 in um, within the map.")
+        return rows, cols
+
+
+class Stopped(Exception):
+    """The page does not want the answer any more."""
+
+
+def density(
+    tiles: Tiles, a: Picture, b: Picture, window: Region | None = None, *, bins: int = _BINS
+) -> Density:  # fmt: skip
+    """Count the points of two pictures in the plane of their values.
+
+    The limits are those of all points, also where only a region is counted.
+    """
+    level, (x, y) = _base(tiles, a, b)
+    limits = [_limits(values[np.isfinite(x) & np.isfinite(y)]) for values in (x, y)]
+    if window is not None:
+        part = window.on(a, level)
+        x, y = x[part], y[part]
+    both = np.isfinite(x) & np.isfinite(y)
+    places = [
+        np.floor((values[both] - low) * (bins / (high - low))).astype(np.int64)
+        for values, (low, high) in zip((x, y), limits, strict=True)
+    ]
+    shown = np.logical_and(*((at >= 0) & (at < bins) for at in places))
+    counts = np.bincount((places[1] * bins + places[0])[shown], minlength=bins * bins).astype("<u4")
+    n = int(np.count_nonzero(both))
+    (a_low, a_high), (b_low, b_high) = limits
+    return Density(
+        pixel_um=_pixel(a, level), n=n, beyond=n - int(np.count_nonzero(shown)), bins=bins, a_low=a_low, a_high=a_high,
+        b_low=b_low, b_high=b_high, counts=base64.b64encode(counts.tobytes()).decode("ascii"),
+    )  # fmt: skip
+
+
+def histogram(tiles: Tiles, picture: Picture, window: Region | None = None, *, bins: int = _BINS // 2) -> Histogram:
+    """Count the values of a picture where they are valid."""
+    level, (values,) = _base(tiles, picture)
+    low, high = _limits(values[np.isfinite(values)])
+    if window is not None:
+        values = values[window.on(picture, level)]
+    known = values[np.isfinite(values)].astype(np.float64)
+    counts, _ = np.histogram(known, bins=bins, range=(low, high))
+    some = known.size > 0
+    return Histogram(
+        pixel_um=_pixel(picture, level), n=known.size, beyond=known.size - int(counts.sum()), low=low, high=high,
+        counts=tuple(counts.tolist()), mean=float(known.mean()) if some else None,
+        sd=float(known.std(ddof=1)) if known.size > 1 else None, median=float(np.median(known)) if some else None,
+    )  # fmt: skip
+
+
+def _between(at: NDArray[np.float64], low: float, high: float, step: float) -> slice:
+    slack = 1e-6 * step  # a border through the middle of a pixel takes it in, whatever was rounded
+    return slice(
+        int(np.searchsorted(at, min(low, high) - slack, "left")),
+        int(np.searchsorted(at, max(low, high) + slack, "right")),
+    )
+
+
+def select(
+    tiles: Tiles, a: Picture, b: Picture, *, region: Region | None = None, brushes: Sequence[Brush] = (),
+    stop: threading.Event | None = None,
+) -> Selected:  # fmt: skip
+    """Count what is selected at full resolution; of a region also say how two pictures are correlated in it.
+
+    Raises
+    ------
+    Stopped
+        Once ``stop`` is set.
+    """
+    stop, pixel = stop or threading.Event(), a.grid.pixel_um
+    window: Window = (slice(None), slice(None)) if region is None else region.on(a)
+    x, y = (_watched(p.full[window], stop) for p in (a, b))
+    masks = [p.full[window] for p in tiles.pictures.valid_of(a, b)]
+    if brushes:
+        chosen = [(brush, brush.picture.full[window]) for brush in brushes]
+        n = 0
+        for rows in bands(x.shape[0]):
+            use = np.isfinite(band_of(x, rows)) & np.isfinite(band_of(y, rows))
+            for mask in masks:
+                use &= band_of(mask, rows)
+            for brush, values in chosen:
+                found = band_of(values, rows)
+                use &= (found >= brush.low) & (found <= brush.high)
+            n += int(np.count_nonzero(use))
+        return Selected(n=n, pixel_um=pixel)
+    every = None if not masks else masks[0] if len(masks) == 1 else _lazily(_All(masks), masks[0])
+    row = correlate(x, y, mask=every, pixel_um=pixel)
+    low, high = row.interval
+    return Selected(
+        n=row.n, pixel_um=pixel, r=_number(row.r), n_eff=_number(row.n_eff),
+        interval=(low, high) if math.isfinite(low) and math.isfinite(high) else None, warnings=row.warnings,
+    )  # fmt: skip
+
+
+class _All(LazyArray):
+    """True where all masks are."""
+
+    def __init__(self, masks: Sequence[xr.DataArray]) -> None:
+        self._masks, self.shape, self.dtype = masks, masks[0].shape, np.dtype(np.bool_)
+
+    def read(self, where: Where) -> NDArray[np.bool_]:
+        """Read a part."""
+        return np.logical_and.reduce([mask[where].values for mask in self._masks])
+
+
+class _Watched(LazyArray):
+    """Values of which none are read any more once they are not wanted."""
+
+    def __init__(self, values: xr.DataArray, stop: threading.Event) -> None:
+        self._values, self._stop = values, stop
+        self.shape, self.dtype = values.shape, values.dtype
+
+    def read(self, where: Where) -> NDArray[np.floating]:
+        """Read a part."""
+        if self._stop.is_set():
+            raise Stopped
+        return self._values[where].values
+
+
+def _watched(values: xr.DataArray, stop: threading.Event) -> xr.DataArray:
+    return _lazily(_Watched(values, stop), values)
+
+
+def _lazily(values: LazyArray, like: xr.DataArray) -> xr.DataArray:
+    return xr.DataArray(xr.Variable(like.dims, held(values)), coords=like.coords)
+
+
+def _base(tiles: Tiles, *pictures: Picture) -> tuple[int, list[NDArray[np.float64]]]:
+    """A level of few pixels, and the values of pictures there; NaN where they do not count."""
+    level = pictures[0].level_within(BASE_PIXELS)
+    whole = tuple(slice(0, n) for n in pictures[0].levels[level].shape)
+    masks = [tiles.window(p, level, whole[0], whole[1]) for p in tiles.pictures.valid_of(*pictures)]
+    use = np.logical_and.reduce(masks) if masks else True
+    return level, [
+        np.where(use, tiles.window(p, level, whole[0], whole[1]).astype(np.float64), np.nan) for p in pictures
+    ]
+
+
+def _limits(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Between which nearly all values lie, with a little room."""
+    if values.size == 0:
+        return 0.0, 1.0
+    low, high = (float(v) for v in np.percentile(values, _TAILS))
+    room = 0.02 * (high - low) or 0.5
+    return low - room, high + room
+
+
+def _pixel(picture: Picture, level: int) -> tuple[float, float]:
+    down, across = picture.grid.pixel_um
+    return down * 2**level, across * 2**level
+
+
+def _number(value: float) -> Number:
+    return value if math.isfinite(value) else None

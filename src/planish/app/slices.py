@@ -1,0 +1,413 @@
+"""Slices of a volume with the surfaces in them, read by window from the volume's file and the store of the run."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from planish.app.pictures import Codes
+from planish.core.errors import FileError, InputError
+from planish.core.frame import Axis, Frame
+from planish.core.grid import pitch
+from planish.io import find_place, read_volume
+from planish.io.info import LOOK_BYTES
+from planish.io.map_store import stored_group
+from planish.io.params import HOW_VOLUMES_ARE_READ, VolumeParams
+from planish.io.sections import is_section_folder
+from planish.measure.ray_frame import directions, meet, slopes_of
+from planish.pipeline.run import MAPS, is_run
+from planish.study import Study
+from planish.surface import Corrections, preview_faces, uncorrected
+
+Array = NDArray[np.float64]
+Direction = Literal["z", "y", "x", "straight"]
+
+WIDEST = 2048
+"""Voxels of a slice along either edge: a larger one is cut around the place that is asked for."""
+
+HEIGHTS = ("top", "interface_top", "centre", "interface_bottom", "bottom")
+_BESIDE = 1.5  # thicknesses that a straightened slice reaches to both sides of the centre surface
+_EXACT = np.dtype("u1"), np.dtype("u2")
+
+
+class AxisFacts(BaseModel):
+    """One edge of a slice: the place of pixel k is ``first_um + k * step_um``."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    name: Literal["z", "y", "x", "height"]
+    first_um: float
+    step_um: float
+    count: int
+
+
+class SliceFacts(BaseModel):
+    """A slice and what was found in it.
+
+    Attributes
+    ----------
+    direction : {"z", "y", "x", "straight"}
+        Axis across the slice; ``straight`` is straightened along the normals of the centre surface.
+    normal : str
+        Axis along which slices of this direction follow each other.
+    index, at_um
+        Which slice it is, and where it lies along ``normal``.
+    across, down : AxisFacts
+        Edges; the top of the sheet is up.
+    scale, offset : float
+        A value of 16 bits stands for ``offset + scale * value``.
+    missing : int
+        Value of voxels that are missing; -1 where there are none.
+    lines : tuple of str
+        Names of the lines, float32 each, one value a column of the surfaces.
+    columns : AxisFacts or None
+        Where these columns lie along ``across``.
+    segments : dict of int
+        Of a slice along the sheet: how many segments x0, y0, x1, y1 in um each contour has.
+    """
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    layer: str
+    direction: Direction
+    normal: Axis
+    index: int
+    at_um: float
+    across: AxisFacts
+    down: AxisFacts
+    scale: float
+    offset: float
+    missing: int
+    lines: tuple[str, ...] = ()
+    columns: AxisFacts | None = None
+    segments: dict[str, int] = {}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Slice:
+    """A slice as it is sent: pixels (down, across), lines (columns,) and contours (n, 4)."""
+
+    facts: SliceFacts
+    pixels: NDArray[np.uint16]
+    lines: Sequence[NDArray[np.float32]] = ()
+    contours: Sequence[NDArray[np.float32]] = ()
+
+
+@dataclass(eq=False, kw_only=True)
+class Sheet:
+    """One sheet of a run: its volume and its surfaces, both left in their files."""
+
+    name: str
+    volume: xr.DataArray
+    surfaces: xr.Dataset
+    codes: Codes | None  # of values that are no whole numbers of 16 bits
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @classmethod
+    def open(cls, name: str, params: VolumeParams, store: Path) -> Self:
+        """Open the volume and the surfaces of a sheet.
+
+        Raises
+        ------
+        FileError
+            If the volume is not there any more, is damaged, or is a folder of serial sections.
+        """
+        path = find_place(params.path).path
+        if is_section_folder(path):
+            raise FileError(
+                f"{path.name} holds serial sections, which are no volume until they are joined. To see slices, import "
+                f"them (planish import {path.name} --through {params.through} --out {path.name}.zarr) and map that."
+            )
+        volume = read_volume(params.path, **params.model_dump(include=HOW_VOLUMES_ARE_READ), memory_bytes=LOOK_BYTES)
+        codes = None
+        if volume.dtype not in _EXACT:
+            seen = volume.isel({axis: slice(n // 2, n // 2 + 1) for axis, n in list(volume.sizes.items())[:1]}).values
+            known = seen[np.isfinite(seen)].astype(np.float64)
+            low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+            codes = Codes.between(low - (high - low), high + (high - low))
+        return cls(name=name, volume=volume, surfaces=stored_group(store, "surfaces"), codes=codes)
+
+    @property
+    def frame(self) -> Frame:
+        """How the sheet lies in the volume."""
+        return Frame.of(self.surfaces)
+
+    @property
+    def step(self) -> int:
+        """Voxels along the edge of a column of the surfaces."""
+        return max(1, self.volume.sizes[self.frame.rows] // max(self.surfaces.sizes["y"], 1))
+
+    def places(self, axis: str) -> Array:
+        """Where the voxels lie along an axis."""
+        return np.asarray(self.volume.coords[axis].values, dtype=np.float64)
+
+    def count(self, direction: Direction) -> int:
+        """Slices of a direction."""
+        return self.surfaces.sizes["y"] if direction == "straight" else self.volume.sizes[direction]
+
+    def coded(self, values: NDArray[Any]) -> tuple[NDArray[np.uint16], float, float, int]:
+        """Values of 16 bits, what they stand for, and which of them is missing."""
+        if self.codes is None and values.dtype in _EXACT:
+            return values.astype(np.uint16), 1.0, 0.0, -1
+        codes = self.codes or Codes(-1.0, 1.0)
+        return codes.of(values), codes.scale, codes.offset - codes.scale, 0
+
+    # --- slices -------------------------------------------------------------------------------------------------------
+
+    def cut(
+        self, direction: Direction, index: int, *, near_um: tuple[float | None, float | None] = (None, None),
+        corrections: Corrections | None = None,
+    ) -> Slice:  # fmt: skip
+        """One slice.
+
+        Parameters
+        ----------
+        direction : {"z", "y", "x", "straight"}
+        index : int
+            Voxel along the direction's axis; row of the surfaces' columns where it is straightened.
+        near_um : (float or None, float or None)
+            Place across and down around which a large slice is cut; its middle where None.
+        corrections : Corrections, optional
+            What is seen as ``preview_top`` and ``preview_bottom``.
+
+        Raises
+        ------
+        InputError
+            If there is no such slice.
+        """
+        if not 0 <= index < self.count(direction):
+            raise InputError(f"There is no slice {index} along {direction}; there are {self.count(direction)}.")
+        with self._lock:  # decoders of files are not all made for several threads
+            if direction == "straight":
+                return self._straight(index, near_um, corrections)
+            if direction == self.frame.through:
+                return self._along(index, near_um)
+            return self._across(direction, index, near_um, corrections)
+
+    def _across(
+        self, direction: Axis, index: int, near_um: tuple[float | None, float | None], corrections: Corrections | None
+    ) -> Slice:
+        """A slice through the sheet, with its top up."""
+        f = self.frame
+        other: Axis = f.cols if direction == f.rows else f.rows
+        along, down = _window(self.places(other), near_um[0]), _window(self.places(f.through), near_um[1])
+        part = self.volume.isel({direction: slice(index, index + 1), other: along, f.through: down})
+        values = part.values.transpose([part.get_axis_num(axis) for axis in (f.through, other, direction)])[..., 0]
+        depth = self.places(f.through)[down]
+        if f.top == "high":
+            values, depth = values[::-1], depth[::-1]
+        pixels, scale, offset, missing = self.coded(values)
+        at = min(index // self.step, self.surfaces.sizes["y" if direction == f.rows else "x"] - 1)
+        columns = slice(along.start // self.step, min(-(-along.stop // self.step), self._columns(other)))
+        lines = self._lines(other, at, columns, corrections)
+        facts = SliceFacts(
+            layer=self.name, direction=direction, normal=direction, index=index,
+            at_um=float(self.places(direction)[index]), across=_axis(other, self.places(other)[along]),
+            down=_axis(f.through, depth), scale=scale, offset=offset, missing=missing, lines=tuple(lines),
+            columns=_axis(other, self._column_places(other)[columns]),
+        )  # fmt: skip
+        return Slice(facts=facts, pixels=pixels, lines=[v.astype(np.float32) for v in lines.values()])
+
+    def _along(self, index: int, near_um: tuple[float | None, float | None]) -> Slice:
+        """A slice along the sheet, with the contours of its surfaces."""
+        f = self.frame
+        cols, rows = _window(self.places(f.cols), near_um[0]), _window(self.places(f.rows), near_um[1])
+        part = self.volume.isel({f.through: slice(index, index + 1), f.rows: rows, f.cols: cols})
+        values = part.values.transpose([part.get_axis_num(axis) for axis in (f.rows, f.cols, f.through)])[..., 0]
+        pixels, scale, offset, missing = self.coded(values)
+        height = float(self.places(f.through)[index])
+        window = {
+            dim: slice(of.start // self.step, min(-(-of.stop // self.step), self.surfaces.sizes[dim]))
+            for dim, of in (("y", rows), ("x", cols))
+        }
+        found = self.surfaces.isel(window)
+        contours = {
+            name: contour(found[name].values - height, found["x"].values, found["y"].values) for name in HEIGHTS
+        }
+        facts = SliceFacts(
+            layer=self.name, direction=f.through, normal=f.through, index=index, at_um=height,
+            across=_axis(f.cols, self.places(f.cols)[cols]), down=_axis(f.rows, self.places(f.rows)[rows]),
+            scale=scale, offset=offset, missing=missing, segments={name: len(of) for name, of in contours.items()},
+        )  # fmt: skip
+        return Slice(facts=facts, pixels=pixels, contours=[of.astype(np.float32) for of in contours.values()])
+
+    def _straight(
+        self, index: int, near_um: tuple[float | None, float | None], corrections: Corrections | None
+    ) -> Slice:
+        """One row of columns, straightened along the normals."""
+        f = self.frame
+        places = self._column_places(f.cols)
+        window = _window(places, near_um[0])
+        lines = self._lines(f.cols, index, window, corrections)
+        thickness = float(self.surfaces.attrs["thickness_um"])
+        size = abs(float(np.diff(self.places(f.through)[:2])[0]))
+        half = int(np.ceil(_BESIDE * thickness / size))
+        s = size * np.arange(half, -half - 1, -1).astype(np.float64)
+        values = self._sampled(index, window, lines, s)
+        halo = int(np.ceil(1.5 * thickness / min(pitch(self.surfaces)))) + 2
+        first = max(index - halo, 0)
+        met = meet(self._read(slice(first, index + halo + 1), window, (*HEIGHTS, "status")), "normal")
+        for name in HEIGHTS:
+            lines[name] = np.zeros(places[window].size) if name == "centre" else met.faces[name][index - first]
+        for name in [name for name in lines if name.startswith(("preview", "found"))]:
+            del lines[name]
+        known = values[np.isfinite(values)]
+        codes = self.codes or Codes(-1.0, 1.0)
+        if self.codes is None and known.size:
+            codes = Codes.between(float(known.min()), float(known.max()))
+        facts = SliceFacts(
+            layer=self.name, direction="straight", normal=f.rows, index=index,
+            at_um=float(self._column_places(f.rows)[index]), across=_axis(f.cols, places[window]),
+            down=_axis("height", s), scale=codes.scale, offset=codes.offset - codes.scale, missing=0,
+            lines=tuple(lines), columns=_axis(f.cols, places[window]),
+        )  # fmt: skip
+        return Slice(facts=facts, pixels=codes.of(values), lines=[v.astype(np.float32) for v in lines.values()])
+
+    def _sampled(self, index: int, window: slice, lines: dict[str, Array], s: Array) -> Array:
+        """Grey along the normals of one row, (s, columns)."""
+        from scipy import ndimage
+
+        f = self.frame
+        centre = lines["place"]
+        normal = {f.rows: lines["normal_rows"], f.cols: lines["normal_cols"], f.through: lines["normal_through"]}
+        at = {
+            f.rows: np.full(centre.shape, self._column_places(f.rows)[index]),
+            f.cols: self._column_places(f.cols)[window], f.through: centre,
+        }  # fmt: skip
+        known = np.isfinite(centre) & np.isfinite(normal[f.through])
+        values = np.full((s.size, centre.size), np.nan)
+        if not known.any():
+            return values
+        box: dict[str, slice] = {}
+        where: list[Array] = []
+        for axis in map(str, self.volume.dims):
+            coords = self.places(axis)
+            pixel = float(coords[1] - coords[0])
+            index_of = (at[axis][known] + s[:, None] * normal[axis][known] - coords[0]) / pixel
+            start = int(np.clip(np.floor(index_of.min()), 0, coords.size - 1))
+            box[axis] = slice(start, int(np.clip(np.ceil(index_of.max()) + 1, start + 1, coords.size)))
+            where.append(index_of - start)
+        block = self.volume.isel(box).values.astype(np.float32)
+        values[:, known] = ndimage.map_coordinates(block, where, order=1, mode="constant", cval=np.nan, prefilter=False)
+        return values
+
+    # --- surfaces -----------------------------------------------------------------------------------------------------
+
+    def _columns(self, axis: str) -> int:
+        return self.surfaces.sizes["y" if axis == self.frame.rows else "x"]
+
+    def _column_places(self, axis: str) -> Array:
+        return np.asarray(self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64)
+
+    def _read(self, rows: slice, cols: slice, names: Sequence[str] | None = None) -> xr.Dataset:
+        """A window of the surfaces, in memory."""
+        names = names or [str(n) for n in self.surfaces.data_vars if n in _READ or str(n).startswith(_READ_TOO)]
+        return self.surfaces[list(names)].isel(y=rows, x=cols).load()
+
+    def _lines(self, along: str, at: int, columns: slice, corrections: Corrections | None) -> dict[str, Array]:
+        """What was found in one row, or column, of the surfaces."""
+        of_rows = along == self.frame.cols
+        beside = slice(max(at - 1, 0), at + 2)
+        if beside.stop - beside.start < 2:
+            beside = slice(max(at - 2, 0), at + 1)
+        near = self._read(*((beside, columns) if of_rows else (columns, beside)))
+        here = {"y" if of_rows else "x": at - beside.start}
+        found = near.isel(here)
+        lines = {name: found[name].values.astype(np.float64) for name in HEIGHTS}
+        centre = self.frame.sign * near["centre"].values.astype(np.float64)
+        normal = directions(slopes_of(centre, pitch(self.surfaces)), "normal")
+        taken = normal[at - beside.start] if of_rows else normal[:, at - beside.start]
+        lines |= {"place": lines["centre"], "normal_rows": taken[:, 0], "normal_cols": taken[:, 1]}
+        lines["normal_through"] = self.frame.sign * taken[:, 2]
+        for name in ("thickness_se", "status", *(n for n in found.data_vars if str(n).startswith(_READ_TOO))):
+            if name in found:
+                values = found[name].values.astype(np.float64)
+                lines[str(name)] = np.where(values == 255, np.nan, values) if name == "found_status" else values
+        if corrections is not None and corrections.stretches:
+            row, col = (slice(at, at + 1), columns) if of_rows else (columns, slice(at, at + 1))
+            lines |= self._preview(row, col, corrections)
+        return lines
+
+    def _preview(self, rows: slice, cols: slice, corrections: Corrections) -> dict[str, Array]:
+        """The faces in some columns as corrections would leave them."""
+        if (found_near := preview_faces(self.surfaces, self.volume, corrections, (rows, cols))) is None:
+            return {}
+        window, drawn = found_near
+        whole = uncorrected(self._read(rows, cols))
+        found: dict[str, Array] = {}
+        for face in ("top", "bottom"):
+            values = whole[face].values.astype(np.float64)
+            shared = tuple(
+                slice(max(part.start, own.start), min(part.stop, own.stop))
+                for part, own in zip((rows, cols), window, strict=True)
+            )
+            if all(part.stop > part.start for part in shared):
+                inner = tuple(slice(p.start - w.start, p.stop - w.start) for p, w in zip(shared, window, strict=True))
+                outer = tuple(
+                    slice(p.start - w.start, p.stop - w.start) for p, w in zip(shared, (rows, cols), strict=True)
+                )
+                values[outer] = drawn[face][inner]
+            found[f"preview_{face}"] = values.ravel()
+        return found
+
+
+_READ = (*HEIGHTS, "status", "thickness_se")
+_READ_TOO = ("found_", "correction_")
+
+
+def sheets_of(folder: Path, study: Study) -> dict[str, tuple[VolumeParams, Path]]:
+    """Volumes of the sheets of a run, and the stores with their surfaces, by layer."""
+    found: dict[str, tuple[VolumeParams, Path]] = {}
+    for layer in study.layers:
+        inner = folder / "layers" / layer.name
+        store = (inner if is_run(inner) else folder) / MAPS
+        if layer.volume is not None and (store / "surfaces").is_dir():
+            found[layer.name] = layer.volume, store
+    return found
+
+
+def contour(height: Array, x: Array, y: Array) -> Array:
+    """Segments (n, 4: x0, y0, x1, y1) along which a field (y, x) crosses 0, linear between its nodes."""
+    value = np.asarray(height, dtype=np.float64)
+    corners = np.stack([value[:-1, :-1], value[:-1, 1:], value[1:, 1:], value[1:, :-1]])
+    cells = np.flatnonzero((np.isfinite(corners).all(axis=0) & (np.ptp(corners >= 0, axis=0) > 0)).ravel())
+    rows, cols = np.unravel_index(cells, corners.shape[1:]) if cells.size else (cells, cells)
+    picked = corners[:, rows, cols]
+    at_x = np.stack([x[cols], x[cols + 1], x[cols + 1], x[cols]]) if cells.size else np.empty((4, 0))
+    at_y = np.stack([y[rows], y[rows], y[rows + 1], y[rows + 1]]) if cells.size else np.empty((4, 0))
+    ends: list[Array] = []
+    for k in range(4):
+        n = (k + 1) % 4
+        crosses = (picked[k] >= 0) != (picked[n] >= 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = picked[k] / (picked[k] - picked[n])
+        place = np.stack([at_x[k] + share * (at_x[n] - at_x[k]), at_y[k] + share * (at_y[n] - at_y[k])], axis=-1)
+        ends.append(np.where(crosses[:, None], place, np.nan))
+    # Two edges of a cell are crossed, or at a saddle all four: its crossings then belong together in pairs.
+    found = np.stack(ends, axis=1)
+    order = np.argsort(np.isnan(found[..., 0]), axis=1, kind="stable")
+    sorted_ends = np.take_along_axis(found, order[..., None], axis=1)
+    first, second = sorted_ends[:, :2].reshape(-1, 4), sorted_ends[:, 2:].reshape(-1, 4)
+    return np.concatenate([first, second[np.isfinite(second).all(axis=1)]])
+
+
+def _window(places: Array, near_um: float | None) -> slice:
+    """At most ``WIDEST`` places, around one of them."""
+    if places.size <= WIDEST:
+        return slice(0, places.size)
+    middle = places.size // 2 if near_um is None else int(np.abs(places - near_um).argmin())
+    first = int(np.clip(middle - WIDEST // 2, 0, places.size - WIDEST))
+    return slice(first, first + WIDEST)
+
+
+def _axis(name: Any, places: Array) -> AxisFacts:
+    step = float(places[1] - places[0]) if places.size > 1 else 1.0
+    return AxisFacts(name=name, first_um=float(places[0]), step_um=step, count=places.size)

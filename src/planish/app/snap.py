@@ -1,0 +1,116 @@
+"""The hole under a mark: one that was found with all others, or one that is searched around the mark alone."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import xarray as xr
+
+from planish.app.changes import ChangeError, End, Mark, Move
+from planish.app.pictures import Pictures
+from planish.app.session import KNOWN, PLANES, Plane, Session
+from planish.core.grid import Grid
+from planish.pipeline import find_holes
+
+REACH = 0.75
+"""Share of a hole's diameter within which a mark is taken for one of it."""
+_AROUND = 2.0  # half a window, over the largest diameter: holes at its border are left out
+_WHERE = {"moving": "on the volume side", "fixed": "in the image"}
+
+
+def snapped(session: Session, pictures: Pictures, layer: str, mark: Mark) -> Move:
+    """The move of a mark's ends into the holes that they lie in; an end where no hole is stays.
+
+    Raises
+    ------
+    ChangeError
+        If neither end lies in a hole.
+    """
+    found = {
+        plane: hole_at(session, pictures, layer, plane, end.xy) for plane in PLANES if (end := mark_end(mark, plane))
+    }
+    ends = {plane: end for plane, end in found.items() if end is not None}
+    if not ends:
+        where = " or ".join(_WHERE[plane] for plane in found)
+        low, high = session.study.holes.hole_um
+        raise ChangeError(
+            f"No hole of {low:g} to {high:g} um was found around {mark.label} {where}. Move the mark closer to the "
+            "middle of the hole, or leave it where it is."
+        )
+    return Move(layer=layer, id=mark.id, **ends)
+
+
+def not_snapped(mark: Mark, move: Move) -> str:
+    """What to say where only one end lies in a hole."""
+    missing = [_WHERE[p] for p in PLANES if mark_end(mark, p) is not None and getattr(move, p) is None]
+    return f"{mark.label} was not snapped {missing[0]}: no hole was found there." if missing else ""
+
+
+def mark_end(mark: Mark, plane: Plane) -> End | None:
+    """One end of a mark."""
+    return mark.moving if plane == "moving" else mark.fixed
+
+
+def hole_at(
+    session: Session, pictures: Pictures, layer: str, plane: Plane, at: tuple[float, float]
+) -> End | None:  # fmt: skip
+    """The hole around a point, with what is known of it; None where there is none."""
+    return _nearest(session.holes(layer)[plane], at) or _nearest(_searched(session, pictures, layer, plane, at), at)
+
+
+def _nearest(holes: xr.Dataset | None, at: tuple[float, float]) -> End | None:
+    if holes is None or not holes.sizes["mark"] or "diameter" not in holes:
+        return None
+    away = np.hypot(holes["x"].values - at[0], holes["y"].values - at[1])
+    k = int(np.nanargmin(away))
+    if not away[k] <= REACH * float(holes["diameter"].values[k]):
+        return None
+    known = {name: float(v) for name in KNOWN if name in holes and np.isfinite(v := holes[name].values[k])}
+    return End(x=float(holes["x"].values[k]), y=float(holes["y"].values[k]), source="detected", **known)
+
+
+def _searched(
+    session: Session, pictures: Pictures, layer: str, plane: Plane, at: tuple[float, float]
+) -> xr.Dataset | None:  # fmt: skip
+    """Holes in a window around a point, in um of the plane; None where nothing shows holes."""
+    params = session.study.holes
+    reach = _AROUND * params.hole_um[1]
+    shown = _shown(session, pictures, layer, plane)
+    if not shown:
+        return None
+    windows = {name: window for name, data in shown.items() if (window := _window(data, at, reach)) is not None}
+    if len(windows) < len(shown):
+        return None
+    if "image" in windows:
+        image = windows["image"]
+        grid = Grid.of(image)
+        found = find_holes(image.assign_attrs(pixel_um=list(grid.pixel_um)), params=params)
+        x, y = grid.origin_um
+        return found.assign(x=found["x"] + x, y=found["y"] + y)
+    side = session.side_of(session.target(layer))
+    return find_holes(xr.Dataset(windows), params=params, side=side)
+
+
+def _shown(session: Session, pictures: Pictures, layer: str, plane: Plane) -> dict[str, xr.DataArray]:
+    """What shows the holes of a plane: an image, or the layers of material of a sheet."""
+    if plane == "fixed" and session.image is not None:
+        return {"image": session.image}
+    owner = layer if plane == "moving" else session.target(layer)
+    own = {p.name.split("/")[-1]: p.full for p in pictures if p.plane == plane and p.layer == owner}
+    if "image" in own:
+        return {"image": own["image"]}
+    if plane == "fixed" and not any(name.startswith("presence") for name in own):
+        image = next((p.full for p in pictures if p.plane == plane and p.name.split("/")[-1] == "image"), None)
+        return {} if image is None else {"image": image}
+    return {name: data for name, data in own.items() if name.startswith("presence")}
+
+
+def _window(data: xr.DataArray, at: tuple[float, float], reach_um: float) -> xr.DataArray | None:
+    """The part of a map or image around a point, read; None where that is less than a hole needs."""
+    grid = Grid.of(data)
+    ranges = [np.flatnonzero(np.abs(v - c) <= reach_um) for v, c in ((grid.y_um, at[1]), (grid.x_um, at[0]))]
+    if min(r.size for r in ranges) < 8:
+        return None
+    rows, cols = (slice(int(r[0]), int(r[-1]) + 1) for r in ranges)
+    return cast("xr.DataArray", data[rows, cols].compute())

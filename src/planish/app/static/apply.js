@@ -1,0 +1,79 @@
+/** Apply: a new run of what was changed, its progress, and the link to its report. */
+
+import { button, make } from "./dom.js";
+
+const POLL_MS = 250;
+
+/**
+ * @param {HTMLElement} place
+ * @param {any} app
+ */
+export function mountApply(place, app) {
+  const bar = make("progress", { max: 1, "aria-label": "Progress of Apply", hidden: true });
+  const words = make("span", { class: "soft", id: "apply-words" });
+  const apply = button("Apply", start, {
+    class: "main",
+    disabled: app.readOnly,
+    title: "Make a new run beside this one, with all changes; this run stays as it is",
+  });
+  const cancel = button("Cancel", () => app.api.post("apply/cancel").then(watch, failed), { hidden: true });
+  const link = make("a", { target: "_blank", rel: "noopener", hidden: true });
+  place.replaceChildren(words, bar, link, cancel, apply);
+  void app.api.get("apply").then((/** @type {any} */ now) => now.state !== "idle" && show(now), () => {});
+
+  async function start() {
+    app.alarm(null);
+    try {
+      await app.api.post("apply");
+      await watch();
+    } catch (error) {
+      failed(error);
+    }
+  }
+
+  /** @param {any} error */
+  function failed(error) {
+    app.alarm(error.message);
+  }
+
+  let watching = false;
+  /** Ask for the progress until the work has ended. */
+  async function watch() {
+    if (watching) return;
+    watching = true;
+    try {
+      for (;;) {
+        const now = await app.api.get("apply").catch((/** @type {any} */ error) => {
+          if (error.status) throw error;
+          return null; // the server is away: the page says so, and the work may still be going on
+        });
+        if (now) show(now);
+        if (now && now.state !== "working") return;
+        await new Promise((resolve) => setTimeout(resolve, POLL_MS));
+      }
+    } finally {
+      watching = false;
+    }
+  }
+
+  /** @param {{state: string, stage?: string, share?: number, message?: string, run?: string, report?: string}} now */
+  function show(now) {
+    const working = now.state === "working";
+    const hadFocus = document.activeElement === cancel || document.activeElement === apply;
+    bar.hidden = cancel.hidden = !working;
+    apply.disabled = working || app.readOnly;
+    if (typeof now.share === "number") bar.value = now.share;
+    else bar.removeAttribute("value");
+    words.textContent = working ? (now.stage ?? "") : "";
+    link.hidden = !now.report;
+    if (now.report) {
+      link.href = now.report;
+      link.textContent = `Open report of ${now.run ?? "the new run"}`;
+    }
+    if (hadFocus) (working ? cancel : now.report ? link : apply).focus();
+    if (working) void watch();
+    else if (now.state === "failed") app.alarm(now.message ?? "Apply failed.");
+    else if (now.state === "cancelled") app.say("Apply was cancelled; nothing was written.");
+    else if (now.state === "done") app.say(now.message || `${now.run} is ready.`);
+  }
+}

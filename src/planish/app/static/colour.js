@@ -1,0 +1,78 @@
+/** Colours of values: the scales of the report, and tables that give the colour of every 16-bit code. */
+
+/** Anchors at even distances, from the lowest value to the highest; those of planish.report. */
+export const PALETTES = {
+  viridis:
+    "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26818e 21908c 1f9f88 28ae80 3ebc74 5dc963 82d34c abdc32 d5e21a fde725",
+  cividis:
+    "00224e 002e6a 1a386f 32436d 434e6c 52596d 61656f 6f7073 7c7b78 8b8778 9b9376 aba072 bbad6c ccba64 ddc958 efd748 fee838",
+  magma:
+    "000004 0a0822 1d1146 36106a 50127c 691c81 822681 9c2e7f b63779 cf4170 e65163 f5695c fb8761 fea571 fec387 fde0a2 fcfdbf",
+  RdBu_r:
+    "053061 175290 2a71b2 3f8dc0 6bacd0 9ac9e0 c1ddec dfecf3 f7f7f6 fbe6d9 fbceb6 f5ac8b e58268 d25749 bb2a34 960f26 67001f",
+  twilight:
+    "e2d9e2 d6d7dd c2ced4 aac2cc 94b4c7 81a6c3 7296c1 6886be 6275ba 5f63b5 5e50ac 5d3da0 592a8f 511b77 45135c 381145 2f1436",
+  grey: "000000 ffffff",
+};
+
+/** What a brush has chosen, [red, green, blue]. */
+export const CHOSEN = [255, 72, 0];
+
+const CODES = 65536;
+
+/** A colour as it lies in the memory of a canvas. @param {number[]} rgb @param {number} [alpha] */
+export const packed = ([red, green, blue], alpha = 255) =>
+  ((alpha << 24) | (Math.round(blue) << 16) | (Math.round(green) << 8) | Math.round(red)) >>> 0;
+
+/**
+ * The colour at a place of a scale.
+ * @param {string} palette
+ * @param {number} share 0 to 1
+ * @returns {number[]} red, green, blue
+ */
+export function colourAt(palette, share) {
+  const anchors = (PALETTES[/** @type {keyof typeof PALETTES} */ (palette)] ?? PALETTES.viridis).split(" ");
+  const at = Math.min(Math.max(share, 0), 1) * (anchors.length - 1);
+  const k = Math.min(Math.floor(at), anchors.length - 2);
+  const [low, high] = [anchors[k], anchors[k + 1]].map((hex) => [0, 2, 4].map((i) => parseInt(hex.slice(i, i + 2), 16)));
+  return low.map((value, i) => value + (high[i] - value) * (at - k));
+}
+
+/** The scale that suits a picture. @param {{name: string, units: string}} picture */
+export function paletteOf({ name, units }) {
+  const variable = name.split("/").at(-1) ?? name;
+  if (variable === "image" || variable === "valid" || variable.startsWith("presence")) return "grey";
+  if (variable.endsWith("_se") || variable.includes("error")) return "magma";
+  return units === "deg" || variable === "warp" || /^(u|v|volume_.|projected_.)$/.test(variable) ? "cividis" : "viridis";
+}
+
+/**
+ * The colour of each code of a picture; code 0 is missing and transparent.
+ * @param {{scale: number, offset: number}} picture
+ * @param {{palette: string, low: number, high: number}} look
+ * @returns {Uint32Array}
+ */
+export function coloursOfCodes({ scale, offset }, { palette, low, high }) {
+  const shades = Uint32Array.from({ length: 256 }, (_, k) => packed(colourAt(palette, k / 255)));
+  const table = new Uint32Array(CODES);
+  const step = (255 * scale) / (high - low || 1);
+  const start = (255 * (offset - low)) / (high - low || 1);
+  for (let code = 1; code < CODES; code++) {
+    const shade = start + step * (code - 1) + 0.5;
+    table[code] = shades[shade < 0 ? 0 : shade > 255 ? 255 : shade | 0];
+  }
+  return table;
+}
+
+/**
+ * The codes of a picture whose values lie between two; the first and the last code stand for all values beyond.
+ * @param {{scale: number, offset: number}} picture
+ * @param {number} low
+ * @param {number} high
+ * @returns {[number, number]} none where the first is above the second
+ */
+export function codesBetween({ scale, offset }, low, high) {
+  const first = Math.ceil((low - offset) / scale - 1e-6) + 1;
+  const last = Math.floor((high - offset) / scale + 1e-6) + 1;
+  return [Math.min(Math.max(first, 1), CODES - 1), Math.max(Math.min(last, CODES - 1), 0)];
+}

@@ -1,0 +1,76 @@
+/** Elements of the page, made in one expression. */
+
+/**
+ * Make an element. Attributes that are `false` or `null` are left out; `on…` are listeners; text is never read as HTML.
+ * @param {string} tag
+ * @param {Record<string, unknown>} [attributes]
+ * @param {...(Node|string|null)} children
+ * @returns {any}
+ */
+export function make(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value === null || value === false || value === undefined) continue;
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), /** @type {EventListener} */ (value));
+    else element.setAttribute(name, value === true ? "" : String(value));
+  }
+  element.append(...children.filter((child) => child !== null));
+  return element;
+}
+
+/**
+ * A button with a name and what it does.
+ * @param {string} name
+ * @param {() => void} act
+ * @param {Record<string, unknown>} [attributes]
+ * @returns {HTMLButtonElement}
+ */
+export const button = (name, act, attributes = {}) =>
+  make("button", { type: "button", onclick: act, ...attributes }, name);
+
+let fields = 0;
+
+/**
+ * A field or box beside its label.
+ * @param {string} label
+ * @param {HTMLElement} field
+ * @param {string} [unseen] what stands before the label for those who do not see where the field is
+ * @returns {HTMLElement}
+ */
+export function labelled(label, field, unseen = "") {
+  field.id ||= `field-${++fields}`;
+  return make("span", { class: "field" }, make("label", { for: field.id }, make("span", { class: "sr" }, unseen), label), field);
+}
+
+/**
+ * A box of choices; each is `value` or `[value, words]`.
+ * @param {(string|[string, string])[]} choices
+ * @param {(value: string) => void} onChange
+ * @returns {HTMLSelectElement}
+ */
+export function choice(choices, onChange) {
+  const box = make("select", { onchange: () => onChange(box.value) });
+  for (const one of choices) {
+    const [value, words] = Array.isArray(one) ? one : [one, one];
+    box.append(make("option", { value }, words));
+  }
+  return box;
+}
+
+/**
+ * Write a position, two decimals, without digit grouping.
+ * @param {number[]} point
+ * @returns {string}
+ */
+export const written = (point) => point.map((value) => value.toFixed(2)).join(", ");
+
+/**
+ * Read "x, y" or any number of values apart by commas, semicolons or spaces.
+ * @param {string} text
+ * @param {number} count
+ * @returns {number[]|null}
+ */
+export function numbers(text, count) {
+  const values = text.trim().split(/[\s,;]+/).map((word) => (word === "" ? NaN : Number(word)));
+  return values.length === count && values.every(Number.isFinite) ? values : null;
+}

@@ -1,0 +1,68 @@
+/** Two views that show the same place of the sheet: where one goes, the other follows. */
+
+import { angleOf, inverse, isMirrored, mapped, ofSimilarity, scaleOf } from "./geometry.js";
+
+/** Pairs from which on the views move together. */
+export const LINKED_FROM = 3;
+
+/**
+ * From the moving to the fixed plane by the closest similarity to the fit, once enough pairs are in use.
+ * @param {import("./store.js").State} state
+ * @returns {import("./geometry.js").Affine|null}
+ */
+export const similarityOf = (state) =>
+  pairsOf(state).length >= LINKED_FROM && state.fit?.transform ? ofSimilarity(state.fit.transform) : null;
+
+/** Marks in use with both ends. @param {import("./store.js").State} state */
+export const pairsOf = ({ marks }) => marks.filter((mark) => mark.used && mark.moving && mark.fixed);
+
+export class Linked {
+  /**
+   * @param {import("./mapview.js").MapView} moving
+   * @param {import("./mapview.js").MapView} fixed
+   */
+  constructor(moving, fixed) {
+    this.views = { moving, fixed };
+    /** @type {import("./geometry.js").Affine|null} from the moving to the fixed plane */
+    this.map = null;
+    this.on = true;
+    this.busy = false;
+    /** @type {"moving"|"fixed"} the view that was moved last leads */
+    this.leads = "moving";
+    for (const side of /** @type {const} */ (["moving", "fixed"])) {
+      this.views[side].view.on(["change:center", "change:resolution", "change:rotation"], () => this.follow(side));
+    }
+  }
+
+  /** Whether one view moves the other. */
+  get moves() {
+    return this.on && this.map !== null;
+  }
+
+  /**
+   * Take a new fit; the view that does not lead moves where it differs.
+   * @param {import("./geometry.js").Affine|null} map
+   */
+  update(map) {
+    this.map = map;
+    if (map) this.follow(this.leads);
+  }
+
+  /** @param {"moving"|"fixed"} side */
+  follow(side) {
+    if (this.busy || !this.moves) {
+      if (!this.busy) this.leads = side;
+      return;
+    }
+    this.leads = side;
+    const other = side === "moving" ? "fixed" : "moving";
+    const forward = /** @type {import("./geometry.js").Affine} */ (this.map);
+    const map = side === "moving" ? forward : inverse(forward);
+    const [from, to] = [this.views[side].view, this.views[other]];
+    this.busy = true;
+    to.centre = mapped(map, this.views[side].centre);
+    to.pixel = this.views[side].pixel * scaleOf(map);
+    if (!isMirrored(map)) to.view.setRotation(from.getRotation() - angleOf(map));
+    this.busy = false;
+  }
+}

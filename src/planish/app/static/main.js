@@ -1,0 +1,204 @@
+/** Start of the page: token, session, tabs, status lines, undo and redo, and what happens when the server is lost. */
+
+import { Api, takeToken } from "./api.js";
+import { mountApply } from "./apply.js";
+import { Store } from "./store.js";
+
+/** Modules of the tabs; each exports `mount(panel, app)`, called when its tab is first opened. */
+const TABS = {
+  marks: () => import("./marks.js"),
+  surfaces: () => import("./surfaces.js"),
+  maps: () => import("./maps.js"),
+  flattening: () => import("./flattening.js"),
+};
+
+const find = (/** @type {string} */ id) => /** @type {any} */ (document.getElementById(id));
+
+const lines = {
+  message: setter("message"),
+  cursor: setter("cursor"),
+  predicted: setter("predicted"),
+  selection: setter("selection"),
+  slicePosition: setter("slice"),
+  alarm: (/** @type {string|null} */ text) => {
+    const place = find("alarm");
+    if (place.textContent !== (text ?? "")) place.textContent = text ?? "";
+    place.hidden = !text;
+  },
+};
+
+/** @param {string} name @returns {(text: string) => void} */
+function setter(name) {
+  const line = find(`line-${name}`);
+  return (text) => {
+    if (line.textContent !== text) line.textContent = text;
+  };
+}
+
+/** Open the page on a session. */
+async function start() {
+  const token = takeToken();
+  if (!token) {
+    lines.alarm("Open this page with the whole address that 'planish view' printed: it ends with a token.");
+    return;
+  }
+  const api = new Api(token);
+  let session, state;
+  try {
+    [session, state] = await Promise.all([api.get("session"), api.get("state")]);
+  } catch (/** @type {any} */ error) {
+    lines.alarm(
+      error.status === 401
+        ? "The token of this page is not that of the server. Open the address that 'planish view' printed."
+        : `${error.message} Start 'planish view' again and open the address that it prints.`,
+    );
+    return;
+  }
+  const { cursor, predicted, selection, slicePosition } = lines;
+  const extras = { cursor, predicted, selection, slicePosition, openTab, onTab };
+  const app = Object.assign(new Store(api, session, state, lines), extras);
+  nameRun(session);
+  app.say(session.read_only ? `Open to read only. ${session.reason}` : "");
+  bindHistory(app);
+  mountTabs(app);
+  mountApply(find("apply"), app);
+  void followServer(api, app);
+}
+
+/** @param {any} session */
+function nameRun(session) {
+  const name = session.title ?? session.name ?? session.run ?? "";
+  find("run-name").textContent = name;
+  find("run-name").title = name;
+  document.title = `${name} – planish`;
+  if (session.read_only) {
+    find("run-name").textContent = `${name} (read only)`;
+    find("run-name").title = session.reason;
+  }
+}
+
+/** @param {any} app */
+function bindHistory(app) {
+  find("undo").addEventListener("click", () => app.undo());
+  find("redo").addEventListener("click", () => app.redo());
+  app.onState((/** @type {import("./store.js").State} */ state) => {
+    find("undo").disabled = !state.can_undo || app.readOnly;
+    find("redo").disabled = !state.can_redo || app.readOnly;
+  });
+  document.addEventListener("keydown", (event) => {
+    if (!(event.ctrlKey || event.metaKey) || event.altKey || isText(event.target)) return;
+    const key = event.key.toLowerCase();
+    if (key !== "z" && key !== "y") return;
+    event.preventDefault();
+    if (key === "y" || event.shiftKey) app.redo();
+    else app.undo();
+  });
+}
+
+/** Whether a key belongs to the text that is being written. @param {any} target */
+function isText(target) {
+  return target instanceof HTMLElement && target.matches("textarea, input:not([type=checkbox], [type=range])");
+}
+
+// --- tabs --------------------------------------------------------------------------------------------------------
+
+/** @type {Map<string, Promise<void>>} */
+const opened = new Map();
+/** @type {((name: string) => void)[]} */
+const tabListeners = [];
+/** @type {any} */
+let shared = null;
+
+/** Call with the tab's name whenever a tab is shown. @param {(name: string) => void} listener */
+function onTab(listener) {
+  tabListeners.push(listener);
+}
+
+/** @param {any} app */
+function mountTabs(app) {
+  shared = app;
+  const tabs = /** @type {HTMLElement[]} */ ([...document.querySelectorAll("[role=tab]")]);
+  tabs.forEach((tab, i) => {
+    tab.addEventListener("click", () => openTab(nameOf(tab)));
+    tab.addEventListener("keydown", (event) => {
+      const step = { ArrowRight: 1, ArrowLeft: -1, Home: -i, End: tabs.length - 1 - i }[event.key];
+      if (step === undefined) return;
+      event.preventDefault();
+      const next = tabs[(i + step + tabs.length) % tabs.length];
+      next.focus();
+      void openTab(nameOf(next));
+    });
+  });
+  void openTab("marks");
+}
+
+const nameOf = (/** @type {HTMLElement} */ tab) => tab.id.replace("tab-", "");
+
+/**
+ * Show a tab, and make it when it is opened for the first time.
+ * @param {string} name
+ * @returns {Promise<void>}
+ */
+function openTab(name) {
+  for (const tab of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[role=tab]"))) {
+    const chosen = nameOf(tab) === name;
+    tab.setAttribute("aria-selected", String(chosen));
+    tab.tabIndex = chosen ? 0 : -1;
+    find(`panel-${nameOf(tab)}`).hidden = !chosen;
+  }
+  for (const line of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-tabs]"))) {
+    line.hidden = !(line.dataset.tabs ?? "").split(" ").includes(name);
+  }
+  document.body.dataset.tab = name;
+  if (!opened.has(name)) opened.set(name, mountTab(name));
+  for (const listener of tabListeners) listener(name);
+  return /** @type {Promise<void>} */ (opened.get(name));
+}
+
+/** @param {string} name */
+async function mountTab(name) {
+  const panel = find(`panel-${name}`);
+  try {
+    const module = await TABS[/** @type {keyof typeof TABS} */ (name)]();
+    await module.mount(panel, shared);
+  } catch (error) {
+    opened.delete(name);
+    lines.alarm("This tab could not be opened. Reload the page; if that does not help, start 'planish view' again.");
+    throw error;
+  }
+}
+
+// --- the server's news -------------------------------------------------------------------------------------------
+
+const LOST = "No connection to planish. Nothing is saved until it is back; start 'planish view' again if it was ended.";
+const ANEW = "This page lost its connection: planish was started anew. Open the address that it printed.";
+
+/**
+ * Follow the changes of other windows, and say when the server is lost and found.
+ * @param {Api} api
+ * @param {any} app
+ */
+function followServer(api, app) {
+  let lost = false;
+  return api.follow({
+    onNews: (line) => {
+      if (line.version > app.state.version) void app.refresh().catch(() => {});
+      app.news?.(line);
+    },
+    onLost: (status) => {
+      lost = true;
+      app.alarm(status === 401 ? ANEW : LOST);
+    },
+    onFound: async () => {
+      await app.refresh(true);
+      if (lost) {
+        app.alarm(null);
+        app.say("The connection is back.");
+      }
+      lost = false;
+    },
+  });
+}
+
+window.addEventListener("hashchange", () => location.hash.includes("token=") && location.reload());
+void start();

@@ -1,0 +1,266 @@
+/** The tab Marks: two views, pairs of clicks, the table of residuals, and the pictures laid over each other. */
+
+import { labelled, choice, make, written } from "./dom.js";
+import { exchange } from "./exchange.js";
+import { Linked, similarityOf } from "./linked.js";
+import { MapView, flipped } from "./mapview.js";
+import { MarkLayer } from "./marklayer.js";
+import { MarkTools } from "./marktools.js";
+import { Overlay, WAYS } from "./overlay.js";
+import { Prediction } from "./prediction.js";
+import { MarkTable } from "./table.js";
+
+/** @typedef {"moving"|"fixed"} Side */
+
+export const NAMES = { moving: "Volume side", fixed: "Image side" };
+const SIDES = /** @type {Side[]} */ (["moving", "fixed"]);
+const other = (/** @type {Side} */ side) => (side === "moving" ? "fixed" : "moving");
+
+const HELP =
+  "Click a hole in one view, then the same hole in the other. Keys in a view: arrows move the chosen mark by one " +
+  "screen pixel (Shift: 5) or else the view; Enter sets a mark at the cross in the middle; N and P go to the next and " +
+  "the previous mark; Delete removes it, Esc lets go of it; + and - zoom, [ and ] turn, 0 shows all.";
+
+/**
+ * @param {HTMLElement} panel
+ * @param {any} app
+ */
+export function mount(panel, app) {
+  new Marks(panel, app);
+}
+
+class Marks {
+  /** @param {HTMLElement} panel @param {any} app */
+  constructor(panel, app) {
+    this.app = app;
+    /** @type {string|number|null} */
+    this.chosen = null;
+    this.table = new MarkTable({
+      choose: (id) => this.choose(id, true),
+      use: (mark, used) => app.change({ do: "use", id: mark.id, used }, `${mark.label} ${used ? "used" : "not used"}`),
+    });
+    this.tools = new MarkTools(app, this);
+    const places = { moving: make("div", { class: "view" }), fixed: make("div", { class: "view" }) };
+    this.warnings = make("ul", { class: "warnings", "aria-label": "Warnings" });
+    panel.classList.add("marks");
+    panel.replaceChildren(
+      this.tools.above,
+      make("div", { class: "views" }, places.moving, places.fixed),
+      make("div", { class: "under" }, this.tools.below, this.warnings, this.table.element, make("p", { class: "help soft" }, HELP)),
+    );
+    this.views = { moving: this.view("moving", places.moving), fixed: this.view("fixed", places.fixed) };
+    this.layers = { moving: new MarkLayer(this.views.moving, "moving"), fixed: new MarkLayer(this.views.fixed, "fixed") };
+    this.linked = new Linked(this.views.moving, this.views.fixed);
+    this.overlay = new Overlay(this.views.fixed);
+    this.prediction = new Prediction(app, this.layers);
+    const way = choice(WAYS, (value) => {
+      this.overlay.setWay(value);
+      app.say(this.overlay.words);
+    });
+    this.tools.above.prepend(...this.layerBox());
+    this.tools.above.append(make("div", { class: "group" }, labelled("View", way), this.overlay.control, this.followBox()));
+    this.tools.below.append(exchange(app));
+    this.boxes = { moving: this.pictureBox("moving", places.moving), fixed: this.pictureBox("fixed", places.fixed) };
+    this.showLayer();
+    for (const side of SIDES) this.bind(side);
+    app.onState((/** @type {import("./store.js").State} */ state) => this.show(state));
+  }
+
+  /** @param {Side} side @param {HTMLElement} element */
+  view(side, element) {
+    const nudge = (/** @type {number} */ dx, /** @type {number} */ dy) => this.nudge(side, dx, dy);
+    return new MapView({ element, name: NAMES[side], app: this.app, nudge });
+  }
+
+  /** The box that says which picture a view shows. @param {Side} side @param {HTMLElement} place */
+  pictureBox(side, place) {
+    const box = choice([], (id) => this.showPicture(side, id));
+    const head = make("div", { class: "head" }, make("h2", {}, NAMES[side]), labelled("", box, `${NAMES[side]} shows`));
+    place.prepend(head);
+    head.append(this.views[side].fields);
+    return box;
+  }
+
+  /** @param {Side} side @param {string} id */
+  showPicture(side, id) {
+    const picture = this.app.pictures.find((/** @type {any} */ one) => one.id === id);
+    this.views[side].show(picture);
+    if (side === "moving") this.overlay.show(picture, this.app);
+  }
+
+  /** Show the pictures and holes of the registration that is chosen. */
+  showLayer() {
+    const { pictures, layer, session } = this.app;
+    const facts = session.layers?.find((/** @type {any} */ one) => one.name === layer);
+    for (const side of SIDES) {
+      const shown = pictures.filter(
+        (/** @type {any} */ one) =>
+          one.plane === side && !/(^|\/)valid$/.test(one.name) && (side === "fixed" || one.layer === layer),
+      );
+      const options = shown.map((/** @type {any} */ one) => make("option", { value: one.id }, one.title));
+      this.boxes[side].replaceChildren(...options);
+      if (shown.length) this.showPicture(side, shown[0].id);
+      this.layers[side].showHoles((facts?.holes ?? session.holes)?.[side] ?? []);
+    }
+  }
+
+  /** Where several layers are registered: the box that says which one. @returns {HTMLElement[]} */
+  layerBox() {
+    const names = (this.app.session.layers ?? []).map((/** @type {any} */ one) => one.name);
+    if (names.length < 2) return [];
+    const box = choice(names, async (name) => {
+      this.chosen = null;
+      await this.app.chooseLayer(name);
+      this.showLayer();
+    });
+    return [make("div", { class: "group" }, labelled("Layer", box))];
+  }
+
+  followBox() {
+    const box = make("input", { type: "checkbox", onchange: () => ((this.linked.on = box.checked), this.linked.update(this.linked.map)) });
+    box.checked = true;
+    return make("label", { class: "check" }, box, make("span", {}, "Move views together"));
+  }
+
+  /** @param {Side} side */
+  bind(side) {
+    const { map, element } = this.views[side];
+    map.on("click", (/** @type {any} */ event) => this.clicked(side, flipped(event.coordinate), event.pixel));
+    map.on("pointermove", (/** @type {any} */ event) => {
+      if (!event.dragging) this.pointed(side, flipped(event.coordinate));
+    });
+    element.addEventListener("pointerleave", () => this.pointed(side, null));
+    element.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => this.key(side, event));
+    this.layers[side].dragging((id, point) => this.app.change({ do: "move", id, [side]: point }, "Mark moved"));
+  }
+
+  // --- what is shown ---------------------------------------------------------------------------------------------
+
+  /** @param {import("./store.js").State} state */
+  show(state) {
+    if (this.chosen !== null && !state.marks.some((mark) => mark.id === this.chosen)) this.chosen = null;
+    this.linked.update(similarityOf(state));
+    this.overlay.update(state);
+    this.redraw();
+  }
+
+  redraw() {
+    const { state } = this.app;
+    for (const side of SIDES) this.layers[side].showMarks(state.marks, this.chosen);
+    this.table.show(state, this.chosen);
+    this.tools.show(state, this.mark);
+    const { open } = this;
+    for (const side of SIDES) this.views[side].hint(open && !open[side] ? `Click ${open.label} here` : "");
+    const general = (state.warnings ?? []).filter((/** @type {any} */ one) => one.id === undefined || one.id === null);
+    this.warnings.replaceChildren(...general.map((/** @type {any} */ one) => make("li", {}, one.text)));
+    this.prediction.showFor(this.mark ?? open);
+  }
+
+  /** The chosen mark. @returns {import("./store.js").Mark|null} */
+  get mark() {
+    return this.app.state.marks.find((/** @type {any} */ one) => one.id === this.chosen) ?? null;
+  }
+
+  /** The newest mark that still has one end only. @returns {import("./store.js").Mark|null} */
+  get open() {
+    return this.app.state.marks.findLast((/** @type {any} */ one) => !one.moving !== !one.fixed) ?? null;
+  }
+
+  /** @param {any} id @param {boolean} [go] whether the views go there */
+  choose(id, go = false) {
+    this.chosen = id;
+    this.redraw();
+    this.table.reveal();
+    const { mark } = this;
+    if (!go || !mark) return;
+    for (const side of SIDES) {
+      const end = mark[side] ?? mark.predicted?.[side];
+      if (end && (side === "moving" || !this.linked.moves || !mark.moving)) this.views[side].centre = end;
+    }
+  }
+
+  /** Go on to the next mark in the order of the table. @param {1|-1} step */
+  walk(step) {
+    const marks = this.table.ordered;
+    if (!marks.length) return;
+    const at = marks.findIndex((mark) => mark.id === this.chosen);
+    const next = at < 0 ? (step > 0 ? 0 : marks.length - 1) : (at + step + marks.length) % marks.length;
+    this.choose(marks[next].id, true);
+    this.app.say(`${marks[next].label}, ${next + 1} of ${marks.length}`);
+  }
+
+  // --- what is done ----------------------------------------------------------------------------------------------
+
+  /** @param {Side} side @param {[number, number]} point @param {number[]} pixel */
+  clicked(side, point, pixel) {
+    this.views[side].element.focus({ preventScroll: true });
+    const meant = this.layers[side].near(pixel)?.get("id");
+    const { open } = this;
+    if (meant !== undefined && !(open && !open[side])) this.choose(meant);
+    else void this.put(side, point);
+  }
+
+  /** Set an end of a mark: of the one that waits for it, or of a new one. @param {Side} side @param {[number, number]} point */
+  async put(side, point) {
+    let /** @type {any} */ id = null;
+    const state = await this.app.change(() => {
+      id = this.open?.id ?? null;
+      return id === null ? { do: "add", [side]: point } : { do: "move", id, [side]: point };
+    }, `Mark set in the ${NAMES[side]}`);
+    if (!state) return;
+    if (this.open) this.app.say(`${this.app.did} Now set ${this.open.label} in the ${NAMES[other(side)]}.`);
+    this.choose(id ?? state.marks.at(-1).id);
+    this.lead(side);
+  }
+
+  /** Bring the predicted place of a mark's missing end into sight. @param {Side} side where its one end was set */
+  lead(side) {
+    const there = this.mark?.predicted?.[other(side)];
+    const view = this.views[other(side)];
+    if (there && !this.mark?.[other(side)] && !view.sees(there)) view.centre = there;
+  }
+
+  /** @param {Side} side @param {number} dx @param {number} dy in um @returns {boolean} */
+  nudge(side, dx, dy) {
+    if (!this.mark?.[side]) return false;
+    const { id } = this.mark;
+    void this.app.change((/** @type {any} */ state) => {
+      const end = state.marks.find((/** @type {any} */ one) => one.id === id)?.[side];
+      return end ? { do: "move", id, [side]: [end[0] + dx, end[1] + dy] } : null;
+    }, "Mark moved");
+    return true;
+  }
+
+  async remove() {
+    const { mark } = this;
+    if (!mark) return;
+    await this.app.change({ do: "delete", id: mark.id }, `${mark.label} deleted`);
+  }
+
+  async snap() {
+    const { mark } = this;
+    if (mark) await this.app.write(() => this.app.post("snap", { id: mark.id, layer: this.app.layer }), `${mark.label} snapped to its hole`);
+  }
+
+  /** @param {Side} side @param {[number, number]|null} point */
+  pointed(side, point) {
+    this.app.cursor(point ? `${NAMES[side]} x, y: ${written(point)} um` : "");
+    this.prediction.point(side, point);
+  }
+
+  /** @param {Side} side @param {KeyboardEvent} event */
+  key(side, event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const acts = {
+      Enter: () => this.put(side, this.views[side].centre),
+      Delete: () => this.remove(),
+      Escape: () => this.choose(null),
+      n: () => this.walk(1),
+      p: () => this.walk(-1),
+    };
+    const act = acts[/** @type {keyof typeof acts} */ (event.key)];
+    if (!act) return;
+    event.preventDefault();
+    void act();
+  }
+}

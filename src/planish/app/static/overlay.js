@@ -1,0 +1,121 @@
+/** The moving picture laid over the fixed one: blend, swipe, blink and checkerboard. */
+
+import { affine, after, angleOf, inverse, mapped, scaleOf, turned } from "./geometry.js";
+import { labelled, make } from "./dom.js";
+import { rawTileLayer } from "./rawtiles.js";
+import { pairsOf, similarityOf } from "./linked.js";
+import { flipped } from "./mapview.js";
+
+/* global ol */
+
+const BLINK_MS = 600;
+export const WAYS = /** @type {[string, string][]} */ ([
+  ["two", "side by side"],
+  ["blend", "blend"],
+  ["swipe", "swipe"],
+  ["blink", "blink"],
+  ["checkerboard", "checkerboard"],
+]);
+
+export class Overlay {
+  /** @param {import("./mapview.js").MapView} base the view of the fixed plane */
+  constructor(base) {
+    this.base = base;
+    this.way = "two";
+    /** @type {import("./geometry.js").Affine|null} from the moving to the fixed plane */
+    this.fit = null;
+    this.model = "similarity";
+    this.inner = make("div", { class: "over-inner" });
+    this.outer = make("div", { class: "over", "aria-hidden": "true" }, this.inner);
+    this.share = make("input", { type: "range", min: 0, max: 100, value: 50, oninput: () => this.paint() });
+    this.control = labelled("Share of the Volume side, %", this.share);
+    this.control.hidden = true;
+    this.view = new ol.View({
+      projection: base.view.getProjection(),
+      center: [0, 0],
+      resolution: 1,
+      minResolution: 1e-4,
+      maxResolution: 1e6,
+      constrainRotation: false,
+    });
+    this.map = new ol.Map({ target: this.inner, view: this.view, controls: [], interactions: [] });
+    // Between the picture and the marks of the lower map, which calls `render` for each frame that it draws.
+    this.place = new ol.layer.Layer({ zIndex: 1, visible: false, render: () => this.placed() });
+    base.map.addLayer(this.place);
+    this.timer = 0;
+  }
+
+  /** @param {any} picture of the moving plane @param {any} app */
+  show(picture, app) {
+    this.map.setLayers([rawTileLayer(picture, app.api)]);
+  }
+
+  /**
+   * Take the fit of the marks: affine where that is the model, its similarity part otherwise.
+   * @param {import("./store.js").State} state
+   */
+  update(state) {
+    this.model = state.fit?.model === "affine" ? "affine" : "similarity";
+    this.fit = similarityOf(state);
+    if (this.fit && this.model === "affine") {
+      const pairs = pairsOf(state);
+      const [from, to] = [pairs.map((mark) => mark.moving), pairs.map((mark) => mark.fixed)];
+      this.fit = affine(/** @type {any} */ (from), /** @type {any} */ (to));
+    }
+    this.setWay(this.way);
+  }
+
+  /** @param {string} way */
+  setWay(way) {
+    const other = way !== this.way;
+    this.way = way;
+    const on = way !== "two" && this.fit !== null;
+    this.place.setVisible(on);
+    this.control.hidden = !on || (way !== "blend" && way !== "swipe");
+    this.control.firstChild.lastChild.textContent = way === "swipe" ? "Swipe, % from the left" : "Share of the Volume side, %";
+    if (!on || other) {
+      clearInterval(this.timer);
+      this.timer = 0;
+      this.inner.classList.remove("off");
+    }
+    if (on && way === "blink" && !this.timer) {
+      this.timer = window.setInterval(() => this.inner.classList.toggle("off"), BLINK_MS);
+    }
+    this.paint();
+    this.base.map.render();
+  }
+
+  /** What is to be said of the overlay. */
+  get words() {
+    if (this.way === "two") return "";
+    if (!this.fit) return "The pictures can be laid over each other from three pairs on.";
+    const part = this.model === "affine" ? "affine map" : "similarity part";
+    return `Volume side laid over the Image side by the ${part} of the marks.`;
+  }
+
+  paint() {
+    const share = Number(this.share.value);
+    this.inner.style.opacity = this.way === "blend" ? String(share / 100) : "1";
+    this.outer.style.clipPath = this.way === "swipe" ? `inset(0 ${100 - share}% 0 0)` : "";
+    this.outer.classList.toggle("checked", this.way === "checkerboard");
+  }
+
+  /**
+   * Move the upper map to where the lower one is. What a view cannot do, stretch and mirror, is left to a CSS matrix:
+   * base = turn(r) fit turn(-r') / scale, where turn(r) takes the axes of a plane to those of a screen turned by r.
+   * @returns {HTMLElement}
+   */
+  placed() {
+    const fit = /** @type {import("./geometry.js").Affine} */ (this.fit);
+    const scale = scaleOf(fit);
+    const turn = this.base.view.getRotation();
+    const own = turn + angleOf(fit);
+    this.view.setCenter(flipped(mapped(inverse(fit), this.base.centre)));
+    this.view.setResolution(this.base.pixel / scale);
+    this.view.setRotation(own);
+    const linear = { a: fit.a / scale, b: fit.b / scale, c: fit.c / scale, d: fit.d / scale, e: 0, f: 0 };
+    const { a, b, c, d } = after(turned(turn), after(linear, turned(-own)));
+    this.inner.style.transform = `matrix(${a}, ${c}, ${b}, ${d}, 0, 0)`;
+    return this.outer;
+  }
+}

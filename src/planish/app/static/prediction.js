@@ -1,0 +1,65 @@
+/** Where a point of one view lies in the other, as the marks say so far. */
+
+import { written } from "./dom.js";
+
+const NAMES = { moving: "Volume side", fixed: "Image side" };
+
+export class Prediction {
+  /**
+   * @param {any} app
+   * @param {{moving: import("./marklayer.js").MarkLayer, fixed: import("./marklayer.js").MarkLayer}} layers
+   */
+  constructor(app, layers) {
+    this.app = app;
+    this.layers = layers;
+    /** @type {{side: "moving"|"fixed", point: [number, number]}|null} */
+    this.wanted = null;
+    this.busy = false;
+    this.inside = false;
+    /** @type {import("./store.js").Mark|null} */
+    this.mark = null;
+  }
+
+  /** Show the predicted end of a mark that has one end only. @param {import("./store.js").Mark|null} mark */
+  showFor(mark) {
+    this.mark = mark;
+    this.rest();
+  }
+
+  rest() {
+    for (const side of /** @type {const} */ (["moving", "fixed"])) {
+      const place = this.mark && !this.mark[side] ? this.mark.predicted?.[side] : null;
+      this.layers[side].showGhost(place ?? null);
+      if (place) this.app.predicted(`${this.mark?.label} in the ${NAMES[side]}: ${written(place)} um`);
+    }
+  }
+
+  /**
+   * Follow the pointer; one question is asked at a time.
+   * @param {"moving"|"fixed"} side
+   * @param {[number, number]|null} point
+   */
+  point(side, point) {
+    this.wanted = point && { side, point };
+    this.inside = point !== null;
+    if (!point) {
+      this.app.predicted("");
+      this.rest();
+    } else if (!this.busy) void this.ask();
+  }
+
+  async ask() {
+    this.busy = true;
+    while (this.wanted) {
+      const { side, point } = this.wanted;
+      this.wanted = null;
+      const there = side === "moving" ? "fixed" : "moving";
+      const query = `predict?side=${side}&x=${point[0]}&y=${point[1]}`;
+      const found = await this.app.api.get(this.app.ofLayer(query)).catch(() => null);
+      if (!this.inside) break;
+      this.layers[there].showGhost(found ? [found.x, found.y] : null);
+      this.app.predicted(found ? `${NAMES[there]} x, y: ${written([found.x, found.y])} um; ${found.text}` : "No pair yet");
+    }
+    this.busy = false;
+  }
+}

@@ -1,0 +1,145 @@
+/** The session as this window knows it: its state, and changes that are sent one after the other. */
+
+import { ApiError } from "./api.js";
+
+/**
+ * @typedef {[number, number]} Point
+ * @typedef {{id: string|number, label: string, used: boolean, moving: Point|null, fixed: Point|null, source: string,
+ *   residual_um: number|null, leave_one_out_um: number|null, predicted?: {moving?: Point, fixed?: Point},
+ *   note?: string}} Mark
+ * @typedef {{model: string, rms_um: number|null, loo_rms_um: number|null, follows?: boolean, error?: string,
+ *   transform?: {scale: number, rotation_rad: number, shift_um: Point, mirrored: boolean}|null}} Fit
+ * @typedef {{version: number, layer: string, marks: Mark[], model: string, fit: Fit|null, message?: string, said?: string,
+ *   warnings: {id?: string|number, text: string}[], corrections: any[], regions: any[], can_undo: boolean,
+ *   can_redo: boolean}} State
+ */
+
+export class Store {
+  /**
+   * @param {import("./api.js").Api} api
+   * @param {any} session the facts of the run, which do not change
+   * @param {State} state
+   * @param {{message: (text: string) => void, alarm: (text: string|null) => void}} lines
+   */
+  constructor(api, session, state, lines) {
+    this.api = api;
+    this.session = session;
+    this.pictures = session.pictures ?? [];
+    this.state = state;
+    this.lines = lines;
+    this.alarm = lines.alarm;
+    this.did = "";
+    /** Registration that is shown, by the name of its moving layer. */
+    this.layer = state.layer;
+    /** @type {((state: State) => void)[]} */
+    this.listeners = [];
+    this.queue = Promise.resolve();
+    this.readOnly = Boolean(session.read_only);
+  }
+
+  /**
+   * Say what was done; what the fit has to say of the marks stands behind it.
+   * @param {string} text
+   */
+  say(text) {
+    this.did = text;
+    this.lines.message([text, this.state.message].filter(Boolean).join(" "));
+  }
+
+  /** Show another registration. @param {string} layer */
+  async chooseLayer(layer) {
+    this.layer = layer;
+    await this.refresh(true);
+  }
+
+  /** @param {string} path */
+  ofLayer(path) {
+    return `${path}${path.includes("?") ? "&" : "?"}layer=${encodeURIComponent(this.layer)}`;
+  }
+
+  /**
+   * Call now and whenever the state is another.
+   * @param {(state: State) => void} listener
+   */
+  onState(listener) {
+    this.listeners.push(listener);
+    listener(this.state);
+  }
+
+  /** @param {State} state */
+  setState(state) {
+    if (state.version < this.state.version) return;
+    this.state = state;
+    this.say(this.did);
+    for (const listener of this.listeners) listener(state);
+  }
+
+  /**
+   * Take the state from the server.
+   * @param {boolean} [anew] whatever its version: the server may have been started again
+   */
+  async refresh(anew = false) {
+    const state = await this.api.get(this.ofLayer("state"));
+    if (anew) this.state = { ...this.state, version: -1 };
+    this.setState(state);
+  }
+
+  /**
+   * Change the session; what is to be changed is asked when all earlier changes are done.
+   * @param {object|((state: State) => object|null)} change
+   * @param {string} words what was done, said when it is saved
+   * @returns {Promise<State|null>} the new state, null where it was not changed
+   */
+  change(change, words) {
+    return this.write(() => {
+      const now = typeof change === "function" ? change(this.state) : change;
+      return now && this.post("change", { change: { ...now, layer: this.layer } });
+    }, words);
+  }
+
+  /** Write, and get the state of the registration that is shown. @param {string} path @param {object} [body] */
+  post(path, body = {}) {
+    return this.api.post(this.ofLayer(path), body);
+  }
+
+  undo() {
+    return this.state.can_undo ? this.write(() => this.post("undo"), "Undone") : Promise.resolve(null);
+  }
+
+  redo() {
+    return this.state.can_redo ? this.write(() => this.post("redo"), "Done again") : Promise.resolve(null);
+  }
+
+  /**
+   * Send one write after all earlier ones and show what it led to.
+   * @param {() => Promise<State>|null} send
+   * @param {string} words
+   * @returns {Promise<State|null>}
+   */
+  write(send, words) {
+    const done = this.queue.then(async () => {
+      if (this.readOnly) throw new ApiError(0, "This run is open to read only: nothing can be changed.");
+      const state = await send();
+      if (!state) return null;
+      this.alarm(null);
+      this.setState(state);
+      this.say(`${state.said ? `${words}. ${state.said}` : `${words}.`} Saved.`);
+      return state;
+    });
+    const caught = done.catch((error) => this.refused(error));
+    this.queue = caught.then(() => {});
+    return caught;
+  }
+
+  /**
+   * Say why something was not done.
+   * @param {any} error
+   * @returns {null}
+   */
+  refused(error) {
+    if (error.status === 409 && error.body?.version) this.setState(error.body);
+    this.alarm(error.status === 0 && !this.readOnly ? `${error.message} The change was not saved.` : error.message);
+    for (const listener of this.listeners) listener(this.state); // a box that was ticked shows again what stands
+    return null;
+  }
+}

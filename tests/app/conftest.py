@@ -1,0 +1,160 @@
+"""A server on a copy of a run, and a browser: for the tests of the page with real mouse and keys."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+START_S = 60.0
+"""How long a server may take to print its address on a loaded machine."""
+
+
+@dataclass
+class Served:
+    """A running ``planish view``: its address with the token, its run, and the process."""
+
+    url: str
+    run: Path
+    process: subprocess.Popen[str]
+    arguments: tuple[str, ...] = ()
+
+    @property
+    def base(self) -> str:
+        return self.url.partition("/#")[0]
+
+    @property
+    def token(self) -> str:
+        return self.url.partition("token=")[2]
+
+    @property
+    def port(self) -> int:
+        return int(self.base.rpartition(":")[2])
+
+    def kill(self) -> None:
+        """End it at once, as a machine that fails does."""
+        self.process.kill()
+        self.process.wait()
+
+
+def start(run: Path, *arguments: str) -> Served:
+    """Start ``planish view`` and read its address."""
+    command = [sys.executable, "-m", "planish", "view", str(run), *arguments, "--json", "--no-browser"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert line, f"planish view ended with {process.wait()}"
+    return Served(url=json.loads(line)["url"], run=run, process=process, arguments=arguments)
+
+
+@pytest.fixture
+def serve() -> Generator[Callable[..., Served]]:
+    """Return a function from a run folder, and options, to its server; all servers end with the test."""
+    servers: list[Served] = []
+
+    def begin(run: Path, *arguments: str) -> Served:
+        servers.append(start(run, *arguments))
+        return servers[-1]
+
+    yield begin
+    for server in servers:
+        if server.process.poll() is None:
+            server.process.terminate()
+        server.process.wait(timeout=START_S)
+        assert server.process.stdout is not None
+        server.process.stdout.close()
+
+
+@pytest.fixture
+def run_copy(linked_run, tmp_path) -> Path:
+    """A run that the test may change."""
+    return Path(shutil.copytree(linked_run, tmp_path / "run"))
+
+
+def chromium_path() -> str | None:
+    """The Chromium of ``PLANISH_CHROMIUM``, or the one on the path."""
+    named = os.environ.get("PLANISH_CHROMIUM")
+    return named or next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """One Chromium for all tests; skipped where it or playwright is absent."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is absent: pip install playwright")
+    path = chromium_path()
+    if path is None:
+        pytest.skip("Chromium is absent: install it (apt-get install chromium), or name it in PLANISH_CHROMIUM")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@dataclass
+class Window:
+    """A page of a served session; ``faults`` are the errors that its console showed."""
+
+    page: Any
+    server: Served
+    faults: list[str] = field(default_factory=list)
+
+    def role(self, role: str, name: str) -> Any:
+        return self.page.get_by_role(role, name=name, exact=True)
+
+    def middle(self, name: str) -> tuple[float, float]:
+        """The middle of a map view on the screen."""
+        box = self.role("application", name).bounding_box()
+        return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def go(self, name: str, x_um: float, y_um: float, pixel_um: float | None = None) -> None:
+        """Bring a point into the middle of a view by the fields beside it."""
+        if pixel_um is not None:
+            self.fill(f"{name}, um per screen pixel", str(pixel_um))
+        self.fill(f"{name} centre, um", f"{x_um}, {y_um}")
+
+    def fill(self, label: str, text: str) -> None:
+        box = self.page.get_by_label(label, exact=True)
+        box.fill(text)
+        box.press("Enter")
+
+    def click(self, name: str, x_um: float, y_um: float, pixel_um: float | None = None) -> None:
+        """Click a point of a view with the mouse."""
+        self.go(name, x_um, y_um, pixel_um)
+        self.page.mouse.click(*self.middle(name))
+
+    def rows(self) -> list[list[str]]:
+        """Texts of the table's rows; the box `Used` as its state."""
+        return [
+            [*row.get_by_role("cell").all_inner_texts(), str(row.get_by_role("checkbox").is_checked())]
+            for row in self.role("table", "Marks").get_by_role("row").all()[1:]
+        ]
+
+
+@pytest.fixture
+def window(chromium) -> Generator[Callable[..., Window]]:
+    """Return a function that opens the page of a server; errors in its console fail the test at the end."""
+    opened: list[Window] = []
+
+    def begin(server: Served, *, width: int = 1366, height: int = 768, context: Any = None, **options: Any) -> Window:
+        context = context or chromium.new_context(viewport={"width": width, "height": height}, **options)
+        page = context.new_page()
+        shown = Window(page, server)
+        page.on("console", lambda line: shown.faults.append(line.text) if line.type == "error" else None)
+        page.on("pageerror", lambda error: shown.faults.append(str(error)))
+        page.goto(server.url)
+        opened.append(shown)
+        return shown
+
+    yield begin
+    for shown in opened:
+        if not shown.page.is_closed():
+            shown.page.context.close()
+    assert [fault for shown in opened for fault in shown.faults] == []

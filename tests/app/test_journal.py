@@ -1,0 +1,281 @@
+"""The journal: what was answered is on the disk, whatever happens; and sessions that come back from it."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from app.test_changes import random_change
+
+from planish.app import journal as module
+from planish.app.changes import ChangeError, change_of
+from planish.app.journal import InUse, Journal
+from planish.app.session import Session, Stale
+from planish.core.errors import FileError, ResourceError
+
+
+@pytest.fixture
+def run(linked_run, tmp_path) -> Path:
+    return Path(shutil.copytree(linked_run, tmp_path / "run"))
+
+
+@pytest.fixture
+def path(tmp_path) -> Path:
+    return tmp_path / "edits" / "journal.jsonl"
+
+
+def change(session: Session, **values: object) -> None:
+    session.change(change_of(json.dumps(values)))
+
+
+def standing(session: Session) -> list[object]:
+    now = session.state
+    return [now.marks, now.model, now.corrections, now.regions]
+
+
+def test_nothing_is_written_before_the_first_change(path):
+    with Journal(path, of="a", write=True):
+        assert not path.exists()
+    assert not path.parent.exists()
+
+
+def test_lines_come_back(path):
+    with Journal(path, of="a", write=True) as made:
+        made.append(b'{"do": 1}')
+        made.append(b'{"do": 2}')
+    assert Journal(path, of="a", write=False).lines == [b'{"do": 1}', b'{"do": 2}']
+
+
+@pytest.mark.parametrize("half", [b'{"do": 3', b'{"do": 3}', b"\0" * 40])
+def test_half_a_last_line_is_dropped(path, half):
+    with Journal(path, of="a", write=True) as made:
+        made.append(b'{"do": 1}')
+    with path.open("ab") as file:
+        file.write(half)
+    with Journal(path, of="a", write=True) as again:
+        assert again.lines == [b'{"do": 1}']
+        again.append(b'{"do": 2}')
+    assert Journal(path, of="a", write=False).lines == [b'{"do": 1}', b'{"do": 2}']
+
+
+def test_half_a_first_line_is_as_good_as_none(path):
+    path.parent.mkdir()
+    path.write_bytes(b'{"format": "plan')
+    with Journal(path, of="a", write=True) as made:
+        made.append(b'{"do": 1}')
+    assert Journal(path, of="a", write=False).lines == [b'{"do": 1}']
+
+
+def test_a_line_is_on_the_disk_before_it_counts(path, monkeypatch):
+    seen: list[bytes] = []
+    real = os.fsync
+    monkeypatch.setattr(module.os, "fsync", lambda at: (seen.append(path.read_bytes()), real(at)))
+    with Journal(path, of="a", write=True) as made:
+        made.append(b'{"do": 1}')
+    assert any(data.endswith(b'{"do": 1}\n') for data in seen)
+
+
+@pytest.mark.parametrize("written", [0, 4])
+def test_a_full_disk_leaves_nothing_of_a_line(path, monkeypatch, written):
+    with Journal(path, of="a", write=True) as made:
+        made.append(b'{"do": 1}')
+
+        def full(file, data):
+            file.write(data[:written])
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(module, "_write_all", full)
+            with pytest.raises(ResourceError, match=r"was not made: the disk is full"):
+                made.append(b'{"do": 2}')
+        assert made.lines == [b'{"do": 1}']
+        made.append(b'{"do": 3}')
+    assert Journal(path, of="a", write=False).lines == [b'{"do": 1}', b'{"do": 3}']
+
+
+def test_a_line_that_did_not_reach_the_disk_is_taken_back(path, monkeypatch):
+    def broken(_at):
+        raise OSError(errno.EIO, "Input/output error")
+
+    with Journal(path, of="a", write=True) as made:
+        made.append(b'{"do": 1}')
+        before = path.read_bytes()
+        monkeypatch.setattr(module.os, "fsync", broken)
+        with pytest.raises(FileError, match="was not made"):
+            made.append(b'{"do": 2}')
+        assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b'{"format": "another 1"}\n', "is no journal"),
+        (b'{"format": "planish journal 1", "of": "b"}\n', "something else"),
+        (b'{"format": "planish journal 1", "of": "a"}\nnonsense\n{"do": 2}\n', "damaged in line 2 of 3"),
+        (b"[[[\n", "is no journal"),
+    ],
+)
+def test_a_journal_that_is_none_is_refused_and_kept(path, content, words):
+    path.parent.mkdir()
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=words):
+        Journal(path, of="a", write=True)
+    assert path.read_bytes() == content
+    with pytest.raises(FileError, match=words):  # the lock was given back
+        Journal(path, of="a", write=True)
+
+
+def test_one_process_writes_and_others_read(path):
+    with Journal(path, of="a", write=True) as made:
+        made.append(b'{"do": 1}')
+        with pytest.raises(InUse, match="--read-only"):
+            Journal(path, of="a", write=True)
+        reader = Journal(path, of="a", write=False)
+        assert reader.lines == [b'{"do": 1}']
+        with pytest.raises(FileError, match="read only"):
+            reader.append(b'{"do": 2}')
+    with Journal(path, of="a", write=True):
+        pass
+
+
+# --- sessions ----------------------------------------------------------------------------------------------------
+
+
+def test_undo_and_redo_survive_a_new_start(run):
+    first = Session.open(run)
+    begin = standing(first)
+    change(first, do="use", id="m0-1", used=False)
+    change(first, do="delete", id="m0-2")
+    end = standing(first)
+    first.undo()
+    first.close()
+    second = Session.open(run)
+    assert (second.can_undo, second.can_redo, second.version) == (True, True, 3)
+    second.redo()
+    assert standing(second) == end
+    second.undo()
+    second.undo()
+    assert standing(second) == begin
+    with pytest.raises(ChangeError, match="nothing to undo"):
+        second.undo()
+    second.close()
+
+
+def test_ids_never_return(run):
+    session = Session.open(run)
+    for _ in range(2):
+        change(session, do="add", moving=[1, 2])
+        session.undo()
+    change(session, do="add", moving=[1, 2])
+    session.close()
+    ids = [json.loads(line)["id"] for line in session.journal.lines if b"add" in line]
+    assert ids == ["m1", "m3", "m5"]
+
+
+def test_a_change_of_what_was_changed_meanwhile_is_stale(run):
+    session = Session.open(run)
+    seen = session.version
+    change(session, do="use", id="m0-1", used=False)
+    with pytest.raises(Stale):
+        session.undo(version=seen)
+    session.publish()  # a fit that is ready makes nothing stale
+    session.undo(version=session.changed_at)
+    session.close()
+
+
+def test_a_run_is_not_touched_by_its_session(run):
+    before = {p.relative_to(run): p.read_bytes() for p in run.rglob("*") if p.is_file()}
+    session = Session.open(run)
+    change(session, do="use", id="m0-1", used=False)
+    session.close()
+    after = {p.relative_to(run): p.read_bytes() for p in run.rglob("*") if p.is_file() and p.parent.name != "edits"}
+    assert after == before
+
+
+def test_a_run_that_cannot_be_written_opens_read_only_and_says_so(run):
+    (run / "edits").write_text("a file where the folder would be")
+    session = Session.open(run)
+    assert session.read_only
+    assert "cannot be written" in session.reason
+    with pytest.raises(FileError, match="read only"):
+        change(session, do="use", id="m0-1", used=False)
+    assert session.state.of(None)[0].used
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_hundred_sequences_of_changes_undo_and_redo(run, seed, monkeypatch):
+    """1000 in all, with new starts between; the slow model keeps every state that there was."""
+    monkeypatch.setattr(module.os, "fsync", lambda _at: None)  # of which other tests speak
+    draw = random.Random(seed)
+    for sequence in range(100):
+        shutil.rmtree(run / "edits", ignore_errors=True)
+        session = Session.open(run) if sequence == 0 else restarted(session)
+        done, undone = [standing(session)], []
+        for _ in range(draw.randrange(2, 12)):
+            match draw.choice(["change", "change", "undo", "redo", "start"]):
+                case "undo" if len(done) > 1:
+                    session.undo()
+                    undone.append(done.pop())
+                case "redo" if undone:
+                    session.redo()
+                    done.append(undone.pop())
+                case "start":
+                    session = restarted(session)
+                case _:
+                    session.change(change_of(json.dumps(random_change(draw, session.state))))
+                    done.append(standing(session))
+                    undone.clear()
+            assert standing(session) == done[-1]
+            assert (session.can_undo, session.can_redo) == (len(done) > 1, bool(undone))
+        while session.can_undo:
+            session.undo()
+        assert standing(session) == done[0]
+    session.close()
+
+
+def restarted(session: Session) -> Session:
+    """The same run in a new session, without reading its numbers again."""
+    session.close()
+    journal = Journal(session.journal.path, of=session.journal.of, write=True)
+    again = Session(
+        folder=session.folder, study=session.study, results=session.results, registrations=session.registrations,
+        image_params=None, journal=journal, reason="",
+    )  # fmt: skip
+    again._replay()
+    return again
+
+
+_WRITER = """
+import sys
+from pathlib import Path
+from planish.app.journal import Journal
+with Journal(Path(sys.argv[1]), of="a", write=True) as made:
+    for k in range(100000):
+        made.append(b'{"do": "step", "k": %d, "fill": "%s"}' % (k, b"x" * (k % 5000)))
+        print(k, flush=True)
+"""
+
+
+@pytest.mark.parametrize("after_s", [0.05, 0.1, 0.2])
+def test_a_killed_writer_loses_at_most_the_line_in_flight(path, after_s):
+    path.parent.mkdir(exist_ok=True)
+    writer = subprocess.Popen([sys.executable, "-c", _WRITER, str(path)], stdout=subprocess.PIPE, text=True)
+    assert writer.stdout is not None
+    writer.stdout.readline()
+    time.sleep(after_s)
+    writer.kill()
+    answered = 1 + len(writer.stdout.read().splitlines())
+    writer.wait()
+    writer.stdout.close()
+    with Journal(path, of="a", write=True) as made:
+        found = [json.loads(line)["k"] for line in made.lines]
+        assert found == list(range(len(found)))
+        assert answered <= len(found) <= answered + 1
