@@ -77,10 +77,10 @@ class Explored(HTMLParser):
         """Values of a packed map, written out plainly: the slow counterpart of the script."""
         raw = zlib.decompress(base64.b64decode(self.blocks[spec["block"]]))
         rows, cols, bits = spec["rows"], spec["cols"], spec["bits"]
-        differences = list(raw) if bits == 8 else [lo | hi << 8 for lo, hi in zip(raw[: rows * cols], raw[rows * cols :],
-                                                                               strict=True)]  # fmt: skip
+        size, differences = rows * cols, list(raw)
         if bits == 16:
-            differences = [d >> 1 if d % 2 == 0 else -(d >> 1) - 1 for d in differences]
+            folded = [raw[i] | raw[size + i] << 8 for i in range(size)]
+            differences = [d >> 1 if d % 2 == 0 else -(d >> 1) - 1 for d in folded]
         codes = np.array(differences, dtype=np.int64).reshape(rows, cols)
         if spec["order"] == 2:
             codes = codes.cumsum(axis=0)

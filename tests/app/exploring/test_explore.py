@@ -7,6 +7,7 @@ import hashlib
 import json
 import re
 import shutil
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from app.exploring.made import Explored, put
 from planish.app.exploring import maps as maps_module
 from planish.app.exploring import slices as slices_module
 from planish.core.overviews import overviews
-from planish.io.run_folder import write_tree
+from planish.io.run_folder import read_group, write_tree
 from planish.pipeline import open_run
 from report.runs import a_run
 from report.test_layers import layers
@@ -203,7 +204,7 @@ def test_another_file_in_the_place_of_the_volume_is_not_shown(planish, linked_ru
 
 def test_a_mapped_sheet_without_an_image(planish, tmp_path):
     page = explored(planish, put(tmp_path / "run", a_run(linked=False)), tmp_path)
-    assert [one["title"] for one in page.data["maps"]][0] == "Coating thickness, top side"
+    assert page.data["maps"][0]["title"] == "Coating thickness, top side"
     assert page.data["grid"]["names"] == ["u", "v"]
     assert "No image was linked." in page.words
     assert page.data["groups"][0]["valid"] is None
@@ -285,7 +286,7 @@ def test_maps_and_slices_are_thinned_out_to_their_budget_and_the_page_says_so(
 ):
     full = sum(len(text) for text in page.blocks.values())
     monkeypatch.setattr(maps_module, "BUDGET", 60_000)
-    monkeypatch.setattr("planish.app.explore.BUDGET", 120_000)
+    monkeypatch.setattr(import_module("planish.app.explore"), "BUDGET", 120_000)  # the function has its name
     small = explored(planish, linked_run, tmp_path)
     assert len(small.html) < 0.4 * full
     grid = small.data["grid"]
@@ -311,13 +312,12 @@ def test_maps_and_slices_are_thinned_out_to_their_budget_and_the_page_says_so(
 
 def test_large_maps_come_from_the_smaller_copies_of_the_store(planish, tmp_path, monkeypatch):
     monkeypatch.setattr(maps_module, "BUDGET", 30_000)
-    run = a_run()
-    folder = put(tmp_path / "run", run)
+    folder = put(tmp_path / "run", a_run())
     page = explored(planish, folder, tmp_path)
     assert page.data["halved"]
-    smaller = dict(enumerate(overviews(run["groups"]["linked"], least=4), 1))
+    smaller = enumerate(overviews(read_group(folder / "maps.zarr", "linked"), least=4), 1)
     # Values that no mean of the map has show where they were read.
-    marked = {f"overviews/linked/{k}": data.assign(thickness=data["thickness"] + 1000.0) for k, data in smaller.items()}
+    marked = {f"overviews/linked/{k}": data.assign(thickness=data["thickness"] + 1000.0) for k, data in smaller}
     write_tree(folder / "maps.zarr", marked)
     (tmp_path / "page.html").unlink()
     _, found = explored(planish, folder, tmp_path).map("Sheet thickness")

@@ -1,4 +1,4 @@
-"""The page of ``planish explore`` in a browser, opened from a file: with mouse, keys, without either script or width."""
+"""The page of ``planish explore`` in a browser, opened from a file: with mouse and keys, narrow, without a script."""
 
 from __future__ import annotations
 
@@ -243,7 +243,8 @@ def test_a_brush_in_the_scatter_dims_the_other_pixels_of_the_maps(opened, path):
     window = opened(path)
     # Pixels in full colour: the channels of pale ones differ little.
     colours = """() => {
-      const c = document.getElementById("left-map"), all = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+      const c = document.getElementById("left-map");
+      const all = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
       let full = 0;
       for (let i = 0; i < all.length; i += 4) {
         full += Math.max(all[i], all[i + 1], all[i + 2]) - Math.min(all[i], all[i + 1], all[i + 2]) > 60;
@@ -268,7 +269,7 @@ def test_a_brush_in_the_scatter_dims_the_other_pixels_of_the_maps(opened, path):
 # --- without a mouse, narrow, without a script -----------------------------------------------------------------
 
 
-def test_all_of_it_works_with_keys(opened, path, linked):
+def test_all_of_it_works_with_keys(opened, path):
     window = opened(path)
     left, scatter, slice_ = (window.view(name) for name in ("Left map", "Scatter", "Slice"))
     left.focus()

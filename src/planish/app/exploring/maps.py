@@ -117,7 +117,9 @@ def maps_of(taken: Taken) -> MapsOfPage:
     """
     wanted = _wanted(taken)
     shape = next(iter(_sizes(taken, wanted)))
-    most = min(_MOST_PIXELS, BUDGET // max(1, sum(len(names) for _, names in wanted)))
+    most = min(
+        _MOST_PIXELS, 2 * BUDGET // max(1, sum(len(names) for _, names in wanted))
+    )  # two pixels a letter at best
     halvings = max(0, math.ceil(math.log(shape[0] * shape[1] / most, 4)))
     while (found := _packed(taken, wanted, halvings)).letters() > BUDGET:
         halvings += 1

@@ -39,12 +39,10 @@ def render(results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: S
     """Return the page as text; the same run gives the same bytes."""
     style = template(_PACKAGE, "explore.css").render()
     script = script_text()
-    blocks = list(_blocks(maps, stacks))
-    lead = maps.maps[0]
     page = template(_PACKAGE, "explore.html.j2").render(
-        results=results, layers=results.layers, titles=maps.titles, summary=summary, maps=maps.maps, lead=lead, still=_still(maps), notes=notes, stacks=stacks,
-        style=style, script=script, policy=_policy(style, script), data=_json(_data(results, maps, stacks)),
-        blocks=blocks,
+        results=results, layers=results.layers, titles=maps.titles, summary=summary, maps=maps.maps, lead=maps.maps[0],
+        still=_still(maps), notes=notes, stacks=stacks, style=style, script=script, policy=_policy(style, script),
+        data=_json(_data(results, maps, stacks)), blocks=list(_blocks(maps, stacks)),
     )  # fmt: skip
     return f"{page}\n"
 
