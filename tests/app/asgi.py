@@ -36,7 +36,7 @@ class Client:
         return self.ask("GET", path, **how)
 
     def post(self, path: str, body: Any = None, **how: Any) -> Answer:
-        return self.ask("POST", path, body={} if body is None else body, **how)
+        return self.ask("POST", path, body={} if body is None and "data" not in how else body, **how)
 
     def ask(
         self, method: str, path: str, *, body: Any = None, data: bytes | Sequence[bytes] | None = None,

@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 import pytest
-from app.test_changes import random_change
 
+from app.test_changes import random_change
 from planish.app import journal as module
 from planish.app.changes import ChangeError, change_of
 from planish.app.journal import InUse, Journal

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planish.app.changes import Mark, change_of
+from planish.app.changes import Import, Mark, change_of
 from planish.app.fits import fitted
 from planish.app.live import Live
 from planish.app.pictures import Pictures
@@ -173,6 +173,10 @@ def session(linked_run, tmp_path):
     found.close()
 
 
+def imported(moving, fixed) -> Import:
+    return Import(marks=marks_of(moving, fixed))
+
+
 def followed(live: Live, layer: str) -> dict:
     """The state when its fit is ready."""
     end = time.monotonic() + 20
@@ -192,6 +196,7 @@ def test_what_is_shown_at_first_is_what_the_run_says(session):
 
 def test_a_fit_that_follows_is_a_new_version(session):
     layer, live = session.layers[0], Live(session)
+    session.change(imported(*pairs(12, 1)[:2]))
     followed(live, layer)
     heard: list[int] = []
     session.listen(lambda: heard.append(session.version))
@@ -238,10 +243,7 @@ def test_a_hole_that_was_not_found_with_the_others_is_searched_around_the_mark(s
 def test_a_click_is_answered_within_its_time(session):
     """Times of this process, as CPU: 50 ms for models of few parameters, 250 ms until auto and tps of 30 marks are."""
     layer, live = session.layers[0], Live(session)
-    moving, fixed, _ = pairs(30, 1)
-    rows = [{"id": "m0", "label": f"a{k}", "moving": a, "fixed": b}
-            for k, (a, b) in enumerate(zip(moving.tolist(), fixed.tolist(), strict=True))]  # fmt: skip
-    session.change(change_of(json.dumps({"do": "import", "marks": rows})))
+    session.change(imported(*pairs(30, 1)[:2]))
     first = session.state.of(layer)[0].id
     for model, limit_s in (("similarity", 0.05), ("affine", 0.05), ("tps", 0.25), ("auto", 0.25)):
         session.change(change_of(json.dumps({"do": "model", "model": model})))
