@@ -15,6 +15,7 @@ import sys
 import threading
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -50,6 +51,8 @@ def _warm_up() -> None:
 
     assert callable(run_study)  # it is loaded when it is asked for
     report_template()
+    with suppress(ImportError):  # where it is installed, xarray loads it with the first array that stays in its file
+        import_module("dask.array")
 
 
 def _make(order: Mapping[str, Any], tell: Any) -> None:

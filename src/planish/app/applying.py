@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import secrets
 import shutil
 import subprocess
@@ -212,7 +213,7 @@ class Applying:
 def _worker() -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "planish.app.apply_worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        encoding="utf-8",
+        encoding="utf-8", env={"OPENBLAS_NUM_THREADS": "1"} | os.environ,  # as the command line has it
     )  # fmt: skip
 
 
