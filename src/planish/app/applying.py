@@ -82,6 +82,7 @@ class Applying:
     _ready: subprocess.Popen[str] | None = None
     _reader: threading.Thread | None = None
     _stopped: bool = False
+    _closed: bool = False
     _unlisten: Callable[[], None] = lambda: None
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
@@ -101,7 +102,7 @@ class Applying:
     def warm(self) -> None:
         """Start the process that the next Apply will use, which takes a second or two."""
         with self._lock:
-            if self._ready is None or self._ready.poll() is not None:
+            if not self._closed and (self._ready is None or self._ready.poll() is not None):
                 self._ready = _worker()
 
     def _foresee(self) -> None:
@@ -164,10 +165,15 @@ class Applying:
         """End with the server."""
         self.cancel()
         with self._lock:
-            ready, self._ready = self._ready, None
+            ready, self._ready, self._closed = self._ready, None, True
         if ready is not None:
             ready.kill()
+<<<<<<< HEAD
             _end(ready)
+=======
+            with ready:  # which closes its pipes, and waits
+                pass
+>>>>>>> 9100e103fa9242fe51a7ae6fc3b8ac7a89bfec51
 
     def _follow(self, process: subprocess.Popen[str], out: Path) -> None:
         """Hear what a process says until it ends."""
@@ -177,7 +183,14 @@ class Applying:
             last = json.loads(line)
             if last["state"] == "working":
                 self._say(last["stage"], last["message"])
+<<<<<<< HEAD
         _end(process)
+=======
+        process.wait()
+        process.stdout.close()
+        with suppress(OSError):
+            process.stdin.close()
+>>>>>>> 9100e103fa9242fe51a7ae6fc3b8ac7a89bfec51
         state, message = str(last.get("state", "")), str(last.get("message", ""))
         if state == "done":
             end = self._done(out)
