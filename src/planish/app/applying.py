@@ -168,12 +168,7 @@ class Applying:
             ready, self._ready, self._closed = self._ready, None, True
         if ready is not None:
             ready.kill()
-<<<<<<< HEAD
             _end(ready)
-=======
-            with ready:  # which closes its pipes, and waits
-                pass
->>>>>>> 9100e103fa9242fe51a7ae6fc3b8ac7a89bfec51
 
     def _follow(self, process: subprocess.Popen[str], out: Path) -> None:
         """Hear what a process says until it ends."""
@@ -183,14 +178,7 @@ class Applying:
             last = json.loads(line)
             if last["state"] == "working":
                 self._say(last["stage"], last["message"])
-<<<<<<< HEAD
         _end(process)
-=======
-        process.wait()
-        process.stdout.close()
-        with suppress(OSError):
-            process.stdin.close()
->>>>>>> 9100e103fa9242fe51a7ae6fc3b8ac7a89bfec51
         state, message = str(last.get("state", "")), str(last.get("message", ""))
         if state == "done":
             end = self._done(out)
