@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks import (
+    app_apply,
     app_space,
     artefacts,
     brightness,
@@ -40,6 +41,7 @@ from benchmarks import (
 )
 
 _MODULES = (
+    app_apply,
     variants,
     flattening,
     relaxation,
