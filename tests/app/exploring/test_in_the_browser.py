@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from collections.abc import Callable, Generator
@@ -430,6 +431,44 @@ def test_a_sheet_through_y_seen_from_the_low_end(opened, planish, laid, tmp_path
     if np.isfinite(centre[round((wanted - stack["points"][0]) / stack["points"][1])]):
         assert abs(found[0] - wanted) < 8.0
         assert abs(found[2] - stack["at"][k]) < 8.0
+
+
+CURSOR = """async () => {
+  const view = document.getElementById("left-view"), box = view.getBoundingClientRect(), times = [];
+  const frame = window.requestAnimationFrame;
+  let job = null;
+  window.requestAnimationFrame = (draw) => { job = draw; return 1; };
+  for (let k = 0; k < 60; k++) {
+    const x = box.left + box.width * (0.2 + 0.6 * (((k * 37) % 60) / 60));
+    const y = box.top + box.height * (0.2 + 0.6 * (((k * 23) % 60) / 60)), begin = performance.now();
+    view.dispatchEvent(new PointerEvent("pointermove", { clientX: x, clientY: y, pointerType: "mouse" }));
+    if (job) { const draw = job; job = null; draw(0); }
+    document.body.getBoundingClientRect();
+    times.push(performance.now() - begin);
+  }
+  window.requestAnimationFrame = frame;
+  return times;
+}"""
+"""Sixty moves of the mouse, each over to another slice: from the event until all is drawn and laid out."""
+
+
+@pytest.mark.study
+def test_first_picture_within_a_second_and_the_cursor_within_thirty_milliseconds(opened, path, tmp_path, planish):
+    code, _, err = planish("demo", "--out", tmp_path / "demo")
+    assert code in (0, 4), err
+    page = tmp_path / "demo.html"
+    explore(tmp_path / "demo" / "run", page)
+    assert page.stat().st_size <= 5_000_000
+    opened(path)  # the browser is warm
+    window = opened(page)
+    first = window.page.evaluate("performance.getEntriesByType('paint')[0].startTime")
+    ready = float(window.page.evaluate("document.documentElement.dataset.ready"))
+    times = np.array(window.page.evaluate(CURSOR))
+    load = os.getloadavg()[0] / (os.cpu_count() or 1)
+    print(f"{page.stat().st_size / 1e6:.2f} MB; first picture {first:.0f} ms, script to all drawn {ready:.0f} ms")
+    print(f"cursor: median {np.median(times):.1f} ms, 95 % {np.percentile(times, 95):.1f} ms; load {load:.1f} a core")
+    assert first <= 1000 * max(1.0, load)
+    assert np.median(times) <= 30
 
 
 @pytest.mark.study

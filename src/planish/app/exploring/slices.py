@@ -29,7 +29,7 @@ BUDGET = 5_000_000
 """Letters that all slices may take."""
 
 _EVERY = 2  # rows from one slice to the next, where there is room
-_MOST, _WIDEST, _HIGHEST, _POINTS = 320, 1200, 300, 600  # slices; pixels of one along and across; points of a line
+_MOST, _WIDEST, _HIGHEST, _POINTS = 320, 1600, 300, 600  # slices; pixels of one along and across; points of a line
 _BLOCK = 2**24  # voxels that are read at a time
 _QUALITY = 38  # of the pictures: their grains are noise
 _LEAST_MARGIN_UM = 20.0

@@ -1,5 +1,5 @@
 // How many pixels have which values of the left and of the right map; what is chosen stands out.
-const MOST_BINS = 128, MARGIN = { left: 62, right: 10, top: 10, bottom: 44 };
+const MOST_BINS = 128, MARGIN = { left: 62, right: 22, top: 10, bottom: 44 };
 
 // Bins of equally many codes, so that none is fuller than its neighbours by the packing alone.
 function axisOf(map) {
