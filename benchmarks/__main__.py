@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 
 from benchmarks import (
+    app_apply,
+    app_space,
     artefacts,
     brightness,
     errors,
@@ -39,6 +41,7 @@ from benchmarks import (
 )
 
 _MODULES = (
+    app_apply,
     variants,
     flattening,
     relaxation,
@@ -69,8 +72,8 @@ _MODULES = (
     fuzz,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
-# Only where they are named: one takes the network and half an hour, the other one writes documents.
-_BY_NAME = {"installs": installs.main, "pictures": pictures.main}
+# Only where they are named: one takes the network and half an hour, one writes documents, one wants a run.
+_BY_NAME = {"installs": installs.main, "pictures": pictures.main, "app_space": app_space.main}
 
 
 def main(arguments: list[str]) -> int:
