@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 
 import numpy as np
 import pytest
@@ -228,6 +229,19 @@ def test_a_lost_server_is_said_and_found_again(shown, serve, run_copy):
     shown.page.goto(shown.server.url)
     shown.page.reload()
     expect(shown.role("table", "Marks").get_by_role("row")).to_have_count(6)
+    shown.faults[:] = [fault for fault in shown.faults if not NETWORK.search(fault)]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs a system on which a process can be halted")
+def test_a_server_that_answers_again_is_found(shown):
+    rows = settled(shown)
+    shown.server.process.send_signal(signal.SIGSTOP)
+    expect(shown.page.get_by_role("alert")).to_contain_text("connection", timeout=2000)
+    shown.server.process.send_signal(signal.SIGCONT)
+    expect(shown.page.get_by_role("alert")).to_be_hidden()
+    expect(message(shown)).to_contain_text("back")
+    shown.page.get_by_label(f"Use {rows[0][0]}", exact=True).uncheck()
+    expect(message(shown)).to_contain_text("Saved")
     shown.faults[:] = [fault for fault in shown.faults if not NETWORK.search(fault)]
 
 
