@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks import (
+    app,
     artefacts,
     brightness,
     errors,
@@ -67,6 +68,7 @@ _MODULES = (
     evidence,
     uneven,
     fuzz,
+    app,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
 # Only where they are named: one takes the network and half an hour, the other one writes documents.

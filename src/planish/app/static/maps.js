@@ -355,7 +355,7 @@ class Maps {
   async showSlice() {
     if (!this.taken) return;
     await this.app.openTab("surfaces");
-    this.app.showSlice?.(this.taken.x, this.taken.y, this.taken.z);
+    this.app.showSlice?.(this.taken.x, this.taken.y, this.taken.z, this.taken.layer);
   }
 
   /** @param {string} kind @param {any} geometry null removes it */
