@@ -19,6 +19,7 @@ LEFT, RIGHT = "coating_top", "image"
 def maps(serve, window, run_copy):
     """The page at its tab Maps."""
     shown = window(serve(run_copy))
+    expect(shown.role("table", "Marks")).to_be_visible()
     shown.role("tab", "Maps").click()
     expect(shown.page.get_by_text(re.compile("Scatter of [0-9]+ points"))).to_be_visible()
     return shown
@@ -76,14 +77,14 @@ def test_cursor_brush_and_region_are_those_of_the_maps(maps, linked):
     for name in (LEFT, RIGHT, "thickness", "expected_error"):
         found = re.search(rf"; {name} (\S+)", cursor.inner_text())
         assert float(found[1].rstrip(";")) == pytest.approx(float(pixel[name]), rel=1e-4)
-    assert maps.page.get_by_label("Right map centre, um", exact=True).input_value() == (
-        maps.page.get_by_label("Left map centre, um", exact=True).input_value()
-    )
+    centres = [maps.page.get_by_label(f"{side} map centre, um", exact=True).input_value() for side in ("Left", "Right")]
+    one, other = ([float(word) for word in text.split(",")] for text in centres)
+    assert one == pytest.approx(other, abs=0.01)  # both maps move together
     # Values picked by the fields: painted in both maps, counted over all pixels.
     a, b = known(linked)
     low, high = (float(v) for v in np.percentile(a, [30, 60]).round(2))
     maps.fill(f"Brush {LEFT}", f"{low}, {high}")
-    assert count(selection(maps, r"^n \d")) == np.count_nonzero((a >= low) & (a <= high))
+    assert count(selection(maps, r"^n \d+;")) == np.count_nonzero((a >= low) & (a <= high))
     below = round(float(np.median(b)))
     maps.fill(f"Brush {RIGHT}", f"0, {below}")
     expected = np.count_nonzero((a >= low) & (a <= high) & (b <= below))
@@ -91,7 +92,7 @@ def test_cursor_brush_and_region_are_those_of_the_maps(maps, linked):
     for name in ("Left map", "Right map"):
         assert painted(maps, name) > 100
     maps.role("button", "Clear selection").click()
-    expect(maps.role("status", "Selection")).to_have_text("")
+    expect(maps.role("status", "Selection")).to_have_text("n 0: nothing is selected.")
     assert painted(maps, "Left map") == 0
     # A region: its points, n and r.
     region = (float(linked.x[60]), float(linked.y[50]), float(linked.x[200]), float(linked.y[150]))
@@ -112,14 +113,14 @@ def test_a_rectangle_in_the_scatter_fills_the_brushes(maps, linked):
     maps.page.mouse.down()
     maps.page.mouse.move(*at[1], steps=4)
     maps.page.mouse.up()
-    said = selection(maps, r"^n \d")
+    said = selection(maps, r"^n \d+;")
     limits = [maps.page.get_by_label(f"Brush {n}", exact=True).input_value() for n in (LEFT, RIGHT)]
     (a0, a1), (b0, b1) = ([float(v) for v in text.split(", ")] for text in limits)
     a, b = known(linked)
     assert count(said) == np.count_nonzero((a >= a0) & (a <= a1) & (b >= b0) & (b <= b1)) > 0
     scatter.focus()
     maps.page.keyboard.press("Escape")
-    expect(maps.role("status", "Selection")).to_have_text("")
+    expect(maps.role("status", "Selection")).to_have_text("n 0: nothing is selected.")
 
 
 def test_colours_and_brushes_ask_the_server_for_no_tile_twice(maps):
@@ -129,9 +130,9 @@ def test_colours_and_brushes_ask_the_server_for_no_tile_twice(maps):
     maps.fill("Left colour range", "5, 30")
     maps.page.get_by_label("Left colours", exact=True).select_option("magma")
     maps.fill(f"Brush {LEFT}", "10, 20")
-    selection(maps, r"^n \d")
+    selection(maps, r"^n \d+;")
     maps.fill(f"Brush {LEFT}", "12, 20")
-    selection(maps, r"^n \d")
+    selection(maps, r"^n \d+;")
     shown = [url.rpartition("/api/")[2] for url in asked]
     assert len(shown) == len(set(shown))
     assert {path.split("/")[1] for path in shown} <= {valid_id(maps)}  # of the mask, which no map has shown before
@@ -154,10 +155,10 @@ def test_layers_profile_blend_and_masks(maps):
     maps.fill("Line, um", "100, 100, 700, 500")
     expect(maps.page.get_by_role("img", name="Profile over 721.11 um of thickness and image")).to_be_visible()
     maps.page.get_by_label("Only valid pixels", exact=True).check()
-    maps.page.get_by_label("View", exact=True).select_option("Blended")
+    maps.page.get_by_label("Layout", exact=True).select_option("Blended")
     expect(maps.role("application", "Right map")).to_be_hidden()
     maps.page.get_by_label("Share of the right layer", exact=True).fill("0.8")
-    maps.page.get_by_label("View", exact=True).select_option("Side by side")
+    maps.page.get_by_label("Layout", exact=True).select_option("Side by side")
     expect(maps.role("application", "Right map")).to_be_visible()
 
 
