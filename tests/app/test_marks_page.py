@@ -7,8 +7,8 @@ import re
 
 import numpy as np
 import pytest
-from app.marks_page import IMAGE, VOLUME, ends, expect, message, settled
 
+from app.marks_page import IMAGE, VOLUME, ends, expect, message, settled
 from planish.pipeline import Registration
 from planish.register import fit_transform
 

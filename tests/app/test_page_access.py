@@ -6,6 +6,7 @@ import json
 import re
 
 import pytest
+
 from app.marks_page import IMAGE, VOLUME, ends, expect, message, settled
 
 pytestmark = pytest.mark.study
