@@ -75,8 +75,9 @@ def serve() -> Generator[Callable[..., Served]]:
 
 @pytest.fixture
 def run_copy(linked_run, tmp_path) -> Path:
-    """A run that the test may change."""
-    return Path(shutil.copytree(linked_run, tmp_path / "run"))
+    """A run that the test may change, where the paths to its files still lead to them."""
+    place = linked_run.parent.parent / f"{tmp_path.parent.name}-{tmp_path.name}"
+    return Path(shutil.copytree(linked_run, place / "run"))
 
 
 def chromium_path() -> str | None:

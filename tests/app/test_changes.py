@@ -39,7 +39,8 @@ def test_a_change_leaves_the_state_before_as_it_was():
 def test_a_moved_end_is_clicked_and_the_other_one_keeps_what_is_known():
     one = after(state(), 1, do="move", id="m0-1", moving={"x": 1, "y": 2, "cov_xx": 4, "source": "detected"})
     two = after(one, 2, do="move", id="m0-1", fixed=[5, 6]).mark(None, "m0-1")
-    assert two.moving is not None and two.fixed is not None
+    assert two.moving is not None
+    assert two.fixed is not None
     assert (two.moving.cov_xx, two.moving.source, two.fixed.xy, two.fixed.source) == (
         4.0,
         "detected",

@@ -215,9 +215,10 @@ def test_a_hundred_sequences_of_changes_undo_and_redo(run, seed, monkeypatch):
     """1000 in all, with new starts between; the slow model keeps every state that there was."""
     monkeypatch.setattr(module.os, "fsync", lambda _at: None)  # of which other tests speak
     draw = random.Random(seed)
-    for sequence in range(100):
+    session = Session.open(run)
+    for _sequence in range(100):
         shutil.rmtree(run / "edits", ignore_errors=True)
-        session = Session.open(run) if sequence == 0 else restarted(session)
+        session = restarted(session)
         done, undone = [standing(session)], []
         for _ in range(draw.randrange(2, 12)):
             match draw.choice(["change", "change", "undo", "redo", "start"]):

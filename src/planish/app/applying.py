@@ -82,6 +82,7 @@ class Applying:
     _ready: subprocess.Popen[str] | None = None
     _reader: threading.Thread | None = None
     _stopped: bool = False
+    _closed: bool = False
     _unlisten: Callable[[], None] = lambda: None
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
@@ -101,7 +102,7 @@ class Applying:
     def warm(self) -> None:
         """Start the process that the next Apply will use, which takes a second or two."""
         with self._lock:
-            if self._ready is None or self._ready.poll() is not None:
+            if not self._closed and (self._ready is None or self._ready.poll() is not None):
                 self._ready = _worker()
 
     def _foresee(self) -> None:
@@ -164,7 +165,7 @@ class Applying:
         """End with the server."""
         self.cancel()
         with self._lock:
-            ready, self._ready = self._ready, None
+            ready, self._ready, self._closed = self._ready, None, True
         if ready is not None:
             ready.kill()
             _end(ready)

@@ -13,6 +13,7 @@ import shutil
 import sys
 import tempfile
 import threading
+import weakref
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -87,7 +88,7 @@ class MadeLevels:
         rows, cols = values.shape
         self._shapes = [(-(-rows >> k), -(-cols >> k)) for k in range(count_of((rows, cols)) + 1)]
         self._kept = {k for k in range(len(self._shapes)) if k > _ASKED or (k == 0 and keep_all)}
-        self._making, self._temporary = threading.Lock(), None
+        self._making = threading.Lock()
         self._found: dict[int, NDArray[Any]] = {}
 
     def levels(self) -> list[LazyArray]:
@@ -123,20 +124,22 @@ class MadeLevels:
         """Make what is kept in one pass; in a folder that goes with the session where the cache takes nothing."""
         root = self._place.parent
         partial = root / f".{self._place.name}.{secrets.token_hex(4)}"
+        kept = True
         try:
             partial.mkdir(parents=True)
         except OSError:
-            self._temporary = tempfile.TemporaryDirectory(prefix="planish-", ignore_cleanup_errors=True)
-            partial = Path(self._temporary.name)
+            partial = Path(tempfile.mkdtemp(prefix="planish-"))
+            weakref.finalize(self, shutil.rmtree, partial, ignore_errors=True)
+            kept = False
         try:
             self._write(partial)
-            if self._temporary is None:
+            if kept:
                 with suppress(OSError):  # another process was as fast
                     partial.rename(self._place)
         except BaseException:
             shutil.rmtree(partial, ignore_errors=True)
             raise
-        if self._temporary is None and self._place.is_dir():
+        if kept and self._place.is_dir():
             trim(root, keep=self._place)
             return self._place
         return partial

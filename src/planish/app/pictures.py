@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ from planish.core.lazy import Where, held
 from planish.core.overviews import count_of, middles
 from planish.io import ImageParams
 from planish.io.image import across, channel_of
-from planish.io.map_store import OVERVIEWS, stored_group
+from planish.io.map_store import CHUNK, OVERVIEWS, stored_group
 from planish.io.picture import Picture as Decoded
 from planish.io.picture import is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
@@ -39,8 +38,9 @@ TILE = 256
 LAST_CODE = 65535
 
 _PLACES = ("u", "v", "volume_x", "volume_y", "volume_z", "projected_u", "projected_v")
-_WINDOWS, _WINDOW = 16, 256  # parts of a picture without smaller copies that show which values it has
-_WIDENED = 2.0  # spans of a coarse level by which its range is widened: single pixels vary more than means
+_WINDOW = 256  # pixels along the edge of the parts of a picture that show which values it has
+_FEW, _MANY = 2, 4  # such parts along each side, with and without a coarse level
+_WIDENED = 2.0  # spans by which their range is widened
 
 
 class PictureFacts(BaseModel):
@@ -140,11 +140,9 @@ class Picture:
 
     @cached_property
     def codes(self) -> Codes:
-        """How tiles hold its values."""
-        if self.is_mask:
-            return Codes(0.0, 1.0)
-        values = self._typical
-        if values.size == 0:
+        """How tiles hold its values: room for single pixels, which vary more than the parts that were looked at."""
+        values = np.concatenate([self._coarse, self._sample])
+        if self.is_mask or values.size == 0:
             return Codes(0.0, 1.0)
         low, high = float(values.min()), float(values.max())
         span = max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-30)
@@ -154,24 +152,29 @@ class Picture:
     @cached_property
     def range(self) -> tuple[float, float]:
         """2nd to 98th percentile."""
-        if self.is_mask:
+        values = self._coarse if self._coarse.size else self._sample
+        if self.is_mask or values.size == 0:
             return 0.0, 1.0
-        low, high = np.percentile(self._typical, [2, 98]) if self._typical.size else (0.0, 1.0)
-        return (float(low), float(high)) if high > low else (float(low) - 0.5, float(low) + 0.5)
+        low, high = (float(v) for v in np.percentile(values, [2, 98]))
+        return (low, high) if high > low else (low - 0.5, high + 0.5)
 
     @cached_property
-    def _typical(self) -> NDArray[np.float64]:
-        """Known values of the coarsest level that is there, or of windows all over the picture."""
-        coarsest = self.levels[-1]
-        if isinstance(self.levels, _Stored) or len(self.levels) == 1:
-            found = [np.asarray(coarsest.values)]
-        else:
-            rows, cols = self.full.shape
-            each = round(math.sqrt(_WINDOWS))
-            tops, lefts = (np.linspace(0, max(n - _WINDOW, 0), each).astype(int).tolist() for n in (rows, cols))
-            found = [self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in tops for c in lefts]
-        values = np.concatenate([part.ravel() for part in found]).astype(np.float64)
-        return values[np.isfinite(values)]
+    def _coarse(self) -> NDArray[np.float64]:
+        """Known values of the coarsest level, where it is there already."""
+        there = isinstance(self.levels, _Stored) or len(self.levels) == 1
+        return _known([self.levels[-1].values] if there else [])
+
+    @cached_property
+    def _sample(self) -> NDArray[np.float64]:
+        """Known values of windows all over the picture, each within one chunk."""
+        if len(self.levels) == 1:
+            return _known([])
+        each = _FEW if self._coarse.size else _MANY
+        tops, lefts = (
+            (np.linspace(0.5, n - 0.5, 2 * each + 1).astype(int)[1::2] // CHUNK * CHUNK).tolist()
+            for n in self.full.shape
+        )
+        return _known([self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in tops for c in lefts])
 
     @property
     def facts(self) -> PictureFacts:
@@ -182,6 +185,11 @@ class Picture:
             shape=(rows, cols), pixel_um=self.grid.pixel_um, origin_um=self.grid.origin_um, levels=len(self.levels),
             tile=TILE, scale=self.codes.scale, offset=self.codes.offset, range=self.range,
         )  # fmt: skip
+
+
+def _known(parts: Sequence[NDArray[Any]]) -> NDArray[np.float64]:
+    values = np.concatenate([np.empty(0), *(part.ravel() for part in parts)]).astype(np.float64)
+    return values[np.isfinite(values)]
 
 
 class _Stored(tuple[xr.DataArray, ...]):
@@ -266,18 +274,18 @@ def _of_run(run: Path) -> Iterator[Picture]:
     """The pictures of a run: of every moving layer, then of what lies on the reference."""
     results, study = open_results(run), read_study(run / "run.toml")
     if not results.is_link:
-        yield from _group(run, "maps", plane="moving", layer=results.layers[0].name, prefix="")
+        yield from group_pictures(run, "maps", plane="moving", layer=results.layers[0].name)
         return
     together = study.is_sheet_on_image
     for facts in results.moving:
         params = next(layer for layer in study.layers if layer.name == facts.name)
         yield from _moving(run, params, prefix="" if together else f"{facts.name}/")
     if together:
-        yield from _group(run, LINKED, plane="fixed", layer=results.reference.name, prefix="")
-        yield from _group(run, "refined", plane="fixed", layer="refined", prefix="refined/")
+        yield from group_pictures(run, LINKED, plane="fixed", layer=results.reference.name)
+        yield from group_pictures(run, "refined", plane="fixed", layer="refined", prefix="refined/")
         return
     for layer in results.layers:
-        yield from _group(run, f"layers/{layer.name}", plane="fixed", layer=layer.name, prefix=f"{layer.name}/")
+        yield from group_pictures(run, f"layers/{layer.name}", plane="fixed", layer=layer.name, prefix=f"{layer.name}/")
 
 
 def _moving(run: Path, params: LayerParams, *, prefix: str) -> Iterator[Picture]:
@@ -287,10 +295,10 @@ def _moving(run: Path, params: LayerParams, *, prefix: str) -> Iterator[Picture]
             yield image_picture(ImageFile.of(params.image, params.name), plane="moving", name=f"{prefix}image")
         return
     inner = run / "layers" / params.name
-    yield from _group(inner if is_run(inner) else run, "maps", plane="moving", layer=params.name, prefix=prefix)
+    yield from group_pictures(inner if is_run(inner) else run, "maps", plane="moving", layer=params.name, prefix=prefix)
 
 
-def _group(run: Path, group: str, *, plane: Plane, layer: str, prefix: str) -> Iterator[Picture]:
+def group_pictures(run: Path, group: str, *, plane: Plane, layer: str, prefix: str = "") -> Iterator[Picture]:
     """The maps of a group of a run: images and properties first, places last."""
     path = run / MAPS
     if not (path / group).is_dir():

@@ -19,6 +19,7 @@ export function exchange(app) {
     typeof one === "string" ? one : [one.name, one.title],
   );
   const format = choice(formats, () => {});
+  format.value = "json";
   return make(
     "div",
     { class: "group" },

@@ -33,6 +33,8 @@ export class SliceView {
     /** @type {{across: number, down: number, face: string, draft: boolean, here: boolean}[]} */
     this.points = [];
     this.zoom = 0; // screen pixels a um
+    this.isWhole = false;
+    this.acrossIsRows = false; // whether the slice runs along the rows' axis
     this.left = 0; // um from the first pixel at the canvas' left and upper edge
     this.upper = 0;
     /** @type {{x: number, y: number}|null} */
@@ -82,6 +84,7 @@ export class SliceView {
     const [wide, high] = this.size();
     this.zoom = Math.min(this.canvas.clientWidth / wide, this.canvas.clientHeight / high);
     this.centre(wide / 2, high / 2);
+    this.isWhole = true;
   }
 
   /** Bring a distance from the first pixel to the middle. @param {number} a @param {number} b */
@@ -89,6 +92,7 @@ export class SliceView {
     const { across, down } = /** @type {import("./slicedata.js").Slice} */ (this.slice).facts;
     this.left = a - Math.abs(across.step_um) / 2 - this.canvas.clientWidth / this.zoom / 2;
     this.upper = b - Math.abs(down.step_um) / 2 - this.canvas.clientHeight / this.zoom / 2;
+    this.isWhole = false;
     this.draw();
   }
 
@@ -113,6 +117,7 @@ export class SliceView {
     this.left += x / this.zoom - x / next;
     this.upper += y / this.zoom - y / next;
     this.zoom = next;
+    this.isWhole = false;
     this.draw();
   }
 
@@ -140,7 +145,7 @@ export class SliceView {
     const { clientWidth, clientHeight } = this.frame;
     this.canvas.width = Math.round(clientWidth * ratio);
     this.canvas.height = Math.round(clientHeight * ratio);
-    if (this.slice && !this.zoom) this.whole();
+    if (this.slice && (this.isWhole || !this.zoom)) this.whole();
     else this.draw();
   }
 
@@ -334,6 +339,7 @@ export class SliceView {
       if (held) {
         held.moved ||= Math.hypot(event.offsetX - held.x, event.offsetY - held.y) > CLICK_PX;
         if (held.moved) {
+          this.isWhole = false;
           this.left = held.left - (event.offsetX - held.x) / this.zoom;
           this.upper = held.upper - (event.offsetY - held.y) / this.zoom;
           this.draw();

@@ -79,7 +79,7 @@ class Tab {
     this.placeField = make("input", { type: "text", inputmode: "decimal", class: "short", onchange: () => this.goToText() });
     this.rangeField = make("input", { type: "text", class: "short", onchange: () => this.setRange() });
     this.faceBox = choice([["top", "top"], ["bottom", "bottom"]], () => {});
-    this.reachField = make("input", { type: "number", min: "1", max: "5000", step: "any", onchange: () => this.tried() });
+    this.reachField = make("input", { type: "number", class: "short", min: "1", max: "5000", step: "any", onchange: () => this.tried() });
     this.pointField = make("input", { type: "text", placeholder: "x, y, z", onchange: () => this.addText() });
     this.correctButton = button("Correct", () => this.correct(), { class: "main", disabled: true });
     this.dropButton = button("Remove point", () => this.dropPoint(), { disabled: true });

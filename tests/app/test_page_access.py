@@ -1,0 +1,185 @@
+"""The page for everybody: names, roles, contrast and focus; small windows; keys alone; the first-time user."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+from app.marks_page import IMAGE, VOLUME, ends, expect, message, settled
+
+pytestmark = pytest.mark.study
+
+NAMED = "button|checkbox|combobox|textbox|spinbutton|slider|tab|link|application|table|progressbar|columnheader|img"
+
+CONTRAST = """() => {
+  const rgb = (text) => (text.match(/[\\d.]+/g) ?? []).map(Number);
+  const light = ([r, g, b]) => [r, g, b].map((v) => v / 255)
+    .map((v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
+  const over = (top, [r, g, b]) => {
+    const a = top.length > 3 ? top[3] : 1;
+    return [r, g, b].map((v, i) => a * top[i] + (1 - a) * v);
+  };
+  const behind = (element) => {
+    const stack = [];
+    for (let e = element; e; e = e.parentElement) stack.push(rgb(getComputedStyle(e).backgroundColor));
+    return stack.reverse().reduce((under, top) => over(top, under), [255, 255, 255]);
+  };
+  const poor = [];
+  const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  let seen = 0;
+  for (let node; (node = walk.nextNode()); ) {
+    const e = node.parentElement;
+    if (!node.textContent.trim() || !e.checkVisibility() || e.closest(":disabled, .sr, .scale, noscript, option")) continue;
+    seen += 1;
+    const [a, b] = [light(over(rgb(getComputedStyle(e).color), behind(e))), light(behind(e))];
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    if (ratio < 4.5) poor.push(`${node.textContent.trim().slice(0, 40)}: ${ratio.toFixed(2)}`);
+  }
+  return { seen, poor };
+}"""
+
+FOCUS = """() => {
+  const e = document.activeElement;
+  if (!e || e === document.body) return null;
+  const style = getComputedStyle(e);
+  return { what: e.tagName + " " + (e.getAttribute("aria-label") ?? e.id ?? "") + " " + e.textContent.slice(0, 20),
+           seen: style.outlineStyle !== "none" && parseFloat(style.outlineWidth) >= 2 };
+}"""
+
+BROKEN = """() => {
+  const ids = [...document.querySelectorAll("[id]")].map((e) => e.id);
+  const refs = [...document.querySelectorAll("[aria-controls], [aria-labelledby], label[for]")]
+    .flatMap((e) => ["aria-controls", "aria-labelledby", "for"].map((n) => e.getAttribute(n)).filter(Boolean));
+  return { twice: ids.filter((id, i) => ids.indexOf(id) !== i), lost: refs.filter((id) => !ids.includes(id)),
+           lang: document.documentElement.lang, title: document.title };
+}"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_names_roles_contrast_and_focus(serve, window, run_copy, scheme):
+    shown = window(serve(run_copy), color_scheme=scheme)
+    rows = settled(shown)
+    shown.role("button", rows[0][0]).click()
+    shown.page.get_by_label(f"Use {rows[1][0]}", exact=True).uncheck()
+    shown.page.get_by_label("View", exact=True).select_option("blend")
+
+    snapshot = shown.page.locator("body").aria_snapshot()
+    roles = re.findall(rf'^\s*- ({NAMED})\b(?: "([^"]*)")?', snapshot, flags=re.MULTILINE)
+    assert len(roles) > 40
+    assert [role for role, name in roles if not name.strip()] == []
+
+    broken = shown.page.evaluate(BROKEN)
+    assert broken["twice"] == broken["lost"] == []
+    assert broken["lang"] == "en" and run_copy.name in broken["title"]
+
+    contrast = shown.page.evaluate(CONTRAST)
+    assert contrast["seen"] > 60
+    assert contrast["poor"] == []
+
+    shown.role("tab", "Marks").focus()
+    found = []
+    for _ in range(80):
+        shown.page.keyboard.press("Tab")
+        focus = shown.page.evaluate(FOCUS)
+        if focus is None:
+            break
+        found.append(focus)
+    assert len(found) > 20, "Tab goes through the whole page"
+    assert [one["what"] for one in found if not one["seen"]] == []
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (683, 384), (1366, 768)], ids=["390", "200 %", "1366"])
+def test_small_windows_scroll_one_way_only(serve, window, run_copy, width, height):
+    shown = window(serve(run_copy), width=width, height=height)
+    settled(shown)
+    wide, high = shown.page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+    assert wide <= width
+    assert width < 1366 or high <= height, "a laptop shows all at once"
+    shown.role("application", VOLUME).scroll_into_view_if_needed()
+    box = shown.role("application", VOLUME).bounding_box()
+    assert box["width"] >= 250 and box["height"] >= 230
+    shown.click(VOLUME, 100.0, 120.0, 1.0)
+    shown.click(IMAGE, 300.0, 320.0)
+    expect(shown.role("table", "Marks").get_by_role("row")).to_have_count(7)
+
+
+def test_a_mark_is_corrected_and_applied_by_keys_alone(serve, window, run_copy):
+    shown = window(serve(run_copy))
+    before = settled(shown)
+    press = shown.page.keyboard.press
+
+    def tab_to(role, name, key="Tab"):
+        wanted = shown.role(role, name)
+        for _ in range(90):
+            if wanted.evaluate("e => e === document.activeElement"):
+                return
+            press(key)
+        pytest.fail(f"{name} is not reached with {key}")
+
+    tab_to("button", before[0][0])
+    press("Enter")
+    tab_to("application", IMAGE, "Shift+Tab")
+    press("Shift+ArrowRight")
+    expect(message(shown)).to_contain_text("Saved")
+    assert ends(shown.rows())[0, 2] > ends(before)[0, 2]
+    tab_to("button", "Apply", "Shift+Tab")
+    press("Enter")
+    link = shown.page.get_by_role("link", name=re.compile("report"))
+    expect_long(link)
+    made = run_copy.with_name("run-2")
+    assert json.loads((made / "marks.json").read_text())
+    tab_to("link", link.inner_text(), "Shift+Tab")
+
+
+def expect_long(link):
+    """Apply computes a run: it may take a minute on a loaded machine."""
+    from playwright.sync_api import expect as wait_for
+
+    wait_for(link).to_be_visible(timeout=180_000)
+
+
+def test_enter_sets_a_pair_at_the_crosses(serve, window, run_copy):
+    shown = window(serve(run_copy))
+    settled(shown)
+    for view, at in ((VOLUME, (220.0, 260.0)), (IMAGE, (410.0, 380.0))):
+        shown.go(view, *at)
+        shown.role("application", view).press("Enter")
+        expect(message(shown)).to_contain_text(view)
+    expect(shown.role("table", "Marks").get_by_role("row")).to_have_count(7)
+    assert ends(shown.rows())[-1] == pytest.approx([220, 260, 410, 380], abs=0.011)
+
+
+def test_first_time_user_corrects_a_mark_within_twelve_actions(serve, window, run_copy):
+    """What the screen says leads from an open run to a corrected mark and a new report; each line is an action."""
+    shown = window(serve(run_copy))  # 1: planish view, the line that the demo prints
+    rows = settled(shown)
+    shown.role("columnheader", "Leave-one-out um").click()  # 2: the largest error first
+    shown.page.locator("tbody tr").first.get_by_role("button").click()  # 3: look at that mark
+    shown.role("application", IMAGE).press("+")  # 4
+    shown.role("application", IMAGE).press("ArrowRight")  # 5: nudge it
+    shown.role("button", "Snap").click()  # 6: let the hole decide
+    expect(message(shown)).to_contain_text("snapped")
+    shown.role("button", "Apply").click()  # 7
+    link = shown.page.get_by_role("link", name=re.compile("report"))
+    expect_long(link)
+    with shown.page.context.expect_page() as opened:
+        link.click()  # 8
+    expect(opened.value.get_by_role("heading", level=1)).to_be_visible()
+    assert len(rows) == len(shown.rows())
+    assert (run_copy.with_name("run-2") / "report.html").is_file()
+
+
+def test_cancel_leaves_nothing(serve, window, run_copy):
+    shown = window(serve(run_copy))
+    rows = settled(shown)
+    shown.page.get_by_label(f"Use {rows[0][0]}", exact=True).uncheck()
+    expect(message(shown)).to_contain_text("Saved")
+    shown.role("button", "Apply").click()
+    expect(shown.page.get_by_role("progressbar")).to_be_visible()
+    shown.role("button", "Cancel").click()
+    expect(message(shown)).to_contain_text("cancelled")
+    expect(shown.role("button", "Apply")).to_be_enabled()
+    assert [path.name for path in run_copy.parent.iterdir()] == ["run"]
