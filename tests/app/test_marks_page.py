@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from app.marks_page import IMAGE, VOLUME, ends, expect, message, settled
+from planish.pipeline import Registration
 from planish.register import fit_transform
 
 pytestmark = pytest.mark.study

@@ -31,10 +31,8 @@ from planish.pipeline import Registration, find_holes
 from planish.pipeline.kept import noted_study
 from planish.pipeline.regions import REGIONS
 from planish.pipeline.run import MAPS, marks_file, open_results
-from planish.study import Study, read_study
+from planish.study import EDITS, Study, read_study
 
-EDITS = "edits"
-"""Folder of a run that holds what a person made of it."""
 Plane = Literal["moving", "fixed"]
 PLANES: tuple[Plane, Plane] = ("moving", "fixed")
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 import xarray as xr
 
@@ -38,7 +36,7 @@ def snapped(session: Session, pictures: Pictures, layer: str, mark: Mark) -> Mov
             f"No hole of {low:g} to {high:g} um was found around {mark.label} {where}. Move the mark closer to the "
             "middle of the hole, or leave it where it is."
         )
-    return Move(layer=layer, id=mark.id, **ends)
+    return Move(layer=layer, id=mark.id, moving=ends.get("moving"), fixed=ends.get("fixed"))
 
 
 def not_snapped(mark: Mark, move: Move) -> str:
@@ -113,4 +111,4 @@ def _window(data: xr.DataArray, at: tuple[float, float], reach_um: float) -> xr.
     if min(r.size for r in ranges) < 8:
         return None
     rows, cols = (slice(int(r[0]), int(r[-1]) + 1) for r in ranges)
-    return cast("xr.DataArray", data[rows, cols].compute())
+    return data[rows, cols].compute()

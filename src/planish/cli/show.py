@@ -12,7 +12,7 @@ import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from planish.cli.console import animated, console, letters, sentence, table
-from planish.core.text import printable
+from planish.core.text import printable, quoted
 
 if TYPE_CHECKING:
     from planish.compute import Progress as Tell
@@ -68,6 +68,8 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
             pairs = [(f"{r.a} {r.a_map} / {r.b} {r.b_map}", r) for r in results.correlations if r.n]
             correlations("Layers against each other", pairs)
         click.echo(f"report: {out / 'report.html'}")
+        if results.is_link:
+            click.echo(f"check and correct it: planish view {quoted(str(out))}")
     several = len(results.layers) > 2
     for state in _SPOKEN:
         for check in results.spoken(state):

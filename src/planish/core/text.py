@@ -16,6 +16,11 @@ def printable(text: str) -> str:
     )
 
 
+def quoted(path: str) -> str:
+    """A path as a shell takes it."""
+    return f'"{path}"' if " " in path else path
+
+
 def likely(name: str, known: Iterable[str]) -> str:
     """Name the word that was probably meant, as the end of a message; nothing where none is close.
 

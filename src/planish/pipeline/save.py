@@ -12,10 +12,11 @@ import xarray as xr
 
 from planish import __version__
 from planish.compute import Compute, Progress, return_memory, run_key, silent
-from planish.core.errors import CannotRegister, PlanishError
+from planish.core.errors import CannotRegister, MarkError, PlanishError
 from planish.core.files import move
 from planish.core.overviews import overviews
 from planish.core.results import LayerFacts, Results
+from planish.core.text import quoted
 from planish.core.threads import limit_threads
 from planish.io import fingerprint
 from planish.io.map_store import OVERVIEWS, MapSink, StoredMaps, stored_group
@@ -134,16 +135,15 @@ def _next_step(error: PlanishError, maps: Mapping[str, KeptMaps], study: Study) 
     """Say where maps are kept of a link that was refused; where none are, how to get them without the image."""
     kept = [str(one.path) for one in maps.values() if one.path.exists()]
     if kept:
-        return f"The maps of the volume are kept in {' and '.join(kept)}; the same command goes on from there."
+        text = f"The maps of the volume are kept in {' and '.join(kept)}; the same command goes on from there."
+        if isinstance(error, CannotRegister | MarkError) and study.is_sheet_on_image:
+            text += f" To set the marks by hand: planish view {quoted(kept[0])} {quoted(study.layers[-1].path)}"
+        return text
     volume = next((layer for layer in study.layers if layer.kind == "volume"), None)
     if volume is None or not isinstance(error, CannotRegister):
         return ""
-    command = f"planish map {_quoted(volume.path)} --out {_quoted(str(maps[volume.name].path))}"
+    command = f"planish map {quoted(volume.path)} --out {quoted(str(maps[volume.name].path))}"
     return f"To map the volume without it, with the same options: {command}"
-
-
-def _quoted(path: str) -> str:
-    return f'"{path}"' if " " in path else path
 
 
 def _done(

@@ -1,0 +1,189 @@
+"""What the routes of the marks answer, on a link and on the maps of a link that was refused."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import io
+import json
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from app.asgi import HOST, TOKEN, Client
+from planish.app.marks_routes import get_events
+from planish.app.server import create_app
+from planish.app.session import Session
+from planish.cli import main
+from planish.core.errors import FileError, SizeError
+from planish.io.params import ImageParams
+from planish.pipeline import open_run
+
+
+def served(session: Session) -> Client:
+    return Client(create_app(session, token=TOKEN, hosts=(HOST,)))
+
+
+@pytest.fixture
+def session(linked_run, tmp_path):
+    found = Session.open(Path(shutil.copytree(linked_run, tmp_path / "run")))
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def client(session):
+    found = served(session)
+    yield found
+    found.app.state.applying.close()
+
+
+def test_a_session_says_what_there_is(client, session):
+    found = client.get("/api/session").json()
+    holes = open_run(session.folder).registrations[session.layers[0]]
+    assert found["models"][-1] == "auto"
+    assert {"similarity", "affine", "tps"} <= set(found["models"])
+    assert [len(found["holes"][side]) for side in ("moving", "fixed")] == [holes.count("moving"), holes.count("fixed")]
+    assert {p["plane"] for p in found["pictures"]} == {"moving", "fixed"}
+    assert (found["read_only"], found["linked"]) == (False, True)
+
+
+def test_one_change_after_the_other(client, session):
+    first = client.get("/api/state").json()
+    count = len(first["marks"])
+    one = client.post(
+        "/api/change", {"change": {"do": "add", "moving": [500, 400]}, "version": first["version"]}
+    ).json()
+    mark = one["marks"][-1]
+    assert (mark["fixed"], mark["residual_um"], list(mark["predicted"])) == (None, None, ["fixed"])
+    layer = session.layers[0]
+    wanted = session.registrations[layer]([500.0, 400.0])
+    assert np.hypot(*(mark["predicted"]["fixed"] - wanted)) < 0.5  # um: the shown fit is that of the run or near it
+    two = client.post("/api/change", {"change": {"do": "move", "id": mark["id"], "fixed": wanted.tolist()}}).json()
+    assert two["marks"][-1]["residual_um"] is not None
+    assert client.post("/api/undo").json()["marks"][-1]["fixed"] is None
+    assert len(client.post("/api/undo").json()["marks"]) == count
+    assert client.post("/api/undo").status == 400
+    assert client.post("/api/redo").json()["can_redo"] is True
+
+
+def test_a_stale_change_is_answered_with_what_stands(client):
+    seen = client.get("/api/state").json()["version"]
+    client.post("/api/change", {"change": {"do": "model", "model": "affine"}})
+    answer = client.post("/api/change", {"change": {"do": "use", "id": "m0-1", "used": False}, "version": seen})
+    assert answer.status == 409
+    assert answer.json()["model"] == "affine"
+    assert answer.json()["marks"][0]["used"] is True
+
+
+@pytest.mark.parametrize("form", ["json", "csv", "bigwarp", "slicer", "matlab", "elastix"])
+def test_marks_come_back_from_every_format(client, session, form):
+    before = session.state.of(None)
+    answer = client.get(f"/api/marks/export?format={form}")
+    assert answer.status == 200
+    name = answer.headers["content-disposition"].partition('filename="')[2].rstrip('"')
+    files = {name: answer.body}
+    if name.endswith(".zip"):
+        with zipfile.ZipFile(io.BytesIO(answer.body)) as packed:
+            files = {one: packed.read(one) for one in sorted(packed.namelist(), reverse=True)}
+    given = [{"name": one, "base64": base64.b64encode(data).decode()} for one, data in files.items()]
+    body = given[0] | ({"second": given[1]} if len(given) > 1 else {})
+    answer = client.post("/api/marks/import", body)
+    assert answer.status == 200, answer.body
+    for old, new in zip(before, session.state.of(None), strict=True):
+        for side in ("moving", "fixed"):
+            assert getattr(new, side).xy == pytest.approx(getattr(old, side).xy, abs=1e-3)
+    if form == "json":
+        assert [m.moving for m in before] == [m.moving for m in session.state.of(None)]
+    client.post("/api/undo")
+    assert session.state.of(None) == before
+
+
+def test_a_file_that_holds_no_marks_is_refused_with_what_is_read(client):
+    answer = client.post("/api/marks/import", {"name": "notes.csv", "text": "a,b\n1,2\n"})
+    assert answer.status == 400
+    assert "BigWarp" in answer.json()["error"]
+
+
+def test_a_change_that_the_disk_does_not_take_is_not_shown(client, session, monkeypatch):
+    def full(_file, _data):
+        raise OSError(28, "No space left on device")
+
+    before = client.get("/api/state").json()["marks"]
+    monkeypatch.setattr("planish.app.journal._write_all", full)
+    answer = client.post("/api/change", {"change": {"do": "use", "id": "m0-1", "used": False}})
+    assert answer.status == 507
+    assert "disk is full" in answer.json()["error"]
+    assert client.get("/api/state").json()["marks"][0]["used"] == before[0]["used"] is True
+
+
+def test_every_window_hears_of_a_change(client, session):
+    """A line at once, one for the change, and a heartbeat each half second."""
+
+    async def listen() -> list[dict[str, int]]:
+        request = type("Request", (), {"app": client.app})()
+        lines = (await get_events(request)).body_iterator
+        found = [json.loads(await anext(lines))]
+        session.publish()
+        found += [json.loads(await asyncio.wait_for(anext(lines), 2)) for _ in range(2)]
+        await lines.aclose()
+        return found
+
+    first = session.version
+    assert [line["version"] for line in asyncio.run(listen())] == [first, first + 1, first + 1]
+
+
+# --- the maps of a link that was refused -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def refused(specimen_files, linked_run, tmp_path_factory) -> tuple[Path, Path]:
+    """Maps and an image with two holes left, as a link leaves them that was refused at the marks."""
+    volume, image = specimen_files
+    folder = tmp_path_factory.mktemp("refused")
+    run = open_run(linked_run)
+    marks, grey = run.marks, tifffile.imread(image).astype(np.float32)
+    pixel = run.linked.x.values[1] - run.linked.x.values[0]
+    y, x = np.mgrid[: grey.shape[0], : grey.shape[1]] * pixel
+    at = np.flatnonzero(np.isfinite(marks.fixed_x.values))[2:]
+    for k in at:
+        grey[np.hypot(x - marks.fixed_x.values[k], y - marks.fixed_y.values[k]) < 160] = np.median(grey)
+    tifffile.imwrite(folder / "image.tif", grey.astype(np.uint8))
+    with pytest.raises(SystemExit):
+        main(["map", str(volume), "--out", str(folder / "out-map")])
+    return folder / "out-map", folder / "image.tif"
+
+
+@pytest.mark.study
+def test_marks_of_a_refused_link_are_set_by_hand(refused, linked_run):
+    maps, image = refused
+    pairs = open_run(linked_run).marks
+    pixel = open_run(linked_run).linked.attrs.get("pixel_um") or float(np.diff(open_run(linked_run).linked.x.values)[0])
+    with pytest.raises(FileError, match="planish view .* IMAGE"):
+        Session.open(maps)
+    session = Session.open(maps, ImageParams(path=str(image), pixel_um=(pixel, pixel)))
+    client = served(session)
+    found = client.get("/api/session").json()
+    assert len(found["holes"]["fixed"]) == 2
+    assert client.get("/api/state").json()["marks"] == []
+    moving, fixed = (np.stack([pairs[f"{s}_x"].values, pairs[f"{s}_y"].values], 1) for s in ("moving", "fixed"))
+    for a, b in zip(moving.tolist(), fixed.tolist(), strict=True):
+        if np.isfinite([*a, *b]).all():
+            state = client.post("/api/change", {"change": {"do": "add", "moving": a, "fixed": b}}).json()
+    assert state["fit"]["rms_um"] < 5
+    client.app.state.applying.close()
+    session.close()
+    again = Session.open(maps, ImageParams(path=str(image), pixel_um=(pixel, pixel)))
+    assert len(again.state.of(None)) == len(state["marks"])
+    again.close()
+    with pytest.raises(SizeError, match="--pixel-um"):
+        _ = Session.open(maps, image, read_only=True).image
+
+
+def test_a_link_takes_no_other_image(linked_run, tmp_path):
+    with pytest.raises(FileError, match="already"):
+        Session.open(linked_run, tmp_path / "image.tif")
