@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
+import numpy as np
 import pytest
 import tifffile
 
+from app.asgi import HOST, TOKEN, Client
 from planish.app.apply import STAGED, Before, order_of, place_of
+from planish.app.applying import Applying, Busy
 from planish.app.changes import change_of
+from planish.app.server import create_app
 from planish.app.session import Session
 from planish.core.results import Results
 from planish.pipeline import open_run, run_study
@@ -319,6 +327,7 @@ def ended(applied):
     return applied.progress
 
 
+@pytest.mark.study
 def test_a_process_makes_the_run_and_says_how_far_it_is(run):
     with opened(run) as session, applying(session) as applied:
         do(session, do="model", model="similarity")
@@ -350,6 +359,32 @@ def test_what_cannot_be_applied_is_said_and_nothing_is_left(run):
         assert "2 pairs of marks in use" in end.message
         assert [p.name for p in run.parent.iterdir()] == ["run"]
         assert not (run / STAGED).exists()
+
+
+def test_the_page_begins_follows_and_reads_the_report(run):
+    """By the routes: 202, then how far it is, 409 for a second one, and a report under a secret of its own."""
+    with opened(run) as session:
+        app = create_app(session, token=TOKEN, hosts=[HOST])
+        client, stranger = Client(app), Client(app, token="")
+        try:
+            assert client.get("/api/apply").json() == {"state": "idle", "stage": "", "share": 0.0, "message": ""}
+            assert stranger.post("/api/apply").status == 401
+            assert client.post("/api/apply").status == 202
+            again = client.post("/api/apply")
+            assert (again.status, again.json()["state"]) == (409, "working")
+            wait_for(lambda: client.get("/api/apply").json()["state"] != "working")
+            end = client.get("/api/apply").json()
+        finally:
+            app.state.applying.close()
+        assert (end["state"], end["run"]) == ("done", str(run.with_name("run-2"))), end
+        page = stranger.get(end["report"])  # a new tab has no token
+        assert page.status == 200
+        assert page.body == (run.with_name("run-2") / "report.html").read_bytes()
+        assert "script-src" not in page.headers["content-security-policy"]
+        assert "default-src 'none'" in page.headers["content-security-policy"]
+        assert TOKEN not in end["report"]
+        for wrong in ("x", end["report"].rpartition("/")[2][:-1], "..%2f..%2fresults.json", "../results.json"):
+            assert stranger.get(f"/report/{wrong}").status == 404
 
 
 @pytest.mark.study
