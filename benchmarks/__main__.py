@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks import (
+    app_apply,
     artefacts,
     brightness,
     errors,
@@ -39,6 +40,7 @@ from benchmarks import (
 )
 
 _MODULES = (
+    app_apply,
     variants,
     flattening,
     relaxation,

@@ -388,8 +388,8 @@ def contour(height: Array, x: Array, y: Array) -> Array:
     for k in range(4):
         n = (k + 1) % 4
         crosses = (picked[k] >= 0) != (picked[n] >= 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = picked[k] / (picked[k] - picked[n])
+        share = np.zeros(crosses.shape)
+        np.divide(picked[k], picked[k] - picked[n], out=share, where=crosses)
         place = np.stack([at_x[k] + share * (at_x[n] - at_x[k]), at_y[k] + share * (at_y[n] - at_y[k])], axis=-1)
         ends.append(np.where(crosses[:, None], place, np.nan))
     # Two edges of a cell are crossed, or at a saddle all four: its crossings then belong together in pairs.

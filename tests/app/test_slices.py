@@ -1,0 +1,209 @@
+"""Slices of a session: they show the file's voxels and the run's surfaces where these are, in every pose."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from scipy import ndimage
+
+from planish.app.changes import CorrectedPoint, Correction, State
+from planish.app.corrections import changed_corrections, corrections_of, stretches_of
+from planish.app.slices import HEIGHTS, Sheet, contour, sheets_of
+from planish.app.surfaces_routes import packed
+from planish.cli import main
+from planish.core.errors import InputError
+from planish.core.frame import Frame
+from planish.pipeline import open_run, run_study
+from planish.pipeline.sheet import changed
+from planish.study import read_study
+from planish.surface import Corrections, correct_surfaces
+
+
+@pytest.fixture(scope="module")
+def laid_run(laid, tmp_path_factory):
+    """The map of a sheet that lies through y, with its top at the low end."""
+    out = tmp_path_factory.mktemp("laid-map") / "run"
+    with pytest.raises(SystemExit) as ended:
+        main(["map", str(laid.volume), "--through", "y", "--top", "low", "--out", str(out)])
+    assert ended.value.code in (0, 4)
+    return out
+
+
+@pytest.fixture(params=["upright", "laid"])
+def folder(request) -> Path:
+    return request.getfixturevalue("linked_run" if request.param == "upright" else "laid_run")
+
+
+def opened(folder: Path) -> Sheet:
+    study = read_study(folder / "run.toml")
+    ((name, (params, store)),) = sheets_of(folder, study).items()
+    return Sheet.open(name, params, store)
+
+
+def voxels(folder: Path) -> np.ndarray:
+    study = read_study(folder / "run.toml")
+    assert study.layers[0].volume is not None
+    return tifffile.imread(study.layers[0].volume.path)
+
+
+def test_a_slice_shows_the_voxels_of_the_file_with_the_top_up(folder):
+    sheet, whole = opened(folder), voxels(folder)
+    for direction in ("z", "y", "x"):
+        index = sheet.count(direction) // 3
+        cut = sheet.cut(direction, index)
+        facts = cut.facts
+        assert cut.pixels.shape == (facts.down.count, facts.across.count)
+        rng = np.random.default_rng(2)
+        for row, col in zip(
+            rng.integers(0, facts.down.count, 20), rng.integers(0, facts.across.count, 20), strict=True
+        ):
+            place = {facts.normal: facts.at_um}
+            place[facts.across.name] = facts.across.first_um + col * facts.across.step_um
+            place[facts.down.name] = facts.down.first_um + row * facts.down.step_um
+            at = tuple(round(place[axis] / sheet.places(axis)[1]) for axis in "zyx")
+            assert facts.offset + facts.scale * int(cut.pixels[row, col]) == whole[at]
+        if direction != sheet.frame.through:
+            assert np.sign(facts.down.step_um) == -sheet.frame.sign  # from the top downwards
+    with pytest.raises(InputError, match="There is no slice 9999"):
+        sheet.cut("z", 9999)
+
+
+def test_the_lines_of_a_slice_are_the_surfaces_of_the_run(folder):
+    sheet, surfaces = opened(folder), open_run(folder).groups["surfaces"]
+    frame = Frame.of(surfaces)
+    for direction, axis in ((frame.rows, 0), (frame.cols, 1)):
+        index = sheet.count(direction) // 2
+        cut = sheet.cut(direction, index)
+        row = index // sheet.step
+        lines = dict(zip(cut.facts.lines, cut.lines, strict=True))
+        for name in (*HEIGHTS, "status", "thickness_se"):
+            np.testing.assert_array_equal(lines[name], np.take(surfaces[name].values, row, axis).astype(np.float32))
+        normal = np.stack([lines[f"normal_{part}"] for part in ("rows", "cols", "through")])
+        known = np.isfinite(normal).all(axis=0)
+        assert known.mean() > 0.8
+        np.testing.assert_allclose((normal[:, known] ** 2).sum(axis=0), 1, rtol=1e-5)
+        assert (np.sign(normal[2, known]) == frame.sign).all()  # towards the top
+        assert cut.facts.columns is not None
+        assert cut.facts.columns.first_um == surfaces["x" if axis == 0 else "y"].values[0]
+
+
+def test_a_straightened_slice_is_the_volume_along_the_normals(folder):
+    sheet, surfaces, whole = opened(folder), open_run(folder).groups["surfaces"], voxels(folder)
+    frame, row = Frame.of(surfaces), sheet.count("straight") // 2
+    cut = sheet.cut("straight", row)
+    facts, lines = cut.facts, dict(zip(cut.facts.lines, cut.lines, strict=True))
+    assert (lines["centre"] == 0).all()
+    known = np.flatnonzero(np.isfinite(lines["top"] + lines["bottom"]) & (lines["status"] == 0))
+    assert known.size > 50
+    # The faces along the normals are the topography that was measured.
+    np.testing.assert_allclose(lines["top"][known], surfaces["topography_top"].values[row, known], atol=1e-3)
+    for col in known[:: max(1, known.size // 10)]:
+        for k in (facts.down.count // 3, facts.down.count // 2):
+            s = facts.down.first_um + k * facts.down.step_um
+            place = {frame.rows: facts.at_um, frame.cols: facts.across.first_um + col * facts.across.step_um,
+                     frame.through: float(surfaces["centre"].values[row, col])}  # fmt: skip
+            for part in ("rows", "cols", "through"):
+                place[getattr(frame, part)] += s * float(lines[f"normal_{part}"][col])
+            at = [[place[axis] / sheet.places(axis)[1]] for axis in "zyx"]
+            grey = ndimage.map_coordinates(whole.astype(np.float32), at, order=1, cval=np.nan)[0]
+            code = int(cut.pixels[k, col])
+            if np.isnan(grey):  # beside the volume
+                assert code == facts.missing
+            else:
+                assert facts.offset + facts.scale * code == pytest.approx(grey, abs=0.05)
+
+
+def test_a_slice_along_the_sheet_has_the_contours_of_its_surfaces(folder):
+    sheet, surfaces = opened(folder), open_run(folder).groups["surfaces"]
+    through = Frame.of(surfaces).through
+    height = float(np.nanmedian(surfaces["top"].values))
+    index = int(np.abs(sheet.places(through) - height).argmin())
+    cut = sheet.cut(through, index)
+    of = dict(zip(cut.facts.segments, cut.contours, strict=True))
+    assert len(of["top"]) > 20
+    # At the ends of a segment the face lies at the slice's height.
+    col = (of["top"][:, 0] - surfaces["x"].values[0]) / np.diff(surfaces["x"].values[:2])
+    row = (of["top"][:, 1] - surfaces["y"].values[0]) / np.diff(surfaces["y"].values[:2])
+    at = ndimage.map_coordinates(np.nan_to_num(surfaces["top"].values, nan=1e6), [row, col], order=1)
+    assert np.percentile(np.abs(at - cut.facts.at_um), 95) < 1e-2
+
+
+def test_contours_of_a_plane_are_straight():
+    y, x = np.arange(5.0), np.arange(7.0)
+    found = contour(np.broadcast_to(x - 2.25, (5, 7)), x, y)
+    np.testing.assert_allclose(found[:, [0, 2]], 2.25)
+    assert np.hypot(found[:, 2] - found[:, 0], found[:, 3] - found[:, 1]).sum() == pytest.approx(4)
+    assert contour(np.full((5, 7), np.nan), x, y).shape == (0, 4)
+
+
+def stretch_in(surfaces, *, off_um=12.0):
+    """Six points above the measured top of a sheet."""
+    frame = Frame.of(surfaces)
+    rows, cols = np.nonzero(ndimage.binary_erosion(surfaces["status"].values == 0, iterations=12))
+    row, col = rows[rows.size // 2], cols[rows.size // 2]
+    points = []
+    for k in range(-10, 11, 4):
+        place = {frame.through: surfaces["top"].values[row, col + k] + frame.sign * off_um,
+                 frame.rows: surfaces["y"].values[row], frame.cols: surfaces["x"].values[col + k]}  # fmt: skip
+        points.append(CorrectedPoint(**{axis: float(place[axis]) for axis in "zyx"}, face="top"))
+    return int(row), Correction(id="c1", points=tuple(points), reach_um=40.0)
+
+
+def test_what_is_tried_shows_what_apply_makes(folder):
+    sheet, surfaces = opened(folder), open_run(folder).groups["surfaces"]
+    row, correction = stretch_in(surfaces)
+    asked = stretches_of([correction], "sheet", "sheet")
+    cut = sheet.cut(sheet.frame.rows, row * sheet.step, corrections=asked)
+    lines = dict(zip(cut.facts.lines, cut.lines, strict=True))
+    corrected = correct_surfaces(surfaces, sheet.volume, asked)
+    assert (corrected["correction_top"].values[row] > 0).any()
+    np.testing.assert_array_equal(lines["preview_top"], corrected["top"].values[row].astype(np.float32))
+    np.testing.assert_array_equal(lines["top"], surfaces["top"].values[row].astype(np.float32))
+
+
+@pytest.mark.study
+def test_corrections_become_a_file_of_the_new_run_and_come_back(linked_run, tmp_path):
+    study, surfaces = read_study(linked_run / "run.toml"), open_run(linked_run).groups["surfaces"]
+    _, correction = stretch_in(surfaces)
+    state = State(marks={}, corrections=(correction,))
+    ((name, made),) = changed_corrections(study, (), state.corrections).items()
+    file = tmp_path / "made.json"
+    file.write_text(made.to_json(), encoding="utf-8")
+    layers = tuple(
+        changed(one, surface=changed(one.surface, corrections=str(file))) if one.name == name else one
+        for one in study.layers
+    )
+    run_study(changed(study, layers=layers), tmp_path / "new", old=linked_run)
+    file.unlink()
+    new = read_study(tmp_path / "new" / "run.toml")
+    assert Path(str(new.layers[0].surface.corrections)) == tmp_path / "new" / "edits" / "surface.json"
+    (back,) = corrections_of(new)
+    assert (back.points, back.reach_um) == (correction.points, correction.reach_um)
+    assert changed_corrections(new, (back,), (back,)) == {}
+    assert changed_corrections(new, (back,), ()) == {"sheet": Corrections()}
+    # Taken back, the run has the surfaces that it began with.
+    bare = tuple(changed(one, surface=changed(one.surface, corrections=None)) for one in new.layers)
+    run_study(changed(new, layers=bare), tmp_path / "back", old=tmp_path / "new")
+    assert open_run(tmp_path / "back").groups["surfaces"].identical(surfaces)
+    assert (tmp_path / "back" / "results.json").read_bytes() == (linked_run / "results.json").read_bytes()
+    assert not (tmp_path / "back" / "edits").exists()
+
+
+def test_a_message_has_its_parts_at_places_of_four_bytes(linked_run):
+    sheet = opened(linked_run)
+    cut = sheet.cut(sheet.frame.rows, 40)
+    data = packed(cut)
+    (length,) = struct.unpack("<I", data[:4])
+    facts = json.loads(data[4 : 4 + length])
+    assert length % 4 == 0
+    count = facts["across"]["count"] * facts["down"]["count"]
+    pixels = np.frombuffer(data, "<u2", count, 4 + length)
+    assert pixels.tobytes() == cut.pixels.tobytes()
+    at = 4 + length + 2 * count + (-2 * count) % 4
+    top = np.frombuffer(data, "<f4", facts["columns"]["count"], at)
+    np.testing.assert_array_equal(top, cut.lines[0])

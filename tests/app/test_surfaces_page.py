@@ -1,0 +1,180 @@
+"""The tab Surfaces in a real browser: the drawn lines lie on the surfaces, and points make a correction."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from planish.core.frame import Frame
+from planish.pipeline import open_run
+
+pytestmark = pytest.mark.study
+
+TOP, PREVIEW = (255, 176, 0), (125, 255, 106)
+_COLOUR = """(canvas, [x, colour]) => {
+  const ratio = canvas.width / canvas.clientWidth;
+  const line = canvas.getContext('2d').getImageData(Math.round(x * ratio), 0, 1, canvas.height).data;
+  const rows = [];
+  for (let k = 0; k < canvas.height; k++) {
+    const off = Math.max(...colour.map((c, i) => Math.abs(c - line[4 * k + i])));
+    if (off < 60) rows.push((k + 0.5) / ratio);
+  }
+  return rows;
+}"""
+
+
+def expect(what):
+    """Wait for something that the page is to show."""
+    from playwright.sync_api import expect as wait_for
+
+    return wait_for(what, timeout=20000)  # pyright: ignore[reportCallIssue]
+
+
+class Shown:
+    """The tab with a slice through the middle of the measured part of a sheet."""
+
+    def __init__(self, window, run):
+        self.window, self.page, self.run = window, window.page, run
+        self.surfaces = open_run(run).groups["surfaces"]
+        self.frame = Frame.of(self.surfaces)
+        rows, cols = np.nonzero(self.surfaces["status"].values == 0)
+        self.row = int(np.bincount(rows).argmax())
+        self.places = np.sort(cols[rows == self.row])
+        window.role("tab", "Surfaces").click()
+        self.canvas = window.role("img", "Slice")
+        expect(self.canvas).to_be_visible()
+        self.fill("Slice at, um", f"{self.surfaces['y'].values[self.row]:.2f}")
+        expect(self.window.role("status", "Slice position")).to_contain_text(
+            f"{self.frame.rows} {self.surfaces['y'].values[self.row]:.2f}"
+        )
+
+    def fill(self, label, text):
+        self.window.fill(label, text)
+
+    def at(self, x, y):
+        """What is said of a place on the canvas: x, y and z in um."""
+        box = self.canvas.bounding_box()
+        self.page.mouse.move(box["x"] + x, box["y"] + y)
+        text = self.window.role("status", "Slice position").inner_text()
+        found = re.match(r"x (-?[\d.]+), y (-?[\d.]+), z (-?[\d.]+) um", text)
+        assert found, text
+        return dict(zip("xyz", map(float, found.groups()), strict=True))
+
+    def rows_of(self, x, colour=TOP):
+        return np.array(self.canvas.evaluate(_COLOUR, [x, list(colour)]))
+
+    def along(self, x):
+        """Place in um of a column of the screen."""
+        return self.at(x, 5)[self.frame.cols]
+
+    def top(self, um):
+        known = np.isfinite(self.surfaces["top"].values[self.row])
+        return float(np.interp(um, self.surfaces["x"].values[known], self.surfaces["top"].values[self.row][known]))
+
+    def clear_columns(self):
+        """Columns of the screen over columns that were measured, away from holes."""
+        width = self.canvas.bounding_box()["width"]
+        measured = self.surfaces["x"].values[self.places]
+        for x in np.linspace(30, width - 30, 60):
+            um = self.along(x)
+            if np.abs(measured - um).min() < 5 and np.count_nonzero(np.abs(measured - um) < 60) > 20:
+                yield float(x)
+
+
+@pytest.fixture
+def shown(serve, window, run_copy):
+    return Shown(window(serve(run_copy)), run_copy)
+
+
+def test_the_drawn_face_lies_on_the_top_of_the_file_within_a_screen_pixel(shown):
+    checked = 0
+    for x in shown.clear_columns():
+        rows = shown.rows_of(x)
+        if rows.size == 0 or np.ptp(rows) > 6:  # it is hidden, or another line crosses it
+            continue
+        heights = [shown.at(x, row)[shown.frame.through] for row in (rows.mean(), rows.mean() + 20)]
+        pixel_um = abs(heights[1] - heights[0]) / 20
+        # A mouse has whole pixels: half a pixel comes on top.
+        assert abs(heights[0] - shown.top(shown.along(x))) <= 1.5 * pixel_um
+        checked += 1
+    assert checked >= 5
+
+
+def points_above(shown, count=6, by=14):
+    """Clicks a few pixels above the top face."""
+    columns = list(shown.clear_columns())
+    middle = columns[len(columns) // 2]
+    box = shown.canvas.bounding_box()
+    for k in range(count):
+        x = middle + (k - count / 2) * 6
+        rows = shown.rows_of(middle)
+        shown.page.mouse.click(box["x"] + x, box["y"] + rows.mean() - by)
+    return middle
+
+
+def test_six_clicks_are_seen_before_they_are_applied_saved_and_undone(shown):
+    middle = points_above(shown)
+    expect(shown.page.get_by_text("6 points, the last at")).to_be_visible()
+    shown.page.wait_for_timeout(1500)
+    green = shown.rows_of(middle, PREVIEW)
+    assert green.size
+    shown.window.role("button", "Correct").click()
+    listed = shown.page.get_by_label("Corrections", exact=True)
+    expect(listed).to_contain_text("6 points on the top face, reach 60 um")
+    expect(shown.window.role("status", "Message")).to_contain_text("aved")
+    shown.window.role("button", "Undo").click()
+    expect(listed).to_be_empty()
+    shown.window.role("button", "Redo").click()
+    expect(listed).to_contain_text("6 points")
+    shown.page.reload()
+    shown.window.role("tab", "Surfaces").click()
+    expect(shown.page.get_by_label("Corrections", exact=True)).to_contain_text("6 points on the top face")
+
+
+def test_a_correction_is_made_by_keys_alone(shown):
+    shown.canvas.focus()
+    for key in ("ArrowUp", "Shift+ArrowLeft", "Enter", "ArrowRight", "Enter", "Enter", "Backspace"):
+        shown.page.keyboard.press(key)
+    expect(shown.page.get_by_text("2 points, the last at")).to_be_visible()
+    before = shown.page.get_by_label("Slice at, um", exact=True).input_value()
+    shown.page.keyboard.press("PageDown")
+    assert shown.page.get_by_label("Slice at, um", exact=True).input_value() != before
+    shown.fill("Point, um", "300, 300, 150")
+    expect(shown.page.get_by_text("3 points, the last at x, y, z = 300.00, 300.00, 150.00 um")).to_be_visible()
+    shown.window.role("button", "Correct").press("Enter")
+    expect(shown.page.get_by_label("Corrections", exact=True)).to_contain_text("3 points")
+
+
+def test_every_direction_shows_its_slice(shown):
+    for direction in ("z", "y", "x", "straight"):
+        shown.page.get_by_label("Direction", exact=True).select_option(direction)
+        shown.page.wait_for_timeout(1000)
+        place = shown.at(300, 200)
+        assert all(np.isfinite(list(place.values())))
+        grey = shown.canvas.evaluate(
+            "c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some(v => v > 60)"
+        )
+        assert grey
+
+
+def test_apply_makes_a_run_with_the_corrected_face(shown):
+    points_above(shown)
+    shown.page.wait_for_timeout(500)
+    shown.window.role("button", "Correct").click()
+    expect(shown.page.get_by_label("Corrections", exact=True)).to_contain_text("6 points")
+    shown.window.role("button", "Apply").click()
+    new = shown.run.with_name("run-2")
+    for _ in range(240):
+        if new.is_dir():
+            break
+        shown.page.wait_for_timeout(500)
+    corrected = open_run(new).groups["surfaces"]
+    drawn = corrected["correction_top"].values > 0
+    assert drawn[shown.row].any()
+    assert (new / "edits" / "surface.json").is_file()
+    assert corrected["bottom"].equals(shown.surfaces["bottom"])
+    assert (corrected["top"].values[~drawn] == shown.surfaces["top"].values[~drawn])[
+        np.isfinite(shown.surfaces["top"].values[~drawn])
+    ].all()
