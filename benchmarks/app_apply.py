@@ -84,8 +84,8 @@ def measure(run: Path) -> None:
     image = session.results.layers[-1]
     print(f"{run}: {end.state}; {whole - loading:.1f} s of processor time, {whole:.1f} s with loading, "
           f"{wall:.1f} s by the clock, load {load:.1f} on {os.cpu_count()} processors", flush=True)  # fmt: skip
-    print(f"  {image.name}: {image.source.name}; {len(clicks)} clicks meanwhile: median {1e3 * statistics.median(clicks):.0f} ms, "
-          f"longest {1e3 * max(clicks):.0f} ms")  # fmt: skip
+    usual, longest = 1e3 * statistics.median(clicks), 1e3 * max(clicks)
+    print(f"  {len(clicks)} clicks on {image.source.name} meanwhile: median {usual:.0f} ms, longest {longest:.0f} ms")
     if end.run is not None:
         shutil.rmtree(end.run)
     shutil.rmtree(run / "edits")

@@ -17,7 +17,7 @@ from scipy import ndimage
 from planish.core.frame import Frame
 from planish.core.status import Status, status_flags
 from planish.surface import SurfaceParams
-from planish.surface.assemble import _centre, _other_surfaces
+from planish.surface.assemble import _other_surfaces, centre_surface
 
 Array = NDArray[np.float64]
 PITCH_UM = 8.0  # of the columns
@@ -215,7 +215,7 @@ def _found(heights: dict[str, Array], y: Array, x: Array, holes: Array, thicknes
     known = {name: np.where(rim, np.nan, h) for name, h in heights.items()}
     middle = 0.5 * (known["top"] + known["bottom"])
     params, whole, pitch = SurfaceParams(), np.ones(rim.shape, dtype=bool), (PITCH_UM, PITCH_UM)
-    centre, _ = _centre(middle, whole, pitch, params)
+    centre, _ = centre_surface(middle, whole, pitch, params)
     between = 0.5 * (known["interface_top"] + known["interface_bottom"]) - middle
     others = _other_surfaces(between, middle, centre, whole, pitch, params)
     data = known | {"centre": centre} | {name: values for name, (values, _) in others.items()}
