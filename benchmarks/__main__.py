@@ -6,6 +6,7 @@ import sys
 
 from benchmarks import (
     app_apply,
+    app_space,
     artefacts,
     brightness,
     errors,
@@ -71,8 +72,8 @@ _MODULES = (
     fuzz,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
-# Only where they are named: one takes the network and half an hour, the other one writes documents.
-_BY_NAME = {"installs": installs.main, "pictures": pictures.main}
+# Only where they are named: one takes the network and half an hour, one writes documents, one wants a run.
+_BY_NAME = {"installs": installs.main, "pictures": pictures.main, "app_space": app_space.main}
 
 
 def main(arguments: list[str]) -> int:

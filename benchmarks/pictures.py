@@ -170,13 +170,34 @@ def gallery(path: Path, folder: Path) -> None:
         if done.returncode or not drawn.exists():
             print(f"{example.stem}: not drawn")
             continue
-        target = path.parent / "examples" / drawn.name
-        with Image.open(drawn) as picture:
-            picture.convert("RGB").quantize(200, dither=Image.Dither.NONE).save(target, optimize=True)
+        stored(drawn, path.parent / "examples")
+
+
+def stored(drawn: Path, folder: Path) -> None:
+    """Keep a drawn figure in few colours."""
+    with Image.open(drawn) as picture:
+        picture.convert("RGB").quantize(200, dither=Image.Dither.NONE).save(folder / drawn.name, optimize=True)
+
+
+SIZES = {
+    "fig-06": "full", "fig-07": "small", "fig-09": "full", "fig-11": "full", "flattening": "full", "design": "small",
+    "large": "full",
+}  # fmt: skip
+"""Of the specimens that docs/studies.md shows; six of Fig. 7 take long at their full size."""
+
+
+def studies(path: Path, folder: Path) -> None:
+    """Figures of the studies; their statements, which the page quotes, are printed."""
+    program = IMAGES.parents[1] / "examples" / "studies" / "make.py"
+    for name, size in SIZES.items():
+        command = [sys.executable, str(program), name, "--size", size, "--out", str(folder / size)]
+        subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
+        stored(folder / size / f"{name}.png", path.parent / "studies")
 
 
 PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "linked": linked, "tutorial-page": tutorial, "first-pages": first_pages, "examples": gallery,
+    "studies": studies,
 }  # fmt: skip
 
 

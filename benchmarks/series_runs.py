@@ -110,7 +110,7 @@ def main(folder: str = "", *parts: str) -> int:
         code, seconds, cpu = timed(study(table, whole))
         print(f"one process: exit {code}, {seconds:.0f} s, {cpu:.0f} s of processor time", flush=True)
     for k in range(1, COUNT + 1):
-        name, alone = f"s{k:02d}", home / "single" / f"s{k:02d}"
+        name, alone = f"s{k:02d}", home / "single" / "runs" / f"s{k:02d}"  # as deep as in a series: paths are relative
         if k not in WRONG and "single" in parts and not alone.exists():
             files = [str(home / name / file) for file in ("volume.tif", "image.tif")]
             subprocess.run([sys.executable, "-m", "planish", "link", *files, "--out", str(alone)], check=True)
@@ -152,7 +152,7 @@ def many(home: Path, count: int = 40, planned: int = 200, pairs: int = 6) -> int
     print("series:", watched_memory(study(table, home / "series")), flush=True)
     total = 0.0
     for k in range(1, count + 1):
-        name, alone = f"s{k:02d}", home / "single" / f"s{k:02d}"
+        name, alone = f"s{k:02d}", home / "single" / "runs" / f"s{k:02d}"
         files = [str(home / name / file) for file in ("volume.tif", "image.tif")]
         total += timed([sys.executable, "-m", "planish", "link", *files, "--out", str(alone)])[2]
     print(f"{count} single links: {total:.0f} s of processor time", flush=True)

@@ -112,7 +112,9 @@ class Window:
 
     def middle(self, name: str) -> tuple[float, float]:
         """The middle of a map view on the screen."""
-        box = self.role("application", name).bounding_box()
+        view = self.role("application", name)
+        view.scroll_into_view_if_needed()
+        box = view.bounding_box()
         return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
     def go(self, name: str, x_um: float, y_um: float, pixel_um: float | None = None) -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 
 import numpy as np
 import pytest
 
 from app.marks_page import IMAGE, VOLUME, ends, expect, message, settled
-from planish.pipeline import Registration
 from planish.register import fit_transform
 
 pytestmark = pytest.mark.study
@@ -25,12 +25,7 @@ def shown(serve, window, run_copy):
     return found
 
 
-@pytest.fixture
-def registration(run_copy):
-    return Registration.read(run_copy / "marks.json")
-
-
-def test_table_shows_the_fit_of_the_run(shown, registration):
+def test_table_shows_the_fit_of_the_run(shown):
     shown.page.get_by_label("Model", exact=True).select_option("similarity")
     expect(shown.page.get_by_text(re.compile("^5 pairs, residual .*rms"))).to_be_visible()
     rows = settled(shown)
@@ -88,7 +83,8 @@ def test_arrows_move_the_chosen_mark_by_screen_pixels(shown):
     shown.fill(f"{IMAGE}, um per screen pixel", "0.5")
     pixel = float(shown.page.get_by_label(f"{IMAGE}, um per screen pixel", exact=True).input_value())
     turned = shown.page.get_by_label(f"{VOLUME}, um per screen pixel", exact=True).input_value()
-    assert pixel == 0.5 and turned != "0.5"
+    assert pixel == 0.5
+    assert turned != "0.5"
     view = shown.role("application", IMAGE)
     for key in ("ArrowRight", "Shift+ArrowDown"):
         view.press(key)
@@ -233,6 +229,19 @@ def test_a_lost_server_is_said_and_found_again(shown, serve, run_copy):
     shown.page.goto(shown.server.url)
     shown.page.reload()
     expect(shown.role("table", "Marks").get_by_role("row")).to_have_count(6)
+    shown.faults[:] = [fault for fault in shown.faults if not NETWORK.search(fault)]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs a system on which a process can be halted")
+def test_a_server_that_answers_again_is_found(shown):
+    rows = settled(shown)
+    shown.server.process.send_signal(signal.SIGSTOP)
+    expect(shown.page.get_by_role("alert")).to_contain_text("connection", timeout=2000)
+    shown.server.process.send_signal(signal.SIGCONT)
+    expect(shown.page.get_by_role("alert")).to_be_hidden()
+    expect(message(shown)).to_contain_text("back")
+    shown.page.get_by_label(f"Use {rows[0][0]}", exact=True).uncheck()
+    expect(message(shown)).to_contain_text("Saved")
     shown.faults[:] = [fault for fault in shown.faults if not NETWORK.search(fault)]
 
 

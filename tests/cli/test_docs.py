@@ -10,6 +10,8 @@ import pytest
 
 import console
 from planish.cli.docs import page, schema, with_options
+from planish.core.results import Results
+from planish.core.series_results import SeriesResults
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -29,9 +31,15 @@ def test_the_table_of_properties_options_is_that_of_the_program():
 
 
 def test_the_published_schema_is_that_of_the_results():
-    assert (DOCS / "results.schema.json").read_text(encoding="utf-8") == schema(), "run: python3 run.py docs"
+    assert (DOCS / "results.schema.json").read_text(encoding="utf-8") == schema(Results), "run: python3 run.py docs"
+    assert (DOCS / "series.schema.json").read_text(encoding="utf-8") == schema(SeriesResults), (
+        "run: python3 run.py docs"
+    )
     packed = files("planish.core").joinpath("results.schema.json")
-    assert packed.read_text(encoding="utf-8") == schema(), "run: python3 run.py docs"
+    assert packed.read_text(encoding="utf-8") == schema(Results), "run: python3 run.py docs"
+    assert (DOCS / "series.schema.json").read_text(encoding="utf-8") == schema(SeriesResults), (
+        "run: python3 run.py docs"
+    )
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())

@@ -129,3 +129,13 @@ def test_run_and_study_name_each_other(tmp_path: Path) -> None:
         done = CliRunner().invoke(planish, [verb, str(path), "--out", str(tmp_path / "out")])
         assert other in str(done.exception)
         assert not (tmp_path / "out").exists()
+
+
+def test_a_map_that_no_sheet_can_have_is_refused_before_anything_is_linked(tmp_path: Path) -> None:
+    study = write(
+        tmp_path, "[compare]\nheadline = ['coatng_top']\n\n[[specimens]]\nvolume = 'v.tif'\nimage = 'i.tif'\n", "s.toml"
+    )
+    done = CliRunner().invoke(planish, ["study", str(study), "--out", str(tmp_path / "out")])
+    assert done.exit_code != 0
+    assert "Did you mean coating_top?" in str(done.exception) + done.output
+    assert not (tmp_path / "out").exists()

@@ -144,7 +144,7 @@ def _resolved(rings: tuple[Ring, ...], *, leaking: bool) -> RingCorrelation:
     above = [ring.correlation - ring.threshold for ring in rings]
     first = next((k for k, v in enumerate(above) if v < 0), None)
     if first is None:
-        why = "shorter waves are too weak to be told from leakage" if leaking else "the pixels end there"
+        why = "shorter waves are too weak to be distinguished from leakage" if leaking else "the pixels end there"
         shortest = f"{rings[-1].wavelength_um:.3g} um" if rings else "the longest waves"
         return RingCorrelation(
             rings=rings, resolution_um=None, sentence=f"Both show the same down to {shortest}; {why}. No resolution."

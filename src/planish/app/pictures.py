@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from planish.app.made_levels import MadeLevels, cache_place
+from planish.app.strain import strains
 from planish.core.errors import InputError
 from planish.core.grid import Grid
 from planish.core.lazy import Where, held
@@ -108,6 +109,8 @@ class Picture:
     title, units : str
     levels : sequence of DataArray (rows, cols)
         Full resolution first, each next one with pixels twice as wide; values are read where they are asked for.
+    around_zero : bool
+        Whether 0 is in the middle of its colours.
     """
 
     id: str
@@ -117,6 +120,7 @@ class Picture:
     title: str
     units: str
     levels: Sequence[xr.DataArray]
+    around_zero: bool = False
 
     @property
     def full(self) -> xr.DataArray:
@@ -156,6 +160,9 @@ class Picture:
         if self.is_mask or values.size == 0:
             return 0.0, 1.0
         low, high = (float(v) for v in np.percentile(values, [2, 98]))
+        if self.around_zero:
+            high = max(abs(low), abs(high))
+            low = -high
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
     @cached_property
@@ -274,7 +281,7 @@ def _of_run(run: Path) -> Iterator[Picture]:
     """The pictures of a run: of every moving layer, then of what lies on the reference."""
     results, study = open_results(run), read_study(run / "run.toml")
     if not results.is_link:
-        yield from group_pictures(run, "maps", plane="moving", layer=results.layers[0].name)
+        yield from _sheet(run, layer=results.layers[0].name, prefix="")
         return
     together = study.is_sheet_on_image
     for facts in results.moving:
@@ -295,7 +302,19 @@ def _moving(run: Path, params: LayerParams, *, prefix: str) -> Iterator[Picture]
             yield image_picture(ImageFile.of(params.image, params.name), plane="moving", name=f"{prefix}image")
         return
     inner = run / "layers" / params.name
-    yield from group_pictures(inner if is_run(inner) else run, "maps", plane="moving", layer=params.name, prefix=prefix)
+    yield from _sheet(inner if is_run(inner) else run, layer=params.name, prefix=prefix)
+
+
+def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[Picture]:
+    """The maps of a sheet on its own plane, and the strains of its flattening."""
+    maps = [*group_pictures(run, "maps", plane="moving", layer=layer, prefix=prefix)]
+    yield from maps
+    places = {one.name.removeprefix(prefix): one.levels for one in maps}
+    for name, shown, levels in strains(run, places) if (run / MAPS / "strain").is_dir() else ():
+        yield Picture(
+            id="", plane="moving", layer=layer, name=prefix + name, title=shown.title, units=shown.units,
+            levels=_Stored(levels), around_zero=True,
+        )  # fmt: skip
 
 
 def group_pictures(run: Path, group: str, *, plane: Plane, layer: str, prefix: str = "") -> Iterator[Picture]:

@@ -6,9 +6,11 @@ import json
 from pathlib import Path
 
 import click
+from pydantic import BaseModel
 
 from planish.cli.main import planish
 from planish.core.results import Results
+from planish.core.series_results import SeriesResults
 from planish.measure.params import MeasureParams
 from planish.writers import formats_table
 
@@ -55,9 +57,9 @@ def with_formats(text: str) -> str:
     return head + "## All formats\n\n" + formats_table() + "\n## " + rest.split("\n## ", 1)[1]
 
 
-def schema() -> str:
-    """Return the JSON schema of results.json."""
-    return json.dumps(Results.model_json_schema(), indent=1) + "\n"
+def schema(results: type[BaseModel]) -> str:
+    """Return the JSON schema of results.json, of a run or of a series."""
+    return json.dumps(results.model_json_schema(), indent=1) + "\n"
 
 
 def main() -> None:
@@ -69,8 +71,9 @@ def main() -> None:
         (docs / "cli.md", page()),
         (docs / "properties.md", with_options(properties)),
         (docs / "export.md", with_formats(formats)),
-        (docs / "results.schema.json", schema()),
-        (package / "core" / "results.schema.json", schema()),
+        (docs / "results.schema.json", schema(Results)),
+        (docs / "series.schema.json", schema(SeriesResults)),
+        (package / "core" / "results.schema.json", schema(Results)),
     ):
         path.write_text(text, encoding="utf-8", newline="\n")
         click.echo(f"{path.name} written")

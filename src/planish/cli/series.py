@@ -68,8 +68,10 @@ def study(
     """
     from planish.series import Book, read_plan
     from planish.series.folder import series_folder
+    from planish.series.quantities import check_maps_known
 
     plan = read_plan(specimens, changes)
+    check_maps_known(plan.declared)
     compute = made(Compute, values, "compute")
     if dry_run:
         return _dry_run(Book(out, plan), plan.specimens, compute, jobs)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -51,6 +52,7 @@ def describe(
     override_size: bool = False,
     memory_bytes: int | None = None,
     look: Callable[[Values], None] | None = None,
+    values: bool = True,
 ) -> dict[str, Any]:
     """Inspect a volume or an image and report what it holds, in little memory: parts of large ones are read.
 
@@ -66,6 +68,8 @@ def describe(
         What may be decoded at once; of files that can only be decoded whole and have more, values are not looked at.
     look : callable, optional
         Is given the values of a volume (z, y, x), or of an image (y, x), where they may be looked at.
+    values : bool
+        Whether values are looked at; otherwise headers alone are read.
 
     Returns
     -------
@@ -90,36 +94,37 @@ def describe(
     memory_bytes = LOOK_BYTES if memory_bytes is None else memory_bytes
     options: dict[str, Any] = {"file_name": path.name, "override": override_size, "unusual": True}
     if is_image(place):
-        return _image(path, partial(agreed_size, given=pixel_um, asked=PIXEL, **options), memory_bytes, look)
+        return _image(path, partial(agreed_size, given=pixel_um, asked=PIXEL, **options), memory_bytes, look, values)
     if is_section_folder(path):
         return _sections(path, voxel_um, channel, override_size=override_size, memory_bytes=memory_bytes)
-    seen = True
-    try:
-        loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
-    except ResourceError:
-        loaded, seen = declared_volume(place, channel=channel), False
-    values, warnings = unmapped(loaded.values), list(loaded.notes)
+    loaded = None
+    if values:
+        with suppress(ResourceError):
+            loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
+    seen = loaded is not None
+    loaded = loaded or declared_volume(place, channel=channel)
+    grey, warnings = unmapped(loaded.values), list(loaded.notes)
     found = format_of(place)
     if found is SLICES and "nrecon" not in loaded.attrs:
         step = slice_step(slice_numbers(list_slices(path), path))
         if step > 1:
             warnings.append(f"The slices are numbered in steps of {step}: the z size must be that of {step} slices.")
     if seen:
-        facts = inspect_values(values, loaded.full_scale, warnings, dims=VOXEL.axes)
+        facts = inspect_values(grey, loaded.full_scale, warnings, dims=VOXEL.axes)
         if look is not None:
-            look(values)
+            look(grey)
     else:
-        facts = unseen(values, warnings, dims=VOXEL.axes)
-    size = _size_facts(partial(agreed_size, loaded.stated, voxel_um, asked=VOXEL, **options), values.shape, warnings)
+        facts = unseen(grey, warnings if values else [], dims=VOXEL.axes)
+    size = _size_facts(partial(agreed_size, loaded.stated, voxel_um, asked=VOXEL, **options), grey.shape, warnings)
     warnings += _size_doubts(size["size_um"], "Voxels", USUAL_VOXEL_UM)
     window = loaded.attrs.get("attenuation_window")
-    if window is not None and seen and values.dtype == np.uint8:
+    if window is not None and seen and grey.dtype == np.uint8:
         warnings.append(
             f"NRecon wrote 8 bits: grey 0 to 255 is attenuation {window[0]:g} to {window[1]:g}, and what lies outside "
             f"was cut ({100 * facts['bottom_share']:.3g} % of the values are 0, {100 * facts['saturated_share']:.3g} % "
             "are 255). 16 bits lose nothing."
         )
-    if isinstance(values, FileArray) and values.whole_slices:
+    if isinstance(grey, FileArray) and grey.whole_slices:
         warnings.append(
             "It does not fit into the memory, and its slices can only be decoded whole. Bring it into a store with "
             "'planish import' first."
@@ -132,7 +137,7 @@ def describe(
         **facts,
         **size,
         **_holding(loaded.values),
-        "through": likely_through(values) if seen else None,
+        "through": likely_through(grey) if seen else None,
         "metadata": dict(loaded.attrs),
         "warnings": warnings,
     }
@@ -197,15 +202,16 @@ def _sections(
 
 
 def _image(
-    path: Path, agreed: partial[Any], memory_bytes: int | None, look: Callable[[Values], None] | None
+    path: Path, agreed: partial[Any], memory_bytes: int | None, look: Callable[[Values], None] | None, wanted: bool
 ) -> dict[str, Any]:  # fmt: skip
     """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
     warnings: list[str] = []
-    seen = True
-    try:
-        picture = load_picture(path, memory_bytes=memory_bytes)
-    except ResourceError:
-        picture, seen = load_picture(path, decode=False), False
+    picture = None
+    if wanted:
+        with suppress(ResourceError):
+            picture = load_picture(path, memory_bytes=memory_bytes)
+    seen = picture is not None
+    picture = picture or load_picture(path, decode=False)
     whole, shape = picture.values, picture.values.shape[:2]
     step = max(1, math.ceil(math.sqrt(math.prod(shape) / LOOK_PIXELS)))
     picture = replace(picture, values=whole[::step, ::step])
@@ -226,7 +232,7 @@ def _image(
         if look is not None:
             look(values)
     else:
-        facts = unseen(whole, warnings, dims=PIXEL.axes)
+        facts = unseen(whole, warnings if wanted else [], dims=PIXEL.axes)
     size = _size_facts(partial(agreed, across(picture.stated)), shape, warnings)
     warnings += _size_doubts(size["size_um"], "Pixels", PIXEL.usual_um)
     return {

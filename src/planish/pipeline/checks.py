@@ -214,7 +214,7 @@ def with_trust(results: Results) -> Results:
     rows = rows_with_trust(results.correlations, results.checks)
     both = tuple(layer.name for layer in results.layers)
     comparison = [
-        row.model_copy(update=_marks(_of_pair(both, (row.property,), results.checks), row))
+        row.model_copy(update=_marks(trust_of_pair(both, (row.property,), results.checks), row))
         for row in results.comparison
     ]
     withheld = {(row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"}
@@ -227,14 +227,15 @@ def with_trust(results: Results) -> Results:
 def rows_with_trust(rows: Iterable[CorrelationRow], checks: Sequence[Check]) -> tuple[CorrelationRow, ...]:
     """The same correlations, each marked by the checks that concern it."""
     return tuple(
-        row.model_copy(update=_marks(_of_pair((row.a, row.b), (row.a_map, row.b_map), checks), row)) for row in rows
+        row.model_copy(update=_marks(trust_of_pair((row.a, row.b), (row.a_map, row.b_map), checks), row))
+        for row in rows
     )
 
 
 def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
     update: dict[str, Any] = {}
     if layer.sheet is not None:
-        trusts: dict[str, Trust] = {name: _worst(checks, (layer.name,), (name,)) for name in layer.sheet.properties}
+        trusts: dict[str, Trust] = {name: trust_of(checks, (layer.name,), (name,)) for name in layer.sheet.properties}
         found = {k: p.model_copy(update=_marks(trusts[k], p)) for k, p in layer.sheet.properties.items()}
         numbers = layer.sheet.numbers
         if "withheld" in trusts.values():  # they are made of the maps
@@ -242,17 +243,18 @@ def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
         update["sheet"] = layer.sheet.model_copy(update={"properties": found, "numbers": numbers})
     r = layer.registration
     if r is not None and r.expected_error is not None:
-        trust = _worst(checks, (layer.name,), (POSITION,))
+        trust = trust_of(checks, (layer.name,), (POSITION,))
         error = r.expected_error.model_copy(update=_marks(trust, r.expected_error))
         update["registration"] = r.model_copy(update={"expected_error": error})
     return layer.model_copy(update=update)
 
 
-def _of_pair(layers: tuple[str, ...], maps: tuple[str, ...], checks: Sequence[Check]) -> Trust:
-    return _worst(checks, layers, (*maps, POSITION, CORRELATION))
+def trust_of_pair(layers: tuple[str, ...], maps: tuple[str, ...], checks: Sequence[Check]) -> Trust:
+    """Trust in a correlation of maps of some layers."""
+    return trust_of(checks, layers, (*maps, POSITION, CORRELATION))
 
 
-def _worst(checks: Sequence[Check], layers: Sequence[str], figures: Sequence[str]) -> Trust:
+def trust_of(checks: Sequence[Check], layers: Sequence[str], figures: Sequence[str]) -> Trust:
     """Trust in a figure of some layers, by all checks that concern one of ``figures``."""
     states = {check.state for check in concerned(checks, layers, figures)}
     return "withheld" if "fail" in states else "doubtful" if "look" in states else "ok"

@@ -11,7 +11,7 @@ import xarray as xr
 from planish.core.checks import Check
 from planish.core.grid import Grid
 from planish.core.results import InputFile, SheetFacts, Side
-from planish.marks import HoleParams, find_sheet_holes
+from planish.marks import HoleParams, find_sheet_holes, without_dots
 from planish.marks import find_holes as find_image_holes
 from planish.study import LayerParams
 
@@ -100,5 +100,6 @@ def find_holes(
         found = find_sheet_holes(shown, params=params, side=side)
         return found.assign_attrs(layer=layer or "sheet", seen_from="top")
     pixel = (float(shown.attrs["pixel_um"][0]), float(shown.attrs["pixel_um"][1]))
-    found = find_image_holes(shown.values, pixel_um=pixel, diameter_um=params.hole_um)
+    grey = without_dots(shown.values, pixel, params.hole_um[0]) if params.printed else shown.values
+    found = find_image_holes(grey, pixel_um=pixel, diameter_um=params.hole_um)
     return found.assign_attrs(layer=layer or "image", seen_from=side)

@@ -20,7 +20,7 @@ from planish.core.grid import Grid
 from planish.core.results import LayerFacts, Results
 from planish.core.text import likely
 from planish.core.transform import Affine, Similarity
-from planish.io import fingerprint
+from planish.io import VolumeParams, fingerprint
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import group_names, read_group
 from planish.measure import straightened
@@ -217,26 +217,15 @@ class Taken:
                 "The straightened volume needs the surfaces of one sheet, and this run holds none. Give the run of "
                 "the volume itself, in layers/NAME where several were linked."
             )
-        layer = self._layer_of(facts.name)
-        assert layer.volume is not None
-        path = (
-            Path(layer.volume.path.split(":")[0]) if not Path(layer.volume.path).exists() else Path(layer.volume.path)
-        )
-        if not path.exists():
-            raise FileError(
-                f"The straightened volume needs {facts.source.name}, and {path} is not there. Put it back, or write "
-                "where it is now into run.toml, under [layers.volume], as path."
-            )
-        progress("read", facts.source.name)
-        if fingerprint(layer.volume.path) != facts.source.sha256:
-            raise FileError(
-                f"{path} is another file than the one that was mapped: its SHA-256 is not that in results.json. Put "
-                "the volume of this run there."
-            )
-        volume, _ = read_sheet_volume(layer.volume, compute, progress)
+        params = self.volume_of(facts, progress)
+        volume, _ = read_sheet_volume(params, compute, progress)
         places = [f"volume_{axis}" for axis in "xyz"]
         found = straightened(
-            volume, self.group("surfaces"), self.group("maps", places), params=layer.properties, depth_um=depth_um
+            volume,
+            self.group("surfaces"),
+            self.group("maps", places),
+            params=self._layer_of(facts.name).properties,
+            depth_um=depth_um,
         )
         about = {
             "group": STRAIGHTENED,
@@ -246,6 +235,39 @@ class Taken:
         }
         return found.assign_attrs(about)
 
+    def volume_of(self, facts: LayerFacts, progress: Progress) -> VolumeParams:
+        """Where the volume of the sheet lies, and how it is read.
+
+        Raises
+        ------
+        FileError
+            If it is gone, or another file has its place.
+        """
+        params = self._layer_of(facts.name).volume
+        assert params is not None
+        path = Path(params.path.split(":")[0]) if not Path(params.path).exists() else Path(params.path)
+        if not path.exists():
+            raise FileError(
+                f"The volume {facts.source.name} of this run is needed, and {path} is not there. Put it back, or write "
+                "where it is now into run.toml, under [layers.volume], as path."
+            )
+        progress("read", facts.source.name)
+        if fingerprint(params.path) != facts.source.sha256:
+            raise FileError(
+                f"{path} is another file than the one that was mapped: its SHA-256 is not that in results.json. Put "
+                "the volume of this run there."
+            )
+        return params
+
+    def sheet_run(self, name: str) -> Taken | None:
+        """The run that holds the surfaces of a sheet: this one, that in ``layers/NAME``, or the one that was given."""
+        if self.sheet is not None and self.sheet.name == name:
+            return self
+        places = [self.folder / "layers" / name] if self.folder is not None else []
+        places += [Path(one.run) for one in self.study.layers if one.name == name and one.run is not None]
+        found = (Taken.of(place) for place in places if (place / MAPS / "zarr.json").is_file())
+        return next((run for run in found if run.sheet is not None), None)
+
     def _layer_of(self, name: str) -> LayerParams:
         """Parameters of a layer that was read from a volume, in this run or in the one that it was taken from."""
         layer = next(one for one in self.study.layers if one.name == name)
@@ -253,7 +275,7 @@ class Taken:
             return layer
         place = Path(layer.run)
         if not (place / "run.toml").is_file():
-            raise FileError(f"The straightened volume needs the run {place}, which is not there. Put it back.")
+            raise FileError(f"The volume of this run stands in the run {place}, which is not there. Put it back.")
         other = next(one for one in read_study(place / "run.toml").layers if one.volume is not None)
         return other
 
@@ -317,12 +339,8 @@ class Taken:
             return Grid.of(self.group("maps", ["thickness"]))
         if f"layers/{name}" in self.groups and name == self.results.reference.name:
             return Grid.of(self.group(f"layers/{name}", ["thickness"]))
-        places = [self.folder / "layers" / name] if self.folder is not None else []
-        places += [Path(one.run) for one in self.study.layers if one.name == name and one.run is not None]
-        for place in places:
-            if (place / MAPS / "zarr.json").is_file() and "maps" in group_names(place / MAPS):
-                return Grid.of(read_group(place / MAPS, "maps", ["thickness"]))
-        return None
+        run = self.sheet_run(name)
+        return None if run is None else Grid.of(run.group("maps", ["thickness"]))
 
     def _grid(self, name: str, marks: np.ndarray) -> Grid:
         found = self.grid_of(name)

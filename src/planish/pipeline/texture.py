@@ -36,6 +36,12 @@ _WITHOUT_SCREEN = Check(
     sentence="Image-based check: not made, because the fine texture that it aligns was taken off with the screen.",
 )  # fmt: skip
 
+_SIDE_UNKNOWN = Check(
+    name="side and specimen", state="unknown",
+    sentence="Side and specimen: inconclusive, because the fine texture that would show it was taken off with the "
+    "screen.",
+)  # fmt: skip
+
 
 class TextureFound(NamedTuple):
     """Where the texture of two layers puts them, None where there are too few pixels; and what was judged."""
@@ -83,7 +89,8 @@ def texture_of(
     else:
         check, compared = two_images(found, names), _Compared(found, ["image"], 0, "other image")
     if any("reach_um" in d["image"].attrs for d in (a, b) if "image" in d):
-        return TextureFound(None, (check, _WITHOUT_SCREEN))
+        # The texture that would show the side is gone, so that none goes with the coating is no evidence.
+        return TextureFound(None, (_SIDE_UNKNOWN if check.state == "look" else check, _WITHOUT_SCREEN))
     moved = next((d["expected_error"] for d in (a, b) if "expected_error" in d), None)
     expected_um = None if moved is None else rms_of(moved, valid)
     short = min(n * um for n, um in zip(found.known.shape, found.pixel_um, strict=True))

@@ -169,5 +169,5 @@ def need_holes(holes: xr.Dataset, hole_um: tuple[float, float], *, name: str | N
     raise CannotRegister(
         f"{what} found in the {name}{' at' + at if at else ''}; at least 3 are needed, and 4 to notice a wrong "
         f"match. Searched for round holes of {hole_um[0]:g} to {hole_um[1]:g} um (--hole-um). Check the "
-        "voxel and pixel sizes, or give pairs of points with --marks."
+        "voxel and pixel sizes; if the image is a print, give --printed; or give pairs of points with --marks."
     )

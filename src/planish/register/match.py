@@ -194,9 +194,10 @@ def _no_match(count: int, need: int, smaller: int, mirror: bool) -> str:
     turned = "" if mirror else "; if the slices are numbered against the usual sense pass --mirror"
     return (
         f"no match found: {count} agree at best, and {needed}, closer than chance would bring them. Printed dots as "
-        "large as holes count as marks: raise the lower end of --hole-um. Check the pixel and voxel sizes (if they "
-        "are uncertain, allow more with --scale-tolerance), --top, and --image-side: the side that the image shows"
-        f"{turned}; find more of the marks, give the pattern that was burnt (--design) or pairs (--marks)."
+        "large as holes count as marks: give --printed, and raise the lower end of --hole-um above the largest dot. "
+        "Check the pixel and voxel sizes (if they are uncertain, allow more with --scale-tolerance), --top, and "
+        f"--image-side: the side that the image shows{turned}; find more of the marks, give the pattern that was burnt "
+        "(--design) or pairs (--marks)."
     )
 
 

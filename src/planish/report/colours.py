@@ -75,7 +75,7 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
     """Return a map as an image in a ``data:`` address: PNG, or JPEG where it has many pixels."""
     from PIL import Image
 
-    palette = np.vstack([_palette(scale.colours), np.array(list(bytes.fromhex(missing[1:])), dtype=np.uint8)])
+    palette = np.vstack([colours_in_steps(scale.colours), np.array(list(bytes.fromhex(missing[1:])), dtype=np.uint8)])
     shades = scale.shades(values)
     kind, data = ("PNG" if shades.size <= _LARGE else "JPEG"), io.BytesIO()
     if kind == "PNG":
@@ -88,7 +88,7 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
 
 
 @cache
-def _palette(colours: str) -> NDArray[np.uint8]:
+def colours_in_steps(colours: str) -> NDArray[np.uint8]:
     """Return the colours of all shades: (255, 3)."""
     anchors = np.array([list(bytes.fromhex(code)) for code in _ANCHORS[colours].split()], dtype=np.float64)
     at, places = np.linspace(0, 1, _SHADES), np.linspace(0, 1, len(anchors))

@@ -37,7 +37,7 @@ def estimate(book: Book, specimen: Specimen, compute: Compute) -> Estimate:
         for layer in found.study.layers:
             if layer.kind == "run":
                 continue
-            facts = describe(layer.path)
+            facts = describe(layer.path, values=False)
             size = 1.0
             for n in facts["shape"]:
                 size *= n

@@ -42,7 +42,7 @@ def headlines_of(found: Gathered, declared: Declared) -> tuple[str, ...]:
         If a map that was declared is in no run.
     """
     maps = {row.map for row in found.rows if row.quantity == "mean"}
-    wanted = [*declared.headline, *(_map_of(name) for name in declared.margin if _map_of(name))]
+    wanted = maps_of(declared)
     for name in wanted:
         if name not in maps and found.briefs:
             raise InputError(
@@ -52,6 +52,26 @@ def headlines_of(found: Gathered, declared: Declared) -> tuple[str, ...]:
     usual = Counter(name for brief in found.briefs.values() for name in brief.headlines)
     leading = declared.headline or tuple(name for name, _ in usual.most_common())
     return tuple(dict.fromkeys([*leading, *wanted]))
+
+
+def check_maps_known(declared: Declared) -> None:
+    """Refuse a map that no sheet can have, before anything is linked.
+
+    Raises
+    ------
+    InputError
+        With the name that was probably meant.
+    """
+    for name in maps_of(declared):
+        if name not in registered():
+            raise InputError(
+                f"There is no map {name}; there are {', '.join(sorted(registered()))}.{likely(name, registered())}"
+            )
+
+
+def maps_of(declared: Declared) -> list[str]:
+    """Maps that were declared, by themselves or with a margin."""
+    return [*declared.headline, *(_map_of(name) for name in declared.margin if _map_of(name))]
 
 
 def _map_of(margin: str) -> str:

@@ -42,6 +42,7 @@ export function colourAt(palette, share) {
 export function paletteOf({ name, units }) {
   const variable = name.split("/").at(-1) ?? name;
   if (variable === "image" || variable === "valid" || variable.startsWith("presence")) return "grey";
+  if (units === "%" || units === "mrad") return "RdBu_r"; // strains, around 0
   if (variable.endsWith("_se") || variable.includes("error")) return "magma";
   return units === "deg" || variable === "warp" || /^(u|v|volume_.|projected_.)$/.test(variable) ? "cividis" : "viridis";
 }

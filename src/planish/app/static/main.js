@@ -117,8 +117,9 @@ function onTab(listener) {
 /** @param {any} app */
 function mountTabs(app) {
   shared = app;
-  const tabs = /** @type {HTMLElement[]} */ ([...document.querySelectorAll("[role=tab]")]);
+  const tabs = /** @type {HTMLButtonElement[]} */ ([...document.querySelectorAll("[role=tab]")]);
   tabs.forEach((tab, i) => {
+    tab.disabled = false; // until now a click would have been lost
     tab.addEventListener("click", () => openTab(nameOf(tab)));
     tab.addEventListener("keydown", (event) => {
       const step = { ArrowRight: 1, ArrowLeft: -1, Home: -i, End: tabs.length - 1 - i }[event.key];

@@ -1,4 +1,4 @@
-/** Where a point of one view lies in the other, as the marks say so far. */
+/** What lies under the pointer, and where that is in the other view, as the marks say so far. */
 
 import { written } from "./dom.js";
 
@@ -54,12 +54,31 @@ export class Prediction {
       const { side, point } = this.wanted;
       this.wanted = null;
       const there = side === "moving" ? "fixed" : "moving";
-      const query = `predict?side=${side}&x=${point[0]}&y=${point[1]}`;
-      const found = await this.app.api.get(this.app.ofLayer(query)).catch(() => null);
+      const query = new URLSearchParams({ x: String(point[0]), y: String(point[1]) });
+      const { picture } = this.layers[side].view;
+      const [found, here] = await Promise.all([
+        this.app.api.get(this.app.ofLayer(`predict?side=${side}&${query}`)).catch(() => null),
+        picture && this.app.api.get(`cursor?id=${picture.id}&${query}`).catch(() => null),
+      ]);
       if (!this.inside) break;
       this.layers[there].showGhost(found ? [found.x, found.y] : null);
       this.app.predicted(found ? `${NAMES[there]} x, y: ${written([found.x, found.y])} um; ${found.text}` : "No pair yet");
+      this.app.cursor([`${NAMES[side]} x, y: ${written(point)} um`, ...valuesAt(here, picture)].join("; "));
     }
     this.busy = false;
   }
+}
+
+/**
+ * The value of the shown picture, and where the point lies in the volume.
+ * @param {any} here
+ * @param {any} picture
+ * @returns {string[]}
+ */
+function valuesAt(here, picture) {
+  if (!here) return [];
+  const own = here.values.find((/** @type {any} */ one) => one.id === picture.id);
+  const value = typeof own?.value === "number" ? [`${picture.title} ${Number(own.value.toPrecision(4))} ${own.units ?? ""}`.trim()] : [];
+  const { volume } = here;
+  return [...value, ...(volume ? [`volume x, y, z: ${written([volume.x, volume.y, volume.z])} um`] : [])];
 }

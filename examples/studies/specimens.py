@@ -1,0 +1,145 @@
+"""Synthetic specimens for the studies: the same papers and instruments as in the paper, with known answers.
+
+Each function gives the specimens of one study by name: parameters, and the instruments that look at them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from planish.synthetic import (
+    MICRO_CT,
+    PRESETS,
+    SIZES_UM,
+    CameraParams,
+    HoleParams,
+    PrintParams,
+    SectionsParams,
+    SpecimenParams,
+    Warp,
+    make_specimen,
+    write_image,
+    write_instruments,
+)
+
+Size = Literal["small", "full"]
+Instruments = Literal["stack", "print", "two volumes"]
+
+DIFFUSE = CameraParams(shading=0.003)
+"""The microscope with diffuse light; the usual one of planish's specimens has light from one side, too."""
+
+LIGHT_VARIES = 0.05
+"""Standard deviation of Fisher's z between sheets that the images are made with."""
+
+
+ARTEFACTS = {
+    "type": "FeatureCollection",
+    "features": [
+        {
+            "type": "Feature",
+            "properties": {"name": "web", "reason": "an example: nothing is wrong here", "author": "planish"},
+            "geometry": {
+                "type": "Polygon", "coordinates": [[[500, 400], [800, 400], [800, 600], [500, 600], [500, 400]]],
+            },
+        }
+    ],
+}  # fmt: skip
+"""A region that does not count, in um of the reference: GeoJSON."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Made:
+    """One specimen and what is written of it."""
+
+    name: str
+    params: SpecimenParams
+    instruments: Instruments = "stack"
+
+
+def base(paper: str, seed: int, size: Size, full_um: tuple[float, float], voxel_um: float = 6.0) -> SpecimenParams:
+    """A paper in diffuse light; small: 1.5 x 1.1 mm with seven holes, for a first look and for tests."""
+    if size == "small":
+        camera, scanner = replace(DIFFUSE, pixel_um=6.0), replace(MICRO_CT, voxel_um=8.0, noise_px=0.7)
+        field_um, holes = (1500.0, 1100.0), HoleParams(pattern="irregular", count=7)
+    else:
+        camera, scanner, field_um, holes = DIFFUSE, replace(MICRO_CT, voxel_um=voxel_um), full_um, HoleParams()
+    return SpecimenParams(
+        size_um=field_um, paper=PRESETS[paper][1], holes=holes, camera=camera, scanner=scanner, seed=seed
+    )
+
+
+def fig_06(size: Size) -> list[Made]:
+    """One field of a lightly coated paper, finely scanned."""
+    return [Made(name="field", params=base("wfc90", 6, size, SIZES_UM["T1"], voxel_um=3.0))]
+
+
+def fig_07(size: Size) -> list[Made]:
+    """Three sheets, each before and after calendering: the same fibres, holes and bend, another surface."""
+    found: list[Made] = []
+    for sheet, shift in (("1", -1.0), ("2", 0.0), ("3", 1.0)):
+        for state, paper, r2 in (("uncalendered", "wfc135", 0.26), ("calendered", "wfc135-calendered", 0.21)):
+            params = base(paper, 70 + int(sheet), size, SIZES_UM["T2"])
+            # So much else in the image that the true maps have the r² of the paper, higher and lower by the sheet.
+            target = (r2**0.5 + shift * LIGHT_VARIES * (1 - r2)) ** 2
+            camera = replace(params.camera, oracle_r2=round(target, 4))
+            found.append(Made(name=f"sheet-{sheet}-{state}", params=replace(params, camera=camera)))
+    return found
+
+
+def fig_09(size: Size) -> list[Made]:
+    """One field of an offset print: 40 % black at 60 lines per cm, lighter where the coating is thicker."""
+    params = base("wfc118", 9, size, (5000.0, 4000.0))
+    if size == "small":  # around holes, 310 um are left out where a screen was taken off
+        params = replace(params, size_um=(2300.0, 1700.0), holes=HoleParams(pattern="irregular", count=5))
+    camera = replace(DIFFUSE, screen=PrintParams(gain_sd=0.04))
+    return [Made(name="print", params=replace(params, camera=camera), instruments="print")]
+
+
+def fig_11(size: Size) -> list[Made]:
+    """One field, first scanned, then cut and photographed."""
+    params = base("wfc90", 11, size, (1800.0, 1300.0), voxel_um=3.0)
+    sections = SectionsParams(pixel_um=4.0, section_um=8.0) if size == "small" else SectionsParams(pixel_um=1.62)
+    params = replace(params, sections=sections, holes=HoleParams(pattern="irregular", count=7))
+    return [Made(name="field", params=params, instruments="two volumes")]
+
+
+def flattening(size: Size) -> list[Made]:
+    """Three sheets, small: one, bent so much that they are some 250 um longer than their projection."""
+    found: list[Made] = []
+    for sheet in ("1", "2", "3") if size == "full" else ("1",):
+        params = base("wfc118", 190 + int(sheet), size, SIZES_UM["T1"])
+        warp = Warp(
+            slope=0.7, wavelength_um=2600.0, phase_rad=0.6 + 2.0 * int(sheet), ruling_deg=20.0 + 40 * int(sheet)
+        )
+        found.append(Made(name=f"sheet-{sheet}", params=replace(params, warp=warp)))
+    return found
+
+
+STUDIES: dict[str, Callable[[Size], list[Made]]] = {
+    "fig-06": fig_06, "fig-07": fig_07, "fig-09": fig_09, "fig-11": fig_11, "flattening": flattening,
+}  # fmt: skip
+"""Studies that have specimens of their own; the design reads those of Fig. 7."""
+
+
+def make(study: str, size: Size, folder: Path) -> None:
+    """Write the specimens of a study that are not there yet, each into a folder of its own."""
+    if study == "fig-11":
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "artefacts.geojson").write_text(json.dumps(ARTEFACTS, indent=2), encoding="utf-8")
+    for one in STUDIES[study](size):
+        place = folder / one.name
+        if place.exists():
+            continue
+        specimen = make_specimen(one.params)
+        unready = place.with_name(f"{one.name}-unready")
+        write_instruments(specimen, unready, image=one.instruments == "stack", volume=(
+            "scanner" if one.instruments == "two volumes" else "stack"))  # fmt: skip
+        if one.instruments == "two volumes":
+            write_instruments(specimen, unready, volume="sections", image=False)
+        if one.instruments == "print":
+            write_image(specimen, unready / "printed.tif", printed=True)
+        unready.rename(place)

@@ -1,0 +1,270 @@
+"""The slices of a page: read from the volume by window, or those that the run keeps; with the faces found in them."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.app.exploring.packing import Packed, packed
+from planish.compute import Compute, Progress
+from planish.core.errors import PlanishError
+from planish.core.frame import Frame
+from planish.core.results import LayerFacts
+from planish.io.sections import is_section_folder
+from planish.pipeline.taken import Taken
+from planish.pipeline.volume import read_whole
+from planish.report.colours import GREYS, Scale, limits
+from planish.report.slices import LINES, Slice, take_slice
+from planish.report.text import count, plain
+
+BUDGET = 5_000_000
+"""Letters that all slices may take."""
+
+_EVERY = 2  # rows from one slice to the next, where there is room
+_MOST, _WIDEST, _HIGHEST, _POINTS = 320, 1600, 300, 600  # slices; pixels of one along and across; points of a line
+_BLOCK = 2**24  # voxels that are read at a time
+_QUALITY = 38  # of the pictures: their grains are noise
+_LEAST_MARGIN_UM = 20.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stack:
+    """The slices of one sheet, each with its top side up.
+
+    Attributes
+    ----------
+    sheet : str
+    rows, cols, through : str
+        Axes of the volume: across the slices, along them, and through the sheet.
+    sign : float
+        Factor on heights that makes the top the larger one.
+    at_um : tuple of float
+        Places of the slices along ``rows``.
+    top_um : tuple of float
+        Height of the upper edge of each picture, turned by ``sign``.
+    size_um : (float, float)
+        Width and height of a picture; ``start_um`` is the place of its left edge along ``cols``.
+    pictures : tuple of str
+        In base64.
+    kind : str
+        Format of the pictures.
+    lines : dict of Packed
+        Heights of the surfaces (slices, points), turned by ``sign``, at ``points_um``: first point and pitch.
+    used : Packed
+        Where the columns were measured.
+    note : str
+        Which slices there are, in words.
+    """
+
+    sheet: str
+    rows: str
+    cols: str
+    through: str
+    sign: float
+    at_um: tuple[float, ...]
+    top_um: tuple[float, ...]
+    start_um: float
+    size_um: tuple[float, float]
+    pictures: tuple[str, ...]
+    kind: str
+    lines: dict[str, Packed]
+    used: Packed
+    points_um: tuple[float, float]
+    note: str
+
+    def letters(self) -> int:
+        """Size of all that is packed."""
+        return sum(map(len, self.pictures)) + sum(len(one.text) for one in (*self.lines.values(), self.used))
+
+
+def stack_of(taken: Taken, facts: LayerFacts, budget: int, compute: Compute, progress: Progress) -> Stack | None:
+    """The slices of a sheet; None where the run that holds its surfaces is not there."""
+    run = taken.sheet_run(facts.name)
+    if run is None or run.sheet is None:
+        return None
+    kept, surfaces = run.group("slices"), run.group("surfaces")
+    scale = limits(kept["grey"].values.ravel()[:: max(1, kept["grey"].size // 600_000)], GREYS, percent=0.3)
+    source = facts.source.name
+    try:
+        data, under, every = _from_volume(run, run.sheet, surfaces, scale, compute, progress)
+        note = f"one in {every} rows of {source}" if every > 1 else f"every row of {source}"
+    except _NotThere as reason:
+        at = kept["row"].values
+        under = surfaces[_needed(surfaces)].isel(y=at).load()
+        data = kept.assign(
+            grey=kept["grey"].copy(data=_greys(kept["grey"].values, scale)), row=("slice", np.arange(at.size))
+        )
+        note = f"the {at.size} that the run keeps, as {reason}"
+    cuts = [take_slice(data, under, k) for k in range(data.sizes["slice"])]
+    cuts = [cut for cut in cuts if any(np.isfinite(line).any() for line in cut.lines.values())]
+    if not cuts:
+        return None
+    made = _stack(cuts, facts.name, Frame.of(surfaces), note)
+    while made.letters() > budget and len(cuts) > 1:
+        cuts = cuts[::2]
+        made = _stack(cuts, facts.name, Frame.of(surfaces), f"{note}, thinned out to {count(len(cuts))}")
+    return made if made.letters() <= budget else None
+
+
+class _NotThere(Exception):
+    """Why no slices are read from the volume, in words that end a sentence."""
+
+
+def _from_volume(
+    run: Taken, facts: LayerFacts, surfaces: xr.Dataset, scale: Scale, compute: Compute, progress: Progress
+) -> tuple[xr.Dataset, xr.Dataset, int]:
+    """Slices as the run keeps them, with the surfaces in their rows, and how many rows of voxels apart they are."""
+    try:
+        params = run.volume_of(facts, progress)
+        if is_section_folder(params.path):
+            raise _NotThere(f"{facts.source.name} holds sections, which would have to be aligned again")
+        volume = read_whole(params, compute, progress)
+    except PlanishError as error:
+        progress("slices", f"only those of the run: {error}")
+        raise _NotThere(f"{facts.source.name} was not there unchanged when this page was made") from error
+    frame = Frame.of(surfaces)
+    depth = volume.coords[frame.through].values
+    wide = round(_pitch(surfaces["y"].values) / _pitch(volume.coords[frame.rows].values))
+    rows = surfaces.sizes["y"]
+    step = max(math.ceil(_EVERY / wide), math.ceil(rows / _MOST))
+    chosen = np.arange(step // 2, rows, step) if rows > step else np.array([0])
+    under = surfaces[_needed(surfaces)].isel(y=chosen).load()
+    low, high = _span(under, depth)
+    voxels = chosen * wide + wide // 2
+    every = math.ceil(volume.sizes[frame.cols] / _WIDEST)
+    grey = _read(volume, frame, voxels, slice(low, high), every, scale, progress)
+    x = volume.coords[frame.cols].values[: grey.shape[2] * every].reshape(-1, every).mean(axis=1)
+    coords = {"slice": volume.coords[frame.rows].values[voxels], "height": depth[low:high], "x": x}
+    data = xr.Dataset({"grey": (("slice", "height", "x"), grey)}, coords=coords)
+    return data.assign(row=("slice", np.arange(chosen.size))), under, step * wide
+
+
+def _needed(surfaces: xr.Dataset) -> list[str]:
+    return [name for name, *_ in LINES if name in surfaces] + ["thickness"]
+
+
+def _pitch(at: NDArray[Any]) -> float:
+    return float(at[1] - at[0]) if at.size > 1 else 1.0
+
+
+def _span(surfaces: xr.Dataset, depth: NDArray[Any]) -> tuple[int, int]:
+    """Which planes of the volume hold the surfaces, with a margin."""
+    found = np.concatenate([surfaces[name].values.ravel() for name in surfaces.data_vars if name != "thickness"])
+    found = found[np.isfinite(found)]
+    if not found.size:
+        return 0, depth.size
+    margin = _margin(surfaces)
+    inside = np.flatnonzero((depth >= found.min() - margin) & (depth <= found.max() + margin))
+    return int(inside[0]), int(inside[-1]) + 1
+
+
+def _margin(surfaces: xr.Dataset) -> float:
+    thickness = np.abs(surfaces["thickness"].values)
+    known = thickness[np.isfinite(thickness)]
+    return max(0.3 * float(np.median(known)) if known.size else 0.0, _LEAST_MARGIN_UM)
+
+
+def _read(
+    volume: xr.DataArray, frame: Frame, rows: NDArray[np.intp], depth: slice, every: int, scale: Scale,
+    progress: Progress,
+) -> NDArray[np.uint8]:  # fmt: skip
+    """Grey values (rows, depth, cols), of every ``every`` columns the mean, read in whole blocks along z."""
+    cols = volume.sizes[frame.cols] // every
+    out = np.zeros((rows.size, depth.stop - depth.start, cols), np.uint8)
+    for block in _blocks(volume, frame, rows, depth):
+        if frame.rows == "z":
+            own = (rows >= block.start) & (rows < block.stop)
+            if not own.any():
+                continue
+            chosen, into = {"z": rows[own], frame.through: depth}, (own, slice(None))
+        else:
+            chosen = {frame.rows: rows, "z": block}
+            into = (slice(None), slice(block.start - depth.start, block.stop - depth.start))
+        progress("slices", f"{frame.rows} of the volume, planes {block.start} to {block.stop}")
+        part = volume.isel(_as_slices(chosen)).values
+        part = part.transpose([volume.dims.index(axis) for axis in (frame.rows, frame.through, frame.cols)])
+        if every > 1:
+            part = part[:, :, : cols * every].reshape(*part.shape[:2], cols, every).mean(axis=3)
+        out[into] = _greys(part, scale)
+    return out
+
+
+def _blocks(volume: xr.DataArray, frame: Frame, rows: NDArray[np.intp], depth: slice) -> Iterator[slice]:
+    """Parts of the volume along z, so that each plane of a file, or chunk of a store, is read once."""
+    chunks = volume.encoding.get("chunks")
+    whole = int(chunks[0]) if chunks else 1
+    sizes = {frame.rows: rows.size, frame.cols: volume.sizes[frame.cols], frame.through: depth.stop - depth.start}
+    plane = math.prod(size for axis, size in sizes.items() if axis != "z")
+    long = max(_BLOCK // max(plane, 1) // whole, 1) * whole
+    first, last = (int(rows[0]), int(rows[-1]) + 1) if frame.rows == "z" else (depth.start, depth.stop)
+    for begin in range(first // whole * whole, last, long):
+        yield slice(max(begin, first), min(begin + long, last))
+
+
+def _as_slices(chosen: dict[str, Any]) -> dict[str, slice]:
+    """Evenly spaced places as slices, by which lazy arrays read no more than they must."""
+    return {
+        axis: at
+        if isinstance(at, slice)
+        else slice(int(at[0]), int(at[-1]) + 1, int(at[1] - at[0]) if at.size > 1 else 1)
+        for axis, at in chosen.items()
+    }
+
+
+def _greys(values: NDArray[Any], scale: Scale) -> NDArray[np.uint8]:
+    """Grey values in 8 bits; what is missing is black."""
+    share = (np.asarray(values, dtype=np.float32) - scale.low) / (scale.high - scale.low)
+    return np.rint(255 * np.clip(np.nan_to_num(share, nan=0.0), 0, 1)).astype(np.uint8)
+
+
+def _stack(cuts: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
+    """Cut every slice to the sheet in it, all to the same height, and pack it."""
+    x, heights = cuts[0].x, cuts[0].heights
+    dx, dz = _pitch(x), abs(_pitch(heights))
+    thick = [np.abs(cut.lines["top"] - cut.lines["bottom"]) for cut in cuts]
+    known = np.concatenate([one[np.isfinite(one)] for one in thick])
+    margin = max(0.3 * float(np.median(known)) if known.size else 0.0, _LEAST_MARGIN_UM)
+    windows = [cut.window(float(x[0]), float(x[-1]), margin) for cut in cuts]
+    rows = min(math.ceil(max(high - low for _, _, low, high in windows) / dz) + 1, heights.size)
+    first = [
+        int(np.clip(round((heights[0] - (low + high) / 2) / dz - (rows - 1) / 2), 0, heights.size - rows))
+        for _, _, low, high in windows
+    ]
+    kind, pictures = _pictures([cut.grey[at : at + rows] for cut, at in zip(cuts, first, strict=True)])
+    every = max(1, math.ceil(x.size / _POINTS))
+    lines = {
+        name: packed(np.round(np.stack([cut.lines[name][::every] for cut in cuts]) / (dz / 16)) * (dz / 16), bits=16)
+        for name, *_ in LINES if any(np.isfinite(cut.lines[name]).any() for cut in cuts)
+    }  # fmt: skip
+    return Stack(
+        sheet=sheet, rows=frame.rows, cols=frame.cols, through=frame.through, sign=frame.sign,
+        at_um=tuple(cut.at for cut in cuts), top_um=tuple(float(heights[at]) + dz / 2 for at in first),
+        start_um=float(x[0]) - dx / 2, size_um=(x.size * dx, rows * dz), pictures=pictures, kind=kind, lines=lines,
+        used=packed(np.where(np.stack([cut.used[::every] for cut in cuts]), 1.0, np.nan)),
+        points_um=(float(x[0]), every * dx),
+        note=f"{count(len(cuts))} slices across {frame.rows}: {note}; pixels of {plain(round(dx, 4))}, lossy pictures",
+    )  # fmt: skip
+
+
+def _pictures(greys: list[NDArray[Any]]) -> tuple[str, tuple[str, ...]]:
+    """Compress pictures; where Pillow has no WebP, as JPEG."""
+    from PIL import Image, features
+
+    kind = "webp" if features.check("webp") else "jpeg"
+    out: list[str] = []
+    for grey in greys:
+        image = Image.fromarray(grey.astype(np.uint8))
+        if image.height > _HIGHEST:
+            image = image.resize((image.width, _HIGHEST), Image.Resampling.BOX)
+        data = io.BytesIO()
+        image.convert("RGB").save(data, format=kind.upper(), quality=_QUALITY)
+        out.append(base64.b64encode(data.getvalue()).decode("ascii"))
+    return kind, tuple(out)

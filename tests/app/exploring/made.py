@@ -1,0 +1,96 @@
+"""Run folders for the tests of the page of ``planish explore``, and what they read of it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planish.core.results import Results
+from planish.io.run_folder import write_tree
+
+VOID = {"meta", "link", "img", "br", "input"}
+STUDY = '[[layers]]\nname = "volume"\n\n[layers.volume]\npath = "{name}"\n'
+
+
+def put(folder: Path, run: dict[str, Any], *, volume: str = "sheet.tif") -> Path:
+    """Write a made run: its maps, with places in the volume where it holds a sheet, its results and a study."""
+    groups = dict(run["groups"])
+    if "surfaces" in groups:
+        centre, y, x = (groups["surfaces"][name].values for name in ("centre", "y", "x"))
+        thickness = np.isfinite(groups["surfaces"]["thickness"].values)
+        at = {"volume_x": np.where(thickness, x[None, :], np.nan), "volume_y": np.where(thickness, y[:, None], np.nan),
+              "volume_z": np.where(thickness, centre, np.nan)}  # fmt: skip
+        for name in {"linked", "maps"} & set(groups):
+            dims = groups[name]["thickness"].dims
+            groups[name] = groups[name].assign({k: (dims, v, {"units": "um"}) for k, v in at.items()})
+    folder.mkdir(parents=True)
+    (folder / "run.toml").write_text(STUDY.format(name=volume), encoding="utf-8")
+    (folder / "results.json").write_text(Results.model_validate(run["results"]).to_json(), encoding="utf-8")
+    write_tree(folder / "maps.zarr", groups)
+    return folder
+
+
+class Explored(HTMLParser):
+    """A page: elements, attributes, its script elements by type, and its text without them."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.html = path.read_text(encoding="utf-8")
+        self.elements: list[tuple[str, dict[str, str]]] = []
+        self.blocks: dict[str, str] = {}
+        self.running: list[str] = []
+        self.style = self.words = ""
+        self._open: list[str] = []
+        self._inside: dict[str, str] = {}
+        self.feed(self.html)
+        self.close()
+        assert self._open == []
+        self.data: dict[str, Any] = json.loads(self.blocks["data"])
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._inside = {k: v or "" for k, v in attrs}
+        self.elements.append((tag, self._inside))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        last = self._open[-1] if self._open else ""
+        if last == "script" and "type" in self._inside:
+            self.blocks[self._inside["id"]] = data
+        elif last == "script":
+            self.running.append(data)
+        elif last == "style":
+            self.style += data
+        else:
+            self.words += data
+
+    def unpack(self, spec: dict[str, Any]) -> np.ndarray:
+        """Values of a packed map, written out plainly: the slow counterpart of the script."""
+        raw = zlib.decompress(base64.b64decode(self.blocks[spec["block"]]))
+        rows, cols, bits = spec["rows"], spec["cols"], spec["bits"]
+        size, differences = rows * cols, list(raw)
+        if bits == 16:
+            folded = [raw[i] | raw[size + i] << 8 for i in range(size)]
+            differences = [d >> 1 if d % 2 == 0 else -(d >> 1) - 1 for d in folded]
+        codes = np.array(differences, dtype=np.int64).reshape(rows, cols)
+        if spec["order"] == 2:
+            codes = codes.cumsum(axis=0)
+        codes = codes.cumsum(axis=1) % 2**bits
+        values = spec["low"] + spec["step"] * (codes.astype(float) - 2)
+        values[codes == 1], values[codes == 2**bits - 1] = -np.inf, np.inf
+        values[codes == 0] = np.nan
+        return values
+
+    def map(self, name: str) -> tuple[dict[str, Any], np.ndarray]:
+        """The map of a title, and its values."""
+        spec = next(one for one in self.data["maps"] if one["title"] == name)
+        return spec, self.unpack(spec)

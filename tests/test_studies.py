@@ -1,0 +1,179 @@
+"""The studies of the paper: each runs as it stands and on other files, and states a number with its interval."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from planish.series.plan import read_plan
+
+ROOT = Path(__file__).resolve().parents[1]
+STUDIES = ROOT / "examples" / "studies"
+TOML = sorted(STUDIES.glob("*.toml"))
+NAMES = ("fig-06", "fig-07", "fig-09", "fig-11", "flattening", "design", "large")
+NUMBER = r"([+-]?\d+\.\d+)"
+
+
+@pytest.fixture(scope="module")
+def make():
+    """The program of the studies, imported from its folder."""
+    sys.path.insert(0, str(STUDIES))
+    try:
+        yield importlib.import_module("make")
+    finally:
+        sys.path.remove(str(STUDIES))
+
+
+def stated(make, capsys, name: str, out: Path, *options: str) -> str:
+    """Statement of a study, whose figure has to be drawn."""
+    assert make.main([name, "--out", str(out), *options]) == 0
+    said = capsys.readouterr().out
+    with Image.open(out / f"{name}.png") as picture:
+        assert picture.width >= 800
+        assert np.ptp(np.asarray(picture.convert("L"))) > 200
+    return said.split(f"{name} (")[-1].split(": ", 1)[1]
+
+
+def numbers(pattern: str, said: str) -> list[float]:
+    """The numbers that a pattern catches; it has to fit."""
+    found = re.search(pattern, said)
+    assert found is not None, said
+    return [float(text) for text in found.groups()]
+
+
+# --- what costs nothing ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", TOML, ids=lambda path: path.stem)
+def test_a_study_reads_whatever_files_it_is_given(path, tmp_path):
+    text = path.read_text(encoding="utf-8")
+    assert f"planish study {path.name} --out {path.stem}" in text
+    folder = f"specimens/{path.stem}/"
+    assert folder in text
+    copy = tmp_path / "own.toml"
+    copy.write_text(text.replace(folder, "scans/of march/"), encoding="utf-8")
+    plan = read_plan(copy)
+    files = [Path(name.partition("=")[2] or name) for one in plan.specimens for name in one.files]
+    assert all(file.is_relative_to(tmp_path / "scans" / "of march") for file in files)
+
+
+def test_every_study_has_its_specimens_and_its_statement(make):
+    assert {path.stem for path in TOML} == set(make.specimens.STUDIES)
+    assert set(make.DEFAULT) == set(make.statements.STATEMENTS)
+    assert (*make.DEFAULT, "large") == NAMES
+    for path in TOML:
+        made = {f"specimens/{path.stem}/{one.name}" for one in make.specimens.STUDIES[path.stem]("full")}
+        text = path.read_text(encoding="utf-8")
+        assert {found.rsplit("/", 1)[0] for found in re.findall(r"specimens/[\w-]+/[\w-]+/\w+", text)} == made
+
+
+def test_the_page_shows_every_study_with_its_figure():
+    page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
+    assert re.findall(r"```\npython examples/studies/make\.py ([\w-]+)(?: --size full)?\n```", page) == list(NAMES)
+    assert re.findall(r"\(images/studies/([\w-]+)\.png\)", page) == list(NAMES)
+    assert {path.stem for path in (ROOT / "docs" / "images" / "studies").glob("*.png")} == set(NAMES)
+
+
+def test_a_study_keeps_the_specimens_that_were_made(make, tmp_path):
+    text = (STUDIES / "flattening.toml").read_text(encoding="utf-8")
+    assert "\n[[specimens]]\n" not in make.shortened(text, tmp_path)
+    made = tmp_path / "specimens" / "flattening" / "sheet-2" / "volume.tif"
+    made.parent.mkdir(parents=True)
+    made.touch()
+    (tmp_path / "own.toml").write_text(make.shortened(text, tmp_path), encoding="utf-8")
+    assert [one.name for one in read_plan(tmp_path / "own.toml").specimens] == ["sheet-2"]
+
+
+@pytest.mark.parametrize("low_high", [None, (None, None), (np.nan, np.nan)])
+def test_no_interval_is_written_as_none(make, low_high):
+    common = importlib.import_module("statements.common")
+    assert common.interval(low_high) == "no interval"
+    assert common.interval((0.125, 0.5), 1) == "0.1 to 0.5"
+    assert make.cpu_s() > 0
+
+
+def test_a_series_of_ones_own_belongs_to_one_study(make, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        make.main(["fig-06", "fig-07", "--of", str(tmp_path), "--out", str(tmp_path / "out")])
+    assert "--of needs one study" in capsys.readouterr().err
+
+
+# --- the studies, small ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.study
+def test_fig_06_on_files_of_ones_own(make, tmp_path, capsys):
+    make.specimens.make("fig-06", "small", tmp_path / "made")
+    own = tmp_path / "own"
+    (tmp_path / "made" / "field").rename(own)
+    (own / "volume.tif").rename(own / "scan of march.tif")
+    text = (STUDIES / "fig-06.toml").read_text(encoding="utf-8")
+    text = text.replace("specimens/fig-06/field/volume.tif", "scan of march.tif")
+    (own / "my.toml").write_text(text.replace("specimens/fig-06/field/image.tif", "image.tif"), encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        make.planish(["study", str(own / "my.toml"), "--out", str(tmp_path / "mine")])
+    assert ended.value.code in (0, None)
+    said = stated(make, capsys, "fig-06", tmp_path / "out", "--of", str(tmp_path / "mine"))
+    darker, low, high = numbers(rf"is {NUMBER} % darker \(95 % interval {NUMBER} to {NUMBER} %\)", said)
+    assert 0 < low < darker < high  # little coating is darker by the model that made the image
+    aside, at_most = numbers(rf"lie {NUMBER} um beside the outlines .* at most {NUMBER} um", said)
+    assert aside < at_most < 20  # where the paper judges 10 to 20 um by eye
+
+
+@pytest.mark.study
+def test_fig_07_and_the_design_that_reads_it(make, tmp_path, capsys):
+    said = stated(make, capsys, "fig-07", tmp_path)
+    before, after, sheets = numbers(
+        rf"r² is {NUMBER} uncalendered .* and {NUMBER} calendered .* over (\d) sheets", said
+    )
+    difference, low, high = numbers(rf"difference is {NUMBER} \(95 % interval {NUMBER} to {NUMBER}\)", said)
+    assert sheets == 3
+    assert 0 < before < 1
+    assert 0 < after < 1
+    assert low < difference < high
+    assert ("not distinguishable" in said) == (low <= 0 <= high)
+    said = stated(make, capsys, "design", tmp_path)
+    same, two = (numbers(rf"{kind}, 1 field a sheet (\d+) or (\d+)", said) for kind in ("same sheets", "two papers"))
+    assert 3 <= same[0] < two[0] < two[1]
+
+
+@pytest.mark.study
+def test_fig_09_print(make, tmp_path, capsys):
+    said = stated(make, capsys, "fig-09", tmp_path)
+    r, low, high = numbers(rf"r = {NUMBER} \(95 % interval {NUMBER} to {NUMBER}\)", said)
+    assert low < r < high
+    assert "no octave of wavelength" in said  # the field is too small for them
+
+
+@pytest.mark.study
+def test_fig_11_two_instruments(make, tmp_path, capsys):
+    said = stated(make, capsys, "fig-11", tmp_path)
+    r, low, high = numbers(rf"r = {NUMBER} \(95 % interval {NUMBER} to {NUMBER}\) over \d+ points of 14 um", said)
+    assert 0.3 < low < r < high  # one coating, seen twice
+    bias, below, above = numbers(rf"sections less ct: {NUMBER} um \(95 % interval {NUMBER} to {NUMBER}\)", said)
+    assert below < bias < above
+    assert "1 declared region." in said
+
+
+@pytest.mark.study
+def test_the_discussion(make, tmp_path, capsys):
+    said = stated(make, capsys, "flattening", tmp_path)
+    projected, flattened = numbers(rf"Projection: r² {NUMBER}, flattened {NUMBER}", said)
+    assert 0 <= projected < flattened
+    low, high = numbers(rf"scaled projection by [+-][\d.]+ \(95 % interval {NUMBER} to {NUMBER}\)", said)
+    assert low < high
+
+
+@pytest.mark.study
+def test_a_large_sheet(make, tmp_path, capsys):
+    said = stated(make, capsys, "large", tmp_path)
+    projected, flattened = numbers(rf"projection: r² {NUMBER} .*flattened: r² {NUMBER}", said)
+    assert projected < flattened
+    gain, low, high = numbers(rf"less scaled: r {NUMBER} \(95 % interval {NUMBER} to {NUMBER}\)", said)
+    assert low < gain < high
