@@ -29,7 +29,8 @@ def expect(what):
     """Wait for something that the page is to show."""
     from playwright.sync_api import expect as wait_for
 
-    return wait_for(what, timeout=20000)  # pyright: ignore[reportCallIssue]
+    wait_for.set_options(timeout=20000)
+    return wait_for(what)
 
 
 class Shown:
@@ -117,9 +118,11 @@ def points_above(shown, count=6, by=14):
 def test_six_clicks_are_seen_before_they_are_applied_saved_and_undone(shown):
     middle = points_above(shown)
     expect(shown.page.get_by_text("6 points, the last at")).to_be_visible()
-    shown.page.wait_for_timeout(1500)
-    green = shown.rows_of(middle, PREVIEW)
-    assert green.size
+    for _ in range(80):
+        if shown.rows_of(middle, PREVIEW).size:
+            break
+        shown.page.wait_for_timeout(250)
+    assert shown.rows_of(middle, PREVIEW).size
     shown.window.role("button", "Correct").click()
     listed = shown.page.get_by_label("Corrections", exact=True)
     expect(listed).to_contain_text("6 points on the top face, reach 60 um")

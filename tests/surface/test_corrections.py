@@ -12,7 +12,14 @@ from planish.core.frame import Frame
 from planish.core.tiles import Engine
 from planish.measure import measure_properties, surfaces_of
 from planish.surface import (
-    Corrections, Stretch, SurfaceParams, correct_surfaces, correction_check, find_surfaces, read_corrections, uncorrected,
+    Corrections,
+    Stretch,
+    SurfaceParams,
+    correct_surfaces,
+    correction_check,
+    find_surfaces,
+    read_corrections,
+    uncorrected,
 )  # fmt: skip
 from planish.surface.corrections import FACES
 from planish.surface.draw import distance_to_line
