@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks import (
+    app,
     app_apply,
     app_space,
     artefacts,
@@ -70,6 +71,7 @@ _MODULES = (
     evidence,
     uneven,
     fuzz,
+    app,
 )
 _ALL = {k.__name__.rpartition(".")[2]: k.main for k in _MODULES} | {"surfaces": faces.main}
 # Only where they are named: one takes the network and half an hour, one writes documents, one wants a run.

@@ -19,6 +19,7 @@ from planish.app.tiles import Tiles
 from planish.core.errors import InputError
 from planish.core.overviews import halved, overviews
 from planish.io.run_folder import write_tree
+from planish.pipeline import open_run
 from planish.report import colours
 
 SHAPE, PIXEL, ORIGIN = (700, 1100), (2.0, 2.5), (-30.0, 10.0)
@@ -107,6 +108,27 @@ def test_a_long_profile_comes_from_a_coarser_level(maps, tiles, pair, monkeypatc
     assert found.pixel_um == 4.0
     coarse = halved(maps).image.values[10, (np.floor(np.array(found.at_um) / PIXEL[1] + 0.5).astype(int)) // 2]
     np.testing.assert_array_equal(np.array(found.lines[0].values, float), coarse)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("posed", ["upright", "laid"])
+def test_both_ends_of_a_mark_show_one_place_of_the_volume(planish, request, tmp_path, posed):
+    files = request.getfixturevalue(posed)
+    code, _, error = planish("link", files.volume, files.image, *files.options, "-o", tmp_path / "run")
+    assert code in (0, 4), error
+    tiles = Tiles(Pictures.of(tmp_path / "run"))
+    by = {(p.plane, p.name): p for p in tiles.pictures}
+    (marks,) = (one.marks for one in open_run(tmp_path / "run").registrations.values())
+    pairs = marks[["moving_x", "moving_y", "fixed_x", "fixed_y"]].to_dataframe().dropna()
+    assert len(pairs) >= 4
+    for _, one in pairs.iterrows():
+        on_sheet = cursor(tiles, by["moving", "thickness"], one.moving_x, one.moving_y).volume
+        on_image = cursor(tiles, by["fixed", "thickness"], one.fixed_x, one.fixed_y).volume
+        assert on_sheet is not None
+        assert on_image is not None
+        # A pixel of 4 um of either plane, and the residual of a mark of a few um.
+        for axis in "xyz":
+            assert getattr(on_sheet, axis) == pytest.approx(getattr(on_image, axis), abs=12)
 
 
 def test_a_line_without_length_is_refused(tiles, pair):

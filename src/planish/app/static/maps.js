@@ -13,6 +13,7 @@ import { Scatter } from "./scatter.js";
 const HELP =
   "Drag in the scatter to choose values; their pixels are painted in both maps. Choose a region to see its points and r. " +
   "Keys in a map: arrows move it, + and - zoom, 0 shows all, Enter takes the place in the middle. Esc in the scatter clears.";
+const NOTHING = "n 0: nothing is selected.";
 const ACCENT = "#ff4800";
 const styled = (/** @type {string} */ stroke, /** @type {string} */ fill, /** @type {number[]} */ dash = []) => [
   new ol.style.Style({ stroke: new ol.style.Stroke({ color: "#fff", width: 4 }) }),
@@ -122,7 +123,7 @@ class Maps {
       make(
         "div",
         { class: "group" },
-        labelled("View", way),
+        labelled("Layout", way),
         this.shareBox,
         this.masks.length ? make("label", { class: "check" }, this.onlyValid, make("span", {}, "Only valid pixels")) : null,
         this.slice,
@@ -223,7 +224,7 @@ class Maps {
 
   clear() {
     for (const side of this.sides) side.brush = null;
-    this.app.selection("");
+    this.app.selection(NOTHING);
     this.setRegion(null);
     this.brushed();
   }
@@ -259,7 +260,7 @@ class Maps {
   async select() {
     const [a, b] = [this.left.brush, this.right.brush];
     this.running.selection?.abort();
-    if (!this.region && !a && !b) return this.app.selection("");
+    if (!this.region && !a && !b) return this.app.selection(NOTHING);
     this.app.selection("n: counting all pixels …");
     const brushes = `${a ? `&brush_a=${a.join()}` : ""}${b ? `&brush_b=${b.join()}` : ""}`;
     const found = await this.latest("selection", `selection?${this.query}${brushes}`);
@@ -290,7 +291,7 @@ class Maps {
       return this.running[kind] === mine ? found : null;
     } catch (/** @type {any} */ error) {
       if (mine.signal.aborted) return null;
-      if (kind === "selection") this.app.selection("");
+      if (kind === "selection") this.app.selection(NOTHING);
       this.app.say(error.message);
       return null;
     }
@@ -355,7 +356,7 @@ class Maps {
   async showSlice() {
     if (!this.taken) return;
     await this.app.openTab("surfaces");
-    this.app.showSlice?.(this.taken.x, this.taken.y, this.taken.z);
+    this.app.showSlice?.(this.taken.x, this.taken.y, this.taken.z, this.taken.layer);
   }
 
   /** @param {string} kind @param {any} geometry null removes it */

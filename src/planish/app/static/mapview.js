@@ -57,6 +57,9 @@ export class MapView {
       moveTolerance: CLICK_PX,
       interactions: ol.interaction.defaults.defaults({ doubleClickZoom: false, keyboard: false, pinchRotate: true }),
     });
+    for (const [event, busy] of [["loadstart", "true"], ["loadend", "false"]]) {
+      this.map.on(event, () => this.element.setAttribute("aria-busy", busy));
+    }
     this.bindFields();
     this.bindKeys();
     this.view.on(["change:center", "change:resolution", "change:rotation"], () => this.showPlace());

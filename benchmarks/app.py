@@ -1,0 +1,173 @@
+"""The app with two layers of 14 592 x 10 944: first view, full zoom, brush to repaint, r of a region, memory.
+
+    python -m benchmarks app [--folder DIR] [--rows 10944] [--cols 14592]
+
+The run is written as a link of two images would be, and served by ``planish view``; Chromium clicks. Times are on the
+clock, from the act to the screen, beside the machine's load.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+import xarray as xr
+from scipy import ndimage
+
+from benchmarks.size import folder_for
+from planish.core.grid import Grid
+from planish.core.tiles import Tile
+from planish.io.map_store import StoredMaps, map_tiles
+from planish.pipeline import link
+
+PIXEL_UM = 1.37
+_SMALL = 900  # pixels a side of the images of which the run is made that is then given large maps
+_REPEATS = 5
+_SIDES, _MAPS = ("Volume side", "Image side"), ("Left map", "Right map")
+
+
+def main(*arguments: str | int) -> int:
+    parser = argparse.ArgumentParser(prog="app")
+    parser.add_argument("--folder", type=Path, default=None, help="where the run is made, and kept for the next time")
+    parser.add_argument("--rows", type=int, default=10944)
+    parser.add_argument("--cols", type=int, default=14592)
+    asked = parser.parse_args([str(a) for a in arguments])
+    with folder_for(asked.folder) as folder:
+        run = Path(folder) / f"run-{asked.rows}"
+        if not run.exists():
+            make_run(run, (asked.rows, asked.cols), Path(folder))
+        measure(run)
+    return 0
+
+
+def make_run(run: Path, shape: tuple[int, int], folder: Path) -> None:
+    """Link two small images, and give the run maps of the size that is asked for."""
+    rng = np.random.default_rng(18)
+    inputs = [folder / f"{name}.tif" for name in ("one", "two")]
+    yy, xx = np.indices((_SMALL, _SMALL))
+    texture = ndimage.gaussian_filter(rng.normal(size=(_SMALL, _SMALL)), 3) * 60
+    for path in inputs:
+        grey = 180 + texture + rng.normal(0, 4, texture.shape)
+        for y, x in ((200, 220), (180, 700), (720, 240), (650, 660), (430, 480), (300, 520)):
+            grey[np.hypot(yy - y, xx - x) < 75] = 12
+        size = (1e4 / PIXEL_UM, 1e4 / PIXEL_UM)
+        grey = grey.clip(0, 255).astype(np.uint8)
+        tifffile.imwrite(path, grey, resolution=size, resolutionunit="CENTIMETER")
+    link(f"one={inputs[0]}", f"two={inputs[1]}", out=run)
+    shutil.rmtree(run / "maps.zarr")
+    sink, grid = StoredMaps(run / "maps.zarr"), Grid.regular(shape, PIXEL_UM)
+    for k, name in enumerate(("one", "two")):
+        for tile in map_tiles(shape):
+            sink.add(f"layers/{name}", grid, tile, _maps(tile, grid, k, rng))
+    groups = json.loads((run / "maps.zarr" / "zarr.json").read_text(encoding="utf-8"))
+    assert groups["node_type"] == "group"
+
+
+def _maps(tile: Tile, grid: Grid, k: int, rng: np.random.Generator) -> xr.Dataset:
+    """A tile of a layer: what both layers share, and noise of their own."""
+    part = grid.part(tile.rows, tile.cols)
+    wave = np.sin(part.y_um[:, None] / 130) * np.cos(part.x_um / 90) + np.sin((part.y_um[:, None] + part.x_um) / 37)
+    image = (120 + 20 * wave + rng.normal(0, 12, part.shape)).astype(np.float32)
+    valid = np.hypot(part.y_um[:, None] % 4000 - 2000, part.x_um % 4000 - 2000) > 150
+    found = {
+        "image": (("y", "x"), image, {"units": "1", "long_name": f"Relative grey {k + 1}"}),
+        "valid": (("y", "x"), valid, {"long_name": "Measured"}),
+    }
+    return xr.Dataset(found, coords=part.coords)
+
+
+def measure(run: Path) -> None:
+    """Serve the run and print the times."""
+    from playwright.sync_api import sync_playwright
+
+    command = [sys.executable, "-m", "planish", "view", str(run), "--json", "--no-browser"]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert server.stdout is not None
+        url = json.loads(server.stdout.readline())["url"]
+        path = os.environ.get("PLANISH_CHROMIUM") or shutil.which("chromium") or "/usr/bin/chromium"
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+            page = browser.new_page(viewport={"width": 1366, "height": 768})
+            _say("first view of the page", _times(page, _SIDES, 1, lambda: page.goto(url)))
+            maps = page.get_by_role("tab", name="Maps", exact=True)
+            _say("first view of the maps", _times(page, _MAPS, 1, maps.click))
+            page.get_by_text(re.compile("Scatter of [0-9]+ points")).wait_for(timeout=120_000)
+            spots = iter(np.random.default_rng(1).uniform(3000, 11000, (_REPEATS, 2)).round().tolist())
+            _say("jump to full zoom, both maps", _times(page, _MAPS, _REPEATS, lambda: _jump(page, *next(spots))))
+            ranges = iter([f"{100 + k}, {130 + k}" for k in range(_REPEATS)])
+            brush = "Brush one/image"
+            _say("brush to repaint, both maps", _times(page, _MAPS, _REPEATS, lambda: _set(page, brush, next(ranges))))
+            page.get_by_role("button", name="Clear selection").click()
+            begun = time.perf_counter()
+            _set(page, "Region, um", "2000, 2000, 6000, 5000")
+            page.get_by_text(re.compile(r"^n \d+; r ")).wait_for(timeout=120_000)
+            print(f"r of a region of 4 x 3 mm at full resolution: {time.perf_counter() - begun:.2f} s")
+            browser.close()
+        print(f"peak memory of the server: {_peak(server.pid) / 1e6:.0f} MB; load {os.getloadavg()[0]:.1f}")
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def _times(page: Any, names: tuple[str, ...], count: int, act: Callable[[], None]) -> list[float]:
+    """Seconds from each of some acts until the views show something else and load nothing any more."""
+    found: list[float] = []
+    for _ in range(count):
+        before, begun = page.evaluate(_SHOWN, list(names)), time.perf_counter()
+        act()
+        _wait(page, names, lambda now, old=before: all(a != b for a, b in zip(now, old, strict=True)))
+        found.append(time.perf_counter() - begun)
+    return found
+
+
+def _say(what: str, seconds: list[float]) -> None:
+    print(f"{what}: {', '.join(f'{one:.2f}' for one in seconds)} s (load {os.getloadavg()[0]:.1f})", flush=True)
+
+
+def _set(page: Any, label: str, text: str) -> None:
+    field = page.get_by_label(label, exact=True)
+    field.fill(text)
+    field.press("Enter")
+
+
+def _jump(page: Any, x_um: float, y_um: float) -> None:
+    _set(page, "Left map, um per screen pixel", str(PIXEL_UM))
+    _set(page, "Left map centre, um", f"{x_um}, {y_um}")
+
+
+# Of each view: 0 while it loads, else a sum of its pixels; its canvas is that of OpenLayers.
+_SHOWN = """names => names.map(name => {
+  const element = document.querySelector(`[role=application][aria-label="${name}"]`);
+  const canvas = element?.querySelector("canvas");
+  if (!canvas || !canvas.width || element.getAttribute("aria-busy") !== "false") return 0;
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  let sum = 0;
+  for (let i = 0; i < data.length; i += 97) sum = (31 * sum + data[i]) % 1000000007;
+  return sum;
+})"""
+
+
+def _wait(page: Any, names: tuple[str, ...], shown: Callable[[list[int]], bool], *, limit_s: float = 60.0) -> None:
+    """Wait until no view loads and what they show is as it should be."""
+    end = time.perf_counter() + limit_s
+    while not (all(now := page.evaluate(_SHOWN, list(names))) and shown(now)):
+        if time.perf_counter() > end:
+            raise TimeoutError(f"{names} do not show it after {limit_s} s")
+        time.sleep(0.005)
+
+
+def _peak(pid: int) -> float:
+    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    return 1024 * float(re.search(r"VmHWM:\s+(\d+)", status)[1])  # type: ignore[index]

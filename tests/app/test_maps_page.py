@@ -1,0 +1,193 @@
+"""The tab Maps with mouse and keys: cursor, brush, region, profile, artefacts; numbers are those of ``maps.zarr``."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from app.marks_page import expect
+
+pytestmark = pytest.mark.study
+
+LEFT, RIGHT = "coating_top", "image"
+
+
+@pytest.fixture
+def maps(serve, window, run_copy):
+    """The page at its tab Maps."""
+    shown = window(serve(run_copy))
+    expect(shown.role("table", "Marks")).to_be_visible()
+    shown.role("tab", "Maps").click()
+    expect(shown.page.get_by_text(re.compile("Scatter of [0-9]+ points"))).to_be_visible()
+    return shown
+
+
+@pytest.fixture(scope="module")
+def linked(linked_run):
+    with xr.open_dataset(linked_run / "maps.zarr", engine="zarr", group="linked") as data:
+        return data.load()
+
+
+def selection(shown, pattern):
+    line = shown.role("status", "Selection")
+    expect(line).to_have_text(re.compile(pattern))
+    return line.inner_text()
+
+
+def count(text):
+    return int(re.match(r"n (\d+)", text)[1])
+
+
+def painted(shown, name):
+    """Screen pixels of a map with the colour of what is chosen."""
+    return shown.role("application", name).evaluate(
+        """element => [...element.querySelectorAll("canvas")].reduce((sum, canvas) => {
+          const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+          let found = 0;
+          for (let i = 0; i < data.length; i += 4) found += data[i] === 255 && data[i + 1] === 72 && data[i + 2] === 0;
+          return sum + found;
+        }, 0)"""
+    )
+
+
+def known(linked, region=None):
+    """Values of both layers where they count."""
+    part = linked.where(linked.valid)
+    if region is not None:
+        x0, y0, x1, y1 = region
+        part = part.sel(x=slice(x0, x1), y=slice(y0, y1))
+    a, b = part[LEFT].values, part[RIGHT].values
+    both = np.isfinite(a) & np.isfinite(b)
+    return a[both].astype(float), b[both].astype(float)
+
+
+def test_cursor_brush_and_region_are_those_of_the_maps(maps, linked):
+    assert maps.page.get_by_label("Left layer", exact=True).input_value() == LEFT
+    assert maps.page.get_by_label("Right layer", exact=True).input_value() == RIGHT
+    row, col = (int(n) for n in np.argwhere(linked.valid.values & np.isfinite(linked[LEFT].values))[4000])
+    maps.go("Left map", float(linked.x[col]), float(linked.y[row]), 1.0)
+    maps.page.mouse.move(*maps.middle("Left map"))
+    cursor = maps.role("status", "Cursor")
+    pixel = linked.isel(y=row, x=col)
+    place = ", ".join(f"{axis} {float(pixel[f'volume_{axis}']):.2f}" for axis in "xyz")
+    expect(cursor).to_contain_text(f"volume {place} um")
+    for name in (LEFT, RIGHT, "thickness", "expected_error"):
+        found = re.search(rf"; {name} (\S+)", cursor.inner_text())
+        assert float(found[1].rstrip(";")) == pytest.approx(float(pixel[name]), rel=1e-4)
+    centres = [maps.page.get_by_label(f"{side} map centre, um", exact=True).input_value() for side in ("Left", "Right")]
+    one, other = ([float(word) for word in text.split(",")] for text in centres)
+    assert one == pytest.approx(other, abs=0.01)  # both maps move together
+    # Values picked by the fields: painted in both maps, counted over all pixels.
+    a, b = known(linked)
+    low, high = (float(v) for v in np.percentile(a, [30, 60]).round(2))
+    maps.fill(f"Brush {LEFT}", f"{low}, {high}")
+    assert count(selection(maps, r"^n \d+;")) == np.count_nonzero((a >= low) & (a <= high))
+    below = round(float(np.median(b)))
+    maps.fill(f"Brush {RIGHT}", f"0, {below}")
+    expected = np.count_nonzero((a >= low) & (a <= high) & (b <= below))
+    expect(maps.role("status", "Selection")).to_have_text(re.compile(f"^n {expected};"))
+    for name in ("Left map", "Right map"):
+        assert painted(maps, name) > 100
+    maps.role("button", "Clear selection").click()
+    expect(maps.role("status", "Selection")).to_have_text("n 0: nothing is selected.")
+    assert painted(maps, "Left map") == 0
+    # A region: its points, n and r.
+    region = (float(linked.x[60]), float(linked.y[50]), float(linked.x[200]), float(linked.y[150]))
+    maps.fill("Region, um", ", ".join(map(str, region)))
+    said = selection(maps, r"^n \d+; r")
+    a, b = known(linked, region)
+    assert count(said) == a.size
+    assert float(re.search(r"r (-?[0-9.]+);", said)[1]) == pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-3)
+    assert re.search(r"95 % interval -?0\.\d+ to -?0\.\d+; n_eff \d", said)
+
+
+def test_a_rectangle_in_the_scatter_fills_the_brushes(maps, linked):
+    scatter = maps.role("application", "Scatter")
+    scatter.scroll_into_view_if_needed()
+    box = scatter.bounding_box()
+    at = [(box["x"] + box["width"] * u, box["y"] + box["height"] * v) for u, v in ((0.4, 0.3), (0.7, 0.6))]
+    maps.page.mouse.move(*at[0])
+    maps.page.mouse.down()
+    maps.page.mouse.move(*at[1], steps=4)
+    maps.page.mouse.up()
+    said = selection(maps, r"^n \d+;")
+    limits = [maps.page.get_by_label(f"Brush {n}", exact=True).input_value() for n in (LEFT, RIGHT)]
+    (a0, a1), (b0, b1) = ([float(v) for v in text.split(", ")] for text in limits)
+    a, b = known(linked)
+    assert count(said) == np.count_nonzero((a >= a0) & (a <= a1) & (b >= b0) & (b <= b1)) > 0
+    scatter.focus()
+    maps.page.keyboard.press("Escape")
+    expect(maps.role("status", "Selection")).to_have_text("n 0: nothing is selected.")
+
+
+def test_colours_and_brushes_ask_the_server_for_no_tile_twice(maps):
+    expect(maps.page.get_by_role("img", name=re.compile("^Histogram of image"))).to_be_visible()
+    asked = []
+    maps.page.on("request", lambda request: asked.append(request.url) if "/api/tiles/" in request.url else None)
+    maps.fill("Left colour range", "5, 30")
+    maps.page.get_by_label("Left colours", exact=True).select_option("magma")
+    maps.fill(f"Brush {LEFT}", "10, 20")
+    selection(maps, r"^n \d+;")
+    maps.fill(f"Brush {LEFT}", "12, 20")
+    selection(maps, r"^n \d+;")
+    shown = [url.rpartition("/api/")[2] for url in asked]
+    assert len(shown) == len(set(shown))
+    assert {path.split("/")[1] for path in shown} <= {valid_id(maps)}  # of the mask, which no map has shown before
+
+
+def valid_id(shown):
+    return shown.page.evaluate(
+        """async () => {
+          const headers = { Authorization: `Bearer ${sessionStorage.getItem("planish-token")}` };
+          const session = await (await fetch("/api/session", { headers })).json();
+          return session.pictures.find((one) => one.plane === "fixed" && one.name === "valid").id;
+        }"""
+    )
+
+
+def test_layers_profile_blend_and_masks(maps):
+    maps.page.get_by_label("Left layer", exact=True).select_option("thickness")
+    expect(maps.page.get_by_role("img", name=re.compile("^Histogram of thickness: n [0-9]+"))).to_be_visible()
+    expect(maps.page.get_by_label("Brush thickness", exact=True)).to_be_visible()
+    maps.fill("Line, um", "100, 100, 700, 500")
+    expect(maps.page.get_by_role("img", name="Profile over 721.11 um of thickness and image")).to_be_visible()
+    maps.page.get_by_label("Only valid pixels", exact=True).check()
+    maps.page.get_by_label("Layout", exact=True).select_option("Blended")
+    expect(maps.role("application", "Right map")).to_be_hidden()
+    maps.page.get_by_label("Share of the right layer", exact=True).fill("0.8")
+    maps.page.get_by_label("Layout", exact=True).select_option("Side by side")
+    expect(maps.role("application", "Right map")).to_be_visible()
+
+
+def test_an_artefact_is_declared_by_keys_and_by_drawing_and_undone(maps):
+    maps.fill("Artefact: Author", "R. Hirn")
+    maps.fill("Artefact: Reason", "a <b>stain</b>")
+    maps.fill("Polygon, um", "100, 100; 300, 100; 200, 250")
+    maps.role("button", "Declare artefact").press("Enter")
+    artefacts = maps.role("list", "Declared artefacts")
+    expect(artefacts).to_contain_text("a <b>stain</b>, by R. Hirn")  # inert
+    maps.role("button", "Draw polygon").click()
+    left = maps.role("application", "Left map")
+    left.scroll_into_view_if_needed()
+    x, y = maps.middle("Left map")
+    for dx, dy in ((-40, -40), (40, -40), (0, 40)):
+        maps.page.mouse.click(x + dx, y + dy)
+        maps.page.wait_for_timeout(300)  # two clicks at once would be a double click
+    maps.page.mouse.dblclick(x - 40, y + 20)
+    expect(maps.page.get_by_label("Polygon, um", exact=True)).to_have_value(re.compile(r"(-?[\d.]+, -?[\d.]+; ){2,}"))
+    maps.role("button", "Declare artefact").click()
+    expect(artefacts.get_by_role("listitem")).to_have_count(2)
+    maps.role("button", "Undo").click()
+    expect(artefacts.get_by_role("listitem")).to_have_count(1)
+
+
+def test_a_pixel_leads_to_its_slice(maps, linked):
+    row, col = (int(n) for n in np.argwhere(linked.valid.values & np.isfinite(linked[LEFT].values))[4000])
+    maps.click("Left map", float(linked.x[col]), float(linked.y[row]), 1.0)
+    pixel = linked.isel(y=row, x=col)
+    place = ", ".join(f"{axis} {float(pixel[f'volume_{axis}']):.2f}" for axis in "xyz")
+    expect(maps.role("status", "Slice position")).to_have_text(f"{place} um")
+    expect(maps.role("button", "Show slice")).to_be_enabled()
