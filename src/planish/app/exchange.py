@@ -7,9 +7,9 @@ import binascii
 import io
 import tempfile
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
@@ -109,11 +109,11 @@ def exported(
     """
     if to not in TARGETS:
         raise ChangeError(f"Marks are written as {', '.join(TARGETS)}.")
-    marks = dataset_of(session.state.of(layer), fitted)
-    about = {plane: _pixels(pictures, layer, plane) for plane in PLANES}
+    about = {plane: _pixels(pictures, layer, plane).about() for plane in PLANES}
+    marks = dataset_of(session.state.of(layer), fitted, about)
     with tempfile.TemporaryDirectory(prefix="planish-") as folder:
         path = Path(folder) / f"marks{_ENDS.get(to, '.csv')}"
-        made = write_any(marks, path, to=to, moving=about["moving"], fixed=about["fixed"])
+        made = write_any(marks, path, to=to)
         if len(made) == 1:
             return made[0].name, made[0].read_bytes()
         packed = io.BytesIO()
@@ -123,7 +123,7 @@ def exported(
         return "marks.zip", packed.getvalue()
 
 
-def dataset_of(marks: Sequence[Mark], fitted: Fitted) -> xr.Dataset:
+def dataset_of(marks: Sequence[Mark], fitted: Fitted, about: Mapping[str, Mapping[str, Any]]) -> xr.Dataset:
     """Marks of a session as files have them, with what the fit that is shown leaves of each."""
     place = {name: k for k, name in enumerate(fitted.ids)}
     rows = np.array([place.get(mark.id, len(place)) for mark in marks], dtype=np.intp)
@@ -132,6 +132,7 @@ def dataset_of(marks: Sequence[Mark], fitted: Fitted) -> xr.Dataset:
         [mark.label for mark in marks],
         {plane: places_of([getattr(mark, plane) for mark in marks]) for plane in PLANES},
         used=[mark.used for mark in marks],
+        about=about,
         results={name: np.append(values, np.nan)[rows] for name, values in left.items()},
     )
 

@@ -67,9 +67,9 @@ async def get_selection(request: Request) -> Response:
     (a, b), region = _pair(request), _region(request)
     brushes: list[Brush] = []
     for key, picture in (("brush_a", a), ("brush_b", b)):
-        found = _numbers(request, key, 2)
-        if found is not None:
-            brushes.append(Brush(picture, min(found), max(found)))
+        limits = _numbers(request, key, 2)
+        if limits is not None:
+            brushes.append(Brush(picture, min(limits), max(limits)))
     stop = threading.Event()
 
     async def watch() -> None:
