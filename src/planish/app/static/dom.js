@@ -39,7 +39,8 @@ let fields = 0;
  */
 export function labelled(label, field, unseen = "") {
   field.id ||= `field-${++fields}`;
-  return make("span", { class: "field" }, make("label", { for: field.id }, make("span", { class: "sr" }, unseen), label), field);
+  const name = make("label", { for: field.id }, make("span", { class: "sr" }, unseen), label);
+  return make("span", { class: "field" }, name, field);
 }
 
 /**

@@ -117,7 +117,11 @@ class Marks {
   }
 
   followBox() {
-    const box = make("input", { type: "checkbox", onchange: () => ((this.linked.on = box.checked), this.linked.update(this.linked.map)) });
+    const change = () => {
+      this.linked.on = box.checked;
+      this.linked.update(this.linked.map);
+    };
+    const box = make("input", { type: "checkbox", onchange: change });
     box.checked = true;
     return make("label", { class: "check" }, box, make("span", {}, "Move views together"));
   }
@@ -200,7 +204,11 @@ class Marks {
     else void this.put(side, point);
   }
 
-  /** Set an end of a mark: of the one that waits for it, or of a new one. @param {Side} side @param {[number, number]} point */
+  /**
+   * Set an end of a mark: of the one that waits for it, or of a new one.
+   * @param {Side} side
+   * @param {[number, number]} point
+   */
   async put(side, point) {
     let /** @type {any} */ id = null;
     const state = await this.app.change(() => {

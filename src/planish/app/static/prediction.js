@@ -78,7 +78,7 @@ export class Prediction {
 function valuesAt(here, picture) {
   if (!here) return [];
   const own = here.values.find((/** @type {any} */ one) => one.id === picture.id);
-  const value = typeof own?.value === "number" ? [`${picture.title} ${Number(own.value.toPrecision(4))} ${own.units ?? ""}`.trim()] : [];
+  const text = () => `${picture.title} ${Number(own.value.toPrecision(4))} ${own.units ?? ""}`.trim();
   const { volume } = here;
-  return [...value, ...(volume ? [`volume x, y, z: ${written([volume.x, volume.y, volume.z])} um`] : [])];
+  return [...(typeof own?.value === "number" ? [text()] : []), ...(volume ? [`volume x, y, z: ${written([volume.x, volume.y, volume.z])} um`] : [])];
 }

@@ -48,7 +48,8 @@ export class MarkTable {
     this.body = make("tbody");
     this.empty = make("p", { class: "soft" });
     const table = make("table", { "aria-label": "Marks" }, make("thead", {}, make("tr", {}, ...this.heads)), this.body);
-    this.element = make("div", { class: "scroll", role: "group", "aria-label": "Table of marks", tabindex: 0 }, table, this.empty);
+    const scroll = { class: "scroll", role: "group", "aria-label": "Table of marks", tabindex: 0 };
+    this.element = make("div", scroll, table, this.empty);
   }
 
   /**
@@ -60,7 +61,8 @@ export class MarkTable {
     this.chosen = chosen;
     this.notes = new Map(state.marks.map((mark) => [mark.id, mark.note ? [mark.note] : []]));
     for (const { id, text } of state.warnings ?? []) if (id !== undefined && id !== null) this.notes.get(id)?.push(text);
-    this.empty.textContent = this.marks.length ? "" : "No pair yet: click a hole in one view, then the same hole in the other.";
+    const none = "No pair yet: click a hole in one view, then the same hole in the other.";
+    this.empty.textContent = this.marks.length ? "" : none;
     this.draw();
   }
 
