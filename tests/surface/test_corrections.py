@@ -32,7 +32,7 @@ MIDDLE = tuple(n // 2 * VOXEL for n in SHAPE[1:])
 
 @cache
 def spoilt(grey=AIR, seed=0, through="z", top="high"):
-    """A rough coated sheet with an inclusion of ``grey`` in its top face; the volume, and the true height of the top."""
+    """A rough coated sheet with an inclusion of ``grey`` in its top face; volume, true height of the top, frame."""
     rng = np.random.default_rng(seed)
     rough = ndimage.gaussian_filter(rng.normal(size=SHAPE[1:]), 4.0)
     rough *= 2.0 / rough.std()
@@ -185,7 +185,7 @@ def test_corrections_of_a_search_are_read_from_a_file(tmp_path):
 
 
 def test_a_point_where_the_face_was_right_changes_next_to_nothing():
-    volume, truth, frame = spoilt()
+    volume, truth, _ = spoilt()
     place = {"z": float(found()["top"].values[20, 20]), "y": 60.0, "x": 60.0, "face": "top"}
     asked = Corrections(stretches=(Stretch.model_validate({"id": "c1", "points": [place]}),))
     corrected = correct_surfaces(found(), volume, asked)
@@ -215,7 +215,7 @@ def test_a_file_that_holds_no_corrections_is_refused(tmp_path, text, words):
 
 
 def test_a_point_outside_the_volume_is_refused():
-    volume, truth, frame = spoilt()
+    volume, _, _ = spoilt()
     asked = Corrections.model_validate(
         {"stretches": [{"id": "c1", "points": [{"z": 100, "y": 1e4, "x": 10, "face": "top"}]}]}
     )
