@@ -222,7 +222,7 @@ def test_several_layers_each_with_its_own_maps_and_masks(planish, tmp_path):
         valid = run["groups"][f"layers/{one['layer']}"]["valid"].values
         np.testing.assert_array_equal(page.unpack(page.data["groups"][one["group"]]["valid"]) > 0, valid)
     assert page.data["stacks"] == []
-    assert "No slices" in page.words
+    assert "No slices: the run does not say where its pixels lie in a volume." in page.words
 
 
 def test_maps_without_any_value(planish, tmp_path):
@@ -240,7 +240,7 @@ def test_two_sheets_have_the_slices_of_both(planish, linked_run, tmp_path):
     shutil.copytree(linked_run, folder / "layers" / "before")
     page = explored(planish, folder, tmp_path)
     assert [one["sheet"] for one in page.data["stacks"]] == ["before"]
-    assert "No slices of after: the run that holds its surfaces is not there." in page.words
+    assert "No slices of after: its surfaces are not in this run." in page.words
 
 
 def test_what_checks_doubt_and_withhold_is_said(planish, tmp_path):
