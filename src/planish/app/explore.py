@@ -13,7 +13,6 @@ from planish.core.files import write_whole
 from planish.core.threads import limit_threads
 from planish.io.run_folder import refuse_existing, refuse_inside
 from planish.pipeline.taken import Taken
-from planish.report.text import count, plain
 
 LARGEST = 12_000_000
 """Bytes that no page exceeds."""
@@ -85,13 +84,11 @@ def _stacks(taken: Taken, maps: MapsOfPage, compute: Compute, progress: Progress
 
 
 def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
-    """What the page holds, and what was left out of it."""
+    """What the page holds, and what was left out of it, with ASCII units."""
     down, across = maps.grid.pixel_um
-    size = plain(round(across, 4)) if abs(down - across) < 1e-6 * across else (
-        f"{plain(round(across, 4))} x {plain(round(down, 4))}"
-    )  # fmt: skip
+    size = f"{across:.4g} um" if abs(down - across) < 1e-6 * across else f"{across:.4g} x {down:.4g} um"
     rows, cols = maps.grid.shape
-    pixels = f"{count(cols)} x {count(rows)} pixels of {size}"
+    pixels = f"{cols} x {rows} pixels of {size}"
     if maps.halvings:
         pixels += f": means of {2**maps.halvings} x {2**maps.halvings} pixels of the run, to keep the page small"
     else:
@@ -101,7 +98,7 @@ def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
     notes += [f"{f'{one.sheet}: ' if several else ''}{one.note[:1].upper()}{one.note[1:]}." for one in stacks]
     without = sorted({group.sheet for group in maps.groups if group.sheet} - {one.sheet for one in stacks})
     if without:
-        notes.append(f"No slices of {' and '.join(without)}: the run that holds its surfaces is not there.")
+        notes.append(f"No slices of {' and '.join(without)}: its surfaces are not in this run.")
     elif not stacks:
-        notes.append("No slices: the run holds images only.")
+        notes.append("No slices: the run does not say where its pixels lie in a volume.")
     return tuple(notes)

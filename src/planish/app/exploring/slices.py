@@ -23,7 +23,6 @@ from planish.pipeline.taken import Taken
 from planish.pipeline.volume import read_whole
 from planish.report.colours import GREYS, Scale, limits
 from planish.report.slices import LINES, Slice, take_slice
-from planish.report.text import count, plain
 
 BUDGET = 5_000_000
 """Letters that all slices may take."""
@@ -110,7 +109,7 @@ def stack_of(taken: Taken, facts: LayerFacts, budget: int, compute: Compute, pro
     made = _stack(cuts, facts.name, Frame.of(surfaces), note)
     while made.letters() > budget and len(cuts) > 1:
         cuts = cuts[::2]
-        made = _stack(cuts, facts.name, Frame.of(surfaces), f"{note}, thinned out to {count(len(cuts))}")
+        made = _stack(cuts, facts.name, Frame.of(surfaces), f"{note}, thinned out to {len(cuts)}")
     return made if made.letters() <= budget else None
 
 
@@ -250,7 +249,7 @@ def _stack(cuts: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
         start_um=float(x[0]) - dx / 2, size_um=(x.size * dx, rows * dz), pictures=pictures, kind=kind, lines=lines,
         used=packed(np.where(np.stack([cut.used[::every] for cut in cuts]), 1.0, np.nan)),
         points_um=(float(x[0]), every * dx),
-        note=f"{count(len(cuts))} slices across {frame.rows}: {note}; pixels of {plain(round(dx, 4))}, lossy pictures",
+        note=f"{len(cuts)} slices across {frame.rows}: {note}; pixels of {dx:.4g} um, lossy pictures",
     )  # fmt: skip
 
 
