@@ -83,6 +83,7 @@ async def get_selection(request: Request) -> Response:
         except PlanishError as error:
             return error
 
+    answer: Selected | PlanishError | None = None
     async with anyio.create_task_group() as group:
         group.start_soon(watch)
         answer = await run_sync(selected, limiter=_FULL)
