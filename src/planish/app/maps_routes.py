@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from typing import TypeVar
 
 import anyio
 from anyio.to_thread import run_sync
@@ -16,14 +15,12 @@ from starlette.routing import Route
 
 from planish.app.pictures import Picture
 from planish.app.probe import cursor, profile
-from planish.app.selection import Brush, Region, Stopped, density, histogram, select
+from planish.app.selection import Brush, Region, Selected, Stopped, density, histogram, select
 from planish.app.tiles import Tiles
-from planish.core.errors import InputError
+from planish.core.errors import InputError, PlanishError
 
 _GONE_S = 0.1  # how often it is asked whether the page still waits
 _FULL = anyio.CapacityLimiter(1)  # passes over whole maps, one at a time: the other core is for the screen
-
-T = TypeVar("T")
 
 
 async def get_tile(request: Request) -> Response:
@@ -64,7 +61,7 @@ async def get_histogram(request: Request) -> Response:
 
 async def get_selection(request: Request) -> Response:
     """Pixels of a region or of brushes at full resolution; given up where the page goes away."""
-    (a, b), region = _pair(request), _region(request)
+    (a, b), region, tiles = _pair(request), _region(request), _tiles(request)
     brushes: list[Brush] = []
     for key, picture in (("brush_a", a), ("brush_b", b)):
         limits = _numbers(request, key, 2)
@@ -77,28 +74,29 @@ async def get_selection(request: Request) -> Response:
             await anyio.sleep(_GONE_S)
         stop.set()
 
-    found: list[Response | InputError] = []
+    def selected() -> Selected | PlanishError | None:
+        """What was found; a fault as a value, which the group of tasks would wrap otherwise."""
+        try:
+            return select(tiles, a, b, region=region, brushes=brushes, stop=stop)
+        except Stopped:
+            return None
+        except PlanishError as error:
+            return error
+
+    answer: Selected | PlanishError | None = None
     async with anyio.create_task_group() as group:
         group.start_soon(watch)
-        try:
-            found.append(
-                await _answer(
-                    lambda: select(_tiles(request), a, b, region=region, brushes=brushes, stop=stop), limiter=_FULL
-                )
-            )
-        except Stopped:
-            found.append(Response(status_code=204))
-        except InputError as error:  # raised outside of the group, which would wrap it
-            found.append(error)
+        answer = await run_sync(selected, limiter=_FULL)
         group.cancel_scope.cancel()
-    if isinstance(found[0], InputError):
-        raise found[0]
-    return found[0]
+    if isinstance(answer, PlanishError):
+        raise answer
+    text = "" if answer is None else answer.model_dump_json()
+    return Response(text, 204 if answer is None else 200, media_type="application/json")
 
 
-async def _answer(make: Callable[[], BaseModel], *, limiter: anyio.CapacityLimiter | None = None) -> Response:
+async def _answer(make: Callable[[], BaseModel]) -> Response:
     """What a thread finds, as JSON."""
-    found = await run_sync(lambda: make().model_dump_json(), limiter=limiter)
+    found = await run_sync(lambda: make().model_dump_json())
     return Response(found, media_type="application/json")
 
 

@@ -19,6 +19,7 @@ from planish.app.tiles import Tiles
 from planish.core.bands import band_of, bands
 from planish.core.errors import InputError
 from planish.core.lazy import LazyArray, Where, held
+from planish.pipeline.evidence import CELLS
 
 BASE_PIXELS = 4_000_000
 """Pixels of the overview from which densities and histograms are made."""
@@ -190,7 +191,7 @@ def select(
             n += int(np.count_nonzero(use))
         return Selected(n=n, pixel_um=pixel)
     every = None if not masks else masks[0] if len(masks) == 1 else _lazily(_All(masks), masks[0])
-    row = correlate(x, y, mask=every, pixel_um=pixel)
+    row = correlate(x, y, mask=every, pixel_um=pixel, most_cells=CELLS)  # as a run does: its whole map gives its n_eff
     low, high = row.interval
     return Selected(
         n=row.n, pixel_um=pixel, r=_number(row.r), n_eff=_number(row.n_eff),

@@ -59,7 +59,8 @@ class Maps {
     this.masks = this.pictures.filter(isMask);
     const layers = this.pictures.filter((one) => !isMask(one));
     const left = named(layers, "coating_top") ?? layers.find((one) => !one.name.endsWith("image")) ?? layers[0];
-    const right = named(layers, "image") ?? layers.find((one) => one !== left) ?? left;
+    const others = layers.filter((one) => one !== left);
+    const right = named(others, "image") ?? others[0] ?? left;
     /** @type {number[]|null} */
     this.region = null;
     this.shapes = new ol.source.Vector();
@@ -182,6 +183,9 @@ class Maps {
 
   /** Another layer is shown. */
   changed() {
+    const same = this.left.picture === this.right.picture; // one brush is enough, and two would have one name
+    this.right.brushBox.hidden = same;
+    if (same) this.right.brush = null;
     this.draw();
     this.scatter.showBrush([this.left.brush, this.right.brush]);
     void this.count();

@@ -30,6 +30,7 @@ export class MapSide {
     this.rangeField = make("input", { type: "text", size: 14, spellcheck: "false" });
     this.brushField = make("input", { type: "text", size: 14, spellcheck: "false" });
     this.brushName = make("span", {}, "");
+    this.brushBox = make("label", { class: "field" }, this.brushName, this.brushField);
     this.histogram = make("div");
     this.read(this.rangeField, () => onLook(), "A colour range is \"low, high\".");
     this.read(this.brushField, () => onBrush(), "A brush is \"low, high\": pixels with values between both are chosen.");
@@ -41,7 +42,7 @@ export class MapSide {
         { class: "head" },
         labelled("colours", this.palette, `${side} `),
         labelled("colour range", this.rangeField, `${side} `),
-        make("label", { class: "field" }, this.brushName, this.brushField),
+        this.brushBox,
       ),
       this.histogram,
     );
