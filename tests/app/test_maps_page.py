@@ -64,19 +64,25 @@ def known(linked, region=None):
     return a[both].astype(float), b[both].astype(float)
 
 
-def test_cursor_brush_and_region_are_those_of_the_maps(maps, linked):
-    assert maps.page.get_by_label("Left layer", exact=True).input_value() == LEFT
-    assert maps.page.get_by_label("Right layer", exact=True).input_value() == RIGHT
-    row, col = (int(n) for n in np.argwhere(linked.valid.values & np.isfinite(linked[LEFT].values))[4000])
+def cursor_gives_the_pixel(maps, linked, left=LEFT):
+    """The place in the volume and the values of a pixel under the mouse are those of the file: that pixel."""
+    row, col = (int(n) for n in np.argwhere(linked.valid.values & np.isfinite(linked[left].values))[4000])
     maps.go("Left map", float(linked.x[col]), float(linked.y[row]), 1.0)
     maps.page.mouse.move(*maps.middle("Left map"))
     cursor = maps.role("status", "Cursor")
     pixel = linked.isel(y=row, x=col)
     place = ", ".join(f"{axis} {float(pixel[f'volume_{axis}']):.2f}" for axis in "xyz")
     expect(cursor).to_contain_text(f"volume {place} um")
-    for name in (LEFT, RIGHT, "thickness", "expected_error"):
+    for name in (left, RIGHT, "thickness", "expected_error"):
         found = re.search(rf"; {name} (\S+)", cursor.inner_text())
         assert float(found[1].rstrip(";")) == pytest.approx(float(pixel[name]), rel=1e-4)
+    return pixel
+
+
+def test_cursor_brush_and_region_are_those_of_the_maps(maps, linked):
+    assert maps.page.get_by_label("Left layer", exact=True).input_value() == LEFT
+    assert maps.page.get_by_label("Right layer", exact=True).input_value() == RIGHT
+    cursor_gives_the_pixel(maps, linked)
     centres = [maps.page.get_by_label(f"{side} map centre, um", exact=True).input_value() for side in ("Left", "Right")]
     one, other = ([float(word) for word in text.split(",")] for text in centres)
     assert one == pytest.approx(other, abs=0.01)  # both maps move together

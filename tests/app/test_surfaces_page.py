@@ -90,6 +90,10 @@ def shown(serve, window, run_copy):
 
 
 def test_the_drawn_face_lies_on_the_top_of_the_file_within_a_screen_pixel(shown):
+    face_lies_on_the_top(shown)
+
+
+def face_lies_on_the_top(shown):
     checked = 0
     for x in shown.clear_columns():
         rows = shown.rows_of(x)

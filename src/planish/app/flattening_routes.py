@@ -12,8 +12,8 @@ from starlette.routing import Route
 from planish.app.pictures import Pictures
 from planish.app.strain import SPACE, STRAINS, mesh_lines, sheet_run
 
-COLOURS = ("coating_top", "thickness", "warp")
-"""Maps that the sheet in space is coloured by first, where it has them."""
+COLOURS = ("thickness", "warp")
+"""Maps that the sheet in space is coloured by after the one that stands for it, where it has them."""
 
 
 async def flattening(request: Request) -> Response:
@@ -21,7 +21,8 @@ async def flattening(request: Request) -> Response:
     state, layer = request.app.state, request.query_params.get("layer", "")
     if sheet_run(state.session.folder, layer) is None:
         return JSONResponse(None)
-    return JSONResponse(await run_sync(_shown, state.pictures, layer))
+    headline = state.session.results.layer(layer).headline
+    return JSONResponse(await run_sync(_shown, state.pictures, layer, headline))
 
 
 async def mesh(request: Request) -> Response:
@@ -31,10 +32,10 @@ async def mesh(request: Request) -> Response:
     return JSONResponse({"lines": lines, "every": every})
 
 
-def _shown(pictures: Pictures, layer: str) -> dict[str, Any]:
+def _shown(pictures: Pictures, layer: str, headline: str) -> dict[str, Any]:
     ids = {one.name.rpartition("/")[2]: one.id for one in pictures if one.plane == "moving" and one.layer == layer}
     others = [n for n in ids if n not in (*SPACE, *STRAINS, "valid") and not n.startswith(("volume_", "presence"))]
-    first = [name for name in COLOURS if name in others]
+    first = [name for name in (headline, *COLOURS) if name in others]
     return {
         "strain": [ids[name] for name in STRAINS if name in ids],
         "space": [ids[name] for name in SPACE],

@@ -72,7 +72,8 @@ def _session_of(session: Session, app: Any) -> dict[str, Any]:
     layers: list[dict[str, Any]] = []
     for layer in session.layers:
         holes = {plane: _circles(found) for plane, found in session.holes(layer).items()}
-        layers.append({"name": layer, "to": session.target(layer), "holes": holes})
+        headline = session.results.layer(layer).headline
+        layers.append({"name": layer, "to": session.target(layer), "headline": headline, "holes": holes})
     pictures: Any = getattr(app.state, "pictures", None)
     return {
         "run": session.folder.name, "read_only": session.read_only, "reason": session.reason,

@@ -58,7 +58,8 @@ class Maps {
     }
     this.masks = this.pictures.filter(isMask);
     const layers = this.pictures.filter((one) => !isMask(one));
-    const left = named(layers, "coating_top") ?? layers.find((one) => !one.name.endsWith("image")) ?? layers[0];
+    const { headline } = app.session.layers.find((/** @type {any} */ one) => one.name === app.layer);
+    const left = named(layers, headline) ?? layers.find((one) => !one.name.endsWith("image")) ?? layers[0];
     const others = layers.filter((one) => one !== left);
     const right = named(others, "image") ?? others[0] ?? left;
     /** @type {number[]|null} */

@@ -1,0 +1,108 @@
+"""The tab Flattening in a real browser: the sheet in space, and what is shown where there is no WebGL."""
+
+from __future__ import annotations
+
+import re
+import statistics
+
+import pytest
+
+from app.conftest import chromium_path
+from app.marks_page import expect, settled
+
+pytestmark = pytest.mark.study
+
+FRAME_MS = 100.0
+"""Longest that a frame may take, in the median, while the sheet is turned."""
+
+COLOURS = """(canvas) => {
+  const copy = document.createElement("canvas");
+  [copy.width, copy.height] = [canvas.width, canvas.height];
+  const context = copy.getContext("2d");
+  context.drawImage(canvas, 0, 0);
+  const { data } = context.getImageData(0, 0, copy.width, copy.height);
+  const found = new Set();
+  let covered = 0;
+  for (let k = 0; k < data.length; k += 4) {
+    if (data[k + 3] < 128) continue;
+    covered += 1;
+    found.add((data[k] >> 4 << 8) | (data[k + 1] >> 4 << 4) | (data[k + 2] >> 4));
+  }
+  return { colours: found.size, covered: covered / (data.length / 4) };
+}"""
+
+WATCH = """(canvas) => {
+  window.frames_seen = { gaps: [], drawn: [], triangles: [] };
+  let last = performance.now();
+  const next = (now) => {
+    window.frames_seen.gaps.push(now - last);
+    last = now;
+    if (!window.frames_end) requestAnimationFrame(next);
+  };
+  requestAnimationFrame(next);
+  new MutationObserver(() => {
+    if (canvas.dataset.detail !== "turning") return;
+    window.frames_seen.drawn.push(Number(canvas.dataset.milliseconds));
+    window.frames_seen.triangles.push(Number(canvas.dataset.triangles));
+  }).observe(canvas, { attributes: true, attributeFilter: ["data-milliseconds"] });
+}"""
+
+
+def test_the_sheet_is_drawn_whole_when_still_and_quickly_while_it_turns(serve, window, demo_run):
+    shown = window(serve(demo_run, "--read-only"))
+    settled(shown)
+    shown.role("tab", "Flattening").click()
+    canvas = shown.role("img", "Sheet in space")
+    expect(canvas).to_have_attribute("data-detail", "full")
+    still = canvas.evaluate(COLOURS)
+    assert still["covered"] > 0.1
+    assert still["colours"] > 20
+    x, y = (canvas.bounding_box()[side] for side in ("x", "y"))
+    canvas.evaluate(WATCH)
+    shown.page.mouse.move(x + 200, y + 150)
+    shown.page.mouse.down()
+    for k in range(60):
+        shown.page.mouse.move(x + 200 + 2 * k, y + 150 + k % 20)
+        shown.page.wait_for_timeout(15)
+    shown.page.mouse.up()
+    seen = shown.page.evaluate("() => { window.frames_end = true; return window.frames_seen; }")
+    gap, drawn = statistics.median(seen["gaps"]), statistics.median(seen["drawn"])
+    print(f"{len(seen['drawn'])} frames turning, {gap:.0f} ms apart, drawn in {drawn:.0f} ms (medians);"
+          f" {max(seen['triangles'])} triangles at most")  # fmt: skip
+    assert len(seen["drawn"]) >= 10
+    assert gap < FRAME_MS
+    assert drawn < FRAME_MS
+    expect(canvas).to_have_attribute("data-detail", "full", timeout=2000 + 8000)
+    assert int(canvas.get_attribute("data-triangles")) <= 1_000_000
+
+
+@pytest.fixture
+def without_webgl(chromium):
+    """A second Chromium, which has no WebGL."""
+    arguments = ["--no-sandbox", "--disable-gpu", "--disable-3d-apis"]
+    browser = chromium.browser_type.launch(executable_path=chromium_path(), args=arguments)
+    yield browser
+    browser.close()
+
+
+def test_without_webgl_the_sheet_is_shown_from_above(serve, window, demo_run, without_webgl):
+    context = without_webgl.new_context(viewport={"width": 1366, "height": 768})
+    shown = window(serve(demo_run, "--read-only"), context=context)
+    settled(shown)
+    assert shown.page.evaluate("document.createElement('canvas').getContext('webgl2')") is None
+    shown.role("tab", "Flattening").click()
+    expect(shown.page.get_by_text(re.compile("no WebGL: the sheet is shown from above"))).to_be_visible()
+    canvas = shown.role("img", "Sheet in space")
+    expect(canvas).to_be_visible()
+    for _ in range(100):
+        drawn = canvas.evaluate(COLOURS)
+        if drawn["covered"]:
+            break
+        shown.page.wait_for_timeout(100)
+    assert drawn["covered"] > 0.1
+    assert drawn["colours"] > 20
+    expect(shown.page.get_by_role("alert")).to_be_hidden()
+    before = canvas.screenshot()
+    shown.page.get_by_label("Heights", exact=True).select_option("20")
+    shown.page.wait_for_timeout(1000)
+    assert canvas.screenshot() != before
