@@ -79,6 +79,7 @@ def test_too_few_holes_or_useless_marks_are_said_before_the_volume_is_mapped(pla
     assert code == 3
     assert "Only 2 holes found in the image" in err
     assert f"planish map {specimen_files[0]} --out {tmp_path / 'run-map'}" in err
+    assert f"planish view {tmp_path / 'run-map'} {two}" in err
     rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um", "a,1,1,1,1,1", "b,9,9,9,9,9"]
     (tmp_path / "m.csv").write_text("\n".join(rows))
     code, _, err = planish("link", *specimen_files, "--marks", tmp_path / "m.csv", "-o", tmp_path / "run")

@@ -9,12 +9,10 @@ import signal
 import numpy as np
 import pytest
 
-from app.marks_page import IMAGE, VOLUME, ends, expect, message, settled
+from app.marks_page import IMAGE, VOLUME, ends, expect, forget_lost, message, settled
 from planish.register import fit_transform
 
 pytestmark = pytest.mark.study
-
-NETWORK = re.compile("Failed to load resource")
 
 
 @pytest.fixture
@@ -180,7 +178,7 @@ def test_what_is_no_file_of_marks_is_refused(shown, tmp_path):
     chooser.value.set_files(tmp_path / "notes.json")
     expect(shown.page.get_by_role("alert")).not_to_be_empty()
     assert len(shown.rows()) == 5
-    shown.faults[:] = [fault for fault in shown.faults if not NETWORK.search(fault)]
+    forget_lost(shown)
 
 
 def test_a_clicked_mark_is_snapped_to_its_hole(shown):
@@ -229,7 +227,7 @@ def test_a_lost_server_is_said_and_found_again(shown, serve, run_copy):
     shown.page.goto(shown.server.url)  # another token in the fragment: the page loads itself anew
     expect(shown.page.get_by_role("alert")).to_be_hidden()
     expect(shown.role("table", "Marks").get_by_role("row")).to_have_count(6)
-    shown.faults[:] = [fault for fault in shown.faults if not NETWORK.search(fault)]
+    forget_lost(shown)
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs a system on which a process can be halted")
@@ -242,7 +240,7 @@ def test_a_server_that_answers_again_is_found(shown):
     expect(message(shown)).to_contain_text("back")
     shown.page.get_by_label(f"Use {rows[0][0]}", exact=True).uncheck()
     expect(message(shown)).to_contain_text("Saved")
-    shown.faults[:] = [fault for fault in shown.faults if not NETWORK.search(fault)]
+    forget_lost(shown)
 
 
 def test_a_run_that_is_only_read(serve, window, run_copy):

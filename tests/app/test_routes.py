@@ -47,6 +47,7 @@ def test_a_session_says_what_there_is(client, session):
     assert {"similarity", "affine", "tps"} <= set(found["models"])
     assert [len(found["holes"][side]) for side in ("moving", "fixed")] == [holes.count("moving"), holes.count("fixed")]
     assert {p["plane"] for p in found["pictures"]} == {"moving", "fixed"}
+    assert found["layers"][0]["headline"] == session.results.layers[0].headline == "coating_top"
     assert (found["read_only"], found["linked"]) == (False, True)
 
 

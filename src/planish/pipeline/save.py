@@ -144,7 +144,7 @@ def _next_step(error: PlanishError, maps: Mapping[str, KeptMaps], study: Study) 
     place = str(maps[volume.name].path)
     command = f"planish map {quoted(volume.path)} --out {quoted(place)}"
     text = f"To map the volume without it, with the same options: {command}"
-    return f"{text} Then, to set the marks by hand: {_view(place, study)}" if study.is_sheet_on_image else text
+    return f"{text}; then, to set the marks by hand: {_view(place, study)}" if study.is_sheet_on_image else text
 
 
 def _view(maps: str, study: Study) -> str:
