@@ -93,6 +93,23 @@ def test_arrows_move_the_chosen_mark_by_screen_pixels(shown):
     assert np.delete(moved, 1, axis=0) == pytest.approx(0)
 
 
+def test_the_chosen_mark_is_dragged(shown):
+    before = ends(settled(shown))
+    shown.page.get_by_label("Move views together").uncheck()
+    shown.role("button", shown.rows()[1][0]).click()
+    shown.go(VOLUME, *before[1, :2], 2.0)
+    x, y = shown.middle(VOLUME)
+    shown.page.mouse.move(x, y)
+    shown.page.mouse.down()
+    shown.page.mouse.move(x + 20, y - 10, steps=4)
+    shown.page.mouse.up()
+    expect(message(shown)).to_contain_text("Mark moved. Saved.")
+    moved = ends(shown.rows()) - before
+    assert np.hypot(*moved[1, :2]) == pytest.approx(np.hypot(40, 20), abs=0.03)  # the view may be turned
+    assert (moved[1, 2:] == 0).all()
+    assert (np.delete(moved, 1, axis=0) == 0).all()
+
+
 def test_without_a_choice_arrows_move_the_view_and_signs_zoom(shown):
     shown.go(IMAGE, 300.0, 200.0, 2.0)
     view = shown.role("application", IMAGE)
