@@ -253,7 +253,7 @@ def test_twelve_kills_between_clicks_lose_at_most_the_one_in_flight(serve, windo
             person.act()
             person.settle()
         before = deepcopy(person.model)
-        end = threading.Timer(pause.uniform(0, 0.15), shown.server.kill)
+        end = threading.Timer(pause.uniform(0, 0.4), shown.server.kill)
         end.start()
         person.act()  # its answer is not waited for
         end.join()
