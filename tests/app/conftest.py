@@ -10,9 +10,16 @@ import sys
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+import numpy as np
 import pytest
+import tifffile
+from filelock import FileLock
+
+from planish.cli import main
+from planish.pipeline import link, open_run
+from planish.synthetic import DEMO, make_specimen, write_instruments
 
 START_S = 60.0
 """How long a server may take to print its address on a loaded machine."""
@@ -45,10 +52,10 @@ class Served:
         self.process.wait()
 
 
-def start(run: Path, *arguments: str) -> Served:
+def start(run: Path, *arguments: str, stderr: IO[str] | int = subprocess.DEVNULL) -> Served:
     """Start ``planish view`` and read its address."""
     command = [sys.executable, "-m", "planish", "view", str(run), *arguments, "--json", "--no-browser"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
     assert process.stdout is not None
     line = process.stdout.readline()
     assert line, f"planish view ended with {process.wait()}"
@@ -60,8 +67,8 @@ def serve() -> Generator[Callable[..., Served]]:
     """Return a function from a run folder, and options, to its server; all servers end with the test."""
     servers: list[Served] = []
 
-    def begin(run: Path, *arguments: str) -> Served:
-        servers.append(start(run, *arguments))
+    def begin(run: Path, *arguments: str, **how: Any) -> Served:
+        servers.append(start(run, *arguments, **how))
         return servers[-1]
 
     yield begin
@@ -73,11 +80,73 @@ def serve() -> Generator[Callable[..., Served]]:
         server.process.stdout.close()
 
 
+def beside(run: Path, tmp_path: Path) -> Path:
+    """A copy of a run that a test may change, where the paths to its files still lead to them."""
+    place = run.parent.parent / f"{tmp_path.parent.name}-{tmp_path.name}"
+    return Path(shutil.copytree(run, place / "run"))
+
+
 @pytest.fixture
 def run_copy(linked_run, tmp_path) -> Path:
-    """A run that the test may change, where the paths to its files still lead to them."""
-    place = linked_run.parent.parent / f"{tmp_path.parent.name}-{tmp_path.name}"
-    return Path(shutil.copytree(linked_run, place / "run"))
+    """A copy of the small run."""
+    return beside(linked_run, tmp_path)
+
+
+def made_once(make: Callable[[Path], object], name: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that is made once for all workers, and that no test may change."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name
+    with FileLock(folder.with_suffix(".lock")):
+        if not (folder / "done").exists():
+            make(folder)
+            (folder / "done").touch()
+    return folder
+
+
+@pytest.fixture(scope="session")
+def demo_run(tmp_path_factory) -> Path:
+    """The run of ``planish demo``: six holes."""
+
+    def make(folder: Path) -> None:
+        files = write_instruments(make_specimen(DEMO), folder / "specimen")
+        assert files.image is not None
+        link(files.volume, files.image, out=folder / "run")
+
+    return made_once(make, "demo", tmp_path_factory) / "run"
+
+
+@pytest.fixture(scope="session")
+def laid_run(laid, tmp_path_factory) -> Path:
+    """The run of the sheet through y whose image shows the side at the high end."""
+
+    def make(folder: Path) -> None:
+        with pytest.raises(SystemExit) as end:
+            main(["link", str(laid.volume), str(laid.image), *laid.options, "--out", str(folder / "run")])
+        assert end.value.code in (0, 4)
+
+    return made_once(make, "laid", tmp_path_factory) / "run"
+
+
+@pytest.fixture(scope="session")
+def refused(specimen_files, linked_run, tmp_path_factory) -> tuple[Path, Path]:
+    """Maps and an image with two holes left, as a link leaves them that was refused at the marks."""
+    volume, image = specimen_files
+    folder = tmp_path_factory.mktemp("refused")
+    run = open_run(linked_run)
+    marks, stored = run.marks, tifffile.imread(image)
+    grey = stored.astype(np.float32)
+    pixel = run.linked.x.values[1] - run.linked.x.values[0]
+    y, x = np.mgrid[: grey.shape[0], : grey.shape[1]] * pixel
+    at = np.flatnonzero(np.isfinite(marks.fixed_x.values))[2:]
+    for k in at:
+        away = np.hypot(x - marks.fixed_x.values[k], y - marks.fixed_y.values[k])
+        around = grey[(away > 130) & (away < 220)]
+        inside = away < 130
+        grey[inside] = np.resize(around, int(inside.sum()))
+    tifffile.imwrite(folder / "image.tif", grey.astype(stored.dtype))
+    with pytest.raises(SystemExit):
+        main(["map", str(volume), "--out", str(folder / "out-map")])
+    return folder / "out-map", folder / "image.tif"
 
 
 def chromium_path() -> str | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 VOLUME, IMAGE = "Volume side", "Image side"
@@ -28,3 +30,17 @@ def settled(shown):
     """The rows when the fit of the chosen model has followed."""
     expect(shown.role("table", "Marks")).not_to_contain_text("follows")
     return shown.rows()
+
+
+def pair(shown, moving, fixed):
+    """Set a pair with two clicks of the mouse."""
+    rows = len(shown.rows())
+    shown.click(VOLUME, *moving)
+    expect(message(shown)).to_have_text(re.compile(rf"Mark set in the {VOLUME}.*Saved", re.DOTALL))
+    shown.click(IMAGE, *fixed)
+    expect(shown.role("table", "Marks").get_by_role("row")).to_have_count(rows + 2)
+
+
+def forget_lost(shown):
+    """Take the requests that failed while the server was away, or refused, from the faults of the console."""
+    shown.faults[:] = [fault for fault in shown.faults if "Failed to load resource" not in fault]

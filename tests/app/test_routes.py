@@ -12,13 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tifffile
 
 from app.asgi import HOST, TOKEN, Client, run_apart
 from planish.app.marks_routes import get_events
 from planish.app.server import create_app
 from planish.app.session import Session
-from planish.cli import main
 from planish.core.errors import FileError, SizeError
 from planish.io.params import ImageParams
 from planish.pipeline import open_run
@@ -138,28 +136,6 @@ def test_every_window_hears_of_a_change(client, session):
 
 
 # --- the maps of a link that was refused -------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="session")
-def refused(specimen_files, linked_run, tmp_path_factory) -> tuple[Path, Path]:
-    """Maps and an image with two holes left, as a link leaves them that was refused at the marks."""
-    volume, image = specimen_files
-    folder = tmp_path_factory.mktemp("refused")
-    run = open_run(linked_run)
-    marks, stored = run.marks, tifffile.imread(image)
-    grey = stored.astype(np.float32)
-    pixel = run.linked.x.values[1] - run.linked.x.values[0]
-    y, x = np.mgrid[: grey.shape[0], : grey.shape[1]] * pixel
-    at = np.flatnonzero(np.isfinite(marks.fixed_x.values))[2:]
-    for k in at:
-        away = np.hypot(x - marks.fixed_x.values[k], y - marks.fixed_y.values[k])
-        around = grey[(away > 130) & (away < 220)]
-        inside = away < 130
-        grey[inside] = np.resize(around, int(inside.sum()))
-    tifffile.imwrite(folder / "image.tif", grey.astype(stored.dtype))
-    with pytest.raises(SystemExit):
-        main(["map", str(volume), "--out", str(folder / "out-map")])
-    return folder / "out-map", folder / "image.tif"
 
 
 @pytest.mark.study

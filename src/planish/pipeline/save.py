@@ -136,14 +136,19 @@ def _next_step(error: PlanishError, maps: Mapping[str, KeptMaps], study: Study) 
     kept = [str(one.path) for one in maps.values() if one.path.exists()]
     if kept:
         text = f"The maps of the volume are kept in {' and '.join(kept)}; the same command goes on from there."
-        if isinstance(error, CannotRegister | MarkError) and study.is_sheet_on_image:
-            text += f" To set the marks by hand: planish view {quoted(kept[0])} {quoted(study.layers[-1].path)}"
-        return text
+        by_hand = isinstance(error, CannotRegister | MarkError) and study.is_sheet_on_image
+        return f"{text} To set the marks by hand: {_view(kept[0], study)}" if by_hand else text
     volume = next((layer for layer in study.layers if layer.kind == "volume"), None)
     if volume is None or not isinstance(error, CannotRegister):
         return ""
-    command = f"planish map {quoted(volume.path)} --out {quoted(str(maps[volume.name].path))}"
-    return f"To map the volume without it, with the same options: {command}"
+    place = str(maps[volume.name].path)
+    command = f"planish map {quoted(volume.path)} --out {quoted(place)}"
+    text = f"To map the volume without it, with the same options: {command}"
+    return f"{text} Then, to set the marks by hand: {_view(place, study)}" if study.is_sheet_on_image else text
+
+
+def _view(maps: str, study: Study) -> str:
+    return f"planish view {quoted(maps)} {quoted(study.layers[-1].path)}"
 
 
 def _done(

@@ -1,0 +1,295 @@
+"""Undo and redo in a real browser: against a slow model, through reloads, kills of the server and a full disk."""
+
+from __future__ import annotations
+
+import random
+import time
+from copy import deepcopy
+from dataclasses import dataclass, field
+
+import pytest
+
+from app.marks_page import IMAGE, VOLUME, expect, forget_lost, message, settled
+
+pytestmark = pytest.mark.study
+
+SEQUENCES, STEPS = 40, 6
+KILLS = 12
+APART_UM = 60.0
+"""A click nearer to a mark chooses that one."""
+
+SHOWN = """() => {
+  const find = (selector) => document.querySelector(selector);
+  const rows = [...document.querySelectorAll("table[aria-label=Marks] tbody tr")].map((row) => ({
+    label: row.cells[0].textContent, used: row.querySelector("input").checked,
+    ends: [2, 3, 4, 5].map((k) => Number(row.cells[k].textContent)),
+  }));
+  const can = ["undo", "redo"].map((id) => !find(`#${id}`).disabled);
+  const model = [...document.querySelectorAll("label")].find((label) => label.textContent === "Model").control.value;
+  return { rows, can, model };
+}"""
+
+HELD = """async () => {
+  const headers = { Authorization: `Bearer ${sessionStorage.getItem("planish-token")}` };
+  const { marks, model } = await (await fetch("/api/state", { headers })).json();
+  const none = [null, null];
+  return { model, marks: marks.map(({ label, used, moving, fixed }) =>
+    ({ label, used, ends: [...(moving ?? none), ...(fixed ?? none)] })) };
+}"""
+
+
+@dataclass
+class Model:
+    """What the page has to show, as slowly as can be: a copy of everything for every change."""
+
+    marks: list[dict]
+    model: str
+    past: list[tuple] = field(default_factory=list)
+    future: list[tuple] = field(default_factory=list)
+
+    def step(self) -> None:
+        """Before a change."""
+        self.past.append(deepcopy((self.marks, self.model)))
+        self.future.clear()
+
+    def undo(self) -> None:
+        self.future.append(deepcopy((self.marks, self.model)))
+        self.marks, self.model = self.past.pop()
+
+    def redo(self) -> None:
+        self.past.append(deepcopy((self.marks, self.model)))
+        self.marks, self.model = self.future.pop()
+
+    @property
+    def rows(self) -> list[dict]:
+        return [mark for mark in self.marks if None not in mark["ends"]]
+
+    @property
+    def seen(self) -> dict:
+        return {"rows": self.rows, "can": [bool(self.past), bool(self.future)], "model": self.model}
+
+    @classmethod
+    def of(cls, page) -> Model:
+        found = page.evaluate(SHOWN)
+        assert found["can"] == [False, False]
+        return cls(marks=found["rows"], model=found["model"])
+
+
+def alike(found: list[dict], wanted: list[dict]) -> bool:
+    """Whether marks are the same, with places to the two decimals that the page writes."""
+
+    def near(a: float | None, b: float | None) -> bool:
+        return a == b if a is None or b is None else abs(a - b) < 0.011
+
+    return [(mark["label"], mark["used"]) for mark in found] == [
+        (mark["label"], mark["used"]) for mark in wanted
+    ] and all(
+        near(a, b)
+        for one, other in zip(found, wanted, strict=True)
+        for a, b in zip(one["ends"], other["ends"], strict=True)
+    )
+
+
+def same(found: dict, wanted: dict) -> bool:
+    """Whether the page shows a state."""
+    return (found["can"], found["model"]) == (wanted["can"], wanted["model"]) and alike(found["rows"], wanted["rows"])
+
+
+def shows(page, *wanted: dict, seconds: float = 10.0) -> int:
+    """Wait until the page shows one of some states: which."""
+    end = time.monotonic() + seconds
+    while True:
+        found = page.evaluate(SHOWN)
+        for k, state in enumerate(wanted):
+            if same(found, state):
+                return k
+        assert time.monotonic() < end, f"{found} is none of {wanted}"
+        page.wait_for_timeout(15)
+
+
+class Person:
+    """Somebody who does whatever comes to mind, in the page and in the model."""
+
+    def __init__(self, shown, seed: int) -> None:
+        self.shown, self.page, self.draw = shown, shown.page, random.Random(seed)
+        settled(shown)
+        self.first = Model.of(shown.page)
+        self.model = deepcopy(self.first)
+        self.labels = 0
+
+    def act(self) -> None:
+        """One random act; the page may not have shown it yet."""
+        kinds = ["click", "click", "undo", "undo", "redo", "model_chosen"]
+        if self.model.rows:
+            kinds += ["use", "use", "label", "delete", "nudge"]
+        getattr(self, self.draw.choice(kinds))()
+
+    def undo(self) -> None:
+        if self.model.past:
+            self.model.undo()
+            self.button_or_key("Undo", "Control+z")
+
+    def redo(self) -> None:
+        if self.model.future:
+            self.model.redo()
+            self.button_or_key("Redo", "Control+y")
+
+    def button_or_key(self, name: str, keys: str) -> None:
+        if self.draw.random() < 0.5:
+            self.shown.role("button", name).click()
+        else:
+            self.shown.role("application", VOLUME).press(keys)
+
+    def use(self) -> None:
+        row = self.draw.choice(self.model.rows)
+        self.model.step()
+        row = next(mark for mark in self.model.marks if mark["label"] == row["label"])
+        row["used"] = not row["used"]
+        self.page.get_by_label(f"Use {row['label']}", exact=True).click()
+
+    def model_chosen(self) -> None:
+        self.model.step()
+        self.model.model = self.draw.choice([m for m in ("rigid", "similarity", "affine") if m != self.model.model])
+        self.page.get_by_label("Model", exact=True).select_option(self.model.model)
+
+    def chosen(self) -> dict:
+        row = self.draw.choice(self.model.rows)
+        self.shown.role("button", row["label"]).click()
+        self.model.step()
+        return row
+
+    def label(self) -> None:
+        row = self.chosen()
+        self.labels += 1
+        row["label"] = f"called {self.labels}"
+        self.shown.fill("Label", row["label"])
+
+    def delete(self) -> None:
+        self.model.marks.remove(self.chosen())
+        self.shown.role("button", "Delete").click()
+
+    def nudge(self) -> None:
+        row = self.chosen()
+        key, axis, sign = self.draw.choice(
+            [("ArrowLeft", 0, -1), ("ArrowRight", 0, 1), ("ArrowUp", 1, -1), ("ArrowDown", 1, 1)]
+        )
+        self.shown.fill(f"{IMAGE}, um per screen pixel", "2")
+        row["ends"][2 + axis] += 2 * sign
+        self.shown.role("application", IMAGE).press(key)
+
+    def click(self) -> None:
+        """A click in one of the views; it gives its end to the mark that waits for it."""
+        side = self.draw.choice([VOLUME, IMAGE])
+        at = slice(0, 2) if side == VOLUME else slice(2, 4)
+        taken = [mark["ends"][at] for mark in self.model.marks if None not in mark["ends"][at]]
+        while True:
+            place = [round(self.draw.uniform(100, 1000), 2), round(self.draw.uniform(100, 800), 2)]
+            if all(max(abs(a - b) for a, b in zip(place, other, strict=True)) > APART_UM for other in taken):
+                break
+        self.model.step()
+        waiting = next((mark for mark in reversed(self.model.marks) if None in mark["ends"]), None)
+        if waiting is None:
+            waiting = {"label": self.free_name(), "used": True, "ends": [None] * 4}
+            self.model.marks.append(waiting)
+        waiting["ends"][at] = place
+        self.shown.click(side, *place, pixel_um=2.0)
+
+    def free_name(self) -> str:
+        taken = {mark["label"] for mark in self.model.marks}
+        return next(name for k in range(1, 1000) if (name := f"mark {k}") not in taken)
+
+    def settle(self) -> None:
+        shows(self.page, self.model.seen)
+        self.held(self.model)
+
+    def held(self, *models: Model) -> int:
+        """Wait until the server holds all marks of one of some models, those with one end too: which."""
+        end = time.monotonic() + 10
+        while True:
+            found = self.page.evaluate(HELD)
+            for k, model in enumerate(models):
+                if found["model"] == model.model and alike(found["marks"], model.marks):
+                    return k
+            assert time.monotonic() < end, f"{found} is none of {models}"
+            self.page.wait_for_timeout(15)
+
+    def back_to_the_beginning(self) -> None:
+        """Undo reaches the run as it was."""
+        while self.model.past:
+            self.model.undo()
+            self.shown.role("button", "Undo").click()
+            self.settle()
+        wanted = self.first.seen | {"can": [False, bool(self.model.future)]}
+        shows(self.page, wanted)
+
+
+def alone(shown) -> None:
+    """Views that do not follow each other: a place is set in one of them."""
+    shown.page.get_by_label("Move views together").uncheck()
+
+
+def test_forty_sequences_of_changes_undo_and_redo_with_reloads_between(serve, window, run_copy):
+    shown = window(serve(run_copy))
+    person = Person(shown, 7)
+    for _ in range(SEQUENCES):
+        alone(shown)
+        for _ in range(STEPS):
+            person.act()
+            person.settle()
+        shown.page.reload()
+        person.settle()
+    person.back_to_the_beginning()
+
+
+def test_twelve_kills_between_clicks_lose_at_most_the_one_in_flight(serve, window, run_copy):
+    shown = window(serve(run_copy))
+    person, lost, pause = Person(shown, 11), 0, random.Random(12)
+    alone(shown)
+    for _ in range(KILLS):
+        for _ in range(pause.randint(1, 3)):
+            person.act()
+            person.settle()
+        before = deepcopy(person.model)
+        person.act()  # its answer is not waited for
+        shown.page.wait_for_timeout(pause.choice([0, 0, 2, 5, 10, 20, 40]))
+        shown.server.kill()
+        shown.server = serve(run_copy)
+        shown.page.goto(shown.server.url)
+        settled(shown)
+        if person.held(person.model, before):
+            person.model, lost = before, lost + 1
+        person.settle()
+        alone(shown)
+    print(f"{lost} of {KILLS} changes in flight were lost")
+    person.back_to_the_beginning()
+    forget_lost(shown)
+
+
+def test_a_full_disk_is_said_and_the_click_is_not_shown_as_done(serve, window, run_copy):
+    resource = pytest.importorskip("resource", reason="this system limits no sizes of files")
+    if not hasattr(resource, "prlimit"):
+        pytest.skip("this system limits no sizes of files of another process")
+    shown = window(serve(run_copy))
+    rows = settled(shown)
+    first, second = (shown.page.get_by_label(f"Use {row[0]}", exact=True) for row in rows[:2])
+    first.click()
+    expect(message(shown)).to_contain_text("Saved")
+    journal = next((run_copy / "edits").glob("journal*.jsonl"))
+    written = journal.read_bytes()
+    process, kind = shown.server.process.pid, resource.RLIMIT_FSIZE
+    before = resource.prlimit(process, kind)
+    resource.prlimit(process, kind, (len(written) + 5, before[1]))  # room for a part of the next line
+    second.click()
+    expect(shown.page.get_by_role("alert")).to_contain_text("disk is full")
+    expect(second).to_be_checked()
+    assert journal.read_bytes() == written
+    shown.click(VOLUME, 300.0, 320.0, pixel_um=2.0)
+    expect(shown.page.get_by_role("alert")).to_contain_text("was not made")
+    resource.prlimit(process, kind, before)
+    second.click()
+    expect(message(shown)).to_contain_text("Saved")
+    expect(shown.page.get_by_role("alert")).to_be_hidden()
+    expect(second).not_to_be_checked()
+    shown.page.reload()
+    assert [row[-1] for row in settled(shown)[:2]] == ["False", "False"]
+    forget_lost(shown)
