@@ -58,7 +58,7 @@ def test_every_option_stands_in_it_with_its_default(draft):
         except tomllib.TOMLDecodeError:
             assert re.search(r"NUMBER|[A-Z]{1,6}", match[2])
     examples = {"neutral", "refine", "side", "marks", "design", "headline", "regions", "air", "base", "coating", "void"}
-    examples |= {"channel"}  # of volumes
+    examples |= {"channel", "corrections"}  # of volumes
 
     def taken(match):
         try:

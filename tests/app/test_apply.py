@@ -181,6 +181,7 @@ def test_the_new_run_stands_beside_the_old_one(tmp_path, name, linked, there, wa
 # --- the run ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.study
 def test_without_a_change_every_number_is_the_same(run):
     with opened(run) as session:
         out = made(session)
@@ -349,6 +350,7 @@ def test_a_process_makes_the_run_and_says_how_far_it_is(run):
     assert not (run / STAGED).exists()
 
 
+@pytest.mark.study
 def test_what_cannot_be_applied_is_said_and_nothing_is_left(run):
     with opened(run) as session, applying(session) as applied:
         for mark in session.state.of(None)[2:]:
@@ -361,6 +363,7 @@ def test_what_cannot_be_applied_is_said_and_nothing_is_left(run):
         assert not (run / STAGED).exists()
 
 
+@pytest.mark.study
 def test_the_page_begins_follows_and_reads_the_report(run):
     """By the routes: 202, then how far it is, 409 for a second one, and a report under a secret of its own."""
     with opened(run) as session:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.asgi import HOST, TOKEN, Client
+from app.asgi import HOST, TOKEN, Client, run_apart
 from planish.app.marks_routes import get_events
 from planish.app.server import create_app
 from planish.app.session import Session
@@ -133,7 +133,7 @@ def test_every_window_hears_of_a_change(client, session):
         return found
 
     first = session.version
-    assert [line["version"] for line in asyncio.run(listen())] == [first, first + 1, first + 1]
+    assert [line["version"] for line in run_apart(listen())] == [first, first + 1, first + 1]
 
 
 # --- the maps of a link that was refused -------------------------------------------------------------------------

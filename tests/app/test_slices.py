@@ -154,6 +154,7 @@ def stretch_in(surfaces, *, off_um=12.0):
     return int(row), Correction(id="c1", points=tuple(points), reach_um=40.0)
 
 
+@pytest.mark.study
 def test_what_is_tried_shows_what_apply_makes(folder):
     sheet, surfaces = opened(folder), open_run(folder).groups["surfaces"]
     row, correction = stretch_in(surfaces)

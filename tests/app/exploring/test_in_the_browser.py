@@ -19,6 +19,9 @@ from planish.app import explore
 from planish.pipeline import open_run
 from report.runs import a_run
 
+pytestmark = pytest.mark.study
+
+
 Open = Callable[..., "Window"]
 
 
