@@ -47,6 +47,18 @@ def test_a_store_gives_the_maps_and_their_overviews_part_by_part(stored):
         xr.testing.assert_allclose(sink.group(name).load().drop_attrs(), expected.drop_attrs(), rtol=1e-12)
 
 
+def test_what_is_read_again_comes_from_memory_as_long_as_there_is_room(stored):
+    whole, sink = stored
+    again = StoredMaps(sink.path, keep_bytes=whole["u"].nbytes)
+    again.stored = sink.stored
+    first = again.group("linked")["u"].values
+    first[:] = 0.0  # the caller's own
+    (sink.path / "linked" / "u" / "c" / "0" / "0").write_bytes(b"damaged")
+    np.testing.assert_array_equal(again.group("linked")["u"].values, whole["u"])
+    with pytest.raises(FileError):
+        _ = sink.group("linked")["u"].values
+
+
 def test_a_small_group_stays_in_memory(tmp_path):
     grid = Grid.regular((40, 50), 2.0)
     sink = StoredMaps(tmp_path / "maps.zarr")

@@ -107,8 +107,9 @@ class PairSums:
         n = int(np.count_nonzero(both))
         if n == 0:
             return
-        a, b = x[both].astype(np.float64), y[both].astype(np.float64)
-        parts = np.stack([a, b, b - a])
+        parts = np.empty((3, n))
+        parts[0], parts[1] = x[both], y[both]
+        np.subtract(parts[1], parts[0], out=parts[2])
         mean = parts.mean(axis=1)
         parts -= mean[:, None]
         off = mean - self._mean

@@ -7,6 +7,7 @@ input is closed before it is done, by a cancel or because the server is gone, it
 from __future__ import annotations
 
 import _thread
+import gc
 import json
 import os
 import shutil
@@ -46,13 +47,26 @@ def main() -> None:
 
 def _warm_up() -> None:
     """Load what every run needs, while nobody waits for it."""
+    gc.disable()  # all that is loaded stays
+    import_module("contourpy")
+    import numpy as np
+
+    from planish.core.overviews import halved_values
+    from planish.flatten import relax_grid
     from planish.pipeline import run_study
     from planish.report.page import report_template
 
     assert callable(run_study)  # it is loaded when it is asked for
     report_template()
+    # Compiled code is read from the disk when it is used first.
+    x, y = np.meshgrid(np.arange(16.0), np.arange(16.0))
+    relax_grid(np.dstack([x, y, 0.01 * x * y]))
+    for kind in (np.float32, np.float64, np.bool_):
+        halved_values(np.zeros((2, 2), kind))
     with suppress(ImportError):  # where it is installed, xarray loads it with the first array that stays in its file
         import_module("dask.array")
+    gc.freeze()
+    gc.enable()
 
 
 def _make(order: Mapping[str, Any], tell: Any) -> None:

@@ -86,6 +86,8 @@ class HeldMaps(MapSink):
 class StoredMaps(HeldMaps):
     """Maps in memory, and larger groups in a store at ``path``, with overviews.
 
+    Of what is read back, the first ``keep_bytes`` stay in memory: most maps are read several times.
+
     Raises
     ------
     FileError
@@ -94,10 +96,11 @@ class StoredMaps(HeldMaps):
         If the disk is full.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, keep_bytes: int = 0) -> None:
         super().__init__()
         self.path = path
         self.stored: list[str] = []  # names of the groups in the store, overviews among them
+        self._kept = _Kept(keep_bytes)
 
     def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
         """Add a tile of all maps of a group, and of its overviews."""
@@ -137,7 +140,7 @@ class StoredMaps(HeldMaps):
 
     def group(self, name: str) -> xr.Dataset:
         """A group of which all tiles were added."""
-        return stored_group(self.path, name) if name in self.stored else super().group(name)
+        return _stored_group(self.path, name, self._kept) if name in self.stored else super().group(name)
 
     def overviews(self) -> dict[str, xr.Dataset]:
         """Smaller copies of the groups in the store."""
@@ -152,6 +155,10 @@ def stored_group(path: Path, name: str) -> xr.Dataset:
     FileError
         If it is not there, or damaged; the latter also when a part is read.
     """
+    return _stored_group(path, name, _Kept(0))
+
+
+def _stored_group(path: Path, name: str, kept: _Kept) -> xr.Dataset:
     with readable(path):
         group = zarr.open_group(path, path=name, mode="r")
         coords: dict[str, Any] = {}
@@ -162,7 +169,7 @@ def stored_group(path: Path, name: str) -> xr.Dataset:
             attrs = {k: v for k, v in array.attrs.items() if k not in ("_FillValue", "coordinates")}
             beside |= {*str(array.attrs.get("coordinates", "")).split()}
             (coords if dims == (key,) else variables)[key] = xr.Variable(
-                dims, held(_Stored(path, array)) if array.ndim == 2 else array[...], attrs
+                dims, held(_Stored(path, array, kept)) if array.ndim == 2 else array[...], attrs
             )
         coords |= {key: variables.pop(key) for key in beside & variables.keys()}
         return xr.Dataset(variables, coords=coords, attrs=dict(group.attrs))
@@ -196,17 +203,35 @@ def _arrays(group: zarr.Group) -> list[tuple[str, Any]]:
     return [*group.arrays()]
 
 
+class _Kept:
+    """Parts of arrays of a store that were read, as long as there is room for them."""
+
+    def __init__(self, room_bytes: int) -> None:
+        self._room, self._parts = room_bytes, dict[Any, NDArray[Any]]()
+
+    def part(self, array: Any, where: Where) -> NDArray[Any]:
+        """A part of an array, which the caller may write to."""
+        key = (array.path, *((s.start, s.stop, s.step) for s in where))
+        if key in self._parts:
+            return self._parts[key].copy()
+        part = np.asarray(array[where])
+        if part.nbytes <= self._room:
+            self._room -= part.nbytes
+            self._parts[key] = part.copy()
+        return part
+
+
 class _Stored(LazyArray):
     """An array of a store, of which parts are read."""
 
-    def __init__(self, path: Path, array: Any) -> None:
-        self._path, self._array = path, array
+    def __init__(self, path: Path, array: Any, kept: _Kept) -> None:
+        self._path, self._array, self._kept = path, array, kept
         self.shape, self.dtype = array.shape, np.dtype(array.dtype)
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part."""
         with readable(self._path):
-            return np.asarray(self._array[where])
+            return self._kept.part(self._array, where)
 
 
 @contextmanager

@@ -38,6 +38,7 @@ from planish.study import LayerParams, Study, to_dict, write_study
 
 _NONE: Mapping[str, Layer] = {}
 _DEEP = 3  # edits/NAME/FILE of a run
+_KEPT = 0.03  # of the memory, for maps that are read back
 _PAGES = 5_000_000  # bytes of report.html and the tables
 
 
@@ -94,7 +95,9 @@ def run_study(
             for name in before:
                 progress("read", f"{name}, mapped before")
             mapped = dict(before)
-            sink = StoredMaps(work / f".{secrets.token_hex(4)}.partial") if len(study.layers) > 1 else None
+            keep_bytes = int(settled.memory * _KEPT)
+            partial = work / f".{secrets.token_hex(4)}.partial"
+            sink = StoredMaps(partial, keep_bytes=keep_bytes) if len(study.layers) > 1 else None
             try:
                 run = _done(
                     study,

@@ -162,8 +162,11 @@ class _Shown:
 
 @cache
 def report_template() -> Template:
-    """The template of the page, which takes a second to compile."""
-    return template("planish.report", "report.html.j2")
+    """The template of the page, which takes a second to compile together with its parts."""
+    found = template("planish.report", "report.html.j2")
+    for part in ("parts.html.j2", "style.css"):
+        found.environment.get_template(part)
+    return found
 
 
 def template(package: str, name: str) -> Template:

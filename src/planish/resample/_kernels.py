@@ -161,7 +161,7 @@ def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end)
     fine : int
         Sub-pixels per pixel and axis.
     out, share : (rows_out, cols_out)
-        ``out`` is NaN where less than half of the sub-pixels are known.
+        ``out`` is NaN where less than half of the sub-pixels are known; ``share`` may be empty.
     begin, end : int
         Rows of ``out`` to do.
     """
@@ -180,7 +180,8 @@ def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end)
                         total += value
                         known += 1
             out[y, x] = total / known if known > 0 and 2 * known >= fine * fine else np.nan
-            share[y, x] = known / (fine * fine)
+            if share.size:
+                share[y, x] = known / (fine * fine)
 
 
 @njit(cache=True, nogil=True)

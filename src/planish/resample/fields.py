@@ -37,7 +37,7 @@ def resample(field: NDArray[Any], places: Places) -> Array:
     SurfaceError
         The field does not have the mesh's shape.
     """
-    return _sampled(field, places)[0]
+    return _sampled(field, places, np.empty((0, 0)))
 
 
 def support(known: NDArray[np.bool_], places: Places) -> Array:
@@ -52,7 +52,9 @@ def support(known: NDArray[np.bool_], places: Places) -> Array:
     places : Places
         As for :func:`resample`.
     """
-    return _sampled(np.where(known, 0.0, np.nan), places)[1]
+    share = np.empty(places.shape)
+    _sampled(np.where(known, 0.0, np.nan), places, share)
+    return share
 
 
 def resample_labels(labels: NDArray[Label], places: Places, *, fill: int = 0) -> NDArray[Label]:
@@ -154,11 +156,11 @@ def _check_mesh(field: NDArray[Any], places: Places) -> None:
         )
 
 
-def _sampled(field: NDArray[Any], places: Places) -> tuple[Array, Array]:
-    """Values, and the share of each pixel that is known."""
+def _sampled(field: NDArray[Any], places: Places, share: Array) -> Array:
+    """Values; ``share`` is set to the share of each pixel that is known where it is not empty."""
     _check_mesh(field, places)
     nodes = np.ascontiguousarray(field, dtype=np.float64).reshape(-1)
-    out, share = np.empty(places.shape), np.empty(places.shape)
+    out = np.empty(places.shape)
 
     def band(begin: int, end: int) -> None:
         sample(
@@ -166,4 +168,4 @@ def _sampled(field: NDArray[Any], places: Places) -> tuple[Array, Array]:
         )
 
     each_band(band, out.shape[0])
-    return out, share
+    return out

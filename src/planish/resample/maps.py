@@ -205,7 +205,12 @@ def _of_mean(se: Array, attrs: dict[str, Any], pixel_um: float) -> Array:
     x = pixel_um / np.sqrt(float(attrs["patch_um2"]) / (2 * np.pi))
     share = np.sqrt(2 * np.pi) / x * special.erf(x / np.sqrt(2)) - 2 * -np.expm1(-0.5 * x * x) / x**2
     common = float(attrs["common_um"])
-    return np.sqrt(common**2 + np.maximum(se**2 - common**2, 0.0) * share**2)
+    found = se**2
+    found -= common**2
+    np.maximum(found, 0.0, out=found)
+    found *= share**2
+    found += common**2
+    return np.sqrt(found, out=found)
 
 
 def _in_volume(surfaces: xr.Dataset, known: NDArray[np.bool_]) -> dict[str, Any]:
