@@ -180,10 +180,10 @@ def stored(drawn: Path, folder: Path) -> None:
 
 
 SIZES = {
-    "fig-06": "full", "fig-07": "small", "fig-09": "full", "fig-11": "full", "flattening": "full", "design": "small",
+    "fig-06": "full", "fig-07": "full", "fig-09": "full", "fig-11": "full", "flattening": "full", "design": "full",
     "large": "full",
 }  # fmt: skip
-"""Of the specimens that docs/studies.md shows; six of Fig. 7 take long at their full size."""
+"""Of the specimens that docs/studies.md shows."""
 
 
 def studies(path: Path, folder: Path) -> None:
