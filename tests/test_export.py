@@ -246,7 +246,9 @@ def moved(linked_run, tmp_path, volume):
 @pytest.mark.study
 def test_a_volume_that_is_gone_is_named(linked_run, tmp_path):
     run = moved(linked_run, tmp_path, tmp_path / "gone.tif")
-    with pytest.raises(FileError, match=r"volume.tif of this run is needed, and .*gone.tif is not there. Put it back, or write where"):
+    with pytest.raises(
+        FileError, match=r"volume.tif of this run is needed, and .*gone.tif is not there. Put it back, or write where"
+    ):
         pl.export(run, tmp_path / "flat.tif", to="tiff", group="straightened")
 
 
