@@ -21,6 +21,7 @@ export class Artefacts {
   constructor(app, maps) {
     this.app = app;
     this.maps = maps;
+    this.shown = "";
     this.name = make("input", { type: "text", size: 14, maxlength: 60 });
     this.author = make("input", { type: "text", size: 14, maxlength: 100 });
     this.reason = make("input", { type: "text", size: 26, maxlength: 300 });
@@ -68,6 +69,9 @@ export class Artefacts {
 
   /** @param {any[]} regions */
   show(regions) {
+    const shown = JSON.stringify(regions);
+    if (shown === this.shown) return; // a button that is being pressed stays
+    this.shown = shown;
     this.maps.show(regions.map((one) => one.polygon));
     this.list.replaceChildren(
       ...regions.map((one) => {

@@ -366,12 +366,11 @@ class Tab {
 
   onState() {
     const kept = this.corrections();
-    this.list.replaceChildren(...kept.map((one) => this.row(one)));
     const shown = JSON.stringify(kept);
-    if (shown !== this.seen) {
-      this.seen = shown;
-      if (this.direction) void this.load();
-    }
+    if (shown === this.seen) return;
+    this.seen = shown;
+    this.list.replaceChildren(...kept.map((one) => this.row(one)));
+    if (this.direction) void this.load();
   }
 
   /** @param {any} one */

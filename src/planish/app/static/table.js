@@ -37,6 +37,8 @@ export class MarkTable {
     this.marks = [];
     /** @type {any} */
     this.chosen = null;
+    /** @type {Map<any, Row>} */
+    this.rows = new Map();
     this.heads = COLUMNS.map((column, i) =>
       make(
         "th",
@@ -93,61 +95,83 @@ export class MarkTable {
     });
   }
 
+  /** Rows stay in the page while their marks do: a row made anew between the press and the release of a button loses the click. */
   draw() {
-    const focused = /** @type {HTMLElement|null} */ (document.activeElement)?.dataset.key;
     this.typical = COLUMNS.map((column) => (column.error ? median(this.marks.filter((m) => m.used).map(column.value)) : 0));
     this.largest = COLUMNS.map((column) => (column.error ? Math.max(0, ...this.marks.map((m) => column.value(m) ?? 0)) : 0));
-    this.body.replaceChildren(...this.ordered.map((mark) => this.row(mark)));
-    if (focused) this.body.querySelector(`[data-key="${CSS.escape(focused)}"]`)?.focus();
-  }
-
-  /** @param {Mark} mark */
-  row(mark) {
-    const notes = this.notes?.get(mark.id) ?? [];
-    const used = make("input", {
-      type: "checkbox",
-      "aria-label": `Use ${mark.label}`,
-      "data-key": `use ${mark.id}`,
-      onchange: () => this.actions.use(mark, used.checked),
+    const rows = this.ordered.map((mark) => {
+      const row = this.rows.get(mark.id) ?? new Row(mark, this.actions);
+      row.show(mark, this.notes?.get(mark.id) ?? [], mark.id === this.chosen, (i) => [this.typical?.[i] ?? 0, this.largest?.[i] ?? 0]);
+      return row;
     });
-    used.checked = mark.used;
-    const label = make(
-      "button",
-      { type: "button", class: "plain", "data-key": `mark ${mark.id}`, onclick: () => this.actions.choose(mark.id) },
-      mark.label,
-    );
-    const row = make(
-      "tr",
-      { class: mark.used ? null : "unused", "aria-current": mark.id === this.chosen ? "true" : null },
-      make("td", {}, label),
-      make("td", {}, used),
-      ...COLUMNS.slice(2).map((column, k) => this.cell(column, mark, k + 2)),
-      make("td", { class: notes.length ? "warned" : null }, notes.join(" ")),
-    );
-    row.addEventListener("click", (/** @type {MouseEvent} */ event) => {
-      if (!(event.target instanceof HTMLInputElement) && !(event.target instanceof HTMLButtonElement)) {
-        this.actions.choose(mark.id);
-      }
-    });
-    return row;
-  }
-
-  /** @param {Column} column @param {Mark} mark @param {number} i */
-  cell(column, mark, i) {
-    const value = column.value(mark);
-    if (value === null || value === undefined) return make("td", { class: "n" }, "–");
-    const cell = make("td", { class: "n" }, value.toFixed(2));
-    if (!column.error || !this.largest?.[i]) return cell;
-    const times = value / (this.typical?.[i] || value);
-    cell.classList.add("error", times >= VERY_LARGE ? "very" : times >= LARGE ? "large" : "usual");
-    cell.style.setProperty("--share", `${(100 * value) / this.largest[i]}%`);
-    return cell;
+    this.rows = new Map(rows.map((row) => [row.mark.id, row]));
+    const elements = rows.map((row) => row.element);
+    if (elements.length === this.body.rows.length && elements.every((element, i) => element === this.body.rows[i])) return;
+    const focused = /** @type {HTMLElement|null} */ (document.activeElement);
+    const held = this.body.contains(focused);
+    this.body.replaceChildren(...elements);
+    if (held && focused?.isConnected) focused.focus();
   }
 
   /** Bring the chosen row into sight. */
   reveal() {
     this.body.querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
   }
+}
+
+/** A row of the table. */
+class Row {
+  /**
+   * @param {Mark} mark
+   * @param {{choose: (id: any) => void, use: (mark: Mark, used: boolean) => void}} actions
+   */
+  constructor(mark, actions) {
+    this.mark = mark;
+    this.used = make("input", { type: "checkbox", onchange: () => actions.use(this.mark, this.used.checked) });
+    this.label = make("button", { type: "button", class: "plain", onclick: () => actions.choose(this.mark.id) });
+    this.cells = COLUMNS.slice(2).map(() => make("td"));
+    this.note = make("td");
+    this.element = make("tr", {}, make("td", {}, this.label), make("td", {}, this.used), ...this.cells, this.note);
+    this.element.addEventListener("click", (/** @type {MouseEvent} */ event) => {
+      const own = event.target instanceof HTMLInputElement || event.target instanceof HTMLButtonElement;
+      if (!own) actions.choose(this.mark.id);
+    });
+  }
+
+  /**
+   * @param {Mark} mark
+   * @param {string[]} notes
+   * @param {boolean} chosen
+   * @param {(i: number) => [number, number]} errors typical and largest value of a column of errors
+   */
+  show(mark, notes, chosen, errors) {
+    this.mark = mark;
+    this.element.className = mark.used ? "" : "unused";
+    if (chosen) this.element.setAttribute("aria-current", "true");
+    else this.element.removeAttribute("aria-current");
+    written(this.label, mark.label);
+    this.used.setAttribute("aria-label", `Use ${mark.label}`);
+    this.used.checked = mark.used;
+    this.cells.forEach((cell, k) => this.cell(cell, COLUMNS[k + 2], errors(k + 2)));
+    written(this.note, notes.join(" "));
+    this.note.className = notes.length ? "warned" : "";
+  }
+
+  /** @param {HTMLElement} cell @param {Column} column @param {[number, number]} errors */
+  cell(cell, column, [typical, largest]) {
+    const value = column.value(this.mark) ?? null;
+    written(cell, value === null ? "–" : value.toFixed(2));
+    cell.className = "n";
+    if (value === null || !column.error || !largest) return;
+    const times = value / (typical || value);
+    cell.classList.add("error", times >= VERY_LARGE ? "very" : times >= LARGE ? "large" : "usual");
+    cell.style.setProperty("--share", `${(100 * value) / largest}%`);
+  }
+}
+
+/** Write a text where it is another. @param {HTMLElement} element @param {string} text */
+function written(element, text) {
+  if (element.textContent !== text) element.textContent = text;
 }
 
 /** @param {(number|null)[]} values */
