@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -35,7 +38,8 @@ CONTRAST = """() => {
     if (!node.textContent.trim() || !e.checkVisibility()) continue;
     if (e.closest(":disabled, .sr, .scale, noscript, option")) continue; // on a picture, unseen, or not to be used
     seen += 1;
-    const [a, b] = [light(over(rgb(getComputedStyle(e).color), behind(e))), light(behind(e))];
+    const ink = getComputedStyle(e)[e.namespaceURI.endsWith("svg") ? "fill" : "color"];
+    const [a, b] = [light(over(rgb(ink), behind(e))), light(behind(e))];
     const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
     if (ratio < 4.5) poor.push(`${node.textContent.trim().slice(0, 40)}: ${ratio.toFixed(2)}`);
   }
@@ -59,6 +63,39 @@ BROKEN = """() => {
 }"""
 
 
+TABS = {  # what a tab shows when it is ready
+    "Surfaces": ("img", "Slice"), "Maps": ("application", "Scatter"), "Flattening": ("img", "Sheet in space"),
+}  # fmt: skip
+
+
+def accessible(shown, *, controls):
+    """Every control has a name, every text its contrast, every step of the Tab key shows where it is."""
+    snapshot = shown.page.locator("body").aria_snapshot()
+    roles = re.findall(rf'^\s*- ({NAMED})\b(?: "([^"]*)")?', snapshot, flags=re.MULTILINE)
+    assert len(roles) > controls
+    assert [role for role, name in roles if not name.strip()] == []
+
+    broken = shown.page.evaluate(BROKEN)
+    assert broken["twice"] == broken["lost"] == []
+    assert broken["lang"] == "en"
+    assert shown.server.run.name in broken["title"]
+
+    contrast = shown.page.evaluate(CONTRAST)
+    assert contrast["seen"] > controls
+    assert contrast["poor"] == []
+
+    shown.role("tab", "Marks").focus()
+    found = []
+    for _ in range(120):
+        shown.page.keyboard.press("Tab")
+        focus = shown.page.evaluate(FOCUS)
+        if focus is None:
+            break
+        found.append(focus)
+    assert len(found) > 0.4 * controls, "Tab goes through the whole page"
+    assert [one["what"] for one in found if not one["seen"]] == []
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_names_roles_contrast_and_focus(serve, window, run_copy, scheme):
     shown = window(serve(run_copy), color_scheme=scheme)
@@ -66,34 +103,20 @@ def test_names_roles_contrast_and_focus(serve, window, run_copy, scheme):
     shown.role("button", rows[0][0]).click()
     shown.page.get_by_label(f"Use {rows[1][0]}", exact=True).uncheck()
     shown.page.get_by_label("View", exact=True).select_option("blend")
-
-    snapshot = shown.page.locator("body").aria_snapshot()
-    roles = re.findall(rf'^\s*- ({NAMED})\b(?: "([^"]*)")?', snapshot, flags=re.MULTILINE)
-    assert len(roles) > 40
-    assert [role for role, name in roles if not name.strip()] == []
-
-    broken = shown.page.evaluate(BROKEN)
-    assert broken["twice"] == broken["lost"] == []
-    assert broken["lang"] == "en"
-    assert run_copy.name in broken["title"]
-
-    contrast = shown.page.evaluate(CONTRAST)
-    assert contrast["seen"] > 60
-    assert contrast["poor"] == []
-
-    shown.role("tab", "Marks").focus()
-    found = []
-    for _ in range(80):
-        shown.page.keyboard.press("Tab")
-        focus = shown.page.evaluate(FOCUS)
-        if focus is None:
-            break
-        found.append(focus)
-    assert len(found) > 20, "Tab goes through the whole page"
-    assert [one["what"] for one in found if not one["seen"]] == []
+    accessible(shown, controls=50)
+    for tab, ready in TABS.items():
+        shown.role("tab", tab).click()
+        expect(shown.role(*ready)).to_be_visible()
+        shown.page.wait_for_timeout(500)  # values and histograms follow
+        accessible(shown, controls=10)
 
 
-@pytest.mark.parametrize(("width", "height"), [(390, 844), (683, 384), (1366, 768)], ids=["390", "200 %", "1366"])
+SMALL = pytest.mark.parametrize(
+    ("width", "height"), [(390, 844), (683, 384), (1366, 768)], ids=["390", "200 %", "1366"]
+)
+
+
+@SMALL
 def test_small_windows_scroll_one_way_only(serve, window, run_copy, width, height):
     shown = window(serve(run_copy), width=width, height=height)
     settled(shown)
@@ -107,6 +130,21 @@ def test_small_windows_scroll_one_way_only(serve, window, run_copy, width, heigh
     shown.click(VOLUME, 100.0, 120.0, 1.0)
     shown.click(IMAGE, 300.0, 320.0)
     expect(shown.role("table", "Marks").get_by_role("row")).to_have_count(7)
+
+
+@SMALL
+def test_every_tab_fits_small_windows(serve, window, run_copy, width, height):
+    shown = window(serve(run_copy), width=width, height=height)
+    settled(shown)
+    for tab, (role, name) in TABS.items():
+        shown.role("tab", tab).click()
+        picture = shown.role(role, name)
+        expect(picture).to_be_visible()
+        picture.scroll_into_view_if_needed()
+        box = picture.bounding_box()
+        assert box["width"] >= 250, tab
+        assert box["height"] >= 150, tab
+        assert shown.page.evaluate("document.documentElement.scrollWidth") <= width, tab
 
 
 def test_a_mark_is_corrected_and_applied_by_keys_alone(serve, window, run_copy):
@@ -155,24 +193,29 @@ def test_enter_sets_a_pair_at_the_crosses(serve, window, run_copy):
     assert ends(shown.rows())[-1] == pytest.approx([220, 260, 410, 380], abs=0.011)
 
 
-def test_first_time_user_corrects_a_mark_within_twelve_actions(serve, window, run_copy):
-    """What the screen says leads from an open run to a corrected mark and a new report; each line is an action."""
-    shown = window(serve(run_copy))  # 1: planish view, the line that the demo prints
+def test_first_time_user_corrects_a_mark_within_twelve_actions(serve, window, tmp_path):
+    """What the screen says leads from the demo to a corrected mark and a new report; each numbered line is an action."""
+    demo = [sys.executable, "-m", "planish", "demo", "--out", str(tmp_path / "first")]
+    said = subprocess.run(demo, capture_output=True, encoding="utf-8", check=True)  # 1: planish demo
+    (line,) = re.findall(r"planish view (\S+)", said.stdout + said.stderr)
+    run = tmp_path / "first" / "run"
+    assert Path(line) == run
+    shown = window(serve(run))  # 2: the line that it prints
     rows = settled(shown)
-    shown.role("columnheader", "Leave-one-out um").click()  # 2: the largest error first
-    shown.page.locator("tbody tr").first.get_by_role("button").click()  # 3: look at that mark
-    shown.role("application", IMAGE).press("+")  # 4
-    shown.role("application", IMAGE).press("ArrowRight")  # 5: nudge it
-    shown.role("button", "Snap").click()  # 6: let the hole decide
+    shown.role("columnheader", "Leave-one-out um").click()  # 3: the largest error first
+    shown.page.locator("tbody tr").first.get_by_role("button").click()  # 4: look at that mark
+    shown.role("application", IMAGE).press("+")  # 5
+    shown.role("application", IMAGE).press("ArrowRight")  # 6: nudge it
+    shown.role("button", "Snap").click()  # 7: let the hole decide
     expect(message(shown)).to_contain_text("snapped")
-    shown.role("button", "Apply").click()  # 7
+    shown.role("button", "Apply").click()  # 8
     link = shown.page.get_by_role("link", name=re.compile("report"))
     expect_long(link)
     with shown.page.context.expect_page() as opened:
-        link.click()  # 8
+        link.click()  # 9
     expect(opened.value.get_by_role("heading", level=1)).to_be_visible()
     assert len(rows) == len(shown.rows())
-    assert (run_copy.with_name("run-2") / "report.html").is_file()
+    assert (run.with_name("run-2") / "report.html").is_file()
 
 
 def test_cancel_leaves_nothing(serve, window, run_copy):
