@@ -5,11 +5,12 @@
 
 import { extentOf, stripOf } from "./sheetmesh.js";
 
-const FRAME_MS = 80; // a turning frame takes no longer
+const FRAME_MS = 70; // a turning frame is meant to take no longer; 100 is the limit
 const STILL_MS = 150; // after the last move
 const MOST = 1_000_000; // triangles in full detail
 const STRIP = 20_000; // triangles drawn between two looks at the clock
 const FIRST = 20_000; // triangles of the first frame, when no time is known yet
+const SIZES = 12; // of frames whose times are kept
 
 export class Relief {
   /**
@@ -34,7 +35,8 @@ export class Relief {
     this.controls = new Orbit(this.camera, canvas);
     this.controls.addEventListener("change", () => this.moved());
     this.meshes = new Map(); // level -> {meshes, triangles, step}
-    this.times = []; // of the last frames: [triangles, milliseconds]
+    this.times = new Map(); // of frames by their triangles: the slower of the last two, and the last, in ms
+    this.last = null;
     this.height = 1;
     this.drawn = { triangles: 0, milliseconds: 0, full: false };
     this.still = 0;
@@ -124,17 +126,22 @@ export class Relief {
     this.canvas.dataset.detail = "turning";
   }
 
-  /** How many triangles the next frame has time for: a frame takes a while in any case, and longer with each of them. */
+  /**
+   * How many triangles the next frame has time for: by a line through the times of all sizes of frame that were drawn,
+   * which holds what a frame takes in any case; where one size is known, in proportion to it.
+   */
   allowed() {
-    if (!this.times.length) return FIRST;
-    const [last, lasted] = this.times.at(-1);
-    const n = this.times.length;
-    const [x, y] = [0, 1].map((k) => this.times.reduce((sum, one) => sum + one[k], 0) / n);
-    const [xx, xy] = [0, 1].map((k) => this.times.reduce((sum, one) => sum + (one[0] - x) * (one[k] - [x, y][k]), 0));
-    const each = xx > 0 ? Math.max(xy / xx, 0) : 0;
-    const fits = each > 0 ? (FRAME_MS - (y - each * x)) / each : Infinity;
-    // No more than four times the last frame, and less than it where that one was too long.
-    return Math.min(MOST, fits, lasted > FRAME_MS ? (0.8 * last * FRAME_MS) / lasted : Math.max(FIRST, 4.5 * last));
+    if (!this.last) return FIRST;
+    const known = [...this.times].map(([size, [lasted]]) => [size, lasted]);
+    const n = known.length;
+    const [x, y] = [0, 1].map((k) => known.reduce((sum, one) => sum + one[k], 0) / n);
+    const [xx, xy] = [0, 1].map((k) => known.reduce((sum, one) => sum + (one[0] - x) * (one[k] - [x, y][k]), 0));
+    const each = n > 1 ? Math.max(xy / xx, 0) : y / x;
+    const fits = each > 0 ? x + (FRAME_MS - y) / each : MOST;
+    const { triangles, milliseconds } = this.last;
+    // No more than some four times the last frame, and less than it where that one was too long.
+    const near = milliseconds > FRAME_MS ? (0.8 * triangles * FRAME_MS) / milliseconds : Math.max(FIRST, 4.5 * triangles);
+    return Math.min(MOST, fits, near);
   }
 
   draw(meshes) {
@@ -146,7 +153,12 @@ export class Relief {
     const gl = this.renderer.getContext();
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
     const milliseconds = performance.now() - begin;
-    this.times = [...this.times.slice(-11), [triangles, milliseconds]];
+    this.last = { triangles, milliseconds };
+    // Of each size the slower of its last two: one quick frame does not say that the next will be quick.
+    const [, before] = this.times.get(triangles) ?? [0, 0];
+    this.times.delete(triangles);
+    this.times.set(triangles, [Math.max(milliseconds, before), milliseconds]);
+    if (this.times.size > SIZES) this.times.delete(this.times.keys().next().value);
     this.drawn = { triangles, milliseconds, full: this.drawn.full };
     Object.assign(this.canvas.dataset, { triangles, milliseconds: milliseconds.toFixed(1) });
   }
