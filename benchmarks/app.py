@@ -1,4 +1,4 @@
-"""The app with two layers of 14 592 x 10 944: first view, full zoom, brush to repaint, r of a region, memory.
+"""The app with two layers of 14 592 x 10 944: first view, clicks, full zoom, brush to repaint, r of a region, memory.
 
     python -m benchmarks app [--folder DIR] [--rows 10944] [--cols 14592]
 
@@ -34,6 +34,8 @@ from planish.pipeline import link
 PIXEL_UM = 1.37
 _SMALL = 900  # pixels a side of the images of which the run is made that is then given large maps
 _REPEATS = 5
+_FREE = 4  # pairs from which on every model has a residual
+_TABLE = "table[aria-label=Marks]"
 _SIDE, _MAPS = ("Image side",), ("Left map", "Right map")
 
 
@@ -91,6 +93,7 @@ def measure(run: Path) -> None:
     """Serve the run and print the times."""
     from playwright.sync_api import sync_playwright
 
+    shutil.rmtree(run / "edits", ignore_errors=True)  # marks of the last time
     command = [sys.executable, "-m", "planish", "view", str(run), "--json", "--no-browser"]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
@@ -101,6 +104,7 @@ def measure(run: Path) -> None:
             browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
             page = browser.new_page(viewport={"width": 1366, "height": 768})
             _say("first view of the page", _times(page, _SIDE, 1, lambda: _open(page, url)))
+            clicks(page)
             maps = page.get_by_role("tab", name="Maps", exact=True)
             _say("first view of the maps", _times(page, _MAPS, 1, maps.click))
             page.get_by_text(re.compile("Scatter of [0-9]+ points")).wait_for(timeout=120_000)
@@ -121,6 +125,83 @@ def measure(run: Path) -> None:
         server.wait()
 
 
+def clicks(page: Any) -> None:
+    """Set thirty marks by hand, and say how long each click took to be seen as a residual."""
+    page.evaluate(_WATCH)
+    page.get_by_label("Move views together").uncheck()
+    for view in ("Volume side", "Image side"):
+        _set(page, f"{view}, um per screen pixel", "5")
+    rng = np.random.default_rng(2)
+    places = iter(rng.permutation([(x, y) for x in range(2500, 17500, 1900) for y in range(2300, 12500, 1700)]))
+    model = page.get_by_label("Model", exact=True)
+    for name, count in (("similarity", 15), ("affine", 15), ("auto", _REPEATS), ("tps", _REPEATS)):
+        model.select_option(name)
+        page.wait_for_timeout(500)
+        shown, followed = [], []
+        for _ in range(count):
+            at = next(places) + rng.uniform(-200, 200, 2)
+            for view, (x, y) in (("Volume side", at), ("Image side", at + rng.normal(scale=3, size=2))):
+                _set(page, f"{view} centre, um", f"{x:.2f}, {y:.2f}")
+                _until(page, "!document.querySelector('[aria-busy=true]')")
+                _click(page, view)
+            if page.locator(f"{_TABLE} tbody tr").count() < _FREE:
+                page.wait_for_timeout(500)
+                continue
+            _until(page, "clicked.rows && (!clicked.follows || clicked.followed)")
+            page.wait_for_timeout(300)
+            found = page.evaluate("clicked")
+            shown.append(found["rows"])
+            followed.append(found["followed"])
+        _say(f"click to residuals, {name}", [ms / 1000 for ms in shown], digits=3)
+        if any(followed):
+            _say(f"... {name} itself", [ms / 1000 for ms in followed], digits=3)
+    print(f"{page.locator(f'{_TABLE} tbody tr').count()} marks")
+
+
+def _until(page: Any, truth: str) -> None:
+    """Wait until an expression is true; the content policy forbids the wait of playwright."""
+    end = time.perf_counter() + 30
+    while not page.evaluate(truth):
+        if time.perf_counter() > end:
+            raise TimeoutError(f"not true after 30 s: {truth}")
+        time.sleep(0.005)
+
+
+def _click(page: Any, view: str) -> None:
+    box = page.get_by_role("application", name=view, exact=True).bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+
+
+# Milliseconds from the last click to the frame after the table had another row or residual, and to the one after the
+# chosen model's own fit was there.
+_WATCH = """() => {
+  window.clicked = {};
+  let begun = 0;
+  const table = document.querySelector("table[aria-label=Marks] tbody");
+  const text = () => [...table.rows].map((row) => row.cells[6].textContent).join();
+  const painted = (then) => requestAnimationFrame(() => setTimeout(then));
+  let before = "";
+  window.addEventListener("click", (event) => {
+    if (!event.target.closest("[role=application]")) return;
+    before = text();
+    begun = event.timeStamp;
+    window.clicked = { rows: 0, followed: 0, follows: false };
+  }, true);
+  new MutationObserver(() => {
+    const now = text();
+    if (!begun || now === before || now.endsWith("\u2013")) return;
+    before = now;
+    const { clicked } = window;
+    clicked.follows = document.querySelector(".fit").textContent.includes("follows");
+    painted(() => {
+      const ms = performance.now() - begun;
+      if (!clicked.rows) clicked.rows = ms;
+      else clicked.followed = ms;
+    });
+  }).observe(document.querySelector("#panel-marks"), { childList: true, characterData: true, subtree: true });
+}"""
+
+
 def _times(page: Any, names: tuple[str, ...], count: int, act: Callable[[], None]) -> list[float]:
     """Seconds from each of some acts until the views show something else and load nothing any more."""
     found: list[float] = []
@@ -132,8 +213,8 @@ def _times(page: Any, names: tuple[str, ...], count: int, act: Callable[[], None
     return found
 
 
-def _say(what: str, seconds: list[float]) -> None:
-    print(f"{what}: {', '.join(f'{one:.2f}' for one in seconds)} s (load {os.getloadavg()[0]:.1f})", flush=True)
+def _say(what: str, seconds: list[float], *, digits: int = 2) -> None:
+    print(f"{what}: {', '.join(f'{one:.{digits}f}' for one in seconds)} s (load {os.getloadavg()[0]:.1f})", flush=True)
 
 
 def _set(page: Any, label: str, text: str) -> None:

@@ -77,7 +77,7 @@ class Fitted:
     def message(self) -> str:
         """How well the marks agree, and which stand out, in a sentence."""
         out = np.flatnonzero(self.named)
-        if out.size:
+        if out.size and np.isfinite(self.leave_one_out_um[out]).all():  # else there is no fit, and the error says why
             far = np.argsort(-self.leave_one_out_um[out], kind="stable")
             names = _and([self.labels[int(k)] for k in out[far]])
             off = _and([f"{self.leave_one_out_um[k]:.0f}" for k in out[far]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from typing import Any
 
 from planish.app.changes import Mark
@@ -12,6 +13,8 @@ from planish.app.session import Plane, Session
 
 WAIT_S = 0.03
 """An answer waits so long for a fit that takes longer."""
+REST_S = 0.05
+"""What only adds warnings to residuals that are shown waits so long: it does not slow down their way to the screen."""
 
 _log = logging.getLogger("planish.app")
 
@@ -73,6 +76,11 @@ class Live:
                     self._thread = None
                     return
                 layer, (key, marks, model) = self._wanted.popitem()
+            if model in QUICK:
+                time.sleep(REST_S)
+                with self._lock:
+                    if self._known(layer, key) is None:  # something else was clicked meanwhile
+                        continue
             try:
                 found = self._fitted(layer, marks, model, quick=False)
             except Exception:  # noqa: BLE001  it is in the log, and the quick fit stays

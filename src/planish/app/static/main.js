@@ -183,7 +183,7 @@ function followServer(api, app) {
   let lost = false;
   return api.follow({
     onNews: (line) => {
-      if (line.version > app.state.version) void app.refresh().catch(() => {});
+      void app.heard(line.version).catch(() => {});
       app.news?.(line);
     },
     onLost: (status) => {

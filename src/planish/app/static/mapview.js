@@ -165,8 +165,10 @@ export class MapView {
     const read = () => {
       const values = numbers(field.value, count);
       field.setAttribute("aria-invalid", String(!values));
-      if (values) use(values);
-      else this.app.say(needed);
+      if (values) {
+        use(values);
+        this.map.renderSync(); // a click that follows at once means what is seen now
+      } else this.app.say(needed);
     };
     field.addEventListener("change", read);
     field.addEventListener("keydown", (event) => event.key === "Enter" && read());

@@ -2,6 +2,9 @@
 
 import { written } from "./dom.js";
 
+/** The pointer rests so long before the server is asked: a click is answered first. */
+const REST_MS = 40;
+
 const NAMES = { moving: "Volume side", fixed: "Image side" };
 
 export class Prediction {
@@ -51,7 +54,11 @@ export class Prediction {
   async ask() {
     this.busy = true;
     while (this.wanted) {
-      const { side, point } = this.wanted;
+      const { wanted } = this;
+      await new Promise((done) => setTimeout(done, REST_MS));
+      await this.app.queue;
+      if (wanted !== this.wanted) continue;
+      const { side, point } = wanted;
       this.wanted = null;
       const there = side === "moving" ? "fixed" : "moving";
       const query = new URLSearchParams({ x: String(point[0]), y: String(point[1]) });
@@ -78,7 +85,8 @@ export class Prediction {
 function valuesAt(here, picture) {
   if (!here) return [];
   const own = here.values.find((/** @type {any} */ one) => one.id === picture.id);
-  const text = () => `${picture.title} ${Number(own.value.toPrecision(4))} ${own.units ?? ""}`.trim();
+  const units = own?.units === "1" ? "" : (own?.units ?? "");
+  const text = () => `${picture.title} ${Number(own.value.toPrecision(4))} ${units}`.trim();
   const { volume } = here;
   return [...(typeof own?.value === "number" ? [text()] : []), ...(volume ? [`volume x, y, z: ${written([volume.x, volume.y, volume.z])} um`] : [])];
 }

@@ -84,6 +84,12 @@ export class Store {
     this.setState(state);
   }
 
+  /** The server has another version: it is taken, where it is not this window's own write that led to it. @param {number} version */
+  async heard(version) {
+    await this.queue;
+    if (version > this.state.version) await this.refresh();
+  }
+
   /**
    * Change the session; what is to be changed is asked when all earlier changes are done.
    * @param {object|((state: State) => object|null)} change
