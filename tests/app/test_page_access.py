@@ -194,7 +194,7 @@ def test_enter_sets_a_pair_at_the_crosses(serve, window, run_copy):
 
 
 def test_first_time_user_corrects_a_mark_within_twelve_actions(serve, window, tmp_path):
-    """What the screen says leads from the demo to a corrected mark and a new report; each numbered line is an action."""
+    """What the screen says leads from the demo to a corrected mark and a new report; each number is an action."""
     demo = [sys.executable, "-m", "planish", "demo", "--out", str(tmp_path / "first")]
     said = subprocess.run(demo, capture_output=True, encoding="utf-8", check=True)  # 1: planish demo
     (line,) = re.findall(r"planish view (\S+)", said.stdout + said.stderr)

@@ -238,6 +238,12 @@ def test_wrong_metadata_of_a_store(tmp_path: Path, old: str, new: str, words: st
         read_volume(path)
 
 
+def test_chunks_of_blosc_with_a_checksum_behind_it_are_read(tmp_path):
+    codecs = [zarr.codecs.BloscCodec(cname="lz4"), zarr.codecs.Crc32cCodec()]
+    zarr.create_array(str(tmp_path / "v.zarr"), data=VALUES, chunks=(4, 8, 8), compressors=codecs)
+    np.testing.assert_array_equal(read_volume(tmp_path / "v.zarr", voxel_um=2).values, VALUES)
+
+
 def test_plain_arrays_and_empty_chunks(tmp_path: Path) -> None:
     values = VALUES.copy()
     values[:4, :8, :8] = 0  # left out when it is written

@@ -174,7 +174,7 @@ def test_a_damaged_store_is_named(tmp_path):
     ("whole", "damaged"),
     [
         ('"chunk_shape": [', '"chunk_shape": [1e-320, '),
-        ('"level": 1', '"levelx": 1'),
+        ('"clevel": 1', '"clevelx": 1'),
         ('"fill_value"', '"fill_value": 7, "x"'),
         ('"metadata": {', '"metadata": null, "x": {'),
         ('"attributes"', "(" * 200_000 + '"attributes"'),

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 import zarr
 from numpy.typing import NDArray
-from zarr.codecs import ZstdCodec
+from zarr.codecs import BloscCodec, Crc32cCodec
 
 from planish.core.errors import FileError, PlanishError
 from planish.core.files import writing
@@ -27,11 +27,12 @@ OVERVIEWS = "overviews"  # group of a store with smaller copies of its maps, whi
 LARGE = 2**29
 """Bytes of a group of maps from which on it stays in its store and is read part by part."""
 
-CODEC = ZstdCodec(level=1, checksum=True)
-"""Maps hold noise: a higher level takes half as long again and saves nothing. The sum tells a damaged chunk."""
+CODECS = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
+"""Maps hold noise: with their bytes sorted by weight they take a fifth less room than by zstd, in a fifth of the time.
+The sum tells a damaged chunk."""
 
 _MOST_WORDS = 160  # letters of a reason: some hold the whole file
-_TILE = (1024, 4096)  # whole chunks, also of the first overview
+_TILE = (1024, 2048)  # whole chunks, also of the first overview
 
 
 def map_tiles(shape: tuple[int, int]) -> list[Tile]:
@@ -123,7 +124,7 @@ class StoredMaps(HeldMaps):
         group.attrs.update(_plain(maps.attrs))
         for axis, values, attrs in _coords(grid, maps).values():
             made = group.create_array(
-                axis, shape=values.shape, dtype=values.dtype, dimension_names=(axis,), compressors=(CODEC,),
+                axis, shape=values.shape, dtype=values.dtype, dimension_names=(axis,), compressors=CODECS,
                 attributes=_plain(attrs),
             )  # fmt: skip
             made[:] = values
@@ -131,7 +132,7 @@ class StoredMaps(HeldMaps):
         for key, data in maps.data_vars.items():
             arrays[str(key)] = group.create_array(
                 str(key), shape=grid.shape, dtype=data.dtype, chunks=(min(grid.shape[0], CHUNK),
-                min(grid.shape[1], CHUNK)), compressors=(CODEC,),
+                min(grid.shape[1], CHUNK)), compressors=CODECS,
                 fill_value=np.nan if data.dtype.kind == "f" else 0, dimension_names=[str(d) for d in data.dims],
                 attributes=_plain(data.attrs), config={"write_empty_chunks": True},
             )  # fmt: skip

@@ -24,7 +24,7 @@ from zarr.errors import ZarrUserWarning
 from planish.core.errors import FileError
 from planish.core.files import DiskFull, delete, disk_full, move, writing
 from planish.core.names import check_length, check_name
-from planish.io.map_store import CHUNK, CODEC, COMPLETE, OVERVIEWS, is_large, large_groups, readable, stored_group
+from planish.io.map_store import CHUNK, CODECS, COMPLETE, OVERVIEWS, is_large, large_groups, readable, stored_group
 
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
 _METADATA = "zarr.json"
@@ -220,7 +220,7 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     """
     root = xr.Dataset(attrs={COMPLETE: True})
     tree = xr.DataTree.from_dict({"/": root} | {f"/{name}": data for name, data in groups.items()})
-    codec = {"compressors": (CODEC,)}
+    codec = {"compressors": CODECS}
     encoding = {
         f"/{name}": {
             str(key): codec | ({"chunks": tuple(min(n, CHUNK) for n in values.shape)} if values.ndim > 1 else {})

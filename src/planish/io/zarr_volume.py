@@ -77,8 +77,9 @@ class ZarrArray(FileArray):
         array = _open_node(self.path, self.name)
         if tuple(array.shape) != self.shape:
             raise FileError(f"{self.path.name} was changed while planish read it. Start again.")
-        # In shards, a checksum guards the chunks.
-        if array.shards is None and any("blosc" in type(codec).__name__.casefold() for codec in array.compressors):
+        # In shards, and behind other codecs, a checksum guards the chunks.
+        codecs = [type(codec).__name__.casefold() for codec in array.compressors]
+        if array.shards is None and codecs and "blosc" in codecs[-1]:
             _check_blosc(array, where, self.path / self.name, self.path)
         return np.asarray(array[where], self.dtype)
 

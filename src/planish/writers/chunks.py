@@ -13,18 +13,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import google_crc32c
 import imagecodecs
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.bands import BAND
 
+_SUM = 4  # bytes at the end of a chunk
 _DECODED = {"_FillValue", "scale_factor", "add_offset", "dtype"}  # attributes with which values are not as they stand
 
 
 @dataclass(frozen=True, slots=True)
 class Chunks:
-    """Chunks of an array (rows, cols) in a zarr store: of so many columns, as high as a band, packed by zstd alone."""
+    """Chunks of an array (rows, cols) in a zarr store: of so many columns, as high as a band, packed as maps are."""
 
     folder: Path
     shape: tuple[int, int]
@@ -39,7 +41,7 @@ class Chunks:
         order = about["codecs"][0].get("configuration", {}).get("endian", "little")
         keys = about["chunk_key_encoding"]
         plain = (
-            codecs == ["bytes", "zstd"]
+            codecs == ["bytes", "blosc", "crc32c"]
             and order == "little"
             and about["chunk_grid"]["name"] == "regular"
             and (keys["name"], keys.get("configuration", {}).get("separator", "/")) == ("default", "/")
@@ -72,7 +74,9 @@ class Chunks:
     def _read(self, row: int, col: int, into: NDArray[Any]) -> None:
         block = np.empty((BAND, self.wide), self.dtype)
         packed = (self.folder / "c" / str(row) / str(col)).read_bytes()
-        found = imagecodecs.zstd_decode(packed, out=block.reshape(-1).view(np.uint8).data)
+        if google_crc32c.value(packed[:-_SUM]) != int.from_bytes(packed[-_SUM:], "little"):
+            raise ValueError(f"a chunk of {len(packed)} bytes does not have the sum that was written with it")
+        found = imagecodecs.blosc_decode(packed[:-_SUM], numthreads=1, out=block.reshape(-1).view(np.uint8).data)
         if len(found) != block.nbytes:
             raise ValueError(f"{len(found)} bytes in a chunk of {block.nbytes}")
         into[...] = block[: into.shape[0], : into.shape[1]]
