@@ -117,6 +117,7 @@ function onTab(listener) {
 /** @param {any} app */
 function mountTabs(app) {
   shared = app;
+  onTab(() => app.say(app.did));
   const tabs = /** @type {HTMLButtonElement[]} */ ([...document.querySelectorAll("[role=tab]")]);
   tabs.forEach((tab, i) => {
     tab.disabled = false; // until now a click would have been lost

@@ -38,12 +38,13 @@ export class Store {
   }
 
   /**
-   * Say what was done; what the fit has to say of the marks stands behind it.
+   * Say what was done; where marks are seen, what the fit has to say of them stands behind it.
    * @param {string} text
    */
   say(text) {
     this.did = text;
-    this.lines.message([text, this.state.message].filter(Boolean).join(" "));
+    const ofMarks = document.body.dataset.tab === "marks" ? this.state.message : "";
+    this.lines.message([text, ofMarks].filter(Boolean).join(" "));
   }
 
   /** Show another registration. @param {string} layer */
