@@ -16,7 +16,8 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -89,8 +90,9 @@ def _maps(tile: Tile, grid: Grid, k: int, rng: np.random.Generator) -> xr.Datase
     return xr.Dataset(found, coords=part.coords)
 
 
-def measure(run: Path) -> None:
-    """Serve the run and print the times."""
+@contextmanager
+def opened(run: Path) -> Generator[tuple[Any, str, int]]:
+    """An empty page of a browser, the address of a run in the app, and the process that serves it."""
     from playwright.sync_api import sync_playwright
 
     shutil.rmtree(run / "edits", ignore_errors=True)  # marks of the last time
@@ -102,32 +104,37 @@ def measure(run: Path) -> None:
         path = os.environ.get("PLANISH_CHROMIUM") or shutil.which("chromium") or "/usr/bin/chromium"
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
-            page = browser.new_page(viewport={"width": 1366, "height": 768})
-            _say("first view of the page", _times(page, _SIDE, 1, lambda: _open(page, url)))
-            clicks(page)
-            maps = page.get_by_role("tab", name="Maps", exact=True)
-            _say("first view of the maps", _times(page, _MAPS, 1, maps.click))
-            page.get_by_text(re.compile("Scatter of [0-9]+ points")).wait_for(timeout=120_000)
-            spots = iter(np.random.default_rng(1).uniform(3000, 11000, (_REPEATS, 2)).round().tolist())
-            _say("jump to full zoom, both maps", _times(page, _MAPS, _REPEATS, lambda: _jump(page, *next(spots))))
-            ranges = iter([f"{100 + k}, {130 + k}" for k in range(_REPEATS)])
-            brush = "Brush one/image"
-            _say("brush to repaint, both maps", _times(page, _MAPS, _REPEATS, lambda: _set(page, brush, next(ranges))))
-            page.get_by_role("button", name="Clear selection").click()
-            begun = time.perf_counter()
-            _set(page, "Region, um", "2000, 2000, 6000, 5000")
-            page.get_by_text(re.compile(r"^n \d+; r ")).wait_for(timeout=120_000)
-            print(f"r of a region of 4 x 3 mm at full resolution: {time.perf_counter() - begun:.2f} s")
+            yield browser.new_page(viewport={"width": 1366, "height": 768}), url, server.pid
             browser.close()
-        print(f"peak memory of the server: {_peak(server.pid) / 1e6:.0f} MB; load {os.getloadavg()[0]:.1f}")
     finally:
         server.terminate()
         server.wait()
 
 
+def measure(run: Path) -> None:
+    """Serve the run and print the times."""
+    with opened(run) as (page, url, server):
+        say("first view of the page", _times(page, _SIDE, 1, lambda: page.goto(url)))
+        clicks(page)
+        maps = page.get_by_role("tab", name="Maps", exact=True)
+        say("first view of the maps", _times(page, _MAPS, 1, maps.click))
+        page.get_by_text(re.compile("Scatter of [0-9]+ points")).wait_for(timeout=120_000)
+        spots = iter(np.random.default_rng(1).uniform(3000, 11000, (_REPEATS, 2)).round().tolist())
+        say("jump to full zoom, both maps", _times(page, _MAPS, _REPEATS, lambda: _jump(page, *next(spots))))
+        ranges = iter([f"{100 + k}, {130 + k}" for k in range(_REPEATS)])
+        brush = "Brush one/image"
+        say("brush to repaint, both maps", _times(page, _MAPS, _REPEATS, lambda: _set(page, brush, next(ranges))))
+        page.get_by_role("button", name="Clear selection").click()
+        begun = time.perf_counter()
+        _set(page, "Region, um", "2000, 2000, 6000, 5000")
+        page.get_by_text(re.compile(r"^n \d+; r ")).wait_for(timeout=120_000)
+        print(f"r of a region of 4 x 3 mm at full resolution: {time.perf_counter() - begun:.2f} s")
+        print(f"peak memory of the server: {_peak(server) / 1e6:.0f} MB; load {os.getloadavg()[0]:.1f}")
+
+
 def clicks(page: Any) -> None:
     """Set thirty marks by hand, and say how long each click took to be seen as a residual."""
-    page.evaluate(_WATCH)
+    page.evaluate(WATCH)
     page.get_by_label("Move views together").uncheck()
     for view in ("Volume side", "Image side"):
         _set(page, f"{view}, um per screen pixel", "5")
@@ -142,23 +149,23 @@ def clicks(page: Any) -> None:
             at = next(places) + rng.uniform(-200, 200, 2)
             for view, (x, y) in (("Volume side", at), ("Image side", at + rng.normal(scale=3, size=2))):
                 _set(page, f"{view} centre, um", f"{x:.2f}, {y:.2f}")
-                _until(page, "!document.querySelector('[aria-busy=true]')")
+                until(page, "!document.querySelector('[aria-busy=true]')")
                 _click(page, view)
             if page.locator(f"{_TABLE} tbody tr").count() < _FREE:
                 page.wait_for_timeout(500)
                 continue
-            _until(page, "clicked.rows && (!clicked.follows || clicked.followed)")
+            until(page, "clicked.rows && (!clicked.follows || clicked.followed)")
             page.wait_for_timeout(300)
             found = page.evaluate("clicked")
             shown.append(found["rows"])
             followed.append(found["followed"])
-        _say(f"click to residuals, {name}", [ms / 1000 for ms in shown], digits=3)
+        say(f"click to residuals, {name}", [ms / 1000 for ms in shown], digits=3)
         if any(followed):
-            _say(f"... {name} itself", [ms / 1000 for ms in followed], digits=3)
+            say(f"... {name} itself", [ms / 1000 for ms in followed], digits=3)
     print(f"{page.locator(f'{_TABLE} tbody tr').count()} marks")
 
 
-def _until(page: Any, truth: str) -> None:
+def until(page: Any, truth: str) -> None:
     """Wait until an expression is true; the content policy forbids the wait of playwright."""
     end = time.perf_counter() + 30
     while not page.evaluate(truth):
@@ -174,7 +181,7 @@ def _click(page: Any, view: str) -> None:
 
 # Milliseconds from the last click to the frame after the table had another row or residual, and to the one after the
 # chosen model's own fit was there.
-_WATCH = """() => {
+WATCH = """() => {
   window.clicked = {};
   let begun = 0;
   const table = document.querySelector("table[aria-label=Marks] tbody");
@@ -182,7 +189,7 @@ _WATCH = """() => {
   const painted = (then) => requestAnimationFrame(() => setTimeout(then));
   let before = "";
   window.addEventListener("click", (event) => {
-    if (!event.target.closest("[role=application]")) return;
+    if (!event.target.closest("[role=application], tbody")) return;
     before = text();
     begun = event.timeStamp;
     window.clicked = { rows: 0, followed: 0, follows: false };
@@ -213,7 +220,7 @@ def _times(page: Any, names: tuple[str, ...], count: int, act: Callable[[], None
     return found
 
 
-def _say(what: str, seconds: list[float], *, digits: int = 2) -> None:
+def say(what: str, seconds: list[float], *, digits: int = 2) -> None:
     print(f"{what}: {', '.join(f'{one:.{digits}f}' for one in seconds)} s (load {os.getloadavg()[0]:.1f})", flush=True)
 
 
@@ -221,10 +228,6 @@ def _set(page: Any, label: str, text: str) -> None:
     field = page.get_by_label(label, exact=True)
     field.fill(text)
     field.press("Enter")
-
-
-def _open(page: Any, url: str) -> None:
-    page.goto(url)
 
 
 def _jump(page: Any, x_um: float, y_um: float) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import resource
 import shutil
 import statistics
@@ -19,6 +20,7 @@ import sys
 import time
 from pathlib import Path
 
+from benchmarks.app import WATCH, opened, until
 from benchmarks.large_image import specimen
 from benchmarks.size import folder_for
 from planish.app.changes import change_of
@@ -88,6 +90,30 @@ def measure(run: Path) -> None:
     print(f"  {len(clicks)} clicks on {image.source.name} meanwhile: median {usual:.0f} ms, longest {longest:.0f} ms")
     if end.run is not None:
         shutil.rmtree(end.run)
+    shutil.rmtree(run / "edits")
+    in_browser(run)
+
+
+def in_browser(run: Path) -> None:
+    """Apply in a browser, and exclude and include a mark meanwhile: how long each click takes to be seen."""
+    with opened(run) as (page, url, _):
+        page.goto(url)
+        boxes = page.locator("table[aria-label=Marks] tbody input")
+        boxes.first.click()
+        page.wait_for_timeout(9000)  # until the process waits that will make the run
+        page.evaluate(WATCH)
+        page.get_by_role("button", name="Apply", exact=True).click()
+        found: list[float] = []
+        report = page.get_by_role("link", name=re.compile("report"))
+        while not report.count():
+            boxes.nth(1).click()
+            until(page, "clicked.rows")
+            found.append(page.evaluate("clicked")["rows"])
+            page.wait_for_timeout(300)
+    usual, longest, load = statistics.median(found), max(found), os.getloadavg()[0]
+    print(f"  {len(found)} clicks in the browser: median {usual:.0f} ms to the screen, longest {longest:.0f} ms; "
+          f"load {load:.1f}", flush=True)  # fmt: skip
+    shutil.rmtree(run.with_name(f"{run.name}-2"))
     shutil.rmtree(run / "edits")
 
 
