@@ -190,6 +190,42 @@ def test_an_artefact_is_declared_by_keys_and_by_drawing_and_undone(maps):
     expect(artefacts.get_by_role("listitem")).to_have_count(1)
 
 
+def test_a_region_and_a_line_are_drawn_with_the_mouse_and_escape_leaves_drawing(maps):
+    for name, field in (("Draw region", "Region, um"), ("Draw line", "Line, um")):
+        maps.role("button", name).click()
+        x, y = maps.middle("Left map")
+        for dx, dy in ((-60, -30), (50, 40)):
+            maps.page.mouse.click(x + dx, y + dy)
+            maps.page.wait_for_timeout(300)  # two clicks at once would be a double click
+        expect(maps.page.get_by_label(field, exact=True)).to_have_value(re.compile(r"^(-?[\d.]+, ){3}-?[\d.]+$"))
+    pixel = float(maps.page.get_by_label("Left map, um per screen pixel", exact=True).input_value())
+    x0, y0, x1, y1 = map(float, maps.page.get_by_label("Region, um", exact=True).input_value().split(","))
+    assert (x1 - x0, y1 - y0) == pytest.approx((110 * pixel, 70 * pixel), abs=0.2 * pixel)
+    expect(maps.page.get_by_role("img", name=re.compile("^Profile over"))).to_be_visible()
+    maps.role("button", "Draw line").click()
+    maps.role("application", "Left map").press("Escape")
+    maps.page.mouse.click(*maps.middle("Left map"))
+    expect(maps.role("button", "Show slice")).to_be_enabled()  # the click took a place again
+
+
+@pytest.mark.parametrize(
+    ("field", "needed"),
+    [
+        ("Region, um", "A region is"), ("Line, um", "A line is"), ("Left colour range", "A colour range is"),
+        ("Scatter centre, um", "Scatter centre is"), ("Scatter, um per screen pixel", "Scatter"),
+        (f"Brush {LEFT}", "A brush is"), ("Polygon, um", "A polygon is"),
+    ],
+)  # fmt: skip
+def test_a_field_says_what_it_takes(maps, field, needed):
+    box = maps.page.get_by_label(field, exact=True)
+    box.fill("-1" if box.get_attribute("type") == "number" else "one, two")
+    box.press("Enter")
+    if field.startswith("Polygon"):
+        maps.role("button", "Declare artefact").click()
+    expect(maps.role("status", "Message")).to_contain_text(needed)
+    expect(box).to_have_attribute("aria-invalid", "true")
+
+
 def test_a_pixel_leads_to_its_slice(maps, linked):
     row, col = (int(n) for n in np.argwhere(linked.valid.values & np.isfinite(linked[LEFT].values))[4000])
     maps.click("Left map", float(linked.x[col]), float(linked.y[row]), 1.0)

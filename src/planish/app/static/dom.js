@@ -75,3 +75,9 @@ export function numbers(text, count) {
   const values = text.trim().split(/[\s,;]+/).map((word) => (word === "" ? NaN : Number(word)));
   return values.length === count && values.every(Number.isFinite) ? values : null;
 }
+
+/** Read a number above 0. @param {string} text @returns {number[]|null} */
+export function positive(text) {
+  const values = numbers(text, 1);
+  return values && values[0] > 0 ? values : null;
+}

@@ -1,12 +1,13 @@
 /** The tab Maps: two layers beside or over each other, their scatter, and what is selected in one shown in the other. */
 
 import { Artefacts } from "./artefacts.js";
+import { AtCursor, isMask } from "./atcursor.js";
 import { profile, shown } from "./charts.js";
 import { button, choice, labelled, make, numbers } from "./dom.js";
-import { flipped } from "./mapview.js";
 import { MapSide } from "./mapside.js";
 import { rawTileLayer } from "./rawtiles.js";
 import { Scatter } from "./scatter.js";
+import { Shapes } from "./shapes.js";
 
 /* global ol */
 
@@ -14,17 +15,6 @@ const HELP =
   "Drag in the scatter to choose values; their pixels are painted in both maps. Choose a region to see its points and r. " +
   "Keys in a map: arrows move it, + and - zoom, 0 shows all, Enter takes the place in the middle. Esc in the scatter clears.";
 const NOTHING = "n 0: nothing is selected.";
-const ACCENT = "#ff4800";
-const styled = (/** @type {string} */ stroke, /** @type {string} */ fill, /** @type {number[]} */ dash = []) => [
-  new ol.style.Style({ stroke: new ol.style.Stroke({ color: "#fff", width: 4 }) }),
-  new ol.style.Style({ stroke: new ol.style.Stroke({ color: stroke, width: 2, lineDash: dash }), fill: new ol.style.Fill({ color: fill }) }),
-];
-const STYLES = {
-  region: styled(ACCENT, "rgba(255, 72, 0, 0.08)"),
-  line: styled("#0b5cad", "transparent"),
-  artefact: styled("#7a1fa2", "rgba(122, 31, 162, 0.18)", [6, 4]),
-};
-
 /** Pictures on the pixels of most of them: the reference where there is one. @param {any[]} pictures */
 function together(pictures) {
   /** @type {Map<string, any[]>} */
@@ -38,7 +28,6 @@ function together(pictures) {
   return from.reduce((most, group) => (group.length > most.length ? group : most), []);
 }
 
-const isMask = (/** @type {any} */ one) => one.name.split("/").at(-1) === "valid";
 const named = (/** @type {any[]} */ pictures, /** @type {string} */ name) =>
   pictures.find((one) => one.name.split("/").at(-1) === name);
 
@@ -64,22 +53,23 @@ class Maps {
     const right = named(others, "image") ?? others[0] ?? left;
     /** @type {number[]|null} */
     this.region = null;
-    this.shapes = new ol.source.Vector();
-    const on = { app, pictures: layers, onLayer: () => this.changed(), onLook: () => this.draw(), onBrush: () => this.brushed() };
-    this.left = new MapSide({ ...on, side: "Left", chosen: left });
-    this.right = new MapSide({ ...on, side: "Right", chosen: right });
+    const shared = { app, pictures: layers, onLayer: () => this.changed(), onLook: () => this.draw(), onBrush: () => this.brushed() };
+    this.left = new MapSide({ ...shared, side: "Left", chosen: left });
+    this.right = new MapSide({ ...shared, side: "Right", chosen: right });
     this.sides = [this.left, this.right];
+    const drawn = (/** @type {string} */ type, /** @type {number[][]} */ points) => this.drawn(type, points);
+    this.shapes = new Shapes(this.sides.map((side) => side.view), { say: (text) => app.say(text), drawn });
+    this.cursor = new AtCursor(app, this.sides);
     this.scatter = new Scatter({
       onBrush: (a, b) => {
         [this.left.brush, this.right.brush] = [a, b];
         this.brushed();
       },
       onClear: () => this.clear(),
-      say: app.say,
+      say: (text) => app.say(text),
     });
     this.scatterWords = make("p", { class: "soft" });
     this.profile = make("div");
-    this.values = make("div", { class: "values" });
     panel.classList.add("maps");
     const scatter = make(
       "section",
@@ -90,20 +80,21 @@ class Maps {
     );
     this.views = make("div", { class: "views" }, this.left.element, this.right.element, scatter);
     const fixed = this.pictures[0].plane === "fixed";
-    this.artefacts = fixed ? new Artefacts(app, { draw: () => this.sketch("Polygon"), show: (all) => this.showArtefacts(all) }) : null;
+    const onMaps = { draw: () => this.shapes.sketch("Polygon"), show: (/** @type {any} */ all) => this.shapes.artefacts(all) };
+    this.artefacts = fixed ? new Artefacts(app, onMaps) : null;
     panel.append(
       this.tools(),
       this.views,
       make(
         "div",
         { class: "beside" },
-        make("section", { class: "panel", "aria-label": "Values at the cursor" }, make("h2", {}, "At the cursor"), this.values),
+        make("section", { class: "panel", "aria-label": "Values at the cursor" }, make("h2", {}, "At the cursor"), this.cursor.values),
         make("div", { class: "panel" }, this.profile, this.artefacts?.element ?? null),
       ),
       make("p", { class: "help soft" }, HELP),
     );
     this.link();
-    for (const side of this.sides) this.bind(side);
+    for (const side of this.sides) this.cursor.bind(side, () => this.shapes.sketching !== null, () => this.shapes.end());
     this.changed();
   }
 
@@ -118,7 +109,6 @@ class Maps {
     this.lineField = make("input", { type: "text", size: 26, spellcheck: "false" });
     this.field(this.regionField, "A region is \"x0, y0, x1, y1\" in um.", (region) => this.setRegion(region));
     this.field(this.lineField, "A line is \"x0, y0, x1, y1\" in um.", (line) => void this.drawProfile(line));
-    this.slice = button("Show slice", () => this.showSlice(), { disabled: true });
     return make(
       "div",
       { class: "tools" },
@@ -128,14 +118,14 @@ class Maps {
         labelled("Layout", way),
         this.shareBox,
         this.masks.length ? make("label", { class: "check" }, this.onlyValid, make("span", {}, "Only valid pixels")) : null,
-        this.slice,
+        this.cursor.slice,
       ),
       make(
         "div",
         { class: "group" },
-        button("Draw region", () => this.sketch("Box")),
+        button("Draw region", () => this.shapes.sketch("Box")),
         labelled("Region, um", this.regionField),
-        button("Draw line", () => this.sketch("LineString")),
+        button("Draw line", () => this.shapes.sketch("LineString")),
         labelled("Line, um", this.lineField),
         button("Clear selection", () => this.clear()),
       ),
@@ -166,10 +156,6 @@ class Maps {
       });
     follow(a, b);
     follow(b, a);
-    for (const side of this.sides) {
-      const style = (/** @type {any} */ feature) => STYLES[/** @type {keyof STYLES} */ (feature.get("kind"))];
-      side.view.map.addLayer(new ol.layer.Vector({ source: this.shapes, style, zIndex: 5 }));
-    }
   }
 
   /** @param {boolean} on */
@@ -220,9 +206,11 @@ class Maps {
 
   /** @param {number[]|null} region */
   setRegion(region) {
-    this.region = region && [Math.min(region[0], region[2]), Math.min(region[1], region[3]), Math.max(region[0], region[2]), Math.max(region[1], region[3])];
+    const sorted = (/** @type {number} */ k) => [region?.[k] ?? 0, region?.[k + 2] ?? 0].sort((a, b) => a - b);
+    const [xs, ys] = [sorted(0), sorted(1)];
+    this.region = region && [xs[0], ys[0], xs[1], ys[1]];
     this.regionField.value = this.region ? this.region.map((um) => String(Number(um.toFixed(3)))).join(", ") : "";
-    this.shape("region", this.region && ol.geom.Polygon.fromExtent([this.region[0], -this.region[3], this.region[2], -this.region[1]]));
+    this.shapes.region(this.region);
     void this.countRegion();
     void this.select();
   }
@@ -302,119 +290,23 @@ class Maps {
     }
   }
 
-  // --- cursor, line, polygon -------------------------------------------------------------------------------------
+  // --- what is drawn ---------------------------------------------------------------------------------------------
 
-  /** @param {MapSide} side */
-  bind(side) {
-    const { map, element } = side.view;
-    map.on("pointermove", (/** @type {any} */ event) => !event.dragging && void this.point(flipped(event.coordinate), side));
-    map.on("click", (/** @type {any} */ event) => !this.sketching && void this.take(flipped(event.coordinate), side));
-    element.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
-      if (event.key === "Enter") void this.take(side.view.centre, side);
-      else if (event.key === "Escape") this.endSketch();
-      else void this.point(side.view.centre, side);
-    });
-  }
-
-  /** Say what lies at a point. @param {number[]} point @param {MapSide} side */
-  async point([x, y], side) {
-    this.wanted = [x, y];
-    if (this.asking) return null;
-    this.asking = true;
-    let found = null;
-    while (this.wanted) {
-      const [px, py] = this.wanted;
-      this.wanted = null;
-      found = await this.app.api.get(`cursor?id=${side.picture.id}&x=${px}&y=${py}`).catch(() => null);
-    }
-    this.asking = false;
-    if (found) this.showCursor(found);
-    return found;
-  }
-
-  /** @param {any} found */
-  showCursor(found) {
-    const text = (/** @type {any} */ one) =>
-      one.value === null ? "no value" : isMask(one) ? (one.value ? "yes" : "no") : `${shown(one.value)}${one.units && one.units !== "1" ? ` ${one.units}` : ""}`;
-    const { volume } = found;
-    const place = volume ? `volume x ${volume.x.toFixed(2)}, y ${volume.y.toFixed(2)}, z ${volume.z.toFixed(2)} um` : "not in the volume";
-    const shownNow = [this.left.picture.id, this.right.picture.id];
-    const first = (/** @type {any} */ one) => (shownNow.includes(one.id) ? 0 : 1);
-    const values = [...found.values].sort((a, b) => first(a) - first(b));
-    this.app.cursor(`x ${found.x.toFixed(2)}, y ${found.y.toFixed(2)} um; ${place}; ${values.map((one) => `${one.name} ${text(one)}`).join("; ")}`);
-    const rows = values.map((one) => make("tr", {}, make("th", { scope: "row" }, one.name), make("td", { class: "n" }, text(one)), make("td", {}, one.title)));
-    this.values.replaceChildren(make("p", {}, `x ${found.x.toFixed(1)}, y ${found.y.toFixed(1)} um; ${place}`), make("table", { "aria-label": "Values at the cursor" }, make("tbody", {}, ...rows)));
-  }
-
-  /** Take a place whose slice is shown. @param {number[]} point @param {MapSide} side */
-  async take(point, side) {
-    this.wanted = null;
-    const found = await this.app.api.get(`cursor?id=${side.picture.id}&x=${point[0]}&y=${point[1]}`).catch(() => null);
-    if (!found) return;
-    this.showCursor(found);
-    this.taken = found.volume;
-    this.slice.disabled = !this.taken;
-    const { x, y, z } = found.volume ?? {};
-    this.app.slicePosition?.(found.volume ? `x ${x.toFixed(2)}, y ${y.toFixed(2)}, z ${z.toFixed(2)} um` : "");
-  }
-
-  async showSlice() {
-    if (!this.taken) return;
-    await this.app.openTab("surfaces");
-    this.app.showSlice?.(this.taken.x, this.taken.y, this.taken.z, this.taken.layer);
-  }
-
-  /** @param {string} kind @param {any} geometry null removes it */
-  shape(kind, geometry) {
-    for (const old of this.shapes.getFeatures().filter((/** @type {any} */ one) => one.get("kind") === kind)) this.shapes.removeFeature(old);
-    if (geometry) this.shapes.addFeature(new ol.Feature({ geometry, kind }));
-  }
-
-  /** @param {number[][][]} polygons */
-  showArtefacts(polygons) {
-    this.shape("artefact", null);
-    for (const one of polygons) {
-      this.shapes.addFeature(new ol.Feature({ geometry: new ol.geom.Polygon([one.map((p) => flipped(p))]), kind: "artefact" }));
-    }
-  }
-
-  /** Let a person draw in either map. @param {"Box"|"LineString"|"Polygon"} type */
-  sketch(type) {
-    this.endSketch();
-    const more = type === "Box" ? { type: "Circle", geometryFunction: ol.interaction.Draw.createBox() } : { type, ...(type === "LineString" ? { maxPoints: 2 } : {}) };
-    this.sketching = this.sides.map((side) => {
-      const draw = new ol.interaction.Draw(more);
-      side.view.map.addInteraction(draw);
-      draw.on("drawend", (/** @type {any} */ event) => setTimeout(() => this.sketched(type, event.feature.getGeometry())));
-      return draw;
-    });
-    const how = { Box: "Click two corners of the region.", LineString: "Click both ends of the line.", Polygon: "Click the corners; a double click ends." };
-    this.app.say(`${how[type]} Esc in a map leaves it.`);
-    this.left.view.element.focus();
-  }
-
-  /** @param {string} type @param {any} geometry */
-  sketched(type, geometry) {
-    this.endSketch();
-    this.app.say("");
-    if (type === "Polygon") return this.artefacts?.drawn(geometry.getCoordinates()[0].slice(0, -1).map(flipped));
+  /** @param {string} type @param {number[][]} points */
+  drawn(type, points) {
+    if (type === "Polygon") return this.artefacts?.drawn(points);
     if (type === "Box") {
-      const [left, bottom, right, top] = geometry.getExtent();
-      return this.setRegion([left, -top, right, -bottom]);
+      const [xs, ys] = [0, 1].map((k) => points.map((point) => point[k]));
+      return this.setRegion([Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)]);
     }
-    const ends = geometry.getCoordinates().flatMap((/** @type {number[]} */ one) => flipped(one));
-    this.lineField.value = ends.map((/** @type {number} */ um) => um.toFixed(1)).join(", ");
+    const ends = points.flat();
+    this.lineField.value = ends.map((um) => um.toFixed(1)).join(", ");
     void this.drawProfile(ends);
-  }
-
-  endSketch() {
-    this.sketching?.forEach((/** @type {any} */ draw, /** @type {number} */ k) => this.sides[k].view.map.removeInteraction(draw));
-    this.sketching = null;
   }
 
   /** @param {number[]|null} line */
   async drawProfile(line) {
-    this.shape("line", line && new ol.geom.LineString([flipped(line.slice(0, 2)), flipped(line.slice(2))]));
+    this.shapes.line(line);
     this.profile.replaceChildren();
     if (!line) return;
     const found = await this.latest("profile", `profile?a=${this.left.picture.id}&b=${this.right.picture.id}&line=${line.join()}`);

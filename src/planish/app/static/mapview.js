@@ -1,6 +1,6 @@
 /** A map in um: one plane of the session with its pictures, moved by mouse, keys and fields. */
 
-import { labelled, make, numbers } from "./dom.js";
+import { labelled, make, numbers, positive } from "./dom.js";
 import { rawTileLayer } from "./rawtiles.js";
 
 /* global ol */
@@ -146,32 +146,29 @@ export class MapView {
   // --- fields and keys -------------------------------------------------------------------------------------------
 
   bindFields() {
-    this.onField(this.centreField, 2, (point) => (this.centre = point), `${this.name} centre is "x, y" in um.`);
-    this.onField(
-      this.pixelField,
-      1,
-      ([um]) => um > 0 && (this.pixel = um),
-      `${this.name}: um per screen pixel is a number above 0.`,
-    );
+    const place = (/** @type {string} */ text) => numbers(text, 2);
+    this.onField(this.centreField, place, (point) => (this.centre = point), `${this.name} centre is "x, y" in um.`);
+    const needed = `${this.name}: um per screen pixel is a number above 0.`;
+    this.onField(this.pixelField, positive, ([um]) => (this.pixel = um), needed);
   }
 
   /**
    * @param {HTMLInputElement} field
-   * @param {number} count
+   * @param {(text: string) => number[]|null} read
    * @param {(values: number[]) => void} use
    * @param {string} needed
    */
-  onField(field, count, use, needed) {
-    const read = () => {
-      const values = numbers(field.value, count);
+  onField(field, read, use, needed) {
+    const take = () => {
+      const values = read(field.value);
       field.setAttribute("aria-invalid", String(!values));
       if (values) {
         use(values);
         this.map.renderSync(); // a click that follows at once means what is seen now
       } else this.app.say(needed);
     };
-    field.addEventListener("change", read);
-    field.addEventListener("keydown", (event) => event.key === "Enter" && read());
+    field.addEventListener("change", take);
+    field.addEventListener("keydown", (event) => event.key === "Enter" && take());
     field.addEventListener("blur", () => this.showPlace());
   }
 

@@ -1,7 +1,7 @@
 /** Two layers against each other: density of the points, a rectangle that picks values, and the points of a region. */
 
 import { CHOSEN, colourAt, packed } from "./colour.js";
-import { labelled, make, numbers } from "./dom.js";
+import { labelled, make, numbers, positive } from "./dom.js";
 
 const EDGE = { left: 62, right: 10, top: 10, bottom: 38 };
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
@@ -259,13 +259,20 @@ export class Scatter {
       { passive: false },
     );
     this.element.addEventListener("keydown", (event) => this.key(event));
-    this.field(this.centreField, 2, (point) => (this.centre = point), 'Scatter centre is "x, y": a value of each layer.');
-    this.field(this.pixelField, 1, ([um]) => um > 0 && (this.pixel = um), "Scatter: a number above 0.");
+    const place = (/** @type {string} */ text) => numbers(text, 2);
+    this.field(this.centreField, place, (point) => (this.centre = point), 'Scatter centre is "x, y": a value of each layer.');
+    this.field(this.pixelField, positive, ([um]) => (this.pixel = um), "Scatter: um per screen pixel is a number above 0.");
   }
 
-  field(field, count, use, needed) {
+  /**
+   * @param {HTMLInputElement} field
+   * @param {(text: string) => number[]|null} read
+   * @param {(values: number[]) => void} use
+   * @param {string} needed
+   */
+  field(field, read, use, needed) {
     field.addEventListener("change", () => {
-      const values = numbers(field.value, count);
+      const values = read(field.value);
       field.setAttribute("aria-invalid", String(!values));
       if (!values) return this.listener.say(needed);
       use(values);
