@@ -78,7 +78,7 @@ def imported(
             if one is not None:
                 paths.append(Path(folder) / f"{name}{one.suffix}")
                 paths[-1].write_bytes(one.content())
-        about = {plane: _pixels(pictures, layer, plane) for plane in PLANES}
+        about = {plane: _pixels(session, pictures, layer, plane) for plane in PLANES}
         marks = read_any(*paths, moving=about["moving"], fixed=about["fixed"])
     moving, fixed = pair_of_layers(marks, name=given.name)
     if moving == "volume":
@@ -109,7 +109,7 @@ def exported(
     """
     if to not in TARGETS:
         raise ChangeError(f"Marks are written as {', '.join(TARGETS)}.")
-    about = {plane: _pixels(pictures, layer, plane).about() for plane in PLANES}
+    about = {plane: _pixels(session, pictures, layer, plane).about() for plane in PLANES}
     marks = dataset_of(session.state.of(layer), fitted, about)
     with tempfile.TemporaryDirectory(prefix="planish-") as folder:
         path = Path(folder) / f"marks{_ENDS.get(to, '.csv')}"
@@ -142,9 +142,9 @@ def formats() -> list[dict[str, str]]:
     return [{"name": name, "title": FORMATS[name].title} for name in TARGETS]
 
 
-def _pixels(pictures: Pictures, layer: str, plane: Plane) -> LayerPixels:
+def _pixels(session: Session, pictures: Pictures, layer: str, plane: Plane) -> LayerPixels:
     """Pixels of a plane, for files that count in them."""
-    own = [p for p in pictures if p.plane == plane and (plane == "fixed" or p.layer == layer)]
+    own = pictures.on(*session.shown_by(layer, plane))
     if not own:
         return LayerPixels()
     grid = own[0].grid

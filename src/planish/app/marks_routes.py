@@ -73,7 +73,10 @@ def _session_of(session: Session, app: Any) -> dict[str, Any]:
     for layer in session.layers:
         holes = {plane: _circles(found) for plane, found in session.holes(layer).items()}
         headline = session.results.layer(layer).headline
-        layers.append({"name": layer, "to": session.target(layer), "headline": headline, "holes": holes})
+        shown = {plane: dict(zip(("plane", "layer"), session.shown_by(layer, plane), strict=True)) for plane in PLANES}
+        layers.append(
+            {"name": layer, "to": session.target(layer), "headline": headline, "holes": holes, "shown": shown}
+        )
     pictures: Any = getattr(app.state, "pictures", None)
     return {
         "run": session.folder.name, "read_only": session.read_only, "reason": session.reason,

@@ -261,6 +261,10 @@ class Pictures:
         """All pictures on the pixels of a picture, itself among them."""
         return [p for p in self if p.plane == picture.plane and _same_pixels(p, picture)]
 
+    def on(self, plane: Plane, layer: str) -> list[Picture]:
+        """All pictures of a plane: of a moving one, those of its layer."""
+        return [p for p in self if p.plane == plane and (plane == "fixed" or p.layer == layer)]
+
     def valid_of(self, *pictures: Picture) -> list[Picture]:
         """The masks that say where values of pictures count."""
         layers = {p.layer for p in pictures}

@@ -130,6 +130,16 @@ class Session:
         facts = self.results.layer(layer).registration
         return "image" if facts is None else facts.to
 
+    def shown_by(self, layer: str, plane: Plane) -> tuple[Plane, str]:
+        """Plane and layer of the pictures on which the ends of a layer's marks lie.
+
+        In a chain a layer is registered to the next one, on that one's own plane.
+        """
+        if plane == "moving":
+            return "moving", layer
+        to = self.target(layer)
+        return ("moving" if to in self.layers else "fixed"), to
+
     def mirrored(self, layer: str) -> bool | None:
         """Whether the fixed plane shows the other side of the sheet; None where either hand may fit."""
         return None if self.study.registration.mirror else self.side_of(layer) != self.side_of(self.target(layer))

@@ -94,12 +94,13 @@ def _shown(session: Session, pictures: Pictures, layer: str, plane: Plane) -> di
     """What shows the holes of a plane: an image, or the layers of material of a sheet."""
     if plane == "fixed" and session.image is not None:
         return {"image": session.image}
-    owner = layer if plane == "moving" else session.target(layer)
-    own = {p.name.split("/")[-1]: p.full for p in pictures if p.plane == plane and p.layer == owner}
+    shown, owner = session.shown_by(layer, plane)
+    there = pictures.on(shown, owner)
+    own = {p.name.split("/")[-1]: p.full for p in there if p.layer == owner}
     if "image" in own:
         return {"image": own["image"]}
-    if plane == "fixed" and not any(name.startswith("presence") for name in own):
-        image = next((p.full for p in pictures if p.plane == plane and p.name.split("/")[-1] == "image"), None)
+    if shown == "fixed" and not any(name.startswith("presence") for name in own):
+        image = next((p.full for p in there if p.name.split("/")[-1] == "image"), None)
         return {} if image is None else {"image": image}
     return {name: data for name, data in own.items() if name.startswith("presence")}
 

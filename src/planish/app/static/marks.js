@@ -93,9 +93,10 @@ class Marks {
     const { pictures, layer, session } = this.app;
     const facts = session.layers?.find((/** @type {any} */ one) => one.name === layer);
     for (const side of SIDES) {
+      const on = facts?.shown[side] ?? { plane: side, layer };
       const shown = pictures.filter(
         (/** @type {any} */ one) =>
-          one.plane === side && !/(^|\/)valid$/.test(one.name) && (side === "fixed" || one.layer === layer),
+          one.plane === on.plane && !/(^|\/)valid$/.test(one.name) && (on.plane === "fixed" || one.layer === on.layer),
       );
       const options = shown.map((/** @type {any} */ one) => make("option", { value: one.id }, one.title));
       this.boxes[side].replaceChildren(...options);
