@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from zarr.codecs import ZstdCodec
+from zarr.codecs import BloscCodec, Crc32cCodec
 
 from planish.core.overviews import count_of, halved_values
 from planish.core.threads import thread_pool
@@ -21,7 +21,7 @@ from planish.writers.params import ExportParams
 
 # As the large maps of a run are stored, so that their chunks are those of the image, too.
 _CHUNK = 512
-_CODEC = ZstdCodec(level=1, checksum=True)
+_CODECS = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
 _PERCENT = (1.0, 99.0)
 
 
@@ -55,7 +55,7 @@ def _made(group: zarr.Group, level: int, size: tuple[int, int], channels: int) -
     more, one = ((channels,), (1,)) if channels else ((), ())
     return group.create_array(
         str(level), shape=(*more, *size), dtype=np.float32, chunks=(*one, *(min(n, _CHUNK) for n in size)),
-        fill_value=np.nan, compressors=(_CODEC,), dimension_names=[*(("c",) if channels else ()), "y", "x"],
+        fill_value=np.nan, compressors=_CODECS, dimension_names=[*(("c",) if channels else ()), "y", "x"],
         config={"write_empty_chunks": True},
     )  # fmt: skip
 
