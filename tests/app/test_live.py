@@ -7,6 +7,7 @@ import shutil
 import statistics
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -236,6 +237,22 @@ def test_a_hole_that_was_not_found_with_the_others_is_searched_around_the_mark(s
         for end, old in ((move.moving, mark.moving), (move.fixed, mark.fixed)):
             assert np.hypot(end.x - old.x, end.y - old.y) < 2.0  # um: less than a pixel of either
             assert None not in (end.cov_xx, end.diameter)
+
+
+def test_a_hole_that_is_searched_alone_is_moved_to_the_face_as_all_others_were(session, monkeypatch):
+    """Holes of a laser that was not perpendicular: one of them does not show its angle, the link's holes did."""
+    layer = session.layers[0]
+    pictures, mark = Pictures.of(session.folder), session.state.of(layer)[0]
+    none = {plane: holes.isel(mark=slice(0, 0)) for plane, holes in session.holes(layer).items()}
+    monkeypatch.setattr(session, "holes", lambda _layer: none)
+    straight = snapped(session, pictures, layer, mark)
+    facts = session.results.layer(layer).registration
+    tilt = facts.tilt.model_copy(update={"to_face_um": (3.0, -2.0)})
+    oblique = facts.model_copy(update={"tilt": tilt})
+    monkeypatch.setattr(type(session.results), "layer", lambda _self, _name: SimpleNamespace(registration=oblique))
+    moved = snapped(session, pictures, layer, mark)
+    assert moved.moving.xy == pytest.approx((straight.moving.x + 3.0, straight.moving.y - 2.0))
+    assert moved.fixed == straight.fixed
 
 
 @pytest.mark.study

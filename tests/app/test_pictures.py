@@ -12,7 +12,8 @@ from PIL import Image
 
 from planish.app import made_levels, pictures
 from planish.app.made_levels import MadeLevels, trim
-from planish.app.pictures import Codes, Pictures, group_pictures
+from planish.app.picture import Codes
+from planish.app.pictures import Pictures, group_pictures
 from planish.app.strain import STRAINS
 from planish.app.tiles import TILE, Tiles
 from planish.core.errors import InputError

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from planish.app.changes import End, Mark, State
 from planish.app.corrections import changed_corrections
-from planish.app.session import PLANES, Session, ends_of, places_of
+from planish.app.picture import PLANES
+from planish.app.session import Session, ends_of, places_of
 from planish.core.files import free_path
 from planish.marks.files import Places, make_marks, marks_text
 from planish.marks.regions import Region, Regions, geojson_text

@@ -17,8 +17,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from planish.app.changes import ChangeError, Import, Mark, checked_label
 from planish.app.fits import Fitted
+from planish.app.picture import PLANES, Plane
 from planish.app.pictures import Pictures
-from planish.app.session import PLANES, Plane, Session, ends_of, places_of
+from planish.app.session import Session, ends_of, places_of
 from planish.core.errors import MarkError
 from planish.io.run_folder import read_group
 from planish.marks.files import FORMATS, LayerPixels, make_marks, pair_of_layers, read_any, write_any

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.app.changes import Mark
-from planish.app.session import PLANES, Plane
+from planish.app.picture import PLANES, Plane
 from planish.app.standing_out import standing_out
 from planish.core.errors import PlanishError
 from planish.register import FittedTransform, RegistrationParams, fit_transform, register_marks

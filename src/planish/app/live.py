@@ -9,7 +9,8 @@ from typing import Any
 
 from planish.app.changes import Mark
 from planish.app.fits import QUICK, Fitted, Warned, fitted
-from planish.app.session import Plane, Session
+from planish.app.picture import Plane
+from planish.app.session import Session
 
 WAIT_S = 0.03
 """An answer waits so long for a fit that takes longer."""

@@ -13,7 +13,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from planish.app.pictures import Picture
+from planish.app.picture import Picture
 from planish.app.probe import cursor, profile
 from planish.app.selection import Brush, Region, Selected, Stopped, density, histogram, select
 from planish.app.tiles import Tiles

@@ -19,7 +19,8 @@ from starlette.routing import Route
 from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer, faults_of
 from planish.app.exchange import Given, exported, formats, imported
 from planish.app.live import Live
-from planish.app.session import PLANES, Session, Stale
+from planish.app.picture import PLANES
+from planish.app.session import Session, Stale
 from planish.app.snap import not_snapped, snapped
 from planish.marks.find import USUAL_UM
 from planish.register import RegistrationParams

@@ -5,16 +5,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from planish.app.made_levels import MadeLevels, cache_place
+from planish.app.picture import Picture, Plane, Stored
 from planish.app.strain import strains
 from planish.core.errors import InputError
 from planish.core.grid import Grid
@@ -22,7 +21,7 @@ from planish.core.lazy import Where, held
 from planish.core.overviews import count_of, middles
 from planish.io import ImageParams
 from planish.io.image import across, channel_of
-from planish.io.map_store import CHUNK, OVERVIEWS, stored_group
+from planish.io.map_store import OVERVIEWS, stored_group
 from planish.io.picture import Picture as Decoded
 from planish.io.picture import is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
@@ -31,176 +30,7 @@ from planish.pipeline.linking import LINKED
 from planish.pipeline.run import MAPS, is_run, open_results
 from planish.study import LayerParams, read_study
 
-Plane = Literal["moving", "fixed"]
-
-TILE = 256
-"""Pixels along the edge of a tile."""
-
-LAST_CODE = 65535
-
 _PLACES = ("u", "v", "volume_x", "volume_y", "volume_z", "projected_u", "projected_v")
-_WINDOW = 256  # pixels along the edge of the parts of a picture that show which values it has
-_FEW, _MANY = 2, 4  # such parts along each side, with and without a coarse level
-_WIDENED = 2.0  # spans by which their range is widened
-
-
-class PictureFacts(BaseModel):
-    """What a page has to know of a picture; see :class:`Picture`."""
-
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
-    id: str
-    plane: Plane
-    layer: str
-    name: str
-    title: str
-    units: str
-    shape: tuple[int, int]
-    pixel_um: tuple[float, float]
-    origin_um: tuple[float, float]
-    levels: int
-    tile: int
-    scale: float
-    offset: float
-    range: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Codes:
-    """Values as whole numbers of 16 bits: 0 is missing, k from 1 on is ``offset + scale * (k - 1)``.
-
-    The first and the last code also stand for all values beyond them.
-    """
-
-    offset: float
-    scale: float
-
-    @classmethod
-    def between(cls, low: float, high: float) -> Codes:
-        """Codes of all values from ``low`` to ``high``."""
-        return cls(low, (high - low) / (LAST_CODE - 1) or 1.0)
-
-    def of(self, values: NDArray[Any]) -> NDArray[np.uint16]:
-        """Code each value."""
-        if values.dtype == np.bool_:
-            return values.astype(np.uint16) + np.uint16(1)
-        known = np.isfinite(values)
-        found = np.rint((np.where(known, values.astype(np.float64), self.offset) - self.offset) / self.scale) + 1
-        return np.where(known, np.clip(found, 1, LAST_CODE), 0).astype(np.uint16)
-
-    def values(self, codes: NDArray[np.uint16]) -> NDArray[np.float64]:
-        """The values that codes stand for; NaN where they are missing."""
-        return np.where(codes == 0, np.nan, self.offset + self.scale * (codes.astype(np.float64) - 1))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Picture:
-    """A map or an image on one of the two planes of a session.
-
-    Attributes
-    ----------
-    id : str
-        By which the page asks for it.
-    plane : {"moving", "fixed"}
-    layer : str
-        Layer that it belongs to.
-    name : str
-        Variable in the store; with the layer before it where several layers have their own.
-    title, units : str
-    levels : sequence of DataArray (rows, cols)
-        Full resolution first, each next one with pixels twice as wide; values are read where they are asked for.
-    around_zero : bool
-        Whether 0 is in the middle of its colours.
-    """
-
-    id: str
-    plane: Plane
-    layer: str
-    name: str
-    title: str
-    units: str
-    levels: Sequence[xr.DataArray]
-    around_zero: bool = False
-
-    @property
-    def full(self) -> xr.DataArray:
-        """Full resolution."""
-        return self.levels[0]
-
-    @cached_property
-    def grid(self) -> Grid:
-        """Pixels of full resolution."""
-        return Grid.of(self.full)
-
-    @property
-    def is_mask(self) -> bool:
-        """Whether it holds truth values."""
-        return self.full.dtype == np.bool_
-
-    def level_within(self, pixels: int) -> int:
-        """The finest level of at most so many pixels."""
-        fitting = (k for k, data in enumerate(self.levels) if data.size <= pixels)
-        return next(fitting, len(self.levels) - 1)
-
-    @cached_property
-    def codes(self) -> Codes:
-        """How tiles hold its values: room for single pixels, which vary more than the parts that were looked at."""
-        values = np.concatenate([self._coarse, self._sample])
-        if self.is_mask or values.size == 0:
-            return Codes(0.0, 1.0)
-        low, high = float(values.min()), float(values.max())
-        span = max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-30)
-        more = 0.0 if len(self.levels) == 1 else _WIDENED * span
-        return Codes.between(low - more, low + span + more)
-
-    @cached_property
-    def range(self) -> tuple[float, float]:
-        """2nd to 98th percentile."""
-        values = self._coarse if self._coarse.size else self._sample
-        if self.is_mask or values.size == 0:
-            return 0.0, 1.0
-        low, high = (float(v) for v in np.percentile(values, [2, 98]))
-        if self.around_zero:
-            high = max(abs(low), abs(high))
-            low = -high
-        return (low, high) if high > low else (low - 0.5, high + 0.5)
-
-    @cached_property
-    def _coarse(self) -> NDArray[np.float64]:
-        """Known values of the coarsest level, where it is there already."""
-        there = isinstance(self.levels, _Stored) or len(self.levels) == 1
-        return _known([self.levels[-1].values] if there else [])
-
-    @cached_property
-    def _sample(self) -> NDArray[np.float64]:
-        """Known values of windows all over the picture, each within one chunk."""
-        if len(self.levels) == 1:
-            return _known([])
-        each = _FEW if self._coarse.size else _MANY
-        tops, lefts = (
-            (np.linspace(0.5, n - 0.5, 2 * each + 1).astype(int)[1::2] // CHUNK * CHUNK).tolist()
-            for n in self.full.shape
-        )
-        return _known([self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in tops for c in lefts])
-
-    @property
-    def facts(self) -> PictureFacts:
-        """What a page has to know."""
-        rows, cols = self.grid.shape
-        return PictureFacts(
-            id=self.id, plane=self.plane, layer=self.layer, name=self.name, title=self.title, units=self.units,
-            shape=(rows, cols), pixel_um=self.grid.pixel_um, origin_um=self.grid.origin_um, levels=len(self.levels),
-            tile=TILE, scale=self.codes.scale, offset=self.codes.offset, range=self.range,
-        )  # fmt: skip
-
-
-def _known(parts: Sequence[NDArray[Any]]) -> NDArray[np.float64]:
-    values = np.concatenate([np.empty(0), *(part.ravel() for part in parts)]).astype(np.float64)
-    return values[np.isfinite(values)]
-
-
-class _Stored(tuple[xr.DataArray, ...]):
-    """Levels that lie in a store."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -317,7 +147,7 @@ def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[Picture]:
     for name, shown, levels in strains(run, places) if (run / MAPS / "strain").is_dir() else ():
         yield Picture(
             id="", plane="moving", layer=layer, name=prefix + name, title=shown.title, units=shown.units,
-            levels=_Stored(levels), around_zero=True,
+            levels=Stored(levels), around_zero=True,
         )  # fmt: skip
 
 
@@ -333,7 +163,7 @@ def group_pictures(run: Path, group: str, *, plane: Plane, layer: str, prefix: s
         data = maps[name]
         if data.dtype.kind not in "fb":  # codes have no mean: no smaller copies
             continue
-        levels: Sequence[xr.DataArray] = _Stored((data, *(one[name] for one in smaller if name in one)))
+        levels: Sequence[xr.DataArray] = Stored((data, *(one[name] for one in smaller if name in one)))
         if len(levels) <= count_of(shape):
             levels = _on_grids(MadeLevels(data, cache_place(path / "zarr.json", group, name)), Grid.of(data))
         yield Picture(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from planish.app.pictures import Picture
+from planish.app.picture import Picture
 from planish.app.tiles import Tiles
 from planish.core.errors import InputError
 

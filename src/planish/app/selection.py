@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from planish.analyze import correlate
-from planish.app.pictures import Picture
+from planish.app.picture import Picture
 from planish.app.tiles import Tiles
 from planish.core.bands import band_of, bands
 from planish.core.errors import InputError

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 import xarray as xr
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from planish.app.changes import Change, ChangeError, End, Mark, Region, State, applied, change_of, numbered
 from planish.app.corrections import corrections_of
 from planish.app.journal import InUse, Journal
+from planish.app.picture import PLANES, Plane
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.facts import Side
 from planish.core.results import Results
@@ -32,9 +33,6 @@ from planish.pipeline.kept import noted_study
 from planish.pipeline.regions import REGIONS
 from planish.pipeline.run import MAPS, marks_file, open_results
 from planish.study import EDITS, Study, read_study
-
-Plane = Literal["moving", "fixed"]
-PLANES: tuple[Plane, Plane] = ("moving", "fixed")
 
 KNOWN = tuple(EXTRAS)
 """What may be known of an end beside its place."""
@@ -143,6 +141,14 @@ class Session:
     def mirrored(self, layer: str) -> bool | None:
         """Whether the fixed plane shows the other side of the sheet; None where either hand may fit."""
         return None if self.study.registration.mirror else self.side_of(layer) != self.side_of(self.target(layer))
+
+    def to_face_um(self, layer: str) -> tuple[float, float]:
+        """What the link added to the holes of a layer's maps, which run at an angle, to have them at the face."""
+        if layer not in self.registrations:
+            right, down = self._found["moving"].attrs["to_face_um"]
+            return right, down
+        facts = self.results.layer(layer).registration
+        return (0.0, 0.0) if facts is None or facts.tilt is None else facts.tilt.to_face_um
 
     def side_of(self, layer: str) -> Side:
         """Side of the sheet that a layer shows: the top for flat maps, and for an image where nothing is given."""

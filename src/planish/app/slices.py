@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from planish.app.pictures import Codes
+from planish.app.picture import Codes
 from planish.core.errors import FileError, InputError
 from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch

@@ -6,8 +6,9 @@ import numpy as np
 import xarray as xr
 
 from planish.app.changes import ChangeError, End, Mark, Move
+from planish.app.picture import PLANES, Plane
 from planish.app.pictures import Pictures
-from planish.app.session import KNOWN, PLANES, Plane, Session
+from planish.app.session import KNOWN, Session
 from planish.core.grid import Grid
 from planish.pipeline import find_holes
 
@@ -86,8 +87,9 @@ def _searched(
         found = find_holes(image.assign_attrs(pixel_um=list(grid.pixel_um)), params=params)
         x, y = grid.origin_um
         return found.assign(x=found["x"] + x, y=found["y"] + y)
-    side = session.side_of(session.target(layer))
-    return find_holes(xr.Dataset(windows), params=params, side=side)
+    found = find_holes(xr.Dataset(windows), params=params, side=session.side_of(session.target(layer)))
+    right, down = session.to_face_um(layer) if plane == "moving" else (0.0, 0.0)
+    return found.assign(x=found["x"] + right, y=found["y"] + down)
 
 
 def _shown(session: Session, pictures: Pictures, layer: str, plane: Plane) -> dict[str, xr.DataArray]:

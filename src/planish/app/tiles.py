@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.app.pictures import TILE, Picture, Pictures
+from planish.app.picture import TILE, Picture
+from planish.app.pictures import Pictures
 from planish.core.errors import InputError
 from planish.io.map_store import CHUNK
 

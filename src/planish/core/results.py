@@ -280,6 +280,9 @@ class HoleTiltFacts(Facts):
     )
     offset_spread_um: tuple[Number, Number] = Field(description="Robust standard deviation of it from hole to hole.")
     offset_error_um: tuple[Number, Number] = Field(description="Standard error of the median.")
+    to_face_um: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="What was added to the places in the layer to have them at the face."
+    )
     tilt_deg: tuple[Number, Number] | None = Field(
         default=None, description="The same offset as an angle, along x and y."
     )

@@ -1,10 +1,10 @@
 /** The tab Surfaces: slices of the volume with what was found in them, and corrections of the faces. */
 
-import { button, choice, labelled, make, numbers, written } from "./dom.js";
+import { Corrections } from "./corrections.js";
+import { button, choice, labelled, make, numbers } from "./dom.js";
 import { Slice } from "./slicedata.js";
-import { LINES, SliceView } from "./sliceview.js";
-
-const MOST_POINTS = 100; // of one correction, which travel in an address while they are tried
+import { LINES } from "./sliceover.js";
+import { SliceView } from "./sliceview.js";
 
 /** @type {Tab|null} */
 let tab = null;
@@ -42,8 +42,6 @@ class Tab {
     this.sheet = null;
     this.direction = "";
     this.index = 0;
-    /** @type {{x: number, y: number, z: number, face: string}[]} */
-    this.draft = [];
     this.asked = 0;
     this.near = { across: NaN, down: NaN };
     app.showSlice = showSlice;
@@ -61,7 +59,9 @@ class Tab {
     }
     this.build();
     this.choose(this.sheets[0].layer);
-    this.app.onState(() => this.onState());
+    this.app.onState(() => {
+      if (this.corrections.listed() && this.direction) void this.load();
+    });
   }
 
   // --- elements ------------------------------------------------------------------------------------------------
@@ -71,21 +71,16 @@ class Tab {
       onCursor: (place) => this.sayPlace(place),
       onPoint: (place) => this.addPoint(place),
       onStep: (by) => this.step(by),
-      onBack: () => this.dropPoint(),
+      onBack: () => this.corrections.drop(),
     });
     this.layerBox = choice(this.sheets.map((one) => one.layer), (value) => this.choose(value));
     this.directionBox = choice([], (value) => this.turn(value));
     this.slider = make("input", { type: "range", min: "0", step: "1", oninput: () => this.go(Number(this.slider.value)) });
     this.placeField = make("input", { type: "text", inputmode: "decimal", class: "short", onchange: () => this.goToText() });
     this.rangeField = make("input", { type: "text", class: "short", onchange: () => this.setRange() });
-    this.faceBox = choice([["top", "top"], ["bottom", "bottom"]], () => {});
-    this.reachField = make("input", { type: "number", class: "short", min: "1", max: "5000", step: "any", onchange: () => this.tried() });
-    this.pointField = make("input", { type: "text", placeholder: "x, y, z", onchange: () => this.addText() });
-    this.correctButton = button("Correct", () => this.correct(), { class: "main", disabled: true });
-    this.dropButton = button("Remove point", () => this.dropPoint(), { disabled: true });
-    this.clearButton = button("Discard points", () => this.clear(), { disabled: true });
-    this.list = make("ul", { class: "corrections", "aria-label": "Corrections" });
-    this.note = make("p", { class: "step", "aria-live": "polite" });
+    this.corrections = new Corrections(this.app, {
+      sheet: () => this.sheet, first: this.sheets[0].layer, onTry: () => this.load(), onShow: (place) => this.showPlace(place),
+    });
     this.panel.classList.add("surfaces");
     const lines = make("span", { class: "group" }, ...this.lineBoxes());
     this.panel.append(
@@ -97,10 +92,7 @@ class Tab {
       make("div", { class: "tools" }, lines),
       this.view.frame,
       make("div", { class: "under" },
-        make("div", { class: "tools" },
-          labelled("Face", this.faceBox), labelled("Reach, um", this.reachField), labelled("Point, um", this.pointField),
-          this.dropButton, this.clearButton, this.correctButton),
-        this.note, this.list,
+        ...this.corrections.elements,
         make("p", { class: "soft help" },
           "Click, or Enter, sets a point on the face that is chosen; the green line shows the face as Correct and then ",
           "Apply will make it. Drag moves the slice, the wheel or + and - zoom, Home shows all of it. Arrows move the ",
@@ -144,8 +136,7 @@ class Tab {
       ["straight", "straightened along the normals"],
     ]) this.directionBox.append(make("option", { value }, words));
     this.directionBox.title = `The sheet's normal runs along ${through}; its top lies at the ${high} end.`;
-    this.reachField.value = String(this.sheet.reach_um);
-    this.clear(false);
+    this.corrections.startWith(this.sheet);
     this.turn(rows);
   }
 
@@ -203,16 +194,13 @@ class Tab {
     const asked = new URLSearchParams();
     if (Number.isFinite(this.near.across)) asked.set("across", String(this.near.across));
     if (Number.isFinite(this.near.down)) asked.set("down", String(this.near.down));
-    if (this.draft.length) {
-      asked.set("points", this.draft.map((p) => `${p.z},${p.y},${p.x},${p.face}`).join(";"));
-      asked.set("reach", this.reachField.value);
-    }
+    this.corrections.ask(asked);
     const path = `slices/${encodeURIComponent(this.sheet.layer)}/${this.direction}/${this.index}?${asked}`;
     try {
       const answer = await this.app.api.fetch(path, { signal: this.busy.signal });
       const slice = new Slice(await answer.arrayBuffer());
       if (number !== this.asked || !this.view) return;
-      this.view.points = this.pointsIn(slice);
+      this.view.points = this.corrections.pointsIn(slice.facts);
       this.view.show(slice);
       if (!this.view.cursor) this.sayPlace(null);
     } catch (/** @type {any} */ error) {
@@ -270,30 +258,6 @@ class Tab {
     return said;
   }
 
-  /** Points of saved corrections, and of the one that is made, near a slice. @param {Slice} slice */
-  pointsIn(slice) {
-    const { facts } = slice;
-    if (facts.direction === "straight") return [];
-    const saved = this.corrections().flatMap((one) => one.points.map((/** @type {any} */ p) => ({ ...p, draft: false })));
-    const made = this.draft.map((p) => ({ ...p, draft: true }));
-    const reach = Number(this.reachField.value) || 0;
-    const size = Math.abs(this.sheet.axes[facts.normal].step_um);
-    return [...saved, ...made]
-      .filter((p) => Math.abs(p[facts.normal] - facts.at_um) <= Math.max(reach, size))
-      .map((p) => ({
-        across: p[facts.across.name], down: p[facts.down.name], face: p.face, draft: p.draft,
-        here: Math.abs(p[facts.normal] - facts.at_um) <= 0.5 * size,
-      }));
-  }
-
-  // --- corrections ---------------------------------------------------------------------------------------------
-
-  /** Saved corrections of this sheet. @returns {any[]} */
-  corrections() {
-    const first = this.sheets[0].layer;
-    return (this.app.state.corrections ?? []).filter((/** @type {any} */ one) => (one.layer ?? first) === this.sheet.layer);
-  }
-
   /** @param {{across: number, down: number}} at */
   addPoint(at) {
     const slice = this.view?.slice;
@@ -302,86 +266,6 @@ class Tab {
       this.app.say("A slice along the sheet shows no height. Choose another direction to set points.");
       return;
     }
-    const place = slice.place(at.across, at.down, this.sheet);
-    this.addPlace(place);
-  }
-
-  addText() {
-    const found = numbers(this.pointField.value, 3);
-    this.pointField.setAttribute("aria-invalid", String(!found));
-    if (!found) return;
-    this.pointField.value = "";
-    this.addPlace({ x: found[0], y: found[1], z: found[2] });
-  }
-
-  /** @param {{x: number, y: number, z: number}} place */
-  addPlace(place) {
-    if (this.app.readOnly || !this.sheet.correctable) {
-      this.app.say(this.app.readOnly ? "The run is open to read only." : "The faces of this sheet were not found by their grey and cannot be corrected.");
-      return;
-    }
-    if (![place.x, place.y, place.z].every(Number.isFinite)) {
-      this.app.say("There is no place of the volume here.");
-      return;
-    }
-    if (this.draft.length >= MOST_POINTS) {
-      this.app.say(`A correction has ${MOST_POINTS} points at most. Press Correct and go on with another.`);
-      return;
-    }
-    const round = (/** @type {number} */ value) => Math.round(value * 1000) / 1000;
-    this.draft.push({ x: round(place.x), y: round(place.y), z: round(place.z), face: this.faceBox.value });
-    this.tried();
-  }
-
-  dropPoint() {
-    if (this.draft.pop()) this.tried();
-  }
-
-  /** @param {boolean} [anew] */
-  clear(anew = true) {
-    this.draft = [];
-    if (anew) this.tried();
-  }
-
-  /** Show what the points would make of the faces. */
-  tried() {
-    const count = this.draft.length;
-    for (const one of [this.dropButton, this.clearButton, this.correctButton]) one.disabled = !count;
-    const last = this.draft.at(-1);
-    this.note.textContent = last
-      ? `${count} point${count > 1 ? "s" : ""}, the last at x, y, z = ${written([last.x, last.y, last.z])} um on the ${last.face} face.`
-      : "";
-    return this.load();
-  }
-
-  async correct() {
-    const points = this.draft.map(({ x, y, z, face }) => ({ z, y, x, face }));
-    const reach = Number(this.reachField.value);
-    if (!points.length) return;
-    const done = await this.app.change(
-      { do: "correct", layer: this.sheet.layer, points, reach_um: reach > 0 ? reach : null }, "Correction made",
-    );
-    if (done) this.clear();
-  }
-
-  onState() {
-    const kept = this.corrections();
-    const shown = JSON.stringify(kept);
-    if (shown === this.seen) return;
-    this.seen = shown;
-    this.list.replaceChildren(...kept.map((one) => this.row(one)));
-    if (this.direction) void this.load();
-  }
-
-  /** @param {any} one */
-  row(one) {
-    const faces = [...new Set(one.points.map((/** @type {any} */ p) => p.face))].join(" and ");
-    const middle = one.points[Math.floor(one.points.length / 2)];
-    return make("li", {},
-      `${one.id}: ${one.points.length} point${one.points.length > 1 ? "s" : ""} on the ${faces} face, reach ${one.reach_um ?? this.sheet.reach_um} um `,
-      button("Show", () => this.showPlace({ layer: this.sheet.layer, ...middle }), { "aria-label": `Show ${one.id}` }),
-      button("Remove", () => this.app.change({ do: "uncorrect", id: one.id, layer: this.sheet.layer }, "Correction removed"), {
-        "aria-label": `Remove correction ${one.id}`, disabled: this.app.readOnly,
-      }));
+    this.corrections.add(slice.place(at.across, at.down, this.sheet));
   }
 }
