@@ -241,6 +241,7 @@ def test_a_scale_beyond_the_calibration_has_a_way_through(planish, linked_run, s
     assert abs(registration.scale - 1.05) < 0.01
 
 
+@pytest.mark.study
 def test_a_piece_that_fills_a_third_of_its_box_is_covered(planish, specimen, tmp_path):
     """Beside a small specimen lies air, which is no sheet that was lost."""
     grey = specimen.volume.values

@@ -181,6 +181,7 @@ def test_every_exit_code_is_explained():
     assert {int(code) for code in re.findall(r"^\| (\d+) \|", page("reference/exit-codes.md"), re.MULTILINE)} == used
 
 
+@pytest.mark.study
 def test_every_message_has_its_entry():
     covered = {message.text for _, patterns in message_pages.families() for message in message_pages.of(patterns)}
     every = messages.messages()

@@ -101,7 +101,11 @@ def test_a_small_field_gets_a_margin_with_room_for_its_holes(field_um):
         ({"field_um": (20_000.0, 15_000.0), "holes": 11}, ("rule 'count'", "at least 12")),
         ({"field_um": (20_000.0, 15_000.0), "holes": 14}, ("rule 'crop'", "20 or more")),
         ({"field_um": (8_000.0, 8_000.0), "layout": "line", "margin_um": 300.0}, ("rule 'spacing'", "layout 'coded'")),
-        ({"field_um": (20_000.0, 15_000.0), "spacing_um": 4_000.0}, ("rule 'spacing'", "--spacing-um")),
+        pytest.param(
+            {"field_um": (20_000.0, 15_000.0), "spacing_um": 4_000.0},
+            ("rule 'spacing'", "--spacing-um"),
+            marks=pytest.mark.study,
+        ),
         ({"field_um": (20_000.0, 15_000.0), "spacing_um": 300.0}, ("below 3 diameters, 525 um",)),
         ({"field_um": (20_000.0, 15_000.0), "margin_um": 100.0}, ("below 127.5 um",)),
         ({"field_um": (20.0, 15.0)}, ("field_um", "greater than or equal to 500")),

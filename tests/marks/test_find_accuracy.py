@@ -7,6 +7,8 @@ from benchmarks.scorched import LOOKS, beyond, make_scorched
 
 from planish.marks import find_holes
 
+pytestmark = pytest.mark.study
+
 
 @pytest.mark.parametrize("bright", [False, True])
 @pytest.mark.parametrize("across", [8, 12, 20, 35])
