@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import filecmp
 import json
+import shutil
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
 import xarray as xr
 
+from planish.cli.runs import _compare
 from planish.marks.files import read_any
 from planish.pipeline import open_run
 from planish.pipeline.compare import WAYS
@@ -137,6 +140,20 @@ def test_a_repeated_run_has_the_same_bytes(planish, linked_run):
     files = [p.relative_to(linked_run) for p in linked_run.rglob("*") if p.is_file()]
     assert len(files) > 50
     assert all(filecmp.cmp(linked_run / f, again / f, shallow=False) for f in files)
+
+
+def test_files_that_differ_are_named_and_those_of_maps_counted(linked_run, tmp_path, capsys):
+    other = Path(shutil.copytree(linked_run, tmp_path / "other"))
+    _compare(linked_run, other)
+    assert f"{other}: same bytes as {linked_run}" in capsys.readouterr().err
+    chunks = sorted((other / "maps.zarr/linked/image/c").rglob("[0-9]"))
+    for path in (*chunks, other / "maps.zarr/maps/u/zarr.json", other / "figures.csv"):
+        if path.is_file():
+            path.write_bytes(path.read_bytes() + b" ")
+    count = 1 + sum(path.is_file() for path in chunks)
+    _compare(linked_run, other)
+    said = f"{other}: {count} files of maps.zarr (linked, maps), figures.csv differ from {linked_run}"
+    assert said in capsys.readouterr().err
 
 
 def test_run_toml_is_complete(linked_run):

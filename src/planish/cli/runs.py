@@ -213,7 +213,7 @@ def _compare(old: Path, target: Path) -> None:
         click.echo(f"{old.name} was {before['warning']}", err=True)
     elif (old / "results.json").is_file():
         different = _different(old, target)
-        text = "same bytes as" if not different else f"{', '.join(different)} differ from"
+        text = "same bytes as" if not different else f"{_listed(different)} differ from"
         click.echo(f"{target}: {text} {old}", err=True)
 
 
@@ -227,6 +227,19 @@ def _different(old: Path, new: Path) -> list[str]:
     }
     _, other, missing = filecmp.cmpfiles(old, new, files, shallow=False)
     return sorted([*other, *missing])
+
+
+def _listed(files: list[str]) -> str:
+    """Files in words; those of the store, of which a map has many, as a count and their groups."""
+    from planish.pipeline.run import MAPS
+
+    stored = [Path(name).parts for name in files if name.startswith(f"{MAPS}/")]
+    said = [name for name in files if not name.startswith(f"{MAPS}/")]
+    if stored:
+        groups = sorted({parts[1] for parts in stored if len(parts) > 2})
+        where = f"{MAPS} ({', '.join(groups)})" if groups else MAPS
+        said.insert(0, f"{len(stored)} {'file' if len(stored) == 1 else 'files'} of {where}")
+    return ", ".join(said)
 
 
 @verb("planish demo", "planish demo --out try --seed 2", name="demo")
