@@ -210,9 +210,10 @@ def test_names_that_are_no_text_do_not_reach_the_terminal(planish, specimen_file
 
 def test_a_wrong_axis_is_named(planish, specimen_files, laid, tmp_path):
     for path, wrong, right in ((specimen_files[0], "y", "z"), (laid.volume, "z", "y")):
-        code, _, err = planish("map", path, "--through", wrong, "-o", tmp_path / "run")
-        assert code == 3
-        assert f"try --through {right}" in err
+        for command in ("map", "surface"):
+            code, _, err = planish(command, path, "--through", wrong, "-o", tmp_path / "run")
+            assert code == 3
+            assert f"try --through {right}" in err
         assert f"sheet: across {right}" in planish("info", path)[1]
     assert list(tmp_path.iterdir()) == []
 

@@ -85,18 +85,14 @@ def _image(path: Path, values: dict[str, Any]) -> xr.DataArray:
 @compute_options
 def surface(volume: Path, out: Path, **values: Any) -> None:
     """Find the faces, interfaces and centre surface of the sheet in VOLUME."""
-    from planish.compute import column_step, engine
-    from planish.core.frame import Frame
     from planish.io.run_folder import refuse_existing
-    from planish.surface import find_surfaces
+    from planish.pipeline.sheet import search_sheet
+    from planish.study import LayerParams
 
     refuse_existing(out)
     data, params, compute = _volume(volume, values)
-    frame = Frame(through=params.through, top=params.top)
-    step = column_step(data, frame, params.column_um, compute)
-    with engine(compute) as tiles:
-        how = made(SurfaceParams, values, "surface")
-        found = find_surfaces(data, frame=frame, params=how, step=step, engine=tiles)
+    layer = LayerParams(name="sheet", volume=params, surface=made(SurfaceParams, values, "surface"))
+    found = search_sheet(data, layer, compute=compute)
     share = float((found["status"].values == 0).mean())
     summary = f"sheet of {found.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns measured"
     # 'planish measure' finds the grey values again.

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from planish.checks import check_scan
-from planish.compute import Compute, Progress, column_step, engine
+from planish.compute import Compute, Progress, column_step, engine, silent
 from planish.core.errors import CannotMeasure, VolumeError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
@@ -65,7 +65,7 @@ def map_layer(
             surfaces = correct_surfaces(surfaces, volume, corrections, params=layer.surface, engine=tiles)
     else:
         assert volume is not None
-        surfaces = _search(volume, layer, compute=compute, progress=progress, kept=kept)
+        surfaces = search_sheet(volume, layer, compute=compute, progress=progress, kept=kept)
     if before is not None and measured_before:
         measured = before.groups["surfaces"]
     else:
@@ -129,10 +129,17 @@ def map_layer(
     )  # fmt: skip
 
 
-def _search(
-    volume: xr.DataArray, layer: LayerParams, *, compute: Compute, progress: Progress, kept: Path | None
+def search_sheet(
+    volume: xr.DataArray, layer: LayerParams, *, compute: Compute, progress: Progress = silent, kept: Path | None = None
 ) -> xr.Dataset:
-    """Find the surfaces of a sheet; where there is none, name the axis that looks like its normal."""
+    """Find the surfaces of a sheet.
+
+    Raises
+    ------
+    VolumeError
+        If there is no sheet, too few of its columns are measured for a map, or it is not as thick as sheets are. The
+        axis that looks like its normal is named where another one was given.
+    """
     v = layer.volume
     assert v is not None
     frame = Frame(through=v.through, top=v.top)
