@@ -156,6 +156,13 @@ def test_files_that_differ_are_named_and_those_of_maps_counted(linked_run, tmp_p
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("group", ["surfaces", "flat", "strain", "maps", "linked"])
+def test_places_have_their_unit(tree, group):
+    assert {str(k): v.attrs.get("units") for k, v in tree[group].coords.items()} in (
+        {"y": "um", "x": "um"}, {"v": "um", "u": "um"},
+    )  # fmt: skip
+
+
 def test_run_toml_is_complete(linked_run):
     study = tomllib.loads((linked_run / "run.toml").read_text())
     sheet, image = study["layers"]

@@ -77,7 +77,7 @@ class Grid:
     @property
     def coords(self) -> dict[str, Any]:
         """Coordinates of a dataset on it."""
-        return {"y": self.y_um, "x": self.x_um}
+        return {"y": ("y", self.y_um, {"units": "um"}), "x": ("x", self.x_um, {"units": "um"})}
 
 
 def pitch(data: xr.Dataset | xr.DataArray) -> tuple[float, float]:

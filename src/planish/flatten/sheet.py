@@ -126,7 +126,8 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams = FlattenParams
         attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored), "neutral": neutral, "rest": params.rest},
     )
     strain = cell_strain(points, relaxed.uv).assign_coords(
-        y=("row", 0.5 * (y[rows][1:] + y[rows][:-1])), x=("col", 0.5 * (x[cols][1:] + x[cols][:-1]))
+        y=("row", 0.5 * (y[rows][1:] + y[rows][:-1]), {"units": "um"}),
+        x=("col", 0.5 * (x[cols][1:] + x[cols][:-1]), {"units": "um"}),
     )
     # The same lines in the same sheet every time.
     distortion = measure_distortion(points, relaxed.uv, rng=np.random.default_rng(0), strain=strain)

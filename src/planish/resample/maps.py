@@ -102,7 +102,9 @@ class SheetOnto:
     def on(self, part: Grid) -> xr.Dataset:
         """The maps on some pixels of the reference."""
         (rows, cols), places = self._mesh.under(part)
-        maps = resample_dataset(self._data.isel(y=rows, x=cols), places, dims=("y", "x"), coords=part.coords)
+        maps = resample_dataset(
+            self._data.isel(y=rows, x=cols), places, dims=("y", "x"), coords={"y": part.y_um, "x": part.x_um}
+        )
         pixel = float(np.sqrt(part.pixel_um[0] * part.pixel_um[1])) / self._similarity.scale
         return _finished(maps, self._surfaces, self._names, pixel, self._similarity)
 
