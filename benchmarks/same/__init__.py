@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import fnmatch
 import hashlib
+import inspect
 import os
 import platform
 import re
@@ -91,7 +92,7 @@ def compare(folder: Path, commit: str, new: Path, names: Sequence[str], *, reuse
 def _done(side: Side, name: str, reuse: bool) -> str:
     """Do a part, unless it is there; say how long it took."""
     mark = side.home / f"{name}.done"
-    stamp = _stamp()
+    stamp = _stamp(name)
     if reuse and mark.is_file() and mark.read_text(encoding="utf-8") == stamp:
         return "kept"
     mark.unlink(missing_ok=True)
@@ -158,11 +159,12 @@ def make_inputs(home: Path, tree: Path, python: Path) -> None:
     partial.rename(inputs)
 
 
-def _stamp() -> str:
-    """What the results of the old side depend on beside its commit: these parts and inputs, and the processor."""
-    texts = b"".join((_HERE / name).read_bytes() for name in ("parts.py", "inputs.py", "driver.py"))
-    found = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
-    return f"{platform.node()} {found[1] if found else platform.processor()} {hashlib.sha256(texts).hexdigest()}\n"
+def _stamp(name: str) -> str:
+    """What the results of the old side depend on beside its commit: the part, its inputs, and the processor."""
+    texts = "".join([inspect.getsource(PARTS[name]), *((_HERE / k).read_text() for k in ("inputs.py", "driver.py"))])
+    model = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
+    processor = model[1] if model else platform.processor()
+    return f"{platform.node()} {processor} {hashlib.sha256(texts.encode()).hexdigest()}\n"
 
 
 def _git(*arguments: str) -> str:

@@ -21,6 +21,8 @@ _SCRIPT = re.compile(r"<(script|style)\b.*?</\1>", re.DOTALL)
 _WORDS = re.compile(r"<[^>]*>")
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _SAID = re.compile(r"\d\d-[a-z]+\.(err|txt)")  # by a command: words may change, numbers stand in the other files
+_UUID = re.compile(r"urn:uuid:[0-9a-f-]+")  # which OME asks to be another one for each file
+_SIDE = re.compile(r"(?<=/)(old|new)(?=/)")  # folder of a side, in whole paths
 _OF_THEIR_OWN = {".lock", ".log"}
 
 
@@ -97,7 +99,8 @@ def _tiff(old: Path, new: Path, _keys: Keys) -> Iterator[tuple[str, str]]:
         if what := arrays(before.asarray(), after.asarray()):
             yield "", what
         for name in ("description", "resolution", "software"):
-            if (a := getattr(before.pages.first, name, None)) != (b := getattr(after.pages.first, name, None)):
+            a, b = (_UUID.sub("", str(getattr(file.pages.first, name, ""))) for file in (before, after))
+            if a != b:
                 yield name, _shortly(a, b)
 
 
@@ -146,7 +149,7 @@ def _flat(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
         for k, inner in enumerate(value):
             yield from _flat(inner, f"{place}[{k}]")
     else:
-        yield place, value
+        yield place, _SIDE.sub("side", value) if isinstance(value, str) else value
 
 
 def _renamed(place: str, keys: Keys) -> str:
