@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import tifffile
@@ -79,6 +80,27 @@ def test_an_image_that_is_missing_is_waited_for(tmp_path: Path) -> None:
     found = next(coming)
     assert found is not None
     assert [os.path.basename(file) for file in found.files] == ["1_ct.tif", "1_img.tif"]  # noqa: PTH119
+
+
+def test_a_part_of_each_file_is_taken_when_all_of_it_stands_still(tmp_path: Path) -> None:
+    clock, said = Clock(), list[str]()
+    coming = watched(
+        plan(tmp_path, volume="{sheet}_ct.h5:/entry/a"), tmp_path, settle_s=30, idle_s=None, tell=said.append,
+        clock=clock,
+    )  # fmt: skip
+
+    def look(seconds: float) -> Specimen | None:
+        clock.now += seconds
+        return next(coming)
+
+    for rows in (4, 9):
+        with h5py.File(tmp_path / "1_ct.h5", "w") as file:
+            file["entry/a"] = np.zeros((9, rows, 7), np.uint8)
+        assert look(20) is None  # the second time the file was written anew
+    found = look(31)
+    assert found is not None
+    assert (found.name, found.files) == ("1", (f"{tmp_path / '1_ct.h5'}:/entry/a",))
+    assert said == []
 
 
 @pytest.mark.parametrize(

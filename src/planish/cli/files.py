@@ -53,8 +53,10 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
         facts, lines = run, run_lines(run)
     if picture is not None:
         if not sections:
+            from planish.io import find_place
+
             raise FileError(
-                f"There is nothing of {path.name} to draw: give a volume or an image that can be looked at."
+                f"There is nothing of {find_place(path).name} to draw: give a volume or an image that can be looked at."
             )
         write_picture(sections, picture)
     click.echo(json.dumps(facts, indent=2, allow_nan=False) if as_json else printable("\n".join(lines)))

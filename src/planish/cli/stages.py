@@ -112,6 +112,7 @@ def surface(volume: Path, out: Path, **values: Any) -> None:
 def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None:
     """Measure all properties along the normals of SURFACES."""
     from planish.core.errors import FileError
+    from planish.io import find_place
     from planish.io.run_folder import refuse_existing
     from planish.measure import measure_properties
 
@@ -121,7 +122,7 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
     if path is None and noted:
         path = Path(noted.pop("path"))
         values = {f"volume__{k}": v for k, v in noted.items()} | {k: v for k, v in values.items() if v is not None}
-        if not path.exists():
+        if not find_place(path).path.exists():
             raise FileError(f"The volume of {surfaces}, {path}, is not there any more. Give its place with --volume.")
     found = measure_properties(
         data, volume=None if path is None else _volume(path, values)[0],

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -73,6 +74,16 @@ class Place:
     path: Path
     part: str = ""
 
+    @property
+    def name(self) -> str:
+        """Name of the file, and the part behind it: ``scan.h5:/entry/data``."""
+        return f"{self.path.name}:{self.part}" if self.part else self.path.name
+
+    @property
+    def stem(self) -> str:
+        """Name of the file without its ending, and the part behind it: ``scan-entry-data``."""
+        return "-".join([self.path.stem, *filter(None, self.part.split("/"))])
+
 
 def find_place(path: str | Path) -> Place:
     """Split ``file.h5:/entry/data`` at its colon.
@@ -107,7 +118,7 @@ def find_place(path: str | Path) -> Place:
             if text[at] != ":" or (at == 1 and front.isalpha()):
                 continue
             if exists(Path(front)) or any(front.lower().endswith(s) for f in FORMATS if f.parts for s in f.suffixes):
-                return Place(path=Path(front), part=text[at + 1 :])
+                return Place(path=Path(front), part=text[at + 1 :].replace(os.sep, "/"))
     return Place(path=Path(text))
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 from pathlib import Path
 
 from planish.io.checksums import store_fingerprint
-from planish.io.formats import SLICES, TIFF, find_place, format_of, loader
+from planish.io.formats import SLICES, TIFF, Place, find_place, format_of, loader
 from planish.io.guard import reading, size_of_file
 from planish.io.sections import COUNTER, is_section_folder
 from planish.io.slice_volume import slice_files
@@ -39,27 +40,31 @@ def fingerprint(path: str | Path) -> str:
     """
     place = find_place(path)
     path = place.path
-    found = format_of(place)
-    # Sections have gaps that are none: their counter says where each one lies, and is part of what was measured.
-    if is_section_folder(path):
-        files = [file for file in path.iterdir() if is_slice_name(file.name) or file.name == COUNTER]
-    elif found is SLICES:
-        files = slice_files(path, read_scan(path))
-    elif path.is_dir():
-        # A store that planish wrote has the hashes of its shards already.
-        known = store_fingerprint(path)
-        if known:
-            return known
-        files = [file for file in path.rglob("*") if file.is_file()]
-    else:
-        files = [path] if found is TIFF else list(dict.fromkeys(loader(found)(place, None, None).files))
-        if files == [path] and not place.part:
-            return hash_of_file(path)
-    base = path if path.is_dir() else path.parent
     total = hashlib.sha256(f"{place.part}\n".encode() if place.part else b"")
+    # A store that planish wrote has the hashes of its shards already.
+    if format_of(place).members and (stored := store_fingerprint(path)):
+        total.update(stored.encode())
+        return total.hexdigest() if place.part else stored
+    files = files_of(place)
+    if files == [path] and not place.part:
+        return hash_of_file(path)
+    base = path if path.is_dir() else path.parent
     for name, file in sorted((file.relative_to(base).as_posix(), file) for file in files):
         total.update(f"{hash_of_file(file)}  {name}\n".encode())
     return total.hexdigest()
+
+
+def files_of(place: Place) -> list[Path]:
+    """List the files that an input is made of, reading its headers alone; errors as of :func:`fingerprint`."""
+    path, kind = place.path, format_of(place)
+    # Sections have gaps that are none: their counter says where each one lies, and is part of what was measured.
+    if is_section_folder(path):
+        return [file for file in path.iterdir() if is_slice_name(file.name) or file.name == COUNTER]
+    if kind is SLICES:
+        return slice_files(path, read_scan(path))
+    if path.is_dir():
+        return [file for file in path.rglob("*") if file.is_file()]
+    return [path] if kind is TIFF else list(dict.fromkeys(loader(kind)(place, None, sys.maxsize).files))
 
 
 _known: dict[tuple[Path, int, int, int], str] = {}

@@ -24,6 +24,7 @@ from zarr.errors import ZarrUserWarning
 from planish.core.errors import FileError
 from planish.core.files import DiskFull, delete, disk_full, move, writing
 from planish.core.names import check_length, check_name
+from planish.io.formats import find_place
 from planish.io.map_store import CHUNK, CODECS, COMPLETE, OVERVIEWS, is_large, large_groups, readable, stored_group
 
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
@@ -197,7 +198,7 @@ def remove(folder: Path) -> None:
 def refuse_inside(path: Path, inputs: Iterable[str | Path]) -> None:
     """Raise FileError if ``path`` lies in a folder that is an input."""
     place = path.absolute().resolve()
-    for given in map(Path, inputs):
+    for given in (find_place(one).path for one in inputs):
         if given.is_dir() and given.resolve() in (place, *place.parents):
             raise FileError(
                 f"{path} lies in {given}, which is read; nothing is written there. Give another name with --out."

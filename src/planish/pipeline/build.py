@@ -166,11 +166,11 @@ def _kind_of(path: Path) -> Kind:
 def _named(text: str) -> tuple[str | None, Path]:
     """Part ``NAME=PATH``."""
     name, sign, rest = text.partition("=")
-    if not sign or not rest or Path(text).exists():
+    if not sign or not rest or find_place(text).path.exists():
         return None, Path(text)
     if _NAME.fullmatch(name):
         return name, Path(rest)
-    if Path(rest).exists():
+    if find_place(rest).path.exists():
         raise StudyError(
             f"{name!r} is no name of a layer: letters from A to Z, digits, - and _ are possible, at most 40."
         )
@@ -185,10 +185,11 @@ def _all_names(parts: Sequence[tuple[str | None, Path]], kinds: Sequence[Kind]) 
     usual = ["image" if kind == "image" else "sheet" for kind in kinds]
     if len(set(usual)) == len(usual):
         return [name or word for (name, _), word in zip(parts, usual, strict=True)]
-    stems = [name or _as_name(path.absolute().stem) for name, path in parts]
+    places = [find_place(path.absolute()) for _, path in parts]
+    stems = [name or _as_name(place.stem) for (name, _), place in zip(parts, places, strict=True)]
     return [
-        name or (f"{_as_name(path.absolute().parent.name)}-{stem}"[:40] if stems.count(stem) > 1 else stem)
-        for (name, path), stem in zip(parts, stems, strict=True)
+        name or (f"{_as_name(place.path.parent.name)}-{stem}"[:40] if stems.count(stem) > 1 else stem)
+        for (name, _), place, stem in zip(parts, places, stems, strict=True)
     ]
 
 

@@ -20,7 +20,7 @@ from planish.core.grid import Grid
 from planish.core.results import LayerFacts, Results
 from planish.core.text import likely
 from planish.core.transform import Affine, Similarity
-from planish.io import VolumeParams, fingerprint
+from planish.io import VolumeParams, find_place, fingerprint
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import group_names, read_group
 from planish.measure import straightened
@@ -245,7 +245,7 @@ class Taken:
         """
         params = self._layer_of(facts.name).volume
         assert params is not None
-        path = Path(params.path.split(":")[0]) if not Path(params.path).exists() else Path(params.path)
+        path = find_place(params.path).path
         if not path.exists():
             raise FileError(
                 f"The volume {facts.source.name} of this run is needed, and {path} is not there. Put it back, or write "

@@ -18,6 +18,7 @@ from planish.core.names import fault_of_name
 from planish.core.series import Member
 from planish.core.tables import parse_table, raise_faults, read_text
 from planish.core.toml_lines import KeyLines, key_lines
+from planish.io import find_place
 from planish.pipeline.build import study_of
 from planish.series.declared import Declared
 from planish.study import Study, as_study, in_study_words, with_paths, with_values
@@ -234,7 +235,7 @@ def _plan(path: Path, rows: Sequence[_Row], plan: Plan) -> Plan:
     found: list[Specimen] = []
     if not rows and not plan.watch:
         raise InputError(f"{path} names no specimen. {_NEEDED}.")
-    names = _names(rows)
+    names = _names(rows, home)
     for row, name in zip(rows, names, strict=True):
         if row.layers and {"volume", "image"} & set(row.cells):
             faults.append(f"{row.where}: give layers, or volume and image, not both")
@@ -266,10 +267,11 @@ def _plan(path: Path, rows: Sequence[_Row], plan: Plan) -> Plan:
     return replace(plan, specimens=tuple(found))
 
 
-def _names(rows: Sequence[_Row]) -> list[str]:
+def _names(rows: Sequence[_Row], home: Path) -> list[str]:
     """Names as given; else the factors, or the files, whichever tells all specimens apart."""
     by_factor = ["-".join(cell for key, cell in row.cells.items() if key not in _OWN) for row in rows]
-    by_file = [Path((row.layers[:1] or (row.cells.get("volume", ""),))[0].rpartition("=")[2]).stem for row in rows]
+    first = [(row.layers[:1] or (row.cells.get("volume", ""),))[0].rpartition("=")[2] for row in rows]
+    by_file = [find_place(home / file).stem if file else "" for file in first]
     for guess in (by_factor, by_file):
         if all(guess) and len({one.casefold() for one in guess}) == len(guess):
             return [row.cells.get("name", checked_name(one)) for row, one in zip(rows, guess, strict=True)]
@@ -295,6 +297,6 @@ def checked_name(guess: str) -> str:
 def _placed(file: str, home: Path) -> str:
     """An absolute path; ``NAME=`` stays before it."""
     name, sign, rest = file.partition("=")
-    if sign and rest and not (home / file).exists():
+    if sign and rest and not find_place(home / file).path.exists():
         return f"{name}={os.path.normpath(home / rest)}"
     return os.path.normpath(home / file)

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError
 from planish.core.errors import InputError, PlanishError
 from planish.core.options import Params
 from planish.core.tables import model_faults
+from planish.io import find_place
 from planish.io.info import describe
 from planish.series.jobs import stamp_of
 from planish.series.plan import Plan, Specimen, checked_name
@@ -56,21 +57,24 @@ def watched(
     complete is named once, and tried again when it changes.
     """
     params = watch_params(plan)
-    pattern = _pattern(params.volume)
+    wanted = find_place(params.volume)
+    pattern = _pattern(str(wanted.path))
     given: dict[str, str] = {}  # name of a specimen -> stamp of its files
     refused: dict[str, str] = {}
     since: dict[str, tuple[str, float]] = {}  # stamp of files, and when it was first seen
     last = clock()
     while True:
         came = False
-        for volume in sorted(folder.iterdir()):
-            found = pattern.fullmatch(volume.name)
+        for entry in sorted(folder.iterdir()):
+            found = pattern.fullmatch(entry.name)
             if found is None:
                 continue
             factors = found.groupdict()
-            files = [volume, *([folder / params.image.format(**factors)] if params.image else [])]
+            volume = Path(f"{entry}:{wanted.part}") if wanted.part else entry
+            images = [folder / params.image.format(**factors)] if params.image else []
+            files = [volume, *images]
             name = checked_name("-".join(factors.values()))
-            if not all(file.exists() for file in files):
+            if not all(image.exists() for image in images):
                 continue
             stamp = " ".join(stamp_of(file) for file in files)
             first = since.get(name)
