@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import tifffile
 
+from formats_written import CUBE, NAME, write_hdf5, write_meta, write_nrrd, write_raw, write_zarr
 from planish.cli.series import code_of
 from planish.compute import Compute
 from planish.core.series import Member, MemberState
@@ -59,6 +60,37 @@ def test_same_bytes_are_the_same_whatever_their_date(tmp_path: Path, specimen: S
     one.close(specimen, opened(one, specimen), Outcome(state="refused", message="no hole", seconds=1.0))
     os.utime(tmp_path / "i.tif", (1e9, 1e9))
     assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Member)
+
+
+def in_parts_or_two_files(folder: Path, kind: str) -> tuple[str, Path]:
+    """A volume that is a part of a file, or a header with its values in another file; and the file of the values."""
+    values = np.arange(576, dtype=np.uint16).reshape(9, 8, 8)
+    if kind == "h5":
+        path = write_hdf5(folder, values, CUBE)
+        return path, Path(path.partition(":/entry")[0])
+    if kind == "zarr":
+        store = write_zarr(folder, values, CUBE, 2)
+        return f"{store}:/0", next(file for file in (store / "0").rglob("*") if file.is_file() and file.suffix == "")
+    if kind == "toml":
+        data = write_raw(folder, values, CUBE)
+        return f"{data}.toml", data
+    if kind == "mhd":
+        return str(write_meta(folder, values, CUBE, ".mhd", False)), folder / f"{NAME}.raw"
+    return str(write_nrrd(folder, values, CUBE, ".nhdr", "raw")), folder / f"{NAME}.raw"
+
+
+@pytest.mark.parametrize("kind", ["h5", "zarr", "toml", "mhd", "nhdr"])
+def test_a_volume_whose_values_changed_is_done_again(tmp_path: Path, kind: str) -> None:
+    """The file that changed has as many bytes as before and an older date than the header: a copy that was put back."""
+    path, data = in_parts_or_two_files(tmp_path, kind)
+    one, specimen = book(tmp_path), Specimen(name="A", files=(path,))
+    one.close(specimen, opened(one, specimen), Outcome(state="refused", message="no sheet", seconds=1.0))
+    assert isinstance(one.open(specimen, COMPUTE), Member)
+    changed = bytearray(data.read_bytes())
+    changed[-1] ^= 1
+    data.write_bytes(changed)
+    os.utime(data, (1e9, 1e9))
+    assert isinstance(one.open(specimen, COMPUTE), Job)
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, specimen: Specimen) -> None:

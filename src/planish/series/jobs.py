@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,8 @@ from planish.core.errors import PlanishError, ResourceError
 from planish.core.facts import Facts
 from planish.core.files import write_whole
 from planish.core.series import Member, MemberState
-from planish.io import fingerprint
+from planish.io import find_place, fingerprint
+from planish.io.hashes import files_of
 from planish.io.run_folder import sweep
 from planish.pipeline.run import is_run, open_results
 from planish.pipeline.save import run_study
@@ -143,7 +143,7 @@ class Book:
 
         def without(path: str) -> str:
             paths.append(path)
-            return Path(path).name
+            return find_place(path).name
 
         asked = to_dict(with_paths(study, without))
         before = self._note(self.home / RUNS / specimen.name)
@@ -208,11 +208,16 @@ def _hash(path: Path) -> str:
 
 
 def stamp_of(path: Path) -> str:
-    """Number, size and latest change of the files of an input."""
-    found: Sequence[Path] = sorted(path.rglob("*")) if path.is_dir() else [path]
-    count = size = latest = 0
-    for one in found:
+    """Number, size and times of change of the files of an input, those that its headers name among them."""
+    files = list(path.rglob("*")) if path.is_dir() else [path]
+    if not path.is_dir():
+        with suppress(PlanishError):  # a header whose values are not there yet is a file like another one
+            place = find_place(path)
+            files = [place.path]
+            files = files_of(place)
+    count = size = changed = 0
+    for file in files:
         with suppress(OSError):
-            stat = one.stat()
-            count, size, latest = count + 1, size + stat.st_size, max(latest, stat.st_mtime_ns)
-    return f"{count} {size} {latest}"
+            stat = file.stat()
+            count, size, changed = count + 1, size + stat.st_size, changed + stat.st_mtime_ns
+    return f"{count} {size} {changed}"
