@@ -8,13 +8,16 @@ import xarray as xr
 from scipy import ndimage
 
 from planish.analyze import commonality, correlate, partial
+from planish.compute import Compute
 from planish.core.area import area_mean
 from planish.core.errors import InputError
 from planish.core.results import LayerFacts, Results
 from planish.pipeline.compare import correlate_layers, headline_of
 from planish.pipeline.evidence import evidence_of
+from planish.pipeline.request import check_request
 from planish.report.scale import sentences
 from planish.report.summary import cautions
+from planish.study import as_study
 
 
 @pytest.fixture(scope="module")
@@ -125,14 +128,41 @@ def test_maps_that_cannot_stand_beside_are_refused_before_the_volume_is_read(
 
 
 def test_two_of_three_parts_may_stand_beside(specimen_files):
-    from planish.compute import Compute
-    from planish.pipeline.request import check_request
-    from planish.study import as_study
-
     volume, image = (str(path) for path in specimen_files[:2])
     for beside in (["base_thickness", "coating_bottom"], ["thickness", "coating_bottom"], ["topography_top"]):
         study = as_study({"volume": {"path": volume}, "image": {"path": image}, "correlate": {"beside": beside}})
         assert check_request(study, Compute()) is None
+
+
+@pytest.mark.parametrize(
+    ("properties", "name"),
+    [
+        ({"coating_g_cm3": 1.6}, "coat_weight_top"),  # by its density
+        ({"coat_weight_bottom_g_m2": 12.0}, "coat_weight_bottom"),  # as weighed
+        ({"base_g_cm3": 0.8}, "grammage"),  # of a sheet that turns out not to be coated
+        ({"solid_grey": 180.0}, "porosity"),
+        ({"maps": ["fibre_angle"]}, "fibre_cos2"),  # measured together with it
+        ({}, "tilt"),  # costs nothing
+    ],
+)
+def test_a_map_that_its_numbers_make_may_lead_or_stand_beside(specimen_files, properties, name):
+    """The rules ``when`` and ``together`` of the properties; without its number a map will not be."""
+    volume, image = (str(path) for path in specimen_files[:2])
+    for place in ({"headline": name}, {"beside": [name]}):
+        parts = {"volume": {"path": volume}, "image": {"path": image}, "correlate": place}
+        assert check_request(as_study(parts | {"properties": properties}), Compute()) is None
+        if properties:
+            with pytest.raises(InputError, match=f"{name}: there will be no such map"):
+                check_request(as_study(parts), Compute())
+
+
+def test_of_labels_no_map_but_those_of_the_faces_may_lead(specimen_files):
+    volume, image = (str(path) for path in specimen_files[:2])
+    parts = {"volume": {"path": volume}, "image": {"path": image}, "surface": {"labels": {}}}
+    parts |= {"properties": {"coating_g_cm3": 1.6}}
+    assert check_request(as_study(parts | {"correlate": {"headline": "thickness"}}), Compute()) is None
+    with pytest.raises(InputError, match="coat_weight_top: there will be no such map"):
+        check_request(as_study(parts | {"correlate": {"headline": "coat_weight_top"}}), Compute())
 
 
 @pytest.mark.study

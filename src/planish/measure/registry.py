@@ -227,14 +227,9 @@ def check_maps(params: MeasureParams) -> None:
     CannotMeasure
         If a map is unknown, or needs a number that is not given whether the sheet is coated or not.
     """
-    from planish.measure.greys import Greys
-
-    bare = Greys(air=0.0, base=1.0, coating_top=np.nan, coating_bottom=np.nan, noise=0.01, polarity=1.0, blur_um=1.0,
-                 padding=np.nan)  # fmt: skip
-    coated = replace(bare, coating_top=2.0, coating_bottom=2.0)
     for name in map(find_property, params.maps):
         faults: list[CannotMeasure] = []
-        for greys in (coated, bare):
+        for greys in _coated_and_bare():
             try:
                 for one in in_order([name], params, greys):
                     if one.check is not None:
@@ -243,6 +238,21 @@ def check_maps(params: MeasureParams) -> None:
                 faults.append(fault)
         if len(faults) == 2:
             raise faults[0]
+
+
+def possible_maps(params: MeasureParams) -> list[str]:
+    """Names of the maps that a sheet may have with these parameters: which sides are coated is not known yet."""
+    further = [name for greys in _coated_and_bare() for name in chosen(params, greys)]
+    return list(dict.fromkeys([*PROPERTIES, *further]))
+
+
+def _coated_and_bare() -> tuple[Greys, Greys]:
+    """Grey levels of a sheet that is coated on both sides, and of one that is not."""
+    from planish.measure.greys import Greys
+
+    bare = Greys(air=0.0, base=1.0, coating_top=np.nan, coating_bottom=np.nan, noise=0.01, polarity=1.0, blur_um=1.0,
+                 padding=np.nan)  # fmt: skip
+    return replace(bare, coating_top=2.0, coating_bottom=2.0), bare
 
 
 def chosen(params: MeasureParams, greys: Greys) -> list[str]:

@@ -10,7 +10,7 @@ from planish.core.errors import InputError, ResourceError
 from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import pixels_of
 from planish.marks.regions import read_regions
-from planish.measure import PROPERTIES, check_maps
+from planish.measure import PROPERTIES, check_maps, possible_maps
 from planish.pipeline.corrections import asked_corrections
 from planish.pipeline.registration import read_design
 from planish.study import LayerParams, Study
@@ -54,16 +54,17 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
             )
         check_maps(layer.properties)
         asked_corrections(layer)
-        headline, known = study.correlate.headline, {*PROPERTIES, *layer.properties.maps}
-        if headline is not None and headline not in known:
+        headline = study.correlate.headline
+        names = sorted(PROPERTIES if layer.surface.labels is not None else possible_maps(layer.properties))
+        if headline is not None and headline not in names:
             raise InputError(
-                f"--headline {headline}: there will be no such map. Give one of {', '.join(sorted(known))}, or ask "
-                f"for it with --property {headline} as well."
+                f"--headline {headline}: there will be no such map. Give one of {', '.join(names)}, or ask for it with "
+                f"--property {headline} as well."
             )
-        if unknown := sorted({*study.correlate.beside} - known):
+        if absent := sorted({*study.correlate.beside} - {*names}):
             raise InputError(
-                f"--beside {', '.join(unknown)}: there will be no such map. Give some of {', '.join(sorted(known))}, "
-                "or ask for it with --property as well."
+                f"--beside {', '.join(absent)}: there will be no such map. Give some of {', '.join(names)}, or ask "
+                "for it with --property as well."
             )
     _check_beside(study)
     _check_light(study)
