@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import os
 import signal
@@ -10,15 +11,18 @@ import sys
 import time
 from pathlib import Path
 
+import nibabel
 import numpy as np
 import pytest
 
-from planish.compute import COLUMN_BYTES, Compute, column_step, engine
+from planish.cli.show import fact_lines
+from planish.compute import Compute, column_step, engine
 from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, labelled
+from planish.core.memory import COLUMN_BYTES
 from planish.core.tiles import tiles_of
-from planish.io import read_volume
+from planish.io import describe, read_volume
 from planish.io.params import VolumeParams
 from planish.io.store import write_store
 from planish.pipeline import map_sheet, read_whole, run_study
@@ -234,6 +238,27 @@ def test_columns_get_wider_where_the_memory_asks_for_it():
         column_step(data, Frame(), None, Compute(memory_bytes=columns * COLUMN_BYTES // 100))
     with pytest.raises(InputError, match="less than a voxel"):
         column_step(data, Frame(), 1.0, Compute())
+
+
+@pytest.mark.parametrize("shape", [(3, 2500, 4000), (1500, 7, 2000), (40, 90, 120)])
+def test_the_memory_that_info_states_is_enough_for_single_voxels(shape, tmp_path):
+    """Of 10 million columns and fewer, through the shortest axis; as the line says it, which is rounded."""
+    (tmp_path / "v.raw.toml").write_text(f'shape = {list(shape)}\ndtype = "uint8"\nvoxel_um = 3\n')
+    with (tmp_path / "v.raw").open("wb") as file:
+        file.truncate(int(np.prod(shape)))
+    line = next(one for one in fact_lines(describe(tmp_path / "v.raw", values=False)) if one.startswith("planish map"))
+    stated = Compute.model_validate({"memory_bytes": line.split()[2] + "GB"})
+    frame = Frame(through="zyx"[int(np.argmin(shape))])
+    assert column_step(read_volume(tmp_path / "v.raw"), frame, None, stated) == 1
+    assert line.endswith("GB of memory and about 15 s, or less memory with wider columns") is (shape[0] == 40)
+
+
+def test_the_memory_that_info_states_holds_a_volume_that_is_decoded_as_a_whole(tmp_path):
+    values = np.random.default_rng(0).random((130, 130, 130))  # 1040 bytes a column, of which thrice the size is asked
+    (tmp_path / "v.nii.gz").write_bytes(gzip.compress(nibabel.Nifti1Image(values, np.eye(4)).to_bytes(), 1))
+    for limit in (None, 2**20):  # decoded already, or left in its file for its size
+        stated = describe(tmp_path / "v.nii.gz", memory_bytes=limit)["run_bytes"]
+        assert Compute(memory_bytes=stated).volume_bytes >= values.nbytes
 
 
 def test_sections_that_do_not_fit_are_imported_in_parts(tmp_path):

@@ -21,6 +21,7 @@ from pydantic import BeforeValidator
 from planish import __version__
 from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
+from planish.core.memory import HELD_TIMES, MAPS_SHARE, PROGRAM_BYTES, bytes_to_map, enough_gb
 from planish.core.options import Params, option
 from planish.core.tiles import Engine
 
@@ -35,20 +36,14 @@ def silent(_stage: str, _detail: str) -> None:
     """Report nothing."""
 
 
-COLUMN_BYTES = 900
-"""What a measured column takes at the peak: heights, properties, coordinates, map pixels, and the work on them."""
-
-_MAPS = 0.6  # of the memory that the maps may take; the tiles get the rest
 _WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps that are compared with images
 
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 _LEAST_BYTES = 2**20
-_PROGRAM = 3 * 10**8  # bytes that Python, its libraries and the compiled kernels take
 # Where the memory is less than the first number, freed arrays of so many bytes are given back at once. It takes time,
 # most of all for the small buffers that files are decoded into: those only where nothing else will do.
 _SHORT = ((8 * 10**8, 2**17), (4 * 10**9, 2**20))
 _M_MMAP_THRESHOLD = -3  # of malloc.h
-_TIMES = 3  # the size of a volume that is held as a whole: what the memory has to be for it
 
 
 def _bytes_of(text: Any) -> Any:
@@ -89,22 +84,17 @@ class Compute(Params):
     @property
     def volume_bytes(self) -> int:
         """Largest volume that is held in memory as a whole."""
-        return self.for_work // _TIMES
+        return self.for_work // HELD_TIMES
 
     @property
     def block_bytes(self) -> int:
         """What an import may take for the blocks that it writes: of little memory most."""
         return max(self.volume_bytes, min(self.for_work * 2 // 3, 2 * 10**8))
 
-    @staticmethod
-    def to_hold(volume_bytes: int) -> int:
-        """Memory that has to be allowed for a volume to be held as a whole."""
-        return _TIMES * volume_bytes + _PROGRAM
-
     @property
     def for_work(self) -> int:
         """What the program and its libraries leave of the memory, in bytes."""
-        return self.memory - min(_PROGRAM, self.memory // 2)
+        return self.memory - min(PROGRAM_BYTES, self.memory // 2)
 
     @property
     def memory(self) -> int:
@@ -131,11 +121,11 @@ def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, com
             raise InputError(f"--column-um {column_um:g} is less than a voxel of {pitch:g} um. Give a multiple of it.")
         return max(1, round(column_um / pitch))
     columns = volume.sizes[frame.rows] * volume.sizes[frame.cols]
-    step = max(1, math.ceil((columns * COLUMN_BYTES / (_MAPS * compute.for_work)) ** 0.5))
+    step = max(1, math.ceil((bytes_to_map(columns) / compute.for_work) ** 0.5))
     if step > 1 and step * pitch > _WIDEST_UM:
-        needed = columns * COLUMN_BYTES / (_MAPS * max(int(_WIDEST_UM / pitch), 1) ** 2) + _PROGRAM
+        needed = bytes_to_map(columns / max(int(_WIDEST_UM / pitch), 1) ** 2) + PROGRAM_BYTES
         raise ResourceError(
-            f"The maps of {columns / 1e6:.0f} million columns need {needed / 1e9:.1f} GB of memory even with columns "
+            f"The maps of {columns / 1e6:.0f} million columns need {enough_gb(needed)} GB of memory even with columns "
             f"of {_WIDEST_UM:g} um; {compute.memory / 1e9:.1f} GB are allowed. Give more with --memory, or crop the "
             "volume."
         )
@@ -153,7 +143,7 @@ def return_memory(compute: Compute) -> None:
 @contextmanager
 def engine(compute: Compute, *, kept: Path | None = None) -> Generator[Engine]:
     """Give the engine that works on tiles; InputError without scheduler or library, ResourceError if it is lost."""
-    memory = int((1 - _MAPS) * compute.for_work)
+    memory = int((1 - MAPS_SHARE) * compute.for_work)
     if compute.scheduler is None:
         yield Engine(threads=compute.threads, memory_bytes=memory, kept=kept)
         return

@@ -12,6 +12,7 @@ import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from planish.cli.console import animated, console, letters, sentence, table
+from planish.core.memory import enough_gb
 from planish.core.text import printable, quoted
 
 if TYPE_CHECKING:
@@ -231,12 +232,12 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
         lines.append(f"sheet: across {facts['through']}, along which the grey changes most{option}")
     if "link_bytes" in facts:
         lines.append(
-            f"planish link: about {facts['link_bytes'] / 1e9:.1f} GB of memory, and {duration(facts['link_seconds'])} "
+            f"planish link: about {enough_gb(facts['link_bytes'])} GB of memory, and {duration(facts['link_seconds'])} "
             "after the volume was mapped"
         )
     if "run_bytes" in facts:
         lines.append(
-            f"planish map: about {facts['run_bytes'] / 1e9:.1f} GB of memory and {duration(facts['run_seconds'])}, or "
+            f"planish map: {enough_gb(facts['run_bytes'])} GB of memory and about {duration(facts['run_seconds'])}, or "
             "less memory with wider columns"
         )
     for name, value in (facts.get("metadata") or {}).items():

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from planish.core.errors import FileError, InputError, ResourceError, SizeError
+from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, bytes_to_map
 from planish.io.axis import likely_through
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file
@@ -30,8 +31,7 @@ USUAL_VOXEL_UM = (0.3, 20.0)
 """Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred."""
 
 MOST_UNEQUAL = 5.0  # longest over shortest edge of a voxel; beyond, one of them is probably wrong
-# What ``planish map`` needs for each column through the sheet and in any case, on two busy cores.
-COLUMN_BYTES, BASE_BYTES = 520, 530 * 10**6
+# What ``planish map`` takes for each column through the sheet and in any case, on two busy cores.
 COLUMN_SECONDS, BASE_SECONDS = 35e-6, 15.0
 # What ``planish link`` takes for each pixel of the image, which is held with the search for its holes, and in any case.
 PIXEL_BYTES, LINK_BYTES = 16, 400 * 10**6
@@ -80,9 +80,10 @@ def describe(
         type can store), ``bottom_share`` (values of 0), all None where no value was looked at, ``sampled`` (which
         slices, or rows and columns, were looked at; None for all), and
         ``warnings``, a list of sentences. For volumes also ``format``, ``stored`` (how they are read),
-        ``through`` (the axis that seems to run through the sheet; None where the grey does not tell), ``run_bytes`` and
-        ``run_seconds`` (rough estimates for ``planish map``), ``metadata`` (what a log states, and choices made). For
-        images ``link_bytes`` and ``link_seconds``: memory of ``planish link``, and what it takes after the volume.
+        ``through`` (the axis that seems to run through the sheet; None where the grey does not tell), ``run_bytes``
+        and ``run_seconds`` (memory with which ``planish map`` measures single voxels, and its time, roughly),
+        ``metadata`` (what a log states, and choices made). For images ``link_bytes`` and ``link_seconds``: memory of
+        ``planish link``, and what it takes after the volume.
 
     Raises
     ------
@@ -144,15 +145,15 @@ def describe(
 
 
 def _holding(values: Values) -> dict[str, Any]:
-    """How a volume is held; memory and time of ``planish map``, roughly, for a sheet across the shortest axis."""
+    """How a volume is held; memory and time of ``planish map`` for a sheet across the shortest axis."""
     columns = math.prod(values.shape) // min(values.shape)
-    stored, decoded = "decoded in memory", values.nbytes
+    stored, held_bytes = "decoded in memory", values.nbytes
     if isinstance(values, (np.memmap, FileArray)):
-        decoded = 0
         stored = "mapped from its file" if isinstance(values, np.memmap) else "read in parts when they are needed"
+        held_bytes = values.nbytes if isinstance(values, FileArray) and values.whole_slices else 0
     return {
         "stored": stored,
-        "run_bytes": BASE_BYTES + COLUMN_BYTES * columns + decoded,
+        "run_bytes": PROGRAM_BYTES + max(bytes_to_map(columns), bytes_to_hold(held_bytes)),
         "run_seconds": BASE_SECONDS + COLUMN_SECONDS * columns,
     }
 

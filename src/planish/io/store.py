@@ -28,6 +28,7 @@ from zarr.codecs import ZstdCodec
 
 from planish.core.errors import InputError, ResourceError
 from planish.core.files import delete, move, writing
+from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.core.threads import count_threads, limit_threads, thread_pool
 from planish.io.checksums import Array, Journal, Where
 from planish.io.run_folder import claim_folder, is_link, locked, refuse_existing, remove
@@ -130,9 +131,10 @@ def _first_two(
     at_once = max(min(int(memory_bytes / one), min(_AT_WORK, count_threads()) if executor is None else workers), 1)
     room = memory_bytes / (at_once * one)
     if room < 1:
+        needed = enough_gb(bytes_to_hold(one) + PROGRAM_BYTES)
         raise ResourceError(
             f"The import needs {one / 1e6:.0f} MB for a block of shards, {memory_bytes / 1e6:.0f} MB are "
-            f"allowed for it. Allow more: --memory {math.ceil((3 * one + 3e8) / 1e8) / 10:.1f}GB will do."
+            f"allowed for it. Allow more: --memory {needed}GB will do."
         )
     wide = min(int(room), -(-shape[2] // units[2]))
     high = min(max(int(room / wide), 1), -(-shape[1] // units[1]))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from planish.compute import Compute
 from planish.core.errors import InputError, ResourceError
+from planish.core.memory import enough_gb
 from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import pixels_of
 from planish.marks.regions import read_regions
@@ -141,9 +141,8 @@ def _shows_bottom(layer: LayerParams) -> bool:
 
 def _check_fits(name: str, pixels: int, needed: int, compute: Compute) -> None:
     if needed > compute.memory:
-        enough = math.ceil(needed / 1e8) / 10  # in GB: rounded down, it would be refused again
         raise ResourceError(
             f"The {name} of {pixels / 1e6:.0f} million pixels takes {needed / 1e9:.1f} GB of memory, "
-            f"{compute.memory / 1e9:.1f} GB are allowed. Give more with --memory {enough:.1f}GB, or crop or bin "
-            "it."
+            f"{compute.memory / 1e9:.1f} GB are allowed. Give more with --memory {enough_gb(needed)}GB, or crop or "
+            "bin it."
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from planish.compute import Compute, Progress
 from planish.core.errors import InputError, ResourceError, VolumeError
 from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, Where, replaced
+from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.io import find_place, read_volume
 from planish.io.params import HOW_VOLUMES_ARE_READ, VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
@@ -86,10 +86,10 @@ def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, copies: int = 
     """Refuse a volume that is neither in memory nor can be read in parts."""
     if volume.encoding.get("whole_slices"):
         size = volume.size * volume.dtype.itemsize
-        needed = math.ceil(compute.to_hold(copies * size) / 1e8) / 10
+        needed = enough_gb(bytes_to_hold(copies * size) + PROGRAM_BYTES)
         raise ResourceError(
             f"{path.name} has {size / 1e9:.1f} GB, and its slices can only be decoded whole. To hold it, give --memory "
-            f"{needed:.1f}GB ({compute.memory / 1e9:.1f} GB are allowed), or bring it into a "
+            f"{needed}GB ({compute.memory / 1e9:.1f} GB are allowed), or bring it into a "
             f"store first: planish import {path.name}{options} --out {path.stem}.zarr"
         )
 

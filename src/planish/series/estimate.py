@@ -7,13 +7,14 @@ from statistics import median
 
 from planish.compute import Compute
 from planish.core.errors import PlanishError
+from planish.core.memory import PROGRAM_BYTES, bytes_to_hold
 from planish.io.info import describe
 from planish.series.jobs import Book, Job
 from planish.series.plan import Specimen
 
 # Measured on two cores: links of 11 to 160 million voxels to .2 to 160 million pixels.
 _START_S, _PER_VOXEL_S, _PER_PIXEL_S = 4.0, 0.2e-6, 2.5e-6
-_PROGRAM, _HELD, _PER_COLUMN, _PER_PIXEL = 3e8, 3, 150, 110  # bytes
+_PER_COLUMN, _PER_PIXEL = 150, 110  # bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,13 +46,13 @@ def estimate(book: Book, specimen: Specimen, compute: Compute) -> Estimate:
                 pixels += size
             else:
                 voxels, columns = voxels + size, columns + size ** (2 / 3)
-                held = max(held, _HELD * float(facts["bytes"]))
+                held = max(held, bytes_to_hold(facts["bytes"]))
     except PlanishError as error:
         return Estimate(words=f"refused: {error}")
     seconds = _START_S + _PER_VOXEL_S * voxels + _PER_PIXEL_S * pixels
     known = book.seconds()
     return Estimate(
         words="to do", seconds=seconds if len(known) < 3 else max(median(known), 0.0),
-        memory_bytes=_PROGRAM + min(compute.for_work, held + _PER_PIXEL * pixels),
+        memory_bytes=PROGRAM_BYTES + min(compute.for_work, held + _PER_PIXEL * pixels),
         disk_bytes=_PER_COLUMN * columns + _PER_PIXEL * pixels,
     )  # fmt: skip
