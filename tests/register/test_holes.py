@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import planish as pl
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
 from planish.register import (
@@ -79,6 +80,21 @@ def test_opposite_sides_see_each_other_mirrored():
     assert np.array_equal(order[found.pairs[:, 1]], found.pairs[:, 0])
     mirrored = register_marks(plane("volume", a), plane("image", b), params=RegistrationParams(mirror=True))
     assert mirrored.fit(a).tobytes() == found.fit(a).tobytes()
+
+
+def test_plain_marks_show_the_top_unless_they_say_another_side():
+    """What :func:`planish.register_marks` documents of marks that are places alone."""
+    a, b, *_ = sides(3)
+    marks, same, behind = (
+        xr.Dataset({k: ("mark", xy[:, n]) for n, k in enumerate("xy")}) for xy in (a, b, b * (-1, 1))
+    )
+    assert not pl.register_marks(marks, same).fit.mirrored
+    assert pl.register_marks(marks, behind.assign_attrs(seen_from="bottom")).fit.mirrored
+    with pytest.raises(CannotRegister, match=r"moving layer and 12 of the fixed layer: .* viewed from the wrong side"):
+        pl.register_marks(marks, behind)
+    with pytest.raises(MarkError, match=r"seen_from of the fixed layer is 'Bottom'\. Set it to 'top' or 'bottom'"):
+        pl.register_marks(marks, behind.assign_attrs(seen_from="Bottom"))
+    assert "``seen_from``" in str(pl.register_marks.__doc__)
 
 
 def test_the_design_identifies_the_holes():

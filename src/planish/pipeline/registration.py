@@ -142,8 +142,9 @@ def register_marks(
     Parameters
     ----------
     moving, fixed : Dataset (mark)
-        Holes of :func:`planish.find_holes`. Their attributes ``layer`` and ``side`` say what they are called in
-        messages and which side of the sheet is seen; layers that show opposite sides see each other mirrored.
+        Holes of :func:`planish.find_holes`, or ``x`` and ``y`` in um alone. The attribute ``layer`` says what they are
+        called in messages, ``seen_from`` which side of the sheet is seen, ``"top"`` or ``"bottom"``: the top where it
+        is missing. Layers that show opposite sides see each other mirrored.
     params : RegistrationParams, optional
     hole_um : (float, float)
         Diameters that were looked for, for messages.
@@ -156,6 +157,8 @@ def register_marks(
     ------
     CannotRegister
         If there are too few holes, they do not match, or they ask for a scale that the calibrations exclude.
+    MarkError
+        If ``seen_from`` is neither top nor bottom.
 
     Notes
     -----

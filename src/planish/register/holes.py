@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, MarkError
+from planish.core.facts import Side
 from planish.register.fit import fit_transform
 from planish.register.match import match_by_design, match_marks
 from planish.register.model import Floats
@@ -74,7 +75,7 @@ def register_marks(
     moving, fixed : Dataset (mark)
         ``x``, ``y`` and, where known, the covariance ``cov_xx``, ``cov_xy``, ``cov_yy`` of the holes' centres, in um.
         The attributes ``layer`` and ``seen_from`` say what a layer is called in messages and which side of the sheet
-        it shows; layers that show opposite sides see each other mirrored.
+        it shows, the top where it is missing; layers that show opposite sides see each other mirrored.
     params : RegistrationParams
         Tolerances, mirror images and model; ``marks`` and ``design`` are for whoever reads the files.
     pattern : DesignedHoles, optional
@@ -94,11 +95,15 @@ def register_marks(
     CannotRegister
         If there are too few holes, they do not match, or they fit at a scale that the calibrations exclude.
     MarkError
-        If fewer than 3 pairs are given, or they cannot be used.
+        If fewer than 3 pairs are given, they cannot be used, or ``seen_from`` is no side.
     """
     a, b = (np.stack([h["x"].values, h["y"].values], axis=1).astype(np.float64) for h in (moving, fixed))
     names = tuple(str(h.attrs.get("layer", which)) for h, which in ((moving, "moving layer"), (fixed, "fixed layer")))
-    facing = moving.attrs.get("seen_from", "top") != fixed.attrs.get("seen_from", "top")
+    seen = [str(h.attrs.get("seen_from", "top")) for h in (moving, fixed)]
+    for name, side in zip(names, seen, strict=True):
+        if side not in get_args(Side):
+            raise MarkError(f"The attribute seen_from of the {name} is {side!r}. Set it to 'top' or 'bottom'.")
+    facing = seen[0] != seen[1]
     facts: dict[str, Any] = {}
     if pairs is None:
         for holes, name in zip((moving, fixed), names, strict=True):
