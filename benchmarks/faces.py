@@ -1,6 +1,6 @@
 """Faces, coatings and base of flat sheets whose surfaces are formulas, found without any option.
 
-``python -m benchmarks surfaces [part of a case's name]``, or ``thin`` for the table of thin layers alone.
+``python -m benchmarks faces [part of a case's name]``, or ``thin`` for the table of thin layers alone.
 """
 
 from __future__ import annotations

@@ -61,6 +61,17 @@ def test_citation_and_changelog_name_the_version() -> None:
     assert f"\n## [{planish.__version__}]" in read("CHANGELOG.md")
 
 
+def test_a_benchmark_needs_the_libraries_of_no_other() -> None:
+    program = "import sys; sys.modules['playwright'] = None; import benchmarks.__main__ as b; b.main(['none'])"
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert "There is no benchmark 'none'. Choose one of " in done.stderr
+    for name in done.stderr.rstrip(".\n").partition("Choose one of ")[2].split(", "):
+        folder = ROOT / "benchmarks"
+        module = folder / f"{name}.py"
+        text = (module if module.is_file() else folder / name / "__init__.py").read_text(encoding="utf-8")
+        assert re.search(r"^def main\(|import .*\bmain\b", text, re.MULTILINE), name
+
+
 def build(folder: Path, target: str, to: Path) -> Path:
     """Build the wheel or the source archive of a folder as run.py does."""
     command = [sys.executable, "-m", "hatchling", "build", "--target", target, "--directory", str(to)]
