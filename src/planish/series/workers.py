@@ -133,16 +133,22 @@ class _Processes:
         self._used.pop(future).shutdown(wait=False)
 
     def stop(self) -> None:
-        """End all at once: what they were working on goes on from there the next time."""
+        """End all: idle ones by themselves; busy ones leave their job, which goes on from there the next time."""
+        for future, pool in self._used.items():
+            if not future.done():
+                for process in list((pool._processes or {}).values()):  # pyright: ignore[reportPrivateUsage]
+                    process.terminate()
         for pool in (*self._free, *self._used.values()):
-            for process in list((pool._processes or {}).values()):  # pyright: ignore[reportPrivateUsage]
-                process.terminate()
             pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _begin() -> None:
-    """Leave Ctrl-C to the process that started this one, and end where that is gone: nobody waits any more."""
+    """Leave Ctrl-C to the process that started this one, and end where that is gone: nobody waits any more.
+
+    Terminated, a process leaves its job as a single run does at Ctrl-C, and its libraries give their locks back.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     parent = multiprocessing.parent_process()
 
     def watch() -> None:
