@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -138,46 +137,32 @@ def main(arguments: list[str]) -> int:
         return len(stale)
     survived = 0
     with tempfile.TemporaryDirectory(prefix="planish-mutants-") as name:
+        shutil.copytree(ROOT / "src", Path(name) / "src")
         for k, mutant in chosen:
             start = time.perf_counter()
-            state = run(mutant, Path(name) / str(k))
+            state = run(mutant, Path(name), k)
             survived += state != "killed"
             print(f"{k}: {state}, {time.perf_counter() - start:.0f} s: {mutant.file}: {mutant.new!r}", flush=True)
     print(f"{len(chosen) - survived} of {len(chosen)} killed")
     return survived
 
 
-def run(mutant: Mutant, folder: Path) -> str:
-    """Put one mutant into a copy of the package and run its tests: killed, SURVIVED, or what else happened."""
-    # With the compiled kernels: those of files that do not change are found again.
-    shutil.copytree(ROOT / "src", folder)
-    file = folder / "planish" / mutant.file
-    file.write_text(file.read_text(encoding="utf-8").replace(mutant.old, mutant.new), encoding="utf-8")
-    _forget(folder / "planish", mutant.file)
+def run(mutant: Mutant, folder: Path, number: int) -> str:
+    """Put one mutant into the copy of the package and run its tests: killed, SURVIVED, or what else happened."""
+    file = folder / "src" / "planish" / mutant.file
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace(mutant.old, mutant.new), encoding="utf-8")
+    # The kernels of all mutants are the same, but for those whose own kernels are changed.
+    kernels = folder / (f"kernels-{number}" if file.stem.endswith("kernels") else "kernels")
+    environment = os.environ | {"PYTHONPATH": str(folder / "src"), "NUMBA_CACHE_DIR": str(kernels)}
     tests, _, keyword = mutant.tests.partition(" -k ")
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", "--no-header"]
     command += [f"tests/{test}" for test in tests.split()] + (["-k", keyword] if keyword else [])
     done = subprocess.run(
-        command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(folder)}, capture_output=True, text=True, check=False,
-        timeout=_ENOUGH_S,
-    )  # fmt: skip
-    shutil.rmtree(folder)
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=_ENOUGH_S
+    )
+    file.write_text(text, encoding="utf-8")
     return {0: "SURVIVED", 1: "killed"}.get(done.returncode, f"ended with {done.returncode}:\n{done.stdout[-2000:]}")
-
-
-def _forget(package: Path, file: str) -> None:
-    """Drop the compiled kernels that hold the changed ones: numba looks only at the file of each kernel itself."""
-    changed = {Path(file).stem}
-    if "njit" not in (package / file).read_text(encoding="utf-8"):
-        return
-    for _ in range(3):
-        names = "|".join(changed)
-        for path in package.rglob("*kernels*.py"):
-            if re.search(rf"import .*\b({names})\b|from .*\b({names}) import", path.read_text(encoding="utf-8")):
-                changed.add(path.stem)
-    for name in changed:
-        for cached in package.rglob(f"__pycache__/{name}.*.nb[ic]"):
-            cached.unlink()
 
 
 def _count(mutant: Mutant) -> int:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tarfile
 import tomllib
+import venv
 import zipfile
 from pathlib import Path
 
@@ -97,3 +98,35 @@ def test_the_source_archive_holds_what_the_tests_read_and_builds_the_same_wheel(
     package = ROOT / "src"
     data = {path.relative_to(package).as_posix() for path in (package / "planish").rglob("*") if path.is_file()}
     assert {name for name in data if "__pycache__" not in name} <= packed
+
+
+@pytest.mark.study
+def test_nothing_is_left_of_a_wheel_that_was_uninstalled(tmp_path: Path) -> None:
+    """Compiled kernels beside the program kept its folders alive, so that an empty planish could be imported."""
+    venv.create(tmp_path / "venv", with_pip=False)
+    (python,) = [p for p in (tmp_path / "venv").glob("*/python*") if p.stem == "python"]
+    env = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
+    env |= {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path)}
+
+    def pip(*arguments: str) -> None:
+        command = [sys.executable, "-m", "pip", "--python", str(python), *arguments]
+        subprocess.run(command, check=True, capture_output=True, env=env)
+
+    def run(program: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [python, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
+        )
+
+    pip("install", "--no-deps", "--no-index", str(build(ROOT, "wheel", tmp_path / "wheel")))
+    libraries = [p for p in sys.path if Path(p).name == "site-packages"]
+    done = run(
+        f"import sys; sys.path += {libraries}; import numpy as np; import planish.core._overview_kernels as kernels; "
+        "kernels.halve_values(np.ones((4, 4)), np.ones((2, 2))); print(kernels.__file__)"
+    )
+    assert done.returncode == 0, done.stderr
+    package = Path(done.stdout.strip()).parents[1]
+    assert package.is_relative_to(tmp_path)
+    assert [path.suffix for path in tmp_path.rglob("_overview_kernels.*.nb?")] != []
+    pip("uninstall", "--yes", "planish")
+    assert list(package.parent.glob("*planish*")) == []
+    assert "No module named 'planish'" in run("import planish").stderr

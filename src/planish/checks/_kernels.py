@@ -2,7 +2,8 @@
 """Compiled inner loops of the checks: sums over pairs of neighbouring slices."""
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 
 @njit(cache=True, nogil=True)

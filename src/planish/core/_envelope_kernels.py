@@ -2,7 +2,8 @@
 """Compiled envelopes: a paraboloid rolled over a height field, line by line, in time linear in the nodes."""
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 
 def rolled(height, pitch_um, radius_um):

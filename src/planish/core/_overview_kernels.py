@@ -2,7 +2,8 @@
 """Compiled halving of maps: the mean over each 2 x 2 pixels, and of truth values the majority."""
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 
 @njit(cache=True, nogil=True)

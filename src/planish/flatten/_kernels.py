@@ -21,7 +21,8 @@ the nodes collect them. ``fastmath`` is limited to contracting and to the sign o
 import math
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 FAR = 1e30
 GONE = 1e29

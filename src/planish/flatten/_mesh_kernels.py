@@ -7,8 +7,8 @@ The padded arrays are those of ``_kernels``.
 import math
 
 import numpy as np
-from numba import njit
 
+from planish.core.jit import njit
 from planish.flatten._kernels import FAR, GONE
 
 _SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}

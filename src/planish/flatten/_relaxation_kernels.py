@@ -15,7 +15,8 @@ from being vectorised: sums and maxima are collected by column first.
 from math import sqrt
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 _TINY = 1e-200  # a spring of no length has no direction: it pulls nowhere instead of to infinity
 

@@ -2,7 +2,8 @@
 """Compiled inner loop of the working store: the next coarser level."""
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 
 @njit(cache=True, nogil=True)

@@ -10,7 +10,8 @@ Images are float32 ``(y, x)`` with NaN where there is no data; pixel ``(i, j)`` 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 
 @njit(cache=True, nogil=True)

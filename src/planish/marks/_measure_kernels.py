@@ -8,8 +8,8 @@ Images are float32 ``(y, x)`` with NaN where there is no data; pixel ``(i, j)`` 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from planish.core.jit import njit
 from planish.marks._edge_kernels import (
     first_crossings,
     fit_outline,

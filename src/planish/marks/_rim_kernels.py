@@ -7,8 +7,8 @@ Numpy and numba only, arrays in, arrays out; images and ``sign`` as in `_edge_ke
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from planish.core.jit import njit
 from planish.marks._edge_kernels import sample
 
 # A step of this share of the whole one makes a rim as good as any; the innermost of those is taken, where going out by

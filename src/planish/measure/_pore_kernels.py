@@ -2,7 +2,8 @@
 """Compiled inner loop on voids: the largest spheres that fit."""
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 
 @njit(cache=True, nogil=True)

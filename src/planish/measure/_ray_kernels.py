@@ -6,7 +6,8 @@ and does not jump by whole samples. A piece of a ray that is not wholly known ha
 """
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 _STEPS = 12
 _CLOSE_UM = 1e-4

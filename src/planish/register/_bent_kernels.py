@@ -2,7 +2,8 @@
 """Compiled sums of thin-plate kernels: no table of distances, one logarithm a point and node."""
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 
 @njit(cache=True, nogil=True)

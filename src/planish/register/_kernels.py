@@ -9,7 +9,8 @@ sheet a little more in one direction than in the other: ``w = alpha z + gamma co
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 
 @njit(cache=True, nogil=True)

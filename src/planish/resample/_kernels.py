@@ -9,7 +9,8 @@ several may run at the same time; no result depends on how the rows are shared o
 """
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 _EDGE = 1e-9  # of a triangle's weights: a pixel on a common edge is never lost to rounding
 _SAME = 1e-6  # of a quad: what two quads with a common edge may differ in about a pixel on it

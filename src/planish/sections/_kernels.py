@@ -10,7 +10,8 @@ row per col, col per row)``: what belongs at (r, c) is found at
 from math import floor
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 _SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy"}
 # Sums may be taken in any order, so that they run several at a time; NaN stays NaN.

@@ -4,8 +4,8 @@
 from math import ceil, floor, isfinite
 
 import numpy as np
-from numba import njit
 
+from planish.core.jit import njit
 from planish.surface._fit_kernels import _bell, _step
 
 _PER_VOXEL = 4  # places that are tried

@@ -17,8 +17,9 @@ inside.
 from math import exp, floor, isfinite, sqrt
 
 import numpy as np
-from numba import njit
 from scipy.special import ndtr
+
+from planish.core.jit import njit
 
 _ROOT2PI = sqrt(2.0 * np.pi)
 _STEPS = 20

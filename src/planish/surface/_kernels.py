@@ -4,7 +4,8 @@
 from math import floor, isfinite
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 _ABREAST = 16  # columns whose means are worked out together
 

@@ -9,7 +9,8 @@ A warp travels as one flat array ``w`` and one table ``curve`` (see :meth:`plani
 from math import cos, exp, floor, sin, sqrt
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 _MAX_STEPS = 25
 _SINGLE = 8  # fields of a node that are not layers of the base

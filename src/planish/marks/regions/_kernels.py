@@ -2,7 +2,8 @@
 """Compiled crossings of a polygon's border with the rows of a grid."""
 
 import numpy as np
-from numba import njit
+
+from planish.core.jit import njit
 
 
 @njit(cache=True, nogil=True)

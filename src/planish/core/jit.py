@@ -1,0 +1,61 @@
+"""Kernels compiled by numba, whose code is kept in a folder for caches: beside the program it would outlive it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numba
+from numba.core import config
+from numba.misc.appdirs import AppDirs
+
+from planish.core.sources import PACKAGE, hash_sources
+
+_CONFIG: Any = config  # its names are made when it is imported
+_LOCK = Lock()  # they are those of all threads
+
+
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function as ``numba.njit`` does; its code is kept in :func:`cache_folder`."""
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        with _LOCK:
+            given = _CONFIG.CACHE_DIR
+            _CONFIG.CACHE_DIR = cache_folder(given)
+            try:
+                return numba.njit(**options)(function)
+            finally:
+                _CONFIG.CACHE_DIR = given
+
+    return compiled
+
+
+@cache
+def cache_folder(given: str) -> str:
+    """Give the folder for code of this installation, in NUMBA_CACHE_DIR (``given``) or the user's folder for caches.
+
+    It is another where the sources of the kernels are others: numba sees a change of a kernel's own file, but not of
+    those that the kernel calls. Where no folder can be written, it is ``given``, and numba looks for one itself.
+    """
+    installation = f"planish-{hashlib.sha256(os.fsencode(PACKAGE)).hexdigest()[:16]}-"
+    user = Path(AppDirs("numba", appauthor=False).user_cache_dir)
+    bases = [*([Path(given)] if given else []), *([user] if user.is_absolute() else [])]  # relative: without a home
+    for base in bases:
+        folder = base / f"{installation}{hash_sources('_*kernels.py')}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+        except OSError:
+            continue
+        for older in base.glob(f"{installation}*"):
+            if older != folder:
+                shutil.rmtree(older, ignore_errors=True)
+        return str(folder)
+    return given

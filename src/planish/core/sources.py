@@ -1,0 +1,20 @@
+"""The sources of the package as a hash: a version alone does not say which code made a result."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[1]
+"""Folder of the package."""
+
+
+@cache
+def hash_sources(pattern: str = "*.py") -> str:
+    """Give the first 16 hex digits of a hash of the package's files, their names and bytes."""
+    digest = hashlib.sha256()
+    for name, path in sorted((path.relative_to(PACKAGE).as_posix(), path) for path in PACKAGE.rglob(pattern)):
+        data = path.read_bytes()
+        digest.update(f"{name}\n{len(data)}\n".encode() + data)
+    return digest.hexdigest()[:16]
