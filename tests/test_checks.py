@@ -76,16 +76,16 @@ def test_the_table_of_figures_says_what_is_doubtful_and_why():
     assert {row["trust"] for row in rows if row["figure"].startswith("r of")} == {"withheld"}
 
 
-def test_runs_that_were_checked_less_are_named(tmp_path):
+def test_runs_whose_results_have_an_older_format_are_named(tmp_path):
     (tmp_path / "run.toml").write_text("")
     (tmp_path / "results.json").write_text(json.dumps(
         {"format": 2, "planish": "0.2.0", "layers": [], "gates": [{"name": "marks", "passed": False}]}
     ))  # fmt: skip
-    with pytest.raises(FileError, match=r"planish 0\.2\.0, which checked less.*planish run"):
+    with pytest.raises(FileError, match=r"planish 0\.2\.0: its results have an older format.*planish run"):
         Results.read(tmp_path / "results.json")
     facts = run_facts(tmp_path)
     assert facts["fail"] == ["marks"]
-    assert "checked less" in " ".join(run_lines(facts))
+    assert "made by planish 0.2.0: its results have an older format" in " ".join(run_lines(facts))
 
 
 def test_pass_and_unknown_change_nothing():

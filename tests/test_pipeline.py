@@ -17,8 +17,11 @@ from planish.cli.runs import _compare
 from planish.marks.files import read_any
 from planish.pipeline import open_run
 from planish.pipeline.compare import WAYS
+from planish.pipeline.kept import sheets_of
+from planish.pipeline.run import open_results, open_sheet
 from planish.pipeline.save import save_run
 from planish.register import fit_transform
+from planish.study import read_study
 
 ROWS = [*(name for name, _, _ in WAYS[:2]), "flattened, similarity"]
 
@@ -153,6 +156,23 @@ def test_files_that_differ_are_named_and_those_of_maps_counted(linked_run, tmp_p
     count = 1 + sum(path.is_file() for path in chunks)
     _compare(linked_run, other)
     said = f"{other}: {count} files of maps.zarr (linked, maps), figures.csv differ from {linked_run}"
+    assert said in capsys.readouterr().err
+
+
+def test_a_run_of_other_code_is_said_to_be_one_and_its_maps_are_not_taken(linked_run, tmp_path, capsys):
+    """The version alone is the same in all states of the sources between two releases."""
+    other = Path(shutil.copytree(linked_run, tmp_path / "other"))
+    study = read_study(other / "run.toml")
+    hashes = [layer.source.sha256 for layer in open_results(other).layers]
+    assert sheets_of(other, study, hashes)[0].keys() == {"sheet"}
+    assert open_sheet(other).unchanged
+    results = open_results(other)
+    assert len(results.code) == 16
+    (other / "results.json").write_text(results.model_copy(update={"code": ""}).to_json(), encoding="utf-8")
+    assert sheets_of(other, study, hashes) == ({}, {})
+    assert not open_sheet(other).unchanged
+    _compare(other, linked_run)
+    said = f"results.json differs from {other}, which was made by other code (planish {results.planish})"
     assert said in capsys.readouterr().err
 
 

@@ -23,6 +23,7 @@ from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
 from planish.core.memory import HELD_TIMES, MAPS_SHARE, PROGRAM_BYTES, bytes_to_map, enough_gb
 from planish.core.options import Params, option
+from planish.core.sources import hash_sources
 from planish.core.tiles import Engine
 
 if TYPE_CHECKING:
@@ -176,6 +177,6 @@ def engine(compute: Compute, *, kept: Path | None = None) -> Generator[Engine]:
 
 
 def run_key(study: dict[str, Any], fingerprints: list[str]) -> str:
-    """What tells a run whose tiles may be used again: the study, the bytes of its inputs, and the program."""
-    text = json.dumps([__version__, study, fingerprints], sort_keys=True)
+    """What tells a run whose tiles may be used again: the study, the bytes of its inputs, and the program's code."""
+    text = json.dumps([__version__, hash_sources(), study, fingerprints], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

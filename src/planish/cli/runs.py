@@ -27,6 +27,7 @@ from planish.cli.show import finish, run_facts, stages
 from planish.compute import Compute
 from planish.core.errors import PlanishError, StudyError
 from planish.core.files import free_path
+from planish.core.sources import is_this_code
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
@@ -213,8 +214,11 @@ def _compare(old: Path, target: Path) -> None:
         click.echo(f"{old.name} was {before['warning']}", err=True)
     elif (old / "results.json").is_file():
         different = _different(old, target)
-        text = "same bytes as" if not different else f"{_listed(different)} differ from"
-        click.echo(f"{target}: {text} {old}", err=True)
+        verb = "differs" if len(different) == 1 else "differ"
+        text = f"{_listed(different)} {verb} from" if different else "same bytes as"
+        other = before is not None and not is_this_code(before["planish"], before["code"])
+        made = f", which was made by other code (planish {before['planish']})" if before and other else ""
+        click.echo(f"{target}: {text} {old}{made}", err=True)
 
 
 def _different(old: Path, new: Path) -> list[str]:

@@ -176,8 +176,8 @@ def run_facts(path: Path) -> dict[str, Any] | None:
         return {
             "kind": "run of " + ("one volume" if len(inputs) == 1 else f"{len(inputs)} layers"),
             "file_name": path.absolute().name, "inputs": inputs, "checks": len(checks), **states,
-            "planish": str(results["planish"]),
-            "warning": _OLD if old else _UNCHECKED if name == "gates" else None,
+            "planish": str(results["planish"]), "code": str(results.get("code", "")),
+            "warning": _OLD if old else _OLDER_FORMAT.format(results["planish"]) if name == "gates" else None,
         }  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, StopIteration):
         return None
@@ -187,7 +187,7 @@ _OLD = (
     "made by planish 0.1.0: the errors stated in it are about 1.5 times too small; 'planish run' repeats it with this "
     "version."
 )
-_UNCHECKED = "made by planish 0.2.0, which checked less than this version does; 'planish run' repeats it."
+_OLDER_FORMAT = "made by planish {}: its results have an older format; 'planish run' repeats it with this version."
 
 
 def run_lines(facts: dict[str, Any]) -> list[str]:

@@ -14,6 +14,7 @@ from pydantic import Field, ValidationError
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
 from planish.core.facts import Facts, KnownPair, Number, Pair, Side
+from planish.core.sources import is_this_code
 
 FORMAT = 3
 """Version of the schema; planish 0.1.0 wrote files without one."""
@@ -849,6 +850,7 @@ class Results(Facts):
 
     format: Literal[3] = Field(default=FORMAT, description="Version of this schema.")
     planish: str = Field(description="Version of the program.")
+    code: str = Field(default="", description="Hash of the program's sources; empty where an older one made the run.")
     versions: dict[str, str] = Field(description="Versions of the libraries that numbers depend on.")
     layers: tuple[LayerFacts, ...] = Field(description="In the order given; the last one is the reference of a link.")
     chain: bool = Field(default=False, description="Whether each layer was registered to the next one.")
@@ -867,6 +869,11 @@ class Results(Facts):
     )
     checks: tuple[Check, ...] = Field(description="Every check with its state.")
     parameters: dict[str, Any] = Field(description="Every parameter of the study; paths are left out.")
+
+    @property
+    def is_of_this_code(self) -> bool:
+        """Whether the same version made them, from the same sources."""
+        return is_this_code(self.planish, self.code)
 
     @property
     def passed(self) -> bool:
@@ -917,7 +924,7 @@ class Results(Facts):
         Raises
         ------
         FileError
-            If it cannot be read, is damaged, or was written by planish 0.1.0.
+            If it cannot be read, is damaged, or has an older format.
         """
         try:
             data: Any = json.loads(path.read_text(encoding="utf-8"))
@@ -931,8 +938,8 @@ class Results(Facts):
             )
         if isinstance(data, dict) and data.get("format") == 2:  # type: ignore[reportUnknownMemberType]
             raise FileError(
-                f"{path.parent} was made by planish 0.2.0, which checked less than this version does. Its maps and its "
-                f"report.html stay readable. Repeat it with this version: planish run {path.parent}/run.toml"
+                f"{path.parent} was made by planish {data.get('planish')}: its results have an older format. Its maps "
+                f"and its report.html stay readable. Repeat it with this version: planish run {path.parent}/run.toml"
             )
         try:
             return cls.model_validate(data)

@@ -6,6 +6,8 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
+from planish import __version__
+
 PACKAGE = Path(__file__).resolve().parents[1]
 """Folder of the package."""
 
@@ -18,3 +20,8 @@ def hash_sources(pattern: str = "*.py") -> str:
         data = path.read_bytes()
         digest.update(f"{name}\n{len(data)}\n".encode() + data)
     return digest.hexdigest()[:16]
+
+
+def is_this_code(version: str, code: str) -> bool:
+    """Whether a version and a hash of sources are those of this program."""
+    return version == __version__ and code == hash_sources()

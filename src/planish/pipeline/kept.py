@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from planish import __version__
 from planish.compute import Compute, run_key
 from planish.core.errors import PlanishError
 from planish.pipeline.corrections import asked_corrections, made_corrections, uncorrected_params
@@ -51,7 +50,7 @@ class KeptMaps:
 
 
 def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str, Layer], dict[str, Layer]]:
-    """Sheets of a run that a study asks for, of the same files and by this version of planish.
+    """Sheets of a run that a study asks for, of the same files and by this code of planish.
 
     First those whose parameters are the same, then those of the same surface with other properties, flattening, or
     corrections.
@@ -65,7 +64,7 @@ def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str,
     found: tuple[dict[str, Layer], dict[str, Layer]] = ({}, {})
     for layer, sha256 in zip(study.layers, hashes, strict=True):
         before = asked.get(layer.name)
-        if layer.kind != "volume" or before is None or results.planish != __version__:
+        if layer.kind != "volume" or before is None or not results.is_of_this_code:
             continue
         place = old if whole else old / "layers" / layer.name
         bare = uncorrected_params(layer.surface)

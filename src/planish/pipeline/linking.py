@@ -21,6 +21,7 @@ from planish.compute import Compute, Progress
 from planish.core.bands import thinned
 from planish.core.checks import Check
 from planish.core.results import LayerFacts, Results, Side
+from planish.core.sources import hash_sources
 from planish.core.transform import Similarity
 from planish.io import read_image
 from planish.io.map_store import HeldMaps, MapSink, map_tiles
@@ -237,8 +238,8 @@ def _gathered(
     groups |= sink.overviews()
     study = changed(study, layers=tuple(layer.params for layer in layers))
     results = Results(
-        planish=__version__, versions=versions(), layers=tuple(facts), chain=study.chain, correlations=tuple(rows),
-        checks=tuple(checks), parameters=parameters(study), **more,
+        planish=__version__, code=hash_sources(), versions=versions(), layers=tuple(facts), chain=study.chain,
+        correlations=tuple(rows), checks=tuple(checks), parameters=parameters(study), **more,
     )  # fmt: skip
     return Run(
         study=study, results=with_trust(results), groups=groups,

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import xarray as xr
 
-from planish import __version__
 from planish.core.checks import Check
 from planish.core.errors import FileError
 from planish.core.results import Results
@@ -178,8 +177,7 @@ def open_sheet(path: str | Path) -> Layer:
     results, study = open_results(folder), read_study(folder / RUN_TOML)
     run = Run(study=study, results=results, groups=read_groups(folder / MAPS, _SHEET_GROUPS), folder=folder)
     sheet = run.sheet()
-    same = results.planish == __version__
-    return replace(sheet, unchanged=dict.fromkeys(sheet.groups, folder / MAPS) if same else {})
+    return replace(sheet, unchanged=dict.fromkeys(sheet.groups, folder / MAPS) if results.is_of_this_code else {})
 
 
 def open_results(folder: Path) -> Results:

@@ -16,6 +16,7 @@ from planish.core.errors import CannotRegister, MarkError, PlanishError
 from planish.core.files import move
 from planish.core.overviews import overviews
 from planish.core.results import LayerFacts, Results
+from planish.core.sources import hash_sources
 from planish.core.text import quoted
 from planish.core.threads import limit_threads
 from planish.io import fingerprint
@@ -173,8 +174,8 @@ def _run_of_sheet(sheet: Layer, study: Study) -> Run:
     headline = "coating_top" if "coating_top" in sheet.facts.properties else "thickness"
     facts = LayerFacts(name=sheet.name, kind="sheet", source=sheet.source, headline=headline, sheet=sheet.facts)
     results = Results(
-        planish=__version__, versions=versions(), layers=(facts,), checks=tuple(about(sheet.checks, sheet.name)),
-        parameters=parameters(study),
+        planish=__version__, code=hash_sources(), versions=versions(), layers=(facts,),
+        checks=tuple(about(sheet.checks, sheet.name)), parameters=parameters(study),
     )  # fmt: skip
     return Run(study=study, results=with_trust(results), groups=sheet.groups, unchanged=sheet.unchanged)
 

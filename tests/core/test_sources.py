@@ -1,0 +1,40 @@
+"""The hash of the package's sources, and what depends on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from planish import compute
+from planish.core import sources
+
+
+def test_names_and_bytes_of_the_sources_count_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "PACKAGE", tmp_path)
+    states = list[str]()
+
+    def state() -> str:
+        states.append(sources.hash_sources.__wrapped__())
+        return states[-1]
+
+    (tmp_path / "stage").mkdir()
+    (tmp_path / "stage" / "a.py").write_bytes(b"a = 1\n")
+    before = state()
+    (tmp_path / "page.html").write_text("no code")
+    assert sources.hash_sources.__wrapped__() == before
+    (tmp_path / "stage" / "a.py").write_bytes(b"a = 2\n")
+    state()
+    (tmp_path / "stage" / "a.py").rename(tmp_path / "a.py")
+    state()
+    (tmp_path / "b.py").write_bytes(b"")
+    state()
+    assert len(set(states)) == 4
+    assert {len(text) for text in states} == {16}
+
+
+def test_tiles_of_other_code_are_not_used_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = compute.run_key({"a": 1}, ["hash"])
+    assert compute.run_key({"a": 1}, ["hash"]) == before
+    monkeypatch.setattr(compute, "hash_sources", lambda: "0" * 16)
+    assert compute.run_key({"a": 1}, ["hash"]) != before
