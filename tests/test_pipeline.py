@@ -15,7 +15,7 @@ import xarray as xr
 
 from planish.cli.runs import _compare
 from planish.marks.files import read_any
-from planish.pipeline import open_run
+from planish.pipeline import link, open_run
 from planish.pipeline.compare import WAYS
 from planish.pipeline.kept import sheets_of
 from planish.pipeline.run import open_results, open_sheet
@@ -174,6 +174,14 @@ def test_a_run_of_other_code_is_said_to_be_one_and_its_maps_are_not_taken(linked
     _compare(other, linked_run)
     said = f"results.json differs from {other}, which was made by other code (planish {results.planish})"
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.study
+def test_a_link_of_a_run_of_other_code_is_no_run_of_this_code(linked_run, specimen_files, tmp_path):
+    old = Path(shutil.copytree(linked_run, tmp_path / "old"))
+    assert link(old, specimen_files[1], out=tmp_path / "same").results.is_of_this_code
+    (old / "results.json").write_text(open_results(old).model_copy(update={"code": ""}).to_json(), encoding="utf-8")
+    assert not link(old, specimen_files[1], out=tmp_path / "linked").results.is_of_this_code
 
 
 @pytest.mark.parametrize("group", ["surfaces", "flat", "strain", "maps", "linked"])

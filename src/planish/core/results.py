@@ -850,7 +850,7 @@ class Results(Facts):
 
     format: Literal[3] = Field(default=FORMAT, description="Version of this schema.")
     planish: str = Field(description="Version of the program.")
-    code: str = Field(default="", description="Hash of the program's sources; empty where an older one made the run.")
+    code: str = Field(default="", description="Hash of the program's sources; empty where not all is of one code.")
     versions: dict[str, str] = Field(description="Versions of the libraries that numbers depend on.")
     layers: tuple[LayerFacts, ...] = Field(description="In the order given; the last one is the reference of a link.")
     chain: bool = Field(default=False, description="Whether each layer was registered to the next one.")

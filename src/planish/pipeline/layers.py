@@ -30,6 +30,7 @@ class Layer:
     groups: dict[str, xr.Dataset] = field(default_factory=dict[str, xr.Dataset])
     # Groups that stand in the store of another run with the same bytes, and that store.
     unchanged: dict[str, Path] = field(default_factory=dict[str, Path])
+    by_this_code: bool = True  # not of a sheet that was read from a run of other code
     facts: SheetFacts | None = None  # of a sheet
     checks: tuple[Check, ...] = ()  # of a sheet and its volume
     _holes: dict[Side, xr.Dataset] = field(default_factory=dict)

@@ -237,8 +237,9 @@ def _gathered(
         more["regions"] = region_facts(away.regions, reference.grid)
     groups |= sink.overviews()
     study = changed(study, layers=tuple(layer.params for layer in layers))
+    code = hash_sources() if all(layer.by_this_code for layer in layers) else ""
     results = Results(
-        planish=__version__, code=hash_sources(), versions=versions(), layers=tuple(facts), chain=study.chain,
+        planish=__version__, code=code, versions=versions(), layers=tuple(facts), chain=study.chain,
         correlations=tuple(rows), checks=tuple(checks), parameters=parameters(study), **more,
     )  # fmt: skip
     return Run(

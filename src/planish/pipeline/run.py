@@ -176,8 +176,10 @@ def open_sheet(path: str | Path) -> Layer:
     folder = Path(path)
     results, study = open_results(folder), read_study(folder / RUN_TOML)
     run = Run(study=study, results=results, groups=read_groups(folder / MAPS, _SHEET_GROUPS), folder=folder)
-    sheet = run.sheet()
-    return replace(sheet, unchanged=dict.fromkeys(sheet.groups, folder / MAPS) if results.is_of_this_code else {})
+    sheet, same = run.sheet(), results.is_of_this_code
+    return replace(
+        sheet, by_this_code=same, unchanged=dict.fromkeys(sheet.groups, folder / MAPS) if same else {}
+    )  # fmt: skip
 
 
 def open_results(folder: Path) -> Results:
