@@ -184,8 +184,9 @@ def test_refining_needs_the_texture_that_a_screen_takes_away():
         check_request(study, Compute())
 
 
-def test_half_of_the_references_is_wrong_usage(planish, specimen_files, tmp_path):
-    code, _, said = planish("link", *specimen_files, "--out", tmp_path / "run", "--dark-grey", "100")
+@pytest.mark.parametrize("dark", ["100", "0"])  # 0 is given, too
+def test_half_of_the_references_is_wrong_usage(planish, specimen_files, tmp_path, dark):
+    code, _, said = planish("link", *specimen_files, "--out", tmp_path / "run", "--dark-grey", dark)
     assert code == 2
     assert "belong together" in " ".join(said.split())
     assert not (tmp_path / "run").exists()

@@ -159,7 +159,7 @@ def given(values: dict[str, Any], section: str) -> dict[str, Any]:
     """What was said on the command line for a section, as its model takes it."""
     mark = f"{section}__"
     own = {k.removeprefix(mark): v for k, v in values.items() if k.startswith(mark)}
-    said = {k: v for k, v in own.items() if v not in (None, False)}
+    said = {k: v for k, v in own.items() if v is not None and v is not False}  # 0 is a value
     found: dict[str, Any] = {k: v for k, v in said.items() if "__" not in k}
     for name, sign, inner in (k.partition("__") for k in own):
         if sign and name in found:
