@@ -42,7 +42,7 @@ _MOST_LINES = 20  # of one part
 KEYS: dict[str, str] = {}
 """Keys of results that got another name: old -> new, with ``[]`` for an index."""
 
-EXPECTED: tuple[tuple[str, str], ...] = ()
+EXPECTED: tuple[tuple[str, str], ...] = (("*results.json:code", "which code made a run is noted since 0.3.0"),)
 """Differences that are meant: a pattern of ``PART/PLACE``, and why."""
 
 

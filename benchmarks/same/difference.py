@@ -23,7 +23,7 @@ _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _SAID = re.compile(r"\d\d-[a-z]+\.(err|txt)")  # by a command: words may change, numbers stand in the other files
 _UUID = re.compile(r"urn:uuid:[0-9a-f-]+")  # which OME asks to be another one for each file
 _SIDE = re.compile(r"(?<=/)(old|new)(?=/)")  # folder of a side, in whole paths
-_OF_THEIR_OWN = {".lock", ".log"}
+_OF_THEIR_OWN = {".jsonl", ".lock", ".log"}  # journals know the time
 
 
 def differences(old: Path, new: Path, keys: Keys) -> Iterator[tuple[str, str]]:
