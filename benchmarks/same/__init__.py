@@ -42,7 +42,13 @@ _MOST_LINES = 20  # of one part
 KEYS: dict[str, str] = {}
 """Keys of results that got another name: old -> new, with ``[]`` for an index."""
 
-EXPECTED: tuple[tuple[str, str], ...] = (("*results.json:code", "which code made a run is noted since 0.3.0"),)
+_CODE = "which code made a run is noted since 0.3.0"
+EXPECTED: tuple[tuple[str, str], ...] = (
+    ("*.json:code", _CODE),
+    ("exports/all-crate/ro-crate-metadata.json:*", f"size and hash of results.json: {_CODE}"),
+    ("*-info.json:run_bytes", "info counts the memory that a run reckons with"),
+    ("former/*-info.json:warning", "runs of 0.2.0 are named by their format"),
+)
 """Differences that are meant: a pattern of ``PART/PLACE``, and why."""
 
 
