@@ -234,7 +234,7 @@ def test_columns_get_wider_where_the_memory_asks_for_it():
     assert column_step(data, Frame(), None, Compute(memory_bytes=10 * columns * COLUMN_BYTES)) == 1
     assert column_step(data, Frame(), None, Compute(memory_bytes=columns * COLUMN_BYTES)) == 2
     assert column_step(data, Frame(), 6.2, Compute(memory_bytes=10)) == 2
-    with pytest.raises(ResourceError, match="--memory"):
+    with pytest.raises(ResourceError, match="memory="):
         column_step(data, Frame(), None, Compute(memory_bytes=columns * COLUMN_BYTES // 100))
     with pytest.raises(InputError, match="less than a voxel"):
         column_step(data, Frame(), 1.0, Compute())

@@ -74,6 +74,6 @@ def test_sections_cannot_be_looked_at_from_above(tmp_path):
     small = replace(PARAMS, size_um=(600.0, 500.0), holes=HoleParams(count=0))
     files = write_instruments(make_specimen(small), tmp_path / "files", volume="sections", image=False)
     study = as_study({"volume": {"path": str(files.volume)}})
-    with pytest.raises(VolumeError, match="--through y"):
+    with pytest.raises(VolumeError, match='through="y"'):
         run_study(study, tmp_path / "run")
     assert not (tmp_path / "run").exists()

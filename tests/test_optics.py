@@ -81,7 +81,7 @@ def test_regions_come_before_a_screen_is_taken_off(tmp_path):
     (tmp_path / "r.json").write_text(json.dumps({"type": "Polygon", "coordinates": [[[0, 0], [40, 0], [40, 40]]]}))
     image = image_of(np.random.default_rng(0).normal(size=(30, 30)))
     linked = xr.Dataset({"image": image.assign_attrs(reach_um=210.0), "valid": image > -99})
-    with pytest.raises(InputError, match="Give --regions to 'planish link'"):
+    with pytest.raises(InputError, match="Give regions= to 'planish link'"):
         correlate_maps(linked, params=CorrelateParams(regions=str(tmp_path / "r.json")))
 
 
@@ -160,7 +160,7 @@ def test_mottle_is_of_valid_pixels_and_says_why_there_is_none():
 @pytest.mark.parametrize(
     ("layers", "correlate", "said"),
     [
-        (["volume", "image"], {"kubelka_munk": 0.002}, "Give --dark-grey and --white-grey"),
+        (["volume", "image"], {"kubelka_munk": 0.002}, "Give dark_grey= and white_grey="),
         (["image", "image"], {"kubelka_munk": 0.002, "light_spread_um": 80}, "no image stands last"),
         (["volume", "volume"], {"light_spread_um": 80}, "no image stands last"),
         (["volume", "image"], {"light_spread_um": 80, "headline": "thickness"}, "which is no coating"),
@@ -180,7 +180,7 @@ def test_refining_needs_the_texture_that_a_screen_takes_away():
     study = as_study({
         "volume": {"path": "v.tif"}, "image": {"path": "i.tif", "screen_um": 167}, "registration": {"refine": "affine"}
     })  # fmt: skip
-    with pytest.raises(InputError, match="--refine aligns the fine texture"):
+    with pytest.raises(InputError, match="refine= aligns the fine texture"):
         check_request(study, Compute())
 
 

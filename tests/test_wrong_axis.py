@@ -23,7 +23,7 @@ def test_a_search_along_a_wrong_axis_names_the_right_one(slope, rim_um, error, t
     sheet = abs(y - 45 - slope * (z - 80) - 3 * np.sin(x / 20)) < 6
     values = np.where(sheet, 120.0, 20.0) + np.random.default_rng(3).normal(0, 6, (160, 90, 120))
     tifffile.imwrite(tmp_path / "sheet.tif", values.astype(np.float32))
-    with pytest.raises(error, match="The grey changes most along y: try --through y"):
+    with pytest.raises(error, match='The grey changes most along y: try through="y"'):
         map_sheet(
             tmp_path / "sheet.tif", volume={"voxel_um": (5.0, 5.0, 5.0), "through": "z"}, surface={"rim_um": rim_um}
         )

@@ -136,7 +136,7 @@ def test_a_journal_that_is_none_is_refused_and_kept(path, content, words):
 def test_one_process_writes_and_others_read(path):
     with Journal(path, of="a", write=True) as made:
         made.append(b'{"do": 1}')
-        with pytest.raises(InUse, match="--read-only"):
+        with pytest.raises(InUse, match="read_only="):
             Journal(path, of="a", write=True)
         reader = Journal(path, of="a", write=False)
         assert reader.lines == [b'{"do": 1}']

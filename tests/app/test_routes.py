@@ -161,7 +161,7 @@ def test_marks_of_a_refused_link_are_set_by_hand(refused, linked_run):
     again = Session.open(maps, ImageParams(path=str(image), pixel_um=(pixel, pixel)))
     assert len(again.state.of(None)) == len(state["marks"])
     again.close()
-    with pytest.raises(SizeError, match="--pixel-um"):
+    with pytest.raises(SizeError, match="pixel_um="):
         _ = Session.open(maps, image, read_only=True).image
 
 

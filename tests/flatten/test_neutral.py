@@ -38,7 +38,7 @@ def test_the_mean_of_the_faces_where_no_middle_of_the_base_is_known():
     surfaces, _ = rolled()
     assert flatten_sheet(surfaces.drop_vars("base_middle")).neutral == "faces"
     assert flatten_sheet(surfaces.assign_attrs(method="paper")).neutral == "faces"
-    with pytest.raises(CannotFlatten, match="Leave --neutral out"):
+    with pytest.raises(CannotFlatten, match="Leave neutral= out"):
         flatten_sheet(surfaces.drop_vars("base_middle"), params=FlattenParams(neutral="base"))
 
 

@@ -145,7 +145,7 @@ def test_a_size_that_contradicts_the_metadata_is_an_error(tmp_path: Path, kind: 
     case, path, _, _ = written(kind, tmp_path)
     if not case.states_size:
         return
-    with pytest.raises(SizeError, match=r"--override-size") as caught:
+    with pytest.raises(SizeError, match=r"override_size=True") as caught:
         read_volume(path, voxel_um=7.0)
     check_sentence(caught.value)
     volume = read_volume(path, voxel_um=7.0, override_size=True)
@@ -156,7 +156,7 @@ def test_a_size_that_contradicts_the_metadata_is_an_error(tmp_path: Path, kind: 
 @every_format
 def test_a_missing_voxel_size_is_an_error(tmp_path: Path, kind: str) -> None:
     _, path, _, _ = written(kind, tmp_path, size=False)
-    with pytest.raises(SizeError, match=r"--voxel-um") as caught:
+    with pytest.raises(SizeError, match=r"voxel_um=") as caught:
         read_volume(path)
     check_sentence(caught.value)
     if kind != "NRecon":  # a log without its main number is not trusted

@@ -61,7 +61,7 @@ def test_channels_of_a_colour_image(tmp_path: Path) -> None:
     luminance = read_image(tmp_path / "i.tif", pixel_um=1)
     np.testing.assert_allclose(luminance, values @ [0.2126, 0.7152, 0.0722], rtol=1e-5)  # float32
     assert luminance.attrs["channel"] == "luminance"
-    with pytest.raises(InputError, match=r"has 3 channels, number 3 is not among them\. Choose 0 to 2 with --channel"):
+    with pytest.raises(InputError, match=r"has 3 channels, number 3 is not among them\. Choose 0 to 2 with channel="):
         read_image(tmp_path / "i.tif", pixel_um=1, channel="3")
     with pytest.raises(InputError, match="'alpha' is no channel"):
         read_image(tmp_path / "i.tif", pixel_um=1, channel="alpha")
@@ -145,7 +145,7 @@ def test_the_pixel_size_is_read_from_the_resolution(tmp_path: Path, extension: s
     assert image.attrs["pixel_um"] == pytest.approx([10, 20], rel=1e-4)  # PNG stores whole pixels per metre
     kind = {".png": "PNG", ".jpg": "JPEG", ".tif": "TIFF"}[extension]
     assert image.attrs["pixel_um_source"] == f"the {kind} resolution"
-    with pytest.raises(SizeError, match=r"--pixel-um gives y 5, x 5 um, but the .* --override-size"):
+    with pytest.raises(SizeError, match=r"pixel_um= gives y 5, x 5 um, but the .* override_size=True"):
         read_image(path, pixel_um=5)
     assert read_image(path, pixel_um=5, override_size=True).attrs["pixel_um"] == [5, 5]
 
@@ -155,7 +155,7 @@ def test_the_pixel_size_is_read_from_the_resolution(tmp_path: Path, extension: s
 def test_no_resolution_is_no_pixel_size(tmp_path: Path, extension: str, dpi: int | None) -> None:
     path = tmp_path / f"i{extension}"
     Image.fromarray(picture()).save(path, **({} if dpi is None else {"dpi": (dpi, dpi)}))
-    with pytest.raises(SizeError, match=r"states no pixel size .* Give it with --pixel-um SIZE \(or Y,X\), in um"):
+    with pytest.raises(SizeError, match=r"states no pixel size .* Give it with pixel_um=SIZE \(or Y,X\), in um"):
         read_image(path)
     assert read_image(path, pixel_um=400).attrs["pixel_um"] == [400, 400]
 

@@ -119,7 +119,7 @@ def test_what_is_not_ours_is_neither_removed_nor_written_into(tmp_path, stands_t
     out.mkdir()
     stands_there(out / ".run.work", victim)
     before = tree(tmp_path)
-    with pytest.raises(FileError, match=r"\.run\.work .*give another name with --out"), work_folder(out / "run", "key"):
+    with pytest.raises(FileError, match=r"\.run\.work .*give another name with out="), work_folder(out / "run", "key"):
         pytest.fail("must not get here")
     assert tree(tmp_path) == before
 

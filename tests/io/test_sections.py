@@ -111,7 +111,7 @@ def test_given_sizes_join_the_counter(tmp_path: Path) -> None:
 
 def test_another_size_than_the_tags_state_needs_the_override(tmp_path: Path) -> None:
     folder = write(tmp_path / "v")
-    with pytest.raises(SizeError, match="--override-size"):
+    with pytest.raises(SizeError, match="override_size=True"):
         read_section_stack(folder, voxel_um=1.0)
     assert read_section_stack(folder, voxel_um=1.0, override_size=True).pixel_um == (1.0, 1.0)
 

@@ -61,7 +61,7 @@ def test_a_given_size_more_than_one_percent_off_is_refused(size: float, factor: 
     if 1 / 1.0099 < factor < 1.0099:
         assert agreed_size(stated, given_size, file_name="v.tif", asked=VOXEL)[1] == "given"
     elif factor > 1.0101 or factor < 1 / 1.0101:
-        with pytest.raises(SizeError, match=r"--voxel-um gives .* but ImageJ metadata states .*--override-size"):
+        with pytest.raises(SizeError, match=r"voxel_um= gives .* but ImageJ metadata states .*override_size=True"):
             agreed_size(stated, given_size, file_name="v.tif", asked=VOXEL)
         taken, source = agreed_size(stated, given_size, file_name="v.tif", asked=VOXEL, override=True)
         assert taken == (given_size,) * 3
@@ -73,15 +73,15 @@ def test_the_refusal_names_both_sizes() -> None:
     with pytest.raises(SizeError) as caught:
         agreed_size(stated, 3, file_name="v.tif", asked=VOXEL)
     assert str(caught.value) == (
-        "v.tif: --voxel-um gives z 3, y 3, x 3 um, but ImageJ metadata states z 2, y 1.5, x 1.5 um. "
-        "Correct one of them, or add --override-size to take the given size."
+        "v.tif: voxel_um= gives z 3, y 3, x 3 um, but ImageJ metadata states z 2, y 1.5, x 1.5 um. "
+        "Correct one of them, or add override_size=True to take the given size."
     )
 
 
 def test_a_missing_size_is_never_one() -> None:
     with pytest.raises(SizeError) as caught:
         agreed_size([], None, file_name="v.tif", asked=VOXEL)
-    assert str(caught.value) == "v.tif states no voxel size. Give it with --voxel-um SIZE (or Z,Y,X), in um."
+    assert str(caught.value) == "v.tif states no voxel size. Give it with voxel_um=SIZE (or Z,Y,X), in um."
 
 
 def test_a_missing_axis_is_named() -> None:
@@ -90,7 +90,7 @@ def test_a_missing_axis_is_named() -> None:
         agreed_size(stated, None, file_name="v.tif", asked=VOXEL)
     assert str(caught.value) == (
         "v.tif states no voxel size along z: the TIFF resolution states y 2, x 2.5 um only. "
-        "Give it with --voxel-um SIZE (or Z,Y,X), in um."
+        "Give it with voxel_um=SIZE (or Z,Y,X), in um."
     )
 
 
@@ -111,7 +111,7 @@ def test_a_size_out_of_range_says_which_unit_it_looks_like(size: float, unit: st
 
 def test_an_unusual_size_is_asked_for_and_an_impossible_one_refused() -> None:
     nm = [Stated(source="OME metadata", um=(0.0046,) * 3)]
-    with pytest.raises(SizeError, match=r"usual are 0.01 to 100 um.* If it is meant, add --unusual-size"):
+    with pytest.raises(SizeError, match=r"usual are 0.01 to 100 um.* If it is meant, add unusual_size=True"):
         agreed_size(nm, None, file_name="v.tif", asked=VOXEL)
     assert agreed_size(nm, None, file_name="v.tif", asked=VOXEL, unusual=True)[0] == (0.0046,) * 3
     with pytest.raises(SizeError, match=r"possible are 0.0001 to 1000 um.*in um\.$"):
@@ -119,11 +119,11 @@ def test_an_unusual_size_is_asked_for_and_an_impossible_one_refused() -> None:
 
 
 def test_metadata_out_of_range_are_refused_too() -> None:
-    with pytest.raises(SizeError, match=r"looks like nm .*--override-size"):
+    with pytest.raises(SizeError, match=r"looks like nm .*override_size=True"):
         agreed_size([Stated(source="OME metadata", um=(3e3,) * 3)], None, file_name="v.tif", asked=VOXEL)
 
 
 @pytest.mark.parametrize("bad", [0, -1, float("nan"), float("inf"), (1, 2), (1, 2, 3, 4), (1, 0, 1)])
 def test_what_is_no_size_is_refused(bad: float | tuple[float, ...]) -> None:
-    with pytest.raises(SizeError, match="--voxel-um"):
+    with pytest.raises(SizeError, match="voxel_um="):
         agreed_size([], bad, file_name="v.tif", asked=VOXEL)

@@ -147,7 +147,7 @@ def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path: Path) ->
         green = read_volume(folder, voxel_um=1, channel="green", memory_bytes=limit)
         np.testing.assert_array_equal(green.values, values[..., 1])
         assert green.attrs["channel"] == "green"
-    with pytest.raises(InputError, match=r"'cyan' is no channel.*--volume-channel"):
+    with pytest.raises(InputError, match=r"'cyan' is no channel.*volume_channel="):
         read_volume(folder, voxel_um=1, channel="cyan")
     with pytest.raises(InputError, match=r"is grey, so it has no red"):
         read_volume(write_folder(tmp_path / "g", stack()), voxel_um=1, channel="red")

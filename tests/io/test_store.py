@@ -206,7 +206,7 @@ def test_refusals_say_what_to_do(tmp_path):
     (tmp_path / "there.zarr").mkdir()
     with pytest.raises(FileError, match="exists already"):
         write_store(volume(), tmp_path / "there.zarr")
-    with pytest.raises(ResourceError, match="--memory"):
+    with pytest.raises(ResourceError, match="memory="):
         write_store(volume(), tmp_path / "s.zarr", memory_bytes=1000)
 
 

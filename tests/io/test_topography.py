@@ -49,7 +49,7 @@ def test_heights_come_in_um(tmp_path: Path, suffix: str, unit: str) -> None:
 def test_a_given_size_has_to_agree(tmp_path: Path) -> None:
     path = write(tmp_path / "s.x3p", "um")
     assert read_topography(path, pixel_um=(3, 2)).attrs["pixel_um"] == pytest.approx([3.0, 2.0])
-    with pytest.raises(SizeError, match=r"s\.x3p: --pixel-um gives .* the topography file states"):
+    with pytest.raises(SizeError, match=r"s\.x3p: pixel_um= gives .* the topography file states"):
         read_topography(path, pixel_um=5)
 
 

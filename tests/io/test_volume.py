@@ -261,7 +261,7 @@ def test_resolution_tags_speak_about_x_and_y_only(tmp_path: Path) -> None:
     ):
         read_volume(path)
     assert read_volume(path, voxel_um=(5, 20, 10)).attrs["voxel_um"] == [5, 20, 10]
-    with pytest.raises(SizeError, match="--override-size"):
+    with pytest.raises(SizeError, match="override_size=True"):
         read_volume(path, voxel_um=5)
 
 

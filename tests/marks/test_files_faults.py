@@ -63,7 +63,7 @@ def markup(change):
     (lines_with(bigwarp_2d(), 2, '"Pt-2","true","1","two","3","4"'), MarkError, "row 3: 'two' is no number"),
     (lines_with(bigwarp_2d(), 2, '"Pt-2","true","1","NaN","3","4"'), MarkError, "row 3: 'NaN' is no number"),
     (lines_with(bigwarp_2d(), 2, '"Pt-2,"true"x,"1'), MarkError, "row 3"),
-    (bigwarp_3d().replace('"0.0"\n', '"7.0"\n', 1), MarkError, "fixed side.*differ in z.*--swap"),
+    (bigwarp_3d().replace('"0.0"\n', '"7.0"\n', 1), MarkError, "fixed side.*differ in z.*swap="),
     # repeated
     (bigwarp_2d().replace("Pt-1", "Pt-0"), MarkError, "label 'Pt-0' is there 2 times"),
     (bigwarp_2d().replace('"1250.0","312.5"', '"250.0","500.0"'), MarkError, "Pt-0 and Pt-1 have the same position"),
@@ -185,18 +185,18 @@ def test_two_files_that_do_not_go_together(put):
 
 def test_units_and_sizes_that_contradict(put):
     path = put(slicer(slicer_list(MOVING / 1000, "a"), slicer_list(FIXED / 1000, "b")))
-    with pytest.raises(SizeError, match="states its unit, mm, and --unit says um"):
+    with pytest.raises(SizeError, match="states its unit, mm, and unit= says um"):
         read_any(path, unit="um")
     for wrong in (0, -1, np.nan, (1, 2, 3, 4), ()):
-        with pytest.raises(SizeError, match="--fixed-pixel-um"):
+        with pytest.raises(SizeError, match="fixed_pixel_um="):
             read_any(path, fixed=LayerPixels(wrong))
     with pytest.raises(SizeError, match="two numbers"):
         read_any(path, moving=LayerPixels(origin_um=(1.0,)))
     with pytest.raises(SizeError, match="sizes z, y, x"):
         read_any(put(bigwarp_3d()), unit="pixel", moving=LayerPixels((1.0, 2.0)), fixed=LayerPixels(1.0))
-    with pytest.raises(MarkError, match="--swap"):
+    with pytest.raises(MarkError, match="swap="):
         read_any(put(PAIRS), swap=True)
-    with pytest.raises(SizeError, match="states its unit, um, and --unit says pixel"):
+    with pytest.raises(SizeError, match="states its unit, um, and unit= says pixel"):
         read_any(put(PAIRS), unit="pixel")
 
 

@@ -71,7 +71,7 @@ def test_coat_weight_from_density_and_from_the_balance(made):
         weighed = MeasureParams(coat_weight_top_g_m2=20.0, coat_weight_from=source)
         found = measure_along_rays(sheet.volume, sheet.surfaces, names=["coat_weight_top"], params=weighed)
         assert float(found["coat_weight_top"].mean()) == pytest.approx(20.0, rel=1e-5)
-    with pytest.raises(CannotMeasure, match="--coat-weight-bottom or --coating-density"):
+    with pytest.raises(CannotMeasure, match="coat_weight_bottom= or coating_density="):
         measure_along_rays(sheet.volume, sheet.surfaces, names=["coat_weight_bottom"])
     dark = sheet.surfaces.assign_attrs(polarity=-1.0)
     with pytest.raises(CannotMeasure, match="X-ray absorption"):
@@ -93,7 +93,7 @@ def test_grammage_and_density_of_a_slab(made):
     both = MeasureParams(grammage_g_m2=90.0, **coats)
     found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=both)
     assert float(found["grammage"].mean()) == pytest.approx(90.0, rel=1e-5)
-    with pytest.raises(CannotMeasure, match="--grammage or --base-density"):
+    with pytest.raises(CannotMeasure, match="grammage= or base_density="):
         measure_along_rays(sheet.volume, sheet.surfaces, names=["grammage"])
     with pytest.raises(CannotMeasure, match="nothing is left for the base"):
         measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=MeasureParams(grammage_g_m2=40.0, **coats))

@@ -73,7 +73,7 @@ def test_without_covariances_all_marks_weigh_the_same():
 def test_opposite_sides_see_each_other_mirrored():
     a, b, order, *_ = sides(3)
     b = b * (-1.0, 1.0)
-    with pytest.raises(CannotRegister, match="--mirror"):
+    with pytest.raises(CannotRegister, match="mirror=True"):
         register_marks(plane("volume", a), plane("image", b), params=PARAMS)
     found = register_marks(plane("volume", a), plane("image", b, faces="bottom"), params=PARAMS)
     assert found.fit.mirrored

@@ -201,7 +201,7 @@ def test_a_mirror_image_is_only_tried_when_asked():
     rng = np.random.default_rng(2)
     points = scattered(8, rng)
     seen = pose(rng, mirrored=True)(points)
-    with pytest.raises(CannotRegister, match="--mirror"):
+    with pytest.raises(CannotRegister, match="mirror=True"):
         match_marks(points, seen)
     assert match_marks(points, seen, mirror=True).mirrored
 

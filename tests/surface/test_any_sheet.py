@@ -84,7 +84,7 @@ def test_with_its_grey_told_a_layer_of_half_a_micrometre_is_half_a_micrometre():
 
 
 def test_a_coating_grey_on_the_wrong_side_of_the_base_is_refused():
-    with pytest.raises(VolumeError, match="--coating-grey"):
+    with pytest.raises(VolumeError, match="coating_grey="):
         find_surfaces(PLAIN.volume(), params=SurfaceParams(coating_grey=70.0))
 
 

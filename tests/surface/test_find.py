@@ -127,7 +127,7 @@ def test_dust_is_not_a_sheet():
 def test_two_sheets_are_counted_and_a_way_out_is_named():
     grey, *_ = slab(shape=(120, 60, 60), height=90.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))
     other, *_ = slab(shape=(120, 60, 60), height=260.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))
-    with pytest.raises(VolumeError, match=r"2 separate sheets.*--sheet-grey"):
+    with pytest.raises(VolumeError, match=r"2 separate sheets.*sheet_grey="):
         find_surfaces(volume(np.maximum(grey, other)))
 
 
@@ -142,7 +142,7 @@ def test_sheet_grey_chooses_one_of_two():
 
 def test_a_wrong_axis_is_noticed():
     grey, *_ = slab()
-    with pytest.raises(VolumeError, match=r"--through|leaves the volume|one after"):
+    with pytest.raises(VolumeError, match=r"through=|leaves the volume|one after"):
         find_surfaces(volume(grey), frame=Frame(through="x"))
 
 

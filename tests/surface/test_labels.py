@@ -48,7 +48,7 @@ def test_pores_belong_to_the_sheet_and_are_no_face():
     labels = SHEET.labels().values.copy()
     labels[(labels == 1) & (np.random.default_rng(0).random(labels.shape) < 0.3)] = 5
     given = SHEET.labels().copy(data=labels)
-    with pytest.raises(VolumeError, match=r"label 5.*--label-void"):
+    with pytest.raises(VolumeError, match=r"label 5.*label_void="):
         from_labels(given)
     found = from_labels(given, void=(5,))
     np.testing.assert_array_equal(found["top"], from_labels(SHEET.labels())["top"])

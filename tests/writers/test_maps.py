@@ -157,7 +157,7 @@ def test_maps_beyond_2_gb_take_version_7_3(monkeypatch):
     monkeypatch.setattr(matlab, "_USUAL_5", 1000)
     assert matlab.chosen_version(content, ExportParams(to="mat")) == "7.3"
     monkeypatch.setattr(matlab, "MOST_5", 1000)
-    with pytest.raises(ResourceError, match=r"holds 2 GB. Leave out --mat-version"):
+    with pytest.raises(ResourceError, match=r"holds 2 GB. Leave out mat_version="):
         matlab.chosen_version(content, ExportParams(to="mat", mat_version="5"))
 
 
@@ -307,7 +307,7 @@ def test_a_stack_beyond_4_gb_is_refused(monkeypatch):
     monkeypatch.setattr(tiff_maps, "MOST", 100_000)
     tiff_maps.check(maps((60, 110)).only("tilt"), ExportParams(to="tiff"))
     tiff_maps.check(maps((60, 110)), ExportParams(to="ome-tiff"))
-    with pytest.raises(ResourceError, match=r"holds 4 GB. Give --to ome-tiff, or a folder for a file each"):
+    with pytest.raises(ResourceError, match=r"holds 4 GB. Give to=.ome-tiff., or a folder for a file each"):
         tiff_maps.check(maps((60, 110)), ExportParams(to="tiff"))
 
 

@@ -104,7 +104,7 @@ def compare_instruments(
     try:
         rings = ring_correlation(x, y, pixel_um=pixel)
     except CannotMeasure as error:
-        notes.append(str(error))
+        notes.append(error.text)
     line: Deming | None = None
     if error_ratio is not None:
         try:
@@ -114,7 +114,7 @@ def compare_instruments(
             else:
                 line = deming(*points, error_ratio=error_ratio, n_eff=n_eff)
         except CannotMeasure as error:
-            notes.append(str(error))
+            notes.append(error.text)
     return Instruments(
         point_um=correlation.support_um, agreement=agreement, correlation=correlation, rings=rings,
         shared_um=rings.resolution_um if rings else None, line=line, difference=difference, notes=tuple(notes),

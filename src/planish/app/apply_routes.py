@@ -37,7 +37,7 @@ async def post_apply(request: Request) -> Response:
     try:
         return _answer(await run_sync(applying.start), 202)
     except Busy as error:
-        return JSONResponse({"error": str(error)} | applying.progress.model_dump(exclude_none=True), 409)
+        return JSONResponse({"error": error.text} | applying.progress.model_dump(exclude_none=True), 409)
 
 
 async def post_cancel(request: Request) -> Response:

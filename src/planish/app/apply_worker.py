@@ -83,7 +83,7 @@ def _make(order: Mapping[str, Any], tell: Any) -> None:
         tell({"state": "done"})
     except Exception as error:  # noqa: BLE001  the page gets a sentence
         known = _known(error)
-        tell({"state": "failed", "message": in_study_words(str(known))})
+        tell({"state": "failed", "message": in_study_words(known.text)})
 
 
 @contextmanager

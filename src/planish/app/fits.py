@@ -279,10 +279,10 @@ def _of_fit(fit: FittedTransform) -> list[Warned]:
 def _said(error: PlanishError, rows: Sequence[Mark], used: NDArray[np.bool_]) -> str:
     """An error of the fit; where it is about marks at one place, with their labels."""
     twice = _twice(rows)
-    if twice and "at one place" in str(error):
+    if twice and "at one place" in error.text:
         label = next(mark.label for mark in rows if mark.id == twice[0].id)
         return f"{label}: {twice[0].text} Move or delete one of them."
-    return str(error) if used.any() else ""
+    return error.text if used.any() else ""
 
 
 def _and(words: list[str]) -> str:

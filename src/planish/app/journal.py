@@ -186,5 +186,5 @@ def _sync_folder(folder: Path) -> None:
 def _refused(error: OSError, path: Path) -> PlanishError:
     known = as_planish(error, path)
     kind = ResourceError if isinstance(known, ResourceError) else FileError
-    what = "the disk is full" if kind is ResourceError else str(known).removesuffix(".")
+    what = "the disk is full" if kind is ResourceError else known.text.removesuffix(".")
     return kind(f"The change could not be saved and was not made: {what}. Free some space, then do it again.")

@@ -198,7 +198,7 @@ async def _done(request: Request, action: Callable[[], object]) -> Response:
         try:
             said = action()
         except Stale as error:
-            return JSONResponse({"error": str(error)} | _state_of(request), 409)
+            return JSONResponse({"error": error.text} | _state_of(request), 409)
         return JSONResponse(_state_of(request) | ({"said": said} if isinstance(said, str) and said else {}))
 
     return await run_sync(doing)

@@ -276,8 +276,8 @@ class Session:
                     self._step(applied(self.state, change_of(line)))
             except ChangeError as error:
                 raise FileError(
-                    f"{self.journal.path} is damaged: its change {k} cannot be made ({error}) Cut the file before that "
-                    "line to keep the changes that were made until then."
+                    f"{self.journal.path} is damaged: its change {k} cannot be made ({error.text}) Cut the file before "
+                    "that line to keep the changes that were made until then."
                 ) from error
 
     def _first(self) -> State:
@@ -330,7 +330,7 @@ def _journal(path: Path, *, of: str, read_only: bool) -> tuple[Journal, str]:
     except InUse:
         raise
     except PlanishError as error:
-        return Journal(path, of=of, write=False), f"The run cannot be written, so nothing can be changed. {error}"
+        return Journal(path, of=of, write=False), f"The run cannot be written, so nothing can be changed. {error.text}"
 
 
 def _image_params(run: Path, image: Path | ImageParams | None, results: Results) -> ImageParams | None:

@@ -62,7 +62,7 @@ def _sheets(request: Request) -> dict[str, Any]:
         try:
             sheet = _opened(request, name)
         except PlanishError as error:
-            found.append({"layer": name, "error": str(error)})
+            found.append({"layer": name, "error": error.text})
             continue
         frame = sheet.frame
         attrs = sheet.surfaces.attrs

@@ -43,7 +43,7 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
         try:
             files = export_run(run, out, compute=made(Compute, values, "compute"), progress=progress, **said)
         except StudyError as error:
-            raise click.UsageError(str(error)) from error
+            raise click.UsageError(error.text) from error
     form = FORMATS[said["to"]]
     if as_json:
         click.echo(

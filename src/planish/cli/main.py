@@ -103,9 +103,9 @@ def main(args: list[str] | None = None) -> None:
     except Exception as error:  # noqa: BLE001  a user gets a sentence, and a log of our own faults, never a traceback
         known = _known(error)
         code = known.exit_code
-        click.echo(f"planish: {printable(str(known))}", err=True)
+        click.echo(f"planish: {printable(known.text)}", err=True)
         if "--json" in arguments:
-            click.echo(json.dumps({"error": str(known), "exit_code": code}))
+            click.echo(json.dumps({"error": known.text, "exit_code": code}))
     sys.exit(code if isinstance(code, int) else 0)
 
 

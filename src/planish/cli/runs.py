@@ -77,7 +77,7 @@ def study_from(
     try:
         study = study_of(layers, sections, chain=chain)
     except StudyError as error:
-        raise click.UsageError(str(error)) from error
+        raise click.UsageError(error.text) from error
     return _changed(study, changes)
 
 
@@ -87,7 +87,7 @@ def _changed(study: Study, changes: tuple[str, ...]) -> Study:
     try:
         return with_values(study, changes) if changes else study
     except StudyError as error:
-        raise click.UsageError(f"--set: {error}") from error
+        raise click.UsageError(f"--set: {error.text}") from error
 
 
 def _run_and_show(
@@ -201,7 +201,7 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], strict: bool, a
             checked, target, values, as_json=as_json, strict=strict, old=old if changes else None, figures=figures
         )
     except PlanishError as error:
-        raise type(error)(in_study_words(str(error))) from error
+        raise type(error)(in_study_words(error.text)) from error
     if old is not None and not changes:
         _compare(old, target)
     return code

@@ -15,15 +15,62 @@
     ├── CannotRegister               exit code 3: the marks do not fix one transformation
     └── ResourceError                exit code 5: memory or disk is used up
 
-A message says what was found, what is needed, and what to do next. The command line prints it and ends
-with the exit code of the class; nothing else in planish decides exit codes.
+A message says what was found, what is needed, and what to do next. It is written with the options of the command line:
+``error.text``, which the terminal, the app, series and results show. Python shows ``str(error)``, the same with
+the words of a call: ``voxel_um=`` for ``--voxel-um``. So nothing has to be set for either, in any thread or process; a
+message that contains another one takes its ``text``. The command line ends with the exit code of the class; nothing
+else in planish decides exit codes.
 """
+
+import re
+
+SWITCHES = frozenset({"as-seen", "chain", "mirror", "mottle", "override-size", "printed", "unusual-size"})
+"""Options without a value, of those that a call in Python may be told to give."""
+
+_COMMAND = r"\b(?:planish|pip|dask) [a-z](?:[^.;'\n]|\.(?=[^\s']))*"  # up to the end of its sentence, or its quote
+_WORD = r"[zyx]|top|bottom|high|low|[a-z]+(?:_[a-z]+)+|(?!out\b|instead\b|first\b)[a-z][a-z-]*(?=[.,;:)]|$| as well)"
+_VALUE = rf"\d[\d.,]*(?<=\d)[A-Z]*|[A-Z]+(?:,[A-Z]+)*|(?:{_WORD})(?:, (?:{_WORD}))*(?=:)|{_WORD}"
+_BARE = re.compile(r"[A-Z]+|[\d.]+")  # a placeholder, a number: without quotes
+_FLAG = re.compile(rf"{_COMMAND}|(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]({_VALUE})(?![\w-]))?")
+
+
+def in_python_words(text: str) -> str:
+    """Name the keywords of a Python call in a message that names options of the command line.
+
+    Commands for a terminal stay as they are.
+
+    Examples
+    --------
+    >>> in_python_words("Give --voxel-um SIZE, or try --through y. For help: planish link --help.")
+    'Give voxel_um=SIZE, or try through="y". For help: planish link --help.'
+    """
+    return _FLAG.sub(_keyword, text)
+
+
+def _keyword(match: re.Match[str]) -> str:
+    if match[1] is None:
+        return match[0]
+    name, value = match[1].replace("-", "_"), match[2]
+    if value is None:
+        return f"{name}={'True' if match[1] in SWITCHES else ''}"
+    parts = [part.strip() for part in value.split(",")]
+    words = [part if _BARE.fullmatch(part) else f'"{part}"' for part in parts]
+    return f"{name}=({', '.join(words)})" if len(words) > 1 else f"{name}={words[0]}"
 
 
 class PlanishError(Exception):
     """Root of all errors that planish raises on purpose."""
 
     exit_code = 1
+
+    @property
+    def text(self) -> str:
+        """The message with the options of the command line."""
+        return super().__str__()
+
+    def __str__(self) -> str:
+        """Return the message with the words of a Python call."""
+        return in_python_words(self.text)
 
 
 class InputError(PlanishError):

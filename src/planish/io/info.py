@@ -221,7 +221,7 @@ def _image(
     except FileError:
         raise
     except InputError as error:
-        warnings.append(str(error))
+        warnings.append(error.text)
         values, _ = pick_channel(picture, "0", file_name=path.name)
     if kind_of(path) == "jpeg":
         warnings.append("JPEG loses detail and adds block edges. Use TIFF or PNG if there is one.")
@@ -267,8 +267,8 @@ def _size_facts(agreed: Size, shape: Sequence[int], warnings: list[str]) -> dict
     try:
         size, source = agreed()
     except SizeError as error:
-        warnings.append(str(error))
-        return {"size_um": None, "size_source": None, "size_problem": str(error), "extent_um": None}
+        warnings.append(error.text)
+        return {"size_um": None, "size_source": None, "size_problem": error.text, "extent_um": None}
     return {
         "size_um": list(size),
         "size_source": source,

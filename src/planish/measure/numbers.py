@@ -224,4 +224,4 @@ def _roughness(measured: xr.Dataset, params: MeasureParams, side: Side) -> Rough
         limited = scale_limited(measured[f"topography_{side}"].values, pitch(measured), **filters)
         return roughness_numbers(limited, pitch(measured), **filters)
     except CannotMeasure as reason:
-        return RoughnessFacts(reason=str(reason))
+        return RoughnessFacts(reason=reason.text)

@@ -83,7 +83,7 @@ def measured_twice(
             "sentence": rings.sentence,
         }  # fmt: skip
     except PlanishError as error:
-        found["sentence"] = str(error)
+        found["sentence"] = error.text
     try:
         apart = bland_altman(*points, pixel_um=point_um)
     except PlanishError:

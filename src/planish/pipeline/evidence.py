@@ -195,7 +195,7 @@ def _beside(
         left = partial(sheet[0], image, sheet[1:], pixel_um=point_um)
         shares = commonality(image, dict(zip(names, sheet, strict=True)))
     except PlanishError as error:  # nothing is left: the rest of the run stands
-        return {"partial": PartialFacts(given=beside, point_um=point_um, silence=str(error))}
+        return {"partial": PartialFacts(given=beside, point_um=point_um, silence=error.text)}
     return {"partial": PartialFacts.of(left, given=beside, point_um=point_um), "commonality": shares}
 
 

@@ -163,7 +163,7 @@ def reliability_of(
         odd, even, alone = half_points(columns, name, known, origin_um=origin_um, cell_um=cell_um, point_um=point_um)
         found = split_reliability(odd, even, pixel_um=point_um)
     except PlanishError as error:
-        return ReliabilityFacts(layer=layer, map=name, point_um=point_um, silence=str(error))
+        return ReliabilityFacts(layer=layer, map=name, point_um=point_um, silence=error.text)
     n = int(np.count_nonzero(np.isfinite(odd)))
     return ReliabilityFacts.of(found, layer=layer, map=name, n=n, shared=columns.shared(alone=alone))
 

@@ -85,7 +85,7 @@ def kubelka_munk_of(
             x, y, n_eff=count.n_eff, n_eff_level=count.n_eff_level, absorption_over_scattering=ratio
         )
     except PlanishError as error:
-        return facts.model_copy(update={"silence": str(error)})
+        return facts.model_copy(update={"silence": error.text})
     scale = 1.0 if density is None else _G_PER_KG  # per g/m2 to m2/kg
     low, high = (v * scale for v in found.scattering_interval)
     return KubelkaMunkFacts.of(
@@ -107,7 +107,7 @@ def light_spread_of(
         found = correlate(spread, image, pixel_um=point_um)
         apart = paired_difference((plain, image), (spread, image), pixel_um=point_um)
     except PlanishError as error:
-        return facts.model_copy(update={"silence": str(error)})
+        return facts.model_copy(update={"silence": error.text})
     if math.isnan(found.r):
         return facts.model_copy(update={"n": found.n, "silence": " ".join(found.warnings)})
     return LightSpreadFacts.of(
@@ -127,7 +127,7 @@ def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> MottleFacts:
     try:
         found = print_mottle(means.means()[0], pixel_um=cell_um)
     except PlanishError as error:
-        return MottleFacts(layer=name, silence=str(error))
+        return MottleFacts(layer=name, silence=error.text)
     return MottleFacts.of(
         found, layer=name, bands=tuple(MottleBandFacts.of(band) for band in found.bands),
         measured=found.measured.replace("the reflectance", f"the {quantity}"),

@@ -122,7 +122,7 @@ def run_study(
                 more = _next_step(error, maps, study)
                 if not more:
                     raise
-                raise type(error)(f"{error} {more}") from error
+                raise type(error)(f"{error.text} {more}") from error
             progress("write", str(out))
             with new_folder(out, inside=work, needed=_size(run)) as folder:
                 save_run(run, folder, home=out, stored=sink, figures=figures)

@@ -75,7 +75,7 @@ def map_layer(
         except CannotMeasure as error:
             hint = "" if volume is None else _other_axis(volume, v.through)
             if hint:
-                raise CannotMeasure(f"{error} {hint}") from error
+                raise CannotMeasure(f"{error.text} {hint}") from error
             raise
     progress("flatten", "eight-spring mesh")
     # Before the properties: a column whose normal meets no face still has its place in the sheet.
@@ -152,7 +152,7 @@ def search_sheet(
         _check_thickness(surfaces, *(_UNUSUAL_UM if v.unusual_size else _THICKNESS_UM))
     except VolumeError as error:
         if hint := _other_axis(volume, v.through):
-            raise VolumeError(f"{error} {hint}") from error
+            raise VolumeError(f"{error.text} {hint}") from error
         raise
     return surfaces
 

@@ -75,7 +75,7 @@ def texture_of(
     try:
         found = textures(maps, valid, Grid.of(a).pixel_um)
     except SizeError as error:
-        text = f"Specimen and position by texture: inconclusive. {error}"
+        text = f"Specimen and position by texture: inconclusive. {error.text}"
         return TextureFound(None, (Check(name="side and specimen", state="unknown", sentence=text),))
     seen = [_coated(d) for d in (a, b) if "thickness" in d]
     coated: list[Side] = [k for k in SIDES if all(k in sides for sides in seen)]

@@ -48,7 +48,7 @@ def estimate(book: Book, specimen: Specimen, compute: Compute) -> Estimate:
                 voxels, columns = voxels + size, columns + size ** (2 / 3)
                 held = max(held, bytes_to_hold(facts["bytes"]))
     except PlanishError as error:
-        return Estimate(words=f"refused: {error}")
+        return Estimate(words=f"refused: {error.text}")
     seconds = _START_S + _PER_VOXEL_S * voxels + _PER_PIXEL_S * pixels
     known = book.seconds()
     return Estimate(

@@ -102,7 +102,7 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
         try:
             results = open_results(folder)
         except FileError as error:
-            words = str(error).replace(str(folder), str(member.run))
+            words = error.text.replace(str(folder), str(member.run))
             found.append(member.model_copy(update={"state": "damaged", "message": words}))
             continue
         found.append(_judged(member, results))

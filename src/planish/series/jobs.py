@@ -90,7 +90,7 @@ class Book:
             study = self.plan.study(specimen)
             key, stamps, hashes = self._key(study, specimen)
         except PlanishError as error:
-            return _member(specimen, state=_state_of(error), message=in_study_words(str(error)))
+            return _member(specimen, state=_state_of(error), message=in_study_words(error.text))
         folder, note = self._place(specimen, key)
         if is_run(folder):
             return self.member(specimen, folder)
@@ -115,7 +115,7 @@ class Book:
         try:
             results = open_results(folder)
         except PlanishError as error:
-            return _member(specimen, state="damaged", message=f"{error} Remove {run} to have it done again.")
+            return _member(specimen, state="damaged", message=f"{error.text} Remove {run} to have it done again.")
         failed = results.spoken("fail")
         message = " ".join(f"{check.name}: {check.sentence} {check.advice}".rstrip() for check in failed)
         return _member(specimen, state="withheld" if failed else "whole", message=message, run=run)
@@ -178,7 +178,7 @@ def do(job: Job) -> Outcome:
             return outcome("whole")
         run = run_study(job.study, job.folder, compute=job.compute)
     except PlanishError as error:
-        return outcome(_state_of(error), in_study_words(str(error)))
+        return outcome(_state_of(error), in_study_words(error.text))
     except MemoryError:
         return outcome("damaged", "The memory is used up. Give fewer --jobs, or more --memory.")
     except Exception as error:  # noqa: BLE001  one specimen stops no other

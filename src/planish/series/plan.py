@@ -95,7 +95,7 @@ class Plan:
             study = study_of(specimen.files, self.sections)
             study = with_values(study, (*self.changes, *specimen.changes))
         except StudyError as error:
-            raise StudyError(in_study_words(str(error))) from error
+            raise StudyError(in_study_words(error.text)) from error
         return with_paths(study, lambda path: os.path.normpath(self.home / path))
 
 

@@ -110,7 +110,7 @@ def _incomplete(files: list[Path]) -> str | None:
         try:
             facts: dict[str, Any] = describe(file)
         except PlanishError as error:
-            return str(error)
+            return error.text
         if not facts["shape"]:
             return f"{file.name} holds nothing."
     return None

@@ -183,7 +183,7 @@ def run_specimen(
             raise  # a matter of this machine, not of the specimen
         except PlanishError as error:
             # The folder's name is made up anew each time and means nothing to a reader.
-            return Entry(seed=seed, values={}, refusal=str(error).replace(f"{folder}{os.sep}", ""))
+            return Entry(seed=seed, values={}, refusal=error.text.replace(f"{folder}{os.sep}", ""))
         progress("compare", "with the truth")
         failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken("fail"))
         looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken("look"))

@@ -127,7 +127,7 @@ def _from_volume(
             raise _NotThere(f"{facts.source.name} holds sections, which would have to be aligned again")
         volume = read_whole(params, compute, progress)
     except PlanishError as error:
-        progress("slices", f"only those of the run: {error}")
+        progress("slices", f"only those of the run: {error.text}")
         raise _NotThere(f"{facts.source.name} was not there unchanged when this page was made") from error
     frame = Frame.of(surfaces)
     depth = volume.coords[frame.through].values

@@ -95,7 +95,9 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
         try:
             state.take(text)
         except MarkError as error:
-            raise MarkError(f"Line {number} of the program ({line.strip()[:60]!r}) is refused: {error}.") from error
+            raise MarkError(
+                f"Line {number} of the program ({line.strip()[:60]!r}) is refused: {error.text}."
+            ) from error
     return state.result()
 
 
