@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import tifffile
 
+import planish as pl
 from planish.core.errors import CannotMeasure, VolumeError
 from planish.pipeline import map_sheet
 
@@ -27,3 +28,30 @@ def test_a_search_along_a_wrong_axis_names_the_right_one(slope, rim_um, error, t
         map_sheet(
             tmp_path / "sheet.tif", volume={"voxel_um": (5.0, 5.0, 5.0), "through": "z"}, surface={"rim_um": rim_um}
         )
+
+
+def test_a_sheet_seen_edge_on_is_refused_before_every_column_is_searched(monkeypatch):
+    """A sheet of 12 voxels, 81 degrees off the axis given: its run is above 6 times its thickness."""
+    z, y, x = np.ogrid[:160, :90, :120]
+    values = np.where(abs(y - 45 - 0.15 * (z - 80) - 3 * np.sin(x / 20)) < 6, 120.0, 20.0)
+    values += np.random.default_rng(3).normal(0, 6, values.shape)
+    volume = pl.volume(values.astype(np.float32), voxel_um=5)
+    with monkeypatch.context() as patch:
+        patch.setattr("planish.surface.find.learn", None)  # what comes after the first look
+        with pytest.raises(VolumeError, match=r'is seen edge on: along z .* most along y: try through="y"'):
+            pl.find_surfaces(volume, params={"rim_um": 15.0})
+    surfaces = pl.find_surfaces(volume, through="y", params={"rim_um": 15.0})
+    assert surfaces.attrs["thickness_um"] == pytest.approx(60.0, abs=2.5)  # half a voxel
+
+
+def test_a_function_refuses_what_the_command_line_refuses():
+    z, y, x = np.ogrid[:40, :60, :60]
+    values = np.where(abs(z - 20) < 6 + 0 * y * x, 120.0, 20.0) + np.random.default_rng(3).normal(0, 6, (40, 60, 60))
+    thin = pl.volume(values.astype(np.float32), voxel_um=0.1)
+    with pytest.raises(VolumeError, match=r"would be 1.\d+ um thick; sheets of 2 to 5000 um .* unusual_size=True"):
+        pl.find_surfaces(thin, params={"rim_um": 0.1, "cutoff_um": 2.0})
+    assert (
+        0.9
+        < pl.find_surfaces(thin, params={"rim_um": 0.1, "cutoff_um": 2.0}, unusual_size=True).attrs["thickness_um"]
+        < 1.5
+    )

@@ -5,6 +5,8 @@ from .core.results import Results as Results
 from .flatten import flatten_sheet as flatten_sheet
 from .io import read_image as read_image
 from .io import read_volume as read_volume
+from .io.arrays import image as image
+from .io.arrays import volume as volume
 from .measure import measure_properties as measure_properties
 from .pipeline import Registration as Registration
 from .pipeline import Run as Run

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from planish.core.errors import InputError
 from planish.core.frame import Frame
 
 
@@ -27,3 +28,21 @@ def test_columns_is_a_view():
     assert columns.dims == ("z", "y", "x")
     assert Frame(through="z").columns(volume).shape == (5, 6, 4)
     assert np.shares_memory(columns.values, volume.values)
+
+
+def test_other_axes_and_ends_are_refused():
+    with pytest.raises(InputError, match="through='w' is not possible; needed is 'z', 'y' or 'x'"):
+        Frame(through="w")
+    with pytest.raises(InputError, match="top='up' is not possible; needed is 'high' or 'low'"):
+        Frame(top="up")
+
+
+def test_a_call_takes_the_frame_in_words_in_one_piece_or_from_the_volume():
+    volume = xr.DataArray(np.zeros((2, 2, 2)), dims=("z", "y", "x"), attrs={"through": "y", "top_side": "low"})
+    assert Frame.asked(volume, None, None, None) == Frame(through="y", top="low")
+    assert Frame.asked(volume, None, "x", None) == Frame(through="x", top="low")
+    assert Frame.asked(volume, Frame(), None, None) == Frame()
+    with pytest.raises(InputError, match="frame= and through= say the same"):
+        Frame.asked(volume, Frame(), "x", None)
+    with pytest.raises(InputError, match=r"frame='y' is no frame. Write through=\"y\", or frame=pl.Frame"):
+        Frame.asked(volume, "y", None, None)

@@ -125,5 +125,5 @@ def test_metadata_out_of_range_are_refused_too() -> None:
 
 @pytest.mark.parametrize("bad", [0, -1, float("nan"), float("inf"), (1, 2), (1, 2, 3, 4), (1, 0, 1)])
 def test_what_is_no_size_is_refused(bad: float | tuple[float, ...]) -> None:
-    with pytest.raises(SizeError, match="voxel_um="):
+    with pytest.raises(SizeError, match="voxel_um"):
         agreed_size([], bad, file_name="v.tif", asked=VOXEL)

@@ -86,4 +86,5 @@ def _file(data: bytes, kind: str) -> Callable[[Request], Awaitable[Response]]:
 async def _known(_request: Request, error: Exception) -> Response:
     """An error that a person can do something about."""
     status = 409 if isinstance(error, Stale) else 507 if isinstance(error, ResourceError) else 400
+    assert isinstance(error, PlanishError)
     return JSONResponse({"error": error.text}, status)

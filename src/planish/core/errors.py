@@ -23,15 +23,17 @@ else in planish decides exit codes.
 """
 
 import re
+from collections.abc import Sequence
 
 SWITCHES = frozenset({"as-seen", "chain", "mirror", "mottle", "override-size", "printed", "unusual-size"})
 """Options without a value, of those that a call in Python may be told to give."""
 
 _COMMAND = r"\b(?:planish|pip|dask) [a-z](?:[^.;'\n]|\.(?=[^\s']))*"  # up to the end of its sentence, or its quote
-_WORD = r"[zyx]|top|bottom|high|low|[a-z]+(?:_[a-z]+)+|(?!out\b|instead\b|first\b)[a-z][a-z-]*(?=[.,;:)]|$| as well)"
+_ENDS = r"(?=[.,;:)]|$| as well| is not possible)"  # what follows a word that is a value and no part of the sentence
+_WORD = rf"[zyx]|top|bottom|high|low|[a-z]+(?:_[a-z]+)+|(?!out\b|instead\b|first\b)[a-z][a-z-]*{_ENDS}"
 _VALUE = rf"\d[\d.,]*(?<=\d)[A-Z]*|[A-Z]+(?:,[A-Z]+)*|(?:{_WORD})(?:, (?:{_WORD}))*(?=:)|{_WORD}"
 _BARE = re.compile(r"[A-Z]+|[\d.]+")  # a placeholder, a number: without quotes
-_FLAG = re.compile(rf"{_COMMAND}|(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]({_VALUE})(?![\w-]))?")
+_FLAG = re.compile(rf"{_COMMAND}|(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]({_VALUE})(?![\w-]))?(:?)")
 
 
 def in_python_words(text: str) -> str:
@@ -51,11 +53,11 @@ def _keyword(match: re.Match[str]) -> str:
     if match[1] is None:
         return match[0]
     name, value = match[1].replace("-", "_"), match[2]
-    if value is None:
-        return f"{name}={'True' if match[1] in SWITCHES else ''}"
+    if value is None:  # of a faulty value the name alone is said
+        return f"{name}:" if match[3] else f"{name}={'True' if match[1] in SWITCHES else ''}"
     parts = [part.strip() for part in value.split(",")]
     words = [part if _BARE.fullmatch(part) else f'"{part}"' for part in parts]
-    return f"{name}=({', '.join(words)})" if len(words) > 1 else f"{name}={words[0]}"
+    return f"{name}=({', '.join(words)}){match[3]}" if len(words) > 1 else f"{name}={words[0]}{match[3]}"
 
 
 class PlanishError(Exception):
@@ -125,3 +127,11 @@ class ResourceError(PlanishError):
     """Memory or disk is used up."""
 
     exit_code = 5
+
+
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    """Raise InputError where a keyword has none of the words that are possible."""
+    if isinstance(value, str) and value in choices:
+        return
+    listed = " or ".join(", ".join(map(repr, part)) for part in (choices[:-1], choices[-1:]) if part)
+    raise InputError(f"{name}={value!r} is not possible; needed is {listed}.")

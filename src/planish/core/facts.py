@@ -22,6 +22,8 @@ KnownPair = Annotated[Pair | None, BeforeValidator(_all_finite)]
 Side = Literal["top", "bottom"]
 """Side of a sheet."""
 
+SIDES: tuple[Side, ...] = ("top", "bottom")
+
 
 class Facts(BaseModel):
     """A frozen part of the results."""

@@ -10,15 +10,19 @@ reverses one of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
+
+from planish.core.errors import InputError, check_choice
 
 if TYPE_CHECKING:
     import xarray as xr
 
 Axis = Literal["z", "y", "x"]
-Side = Literal["high", "low"]
+End = Literal["high", "low"]
 
+AXES: tuple[Axis, ...] = ("z", "y", "x")
+ENDS: tuple[End, ...] = ("high", "low")
 _LATERAL: dict[str, tuple[Axis, Axis]] = {"z": ("y", "x"), "y": ("z", "x"), "x": ("z", "y")}
 
 
@@ -35,7 +39,12 @@ class Frame:
     """
 
     through: Axis = "z"
-    top: Side = "high"
+    top: End = "high"
+
+    def __post_init__(self) -> None:
+        """Refuse other axes and ends."""
+        check_choice("through", self.through, AXES)
+        check_choice("top", self.top, ENDS)
 
     @property
     def rows(self) -> Axis:
@@ -61,11 +70,33 @@ class Frame:
         """Return a view of the volume with dims (rows, cols, through); no copy."""
         return volume.transpose(self.rows, self.cols, self.through)
 
+    def lies(self) -> dict[str, str]:
+        """Return what a volume records of how the sheet lies in it."""
+        return {"through": self.through, "top_side": self.top}
+
     def attrs(self) -> dict[str, str]:
         """Return what a dataset on this frame records."""
-        return {"through": self.through, "top_side": self.top, "row_axis": self.rows, "col_axis": self.cols}
+        return {**self.lies(), "row_axis": self.rows, "col_axis": self.cols}
 
     @classmethod
-    def of(cls, data: xr.Dataset) -> Frame:
-        """Read the frame back from a dataset's attributes."""
-        return cls(through=data.attrs["through"], top=data.attrs["top_side"])
+    def of(cls, data: xr.Dataset | xr.DataArray) -> Frame:
+        """Read the frame back from a dataset's attributes; z and its high end where a volume says nothing of it."""
+        return cls(through=data.attrs.get("through", "z"), top=data.attrs.get("top_side", "high"))
+
+    @classmethod
+    def asked(cls, volume: xr.DataArray, frame: Frame | None, through: Axis | None, top: End | None) -> Frame:
+        """The frame of a call: as given, in one piece or in words, or as the volume says.
+
+        Raises
+        ------
+        InputError
+            If it is given twice, or as something else.
+        """
+        words = {name: word for name, word in (("through", through), ("top", top)) if word is not None}
+        if frame is None:
+            return replace(cls.of(volume), **words)
+        if not isinstance(frame, cls):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise InputError(f'frame={frame!r} is no frame. Write through="y", or frame=pl.Frame(through="y").')
+        if words:
+            raise InputError(f"frame= and {' and '.join(f'{name}=' for name in words)} say the same. Leave one out.")
+        return frame

@@ -11,19 +11,48 @@ the model as ``params``. A field that no command shows has ``cli=None``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
+
+from planish.core.errors import InputError
 
 
 class Params(BaseModel):
     """Frozen options of one stage; unknown names are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+P = TypeVar("P", bound=Params)
+
+
+def params_of(model: type[P], given: P | Mapping[str, Any] | None, call: str) -> P:
+    """Options of a function: its model, or a dict with some of its fields.
+
+    Raises
+    ------
+    InputError
+        If it is something else, or has fields that are unknown or out of range; all faults are named.
+    """
+    if given is None or isinstance(given, model):
+        return given or model()
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"{call} takes params as a {model.__name__} or a dict, and {given!r} was given. Write "
+            f"params={{...}}, with some of {', '.join([*model.model_fields][:3])} ..."
+        )
+    from planish.core.mistakes import mistakes
+
+    try:
+        return model.model_validate(dict(given))
+    except ValidationError as error:
+        faults = "; ".join(mistakes(error, model, lambda loc: (loc, None)))
+        raise InputError(f"{call}: {faults.removesuffix('?')}{'?' if faults.endswith('?') else '.'}") from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,9 +10,11 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.arrays import check_dataset
 from planish.core.errors import CannotFlatten
 from planish.core.frame import Frame
 from planish.core.grid import bilinear, filled, pitch
+from planish.core.options import params_of
 from planish.core.outcome import Outcome
 from planish.flatten.curvature import CurvatureCheck, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
@@ -76,7 +78,7 @@ class Flattened:
     edge_strain_max: float
 
 
-def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams = FlattenParams()) -> Flattened:  # noqa: B008  # frozen
+def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) -> Flattened:
     """Develop the sheet into the plane: the surface that stays unstrained where it is bent.
 
     That surface is taken at a distance from the centre surface, along its normals: the middle of the base
@@ -101,6 +103,8 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams = FlattenParams
     CannotFlatten
         If the centre surface is too small or falls into pieces, or the middle of the base is asked for and not known.
     """
+    check_dataset(surfaces, "centre", what="surfaces", maker="pl.find_surfaces(volume)", call="pl.flatten_sheet({})")
+    params = params_of(FlattenParams, params, "pl.flatten_sheet")
     frame = Frame.of(surfaces)
     neutral = neutral_of(surfaces, params)
     y, x = surfaces["y"].values, surfaces["x"].values

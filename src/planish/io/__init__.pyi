@@ -1,4 +1,3 @@
-from .axis import likely_through as likely_through
 from .formats import find_place as find_place
 from .hashes import fingerprint as fingerprint
 from .image import read_image as read_image

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.errors import FileError, InputError
+from planish.core.arrays import check_path
+from planish.core.errors import FileError, InputError, check_choice
+from planish.core.facts import SIDES, Side
 from planish.core.lazy import labelled
 from planish.io.formats import COLOURS, LUMINANCE
 from planish.io.guard import check_memory, size_of_file
@@ -31,6 +33,7 @@ def read_image(
     override_size: bool = False,
     unusual_size: bool = False,
     memory_bytes: int | None = None,
+    side: Side | None = None,
 ) -> xr.DataArray:
     """Read the 2D image of a sheet.
 
@@ -48,6 +51,8 @@ def read_image(
         Whether a size is taken that paper does not have, from 0.1 nm to 1 mm.
     memory_bytes : int, optional
         Largest decoded size; default: three quarters of the memory available.
+    side : {"top", "bottom"}, optional
+        Side of the sheet that it shows, which :func:`planish.find_holes` then follows; top is assumed where not given.
 
     Returns
     -------
@@ -55,7 +60,8 @@ def read_image(
         Coordinates in um, pixel i has its centre at i × size. Attributes: ``units``, ``long_name``, ``pixel_um``
         (y, x), ``pixel_um_source``, ``channel``, ``stored_dtype``, ``full_scale`` (largest value the file can
         store, None for
-        floating point), ``orientation`` (the orientation tag), ``file_name``, ``file_bytes``.
+        floating point), ``orientation`` (the orientation tag), ``file_name``, ``file_bytes``, and ``side``
+        where it is given.
 
     Raises
     ------
@@ -64,7 +70,7 @@ def read_image(
     SizeError
         If the pixel size is missing, contradictory or impossible.
     InputError
-        If the image has no such channel.
+        If the image has no such channel, there is no such side, or `path` is no path.
     ResourceError
         If it does not fit into the memory.
 
@@ -74,7 +80,9 @@ def read_image(
     and an orientation tag turns nothing, it is only reported. In TIFF files whose white is zero the values are
     turned round; palettes are looked up.
     """
-    path = Path(path)
+    path = check_path(path, "the path of a file", "pl.read_image", "pl.image(array, pixel_um=...)")
+    if side is not None:
+        check_choice("side", side, SIDES)
     picture = load_picture(path, memory_bytes=memory_bytes)
     size, source = agreed_size(
         across(picture.stated),
@@ -98,7 +106,7 @@ def read_image(
         "orientation": picture.orientation,
         "file_name": path.name,
         "file_bytes": size_of_file(path),
-    }
+    } | ({} if side is None else {"side": side})
     return labelled(values, PIXEL.axes, size, name="image", attrs=attrs)
 
 

@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.tables import Table, parse_table, read_text
 from planish.io.formats import check_channel, colour_attrs, full_scale
 from planish.io.guard import size_of_file
 from planish.io.lazy import FileArray
 from planish.io.picture import Picture
-from planish.io.sizes import VOXEL, Stated, agree, agreed_size, as_given
+from planish.io.sizes import VOXEL, Stated, agreed_size, as_given
 from planish.io.slice_volume import load_pictures
 from planish.io.slices import is_slice_name, some
 

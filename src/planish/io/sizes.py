@@ -8,10 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
+import numpy as np
+
+from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError
 from planish.io.guard import reading
 
@@ -31,7 +35,6 @@ UNITS_UM = {
 }  # fmt: skip
 """Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu."""
 
-TOLERANCE = 0.01  # sizes that differ by more than this share are different sizes; less is rounding in the metadata
 WEB_DPI = (72.0, 96.0)  # what programs write when they do not know the resolution
 OVERRIDE = "--override-size"
 UNUSUAL = "--unusual-size"
@@ -108,11 +111,6 @@ def from_density(per_unit: float | None, unit: str) -> float | None:
     return None if any(abs(25400.0 / um - dpi) <= 1.0 for dpi in WEB_DPI) else um
 
 
-def agree(first: float, second: float) -> bool:
-    """Whether two sizes are the same within :data:`TOLERANCE`."""
-    return abs(first - second) <= TOLERANCE * min(first, second)
-
-
 def agreed_size(
     stated: Sequence[Stated],
     given: float | Sequence[float] | None,
@@ -163,7 +161,10 @@ def agreed_size(
 
 def as_given(given: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
     """Spread a given size over the axes."""
-    values = (given,) * len(asked.axes) if isinstance(given, (int, float)) else tuple(given)
+    listed: Any = given.tolist() if isinstance(given, np.ndarray) else given
+    values: tuple[Any, ...] = tuple(listed) if isinstance(listed, (list, tuple)) else (listed,)
+    if not all(isinstance(v, Real) and type(v) is not bool for v in values):
+        raise SizeError(f"{asked.option}: {given!r} is not a size. Give numbers above 0, in um.")
     if len(values) == 1:
         values = values * len(asked.axes)
     if len(values) != len(asked.axes):
@@ -172,7 +173,7 @@ def as_given(given: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
         )
     if not all(math.isfinite(v) and v > 0 for v in values):
         raise SizeError(
-            f"{asked.option} {','.join(f'{v:g}' for v in values)} is not a size. Give numbers above 0, in um."
+            f"{asked.option}: {','.join(f'{v:g}' for v in values)} is not a size. Give numbers above 0, in um."
         )
     return tuple(float(v) for v in values)
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tifffile import PHOTOMETRIC
 
+from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, default_memory_limit, reading
 from planish.io.lazy import EAGER_BYTES, PagedArray, supported_type
 from planish.io.picture import ADVICE, PLUGINS, Picture, kind_of, load_picture
-from planish.io.sizes import agree
 from planish.io.slices import Scan, list_slices, named_slices, read_scan
 from planish.io.tiff import open_series, size_words, stored_rows
 

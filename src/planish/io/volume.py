@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from planish.core.arrays import check_path
+from planish.core.frame import Axis, End, Frame
 from planish.core.lazy import labelled
 from planish.io.formats import LoadedVolume, Place, check_channel, find_place, format_of, loader, settled
 from planish.io.lazy import FileArray
@@ -22,6 +24,8 @@ def read_volume(
     override_size: bool = False,
     unusual_size: bool = False,
     memory_bytes: int | None = None,
+    through: Axis | None = None,
+    top: End | None = None,
 ) -> xr.DataArray:
     """Read the 3D image of a sheet.
 
@@ -42,16 +46,20 @@ def read_volume(
     memory_bytes : int, optional
         Largest decoded size; default: three quarters of the memory available. An uncompressed stack in one
         piece is mapped from its file and needs none; what is larger than the limit stays in its file.
+    through : {"z", "y", "x"}, optional
+        Axis that runs through the sheet, which :func:`planish.find_surfaces` then follows; z where not given.
+    top : {"high", "low"}, optional
+        End of that axis at which the sheet's top side lies; the high one where not given.
 
     Returns
     -------
     DataArray, dims (z, y, x)
         In the type of the file, float16 as float32. Coordinates in um, voxel i has its centre at i × size.
         Attributes: ``units``, ``long_name``, ``voxel_um`` (z, y, x), ``voxel_um_source``, ``full_scale``,
-        ``file_name``, ``file_bytes``; for some formats more. Large volumes are indexed lazily:
-        ``volume.isel(z=slice(a, b)).values`` reads that part only, and several threads may do so at the same time.
-        Their ``encoding`` says ``chunks`` (z, y, x), what is decoded together, or None, and ``whole_slices``, whether
-        a few rows cost as much as a slice.
+        ``file_name``, ``file_bytes``, and ``through``, ``top_side`` where one of them is given; for some formats more.
+        Large volumes are indexed lazily: ``volume.isel(z=slice(a, b)).values`` reads that part only, and several
+        threads may do so at the same time. Their ``encoding`` says ``chunks`` (z, y, x), what is decoded together, or
+        None, and ``whole_slices``, whether a few rows cost as much as a slice.
 
     Raises
     ------
@@ -63,11 +71,12 @@ def read_volume(
     SizeError
         If the voxel size is missing, contradictory or impossible.
     InputError
-        If there is no such channel.
+        If there is no such channel, axis or end, or `path` is no path.
     ResourceError
         If not even a slice of it fits into the memory.
     """
-    place = find_place(path)
+    lies = Frame(through=through or "z", top=top or "high").lies() if through or top else {}
+    place = find_place(check_path(path, "the path of a file", "pl.read_volume", "pl.volume(array, voxel_um=...)"))
     loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
     name = place.path.name
     size, source = agreed_size(
@@ -82,6 +91,7 @@ def read_volume(
         "file_name": name,
         "file_bytes": loaded.file_bytes,
         **loaded.attrs,
+        **lies,
     }
     # How it is best read, for those who read it in tiles.
     lazy = loaded.values if isinstance(loaded.values, FileArray) else None

@@ -6,9 +6,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.arrays import check_dataset, check_volume
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.options import params_of
 from planish.core.status import Status, status_flags
 from planish.core.tiles import Engine
 from planish.measure.along_rays import measure_along_rays
@@ -60,14 +62,23 @@ def measure_properties(
     CannotMeasure
         If no normal meets both faces, a map is unknown, or a map needs a number that is not given.
     InputError
-        If further maps of labels are asked for.
+        If further maps of labels are asked for, or further maps without the volume; if the volume or the surfaces are
+        something else.
 
     Notes
     -----
     On a face tilted by ``a`` a vertical thickness is too large by 1 / cos a; a normal within the slice only, as the
     paper's, is too large by 1 / cos of the tilt across the slices.
     """
-    params = params or MeasureParams()
+    params = params_of(MeasureParams, params, "pl.measure_properties")
+    check_dataset(surfaces, what="surfaces", maker="pl.find_surfaces(volume)", call="pl.measure_properties({})")
+    if volume is not None:
+        check_volume(volume, "pl.measure_properties(surfaces, volume={})")
+    elif params.maps:
+        raise InputError(
+            f"--property {', '.join(params.maps)}: measured in the volume, which is not given. Give it with --volume, "
+            "or leave them out."
+        )
     faces = _measure_faces(surfaces)
     found = surfaces.drop_vars("status", errors="ignore").merge(faces, combine_attrs="override")
     if "from_labels" in surfaces.attrs:

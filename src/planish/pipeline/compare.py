@@ -11,9 +11,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.analyze import CorrelateParams, PairAtSizes, PairSums, holm, paired_difference
+from planish.core.arrays import check_dataset
 from planish.core.bands import any_finite, band_of, bands
 from planish.core.errors import InputError, MarkError
 from planish.core.grid import Grid, pitch, values_at
+from planish.core.options import params_of
 from planish.core.results import ComparisonRow, CorrelationRow, Side
 from planish.measure import PROPERTIES
 from planish.pipeline.evidence import CELLS
@@ -69,7 +71,11 @@ def correlate_maps(
     FileError, InputError
         If ``params.regions`` are of no use, or come after a screen was taken off the image.
     """
-    params = params or CorrelateParams()
+    check_dataset(
+        linked, "image", "valid", what="linked maps", call="pl.correlate_maps({})",
+        maker="pl.resample_maps(measured, flat, onto=image, registration=registration)",
+    )  # fmt: skip
+    params = params_of(CorrelateParams, params, "pl.correlate_maps")
     regions = regions_on(params.regions, grid := Grid.of(linked))
     if regions is not None:
         if "reach_um" in linked["image"].attrs:

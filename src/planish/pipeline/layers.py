@@ -8,8 +8,12 @@ from typing import Literal
 
 import xarray as xr
 
+from planish.core.arrays import check_image
 from planish.core.checks import Check
+from planish.core.errors import check_choice
+from planish.core.facts import SIDES
 from planish.core.grid import Grid
+from planish.core.options import params_of
 from planish.core.results import InputFile, SheetFacts, Side
 from planish.marks import HoleParams, find_sheet_holes, without_dots
 from planish.marks import find_holes as find_image_holes
@@ -75,8 +79,9 @@ class Layer:
 
 
 def find_holes(
-    shown: xr.DataArray | xr.Dataset, *, params: HoleParams | None = None, side: Side = "top", layer: str | None = None
-) -> xr.Dataset:
+    shown: xr.DataArray | xr.Dataset, *, params: HoleParams | None = None, side: Side | None = None,
+    layer: str | None = None,
+) -> xr.Dataset:  # fmt: skip
     """Find the laser holes in an image (y, x) or in the flat maps (v, u) of a sheet.
 
     Parameters
@@ -85,8 +90,8 @@ def find_holes(
         An image of :func:`planish.read_image`, or maps of :func:`planish.resample_maps`.
     params : HoleParams, optional
     side : {"top", "bottom"}
-        Side of the sheet that the image shows; for maps, the side that the image shows which they are registered to:
-        the holes are searched in that face.
+        Side of the sheet that the image shows, as the image says where not given, else the top; for maps, the side that
+        the image shows which they are registered to: the holes are searched in that face.
     layer : str, optional
         What messages call it; ``image`` or ``sheet`` where not given.
 
@@ -95,12 +100,22 @@ def find_holes(
     Dataset (mark)
         ``x``, ``y``, ``diameter`` in um, the covariance of each centre in um2; the attributes ``layer`` and
         ``seen_from`` (a flat map is always seen from the top).
+
+    Raises
+    ------
+    InputError, VolumeError, SizeError
+        If it is neither, or the image has no pixel size.
+    MarkError
+        If the maps have no layer that holes are found in.
     """
-    params = params or HoleParams()
+    params = params_of(HoleParams, params, "pl.find_holes")
+    if side is not None:
+        check_choice("side", side, SIDES)
     if isinstance(shown, xr.Dataset):
-        found = find_sheet_holes(shown, params=params, side=side)
+        found = find_sheet_holes(shown, params=params, side=side or "top")
         return found.assign_attrs(layer=layer or "sheet", seen_from="top")
-    pixel = (float(shown.attrs["pixel_um"][0]), float(shown.attrs["pixel_um"][1]))
+    down, across = check_image(shown, "pl.find_holes({})")
+    pixel, side = (down, across), side or shown.attrs.get("side") or "top"
     grey = without_dots(shown.values, pixel, params.hole_um[0]) if params.printed else shown.values
     found = find_image_holes(grey, pixel_um=pixel, diameter_um=params.hole_um)
     return found.assign_attrs(layer=layer or "image", seen_from=side)

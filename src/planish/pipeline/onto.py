@@ -9,12 +9,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.arrays import check_dataset, check_image
 from planish.core.errors import CannotRegister, InputError, MarkError
 from planish.core.grid import Grid, check_same_grid
 from planish.core.tiles import Tile
 from planish.io.map_store import HeldMaps, MapSink, map_tiles
 from planish.marks import cut_holes, hole_mask
-from planish.marks.files import holes_of
+from planish.marks.files import about_layer, holes_of
 from planish.marks.regions import Regions
 from planish.pipeline.position_error import PositionErrors
 from planish.pipeline.registration import Registration
@@ -196,13 +197,28 @@ def resample_maps(
     InputError
         If only one of ``onto`` and ``registration`` is given.
     MarkError
-        If the registration belongs to another image.
+        If the registration belongs to another image, or goes from the image to the sheet.
     """
+    check_dataset(
+        measured, "centre", what="measured surfaces", maker="pl.measure_properties(surfaces, volume=volume)",
+        call="pl.resample_maps({}, flat)",
+    )  # fmt: skip
+    check_dataset(
+        flat, "u", "v", what="flat coordinates", maker="pl.flatten_sheet(surfaces).flat",
+        call="pl.resample_maps(measured, {})",
+    )  # fmt: skip
     check_same_grid(measured, flat)
     if onto is None and registration is None:
         return flat_maps(measured, flat, map_um=map_um)
     if onto is None or registration is None:
         raise InputError("onto and registration belong together: give both, or neither for the flat maps.")
+    check_image(onto, "pl.resample_maps(measured, flat, onto={}, registration=registration)")
+    sides = [about_layer(registration.marks, side).get("title") for side in ("moving", "fixed")]
+    if sides == ["image", "sheet"]:
+        raise MarkError(
+            "The registration goes from the image to the sheet; needed is one from the sheet to the image. Write "
+            "pl.register_marks(pl.find_holes(maps), pl.find_holes(image))."
+        )
     grid = Grid.of(onto)
     _refuse_other_image(registration, grid)
     chain = Chain(fits=(registration.fit,))

@@ -10,9 +10,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.arrays import check_dataset
 from planish.core.errors import MarkError
 from planish.core.frame import Frame
 from planish.core.grid import values_at
+from planish.core.options import params_of
 from planish.core.results import HoleTiltFacts
 from planish.marks import hole_tilt
 from planish.marks.design import Pattern, read_pattern
@@ -164,7 +166,9 @@ def register_marks(
     -----
     Hirn et al. (2009), section 2.4. Each pair is weighted with the covariances of its two holes.
     """
-    r = params or RegistrationParams()
+    for holes, call in ((moving, "pl.register_marks({}, fixed)"), (fixed, "pl.register_marks(moving, {})")):
+        check_dataset(holes, "x", "y", what="holes", maker="pl.find_holes(...)", call=call)
+    r = params_of(RegistrationParams, params, "pl.register_marks")
     pattern = read_design(r)
     designed = None
     if pattern is not None:

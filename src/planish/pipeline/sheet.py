@@ -10,14 +10,15 @@ import xarray as xr
 
 from planish.checks import check_scan
 from planish.compute import Compute, Progress, column_step, engine, silent
-from planish.core.errors import CannotMeasure, VolumeError
+from planish.core.axis import other_axis
+from planish.core.errors import CannotMeasure
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.options import Params
 from planish.core.results import SheetFacts
 from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
-from planish.io import find_place, likely_through
+from planish.io import find_place
 from planish.measure import measure_properties, sheet_numbers, surfaces_of
 from planish.pipeline.checks import hand_check, sheet_checks
 from planish.pipeline.corrections import asked_corrections, made_corrections
@@ -30,10 +31,6 @@ from planish.study import LayerParams
 from planish.surface import Corrections, correct_surfaces, correction_check, cutoff_check, find_surfaces
 
 P = TypeVar("P", bound=Params)
-
-_THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room on both sides
-_UNUSUAL_UM = (0.05, 50_000.0)  # where the user says that it is no paper
-_LEAST_SHARE = 0.15  # of the columns with more than air: with less there is no map
 
 
 def map_layer(
@@ -73,7 +70,7 @@ def map_layer(
         try:
             measured = measure_properties(surfaces, volume=volume, params=layer.properties, engine=tiles)
         except CannotMeasure as error:
-            hint = "" if volume is None else _other_axis(volume, v.through)
+            hint = "" if volume is None else other_axis(volume, v.through)
             if hint:
                 raise CannotMeasure(f"{error.text} {hint}") from error
             raise
@@ -137,8 +134,7 @@ def search_sheet(
     Raises
     ------
     VolumeError
-        If there is no sheet, too few of its columns are measured for a map, or it is not as thick as sheets are. The
-        axis that looks like its normal is named where another one was given.
+        As :func:`planish.find_surfaces`.
     """
     v = layer.volume
     assert v is not None
@@ -146,42 +142,12 @@ def search_sheet(
     step = column_step(volume, frame, v.column_um, compute)
     wide = f", columns of {step} x {step}" if step > 1 else ""
     progress("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
-    try:
-        with engine(compute, kept=None if kept is None else kept / str(step)) as tiles:
-            surfaces = find_surfaces(volume, frame=frame, params=layer.surface, step=step, engine=tiles)
-        _check_thickness(surfaces, *(_UNUSUAL_UM if v.unusual_size else _THICKNESS_UM))
-    except VolumeError as error:
-        if hint := _other_axis(volume, v.through):
-            raise VolumeError(f"{error.text} {hint}") from error
-        raise
-    return surfaces
-
-
-def _other_axis(volume: xr.DataArray, through: str) -> str:
-    """Name the axis that looks like the sheet's normal, where another one was given."""
-    axis = likely_through(volume.values)
-    return "" if axis in (None, through) else f"The grey changes most along {axis}: try --through {axis}."
+    with engine(compute, kept=None if kept is None else kept / str(step)) as tiles:
+        return find_surfaces(
+            volume, frame=frame, params=layer.surface, step=step, engine=tiles, unusual_size=v.unusual_size
+        )
 
 
 def changed(params: P, **values: object) -> P:
     """The same parameters with some values changed."""
     return params.model_copy(update=values)
-
-
-def _check_thickness(surfaces: xr.Dataset, low: float, high: float) -> None:
-    thickness = float(surfaces.attrs["thickness_um"])
-    if not low <= thickness <= high:
-        voxel = ", ".join(f"{v:g}" for v in surfaces.attrs["voxel_um"])
-        raise VolumeError(
-            f"The sheet would be {thickness:.3g} um thick; sheets of {low:g} to {high:g} um are mapped. The voxel size "
-            f"of {voxel} um (z, y, x) is probably in another unit. Give the right one with --voxel-um and "
-            "--override-size, or add --unusual-size if it is no paper."
-        )
-    measured = float((surfaces["status"].values == 0).mean())
-    measured /= max(1.0 - float(surfaces.attrs.get("empty_share", 0.0)), measured)
-    if measured < _LEAST_SHARE:
-        raise VolumeError(
-            f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns only that are not all air; "
-            f"{100 * _LEAST_SHARE:.0f} % are needed for a map. Check --through and --sheet-grey, and that the sheet "
-            "does not leave the volume."
-        )

@@ -6,8 +6,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.errors import InputError
-from planish.core.frame import Frame
+from planish.core.arrays import check_volume
+from planish.core.axis import other_axis
+from planish.core.errors import InputError, VolumeError
+from planish.core.frame import Axis, End, Frame
+from planish.core.options import params_of
 from planish.core.tiles import Engine
 from planish.surface.assemble import assemble
 from planish.surface.columns import Columns, make_guide
@@ -17,6 +20,7 @@ from planish.surface.faces import find_faces
 from planish.surface.labels import surfaces_from_labels
 from planish.surface.learn import learn
 from planish.surface.params import SurfaceParams
+from planish.surface.plausible import check_axis, check_sheet
 from planish.surface.regions import doubtful
 from planish.surface.slices import find_faces_by_slice
 from planish.surface.survey import take_survey
@@ -27,10 +31,13 @@ Array = NDArray[np.float64]
 def find_surfaces(
     volume: xr.DataArray,
     *,
+    through: Axis | None = None,
+    top: End | None = None,
     frame: Frame | None = None,
     params: SurfaceParams | None = None,
     step: int = 1,
     engine: Engine | None = None,
+    unusual_size: bool = False,
 ) -> xr.Dataset:
     """Find top, bottom, interfaces and centre surface of the sheet in a volume.
 
@@ -38,13 +45,19 @@ def find_surfaces(
     ----------
     volume : DataArray, dims (z, y, x), coordinates in um
         Grey values, NaN is missing; with ``params.labels``, integer labels.
-    frame : Frame
-        Axis through the sheet and side of its top; z and its high end where not given.
+    through : {"z", "y", "x"}, optional
+        Axis that runs through the sheet; as the volume says (:func:`planish.volume`), else z.
+    top : {"high", "low"}, optional
+        End of that axis at which the top side lies; as the volume says, else the high end.
+    frame : Frame, optional
+        Both in one piece.
     params : SurfaceParams
     step : int
         Width of a measured column in voxels: 1 measures every column of voxels, 3 the means of 3 x 3.
     engine : Engine
         How the tiles are worked on; local threads where not given. The result does not depend on it.
+    unusual_size : bool
+        Whether a sheet of 50 nm to 50 mm is taken; one of paper has 2 um to 5 mm.
 
     Returns
     -------
@@ -64,9 +77,14 @@ def find_surfaces(
     Raises
     ------
     VolumeError
-        If the volume holds no sheet, several, or one that fills it from end to end; if a label has no meaning or two.
+        If the volume holds no sheet, several, or one that fills it from end to end; if the sheet is not as thick as
+        sheets are, or too few of its columns are measured for a map; if a label has no meaning or two. The axis that
+        looks like the sheet's normal is named where another one was given.
+    SizeError
+        If the volume has no voxel size, or contradicts itself.
     InputError
-        If columns of labels are wider than a voxel, or a point of a correction lies outside the volume.
+        If it is no volume, or there is no such axis or end; if columns of labels are wider than a voxel, or a point of
+        a correction lies outside the volume.
     FileError
         If the corrections cannot be read.
 
@@ -75,9 +93,21 @@ def find_surfaces(
     Every column is fitted with a blurred staircase air-coating-base. Levels differ from place to place within a
     spread that is learnt from the same volume, which keeps thin layers from taking the width of the blur.
     """
-    frame = frame or Frame()
-    params = params or SurfaceParams()
-    engine = engine or Engine()
+    check_volume(volume, "pl.find_surfaces({})")
+    frame = Frame.asked(volume, frame, through, top)
+    try:
+        surfaces = _search(
+            volume, frame, params_of(SurfaceParams, params, "pl.find_surfaces"), step, engine or Engine()
+        )
+        check_sheet(surfaces, unusual_size=unusual_size)
+    except VolumeError as error:
+        if hint := other_axis(volume, frame.through):
+            raise VolumeError(f"{error.text} {hint}") from error
+        raise
+    return surfaces
+
+
+def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int, engine: Engine) -> xr.Dataset:
     if params.labels is not None:
         if params.corrections is not None:
             raise InputError(
@@ -92,6 +122,7 @@ def find_surfaces(
         return surfaces_from_labels(volume, frame, params.labels, params, engine)
     columns = Columns(volume=volume, frame=frame, step=step)
     survey = take_survey(columns, params, engine)
+    check_axis(columns, survey, params, engine)
     columns = columns.padded(survey.padding)
     guide = make_guide(survey.coarse, columns)
     learnt = learn(columns, guide, survey, params)

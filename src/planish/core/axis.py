@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
-from planish.io.look import Values
+from planish.core.frame import AXES, Axis
+from planish.core.lazy import LazyArray
 
 _PLANES = 24  # of the slices, which are read whole
 _PLACES = 200  # along either other axis
 _CLEAR = 0.3  # of the variance along the first axis: what the second may have
 
 
-def likely_through(values: Values) -> str | None:
+def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | None:
     """Name the axis along which the mean grey changes most; None where two do, as with a round field of view.
 
     A sheet fills some of the planes across its normal and none of the others; the planes along it are all alike.
@@ -31,4 +35,10 @@ def likely_through(values: Values) -> str | None:
     order = np.argsort(spread)[::-1]
     if not spread[order[0]] > 0 or spread[order[1]] > _CLEAR * spread[order[0]]:
         return None
-    return "zyx"[order[0]]
+    return AXES[order[0]]
+
+
+def other_axis(volume: xr.DataArray, through: str) -> str:
+    """Name the axis that looks like the sheet's normal, where another one was given."""
+    axis = likely_through(volume.variable)
+    return "" if axis in (None, through) else f"The grey changes most along {axis}: try --through {axis}."
