@@ -38,6 +38,12 @@ EDITS = "edits"
 EDITS_APPLIED = ("surface.json",)
 """Files in it that a run was made with."""
 
+SECTIONS: dict[str, type[Params]] = {
+    "volume": VolumeParams, "image": ImageParams, "surface": SurfaceParams, "properties": MeasureParams,
+    "flatten": FlattenParams, "holes": HoleParams, "registration": RegistrationParams, "correlate": CorrelateParams,
+}  # fmt: skip
+"""Sections of a study with options, and the models of these."""
+
 _FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 _PATHS = {"path", "run", "marks", "design", "regions", "corrections"}
 _OF_A_VOLUME = ("surface", "properties", "flatten")
@@ -254,11 +260,8 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
 
 def in_study_words(text: str) -> str:
     """Name the keys of a study in a message that names options of the command line: surface.rim_um for --rim-um."""
-    sections = {"volume": VolumeParams, "image": ImageParams, "surface": SurfaceParams, "properties": MeasureParams,
-                "flatten": FlattenParams, "holes": HoleParams, "registration": RegistrationParams,
-                "correlate": CorrelateParams}  # fmt: skip
     keys: dict[str, str] = {}
-    for section, model in sections.items():
+    for section, model in SECTIONS.items():
         for name, _, shown in options_of(model):
             keys.setdefault(shown.flags[0], f"{section}.{name}")
     return _FLAG.sub(lambda found: keys.get(found[0], found[0]), text)

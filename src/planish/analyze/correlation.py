@@ -15,6 +15,7 @@ from planish.analyze.chance import normal_quantile, ranks, student_quantile, stu
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.trend import shared_trend
 from planish.core.area import AreaMeans
+from planish.core.arrays import step_um
 from planish.core.bands import Rows, band_of, bands
 from planish.core.errors import InputError, SizeError
 
@@ -165,7 +166,7 @@ def pearson(x: NDArray[Any], y: NDArray[Any]) -> float:
 
 
 def correlate(
-    a: Rows, b: Rows, *, mask: Rows | None = None, pixel_um: float | tuple[float, float],
+    a: Rows, b: Rows, *, mask: Rows | None = None, pixel_um: float | tuple[float, float] | None = None,
     point_um: float | None = None, most_cells: int = _MOST_CELLS,
 ) -> Correlation:  # fmt: skip
     """Correlate map b with map a, and state how sure the correlation is.
@@ -176,8 +177,8 @@ def correlate(
         On one grid; NaN is missing. A map in a store is read band by band.
     mask : ndarray or DataArray of bool, shape (rows, cols), optional
         Pixels that count.
-    pixel_um : float or (float, float)
-        Along y and x.
+    pixel_um : float or (float, float), optional
+        Along y and x; maps with coordinates in um need none.
     point_um : float, optional
         Both maps are averaged over squares of this edge first, over the pixels that are valid in both; a point counts
         when half of it is valid. 100 um is about what the eye resolves at 30 cm (Hirn et al. 2009, section 3.3.1).
@@ -211,7 +212,7 @@ def correlate(
     Roy (1989), Biometrika 76, 824, doi:10.1093/biomet/76.4.824.
     Conley (1999), J. Econometrics 92, 1, doi:10.1016/S0304-4076(98)00084-0.
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
+    pixel = on_one_grid(a, b, mask, _pitch_of(a) if pixel_um is None else pixel_um)
     if point_um is not None and not max(pixel) * (1 - 1e-9) <= point_um < math.inf:
         raise SizeError(f"A point of {point_um:g} um is smaller than a pixel of {max(pixel):g} um. Give a larger one.")
     cells = 0 if point_um is not None else most_cells
@@ -222,7 +223,18 @@ def correlate(
     return pair.at_pixel() if point_um is None else pair.at_points()
 
 
-def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: float | tuple[float, float]) -> tuple[float, float]:
+def _pitch_of(maps: Rows) -> tuple[float, ...]:
+    """The pixel of a map by its coordinates; SizeError where it has none."""
+    steps = [step_um(maps, str(axis)) for axis in maps.dims] if isinstance(maps, xr.DataArray) else []
+    pitch = tuple(step for step in steps if step is not None)
+    if not pitch or len(pitch) < len(steps):
+        raise SizeError(
+            "The maps have no pixel size: they are no maps with coordinates in um. Give it with --pixel-um."
+        )
+    return pitch
+
+
+def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: float | tuple[float, ...]) -> tuple[float, float]:
     """Return the pixel along y and x, or raise InputError or SizeError where two maps are not on one grid."""
     given = (pixel_um, pixel_um) if isinstance(pixel_um, (int, float, np.number)) else pixel_um
     try:

@@ -35,6 +35,8 @@ _VALUE = rf"\d[\d.,]*(?<=\d)[A-Z]*|[A-Z]+(?:,[A-Z]+)*|(?:{_WORD})(?:, (?:{_WORD}
 _BARE = re.compile(r"[A-Z]+|[\d.]+")  # a placeholder, a number: without quotes
 _FLAG = re.compile(rf"{_COMMAND}|(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]({_VALUE})(?![\w-]))?(:?)")
 
+_CHOICE = re.compile(r"\b(\w+): '(\w+)' is not possible")
+
 
 def in_python_words(text: str) -> str:
     """Name the keywords of a Python call in a message that names options of the command line.
@@ -46,7 +48,7 @@ def in_python_words(text: str) -> str:
     >>> in_python_words("Give --voxel-um SIZE, or try --through y. For help: planish link --help.")
     'Give voxel_um=SIZE, or try through="y". For help: planish link --help.'
     """
-    return _FLAG.sub(_keyword, text)
+    return _CHOICE.sub(r'\1="\2" is not possible', _FLAG.sub(_keyword, text))
 
 
 def _keyword(match: re.Match[str]) -> str:

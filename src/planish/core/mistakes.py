@@ -82,7 +82,7 @@ def _words(fault: Any, loc: Key, model: type[BaseModel]) -> str:
     if fault["type"] == "extra_forbidden":
         return _unknown(str(loc[-1]), loc[:-1], model)
     if fault["type"] == "missing":
-        return "missing"
+        return "a value is missing" if loc and isinstance(loc[-1], int) else "missing"
     if fault["type"] == "tuple_type":
         return f"{value!r} is not possible; needed are values in brackets, such as [1.5, 1.5]"
     if fault["type"] == "literal_error":

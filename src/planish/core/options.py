@@ -32,7 +32,7 @@ P = TypeVar("P", bound=Params)
 
 
 def params_of(model: type[P], given: P | Mapping[str, Any] | None, call: str) -> P:
-    """Options of a function: its model, or a dict with some of its fields.
+    """Options of a function: its model, or a dict with some of its fields, or the words of the command line for them.
 
     Raises
     ------
@@ -43,13 +43,13 @@ def params_of(model: type[P], given: P | Mapping[str, Any] | None, call: str) ->
         return given or model()
     if not isinstance(given, Mapping):
         raise InputError(
-            f"{call} takes params as a {model.__name__} or a dict, and {given!r} was given. Write "
-            f"params={{...}}, with some of {', '.join([*model.model_fields][:3])} ..."
+            f"{call} takes options as {model.__name__} or as a dict, and {given!r} was given. Its options are "
+            f"{', '.join(model.model_fields)}."
         )
     from planish.core.mistakes import mistakes
 
     try:
-        return model.model_validate(dict(given))
+        return model.model_validate(by_field(model, given))
     except ValidationError as error:
         faults = "; ".join(mistakes(error, model, lambda loc: (loc, None)))
         raise InputError(f"{call}: {faults.removesuffix('?')}{'?' if faults.endswith('?') else '.'}") from error
@@ -104,6 +104,12 @@ def options_of(model: type[Params]) -> Iterator[tuple[str, FieldInfo, Shown]]:
             continue
         flags = f"--{name.replace('_', '-')}" if noted["cli"] == _FROM_NAME else str(noted["cli"])
         yield name, field, Shown(flags=tuple(flags.split()), metavar=noted["metavar"], repeat=noted["repeat"])
+
+
+def by_field(model: type[Params], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Options by the names of their fields, where the command line has another word: ``maps`` for ``property``."""
+    words = {flag[2:].replace("-", "_"): name for name, _, shown in options_of(model) for flag in shown.flags}
+    return {words.get(word, word): value for word, value in given.items()}
 
 
 def spoken(model: type[Params], *names: str) -> str:

@@ -163,7 +163,7 @@ def as_given(given: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
     """Spread a given size over the axes."""
     listed: Any = given.tolist() if isinstance(given, np.ndarray) else given
     values: tuple[Any, ...] = tuple(listed) if isinstance(listed, (list, tuple)) else (listed,)
-    if not all(isinstance(v, Real) and type(v) is not bool for v in values):
+    if not all(not isinstance(v, bool) and isinstance(v, Real) for v in values):
         raise SizeError(f"{asked.option}: {given!r} is not a size. Give numbers above 0, in um.")
     if len(values) == 1:
         values = values * len(asked.axes)

@@ -7,45 +7,47 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import xarray as xr
 from pydantic import ValidationError
 
 from planish.compute import Compute, Progress, silent
 from planish.core.errors import StudyError
-from planish.core.options import Params
+from planish.core.mistakes import mistakes
 from planish.io import find_place
 from planish.io.info import is_image
 from planish.io.sections import is_section_folder
+from planish.pipeline.array_layers import ArrayLayer, Given, Source, layer_sources
 from planish.pipeline.run import Run, is_run
 from planish.pipeline.save import run_study
-from planish.study import Kind, LayerParams, Study
+from planish.pipeline.words import flag_of, sections_of
+from planish.study import SECTIONS, Kind, Study
 
-Section = Mapping[str, Any] | Params
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
 _OF_BOTH = ("override_size", "unusual_size")  # said once, of volumes and images
 _OF_A_VOLUME = ("surface", "properties", "flatten")
-_NO_OPTION = ("layers", "volume", "image")
 _OF_THE_LINK = ("holes", "registration", "correlate")
 
 
 def map_sheet(
-    path: str | Path, /, *, out: str | Path | None = None, compute: Compute | None = None, progress: Progress = silent,
-    **sections: Section,
+    layer: str | Path | xr.DataArray, /, *, out: str | Path | None = None, compute: Compute | None = None,
+    progress: Progress = silent, **options: Any,
 ) -> Run:  # fmt: skip
     """Map the sheet in a volume: flattened maps of all properties.
 
     Parameters
     ----------
-    path : path
-        File, folder of slices or sections, or store.
+    layer : path or DataArray
+        File, folder of slices or sections, or store; or a volume of :func:`planish.volume`, which is then written into
+        ``OUT-inputs``.
     out : path, optional
         Run folder to make.
     compute : Compute, optional
-        Memory, threads, cluster.
+        Memory, threads, cluster; or as options, ``memory="4GB"``.
     progress : callable, optional
         Called with the name of a stage and a few words.
-    **sections
-        Options as in the study file: ``volume`` (sizes, ``through``, ``top`` ...), ``surface``, ``properties``,
-        ``flatten``; each a dict or the parameter model.
+    **options
+        Words of ``planish map``, ``through="y"`` for ``--through y``; or sections as in the study file: ``volume``
+        (sizes, ``through``, ``top`` ...), ``surface``, ``properties``, ``flatten``; each a dict or the parameter model.
 
     Returns
     -------
@@ -58,30 +60,32 @@ def map_sheet(
 
     Examples
     --------
-    ``run = pl.map_sheet("volume.tif", out="run", volume={"voxel_um": (3, 3, 3)})``
+    ``run = pl.map_sheet("volume.tif", out="run", voxel_um=3, through="y")``
     """
-    return run_study(study_of([path], sections), out, compute=compute, progress=progress)
+    return _made([layer], out, options, ("volume", *_OF_A_VOLUME), compute, progress, "pl.map_sheet")
 
 
 def link(
-    *layers: str | Path, out: str | Path | None = None, chain: bool = False, compute: Compute | None = None,
-    progress: Progress = silent, **sections: Section,
+    *layers: str | Path | Run | xr.DataArray, out: str | Path | None = None, chain: bool = False,
+    compute: Compute | None = None, progress: Progress = silent, **options: Any,
 ) -> Run:  # fmt: skip
     """Link layers of one specimen to the last of them, the reference.
 
     Parameters
     ----------
-    *layers : path
-        Volumes, run folders and images; ``"NAME=PATH"`` gives one a name.
+    *layers : path, Run or DataArray
+        Volumes, run folders and images; ``"NAME=PATH"`` gives one a name. Volumes of :func:`planish.volume` and images
+        of :func:`planish.image` are written into ``OUT-inputs`` first; without ``out`` into a folder that is removed.
     out : path, optional
         Run folder to make.
     chain : bool
         Register each layer to the next one instead of the reference.
     compute, progress
         As for :func:`planish.map_sheet`.
-    **sections
-        Options as in the study file: ``volume``, ``image``, ``surface``, ``properties``, ``flatten``, ``holes``,
-        ``registration``, ``correlate``; each a dict or the parameter model. They hold for all layers.
+    **options
+        Words of ``planish link``, ``image_side="bottom"`` for ``--image-side bottom``; or sections as in the study
+        file: ``volume``, ``image``, ``surface``, ``properties``, ``flatten``, ``holes``, ``registration``,
+        ``correlate``; each a dict or the parameter model. They hold for all layers, and go before what an array says.
 
     Returns
     -------
@@ -95,27 +99,45 @@ def link(
 
     Examples
     --------
-    ``run = pl.link("volume.tif", "image.tif", out="run", image={"side": "bottom"})``
+    ``run = pl.link("volume.tif", "image.tif", out="run", image_side="bottom", memory="4GB")``
     """
     if len(layers) < 2:
         raise StudyError("Something to link it to is missing: give two layers or more, the reference last.")
-    return run_study(study_of(layers, sections, chain=chain), out, compute=compute, progress=progress)
+    return _made(layers, out, options, tuple(SECTIONS), compute, progress, "pl.link", chain=chain)
 
 
-def study_of(layers: Sequence[str | Path], sections: Mapping[str, Section], *, chain: bool = False) -> Study:
-    """Put a study together of paths and options.
+def _made(
+    layers: Sequence[Given], out: str | Path | None, options: Mapping[str, Any], sections: Sequence[str],
+    compute: Compute | None, progress: Progress, call: str, *, chain: bool = False,
+) -> Run:  # fmt: skip
+    """Make a run of paths and arrays."""
+    chosen, compute = sections_of(options, sections, compute, call=call)
+    with layer_sources(layers, out, f"{call}({{}}{', ...' if len(layers) > 1 else ''})") as sources:
+        study = study_of(sources, chosen, chain=chain)
+        for source in sources:
+            if isinstance(source, ArrayLayer):
+                progress("write", source.path.name)
+                source.write(compute or Compute())
+        return run_study(study, out, compute=compute, progress=progress)
+
+
+def study_of(layers: Sequence[Source], sections: Mapping[str, Mapping[str, Any]], *, chain: bool = False) -> Study:
+    """Put a study together of paths, or arrays that will have one, and options.
 
     Raises
     ------
     StudyError
         If an option is unknown, out of range, or means nothing for these layers; all faults are named.
     """
-    options = {k: v.model_dump() if isinstance(v, Params) else dict(v) for k, v in sections.items()}
-    known = ("volume", "image", *_OF_A_VOLUME, *_OF_THE_LINK)
-    if unknown := sorted(set(options) - set(known)):
-        raise StudyError(f"There is no group of options called {', '.join(unknown)}; there are {', '.join(known)}.")
-    parts = [_named(str(text)) for text in layers]
-    kinds: list[Kind] = [_kind_of(path) if len(parts) > 1 else "volume" for _, path in parts]
+    options = {name: dict(values) for name, values in sections.items()}
+    if unknown := sorted(set(options) - set(SECTIONS)):
+        raise StudyError(f"There is no group of options called {', '.join(unknown)}; there are {', '.join(SECTIONS)}.")
+    parts = [(None, layer.path) if isinstance(layer, ArrayLayer) else _named(str(layer)) for layer in layers]
+    kinds: list[Kind] = [
+        layer.kind if isinstance(layer, ArrayLayer) else _kind_of(path) if len(parts) > 1 else "volume"
+        for layer, (_, path) in zip(layers, parts, strict=True)
+    ]
+    stated = [layer.options() if isinstance(layer, ArrayLayer) else {} for layer in layers]
     names = _all_names(parts, kinds)
     # What is given and means nothing without a volume.
     unused = [name for group in _OF_A_VOLUME for name in options.get(group, {})]
@@ -131,28 +153,29 @@ def study_of(layers: Sequence[str | Path], sections: Mapping[str, Section], *, c
             "--marks holds pairs of two layers, but more are given. Write them into a study file (docs/linking.md)."
         )
     try:
-        found = [_layer(n, k, p, options) for n, k, (_, p) in zip(names, kinds, parts, strict=True)]
+        made = [
+            _layer(name, kind, path, options, of_array)
+            for name, kind, (_, path), of_array in zip(names, kinds, parts, stated, strict=True)
+        ]
         more = {k: options[k] for k in _OF_THE_LINK if k in options}
-        return Study.model_validate({"layers": found, "chain": chain, **more})
+        return Study.model_validate({"layers": made, "chain": chain, **more})
     except ValidationError as error:
-        faults: list[str] = []
-        for fault in error.errors():
-            words = [str(part) for part in fault["loc"] if not isinstance(part, int)]
-            flag = f"--{words[-1].replace('_', '-')}: " if words and words[-1] not in _NO_OPTION else ""
-            faults.append(flag + fault["msg"].removeprefix("Value error, "))
+        faults = dict.fromkeys(mistakes(error, Study, lambda loc: (flag_of(loc), None)))
         raise StudyError("; ".join(faults)) from error
 
 
-def _layer(name: str, kind: Kind, path: Path, options: Mapping[str, dict[str, Any]]) -> LayerParams:
+def _layer(
+    name: str, kind: Kind, path: Path, options: Mapping[str, dict[str, Any]], of_array: Mapping[str, Any]
+) -> dict[str, Any]:
     place = str(path.absolute())
     volume = options.get("volume", {})
     if kind == "run":
-        return LayerParams.model_validate({"name": name, "run": place, "md_deg": volume.get("md_deg")})
+        return {"name": name, "run": place, "md_deg": volume.get("md_deg")}
     if kind == "image":
-        own = {name: volume[name] for name in _OF_BOTH if name in volume}
-        return LayerParams.model_validate({"name": name, "image": own | options.get("image", {}) | {"path": place}})
+        both = {name: volume[name] for name in _OF_BOTH if name in volume}
+        return {"name": name, "image": both | {**of_array} | options.get("image", {}) | {"path": place}}
     mapping = {k: options[k] for k in _OF_A_VOLUME if k in options}
-    return LayerParams.model_validate({"name": name, "volume": volume | {"path": place}, **mapping})
+    return {"name": name, "volume": {**of_array} | volume | {"path": place}, **mapping}
 
 
 def _kind_of(path: Path) -> Kind:

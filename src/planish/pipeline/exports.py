@@ -11,13 +11,13 @@ from pydantic import ValidationError
 from planish.compute import Compute, Progress, silent
 from planish.core.errors import FileError, StudyError
 from planish.core.files import new_file, writing
-from planish.core.options import spoken
+from planish.core.mistakes import mistakes
+from planish.core.options import by_field, spoken
 from planish.core.threads import limit_threads
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside
 from planish.pipeline.pieces import Request, pieces_of
 from planish.pipeline.run import Run
 from planish.pipeline.taken import STRAIGHTENED, Taken
-from planish.study import faults_of
 from planish.writers import FORMATS, ExportParams, is_file, writer_of
 
 
@@ -38,7 +38,7 @@ def export(
     progress : callable, optional
         Called with the name of a step and a few words.
     **options
-        Fields of :class:`planish.writers.ExportParams`: ``to`` (the format), ``maps``, ``group``, ``point_um``,
+        Fields of :class:`planish.writers.ExportParams`, or words of ``planish export``: ``to`` (the format), ``maps``, ``group``, ``point_um``,
         ``mesh_um``, ``as_seen``, ``depth_um``, ``unit``, ``mat_version``.
 
     Returns
@@ -93,9 +93,9 @@ def export(
 def _checked(options: dict[str, Any]) -> ExportParams:
     """Options of an export; StudyError where they are wrong, or mean nothing for its format."""
     try:
-        params = ExportParams.model_validate(options)
+        params = ExportParams.model_validate(by_field(ExportParams, options))
     except ValidationError as error:
-        raise StudyError(f"{faults_of(error)}.") from error
+        raise StudyError(f"{'; '.join(mistakes(error, ExportParams, lambda loc: (loc, None)))}.") from error
     needed = {name: [key for key, form in FORMATS.items() if name in form.options] for form in FORMATS.values()
               for name in form.options}  # fmt: skip
     for name, formats in needed.items():

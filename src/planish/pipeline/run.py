@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import xarray as xr
 
+from planish.core.arrays import check_path
 from planish.core.checks import Check
 from planish.core.errors import FileError
 from planish.core.results import Results
@@ -21,6 +23,7 @@ from planish.study import RUN_TOML, Study, read_study
 MAPS = "maps.zarr"
 """Name of the store with the groups of a run."""
 
+_MOST_LAYERS, _MOST_LETTERS = 5, 200  # of a run that is shown as text
 _OF_A_SHEET = ("surfaces", "flat", "strain", "maps", "slices")
 _SHEET_GROUPS = (*_OF_A_SHEET, "sections")  # of serial sections
 
@@ -115,6 +118,26 @@ class Run:
         own = tuple(check for check in self.checks if check.layers == (facts.name,))
         return Layer(params=params, source=facts.source, md_deg=md_deg, groups=kept, facts=facts.sheet, checks=own)
 
+    def __repr__(self) -> str:
+        """Return its folder, layers, checks, groups, and r where it is a link: ten lines at most."""
+        from planish.report.relation import largest
+        from planish.report.summary import lead_pair
+
+        states = Counter(check.state for check in self.checks)
+        checks = ", ".join(f"{count} {state}" for state, count in states.items()) or "none"
+        lines = [f"Run in {self.folder}" if self.folder is not None else "Run in memory"]
+        lines += [f"{layer.name}: {layer.source.name}" for layer in self.results.layers[:_MOST_LAYERS]]
+        if more := self.results.layers[_MOST_LAYERS:]:
+            lines.append(f"and {len(more)} more layers")
+        lines.append(f"checks: {checks}")
+        if pair := lead_pair(self.results):
+            row = largest(pair)
+            r = "withheld" if row.r is None else f"{row.r:.2f}"
+            lines.append(f"r = {r}: {row.a_map} of {row.a}, {row.b_map} of {row.b}, points of {row.point_um:g} um")
+        groups = ", ".join(f"{name} {'x'.join(map(str, data.sizes.values()))}" for name, data in self.groups.items())
+        lines.append(f"groups: {groups if len(groups) < _MOST_LETTERS else f'{groups[:_MOST_LETTERS]} ...'}")
+        return "\n  ".join(lines)
+
     def _repr_html_(self) -> str:
         from planish.report import run_html
 
@@ -154,7 +177,7 @@ def open_run(path: str | Path) -> Run:
     InputError
         If its study has parameters that are not known.
     """
-    folder = Path(path)
+    folder = check_path(path, "the folder of a run", "pl.open_run", 'pl.open_run("run")')
     results = open_results(folder)
     registrations = {
         layer.name: Registration.read(folder / marks_file(results, layer.name)) for layer in results.moving

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.arrays import check_path, described
+from planish.core.errors import InputError
 from planish.core.files import write_whole
 from planish.core.results import CorrelationRow, EvidenceFacts, LayerFacts, RegistrationFacts, Results
 from planish.report import (
@@ -88,15 +90,26 @@ class _Distances(NamedTuple):
     agreement: list[str]
 
 
+@runtime_checkable
+class Reported(Protocol):
+    """A run, as the page takes it apart."""
+
+    groups: dict[str, xr.Dataset]
+    results: Results
+    registrations: dict[str, Any]
+
+
 def write_report(
-    path: Path, *, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results,
-    figures: Path | None = None,
+    path: str | Path, run: Reported | None = None, *, groups: Mapping[str, xr.Dataset] | None = None,
+    marks: Mapping[str, xr.Dataset] | None = None, results: Results | None = None, figures: str | Path | None = None,
 ) -> None:  # fmt: skip
     """Write the report of a run as one HTML file that needs nothing else.
 
     Parameters
     ----------
-    path : Path
+    path : path
+    run : Run, optional
+        A run; or its parts one by one:
     groups : mapping of name to Dataset
         Of each sheet that was measured ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u) and
         ``slices``, as ``layers/NAME/surfaces`` or, where there is one sheet, ``surfaces``. After a link the maps on the
@@ -105,17 +118,29 @@ def write_report(
         Pairs of marks of each layer but the reference with their residuals, by its name; ``fixed_*`` in the layer that
         it was registered to.
     results : Results
-    figures : Path, optional
+    figures : path, optional
         Folder to make for the figures, each as SVG and the numbers that it shows as CSV.
+
+    Raises
+    ------
+    InputError
+        If neither a run nor results and groups are given, or the path is none.
 
     Notes
     -----
     The same input gives the same bytes: no dates, no random names.
     """
-    page, pictures = _render(groups, marks, results)
-    write_whole(path, page.encode())
+    place = check_path(path, "the path of the page first", "pl.write_report", 'pl.write_report("page.html", run)')
+    if isinstance(run, Reported):
+        groups, results = run.groups, run.results
+        marks = {name: registration.pairs() for name, registration in run.registrations.items()}
+    elif run is not None or groups is None or results is None:
+        what = "no run" if run is None else described(run)
+        raise InputError(f'pl.write_report takes a run, and {what} was given. Write pl.write_report("page.html", run).')
+    page, pictures = _render(groups, marks or {}, results)
+    write_whole(place, page.encode())
     if figures is not None:
-        write_figures(figures, pictures)
+        write_figures(Path(figures), pictures)
 
 
 def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results) -> str:

@@ -11,7 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.errors import FileError
+from planish.core.arrays import described
+from planish.core.errors import FileError, InputError
 from planish.synthetic.camera import image_material, photograph
 from planish.synthetic.draws import generator, stream
 from planish.synthetic.holes import hole_pattern
@@ -187,6 +188,8 @@ def make_specimen(
     ------
     FileError
         If ``folder`` exists.
+    InputError
+        If ``params`` are something else.
     ValueError
         If the holes do not fit into the field, or the given sheet does not reach as far as this one has to.
 
@@ -196,6 +199,11 @@ def make_specimen(
     >>> specimen = pl.make_specimen()  # doctest: +SKIP
     >>> surfaces = pl.find_surfaces(specimen.volume)  # doctest: +SKIP
     """
+    if params is not None and not isinstance(params, SpecimenParams):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError(
+            f"pl.make_specimen takes SpecimenParams, and {described(params)} was given. pl.make_specimen() makes the "
+            'specimen of the demo, pl.make_specimen(folder="demo") writes it.'
+        )
     params = params or DEMO
     width, height = params.size_um
     # The sheet's own origin comes to the middle of the volume; then one sees which material the volume shows.
