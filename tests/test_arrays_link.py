@@ -7,6 +7,7 @@ import pytest
 import tifffile
 
 import planish as pl
+from planish.compute import Compute
 from planish.core.errors import FileError, StudyError
 from planish.pipeline.build import study_of
 from planish.pipeline.words import sections_of
@@ -39,7 +40,7 @@ def test_a_link_of_arrays_has_the_bytes_of_the_link_of_the_files(specimen_files,
     with pytest.raises(FileError, match="run exists already"):
         pl.link(*arrays, out=tmp_path / "run")
     (tmp_path / "run").rename(tmp_path / "away")
-    with pytest.raises(FileError, match="run-inputs is there already, with the arrays of an earlier call"):
+    with pytest.raises(FileError, match="run-inputs exists already"):
         pl.link(*arrays, out=tmp_path / "run")
     text = repr(run)
     assert len(text.splitlines()) <= 10
@@ -91,16 +92,16 @@ def test_words_are_those_of_the_command_line():
 
 def test_every_option_of_the_command_line_is_a_word():
     from planish.cli.runs import link as command
-    from planish.compute import Compute
-    from planish.pipeline.words import _places, _words
+    from planish.pipeline.words import words_of
 
     own = {"out", "chain", "set", "figures", "strict", "json", "help"}
     flags = {flag[2:].replace("-", "_") for option in command.params for flag in option.opts if flag.startswith("--")}
-    assert flags - own == {*_places(SECTIONS), *_words("compute", Compute)}
+    assert flags - own == {*words_of([*SECTIONS, "compute"])}
 
 
 def test_the_same_word_twice_is_refused():
-    for words in ({"through": "y", "volume": {"through": "x"}}, {"memory": "4GB", "compute": {"threads": 1}}):
-        compute = words.pop("compute", None)
+    for words, compute in (({"through": "y", "volume": {"through": "x"}}, None), ({"threads": 2}, Compute(threads=1))):
         with pytest.raises(StudyError, match="is given twice, by itself and in"):
             sections_of(words, tuple(SECTIONS), compute, call="pl.link")
+    _, both = sections_of({"memory": "4GB"}, tuple(SECTIONS), Compute(threads=1), call="pl.link")
+    assert both == Compute(threads=1, memory_bytes=4 * 10**9)

@@ -16,8 +16,7 @@ MAPS = xr.Dataset({"presence": (("v", "u"), SHOWN)})
 CASES = [
     # --- a volume or an image is something else
     (lambda: pl.find_surfaces(PLAIN),
-     "The volume has no voxel size: nothing along z, y, x says where its voxels lie. Write "
-     "pl.find_surfaces(pl.volume(array, voxel_um=...))."),
+     "The volume has no size along its axes. Write pl.find_surfaces(pl.volume(array, voxel_um=...))."),
     (lambda: pl.find_surfaces(GREYS),
      "pl.find_surfaces takes a volume, and an array (ndarray) of 20 x 30 x 40 values was given. Write "
      "pl.find_surfaces(pl.volume(array, voxel_um=...))."),
@@ -28,16 +27,16 @@ CASES = [
      "pl.find_surfaces takes a volume, and a Dataset with volume was given. Write "
      'pl.find_surfaces(pl.volume(dataset["NAME"], voxel_um=...)).'),
     (lambda: pl.find_surfaces(VOLUME[0]),
-     "The volume has the dims (y, x); needed are (z, y, x). Write pl.volume(array, voxel_um=...) for an "
-     "array of 3 axes."),
+     "A volume has the axes (z, y, x), and an array of 30 x 40 with (y, x) was given. Write pl.image(array, "
+     "pixel_um=...)."),
     (lambda: pl.find_surfaces(VOLUME.transpose("x", "y", "z")),
-     "The volume has the dims (x, y, z); needed are (z, y, x). Write volume.transpose('z', 'y', 'x')."),
+     "A volume has the axes (z, y, x), and an array of 40 x 30 x 20 with (x, y, z) was given. Write "
+     "array.transpose('z', 'y', 'x')."),
     (lambda: pl.find_surfaces(VOLUME.astype(complex)),
-     "The volume has complex128 values; needed are integers or real numbers of up to 64 bits. Give their magnitude: "
-     "abs(volume)."),
+     "The volume has complex128 values; needed are integers or real numbers. Give their magnitude: abs(array)."),
     (lambda: pl.find_surfaces(VOLUME[::2, ::2, ::2]),
      "The volume contradicts itself: its coordinates have steps of 6, 6, 6 um (z, y, x), its attribute voxel_um says "
-     "3, 3, 3. If the coordinates are right, write pl.volume(volume, voxel_um=(6.0, 6.0, 6.0))."),
+     "3, 3, 3. If the coordinates are right, write pl.volume(volume, voxel_um=(6, 6, 6))."),
     (lambda: pl.find_surfaces(VOLUME, frame="y"),
      'frame=\'y\' is no frame. Write through="y", or frame=pl.Frame(through="y").'),
     (lambda: pl.find_surfaces(VOLUME, through="w"), "through='w' is not possible; needed is 'z', 'y' or 'x'."),
@@ -100,7 +99,7 @@ CASES = [
     (lambda: pl.link(VOLUME, IMAGE, volme={"through": "y"}), "pl.link: volme= is unknown; did you mean volume=?"),
     (lambda: pl.link(VOLUME, IMAGE, volume={"thruogh": "y"}), "volume.thruogh: unknown; did you mean through?"),
     (lambda: pl.link(VOLUME, IMAGE, volume="y"),
-     "pl.link: volume='y': needed is a dict of options; or write one of them, such as voxel_um=..."),
+     "pl.link: volume='y': needed is a dict of options, or one of them by itself."),
     (lambda: pl.link(VOLUME, IMAGE, frame="y"),
      "pl.link: frame= is unknown. The words are those of the command line: planish link --help."),
     (lambda: pl.link(VOLUME, IMAGE, through="w"), "through=\"w\" is not possible; needed is 'z', 'y' or 'x'"),
@@ -109,7 +108,7 @@ CASES = [
     (lambda: pl.link(VOLUME, IMAGE, through="y", volume={"through": "x"}),
      "pl.link: through= is given twice, by itself and in volume=. Leave one out."),
     (lambda: pl.link(VOLUME, IMAGE, memory="lots"),
-     "memory: write an amount of memory such as 4GB or 500MB (found 'lots')."),
+     "pl.link: memory: write an amount of memory such as 4GB or 500MB (found 'lots')."),
     (lambda: pl.map_sheet(VOLUME, image_side="top"),
      "pl.map_sheet: image_side= is for pl.link, which has an image and marks. Leave it out."),
     (lambda: pl.map_sheet(VOLUME, cutoff_um=-3), "cutoff_um: Input should be greater than 0 (found -3)"),
@@ -120,10 +119,10 @@ CASES = [
      "to=\"tif\" is not possible; needed is 'tiff'"),
     (lambda: pl.export("nowhere", "maps"), "to: missing."),
     (lambda: pl.write_report("page.html"),
-     'pl.write_report takes a run, and no run was given. Write pl.write_report("page.html", run).'),
+     'pl.write_report takes a run, and None was given. Write pl.write_report("page.html", run).'),
     (lambda: pl.make_specimen("demo"),
-     "pl.make_specimen takes SpecimenParams, and a path ('demo') was given. pl.make_specimen() makes the specimen of "
-     'the demo, pl.make_specimen(folder="demo") writes it.'),
+     "pl.make_specimen takes SpecimenParams, and a path ('demo') was given. Write "
+     'pl.make_specimen(folder="sheet").'),
 ]  # fmt: skip
 
 

@@ -110,7 +110,7 @@ def test_coordinates_in_um_are_the_size():
     assert pl.volume(placed().isel(x=slice(5, None))).x[0] == 10.0  # a part stays where it lies
     assert pl.volume(placed(step=3.0), voxel_um=2, override_size=True).z[1] == 2.0
     coarse = pl.volume(GREYS, voxel_um=2)[::2, ::2, ::2]
-    with pytest.raises(SizeError, match=r"steps of 4, 4, 4 um .* voxel_um says 2, 2, 2\. .*voxel_um=\(4.0, 4.0, 4.0\)"):
+    with pytest.raises(SizeError, match=r"steps of 4, 4, 4 um .* voxel_um says 2, 2, 2\. .*voxel_um=\(4, 4, 4\)"):
         pl.find_surfaces(coarse)
     assert pl.volume(coarse, voxel_um=(4.0, 4.0, 4.0)).attrs["voxel_um"] == [4.0, 4.0, 4.0]
 
@@ -139,15 +139,15 @@ def test_sizes_that_are_refused(array, size, words):
 @pytest.mark.parametrize(
     ("array", "words"),
     [
-        (GREYS[0], r"has the axes \(z, y, x\), and an array \(ndarray\) of 30 x 40 values was given. Write pl.image"),
-        (GREYS[:1], "more than one slice along each axis"),
-        (GREYS[:, :0], "The volume is empty"),
-        (GREYS.astype(complex), r"has complex128 values.*abs\(volume\)"),
+        (GREYS[0], r"has the axes \(z, y, x\), and an array of 30 x 40 with .* was given. Write pl.image"),
+        (GREYS[:1], "The volume is cut off"),
+        (GREYS[:, :0], "The volume is cut off"),
+        (GREYS.astype(complex), r"has complex128 values.*abs\(array\)"),
         (GREYS > 90, "has bool values.*grey values"),
         (GREYS.astype(object), "has object values"),
-        (xr.DataArray(GREYS, dims=("plane", "row", "col")), r'dims \(plane, row, col\).*rename\(plane="z"'),
+        (xr.DataArray(GREYS, dims=("plane", "row", "col")), r"\(plane, row, col\).*rename\(plane='z'"),
         (xr.Dataset({"grey": (("z", "y", "x"), GREYS)}), r'a Dataset with grey was given. .*dataset\["NAME"\]'),
-        (np.ma.masked_less(GREYS, 5), r"filled\(np.nan\)"),
+        (np.ma.masked_less(GREYS, 5), "with NaN for what is masked"),
         ("v.tif", r"a path \('v.tif'\) was given. Write pl.read_volume\('v.tif'\)"),
         (GREYS.tolist(), "a list was given"),
         (None, "None was given"),
@@ -159,7 +159,7 @@ def test_what_is_no_volume_is_refused(array, words):
 
 
 def test_what_is_no_image_is_refused():
-    with pytest.raises(VolumeError, match=r"\(y, x\) or in colour \(y, x, 3\)"):
+    with pytest.raises(VolumeError, match=r"An image has the axes \(y, x\), and an array of 4 x 5 x 7"):
         pl.image(np.zeros((4, 5, 7)), pixel_um=2)
     with pytest.raises(InputError, match="side='front' is not possible; needed is 'top' or 'bottom'"):
         pl.image(IMAGE, pixel_um=2, side="front")

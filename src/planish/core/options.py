@@ -51,7 +51,10 @@ def params_of(model: type[P], given: P | Mapping[str, Any] | None, call: str) ->
     try:
         return model.model_validate(by_field(model, given))
     except ValidationError as error:
-        faults = "; ".join(mistakes(error, model, lambda loc: (loc, None)))
+        flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
+        faults = "; ".join(
+            mistakes(error, model, lambda loc: ((flags.get(str(loc[0]), loc[0]), *loc[1:]) if loc else (), None))
+        )
         raise InputError(f"{call}: {faults.removesuffix('?')}{'?' if faults.endswith('?') else '.'}") from error
 
 

@@ -22,56 +22,42 @@ from planish.io.run_folder import refuse_existing, remove
 from planish.io.store import write_store
 from planish.pipeline.run import Run
 
-ArrayKind = Literal["volume", "image"]
-
-INPUTS = "inputs"
-"""``OUT-inputs``: folder of the arrays that the run OUT was made of."""
+Given = str | Path | Run | xr.DataArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArrayLayer:
-    """A layer in memory, and where its file will stand."""
+    """A layer in memory, its size, and where its file will stand."""
 
     array: xr.DataArray
-    kind: ArrayKind
+    kind: Literal["volume", "image"]
+    size_um: tuple[float, ...]
     path: Path
 
     def options(self) -> dict[str, Any]:
         """What it says of itself: its size, and how the sheet lies or which side is shown."""
         if self.kind == "image":
-            pixel = check_image(self.array, "pl.link({})")
-            side = self.array.attrs.get("side")
-            return {"pixel_um": pixel} | ({} if side is None else {"side": side})
+            return {"pixel_um": self.size_um, "side": self.array.attrs.get("side")}
         frame = Frame.of(self.array)
-        size = check_volume(self.array, "pl.link({})")
-        return {"voxel_um": size, "through": frame.through, "top": frame.top}
+        return {"voxel_um": self.size_um, "through": frame.through, "top": frame.top}
 
     def write(self, compute: Compute) -> None:
         """Write it as a working store, or as TIFF in the type that it was made from."""
         if self.kind == "volume":
-            size = list(check_volume(self.array, "pl.link({})"))
-            write_store(
-                self.array.assign_attrs(voxel_um=size), self.path, memory_bytes=compute.block_bytes,
-                threads=compute.threads,
-            )  # fmt: skip
+            volume = self.array.assign_attrs(voxel_um=list(self.size_um))
+            write_store(volume, self.path, memory_bytes=compute.block_bytes, threads=compute.threads)
             return
-        down, across = check_image(self.array, "pl.link({})")
         values, stored = self.array.values, np.dtype(self.array.attrs.get("stored_dtype", "f4"))
         if stored.kind == "u" and np.array_equal(values, np.rint(values)):  # not of a luminance
             values = values.astype(stored)
         with writing(self.path, needed=values.nbytes):
-            tifffile.imwrite(
-                self.path, values, photometric="minisblack", resolution=(1e4 / across, 1e4 / down),
-                resolutionunit="CENTIMETER", metadata=None,
-            )  # fmt: skip
-
-
-Given = str | Path | Run | xr.DataArray
-Source = str | Path | ArrayLayer
+            tifffile.imwrite(self.path, values, photometric="minisblack", metadata=None)
 
 
 @contextmanager
-def layer_sources(layers: Sequence[Given], out: str | Path | None, call: str) -> Generator[list[Source]]:
+def layer_sources(
+    layers: Sequence[Given], out: str | Path | None, call: str
+) -> Generator[list[str | Path | ArrayLayer]]:
     """Give each layer its path; arrays get one in ``OUT-inputs``, or in a folder that is removed at the end.
 
     Raises
@@ -81,36 +67,32 @@ def layer_sources(layers: Sequence[Given], out: str | Path | None, call: str) ->
     FileError
         If ``OUT`` or ``OUT-inputs`` exists.
     """
-    kinds: list[ArrayKind | None] = [_kind_of(layer, call) for layer in layers]
-    if not any(kinds):
-        yield [_path_of(layer) for layer in layers]
+    parts = [_part(layer, call) for layer in layers]
+    kinds = [part[0] for part in parts if isinstance(part, tuple)]
+    if not kinds:
+        yield [part for part in parts if not isinstance(part, tuple)]
         return
-    if out is not None:
+    if out is None:
+        folder = Path(tempfile.mkdtemp(prefix="planish-"))
+    else:
         refuse_existing(Path(out))
-    folder = (
-        Path(tempfile.mkdtemp(prefix="planish-")) if out is None else Path(out).with_name(f"{Path(out).name}-{INPUTS}")
-    )
-    if out is not None and folder.exists():
-        raise FileError(
-            f"{folder} is there already, with the arrays of an earlier call. Give the files in it instead of the "
-            "arrays, remove it, or give another name with --out."
-        )
+        folder = Path(out).with_name(f"{Path(out).name}-inputs")
+        refuse_existing(folder)
     try:
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        sources: list[Source] = []
-        for number, (layer, kind) in enumerate(zip(layers, kinds, strict=True), 1):
-            if kind is None:
-                sources.append(_path_of(layer))
+        sources: list[str | Path | ArrayLayer] = []
+        for number, part in enumerate(parts, 1):
+            if not isinstance(part, tuple):
+                sources.append(part)
                 continue
-            assert isinstance(layer, xr.DataArray)
-            usual = "sheet" if kind == "volume" else "image"
-            stem = usual if kinds.count(kind) == 1 else f"{usual}{number}"
+            kind, array, size = part
+            stem = ("sheet" if kind == "volume" else "image") if kinds.count(kind) == 1 else f"{kind}{number}"
             path = folder / f"{stem}{'.zarr' if kind == 'volume' else '.tif'}"
-            sources.append(ArrayLayer(array=layer, kind=kind, path=path))
+            sources.append(ArrayLayer(array=array, kind=kind, size_um=size, path=path))
         yield sources
     except BaseException:
-        # The maps of a link that was refused at the marks are kept, and its next call needs the files.
+        # The maps of a link that was refused at the marks are kept, and setting them by hand needs the files.
         if out is not None and not any(folder.parent.glob(f"{Path(out).name}-*/run.toml")):
             remove(folder)
         raise
@@ -119,19 +101,14 @@ def layer_sources(layers: Sequence[Given], out: str | Path | None, call: str) ->
             remove(folder)
 
 
-def _kind_of(layer: Given, call: str) -> ArrayKind | None:
-    """Which kind of array a layer is; None where it is a path or a run."""
-    if isinstance(layer, str | Path | Run):
-        return None
-    kind: ArrayKind = "image" if len(getattr(layer, "shape", ())) == 2 else "volume"
-    (check_image if kind == "image" else check_volume)(layer, call)
-    return kind
-
-
-def _path_of(layer: Given) -> str | Path:
-    if not isinstance(layer, Run):
-        assert not isinstance(layer, xr.DataArray)
+def _part(layer: Given, call: str) -> str | Path | tuple[Literal["volume", "image"], xr.DataArray, tuple[float, ...]]:
+    """The path of a layer; of an array its kind and size."""
+    if isinstance(layer, Run):
+        if layer.folder is None:
+            raise FileError("The run stands in no folder. Give out= to the call that made it, and link it then.")
+        return layer.folder
+    if isinstance(layer, str | Path):
         return layer
-    if layer.folder is None:
-        raise FileError("The run stands in no folder. Give out= to the call that made it, and link it then.")
-    return layer.folder
+    if len(getattr(layer, "shape", ())) == 2:
+        return "image", layer, check_image(layer, call)
+    return "volume", layer, check_volume(layer, call)

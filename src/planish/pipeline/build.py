@@ -16,7 +16,7 @@ from planish.core.mistakes import mistakes
 from planish.io import find_place
 from planish.io.info import is_image
 from planish.io.sections import is_section_folder
-from planish.pipeline.array_layers import ArrayLayer, Given, Source, layer_sources
+from planish.pipeline.array_layers import ArrayLayer, Given, layer_sources
 from planish.pipeline.run import Run, is_run
 from planish.pipeline.save import run_study
 from planish.pipeline.words import flag_of, sections_of
@@ -121,7 +121,9 @@ def _made(
         return run_study(study, out, compute=compute, progress=progress)
 
 
-def study_of(layers: Sequence[Source], sections: Mapping[str, Mapping[str, Any]], *, chain: bool = False) -> Study:
+def study_of(
+    layers: Sequence[str | Path | ArrayLayer], sections: Mapping[str, Mapping[str, Any]], *, chain: bool = False
+) -> Study:
     """Put a study together of paths, or arrays that will have one, and options.
 
     Raises

@@ -38,8 +38,8 @@ def export(
     progress : callable, optional
         Called with the name of a step and a few words.
     **options
-        Fields of :class:`planish.writers.ExportParams`, or words of ``planish export``: ``to`` (the format), ``maps``, ``group``, ``point_um``,
-        ``mesh_um``, ``as_seen``, ``depth_um``, ``unit``, ``mat_version``.
+        Fields of :class:`planish.writers.ExportParams`, or words of ``planish export``: ``to`` (the format), ``maps``,
+        ``group``, ``point_um``, ``mesh_um``, ``as_seen``, ``depth_um``, ``unit``, ``mat_version``.
 
     Returns
     -------

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.arrays import check_path, described
-from planish.core.errors import InputError
+from planish.core.arrays import check_path, not_taken
 from planish.core.files import write_whole
 from planish.core.results import CorrelationRow, EvidenceFacts, LayerFacts, RegistrationFacts, Results
 from planish.report import (
@@ -90,17 +89,8 @@ class _Distances(NamedTuple):
     agreement: list[str]
 
 
-@runtime_checkable
-class Reported(Protocol):
-    """A run, as the page takes it apart."""
-
-    groups: dict[str, xr.Dataset]
-    results: Results
-    registrations: dict[str, Any]
-
-
 def write_report(
-    path: str | Path, run: Reported | None = None, *, groups: Mapping[str, xr.Dataset] | None = None,
+    path: str | Path, run: Any = None, *, groups: Mapping[str, xr.Dataset] | None = None,
     marks: Mapping[str, xr.Dataset] | None = None, results: Results | None = None, figures: str | Path | None = None,
 ) -> None:  # fmt: skip
     """Write the report of a run as one HTML file that needs nothing else.
@@ -131,12 +121,14 @@ def write_report(
     The same input gives the same bytes: no dates, no random names.
     """
     place = check_path(path, "the path of the page first", "pl.write_report", 'pl.write_report("page.html", run)')
-    if isinstance(run, Reported):
-        groups, results = run.groups, run.results
-        marks = {name: registration.pairs() for name, registration in run.registrations.items()}
-    elif run is not None or groups is None or results is None:
-        what = "no run" if run is None else described(run)
-        raise InputError(f'pl.write_report takes a run, and {what} was given. Write pl.write_report("page.html", run).')
+    if groups is None or results is None:
+        if not all(hasattr(run, name) for name in ("groups", "results", "registrations")):
+            raise not_taken(run, "a run", 'pl.write_report("page.html", run)', "pl.write_report")
+        given: Any = run
+        groups, results = given.groups, given.results
+        marks = {name: registration.pairs() for name, registration in given.registrations.items()}
+    assert groups is not None
+    assert results is not None
     page, pictures = _render(groups, marks or {}, results)
     write_whole(place, page.encode())
     if figures is not None:

@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.arrays import described
-from planish.core.errors import FileError, InputError
+from planish.core.arrays import not_taken
+from planish.core.errors import FileError
 from planish.synthetic.camera import image_material, photograph
 from planish.synthetic.draws import generator, stream
 from planish.synthetic.holes import hole_pattern
@@ -200,10 +200,7 @@ def make_specimen(
     >>> surfaces = pl.find_surfaces(specimen.volume)  # doctest: +SKIP
     """
     if params is not None and not isinstance(params, SpecimenParams):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise InputError(
-            f"pl.make_specimen takes SpecimenParams, and {described(params)} was given. pl.make_specimen() makes the "
-            'specimen of the demo, pl.make_specimen(folder="demo") writes it.'
-        )
+        raise not_taken(params, "SpecimenParams", 'pl.make_specimen(folder="sheet")', "pl.make_specimen")
     params = params or DEMO
     width, height = params.size_um
     # The sheet's own origin comes to the middle of the volume; then one sees which material the volume shows.
