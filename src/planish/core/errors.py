@@ -23,7 +23,6 @@ else in planish decides exit codes.
 """
 
 import re
-from collections.abc import Sequence
 
 SWITCHES = frozenset({"as-seen", "chain", "mirror", "mottle", "override-size", "printed", "unusual-size"})
 """Options without a value, of those that a call in Python may be told to give."""
@@ -131,7 +130,7 @@ class ResourceError(PlanishError):
     exit_code = 5
 
 
-def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
     """Raise InputError where a keyword has none of the words that are possible."""
     if isinstance(value, str) and value in choices:
         return

@@ -125,7 +125,7 @@ class Run:
 
         states = Counter(check.state for check in self.checks)
         checks = ", ".join(f"{count} {state}" for state, count in states.items()) or "none"
-        lines = [f"Run in {self.folder}" if self.folder is not None else "Run in memory"]
+        lines = ["Run" if self.folder is None else f"Run in {self.folder}"]
         lines += [f"{layer.name}: {layer.source.name}" for layer in self.results.layers[:_MOST_LAYERS]]
         if more := self.results.layers[_MOST_LAYERS:]:
             lines.append(f"and {len(more)} more layers")
