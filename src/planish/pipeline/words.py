@@ -66,7 +66,9 @@ def flag_of(loc: Key) -> Key:
     names = tuple(part for part in loc if isinstance(part, str) and part != "layers")
     flags = {place: f"--{word.replace('_', '-')}" for word, place in words_of(SECTIONS).items()}
     # A message about a whole section is one of options that do not fit together, which it names.
-    return () if names[:1] == names and names[0] in SECTIONS else (flags[names],) if names in flags else names
+    if len(names) == 1 and names[0] in SECTIONS:
+        return ()
+    return (flags[names],) if names in flags else names
 
 
 def words_of(sections: Iterable[str]) -> dict[str, tuple[str, ...]]:
