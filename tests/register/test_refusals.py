@@ -85,7 +85,7 @@ def test_exchanged_columns(model, noise):
 def test_an_undeclared_mirror():
     points = marks(10)
     there = Similarity(rotation_rad=0.05, mirrored=True)(points)
-    refused(MarkError, "Probably one map shows the other side.*--mirror", points, there)
+    refused(MarkError, "Probably one map shows the other side.*mirror=True", points, there)
     refused(MarkError, "not mirrored after all", points, TURN(points), mirrored=True)
 
 
