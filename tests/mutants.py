@@ -107,7 +107,7 @@ MUTANTS = [
     Mutant("analyze/correlation.py", "slope = sab / saa", "slope = sab / sbb", "analyze/test_correlate.py"),
     Mutant("analyze/peak.py", "np.abs(r) if sign == 0 else sign * r", "np.abs(r)", "analyze/test_lag.py"),
     # sections, correct
-    Mutant("sections/volume.py", "share = np.clip((planes - at[before]) / step, 0.0, 1.0)", "share = np.clip((at[after] - planes) / step, 0.0, 1.0)", "sections/test_volume.py"),
+    Mutant("sections/volume.py", "share = np.clip((planes - places[before]) / step, 0.0, 1.0)", "share = np.clip((places[after] - planes) / step, 0.0, 1.0)", "sections/test_volume.py"),
     Mutant("sections/network.py", "_HALF = 1.0 / np.sqrt(0.5) - 1.0", "_HALF = 1.0", "sections/test_align.py sections/test_reference.py"),
     Mutant("sections/_kernels.py", "x = c + pose[1] - pose[3] * (r - middle_r)", "x = c + pose[1] + pose[3] * (r - middle_r)", "sections/test_volume.py sections/test_align.py"),
     Mutant("correct/cupping.py", "100.0 * (1.0 - 1.0 / max(", "100.0 * (1.0 - max(", "correct/test_correct.py"),

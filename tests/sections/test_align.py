@@ -11,7 +11,7 @@ from planish.sections import SectionSeries, align_sections, normalise_sections
 from planish.sections._kernels import between, pair_sums, smooth, straighten
 from planish.sections.band import block_means
 from planish.sections.network import slow_part, solve_places
-from planish.sections.normalise import layers
+from planish.sections.normalise import core_and_background
 from sections.bands import PITCH_UM, PIXEL_UM, Series, make_series, rms, split
 
 MISSING = (50, 51, 52, 120)
@@ -267,7 +267,7 @@ def test_layers_twin() -> None:
     section = np.random.default_rng(9).normal(size=(30, 12)).astype(np.float32)
     section[15, 3] = np.nan
     height = np.linspace(12, 17, 12).astype(np.float32)
-    core, off = layers(section, height, 4.0, 8.0, (1, 3))
+    core, off = core_and_background(section, height, 4.0, 8.0, (1, 3))
     away = np.abs(np.arange(30)[:, None] - height)
     inside = section[away <= 4]
     np.testing.assert_array_equal(core, inside[np.isfinite(inside)])

@@ -7,7 +7,7 @@ from scipy.special import ndtr
 from planish.core.errors import VolumeError
 from planish.sections import SectionSeries, align_sections, fixed_places
 from planish.sections.network import slow_part
-from planish.sections.reference import _step
+from planish.sections.reference import _match_template
 from sections.bands import PIXEL_UM, make_series, rms
 
 
@@ -71,7 +71,7 @@ def test_a_small_step_is_found_whatever_the_gain():
     x = np.arange(60.0)
     template = ndtr((x - 30) / 3)[None]
     moved = 0.7 * ndtr((x - 30.4) / 3)[None, None] + 5
-    step, alike = _step(moved, template)
+    step, alike = _match_template(moved, template)
     assert step[0, 0] == pytest.approx(0.4, abs=0.02)
     assert alike[0, 0] > 0.99
 

@@ -10,13 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planish.sections.band import Band, SectionSeries
-from planish.sections.network import HELD, parts, quick_places, slow_part, solve_places
+from planish.core.typing import Bools, Floats
+from planish.sections.band import SectionSeries
+from planish.sections.network import LEAST_SHARE, Index, parts, quick_places, slow_part, solve_places
 from planish.sections.pairs import FINEST_UM, GROUPS, Bands, Pairs, compare
-
-Array = NDArray[np.float64]
 
 _GAP_SECTIONS = 4.5  # neighbours farther apart show other fibres: three missing sections are bridged, no more
 _CUTOFF_SECTIONS = 50.0  # corrections with longer wavelengths are not applied
@@ -54,17 +52,17 @@ class Alignment:
         Whether (row, col, rotation) were held by something fixed, slow waves included.
     """
 
-    shift_um: Array
-    rotation_rad: Array
-    aligned: NDArray[np.bool_]
-    jitter_left_um: Array
+    shift_um: Floats
+    rotation_rad: Floats
+    aligned: Bools
+    jitter_left_um: Floats
     pairs_used: int
     pairs_refused: int
     cutoff_um: float
     fixed: tuple[bool, ...] = (False, False, False)
 
 
-def align_sections(series: SectionSeries, *, fixed: Array | None = None) -> Alignment:
+def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Alignment:
     """Align serial sections jointly, leaving the slow waves alone.
 
     Parameters
@@ -91,91 +89,99 @@ def align_sections(series: SectionSeries, *, fixed: Array | None = None) -> Alig
     Joint alignment: Saalfeld et al. 2012, Nature Methods 9, 717. A sheet that rises along the cut has a true offset
     from section to section; it belongs to the slow part, and the band follows it before anything is compared.
     """
-    stack, band, pixel_um, away, n = series.stack, series.band, series.pixel_um, series.away_um, len(series.away_um)
+    away, n = series.away_um, series.away_um.size
     cutoff = _CUTOFF_SECTIONS * series.pitch_um
     first, second = neighbours(away, series.pitch_um, _REACH)
     # Course of the sheet itself as a pose: mean height and slope of the smooth surface, which the pairs do not see.
-    course = _course(band, stack.shape[1:], pixel_um)
+    course = _sheet_course(series)
     pose = np.zeros((n, 3))
-    pose[:, 0] = band.jump * pixel_um[0]
-
-    def measured(which: NDArray[np.bool_], *, fine: bool = False) -> Pairs:
-        one, two = first[which], second[which]
-        bands = Bands(stack=stack, band=band, pixel_um=pixel_um, fine=fine)
-        return compare(bands.sums(pose, one, two), one, two, pose, fine=fine)
-
+    pose[:, 0] = series.band.jump * series.pixel_um[0]
     # The first rounds only bring the sections near, with few pairs; the offsets that count are those of the last.
     near = second - first <= _REACH_FIRST
     for _ in range(_ROUNDS - 1):
-        whole = measured(near)
-        places, kept = _joined(whole, n)
-        groups = parts(whole.first[kept], whole.second[kept], n)
+        coarse = _measure_pairs(series, pose, first[near], second[near])
+        places, is_used = _join_pairs(coarse, n)
+        groups = parts(coarse.first[is_used], coarse.second[is_used], n)
         pose = quick_places(places + course, away, groups, cutoff_um=cutoff)
-    whole = measured(near | ~near)
-    places, kept = _joined(whole, n)
-    groups = parts(first[kept], second[kept], n)
+    coarse = _measure_pairs(series, pose, first, second)
+    places, is_used = _join_pairs(coarse, n)
+    groups = parts(first[is_used], second[is_used], n)
     pose = quick_places(places + course, away, groups, cutoff_um=cutoff)
     # Coarse texture wanders along the columns with the fibres that come and go; fine texture less. The place along the
     # columns is measured once more in it, now that the sections lie near enough.
-    close = (second - first == 1) & kept
+    close = (second - first == 1) & is_used
     fine: Pairs | None = None
     coarse_pose = pose
-    for _ in range(_FINE_ROUNDS if max(pixel_um) <= FINEST_UM and close.any() else 0):
-        found = measured(close, fine=True)
-        if not np.median(found.sigma[:, 1]) < _SURER * np.median(whole.sigma[close, 1]):
+    for _ in range(_FINE_ROUNDS if max(series.pixel_um) <= FINEST_UM and close.any() else 0):
+        finer = _measure_pairs(series, pose, first[close], second[close], fine=True)
+        if not np.median(finer.sigma[:, 1]) < _SURER * np.median(coarse.sigma[close, 1]):
             fine, pose = None, coarse_pose
             break
-        fine = found
-        places[:, 1] = _columns(whole, fine, n)
+        fine = finer
+        places[:, 1] = _join_columns(coarse, fine, n)
         pose = quick_places(places + course, away, groups, cutoff_um=cutoff)
     # Sections that hang together with others, by two pairs or more.
-    pairs = np.bincount(np.concatenate([first[kept], second[kept]]), minlength=n)
-    aligned = np.isin(np.arange(n), np.concatenate([np.zeros(0, np.intp), *groups])) & (pairs >= min(2, n - 1))
+    pair_counts = np.bincount(np.concatenate([first[is_used], second[is_used]]), minlength=n)
+    aligned = np.isin(np.arange(n), np.concatenate([np.zeros(0, np.intp), *groups])) & (pair_counts >= min(2, n - 1))
     pose[~aligned] = 0.0
-    left = np.full(3, np.nan)
+    variance = np.full(3, np.nan)
     if aligned.any():
-
-        def without(k: int) -> Array:
-            fewer = whole.without(k)
-            there = _joined(fewer, n)[0]
-            if fine is not None:
-                there[:, 1] = _columns(fewer, fine.without(k), n)
-            there += _course(band, stack.shape[1:], pixel_um, without=k)
-            return quick_places(there, away, groups, cutoff_um=cutoff)[aligned]
-
-        # Jackknife: one run of columns after the other is left out, of the surface too.
-        left = np.mean(np.var([without(k) for k in range(GROUPS)], axis=0), axis=0) * (GROUPS - 1)
+        spread = _spread_without_groups(series, coarse, fine, groups, cutoff)
+        variance = np.mean(spread[aligned], axis=0) * (GROUPS - 1)
     # A narrow image determines rotations badly: they are shortened to what is more than their own error (Wiener).
-    turned = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
-    pose[:, 2] *= max(0.0, 1.0 - left[2] / turned) if turned > 0 else 0.0
-    held = _hold(pose, fixed, away, cutoff, aligned) if fixed is not None else (False, False, False)
+    mean_square_turn = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
+    pose[:, 2] *= max(0.0, 1.0 - variance[2] / mean_square_turn) if mean_square_turn > 0 else 0.0
+    fixed_axes = _add_fixed_drift(pose, fixed, away, cutoff, aligned) if fixed is not None else (False, False, False)
     return Alignment(
         shift_um=pose[:, :2].copy(),
         rotation_rad=pose[:, 2].copy(),
         aligned=aligned,
-        jitter_left_um=np.sqrt(left[:2]),
-        pairs_used=int(np.count_nonzero(kept)),
-        pairs_refused=int(kept.size - np.count_nonzero(kept)),
+        jitter_left_um=np.sqrt(variance[:2]),
+        pairs_used=int(np.count_nonzero(is_used)),
+        pairs_refused=int(is_used.size - np.count_nonzero(is_used)),
         cutoff_um=cutoff,
-        fixed=held,
+        fixed=fixed_axes,
     )
 
 
-def _hold(pose: Array, fixed: Array, away: Array, cutoff: float, aligned: NDArray[np.bool_]) -> tuple[bool, ...]:
+def _measure_pairs(series: SectionSeries, pose: Floats, first: Index, second: Index, *, fine: bool = False) -> Pairs:
+    """Measure the offsets of pairs of sections in bands that are straightened by their poses."""
+    bands = Bands(stack=series.stack, band=series.band, pixel_um=series.pixel_um, fine=fine)
+    return compare(bands.sums(pose, first, second), first, second, pose, fine=fine)
+
+
+def _spread_without_groups(
+    series: SectionSeries, coarse: Pairs, fine: Pairs | None, groups: list[Index], cutoff: float
+) -> Floats:
+    """Variance of the poses (sections, 3) where one run of columns after the other is left out, of the surface too."""
+    poses: list[Floats] = []
+    for k in range(GROUPS):
+        fewer = coarse.without(k)
+        places = _join_pairs(fewer, len(series.away_um))[0]
+        if fine is not None:
+            places[:, 1] = _join_columns(fewer, fine.without(k), len(series.away_um))
+        places += _sheet_course(series, without=k)
+        poses.append(quick_places(places, series.away_um, groups, cutoff_um=cutoff))
+    return np.var(poses, axis=0)
+
+
+def _add_fixed_drift(pose: Floats, fixed: Floats, away: Floats, cutoff: float, aligned: Bools) -> tuple[bool, ...]:
     """Add the slow part of what something fixed shows; True for each axis that it shows."""
-    held = [False, False, False]
+    is_fixed = [False, False, False]
     for axis in range(3):
-        seen = np.isfinite(fixed[:, axis])
-        if np.count_nonzero(seen) < 0.5 * seen.size:
+        is_measured = np.isfinite(fixed[:, axis])
+        if np.count_nonzero(is_measured) < 0.5 * is_measured.size:
             continue
-        slow = slow_part(away, np.where(seen, fixed[:, axis], 0.0), cutoff_um=cutoff, weights=seen.astype(np.float64))
+        slow = slow_part(
+            away, np.where(is_measured, fixed[:, axis], 0.0), cutoff_um=cutoff, weights=is_measured.astype(np.float64)
+        )
         pose[aligned, axis] += slow[aligned]
-        held[axis] = True
-    return tuple(held)
+        is_fixed[axis] = True
+    return tuple(is_fixed)
 
 
-def neighbours(away_um: Array, pitch_um: float, reach: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pairs of sections at most ``reach`` apart with no wide gap between them, ordered by the first."""
+def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Index, Index]:
+    """Give the pairs of sections at most ``reach`` apart with no wide gap between them, ordered by the first."""
     n = away_um.size
     wide = np.cumsum(np.concatenate([[0], np.diff(away_um) > _GAP_SECTIONS * pitch_um]))
     ties = [(i, j) for i in range(n) for j in range(i + 1, min(i + reach, n - 1) + 1) if wide[i] == wide[j]]
@@ -183,38 +189,38 @@ def neighbours(away_um: Array, pitch_um: float, reach: int) -> tuple[NDArray[np.
     return table[:, 0], table[:, 1]
 
 
-def _course(band: Band, shape: tuple[int, ...], pixel_um: tuple[float, float], without: int = -1) -> Array:
+def _sheet_course(series: SectionSeries, without: int = -1) -> Floats:
     """Mean height in um, 0, and slope of the smooth surface in each section; (sections, 3).
 
     ``without`` leaves out the columns of one group of parts.
     """
-    held = band.at_col * GROUPS // shape[1] != without
-    x = (band.at_col[held] - 0.5 * (shape[1] - 1)) * pixel_um[1]
-    y = (band.row[:, held] - 0.5 * (shape[0] - 1)) * pixel_um[0]
+    band, (_, rows, cols) = series.band, series.stack.shape
+    blocks = band.at_col * GROUPS // cols != without
+    x = (band.at_col[blocks] - 0.5 * (cols - 1)) * series.pixel_um[1]
+    y = (band.row[:, blocks] - 0.5 * (rows - 1)) * series.pixel_um[0]
     slope, mean = np.polynomial.polynomial.polyfit(x, y.T, 1)[::-1]
     return np.stack([mean, np.zeros(mean.size), slope], axis=1)
 
 
-def _joined(pairs: Pairs, n: int) -> tuple[Array, NDArray[np.bool_]]:
+def _join_pairs(pairs: Pairs, n: int) -> tuple[Floats, Bools]:
     """Places of all sections (sections, 3), and which pairs were used."""
     places = np.zeros((n, 3))
-    kept = np.zeros((pairs.first.size, 3))
+    shares = np.zeros((pairs.first.size, 3))
     sound = pairs.sound
     for axis in range(3):
-        places[:, axis], kept[sound, axis] = solve_places(
+        places[:, axis], shares[sound, axis] = solve_places(
             pairs.first[sound], pairs.second[sound], pairs.offset[sound, axis], pairs.sigma[sound, axis], n
         )
-    return places, sound & (np.min(kept, axis=1) > HELD)
+    return places, sound & (np.min(shares, axis=1) > LEAST_SHARE)
 
 
-def _columns(coarse: Pairs, fine: Pairs, n: int) -> Array:
+def _join_columns(coarse: Pairs, fine: Pairs, n: int) -> Floats:
     """Places along the columns from the coarse and the fine texture together; (sections,).
 
     The coarse ones bridge what the fine ones do not hold together, and take over where noise hides fine texture.
     """
-    both = (coarse, fine)
-    first = np.concatenate([p.first[p.sound] for p in both])
-    second = np.concatenate([p.second[p.sound] for p in both])
-    offset = np.concatenate([p.offset[p.sound, 1] for p in both])
+    first = np.concatenate([p.first[p.sound] for p in (coarse, fine)])
+    second = np.concatenate([p.second[p.sound] for p in (coarse, fine)])
+    offset = np.concatenate([p.offset[p.sound, 1] for p in (coarse, fine)])
     sigma = np.concatenate([_COARSE_FACTOR * coarse.sigma[coarse.sound, 1], fine.sigma[fine.sound, 1]])
     return solve_places(first, second, offset, sigma, n)[0]

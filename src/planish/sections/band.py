@@ -17,9 +17,8 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filt
 from planish.core.errors import VolumeError
 from planish.core.lazy import LazyArray
 from planish.core.threads import map_threads
+from planish.core.typing import Bools, Floats
 from planish.sections.network import slow_part
-
-Array = NDArray[np.float64]
 
 _BLOCK_UM = (5.0, 80.0)  # rows, cols of the blocks in which the sheet is looked for
 _BORDER = 0.15  # share of the rows at each end that is taken to be background
@@ -49,12 +48,12 @@ class Band:
         Rough grey level off the sheet, and that of the sheet less that of the background.
     """
 
-    row: Array
-    at_col: Array
-    jump: Array
+    row: Floats
+    at_col: Floats
+    jump: Floats
     half_um: float
-    background: Array
-    contrast: Array
+    background: Floats
+    contrast: Floats
 
     def heights(self, section: int, cols: int) -> NDArray[np.float32]:
         """Row of the sheet in each of ``cols`` columns of a section, in pixels."""
@@ -80,7 +79,7 @@ class SectionSeries:
     """
 
     stack: Stack
-    positions_um: Array
+    positions_um: Floats
     pixel_um: tuple[float, float]
 
     def __post_init__(self) -> None:
@@ -107,7 +106,7 @@ class SectionSeries:
             )
 
     @cached_property
-    def away_um(self) -> Array:
+    def away_um(self) -> Floats:
         """Distances from the first section, increasing."""
         away = np.asarray(self.positions_um, np.float64) - self.positions_um[0]
         return -away if away[-1] < 0 else away
@@ -123,7 +122,7 @@ class SectionSeries:
         return _find_band(self.stack, self.away_um, self.pixel_um)
 
 
-def _find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float]) -> Band:
+def _find_band(stack: Stack, away_um: Floats, pixel_um: tuple[float, float]) -> Band:
     """Find the course of the sheet through a stack of sections.
 
     Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on the difference to the
@@ -139,17 +138,10 @@ def _find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float]) -> B
     blocks = np.stack(map_threads(means, range(n)))
     border = max(1, int(_BORDER * blocks.shape[1]))
     ends = np.concatenate([blocks[:, :border], blocks[:, -border:]], axis=1).reshape(n, -1)
-    background = _middle(ends)
-    difference = np.abs(blocks - background[:, None, None])
-    seen = np.isfinite(difference)
-    difference[~seen] = 0.0
-    smoothed: NDArray[np.float32] = gaussian_filter(difference, 1.0)
-    sheet = _largest(smoothed > _otsu(smoothed[:: max(1, n // 200)].ravel()))
-    if sheet is None:
-        raise VolumeError("No sheet found in the sections: all grey levels are alike. Check the files.")
+    background = _row_medians(ends)
+    sheet, weight = _find_sheet(blocks, background)
     count = sheet.sum(axis=1)
     usual = float(np.median(count[count > 0]))
-    weight = np.where(sheet, difference, 0.0)
     total = weight.sum(axis=1)
     sound = (count >= 0.5 * usual) & (count <= 2.0 * usual) & (total > 0)
     if not sound.any():
@@ -157,50 +149,65 @@ def _find_band(stack: Stack, away_um: Array, pixel_um: tuple[float, float]) -> B
     at_row = np.arange(blocks.shape[1])[:, None]
     middle = np.where(sound, (weight * at_row).sum(axis=1) / np.where(total > 0, total, 1.0), np.nan)
     middle = (middle + 0.5) * tall - 0.5
-    smooth = _surface(middle, away_um)
+    smooth = _smooth_surface(middle, away_um)
     off = np.where(sound, middle - smooth, np.nan)
     jump = np.array([np.nanmedian(row) if np.isfinite(row).any() else 0.0 for row in off])
-    core = np.where(sheet, blocks, np.nan).reshape(n, -1)
-    contrast = _middle(core) - background
-    typical = float(np.nanmedian(contrast))
-    # A section without a sheet has no contrast of its own; a drift of colour is far less than a factor of two.
-    fair = np.isfinite(contrast) & (np.abs(contrast - typical) < 0.5 * abs(typical))
     return Band(
         row=smooth,
         at_col=np.arange(blocks.shape[2], dtype=np.float64) * wide + 0.5 * (wide - 1),
         jump=jump,
         half_um=0.5 * usual * tall * pixel_um[0],
         background=np.where(np.isfinite(background), background, np.nanmedian(background)),
-        contrast=np.where(fair, contrast, typical),
+        contrast=_sheet_contrast(blocks, sheet, background),
     )
+
+
+def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools, Floats]:
+    """Give the blocks of the sheet as a mask, and their difference to the background, 0 off the sheet."""
+    difference = np.abs(blocks - background[:, None, None])
+    difference[~np.isfinite(difference)] = 0.0
+    smoothed: Floats = gaussian_filter(difference, 1.0)
+    sheet = _largest_part(smoothed > _otsu_threshold(smoothed[:: max(1, len(blocks) // 200)].ravel()))
+    if sheet is None:
+        raise VolumeError("No sheet found in the sections: all grey levels are alike. Check the files.")
+    return sheet, np.where(sheet, difference, 0.0)
+
+
+def _sheet_contrast(blocks: NDArray[np.float32], sheet: Bools, background: Floats) -> Floats:
+    """Give the grey level of the sheet less that of the background, of each section."""
+    contrast = _row_medians(np.where(sheet, blocks, np.nan).reshape(len(blocks), -1)) - background
+    typical = float(np.nanmedian(contrast))
+    # A section without a sheet has no contrast of its own; a drift of colour is far less than a factor of two.
+    is_fair = np.isfinite(contrast) & (np.abs(contrast - typical) < 0.5 * abs(typical))
+    return np.where(is_fair, contrast, typical)
 
 
 def block_means(section: NDArray[Any], rows: int, cols: int) -> NDArray[np.float32]:
     """Means of blocks of rows x cols pixels; NaN where a block holds a NaN, and what is left over is left out."""
     down, across = section.shape[0] // rows, section.shape[1] // cols
-    held = section[: down * rows, : across * cols].reshape(down, rows, across * cols)
-    total = held.sum(axis=1, dtype=np.float32).reshape(down, across, cols).sum(axis=2, dtype=np.float64)
+    inner = section[: down * rows, : across * cols].reshape(down, rows, across * cols)
+    total = inner.sum(axis=1, dtype=np.float32).reshape(down, across, cols).sum(axis=2, dtype=np.float64)
     return (total / (rows * cols)).astype(np.float32)
 
 
-def _middle(values: NDArray[np.float32]) -> Array:
+def _row_medians(rows: NDArray[np.float32]) -> Floats:
     """Median of the numbers in each row; NaN where there is none."""
-    held = np.isfinite(values)
-    return np.array([np.median(v[h]) if h.any() else np.nan for v, h in zip(values, held, strict=True)], np.float64)
+    is_valid = np.isfinite(rows)
+    return np.array([np.median(v[h]) if h.any() else np.nan for v, h in zip(rows, is_valid, strict=True)], np.float64)
 
 
-def _otsu(values: NDArray[np.float32]) -> float:
+def _otsu_threshold(greys: Floats) -> float:
     """Threshold that separates two groups best: the one with the largest variance between them."""
-    counts, edges = np.histogram(values, 512)
+    counts, edges = np.histogram(greys, 512)
     centres = 0.5 * (edges[1:] + edges[:-1])
     below = np.cumsum(counts)[:-1]
-    above = values.size - below
+    above = greys.size - below
     mass = np.cumsum(counts * centres)
     low, high = mass[:-1] / np.maximum(below, 1), (mass[-1] - mass[:-1]) / np.maximum(above, 1)
     return float(edges[1 + int(np.argmax(below.astype(np.float64) * above * (high - low) ** 2))])
 
 
-def _largest(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+def _largest_part(mask: Bools) -> Bools | None:
     """Return the largest connected part, None where there is nothing."""
     names: NDArray[Any]
     names, count = label(mask)
@@ -211,12 +218,12 @@ def _largest(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     return names == int(np.argmax(sizes))
 
 
-def _surface(middle: Array, away_um: Array) -> Array:
+def _smooth_surface(middle: Floats, away_um: Floats) -> Floats:
     """Smooth the middle of the sheet (sections, blocks) along both axes and fill it where it is NaN."""
-    seen = np.isfinite(middle)
-    nearest: NDArray[Any] = distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    is_valid = np.isfinite(middle)
+    nearest: NDArray[Any] = distance_transform_edt(~is_valid, return_distances=False, return_indices=True)
     filled = median_filter(middle[tuple(nearest)], size=(1, 3), mode="nearest")
-    weights = np.where(seen, 1.0, _FILLED)
+    weights = np.where(is_valid, 1.0, _FILLED)
     cutoff = _SMOOTH_SECTIONS * float(np.median(np.diff(away_um)))
     columns = [
         slow_part(away_um, filled[:, k], cutoff_um=cutoff, weights=weights[:, k]) for k in range(middle.shape[1])

@@ -14,13 +14,14 @@ from scipy.linalg import solveh_banded
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
+
 Index = NDArray[np.intp]
 
 _ROUNDS = 25
 _CAUCHY = 2.385  # 95 % as good as least squares where nothing is wrong (Holland and Welsch 1977)
-HELD = 0.05  # a pair with less than this share of its weight is refused
-_TIED = 1e-7  # weight of the prior "where the stage put it", against the pairs: settles what they leave open
+LEAST_SHARE = 0.05  # a pair with less than this share of its weight is refused
+_PRIOR_WEIGHT = 1e-7  # weight of the prior "where the stage put it", against the pairs: settles what they leave open
 _LEAST_PART = 6  # sections tied to each other, below which slow and quick parts cannot be separated
 _ORDER = 4
 """Of the derivative that is held down. With 3 a wave of 600 um and 48 um height is bent by 0.5 um at the ends of the
@@ -32,7 +33,7 @@ _HALF = 1.0 / np.sqrt(0.5) - 1.0
 """(1 - H)^2 = 1/2 of the smoother applied twice, H = 1 / (1 + l w^8), so l w^8 = 1 / _HALF at the cut-off."""
 
 
-def solve_places(first: Index, second: Index, offset: Array, sigma: Array, n: int) -> tuple[Array, Array]:
+def solve_places(first: Index, second: Index, offset: Floats, sigma: Floats, n: int) -> tuple[Floats, Floats]:
     """Find the places whose differences are the offsets.
 
     ``offset`` (pairs,) is the place of the second section of a pair less that of the first, which comes before it, and
@@ -41,26 +42,26 @@ def solve_places(first: Index, second: Index, offset: Array, sigma: Array, n: in
     outlier. Least squares with Cauchy's weights, iterated; the scale is the median of the residuals over their sigma.
     """
     trust = 1.0 / sigma**2
-    kept = np.ones(first.size)
+    shares = np.ones(first.size)
     place = np.zeros(n)
     if first.size == 0:
-        return place, kept
+        return place, shares
     reach = int(np.max(second - first))
     for _ in range(_ROUNDS):
-        w = trust * kept
+        w = trust * shares
         band = np.zeros((reach + 1, n))
         np.add.at(band[reach], first, w)
         np.add.at(band[reach], second, w)
         np.add.at(band, (reach - (second - first), second), -w)
-        band[reach] += _TIED * float(np.median(trust))
-        right = np.zeros(n)
-        np.add.at(right, second, w * offset)
-        np.add.at(right, first, -w * offset)
-        place = np.asarray(solveh_banded(band, right), np.float64)
+        band[reach] += _PRIOR_WEIGHT * float(np.median(trust))
+        right_side = np.zeros(n)
+        np.add.at(right_side, second, w * offset)
+        np.add.at(right_side, first, -w * offset)
+        place = np.asarray(solveh_banded(band, right_side), np.float64)
         residual = np.abs(offset - (place[second] - place[first])) / sigma
         scale = max(1.4826 * float(np.median(residual)), 1.0)
-        kept = 1.0 / (1.0 + (residual / (_CAUCHY * scale)) ** 2)
-    return place, kept
+        shares = 1.0 / (1.0 + (residual / (_CAUCHY * scale)) ** 2)
+    return place, shares
 
 
 def parts(first: Index, second: Index, n: int) -> list[Index]:
@@ -71,7 +72,7 @@ def parts(first: Index, second: Index, n: int) -> list[Index]:
     return [np.flatnonzero(names == k) for k in np.flatnonzero(sizes >= min(_LEAST_PART, n))]
 
 
-def quick_places(places: Array, away_um: Array, groups: list[Index], *, cutoff_um: float) -> Array:
+def quick_places(places: Floats, away_um: Floats, groups: list[Index], *, cutoff_um: float) -> Floats:
     """Take the slow part off places (sections, axes), in each part by itself; 0 for sections in none."""
     quick = np.zeros_like(places)
     for group in groups:
@@ -80,7 +81,7 @@ def quick_places(places: Array, away_um: Array, groups: list[Index], *, cutoff_u
     return quick
 
 
-def slow_part(at_um: Array, values: Array, *, cutoff_um: float, weights: Array | None = None) -> Array:
+def slow_part(at_um: Floats, values: Floats, *, cutoff_um: float, weights: Floats | None = None) -> Floats:
     """Low-pass a series at uneven places; slopes and curvature pass unchanged, up to the ends.
 
     Places increase; values are finite where the weight is not 0. Of the wavelength ``cutoff_um`` half the amplitude
@@ -109,15 +110,15 @@ def slow_part(at_um: Array, values: Array, *, cutoff_um: float, weights: Array |
         for m in range(k, _ORDER + 1):
             band[_ORDER - (m - k), m : rows + m] += stiffness * length * coefficients[k] * coefficients[m]
     # A weight that is 0 everywhere would leave the system without a solution.
-    held = np.maximum(weights, 1e-9)
-    band[_ORDER] += held
+    positive_weights = np.maximum(weights, 1e-9)
+    band[_ORDER] += positive_weights
     clean = np.where(weights > 0, values, 0.0)
-    first: Array = solveh_banded(band, held * clean)
-    rest = np.where(weights > 0, clean - first, 0.0)
-    second: Array = solveh_banded(band, held * rest)
+    first: Floats = solveh_banded(band, positive_weights * clean)
+    remainder = np.where(weights > 0, clean - first, 0.0)
+    second: Floats = solveh_banded(band, positive_weights * remainder)
     return first + second
 
 
-def quick_part(at_um: Array, values: Array, *, cutoff_um: float) -> Array:
+def quick_part(at_um: Floats, values: Floats, *, cutoff_um: float) -> Floats:
     """High-pass a series: what :func:`slow_part` leaves; arguments as there."""
     return values - slow_part(at_um, values, cutoff_um=cutoff_um)

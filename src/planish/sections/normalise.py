@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.threads import map_threads
+from planish.core.typing import Bools, Floats
 from planish.sections.band import SectionSeries
-
-Array = NDArray[np.float64]
 
 _CORE = 0.7  # of half the thickness: away from the faces and their coatings
 _OFF_UM = 30.0  # beyond the faces
@@ -33,9 +32,9 @@ class Gains:
     measured : ndarray of bool (sections,)
     """
 
-    gain: Array
-    offset: Array
-    measured: NDArray[np.bool_]
+    gain: Floats
+    offset: Floats
+    measured: Bools
 
 
 def normalise_sections(series: SectionSeries) -> Gains:
@@ -66,8 +65,8 @@ def normalise_sections(series: SectionSeries) -> Gains:
 
     def levels(i: int) -> tuple[float, float]:
         height = band.heights(i, cols) + np.float32(band.jump[i])
-        inner, outer = layers(series.stack[i], height, near, far, step)
-        return _crowd(outer), _crowd(inner)
+        inner, outer = core_and_background(series.stack[i], height, near, far, step)
+        return _crowd_mean(outer), _crowd_mean(inner)
 
     background, material = np.array(map_threads(levels, range(n)), np.float64).T
     contrast = material - background
@@ -79,7 +78,7 @@ def normalise_sections(series: SectionSeries) -> Gains:
     return Gains(gain=gain, offset=offset, measured=measured)
 
 
-def layers(
+def core_and_background(
     section: NDArray[Any], height: NDArray[np.float32], near: float, far: float, step: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Grey levels of the sheet's core and of the background.
@@ -93,15 +92,15 @@ def layers(
     return core[~np.isnan(core)][: 2 * _MOST], off[~np.isnan(off)][: 2 * _MOST]
 
 
-def _crowd(values: NDArray[np.float32]) -> float:
+def _crowd_mean(greys: NDArray[np.float32]) -> float:
     """Value around which most of the data lie, by iteration from the median; NaN for a few pixels."""
-    if values.size < _LEAST:
+    if greys.size < _LEAST:
         return np.nan
-    data = values.astype(np.float64)
-    level = float(np.median(data))
-    spread = 1.4826 * float(np.median(np.abs(data - level)))
+    precise = greys.astype(np.float64)
+    level = float(np.median(precise))
+    spread = 1.4826 * float(np.median(np.abs(precise - level)))
     if spread == 0.0:
         return level
     for _ in range(_ROUNDS):
-        level = float(data[np.abs(data - level) <= _WIDTH * spread].mean())
+        level = float(precise[np.abs(precise - level) <= _WIDTH * spread].mean())
     return level

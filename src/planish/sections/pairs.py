@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from planish.core.threads import map_threads
+from planish.core.typing import Bools, Floats
 from planish.sections._kernels import pair_sums, smooth, straighten
 from planish.sections.band import Band, Stack
+from planish.sections.network import Index
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Samples = NDArray[np.float32]
 
 _PITCH_UM = (2.5, 5.0)  # of the samples, rows and cols: about; a whole number of pixels
@@ -52,19 +52,19 @@ class Pairs:
 
     first: Index
     second: Index
-    offset: Array
-    sigma: Array
-    alike: NDArray[np.bool_]
-    sound: NDArray[np.bool_]
-    sums: Array
-    base: Array
+    offset: Floats
+    sigma: Floats
+    alike: Bools
+    sound: Bools
+    sums: Floats
+    base: Floats
     fine: bool
 
     def without(self, group: int) -> Pairs:
         """Return the same pairs without one group of the columns, of `GROUPS`."""
         parts = self.sums.shape[1]
-        held = np.arange(parts) * GROUPS // parts != group
-        return _solved(self.sums[:, held], self.first, self.second, self.base, self.alike, self.fine)
+        remaining = np.arange(parts) * GROUPS // parts != group
+        return _solve(self.sums[:, remaining], self.first, self.second, self.base, self.alike, self.fine)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +94,7 @@ class Bands:
         """Distance of the samples."""
         return self.step[0] * self.pixel_um[0], self.step[1] * self.pixel_um[1]
 
-    def samples(self, section: int, pose: Array) -> tuple[Samples, Samples]:
+    def samples(self, section: int, pose: Floats) -> tuple[Samples, Samples]:
         """Smoothed band of a section, grey as 0 off the sheet and 1 in it, and the heights of its columns in um.
 
         ``pose``, (row, col) in um and rotation in rad, is taken off.
@@ -104,36 +104,36 @@ class Bands:
         (pixel_r, pixel_c), half = self.pixel_um, self.band.half_um + _MARGIN_UM
         height = self.band.heights(section, cols)
         count = max(5, round(2 * half / pitch_r))
-        out = np.zeros((count, cols // across), np.float32)
+        samples = np.zeros((count, cols // across), np.float32)
         in_pixels = np.array(
             [pose[0] / pixel_r, pose[1] / pixel_c, pose[2] * pixel_c / pixel_r, pose[2] * pixel_r / pixel_c]
         )
-        straighten(self.stack[section], height, -0.5 * (count * down - 1), down, across, in_pixels, out)
-        out -= np.float32(self.band.background[section])
-        out /= np.float32(self.band.contrast[section])
-        self._mend(out)
+        straighten(self.stack[section], height, -0.5 * (count * down - 1), down, across, in_pixels, samples)
+        samples -= np.float32(self.band.background[section])
+        samples /= np.float32(self.band.contrast[section])
+        self._replace_knife_marks(samples)
         blur = max(_FINE_BLUR_UM, pixel_c) if self.fine else _BLUR_UM
         weights = [_gaussian(blur / pitch) for pitch in (pitch_r, pitch_c)]
-        result = np.empty_like(out)
-        smooth(out, weights[0], weights[1], np.empty(out.shape[1] + weights[1].size, np.float32), result)
+        smoothed = np.empty_like(samples)
+        smooth(samples, weights[0], weights[1], np.empty(samples.shape[1] + weights[1].size, np.float32), smoothed)
         if self.fine:
             wide = _gaussian(_FINE_PASS * blur / pitch_c)
-            smooth(result, np.ones(1, np.float32), wide, np.empty(out.shape[1] + wide.size, np.float32), out)
-            result -= out
-        middle = (np.arange(out.shape[1]) + 0.5) * across - 0.5
-        at = np.interp(middle, np.arange(cols), height) * pixel_r
-        return result, (at - 0.5 * (rows - 1) * pixel_r).astype(np.float32)
+            smooth(smoothed, np.ones(1, np.float32), wide, np.empty(samples.shape[1] + wide.size, np.float32), samples)
+            smoothed -= samples
+        middle = (np.arange(samples.shape[1]) + 0.5) * across - 0.5
+        height_um = np.interp(middle, np.arange(cols), height) * pixel_r
+        return smoothed, (height_um - 0.5 * (rows - 1) * pixel_r).astype(np.float32)
 
-    def _mend(self, out: Samples) -> None:
+    def _replace_knife_marks(self, samples: Samples) -> None:
         """Replace columns in which the resin shows a knife mark by those beside: a knife's nick stays where it is."""
         rim = max(1, int(0.7 * _MARGIN_UM / self.pitch_um[0]))
-        profile = np.concatenate([out[:rim], out[-rim:]]).mean(axis=0)
+        profile = np.concatenate([samples[:rim], samples[-rim:]]).mean(axis=0)
         if not np.isfinite(profile).all():
             return
-        window, beside = (max(1, round(length / self.pitch_um[1])) for length in _MEND_UM)
+        window, margin = (max(1, round(length / self.pitch_um[1])) for length in _MEND_UM)
         away = np.abs(profile - median_filter(profile, window, mode="nearest"))
         marked = away > _LINE_SIGMAS * 1.4826 * float(np.median(away))
-        marked = np.convolve(marked, np.ones(2 * beside + 1), mode="same") > 0
+        marked = np.convolve(marked, np.ones(2 * margin + 1), mode="same") > 0
         if not marked.any() or np.count_nonzero(marked) > 0.3 * marked.size:
             return
         good = np.flatnonzero(~marked)
@@ -141,42 +141,42 @@ class Bands:
         right = np.clip(np.searchsorted(good, bad), 1, good.size - 1)
         a, b = good[right - 1], good[right]
         share = np.clip((bad - a) / (b - a), 0.0, 1.0).astype(np.float32)
-        out[:, bad] = out[:, a] * (1 - share) + out[:, b] * share
+        samples[:, bad] = samples[:, a] * (1 - share) + samples[:, b] * share
 
-    def sums(self, pose: Array, first: Index, second: Index) -> Array:
+    def sums(self, pose: Floats, first: Index, second: Index) -> Floats:
         """Sums of `pair_sums` for pairs that are ordered by the first section; (pairs, parts, 13)."""
 
         # A block of sections at a time: each band is made once or twice, and few are held.
-        def block(k: int) -> Array:
-            mine = slice(np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK))
-            return self._block(pose, first[mine], second[mine])
+        def block(k: int) -> Floats:
+            in_block = slice(np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK))
+            return self._block_sums(pose, first[in_block], second[in_block])
 
         return np.concatenate(map_threads(block, range(-(-pose.shape[0] // _BLOCK))))
 
-    def _block(self, pose: Array, first: Index, second: Index) -> Array:
+    def _block_sums(self, pose: Floats, first: Index, second: Index) -> Floats:
         cols = self.stack.shape[2] // self.step[1]
         x = ((np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)) * self.pixel_um[1]
         x32 = x.astype(np.float32)
         parts = int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
-        found = np.zeros((first.size, parts, 13))
+        sums = np.zeros((first.size, parts, 13))
         shared = 1.0 if self.fine else 0.0
-        held: dict[int, tuple[Samples, Samples]] = {}
+        bands: dict[int, tuple[Samples, Samples]] = {}
         for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-            for gone in [s for s in held if s < i]:
-                del held[gone]
+            for gone in [s for s in bands if s < i]:
+                del bands[gone]
             for s in (i, j):
-                if s not in held:
-                    held[s] = self.samples(s, pose[s])
-            (a, y_a), (b, y_b) = held[i], held[j]
-            limit, trust = _limits(a, b)
+                if s not in bands:
+                    bands[s] = self.samples(s, pose[s])
+            (a, y_a), (b, y_b) = bands[i], bands[j]
+            limit, trust = _limits_and_trust(a, b)
             # Columns move along the sheet here, not at a fixed row: where the sheet is tilted, its faces would else
             # tell the shift along the columns, and every unevenness of the smooth surface would count as one. What
             # this neglects vanishes with the shift itself, after two or three rounds.
-            pair_sums(a, b, x32, 0.5 * (y_a + y_b), self.pitch_um, parts, limit, trust, found[k], shared)
-        return found
+            pair_sums(a, b, x32, 0.5 * (y_a + y_b), self.pitch_um, parts, limit, trust, sums[k], shared)
+        return sums
 
 
-def compare(sums: Array, first: Index, second: Index, pose: Array, *, fine: bool) -> Pairs:
+def compare(sums: Floats, first: Index, second: Index, pose: Floats, *, fine: bool) -> Pairs:
     """Offsets of pairs from their sums (pairs, parts, 13); ``pose`` as the bands were made with.
 
     ``fine`` bands show neither a rotation nor whether both are of one sheet.
@@ -184,11 +184,11 @@ def compare(sums: Array, first: Index, second: Index, pose: Array, *, fine: bool
     # Enough of both is there, and they go up and down together.
     total = sums.sum(axis=1)
     likeness = 1.0 - total[:, 9] / np.maximum(total[:, 10], 1e-12)
-    seen = (likeness > _ALIKE) & (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
-    return _solved(sums, first, second, pose[second] - pose[first], seen | fine, fine)
+    alike = (likeness > _ALIKE) & (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
+    return _solve(sums, first, second, pose[second] - pose[first], alike | fine, fine)
 
 
-def _solved(sums: Array, first: Index, second: Index, base: Array, alike: NDArray[np.bool_], fine: bool) -> Pairs:
+def _solve(sums: Floats, first: Index, second: Index, base: Floats, alike: Bools, fine: bool) -> Pairs:
     size = 2 if fine else 3
     scale = np.array([1.0, 1.0, _TURN_UM])[:size]
     rows, cols = np.triu_indices(3)
@@ -209,10 +209,7 @@ def _solved(sums: Array, first: Index, second: Index, base: Array, alike: NDArra
         pull = right - np.einsum("pkij,pj->pki", matrix, answer)
         spread = np.einsum("pk,pki,pkj->pij", weight**2, pull, pull)
         covariance = np.einsum("pij,pjk,pkl->pil", inverse, spread, inverse)
-        strength = np.sqrt(np.maximum(np.einsum("pkii->pki", matrix), 0.0) + 1e-12)
-        away = np.abs(pull / strength)
-        sigmas = np.max(away / (1.4826 * np.median(away, axis=1, keepdims=True) + 1e-12), axis=2)
-        weight = np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
+        weight = _part_weights(matrix, pull)
     offset = base.copy()
     offset[:, :size] += answer / scale
     parts = sums.shape[1]
@@ -227,15 +224,23 @@ def _solved(sums: Array, first: Index, second: Index, base: Array, alike: NDArra
     )  # fmt: skip
 
 
-def _limits(a: Samples, b: Samples) -> tuple[Array, Array]:
+def _part_weights(matrix: Floats, pull: Floats) -> Floats:
+    """Weigh each part of the columns (pairs, parts): less where it pulls farther than the others."""
+    strength = np.sqrt(np.maximum(np.einsum("pkii->pki", matrix), 0.0) + 1e-12)
+    away = np.abs(pull / strength)
+    sigmas = np.max(away / (1.4826 * np.median(away, axis=1, keepdims=True) + 1e-12), axis=2)
+    return np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
+
+
+def _limits_and_trust(a: Samples, b: Samples) -> tuple[Floats, Floats]:
     """Difference beyond which a sample is an outlier, and the weight of its residual, for each row of two bands.
 
     Faces are rough and differ more than the fibres between them: rows in which they lie count less. No row counts more
     than the median row, or the empty resin would count.
     """
     difference = np.abs(a[:, ::4] - b[:, ::4])
-    known = np.isfinite(difference)
-    mean = np.where(known, difference, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    is_valid = np.isfinite(difference)
+    mean = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(is_valid.sum(axis=1), 1)
     mean = np.maximum(mean, max(float(np.median(mean)), 1e-6))
     return _OUTLIER_SIGMAS * 1.2533 * mean, (mean.min() / mean) ** 2
 

@@ -8,14 +8,13 @@ along the columns the other place.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from planish.core.errors import VolumeError
 from planish.core.threads import map_threads
+from planish.core.typing import Bools, Floats
 from planish.sections.band import Stack
 
-Array = NDArray[np.float64]
 Strip = tuple[int, int]
 
 _PARTS = 12  # pieces along the line: their spread says how sure a place is, their course gives the rotation
@@ -31,7 +30,7 @@ def fixed_places(
     *,
     rows: Strip | None = None,
     cols: Strip | None = None,
-) -> Array:
+) -> Floats:
     """Find the place of every section against lines that lie still.
 
     Parameters
@@ -55,7 +54,7 @@ def fixed_places(
         If a strip lies outside the photographs, is too narrow, or shows no line.
     """
     n = stack.shape[0]
-    found = np.full((n, 3), np.nan)
+    places = np.full((n, 3), np.nan)
     for axis, strip in ((0, rows), (1, cols)):
         if strip is None:
             continue
@@ -66,22 +65,22 @@ def fixed_places(
                 f"The strip {low} to {high} of a fixed line does not lie in the photographs, which have {size} "
                 f"{'rows' if axis == 0 else 'columns'}, or is narrower than {_LEAST} pixels. Give first and last one."
             )
-        place, turn = _against(stack, axis, strip, pixel_um)
-        found[:, axis] = place
-        if np.isnan(found[:, 2]).all():
+        place, turn = _line_places(stack, axis, strip, pixel_um)
+        places[:, axis] = place
+        if np.isnan(places[:, 2]).all():
             # Along a column the place is smaller by rotation y, along a row larger by rotation x.
-            found[:, 2] = turn if axis == 0 else -turn
-    mean = np.array([np.nanmean(c) if np.isfinite(c).any() else 0.0 for c in found.T])
-    return found - mean
+            places[:, 2] = turn if axis == 0 else -turn
+    mean = np.array([np.nanmean(c) if np.isfinite(c).any() else 0.0 for c in places.T])
+    return places - mean
 
 
-def _against(stack: Stack, axis: int, strip: Strip, pixel_um: tuple[float, float]) -> tuple[Array, Array]:
+def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: tuple[float, float]) -> tuple[Floats, Floats]:
     """Place in um and slope of the line of each section, against their mean."""
     n, pixel = stack.shape[0], pixel_um[axis]
     length = stack.shape[2 - axis]
     edges = np.linspace(0, length, _PARTS + 1).astype(int)
 
-    def cut(i: int) -> Array:
+    def cut(i: int) -> Floats:
         grey = np.asarray(stack[i], dtype=np.float64)
         grey = grey[strip[0] : strip[1] + 1] if axis == 0 else grey[:, strip[0] : strip[1] + 1].T
         return np.add.reduceat(grey, edges[:-1], axis=1).T / np.diff(edges)[:, None]
@@ -92,33 +91,33 @@ def _against(stack: Stack, axis: int, strip: Strip, pixel_um: tuple[float, float
     for blur in _BLURS_UM:
         smooth = gaussian_filter1d(profiles, max(blur / pixel, 0.5), axis=2, mode="nearest")
         for _ in range(_STEPS):
-            moved = _moved(smooth, off)
+            moved = _shifted(smooth, off)
             template = np.median(moved, axis=0)
-            step, alike = _step(moved, template)
+            step, alike = _match_template(moved, template)
             off += np.clip(step, -2 * blur / pixel, 2 * blur / pixel)
             off -= np.median(off)
-    seen = alike > _ALIKE
-    if np.count_nonzero(seen.sum(axis=1) >= _PARTS // 2) < 0.5 * n:
-        what = "rows" if axis == 0 else "columns"
+    shows_line = alike > _ALIKE
+    if np.count_nonzero(shows_line.sum(axis=1) >= _PARTS // 2) < 0.5 * n:
+        direction = "rows" if axis == 0 else "columns"
         raise VolumeError(
-            f"The {what} {strip[0]} to {strip[1]} show no line or edge that lies still in most sections. Look at a few "
-            "photographs and give a strip that shows the same straight line throughout."
+            f"The {direction} {strip[0]} to {strip[1]} show no line or edge that lies still in most sections. Look at "
+            "a few photographs and give a strip that shows the same straight line throughout."
         )
     along = (0.5 * (edges[1:] + edges[:-1] - 1) - 0.5 * (length - 1)) * pixel_um[1 - axis]
-    return _line(off * pixel, seen, along)
+    return _fit_lines(off * pixel, shows_line, along)
 
 
-def _moved(profiles: Array, off: Array) -> Array:
+def _shifted(profiles: Floats, off: Floats) -> Floats:
     """Profiles read at their places plus ``off``, linearly between pixels."""
     across = profiles.shape[2]
-    at = np.clip(np.arange(across) + off[..., None], 0, across - 1)
-    low = np.minimum(at.astype(int), across - 2)
-    share = at - low
+    position = np.clip(np.arange(across) + off[..., None], 0, across - 1)
+    low = np.minimum(position.astype(int), across - 2)
+    share = position - low
     a, b = (np.take_along_axis(profiles, k, axis=2) for k in (low, low + 1))
     return a * (1 - share) + b * share
 
 
-def _step(moved: Array, template: Array) -> tuple[Array, Array]:
+def _match_template(moved: Floats, template: Floats) -> tuple[Floats, Floats]:
     """How much further each profile lies than the template, in pixels, and its correlation with it.
 
     A profile is gain x template + offset, moved a little: least squares for the three.
@@ -136,17 +135,17 @@ def _step(moved: Array, template: Array) -> tuple[Array, Array]:
     return np.where(good, -move / np.where(good, gain, 1.0), 0.0), alike
 
 
-def _line(off: Array, seen: NDArray[np.bool_], along: Array) -> tuple[Array, Array]:
+def _fit_lines(off: Floats, shows_line: Bools, along: Floats) -> tuple[Floats, Floats]:
     """Mean and slope of each section's pieces; the mean course of all sections is the line's own and is taken off."""
-    known = np.where(seen, off, np.nan)
-    counted = seen.sum(axis=0) > 0
-    own = np.zeros(off.shape[1])
-    own[counted] = np.nanmedian(known[:, counted], axis=0)
+    measured = np.where(shows_line, off, np.nan)
+    counted = shows_line.sum(axis=0) > 0
+    line_course = np.zeros(off.shape[1])
+    line_course[counted] = np.nanmedian(measured[:, counted], axis=0)
     place, turn = np.full(off.shape[0], np.nan), np.full(off.shape[0], np.nan)
     for i in range(off.shape[0]):
-        held = seen[i]
-        if np.count_nonzero(held) < _PARTS // 2:
+        pieces = shows_line[i]
+        if np.count_nonzero(pieces) < _PARTS // 2:
             continue
-        slope, mean = np.polyfit(along[held], (off[i] - own)[held], 1)
+        slope, mean = np.polyfit(along[pieces], (off[i] - line_course)[pieces], 1)
         place[i], turn[i] = mean, slope
     return place, turn

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from planish.core.errors import VolumeError
 from planish.core.lazy import LazyArray, Where, labelled
 from planish.core.threads import map_threads
+from planish.core.typing import Bools, Floats
 from planish.sections._kernels import between
 from planish.sections.align import Alignment
 from planish.sections.band import SectionSeries, Stack
 from planish.sections.normalise import Gains
-
-Array = NDArray[np.float64]
 
 _ON_SECTION = 1e-3  # of a pitch: a plane so near to a section is that section
 _MOST_GAPS = 5  # written out in a message
@@ -63,46 +62,23 @@ def regular_volume(
         If more than `most_missing` sections in a row are missing from an integer stack; in one of real numbers these
         planes are NaN.
     """
-    stack, positions, away, pitch = series.stack, series.positions_um, series.away_um, series.pitch_um
+    stack, real = series.stack, series.stack.dtype.kind == "f"
     n = stack.shape[0]
     used = np.arange(n) if alignment is None else np.flatnonzero(alignment.aligned)
     if used.size < 2:
         raise VolumeError(
             f"{used.size} of {n} sections could be aligned, two are needed. Check that they show one sheet, in order."
         )
-    at = away[used]
-    missing = np.rint(np.diff(at) / pitch).astype(int) - 1
-    long = np.flatnonzero(missing > most_missing)
-    real = stack.dtype.kind == "f"
-    if long.size and not real:
-        where = positions[used]
-        named = ", ".join(f"{missing[k]} between {where[k]:g} and {where[k + 1]:g} um" for k in long[:_MOST_GAPS])
-        more = f" and {long.size - _MOST_GAPS} more" if long.size > _MOST_GAPS else ""
-        raise VolumeError(
-            f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing} in a row can be "
-            "interpolated: add the sections, or split the series there and treat each part as a volume of its own."
-        )
-    planes = at[0] + pitch * np.arange(int((at[-1] - at[0]) / pitch + 0.5 * _ON_SECTION) + 1)
-    before = np.clip(np.searchsorted(at, planes + _ON_SECTION * pitch, side="right") - 1, 0, used.size - 1)
-    after = np.minimum(before + 1, used.size - 1)
-    step = np.where(after > before, at[after] - at[before], 1.0)
-    share = np.clip((planes - at[before]) / step, 0.0, 1.0)
-    share[np.abs(planes - at[before]) <= _ON_SECTION * pitch] = 0.0
-    share[np.abs(planes - at[after]) <= _ON_SECTION * pitch] = 1.0
-    share[after == before] = 0.0
-    inside = (share > 0) & (share < 1)
-    empty = inside & np.isin(before, long)
-    planes_of = Planes(
-        stack=stack, before=used[before], after=used[after], share=share, empty=empty,
-        poses=_poses(n, alignment, series.pixel_um),
-        grades=np.tile([1.0, 0.0], (n, 1)) if gains is None else np.stack([gains.gain, gains.offset], axis=1),
-    )  # fmt: skip
-    values: NDArray[Any] | Planes = planes_of
+    missing = np.rint(np.diff(series.away_um[used]) / series.pitch_um).astype(int) - 1
+    if not real:
+        _check_gaps(series.positions_um[used], missing, most_missing)
+    planes = _place_planes(series, used, np.flatnonzero(missing > most_missing), alignment, gains)
+    values: NDArray[Any] | Planes = planes
     if isinstance(stack, np.ndarray):
-        whole = values = np.empty(planes_of.shape, stack.dtype)
-        map_threads(planes_of.fill, range(planes.size), whole)
-    voxel = (pitch, *map(float, series.pixel_um))
-    held: dict[str, Any] = {
+        values = np.empty(planes.shape, stack.dtype)
+        map_threads(planes.fill, range(planes.shape[0]), values)
+    voxel = (series.pitch_um, *map(float, series.pixel_um))
+    volume_attrs: dict[str, Any] = {
         "units": "1",
         "long_name": "Grey value",
         "voxel_um": list(voxel),
@@ -111,12 +87,52 @@ def regular_volume(
         **(attrs or {}),
         "sections": int(used.size),
         "sections_missing": int(np.maximum(missing, 0).sum()),
-        "first_position_um": float(positions[used[0]]),
+        "first_position_um": float(series.positions_um[used[0]]),
     }
     if alignment is not None:
-        held["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
+        volume_attrs["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
     encoding = {} if isinstance(stack, np.ndarray) else {"whole_slices": True}
-    return labelled(values, "zyx", voxel, name="volume", attrs=held, encoding=encoding)
+    return labelled(values, "zyx", voxel, name="volume", attrs=volume_attrs, encoding=encoding)
+
+
+def _check_gaps(positions_um: Floats, missing: NDArray[np.intp], most_missing: int) -> None:
+    """Refuse runs of missing sections that are too long to be interpolated."""
+    gaps = np.flatnonzero(missing > most_missing)
+    if not gaps.size:
+        return
+    named = ", ".join(
+        f"{missing[k]} between {positions_um[k]:g} and {positions_um[k + 1]:g} um" for k in gaps[:_MOST_GAPS]
+    )
+    more = f" and {gaps.size - _MOST_GAPS} more" if gaps.size > _MOST_GAPS else ""
+    raise VolumeError(
+        f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing} in a row can be "
+        "interpolated: add the sections, or split the series there and treat each part as a volume of its own."
+    )
+
+
+def _place_planes(
+    series: SectionSeries, used: NDArray[np.intp], gaps: NDArray[np.intp], alignment: Alignment | None,
+    gains: Gains | None,
+) -> Planes:  # fmt: skip
+    """Place the planes of a regular grid between the sections that are used; those in one of the gaps are empty."""
+    places, pitch, n = series.away_um[used], series.pitch_um, series.stack.shape[0]
+    planes = places[0] + pitch * np.arange(int((places[-1] - places[0]) / pitch + 0.5 * _ON_SECTION) + 1)
+    before = np.clip(np.searchsorted(places, planes + _ON_SECTION * pitch, side="right") - 1, 0, used.size - 1)
+    after = np.minimum(before + 1, used.size - 1)
+    step = np.where(after > before, places[after] - places[before], 1.0)
+    share = np.clip((planes - places[before]) / step, 0.0, 1.0)
+    share[np.abs(planes - places[before]) <= _ON_SECTION * pitch] = 0.0
+    share[np.abs(planes - places[after]) <= _ON_SECTION * pitch] = 1.0
+    share[after == before] = 0.0
+    return Planes(
+        stack=series.stack,
+        before=used[before],
+        after=used[after],
+        share=share,
+        empty=(share > 0) & (share < 1) & np.isin(before, gaps),
+        poses=_poses(n, alignment, series.pixel_um),
+        grades=np.tile([1.0, 0.0], (n, 1)) if gains is None else np.stack([gains.gain, gains.offset], axis=1),
+    )
 
 
 @dataclass(kw_only=True, eq=False)
@@ -130,10 +146,10 @@ class Planes(LazyArray):
     stack: Stack
     before: NDArray[np.intp]
     after: NDArray[np.intp]
-    share: Array
-    empty: NDArray[np.bool_]
-    poses: Array
-    grades: Array
+    share: Floats
+    empty: Bools
+    poses: Floats
+    grades: Floats
 
     def __post_init__(self) -> None:
         """Take size and type from the sections."""
@@ -145,12 +161,12 @@ class Planes(LazyArray):
         if self.empty[k]:
             out[...] = np.nan
             return
-        both = [int(self.before[k]), int(self.after[k])]
-        one = self.stack[both[0]]
-        other = one if both[0] == both[1] else self.stack[both[1]]
+        pair = [int(self.before[k]), int(self.after[k])]
+        first = self.stack[pair[0]]
+        second = first if pair[0] == pair[1] else self.stack[pair[1]]
         whole = self.dtype.kind != "f"
         low, high = (float(np.iinfo(self.dtype).min), float(np.iinfo(self.dtype).max)) if whole else (-np.inf, np.inf)
-        between(one, other, float(self.share[k]), self.poses[both], self.grades[both], low, high, whole, out)
+        between(first, second, float(self.share[k]), self.poses[pair], self.grades[pair], low, high, whole, out)
 
     def read(self, where: Where) -> NDArray[Any]:
         """Compute a part."""
@@ -162,7 +178,7 @@ class Planes(LazyArray):
         return np.stack(parts)
 
 
-def _poses(n: int, alignment: Alignment | None, pixel_um: tuple[float, float]) -> Array:
+def _poses(n: int, alignment: Alignment | None, pixel_um: tuple[float, float]) -> Floats:
     """Poses of the sections as the kernels take them: pixels, and pixels per pixel."""
     poses = np.zeros((n, 4))
     if alignment is not None:

@@ -1,0 +1,7 @@
+"""Short names for the array types that most modules use."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
