@@ -10,14 +10,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planish.core.typing import Bools, Floats
 from planish.correct.levels import Levels
 from planish.correct.record import Cupping, Trend
 from planish.correct.sums import BASE, BRIGHT, COARSE, GREYS, MATERIALS, Counts, Sums
 from planish.correct.turning import Turning
-
-Array = NDArray[np.float64]
 
 _ROUNDS = 40  # of sorting and fitting
 _LEAST_VOXELS = 3000  # of a material
@@ -37,24 +35,24 @@ class _Fit(NamedTuple):
     se: float
 
 
-def _jackknife(values: Array) -> Array:
+def _jackknife_errors(estimates: Floats) -> Floats:
     """Standard errors (k,) from values (group, k) with each group left out."""
-    n = len(values)
-    return np.sqrt((n - 1) / n * np.sum((values - values.mean(axis=0)) ** 2, axis=0))
+    n = len(estimates)
+    return np.sqrt((n - 1) / n * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0))
 
 
-def _loss(power: float) -> float:
+def _loss_percent(power: float) -> float:
     """Loss in the middle against the reach, in per cent."""
     return 100.0 * (1.0 - 1.0 / max(1.0 + power, 1e-3))
 
 
-def factor(powers: tuple[float, ...], share: Array) -> Array:
+def factor(powers: tuple[float, ...], share: Floats) -> Floats:
     """Factor on the grey above air at a share of the reach, 1 in the middle; constant beyond the reach."""
     return 1.0 + powers[0] * np.minimum(share, 1.0) ** 2
 
 
 def find_cupping(
-    sums: Sums, turning: Turning, levels: Levels, rings: Array
+    sums: Sums, turning: Turning, levels: Levels, rings: Floats
 ) -> tuple[Cupping | None, tuple[Trend, ...], str]:
     """Find the factor that base and coating share, the trend of each material, and what to say of it.
 
@@ -70,20 +68,20 @@ def find_cupping(
     fits: dict[int, _Fit] = {}
     if reach > 0:
         for material in (BASE, BRIGHT):
-            fit = _fit(groups, material, levels, radius / reach, offset)
+            fit = _fit_material(groups, material, levels, radius / reach, offset)
             if fit is not None:
                 fits[material] = fit
     trends = tuple(Trend(material=MATERIALS[m], before=f.percent, se=f.se) for m, f in fits.items())
     if not fits:
         return None, (), "Cupping: too few voxels lie inside the sheet, nothing was corrected."
-    shared, agree = _shared(list(fits.values()))
+    shared, agree = _join_materials(list(fits.values()))
     each = ", ".join(f"{t.material} {t.before:.1f} +- {t.se:.1f} %" for t in trends)
     if not agree:
         return None, trends, f"Cupping: base and coating contradict each other ({each}), nothing was corrected."
     if abs(shared.percent) < max(_CLEAR * shared.se, _LOWEST):
         return None, trends, f"Cupping: no trend against the radius beyond its error ({each}), nothing was corrected."
-    found = Cupping(percent=shared.percent, se=shared.se, powers=(shared.power,), reach_um=reach)
-    return found, trends, f"Cupping: {shared.percent:.1f} +- {shared.se:.1f} % in the middle corrected ({each})."
+    cupping = Cupping(percent=shared.percent, se=shared.se, powers=(shared.power,), reach_um=reach)
+    return cupping, trends, f"Cupping: {shared.percent:.1f} +- {shared.se:.1f} % in the middle corrected ({each})."
 
 
 def middle_factor(sums: Sums, turning: Turning, cupping: Cupping) -> float:
@@ -96,73 +94,73 @@ def middle_factor(sums: Sums, turning: Turning, cupping: Cupping) -> float:
 def _reach(histogram: Counts, turning: Turning) -> float:
     """Largest radius in um at which there is some sheet."""
     voxels = histogram.sum(axis=(1, 2))
-    held = np.flatnonzero(voxels > 0.002 * max(int(voxels.max()), 1))
-    return float((held[-1] + 1) * turning.farthest_um / COARSE) if held.size >= _LEAST_RADII else 0.0
+    radii = np.flatnonzero(voxels > 0.002 * max(int(voxels.max()), 1))
+    return float((radii[-1] + 1) * turning.farthest_um / COARSE) if radii.size >= _LEAST_RADII else 0.0
 
 
-def _mean_rings(sums: Sums, turning: Turning, rings: Array) -> Array:
+def _mean_rings(sums: Sums, turning: Turning, rings: Floats) -> Floats:
     """Mean height of the rings (COARSE,) over the sheet's voxels at each radius of the histogram."""
     voxels = sums.count[:, :, BASE:].sum(axis=(0, 1, 2)).astype(np.float64)
     middle = (np.arange(rings.size) + 0.5) * turning.step_um
     coarse = np.minimum((middle / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
-    held = np.bincount(coarse, voxels, COARSE)
-    return np.bincount(coarse, voxels * rings, COARSE) / np.maximum(held, 1.0)
+    coarse_voxels = np.bincount(coarse, voxels, COARSE)
+    return np.bincount(coarse, voxels * rings, COARSE) / np.maximum(coarse_voxels, 1.0)
 
 
-def _fit(groups: Counts, material: int, levels: Levels, share: Array, offset: Array) -> _Fit | None:
+def _fit_material(groups: Counts, material: int, levels: Levels, share: Floats, offset: Floats) -> _Fit | None:
+    """Fit the factor of one material; None where there are too few of its voxels."""
     if material == BRIGHT and not np.isfinite(levels.middle):
         return None
     # In contrasts above air.
     border = (levels.middle - levels.air) / levels.contrast
     limits = (-np.inf, border) if material == BASE else (border, np.inf)
     whole = groups.sum(axis=0)
-    found = _powers(whole, limits, share, offset)
-    if found is None:
+    fit = _fit_powers(whole, limits, share, offset)
+    if fit is None:
         return None
-    without = [p for p in (_powers(whole - g, limits, share, offset) for g in groups) if p is not None]
+    power, single = fit
+    without = [p for p in (_fit_powers(whole - g, limits, share, offset) for g in groups) if p is not None]
     if len(without) < 3:
         return None
-    own = float(_jackknife(np.array([[_loss(power)] for power, _ in without]))[0])
-    single, left_out = found[1], np.array([depths for _, depths in without])
-    known = np.isfinite(single) & np.isfinite(left_out).all(axis=0)
-    if np.count_nonzero(known) >= 2:
+    error = float(_jackknife_errors(np.array([[_loss_percent(p)] for p, _ in without]))[0])
+    left_out = np.array([depths for _, depths in without])
+    is_valid = np.isfinite(single) & np.isfinite(left_out).all(axis=0)
+    if np.count_nonzero(is_valid) >= 2:
         # A true cupping is the same at every depth; a coating that is thinner in the middle is not. Depths do not err
         # alike by chance only: what they scatter beyond the jackknife is an error of their mean.
-        each, se = 100.0 * single[known], np.maximum(100.0 * _jackknife(left_out[:, known]), 1e-3)
+        each, se = 100.0 * single[is_valid], np.maximum(100.0 * _jackknife_errors(left_out[:, is_valid]), 1e-3)
         w = 1.0 / se**2
         mean = float(np.sum(w * each) / w.sum())
         between = float(np.mean((each - mean) ** 2 - se**2))
-        own = float(np.sqrt(own**2 + max(between, 0.0)))
-    return _Fit(found[0], _loss(found[0]), own)
+        error = float(np.sqrt(error**2 + max(between, 0.0)))
+    return _Fit(power, _loss_percent(power), error)
 
 
-def _powers(histogram: Counts, limits: tuple[float, float], share: Array, offset: Array) -> tuple[float, Array] | None:
+def _fit_powers(
+    histogram: Counts, limits: tuple[float, float], share: Floats, offset: Floats
+) -> tuple[float, Floats] | None:
     """Fit 1 + p share² to the mean grey, less ``offset``, of a material at each depth against the radius.
 
-    Also returns p of each depth alone.
+    Give p, and p of each depth alone; None for too few voxels.
     """
     low, high = limits
     rows = histogram.reshape(-1, histogram.shape[-1]).astype(np.float64)
     start = np.zeros((len(rows), 1))
-    count: Array = np.concatenate([start, np.cumsum(rows, axis=1)], axis=1)
+    count: Floats = np.concatenate([start, np.cumsum(rows, axis=1)], axis=1)
     middles = GREYS[:-1] + 0.5 * (GREYS[1] - GREYS[0])
-    total: Array = np.concatenate([start, np.cumsum(rows * middles, axis=1)], axis=1)
+    total: Floats = np.concatenate([start, np.cumsum(rows * middles, axis=1)], axis=1)
     depths = histogram.shape[1]
     t = np.repeat(np.minimum(share, 1.0) ** 2, depths)
     offset = np.repeat(offset, depths)
     depth = np.tile(np.arange(depths), COARSE)
-    # Where base and coating meet, the least shift of a face changes the grey.
-    border = (low if np.isfinite(low) else high) * np.ones(len(rows))
-    whole = np.bincount(depth, count[:, -1], depths)
-    lower = np.bincount(depth, _between(count, -np.inf * border, border), depths) if np.isfinite(border[0]) else whole
-    mixed = np.minimum(lower, whole - lower) > _PURE * whole
+    mixed = _mixed_depths(count, limits, depth)
     power = 0.0
     used, grey, n = np.zeros(len(rows), bool), np.zeros(len(rows)), np.zeros(len(rows))
     for _ in range(_ROUNDS):
         curve = 1.0 + power * t
         ends = low * curve + offset, high * curve + offset
-        n = _between(count, *ends)
-        grey = _between(total, *ends) / np.maximum(n, 1.0) - offset
+        n = _sum_between(count, *ends)
+        grey = _sum_between(total, *ends) / np.maximum(n, 1.0) - offset
         # A depth has to be there at many radii, or its level cannot be separated from the trend.
         used = (n > 0.02 * n.max()) & ~mixed[depth]
         used &= (np.bincount(depth, used, depths) >= _LEAST_RADII)[depth]
@@ -172,31 +170,48 @@ def _powers(histogram: Counts, limits: tuple[float, float], share: Array, offset
         level /= np.maximum(np.bincount(depth, np.where(used, n, 0.0), depths), 1.0)
         if level[depth[used]].min() <= 0:
             return None
-        # grey = (level + its change) (curve + change of the power), to first order. A second power costs more in noise
-        # than a beam hardened by a sheet of paper has.
-        design = np.zeros((int(np.count_nonzero(used)), depths + 1))
-        design[np.arange(len(design)), depth[used]] = curve[used]
-        design[:, depths] = level[depth[used]] * t[used]
-        root = np.sqrt(n[used])
-        left = grey[used] - level[depth[used]] * curve[used]
-        step = float(np.linalg.lstsq(design * root[:, None], left * root, rcond=None)[0][depths])
+        step = _power_step(level, depth[used], curve[used], t[used], grey[used], n[used])
         power = min(max(power + step, -0.5), 1.0)
         if abs(step) < 1e-5:
             break
-    single = np.full(depths, np.nan)
-    for d in range(depths):
-        here = used & (depth == d)
-        if here.any():
-            line = np.polynomial.polynomial.polyfit(t[here], grey[here], 1, w=np.sqrt(n[here]))
-            single[d] = line[1] / line[0] if line[0] > 0 else np.nan
-    return power, single
+    return power, np.array([_power_of_depth(t, grey, n, used & (depth == d)) for d in range(depths)])
 
 
-def _between(running: Array, low: Array, high: Array) -> Array:
+def _mixed_depths(count: Floats, limits: tuple[float, float], depth: Counts) -> Bools:
+    """Find the depths at which base and coating meet: there the least shift of a face changes the grey."""
+    border = (limits[0] if np.isfinite(limits[0]) else limits[1]) * np.ones(len(count))
+    whole = np.bincount(depth, count[:, -1])
+    lower = np.bincount(depth, _sum_between(count, -np.inf * border, border)) if np.isfinite(border[0]) else whole
+    return np.minimum(lower, whole - lower) > _PURE * whole
+
+
+def _power_step(level: Floats, depth: Counts, curve: Floats, t: Floats, grey: Floats, n: Floats) -> float:
+    """Change of the power by which the greys follow from the levels best.
+
+    grey = (level + its change) (curve + change of the power), to first order. A second power costs more in noise than a
+    beam hardened by a sheet of paper has.
+    """
+    design = np.zeros((grey.size, level.size + 1))
+    design[np.arange(grey.size), depth] = curve
+    design[:, -1] = level[depth] * t
+    root = np.sqrt(n)
+    residual = grey - level[depth] * curve
+    return float(np.linalg.lstsq(design * root[:, None], residual * root, rcond=None)[0][-1])
+
+
+def _power_of_depth(t: Floats, grey: Floats, n: Floats, chosen: Bools) -> float:
+    """Fit the power of one depth alone; NaN where it has no grey."""
+    if not chosen.any():
+        return np.nan
+    line = np.polynomial.polynomial.polyfit(t[chosen], grey[chosen], 1, w=np.sqrt(n[chosen]))
+    return line[1] / line[0] if line[0] > 0 else np.nan
+
+
+def _sum_between(running: Floats, low: Floats, high: Floats) -> Floats:
     """Sum of each row of the histogram between two greys."""
     rows = np.arange(len(running))
 
-    def upto(grey: Array) -> Array:
+    def upto(grey: Floats) -> Floats:
         x = np.clip((grey - GREYS[0]) / (GREYS[1] - GREYS[0]), 0.0, GREYS.size - 1.0)
         i = np.minimum(x.astype(np.int64), GREYS.size - 2)
         return running[rows, i] * (1 - (x - i)) + running[rows, i + 1] * (x - i)
@@ -204,18 +219,19 @@ def _between(running: Array, low: Array, high: Array) -> Array:
     return upto(high) - upto(low)
 
 
-def _shared(fits: list[_Fit]) -> tuple[_Fit, bool]:
+def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
+    """Join the fits of base and coating to the one that is corrected; False where they contradict each other."""
     if len(fits) == 1:
         return fits[0], True
     a, b = fits
-    for one, other in ((a, b), (b, a)):
-        if other.se > _UNSURE * max(one.se, 0.3):
-            return one, True
-    apart = abs(a.percent - b.percent)
-    if apart <= _AGREE * float(np.hypot(a.se, b.se)):
+    for surer, other in ((a, b), (b, a)):
+        if other.se > _UNSURE * max(surer.se, 0.3):
+            return surer, True
+    difference = abs(a.percent - b.percent)
+    if difference <= _AGREE * float(np.hypot(a.se, b.se)):
         w = 1.0 / np.maximum([a.se, b.se], 1e-3) ** 2
         power = float((w[0] * a.power + w[1] * b.power) / w.sum())
-        return _Fit(power, _loss(power), float(1.0 / np.sqrt(w.sum()))), True
+        return _Fit(power, _loss_percent(power), float(1.0 / np.sqrt(w.sum()))), True
     # What both share is corrected, and no more: the rest is the sheet's own.
     if a.percent * b.percent <= 0:
         return a, False

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from planish.core.typing import Bools, Floats
 
 SMOOTHING_PX = 1.5  # gaussian in a slice after which a single voxel shows its material in spite of the noise
 _BINS = 160
@@ -37,44 +36,44 @@ class Levels:
         return self.sheet - self.air
 
 
-def smoothed(values: NDArray[Any]) -> NDArray[np.float32]:
+def smoothed(plane: NDArray[Any]) -> NDArray[np.float32]:
     """Smooth a slice; what is not finite counts as 0 and has to be masked."""
-    finite = np.nan_to_num(values.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    finite = np.nan_to_num(plane.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     return ndimage.gaussian_filter(finite, SMOOTHING_PX)
 
 
-def missing(values: NDArray[Any], padding: float) -> Mask:
+def missing(plane: NDArray[Any], padding: float) -> Bools:
     """Voxels of a slice that hold nothing, and those too near to them to be smoothed."""
-    empty = ~np.isfinite(values) if values.dtype.kind == "f" else np.zeros(values.shape, bool)
+    empty = ~np.isfinite(plane) if plane.dtype.kind == "f" else np.zeros(plane.shape, bool)
     if np.isfinite(padding):
-        empty |= _deep(values == padding)
+        empty |= _without_specks(plane == padding)
     return ndimage.maximum_filter(empty, 9) if empty.any() else empty
 
 
-def find_levels(slices: list[NDArray[Any]], radius: Array) -> Levels | None:
+def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
     """Find the greys in some slices; None where no sheet stands out from the air."""
     padding = _padding(slices, radius)
-    found = _read_off(slices, padding)
-    if found is None:
+    levels = _estimate_levels(slices, padding)
+    if levels is None:
         return None
-    lowest = _lowest(slices)
+    lowest = _lowest_grey(slices)
     dark = cut = 0
     for s in slices:
-        below = (smoothed(s) < found.split) & ~missing(s, padding)
+        below = (smoothed(s) < levels.split) & ~missing(s, padding)
         dark += np.count_nonzero(below)
         cut += np.count_nonzero(below & (s == lowest))
     # Where all of the air has the same value it has no noise: nothing was cut off.
-    return replace(found, padding=padding, air_cut=0.05 < cut / max(dark, 1) < 0.8)
+    return replace(levels, padding=padding, air_cut=0.05 < cut / max(dark, 1) < 0.8)
 
 
-def _lowest(slices: list[NDArray[Any]]) -> float:
+def _lowest_grey(slices: list[NDArray[Any]]) -> float:
     return min((float(np.nanmin(s)) for s in slices if np.isfinite(s).any()), default=float("nan"))
 
 
-def _padding(slices: list[NDArray[Any]], radius: Array) -> float:
+def _padding(slices: list[NDArray[Any]], radius: Floats) -> float:
     """Value of the corners outside the scanner's circle: the lowest one, everywhere outside and nowhere inside."""
-    lowest = _lowest(slices)
-    spike = np.mean([_deep(s == lowest) for s in slices], axis=0)
+    lowest = _lowest_grey(slices)
+    spike = np.mean([_without_specks(s == lowest) for s in slices], axis=0)
     share = float(spike.mean())
     if share < _SPIKE:
         return float("nan")
@@ -82,13 +81,14 @@ def _padding(slices: list[NDArray[Any]], radius: Array) -> float:
     return lowest if spike[outside].mean() > 0.9 and spike[~outside].mean() < 0.1 * share else float("nan")
 
 
-def _deep(mask: Mask) -> Mask:
-    """Where nearly all of the neighbourhood is in the mask: not where noise has cut off single voxels."""
+def _without_specks(mask: Bools) -> Bools:
+    """Mask without the single voxels that noise has cut off: nearly all of a neighbourhood has to be in it."""
     share = ndimage.uniform_filter(mask.astype(np.float32), _WINDOW)
     return mask & (ndimage.maximum_filter(share, _WINDOW) > 0.95)
 
 
-def _read_off(slices: list[NDArray[Any]], padding: float) -> Levels | None:
+def _estimate_levels(slices: list[NDArray[Any]], padding: float) -> Levels | None:
+    """Read the levels off the histogram of smoothed slices; None where no sheet stands out from the air."""
     parts = [smoothed(s)[~missing(s, padding)] for s in slices]
     greys = np.concatenate([p.ravel() for p in parts])
     if greys.size < 1000:
@@ -118,17 +118,17 @@ def _read_off(slices: list[NDArray[Any]], padding: float) -> Levels | None:
 
 def _centre(greys: NDArray[np.float32]) -> float:
     """Mean of what lies near the median."""
-    at = float(np.median(greys))
-    near = np.abs(greys - at) <= max(3 * 1.4826 * float(np.median(np.abs(greys - at))), 1e-6)
+    median = float(np.median(greys))
+    near = np.abs(greys - median) <= max(3 * 1.4826 * float(np.median(np.abs(greys - median))), 1e-6)
     return float(np.mean(greys[near], dtype=np.float64))
 
 
-def _three_classes(count: Array) -> tuple[int, int]:
+def _three_classes(count: Floats) -> tuple[int, int]:
     """Borders of three classes with the largest variance between them (Otsu 1979)."""
     n = np.concatenate([[0.0], np.cumsum(count)])
     s = np.concatenate([[0.0], np.cumsum(count * np.arange(count.size))])
 
-    def gain(a: Any, b: Any) -> Array:
+    def gain(a: Any, b: Any) -> Floats:
         size = n[b] - n[a]
         return np.where(size > 0, (s[b] - s[a]) ** 2 / np.maximum(size, 1.0), 0.0)
 

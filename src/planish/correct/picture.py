@@ -12,16 +12,14 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from PIL import Image
 
 from planish.core.area import area_mean
 from planish.core.errors import FileError
+from planish.core.typing import Floats
 from planish.correct.sums import MATERIALS, UNIT, Sums
 from planish.correct.turning import Turning
 from planish.correct.volume import Corrected
-
-Array = NDArray[np.float64]
 
 _WIDTH, _DPI = 10.4, 135
 _BEFORE, _AFTER, _INK = "#c28a5a", "#1f4e79", "#22292f"
@@ -51,7 +49,7 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
     if not sums or record.air is None or record.sheet is None:
         raise FileError(f"{path} was not drawn: no sheet stands out from the air.")
     turning, air, contrast = corrected.turning, record.air, record.sheet - record.air
-    pictures = _slices(corrected.volume, before, turning)
+    pictures = _middle_slices(corrected.volume, before, turning)
     rows, cols = (n * p for n, p in zip(turning.shape[1:], turning.pitch_um, strict=True))
     tall = rows > 0.7 * cols
     width = _WIDTH / 3 - 0.25 if tall else _WIDTH - 1.5
@@ -60,22 +58,20 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
     with style.context("default"), style.context(_STYLE):
         figure = Figure(figsize=(_WIDTH, total), dpi=_DPI, facecolor="white")
         FigureCanvasAgg(figure)
-        _profiles(_axes(figure, total, 0.75, 0.35, _WIDTH - 1.1, 2.35), corrected, sums, air, contrast)
+        _draw_profiles(_add_axes(figure, total, 0.75, 0.35, _WIDTH - 1.1, 2.35), corrected, sums, air, contrast)
         titles = (f"Slice {turning.shape[0] // 2} across {turning.axis}, before", "after", "before minus after")
         for k, (title, picture) in enumerate(zip(titles, pictures, strict=True)):
-            left, top = (0.15 + k * (width + 0.25), 3.55) if tall else (0.75, 3.5 + k * (height + 0.4))
-            axes = _axes(figure, total, left, top, width, height)
+            corner = (0.15 + k * (width + 0.25), 3.55) if tall else (0.75, 3.5 + k * (height + 0.4))
+            axes = _add_axes(figure, total, *corner, width, height)
             if k == 2:
-                known = np.abs(picture[np.isfinite(picture)])
-                limit = max(float(np.percentile(known, 99.8)) if known.size else 0.0, 0.005 * contrast)
+                limit = max(_largest_difference(picture), 0.005 * contrast)
                 title += f": blue to red is -{limit:.3g} to {limit:.3g}, {100 * limit / contrast:.1f} % of the contrast"
-                _slice(axes, picture, title, cols, cmap="RdBu_r", vmin=-limit, vmax=limit)
+                _draw_slice(axes, picture, title, cols, "RdBu_r", (-limit, limit))
             else:
-                window = {"vmin": air - 0.25 * contrast, "vmax": record.sheet + 0.35 * contrast}
-                _slice(axes, picture, title, cols, cmap="gray", **window)
-        out = io.BytesIO()
-        figure.savefig(out, format="rgba")
-        image = Image.frombytes("RGBA", figure.canvas.get_width_height(), out.getvalue()).convert("RGB")
+                _draw_slice(axes, picture, title, cols, "gray", (air - 0.25 * contrast, record.sheet + 0.35 * contrast))
+        pixels = io.BytesIO()
+        figure.savefig(pixels, format="rgba")
+    image = Image.frombytes("RGBA", figure.canvas.get_width_height(), pixels.getvalue()).convert("RGB")
     try:
         image.save(path, format="PNG", optimize=True)
     except OSError as error:
@@ -84,30 +80,36 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
         ) from error
 
 
-def _axes(figure: Figure, total: float, left: float, top: float, width: float, height: float) -> Axes:
-    return figure.add_axes((left / _WIDTH, 1 - (top + height) / total, width / _WIDTH, height / total))
+def _largest_difference(picture: Floats) -> float:
+    """Size of the differences in a picture but for the largest 0.2 %; 0 where there is none."""
+    magnitudes = np.abs(picture[np.isfinite(picture)])
+    return float(np.percentile(magnitudes, 99.8)) if magnitudes.size else 0.0
 
 
-def _slices(after: xr.DataArray, before: xr.DataArray, turning: Turning) -> tuple[Array, Array, Array]:
+def _add_axes(figure: Figure, total: float, x: float, y: float, width: float, height: float) -> Axes:
+    return figure.add_axes((x / _WIDTH, 1 - (y + height) / total, width / _WIDTH, height / total))
+
+
+def _middle_slices(after: xr.DataArray, before: xr.DataArray, turning: Turning) -> tuple[Floats, Floats, Floats]:
     """Middle slice across the axis, before, after and their difference, at most so fine as the figure."""
     where = {turning.axis: turning.shape[0] // 2}
-    values = [np.asarray(v.isel(where).transpose(*turning.plane).values, np.float64) for v in (before, after)]
-    step = max(1.0, max(values[0].shape) / _WIDEST_PX)
-    a, b = (area_mean(v, (step, step)) if step > 1 else v for v in values)
+    planes = [np.asarray(v.isel(where).transpose(*turning.plane).values, np.float64) for v in (before, after)]
+    step = max(1.0, max(planes[0].shape) / _WIDEST_PX)
+    a, b = (area_mean(v, (step, step)) if step > 1 else v for v in planes)
     return a, b, a - b
 
 
-def _profiles(axes: Axes, corrected: Corrected, sums: list[Sums], air: float, contrast: float) -> None:
+def _draw_profiles(axes: Axes, corrected: Corrected, sums: list[Sums], air: float, contrast: float) -> None:
     record, turning = corrected.record, corrected.turning
     radius = (np.arange(turning.bins) + 0.5) * turning.step_um
-    for one, (colour, name) in zip(sums, ((_BEFORE, "before"), (_AFTER, "after")), strict=False):
-        for m, values in enumerate(_means(one)):
-            grey = air + contrast * values
+    for stage, (colour, name) in zip(sums, ((_BEFORE, "before"), (_AFTER, "after")), strict=False):
+        for m, means in enumerate(_mean_greys(stage)):
+            grey = air + contrast * means
             axes.plot(radius, grey, color=colour, lw=0.9, label=name if m == 0 else None)
-            known = np.flatnonzero(np.isfinite(grey))
-            if known.size and name == "before":
+            bins = np.flatnonzero(np.isfinite(grey))
+            if bins.size and name == "before":
                 axes.annotate(
-                    MATERIALS[m], (radius[known[-1]], grey[known[-1]]), xytext=(4, 0), textcoords="offset points",
+                    MATERIALS[m], (radius[bins[-1]], grey[bins[-1]]), xytext=(4, 0), textcoords="offset points",
                     va="center", color=_INK, fontsize=8,
                 )  # fmt: skip
     for ring in record.rings:
@@ -120,15 +122,18 @@ def _profiles(axes: Axes, corrected: Corrected, sums: list[Sums], air: float, co
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _means(sums: Sums) -> Array:
+def _mean_greys(sums: Sums) -> Floats:
     """Mean (material, bin) of the grey above air, as if every depth were as frequent at every radius; NaN for few."""
     count, total = sums.count.sum(axis=(0, 1)), sums.total.sum(axis=(0, 1))
     level = sums.level[:, 1] / np.maximum(sums.level[:, 0], 1)
     return (level[:, None] + np.where(count >= _LEAST, total / np.maximum(count, 1), np.nan)) / UNIT
 
 
-def _slice(axes: Axes, picture: Array, title: str, width_um: float, **shown: Any) -> None:
-    axes.imshow(picture, interpolation="nearest", aspect="auto", **shown)
+def _draw_slice(
+    axes: Axes, picture: Floats, title: str, width_um: float, colours: str, limits: tuple[float, float]
+) -> None:
+    """Draw a slice without axes, with a bar for its scale."""
+    axes.imshow(picture, colours, interpolation="nearest", aspect="auto", vmin=limits[0], vmax=limits[1])
     axes.set_title(title, loc="left", fontsize=8, color=_INK, pad=3)
     axes.set_xticks([])
     axes.set_yticks([])

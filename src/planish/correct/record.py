@@ -1,4 +1,4 @@
-"""What a correction did, in numbers that go into JSON and into the store."""
+"""Results of a correction: numbers that go into JSON and into the store."""
 
 from __future__ import annotations
 
@@ -131,6 +131,7 @@ class Corrections:
 
 
 def _plain(value: Any) -> Any:
+    """Turn a record into what JSON has; numbers with six digits."""
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.typing import Floats
 from planish.correct.record import Ring
 from planish.correct.sums import UNIT, Sums
 from planish.correct.turning import Turning
-
-Array = NDArray[np.float64]
 
 _ROUNDS = (0.5, 0.2, 0.1, 0.0)  # of the highest ring: what is lower waits for the next round
 _WINDOW, _AFTERWARDS = 49, 13  # bins of half a voxel: the running median, and the mean over it
@@ -35,114 +34,121 @@ _MOST_BINS = 40  # width of a ring; what is wider is left alone
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rings:
+class RingFit:
     """Rings and how their heights vary along the axis."""
 
-    found: tuple[Ring, ...]
-    shapes: Array  # (ring, bin): height at each radius, as a share of the contrast
-    factors: Array  # (ring, block): on the height, at the middle of each block
-    profile: Array  # (bin,): mean over all parts, NaN where it is not known
-    error: Array  # (bin,): its standard error
+    rings: tuple[Ring, ...]
+    shapes: Floats  # (ring, bin): height at each radius, as a share of the contrast
+    factors: Floats  # (ring, block): on the height, at the middle of each block
+    profile: Floats  # (bin,): mean over all parts, NaN where it is not known
+    error: Floats  # (bin,): its standard error
 
     @property
     def limit(self) -> float:
         """Median of the heights that would have been found, as a share of the contrast."""
-        known = np.isfinite(self.error)
-        return float(np.median(np.maximum(_CLEAR * self.error[known], _LOWEST))) if known.any() else float("nan")
+        is_valid = np.isfinite(self.error)
+        return float(np.median(np.maximum(_CLEAR * self.error[is_valid], _LOWEST))) if is_valid.any() else float("nan")
 
     @property
-    def mean(self) -> Array:
+    def mean(self) -> Floats:
         """Height (bin,) of all rings together."""
         return self.shapes.sum(axis=0)
 
-    def tables(self, blocks: Array, slices: NDArray[np.intp]) -> Array:
+    def tables(self, blocks: Floats, slices: NDArray[np.intp]) -> Floats:
         """Height (slice, bin) as a share of the contrast; between the middles of blocks it varies linearly."""
         factors = np.stack([np.interp(slices, blocks, f) for f in self.factors]) if len(self.factors) else None
         return np.zeros((slices.size, self.profile.size)) if factors is None else factors.T @ self.shapes
 
 
-def find_rings(sums: Sums, turning: Turning, contrast: float) -> Rings:
+def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     """Find the rings that stand out from noise and structure; there may be none."""
-    bins = sums.count.shape[-1]
-    known = np.zeros(bins)
-    residual = weight = np.zeros((0, 0, 0, bins))
-    profile = error = known
-    intervals: list[tuple[int, int]] = []
-    for share in _ROUNDS:
-        # A ring lifts the running median beside it, which makes two faint ones of the other sign. So the high ones are
-        # taken off first.
-        residual, weight = _residuals(sums, known)
-        profile, error = _combined(residual.reshape(-1, bins), weight.reshape(-1, bins))
-        profile[:_INNERMOST] = error[:_INNERMOST] = np.nan
-        intervals = _intervals(profile, error, share)
-        known = np.zeros(bins)
-        for first, last in intervals:
-            known[first : last + 1] = profile[first : last + 1]
-    blocks = len(residual)
-    shapes: list[Array] = []
-    factors: list[Array] = []
-    found: list[Ring] = []
-    parts: list[tuple[Array, Array]] = []
-    materials: list[tuple[Array, Array]] = []
+    residual, weight, profile, error, intervals = _find_intervals(sums)
+    blocks, bins = len(residual), profile.size
+    shapes: list[Floats] = []
+    factors: list[Floats] = []
+    rings: list[Ring] = []
+    parts: list[tuple[Floats, Floats]] = []
+    materials: list[tuple[Floats, Floats]] = []
     if intervals:
-        parts = [_combined(r.reshape(-1, bins), w.reshape(-1, bins)) for r, w in zip(residual, weight, strict=True)]
+        parts = [_robust_mean(r.reshape(-1, bins), w.reshape(-1, bins)) for r, w in zip(residual, weight, strict=True)]
         materials = [
-            _combined(residual[:, :, m].reshape(-1, bins), weight[:, :, m].reshape(-1, bins)) for m in range(3)
+            _robust_mean(residual[:, :, m].reshape(-1, bins), weight[:, :, m].reshape(-1, bins)) for m in range(3)
         ]
     for first, last in intervals:
         where = slice(first, last + 1)
-        heights = [_height(profile[where], p[where], e[where]) for p, e in materials]
+        heights = [_height_factor(profile[where], p[where], e[where]) for p, e in materials]
         # What a material clearly shows less than a part of is the structure of another one.
         if any(power and factor + 3.0 / np.sqrt(power) < _SHOWN for factor, power in heights):
             continue
         shape = np.zeros(bins)
         shape[where] = profile[where]
-        factor = _along(shape[where], [(p[where], e[where]) for p, e in parts]) if blocks > 1 else np.ones(1)
+        factor = _block_factors(shape[where], [(p[where], e[where]) for p, e in parts]) if blocks > 1 else np.ones(1)
         crest = first + int(np.argmax(np.abs(profile[where])))
         height = float(profile[crest])
         width = np.count_nonzero(np.abs(profile[where]) >= 0.5 * abs(height)) * turning.step_um
         shapes.append(shape)
         factors.append(factor)
-        ring = Ring(
+        rings.append(Ring(
             radius_um=(crest + 0.5) * turning.step_um, width_um=float(width), height=height * contrast, share=height,
             share_se=float(error[crest]), least=float(factor.min()), most=float(factor.max()),
-        )  # fmt: skip
-        found.append(ring)
-    return Rings(
-        found=tuple(found), shapes=np.array(shapes).reshape(-1, bins), factors=np.array(factors).reshape(-1, blocks),
+        ))  # fmt: skip
+    return RingFit(
+        rings=tuple(rings), shapes=np.array(shapes).reshape(-1, bins), factors=np.array(factors).reshape(-1, blocks),
         profile=profile, error=error,
     )  # fmt: skip
 
 
-def left_over(rings: Rings, after: Rings) -> tuple[Ring, ...]:
-    """What is left of each ring; its crest is weighed with its own shape."""
-    found: list[Ring] = []
-    for ring, shape in zip(rings.found, rings.shapes, strict=True):
+def _find_intervals(sums: Sums) -> tuple[Floats, Floats, Floats, Floats, list[tuple[int, int]]]:
+    """Residual and weight of the parts, their mean profile and its error, and the bins of the rings in it.
+
+    A ring lifts the running median beside it, which makes two faint ones of the other sign. So the high ones are taken
+    off first.
+    """
+    bins = sums.count.shape[-1]
+    heights = np.zeros(bins)
+    residual = weight = np.zeros((0, 0, 0, bins))
+    profile = error = heights
+    intervals: list[tuple[int, int]] = []
+    for share in _ROUNDS:
+        residual, weight = _residuals(sums, heights)
+        profile, error = _robust_mean(residual.reshape(-1, bins), weight.reshape(-1, bins))
+        profile[:_INNERMOST] = error[:_INNERMOST] = np.nan
+        intervals = _intervals(profile, error, share)
+        heights = np.zeros(bins)
+        for first, last in intervals:
+            heights[first : last + 1] = profile[first : last + 1]
+    return residual, weight, profile, error, intervals
+
+
+def remaining_rings(before: RingFit, after: RingFit) -> tuple[Ring, ...]:
+    """Give each ring with the share that the correction left of it; its crest is weighed with its own shape."""
+    remaining: list[Ring] = []
+    for ring, shape in zip(before.rings, before.shapes, strict=True):
         inside = (shape != 0) & np.isfinite(after.profile)
         power = float(np.sum(shape[inside] ** 2))
         share = float(np.sum(shape[inside] * after.profile[inside])) / power if power else float("nan")
-        found.append(replace(ring, share_after=ring.share * share))
-    return tuple(found)
+        remaining.append(replace(ring, share_after=ring.share * share))
+    return tuple(remaining)
 
 
-def _residuals(sums: Sums, rings: Array) -> tuple[Array, Array]:
+def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
     """Mean grey (block, sector, material, bin) over its running median, and its weight: one over the variance.
 
     The running median is that of the grey without ``rings`` (bin,), which are known already.
     """
     count = sums.count.astype(np.float64)
-    known = count >= _LEAST
-    mean = np.where(known, sums.total / np.maximum(count, 1.0), np.nan) / UNIT
+    is_measured = count >= _LEAST
+    mean = np.where(is_measured, sums.total / np.maximum(count, 1.0), np.nan) / UNIT
     residual = np.full(mean.shape, np.nan)
-    for at in np.ndindex(*mean.shape[:3]):
-        here = np.flatnonzero(known[at])
+    for part in np.ndindex(*mean.shape[:3]):
+        here = np.flatnonzero(is_measured[part])
         if here.size < _WINDOW // 2:
             continue
         span = slice(here[0], here[-1] + 1)
-        whole = np.interp(np.arange(span.start, span.stop), here, mean[at][here])
+        whole = np.interp(np.arange(span.start, span.stop), here, mean[part][here])
         plain = whole - rings[span]
         trend = ndimage.uniform_filter1d(ndimage.median_filter(plain, _WINDOW, mode="nearest"), _AFTERWARDS)
-        residual[at][span] = np.where(known[at][span], whole - trend, np.nan)
+        residual[part][span] = np.where(is_measured[part][span], whole - trend, np.nan)
     weight = np.zeros(mean.shape)
     for m in range(mean.shape[2]):
         here = np.isfinite(residual[:, :, m])
@@ -153,23 +159,23 @@ def _residuals(sums: Sums, rings: Array) -> tuple[Array, Array]:
     return np.nan_to_num(residual), weight
 
 
-def _combined(residual: Array, weight: Array) -> tuple[Array, Array]:
+def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Robust mean (bin,) over parts (part, bin) and its standard error; NaN where too few parts have values."""
     total = weight.sum(axis=0)
     sure = np.divide(total**2, np.sum(weight**2, axis=0), out=np.zeros_like(total), where=total > 0) >= min(
         _PARTS, 0.6 * len(weight)
     )
     mean = _weighted_median(residual, weight)
-    held = weight
+    robust = weight
     for _ in range(5):
         off = np.abs(residual - mean) * np.sqrt(weight)
         # The scatter of the parts, but no less than that of their voxels.
         scale = np.maximum(_weighted_median(off, (weight > 0).astype(np.float64)) / np.sqrt(_CHI2), 1.0)
-        held = weight * np.minimum(1.0, 2.0 * scale / np.maximum(off, 1e-12))
-        mean = np.sum(held * residual, axis=0) / np.maximum(held.sum(axis=0), 1e-12)
-    all_held = np.maximum(held.sum(axis=0), 1e-12)
-    scatter = np.sqrt(np.sum((held * (residual - mean)) ** 2, axis=0)) / all_held
-    error = np.maximum(scatter, 1.0 / np.sqrt(all_held))
+        robust = weight * np.minimum(1.0, 2.0 * scale / np.maximum(off, 1e-12))
+        mean = np.sum(robust * residual, axis=0) / np.maximum(robust.sum(axis=0), 1e-12)
+    total_robust = np.maximum(robust.sum(axis=0), 1e-12)
+    scatter = np.sqrt(np.sum((robust * (residual - mean)) ** 2, axis=0)) / total_robust
+    error = np.maximum(scatter, 1.0 / np.sqrt(total_robust))
     # Circles pass the rows of voxels and the layers of the sheet in ever new ways: what that does from bin to bin is
     # error too.
     usual = ndimage.median_filter(np.abs(mean) / error, _AROUND, mode="nearest") / np.sqrt(_CHI2)
@@ -177,57 +183,58 @@ def _combined(residual: Array, weight: Array) -> tuple[Array, Array]:
     return np.where(sure, mean, np.nan), np.where(sure, error, np.nan)
 
 
-def _weighted_median(values: Array, weight: Array) -> Array:
+def _weighted_median(values: Floats, weight: Floats) -> Floats:
     order = np.argsort(values, axis=0, kind="stable")
     running = np.cumsum(np.take_along_axis(weight, order, axis=0), axis=0)
-    at = np.argmax(running >= 0.5 * running[-1], axis=0)
-    return np.take_along_axis(np.take_along_axis(values, order, axis=0), at[None], axis=0)[0]
+    middle = np.argmax(running >= 0.5 * running[-1], axis=0)
+    return np.take_along_axis(np.take_along_axis(values, order, axis=0), middle[None], axis=0)[0]
 
 
-def _intervals(profile: Array, error: Array, share: float) -> list[tuple[int, int]]:
+def _intervals(profile: Floats, error: Floats, share: float) -> list[tuple[int, int]]:
     """First and last bin of every ring that has ``share`` of the height of the highest."""
     height = np.nan_to_num(profile)
     clarity = np.where(np.isfinite(error), np.abs(height) / np.nan_to_num(error, nan=1.0), 0.0)
     # What fills one bin only is no ring: its neighbours have to show it too.
-    beside = ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3) / np.where(clarity > 0, height, 1.0)
-    clarity = np.minimum(clarity, beside * clarity * np.sqrt(3.0))
+    neighbours = ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3) / np.where(clarity > 0, height, 1.0)
+    clarity = np.minimum(clarity, neighbours * clarity * np.sqrt(3.0))
     clear = (clarity > _CLEAR) & (np.abs(height) > _LOWEST)
     highest = float(np.abs(height[clear]).max()) if clear.any() else 0.0
     seeds = np.flatnonzero(clear & (np.abs(height) >= share * highest))
-    found: list[tuple[int, int]] = []
+    in_ring = clarity > _FOOT
+    intervals: list[tuple[int, int]] = []
     for seed in seeds:
-        if found and seed <= found[-1][1]:
+        if intervals and seed <= intervals[-1][1]:
             continue
         ends: list[int] = []
         for step in (-1, 1):
-            at = int(seed)
-            while 0 <= at + step < height.size and clarity[at + step] > _FOOT and height[at + step] * height[seed] > 0:
-                at += step
-            ends.append(at)
+            edge = int(seed)
+            while 0 <= edge + step < height.size and in_ring[edge + step] and height[edge + step] * height[seed] > 0:
+                edge += step
+            ends.append(edge)
         if _NARROWEST <= ends[1] - ends[0] + 1 <= _MOST_BINS:
-            found.append((ends[0], ends[1]))
-    return found
+            intervals.append((ends[0], ends[1]))
+    return intervals
 
 
-def _height(shape: Array, profile: Array, error: Array) -> tuple[float, float]:
+def _height_factor(shape: Floats, profile: Floats, error: Floats) -> tuple[float, float]:
     """Factor on the height of a ring of a known shape, and one over its variance; 1 and 0 where nothing is known."""
-    known = np.isfinite(profile) & np.isfinite(error)
-    w = shape[known] / error[known] ** 2
-    power = float(np.sum(w * shape[known]))
-    return (float(np.sum(w * profile[known])) / power, power) if known.any() else (1.0, 0.0)
+    is_valid = np.isfinite(profile) & np.isfinite(error)
+    w = shape[is_valid] / error[is_valid] ** 2
+    power = float(np.sum(w * shape[is_valid]))
+    return (float(np.sum(w * profile[is_valid])) / power, power) if is_valid.any() else (1.0, 0.0)
 
 
-def _along(shape: Array, parts: list[tuple[Array, Array]]) -> Array:
+def _block_factors(shape: Floats, parts: list[tuple[Floats, Floats]]) -> Floats:
     """Factor on a ring's height in each block; 1 everywhere where the blocks differ by no more than their errors."""
-    factor, power = np.array([_height(shape, *part) for part in parts]).T
+    factor, power = np.array([_height_factor(shape, *part) for part in parts]).T
     variance = np.divide(1.0, power, out=np.full(len(parts), np.inf), where=power > 0)
-    known = np.isfinite(variance)
-    n = int(np.count_nonzero(known))
+    is_valid = np.isfinite(variance)
+    n = int(np.count_nonzero(is_valid))
     if n < 2:
         return np.ones(len(parts))
-    chi2 = float(np.sum((factor[known] - 1.0) ** 2 / variance[known]))
+    chi2 = float(np.sum((factor[is_valid] - 1.0) ** 2 / variance[is_valid]))
     if chi2 < n + 4.0 * np.sqrt(2.0 * n):
         return np.ones(len(parts))
-    between = max(float(np.mean((factor[known] - 1.0) ** 2 - variance[known])), 0.0)
-    pull = np.where(known, between / (between + np.where(known, variance, 1.0)), 0.0)
+    between = max(float(np.mean((factor[is_valid] - 1.0) ** 2 - variance[is_valid])), 0.0)
+    pull = np.where(is_valid, between / (between + np.where(is_valid, variance, 1.0)), 0.0)
     return 1.0 + pull * (factor - 1.0)

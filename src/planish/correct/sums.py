@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.threads import thread_pool
+from planish.core.typing import Floats
 from planish.correct.levels import Levels, missing, smoothed
 from planish.correct.turning import SECTORS, Turning
 
@@ -50,7 +51,7 @@ class Sums:
     total: Counts  # and the sum of their grey, less the mean grey of their material and depth in the same slice
     histogram: Counts  # (block, quarter of the turn, COARSE, depth, grey): voxels inside the sheet
     level: Counts  # (material, 2): number of voxels, and the sum of their grey above air
-    blocks: NDArray[np.float64]  # (block,): middle of each block along the axis, in slices
+    blocks: Floats  # (block,): middle of each block along the axis, in slices
     slices: int  # that were looked at
 
 
@@ -87,19 +88,15 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
     level = np.zeros((len(MATERIALS), 2), np.int64)
     done = 0
 
-    def sort(item: tuple[int, Slice]) -> tuple[int, Counts, NDArray[np.uint8], Counts]:
-        return item[0], *_sorted(item[1], levels)
+    def classify(numbered: tuple[int, Slice]) -> tuple[int, Counts, NDArray[np.uint8], Counts]:
+        return numbered[0], *_classify(numbered[1], levels)
 
     with thread_pool(threads) as pool:
         while group := list(islice(slices, _GROUP)):
-            for number, grey, kind, depth in pool.map(sort, group):
+            for number, grey, kind, depth in pool.map(classify, group):
                 k = min(int(number * middles.size / length), middles.size - 1)
                 _add_to_rings(grey, kind, depth, bins, sectors, count[k], total[k], level)
-                fine = np.clip(((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64), 0, GREYS.size - 2)
-                deep = np.searchsorted(DEPTHS, depth, side="right") - 1
-                inside = kind > 1 + AIR
-                at = np.ravel_multi_index((quarters, coarse, deep, fine), histogram[k].shape)[inside]
-                histogram[k] += np.bincount(at, minlength=histogram[k].size).reshape(histogram[k].shape)
+                _add_to_histogram(grey, kind, depth, quarters, coarse, histogram[k])
                 done += 1
     return Sums(count=count, total=total, histogram=histogram, blocks=middles, level=level, slices=done)
 
@@ -113,32 +110,42 @@ def _add_to_rings(
     Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth, and
     so leaves nothing; a ring does. Sums of whole numbers are exact in double precision.
     """
-    held = kind > 0
-    value, material = grey[held], kind[held].astype(np.int64) - 1
+    is_classified = kind > 0
+    greys, material = grey[is_classified], kind[is_classified].astype(np.int64) - 1
     deepest = _DEEPEST + 1
-    layer = material * deepest + depth[held]
+    layer = material * deepest + depth[is_classified]
     n = np.bincount(layer, minlength=len(MATERIALS) * deepest)
-    sums = np.bincount(layer, value, len(MATERIALS) * deepest)
+    sums = np.bincount(layer, greys, len(MATERIALS) * deepest)
     level[:, 0] += n.reshape(-1, deepest).sum(axis=1)
     level[:, 1] += sums.reshape(-1, deepest).sum(axis=1).astype(np.int64)
     enough = n[layer] >= _LEAST_LAYER
     mean = np.rint(sums / np.maximum(n, 1)).astype(np.int64)
-    at = np.ravel_multi_index((sectors[held], material, bins[held]), count.shape)[enough]
-    count += np.bincount(at, minlength=count.size).reshape(count.shape)
-    more = np.bincount(at, (value - mean[layer])[enough], count.size)
+    cells = np.ravel_multi_index((sectors[is_classified], material, bins[is_classified]), count.shape)[enough]
+    count += np.bincount(cells, minlength=count.size).reshape(count.shape)
+    more = np.bincount(cells, (greys - mean[layer])[enough], count.size)
     total += more.astype(np.int64).reshape(count.shape)
 
 
-def _sorted(values: Slice, levels: Levels) -> tuple[Counts, NDArray[np.uint8], Counts]:
+def _add_to_histogram(
+    grey: Counts, kind: NDArray[np.uint8], depth: Counts, quarters: Counts, coarse: Counts, histogram: Counts
+) -> None:
+    """Count the voxels of a slice inside the sheet by quarter of the turn, radius, depth and grey."""
+    fine = np.clip(((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64), 0, GREYS.size - 2)
+    deep = np.searchsorted(DEPTHS, depth, side="right") - 1
+    cells = np.ravel_multi_index((quarters, coarse, deep, fine), histogram.shape)[kind > 1 + AIR]
+    histogram += np.bincount(cells, minlength=histogram.size).reshape(histogram.shape)
+
+
+def _classify(plane: Slice, levels: Levels) -> tuple[Counts, NDArray[np.uint8], Counts]:
     """Grey above air in whole numbers, material of each voxel well inside one, and its depth below the face.
 
     The material comes from the smoothed slice and with wide limits: a ring of some per cent does not choose its voxels.
     """
-    smooth, empty = smoothed(values), missing(values, levels.padding)
+    smooth, empty = smoothed(plane), missing(plane, levels.padding)
     solid = (smooth > levels.split) & ~empty
     air = (np.abs(smooth - levels.air) < _NEAR_AIR * levels.contrast) & ~empty
-    depth = np.zeros(values.shape, np.int64)
-    kind = np.zeros(values.shape, np.uint8)
+    depth = np.zeros(plane.shape, np.int64)
+    kind = np.zeros(plane.shape, np.uint8)
     for mask in (solid,) if levels.air_cut else (solid, air):
         deep = np.asarray(ndimage.distance_transform_cdt(mask, "chessboard"), np.int64)
         if mask.all():
@@ -146,6 +153,6 @@ def _sorted(values: Slice, levels: Levels) -> tuple[Counts, NDArray[np.uint8], C
         inside = deep > _INSIDE_PX
         depth[inside] = np.minimum(deep[inside], _DEEPEST)
         kind[inside] = 1 + AIR if mask is air else np.where(smooth[inside] > levels.middle, 1 + BRIGHT, 1 + BASE)
-    share = (np.nan_to_num(values.astype(np.float64), posinf=0.0, neginf=0.0) - levels.air) / levels.contrast
+    share = (np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0) - levels.air) / levels.contrast
     grey = np.rint(np.clip(share, GREYS[0], GREYS[-1]) * UNIT).astype(np.int64)
     return grey, kind, depth

@@ -10,9 +10,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import InputError, SizeError, VolumeError
+from planish.core.typing import Floats
 from planish.correct.params import Axis
-
-Array = NDArray[np.float64]
 
 SECTORS = 16  # parts of a full turn that are compared: a ring shows in all of them, a structure of the sheet does not
 
@@ -64,7 +63,7 @@ class Turning:
         ]
         return math.hypot(*ends)
 
-    def radius_um(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Array:
+    def radius_um(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Floats:
         """Distance (rows, cols) from the axis in um."""
         r, c = self._offsets(rows, cols)
         return np.hypot(r[:, None], c[None, :])
@@ -75,7 +74,7 @@ class Turning:
         angle = np.arctan2(r[:, None], c[None, :]) / (2 * np.pi) % 1.0
         return np.minimum((angle * SECTORS).astype(np.int64), SECTORS - 1)
 
-    def _offsets(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> tuple[Array, Array]:
+    def _offsets(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> tuple[Floats, Floats]:
         (a, b), (p, q) = self.centre_um, self.pitch_um
         return rows.astype(np.float64) * p - a, cols.astype(np.float64) * q - b
 
@@ -100,10 +99,10 @@ def make_turning(volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float
     pitch = (size[plane[0]], size[plane[1]])
     ends = [(n - 1) * p for n, p in zip(shape[1:], pitch, strict=True)]
     centre = (0.5 * ends[0], 0.5 * ends[1]) if centre_um is None else centre_um
-    for name, at, end in zip(plane, centre, ends, strict=True):
-        if not -_FAR * end <= at <= (1 + _FAR) * end:
+    for name, position, end in zip(plane, centre, ends, strict=True):
+        if not -_FAR * end <= position <= (1 + _FAR) * end:
             raise InputError(
-                f"The axis of rotation would stand at {name} = {at:g} um; the field runs from 0 to {end:g} um. Give "
-                f"--rotation-centre-um as {plane[0]},{plane[1]} in um from the first voxel."
+                f"The axis of rotation would stand at {name} = {position:g} um; the field runs from 0 to {end:g} um. "
+                f"Give --rotation-centre-um as {plane[0]},{plane[1]} in um from the first voxel."
             )
     return Turning(axis=axis, centre_um=centre, pitch_um=pitch, shape=shape)

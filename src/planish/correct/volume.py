@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from planish.core.errors import InputError
 from planish.core.lazy import LazyArray, Where, replaced
 from planish.core.threads import count_threads
+from planish.core.typing import Floats
 from planish.correct.cupping import factor, find_cupping, middle_factor
 from planish.correct.levels import Levels, find_levels
 from planish.correct.params import CorrectParams
 from planish.correct.record import Corrections, Cupping
-from planish.correct.rings import Rings, find_rings, left_over
+from planish.correct.rings import RingFit, find_rings, remaining_rings
 from planish.correct.sums import Slice, Sums, slices_of, take_sums
 from planish.correct.turning import Turning, make_turning
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, str], None]
 
 _LOOK = 24  # slices of the first look
@@ -30,16 +30,16 @@ _LOOK = 24  # slices of the first look
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """What is done to a voxel: grey taken off at its radius, then a factor on what is above air.
+    """The change of a voxel: grey taken off at its radius, then a factor on what is above air.
 
     ``blocks`` are the middles of the blocks along the axis, ``mean_factor`` is that of the cupping over the sheet.
     """
 
     turning: Turning
     levels: Levels
-    rings: Rings | None
+    rings: RingFit | None
     cupping: Cupping | None
-    blocks: Array
+    blocks: Floats
     mean_factor: float
 
     def apply(
@@ -51,8 +51,8 @@ class Change:
         if self.cupping is not None:
             cup = factor(self.cupping.powers, radius / self.cupping.reach_um) / self.mean_factor
         last = self.turning.bins - 1
-        at = np.clip(radius / self.turning.step_um - 0.5, 0.0, last)
-        inner = np.minimum(at.astype(np.intp), last - 1)
+        bin_position = np.clip(radius / self.turning.step_um - 0.5, 0.0, last)
+        inner = np.minimum(bin_position.astype(np.intp), last - 1)
         tables = None
         if self.rings is not None:
             tables = self.levels.contrast * self.rings.tables(self.blocks, along)
@@ -63,14 +63,14 @@ class Change:
             grey = plane.astype(np.float64)
             above = grey - air
             if tables is not None:
-                ring = tables[k, inner] * (1.0 - (at - inner)) + tables[k, inner + 1] * (at - inner)
+                ring = tables[k, inner] * (1.0 - (bin_position - inner)) + tables[k, inner + 1] * (bin_position - inner)
                 above = grey - ring - air
             changed = air + above / cup
             changed = np.rint(changed) if whole else changed
             within = np.clip(changed, float(limits.min), float(limits.max))
-            kept = (grey == self.levels.padding) | ~np.isfinite(grey)
-            clipped += np.count_nonzero((within != changed) & ~kept)
-            out[k] = np.where(kept, plane, within)
+            is_empty = (grey == self.levels.padding) | ~np.isfinite(grey)
+            clipped += np.count_nonzero((within != changed) & ~is_empty)
+            out[k] = np.where(is_empty, plane, within)
         return out, int(clipped)
 
 
@@ -167,19 +167,19 @@ def correct_volume(
     levels = find_levels([values for _, values in slices(most=_LOOK)], turning.radius_um(rows, cols))
     if levels is None:
         record = replace(record, sentences=("No sheet stands out from the air: nothing was corrected.",))
-        return Corrected(volume=_noted(volume, record), record=record, turning=turning)
+        return Corrected(volume=_with_record(volume, record), record=record, turning=turning)
     record = replace(record, air=levels.air, sheet=levels.sheet)
 
-    def sums(slices: Iterator[tuple[int, Slice]], what: str) -> Sums:
+    def sums(slices: Iterator[tuple[int, Slice]], task: str) -> Sums:
         if progress is not None:
-            progress(what, f"{turning.shape[0]} slices across {params.axis}")
+            progress(task, f"{turning.shape[0]} slices across {params.axis}")
         return take_sums(slices, turning, levels, threads=threads)
 
     before = sums(slices(), "rings and cupping")
-    change, record = _decide(before, turning, levels, record)
+    change, record = _find_change(before, turning, levels, record)
     if not record.changes:
         record = replace(record, trends=tuple(replace(t, after=t.before) for t in record.trends))
-        return Corrected(volume=_noted(volume, record), record=record, turning=turning, before=before)
+        return Corrected(volume=_with_record(volume, record), record=record, turning=turning, before=before)
     clipped = [0, 0]
 
     def changed() -> Iterator[tuple[int, Slice]]:
@@ -190,41 +190,42 @@ def correct_volume(
             yield number, out[0]
 
     after = sums(changed(), "what is left")
-    rest = find_rings(after, turning, levels.contrast)
-    left = {t.material: t.before for t in find_cupping(after, turning, levels, rest.mean)[1]}
+    rings_after = find_rings(after, turning, levels.contrast)
+    losses = {t.material: t.before for t in find_cupping(after, turning, levels, rings_after.mean)[1]}
     record = replace(
         record,
-        rings=() if change.rings is None else left_over(change.rings, rest),
-        trends=tuple(replace(t, after=left.get(t.material)) for t in record.trends),
+        rings=() if change.rings is None else remaining_rings(change.rings, rings_after),
+        trends=tuple(replace(t, after=losses.get(t.material)) for t in record.trends),
         clipped=clipped[0] / clipped[1],
     )
-    corrected = _noted(replaced(volume, CorrectedArray(volume, change)), record)
+    corrected = _with_record(replaced(volume, CorrectedArray(volume, change)), record)
     return Corrected(volume=corrected, record=record, turning=turning, before=before, after=after, change=change)
 
 
-def _noted(volume: xr.DataArray, record: Corrections) -> xr.DataArray:
+def _with_record(volume: xr.DataArray, record: Corrections) -> xr.DataArray:
     return volume.assign_attrs(corrections=record.to_json())
 
 
-def _decide(before: Sums, turning: Turning, levels: Levels, record: Corrections) -> tuple[Change, Corrections]:
+def _find_change(before: Sums, turning: Turning, levels: Levels, record: Corrections) -> tuple[Change, Corrections]:
+    """Find the change that the volume needs, and note it with its reasons in the record."""
     sentences: list[str] = []
-    rings = find_rings(before, turning, levels.contrast)
+    fit = find_rings(before, turning, levels.contrast)
     if "rings" in record.asked:
-        if rings.found:
-            highest = max(abs(r.share) for r in rings.found)
-            sentences.append(f"Rings: {len(rings.found)} corrected, the highest {100 * highest:.1f} % of the contrast.")
+        if fit.rings:
+            highest = max(abs(r.share) for r in fit.rings)
+            sentences.append(f"Rings: {len(fit.rings)} corrected, the highest {100 * highest:.1f} % of the contrast.")
         else:
-            limit = f"one of {100 * rings.limit:.1f} % of the sheet's contrast would have been found"
+            limit = f"one of {100 * fit.limit:.1f} % of the sheet's contrast would have been found"
             sentences.append(f"Rings: no rings above noise ({limit}), nothing was corrected.")
-        record = replace(record, rings=rings.found, ring_limit=rings.limit)
-    cupping, trends, sentence = find_cupping(before, turning, levels, rings.mean)
+        record = replace(record, rings=fit.rings, ring_limit=fit.limit)
+    cupping, trends, sentence = find_cupping(before, turning, levels, fit.mean)
     if "cupping" in record.asked:
         sentences.append(sentence)
     else:
         cupping = None
     record = replace(record, slices=before.slices, cupping=cupping, trends=trends, sentences=tuple(sentences))
     change = Change(
-        turning=turning, levels=levels, rings=rings if record.rings else None, cupping=cupping, blocks=before.blocks,
+        turning=turning, levels=levels, rings=fit if record.rings else None, cupping=cupping, blocks=before.blocks,
         mean_factor=1.0 if cupping is None else middle_factor(before, turning, cupping),
     )  # fmt: skip
     return change, record
