@@ -85,8 +85,8 @@ class Stop(BaseException):
 @pytest.mark.parametrize("after", [0, 1, 3, 7])
 def test_an_import_that_was_killed_goes_on(tmp_path, monkeypatch, after):
     data = volume()
-    write, whole = module._write, []
-    monkeypatch.setattr(module, "_write", lambda *a: (whole.append(a[1]), write(*a))[1])
+    write, whole = module._write_shards, []
+    monkeypatch.setattr(module, "_write_shards", lambda *a: (whole.append(a[1]), write(*a))[1])
     write_store(data, tmp_path / "whole.zarr", memory_bytes=2**20)
     done = []
 
@@ -96,12 +96,12 @@ def test_an_import_that_was_killed_goes_on(tmp_path, monkeypatch, after):
         done.append(where)
         return write(level, where, *more)
 
-    monkeypatch.setattr(module, "_write", stops)
+    monkeypatch.setattr(module, "_write_shards", stops)
     with pytest.raises(Stop):
         write_store(data, tmp_path / "s.zarr", memory_bytes=2**20)
     assert not (tmp_path / "s.zarr").exists()
     again = []
-    monkeypatch.setattr(module, "_write", lambda *a: (again.append(a[1]), write(*a))[1])
+    monkeypatch.setattr(module, "_write_shards", lambda *a: (again.append(a[1]), write(*a))[1])
     write_store(data, tmp_path / "s.zarr", memory_bytes=2**20)
     # A block and its half are one step: where the half was missing, on either thread, the block is written again.
     assert len(again) <= len(whole) - after + 2
@@ -111,7 +111,7 @@ def test_an_import_that_was_killed_goes_on(tmp_path, monkeypatch, after):
 def test_empty_chunks_are_written_by_an_import_that_goes_on(tmp_path, monkeypatch):
     data = xr.zeros_like(volume())
     with monkeypatch.context() as patch:
-        patch.setattr(module, "_coarser", lambda *_a: (_ for _ in ()).throw(Stop))
+        patch.setattr(module, "_write_coarser_level", lambda *_a: (_ for _ in ()).throw(Stop))
         with pytest.raises(Stop):
             write_store(data, tmp_path / "s.zarr")
     for shard in (tmp_path / ".s.zarr.partial" / "0").rglob("checksums.sha256"):
@@ -123,7 +123,7 @@ def test_empty_chunks_are_written_by_an_import_that_goes_on(tmp_path, monkeypatc
 
 
 def test_another_volume_does_not_go_on_with_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "_first_two", lambda *_a, **_k: (_ for _ in ()).throw(Stop))
+    monkeypatch.setattr(module, "_write_finest_levels", lambda *_a, **_k: (_ for _ in ()).throw(Stop))
     with pytest.raises(Stop):
         write_store(volume(), tmp_path / "s.zarr")
     with pytest.raises(InputError, match="another volume stopped"):
@@ -133,7 +133,7 @@ def test_another_volume_does_not_go_on_with_it(tmp_path, monkeypatch):
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), RuntimeError("wires crossed")])
 def test_an_import_that_fails_leaves_nothing_and_blocks_nothing(tmp_path, monkeypatch, error):
     with monkeypatch.context() as patch:
-        patch.setattr(module, "_coarser", lambda *_a: (_ for _ in ()).throw(error))
+        patch.setattr(module, "_write_coarser_level", lambda *_a: (_ for _ in ()).throw(error))
         with pytest.raises(RuntimeError if isinstance(error, RuntimeError) else ResourceError) as raised:
             write_store(volume(), tmp_path / "s.zarr")
         if isinstance(error, OSError):
@@ -146,14 +146,14 @@ def test_an_import_that_fails_leaves_nothing_and_blocks_nothing(tmp_path, monkey
 
 
 def test_two_imports_at_once_do_not_meet(tmp_path, monkeypatch):
-    inner = module._first_two
+    inner = module._write_finest_levels
 
     def second(*args, **more):
         with pytest.raises(FileError, match="Another planish is writing"):
             write_store(volume(), tmp_path / "s.zarr")
         inner(*args, **more)
 
-    monkeypatch.setattr(module, "_first_two", second)
+    monkeypatch.setattr(module, "_write_finest_levels", second)
     write_store(volume(), tmp_path / "s.zarr")
     assert [p.name for p in tmp_path.iterdir()] == ["s.zarr"]
 

@@ -20,12 +20,12 @@ Array = zarr.Array[Any]
 
 def missing_shards(path: Path) -> list[str]:
     """Return the shards that the lists of checksums name and that are not there; empty where there is no list."""
-    return [name for name in _listed(path) if not (path / name).is_file()]
+    return [name for name in _read_checksums(path) if not (path / name).is_file()]
 
 
 def store_fingerprint(path: Path) -> str:
     """SHA-256 over the checksums of all shards, for which no shard is read; empty where there are no checksums."""
-    listed = sorted(_listed(path).items())
+    listed = sorted(_read_checksums(path).items())
     if not listed:
         return ""
     # The shards hold the voxels, the metadata their size.
@@ -39,7 +39,7 @@ class Journal:
 
     def __init__(self, folder: Path, ome: str) -> None:
         self.folder, self.prefix = folder.absolute(), "c/" if ome == "0.5" else ""
-        self.listed = set(_listed(folder))
+        self.listed = set(_read_checksums(folder))
 
     def names(self, level: Array, where: Where) -> list[str]:
         """Files of the shards of a block, in the folder of their level."""
@@ -70,14 +70,14 @@ class Journal:
             delete(half)
 
 
-def _listed(folder: Path) -> dict[str, str]:
+def _read_checksums(folder: Path) -> dict[str, str]:
     """Shards of all levels and their checksums; a last line that was cut off does not count."""
-    found: dict[str, str] = {}
+    checksums: dict[str, str] = {}
     for path in sorted(folder.glob(f"*/{CHECKSUMS}")):
         for line in path.read_text(encoding="utf-8").splitlines(keepends=True):
             if line.endswith("\n") and line[64:66] == "  ":
-                found[f"{path.parent.name}/{line[66:-1]}"] = line[:64]
-    return found
+                checksums[f"{path.parent.name}/{line[66:-1]}"] = line[:64]
+    return checksums
 
 
 def _sha256(path: Path) -> str:

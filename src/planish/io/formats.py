@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from planish.core.errors import FileError, InputError, VolumeError
 from planish.core.text import printable
 from planish.io.guard import quiet
-from planish.io.lazy import FileArray, settle
+from planish.io.lazy import FileArray, read_if_small
 from planish.io.sizes import Stated
 from planish.io.tiff import size_words
 
@@ -113,12 +113,12 @@ def find_place(path: str | Path) -> Place:
             "the file another name."
         )
     if not exists(Path(text)):
-        for at in range(len(text) - 1, 0, -1):
-            front = text[:at]
-            if text[at] != ":" or (at == 1 and front.isalpha()):
+        for colon in range(len(text) - 1, 0, -1):
+            front = text[:colon]
+            if text[colon] != ":" or (colon == 1 and front.isalpha()):
                 continue
             if exists(Path(front)) or any(front.lower().endswith(s) for f in FORMATS if f.parts for s in f.suffixes):
-                return Place(path=Path(front), part=text[at + 1 :].replace(os.sep, "/"))
+                return Place(path=Path(front), part=text[colon + 1 :].replace(os.sep, "/"))
     return Place(path=Path(text))
 
 
@@ -134,20 +134,20 @@ def format_of(place: Place) -> Format:
     """Find the format by the name, or for folders by what lies in them; everything else is an image file."""
     path = place.path
     name = path.name.lower()
-    found = next((f for f in FORMATS if name.endswith(f.suffixes) and path.is_dir() == bool(f.members)), None)
+    file_format = next((f for f in FORMATS if name.endswith(f.suffixes) and path.is_dir() == bool(f.members)), None)
     if path.is_dir():
-        found = found or next((f for f in FORMATS if any((path / m).is_file() for m in f.members)), SLICES)
-    found = found or TIFF
-    if place.part and not found.parts:
+        file_format = file_format or next((f for f in FORMATS if any((path / m).is_file() for m in f.members)), SLICES)
+    file_format = file_format or TIFF
+    if place.part and not file_format.parts:
         raise FileError(
-            f"{path.name} is {found.name}, in which {place.part!r} chooses nothing. Leave out ':{place.part}'."
+            f"{path.name} is {file_format.name}, in which {place.part!r} chooses nothing. Leave out ':{place.part}'."
         )
-    return found
+    return file_format
 
 
-def loader(found: Format) -> Callable[..., LoadedVolume]:
+def loader(file_format: Format) -> Callable[..., LoadedVolume]:
     """Import the module of a format and return its function ``load``."""
-    module: Any = importlib.import_module(f"planish.io.{found.module}")
+    module: Any = importlib.import_module(f"planish.io.{file_format.module}")
     return module.load
 
 
@@ -191,7 +191,7 @@ def full_scale(dtype: np.dtype[Any], bits: int) -> int | None:
     return 1 if dtype.kind == "b" else min(int(np.iinfo(dtype).max), 2**bits - 1)
 
 
-def settled(volume: LoadedVolume, path: Path, *, memory_bytes: int | None) -> LoadedVolume:
+def checked_volume(volume: LoadedVolume, path: Path, *, memory_bytes: int | None) -> LoadedVolume:
     """Check shape and type, and read what is small."""
     shape = volume.values.shape
     if 0 in shape or math.prod(shape) > MOST_VOXELS:
@@ -202,7 +202,7 @@ def settled(volume: LoadedVolume, path: Path, *, memory_bytes: int | None) -> Lo
     if len(shape) != 3 or min(shape) == 1:
         raise VolumeError(f"{path.name} is no volume but {size_words(shape)} voxels (z, y, x). {ADVICE}")
     check_type(volume.values.dtype, path)
-    return replace(volume, values=settle(volume.values, memory_bytes=memory_bytes))
+    return replace(volume, values=read_if_small(volume.values, memory_bytes=memory_bytes))
 
 
 def check_type(dtype: np.dtype[Any], path: Path) -> None:
@@ -213,7 +213,7 @@ def check_type(dtype: np.dtype[Any], path: Path) -> None:
         raise VolumeError(f"{path.name} has {dtype} values. Needed are integers or real numbers up to 64 bits.")
 
 
-def inside(folder: Path, name: str, path: Path, *, base: Path | None = None) -> Path:
+def referenced_file(folder: Path, name: str, path: Path, *, base: Path | None = None) -> Path:
     """Path of a file that another file names, which has to lie in the same folder or below."""
     target = (base or folder) / name
     try:
@@ -274,8 +274,7 @@ def check_chunks(
     if not stored:
         raise FileError(f"{name} has no values: none of its {total} chunks is stored. {remedy}")
     names = "tczyx"[-len(grid) :] if len(grid) <= 5 else range(len(grid))
-    for axis, (found, n, c) in enumerate(zip(zip(*stored, strict=True), grid, chunk, strict=True)):
-        places = set(found)
+    for axis, (places, n, c) in enumerate(zip(map(set, zip(*stored, strict=True)), grid, chunk, strict=True)):
         missing = next((p for p in range(n) if p not in places), None)
         if missing is not None:
             raise FileError(

@@ -144,16 +144,16 @@ class _MemoryStatus(ctypes.Structure):
 def _available_on_windows(kernel: Any) -> int:
     """Physical memory that is free, as the library kernel32 reports it."""
     status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
-    found = kernel.GlobalMemoryStatusEx(ctypes.byref(status)) and int(status.available)
-    return found or MEMORY_UNKNOWN_BYTES
+    available_bytes = kernel.GlobalMemoryStatusEx(ctypes.byref(status)) and int(status.available)
+    return available_bytes or MEMORY_UNKNOWN_BYTES
 
 
 def _control_group_limit_bytes(
-    own: Path = Path("/proc/self/cgroup"), groups: Path = Path("/sys/fs/cgroup")
+    membership: Path = Path("/proc/self/cgroup"), groups: Path = Path("/sys/fs/cgroup")
 ) -> int:  # fmt: skip
     """Least memory limit of the control groups of the process (containers, batch systems); a huge number if none."""
     try:
-        lines = [line.split(":", 2) for line in own.read_text(encoding="utf-8", errors="replace").splitlines()]
+        lines = [line.split(":", 2) for line in membership.read_text(encoding="utf-8", errors="replace").splitlines()]
     except OSError:
         lines = []
     # Inside a container the path may be the one outside: the group's own files then lie at the top.
@@ -164,12 +164,12 @@ def _control_group_limit_bytes(
         root, name = places[1] if controllers else places[0]
         folder = Path(path.lstrip("/"))
         places += [(root / part, name) for part in (folder, *folder.parents)]
-    found = [2**62]
+    limits = [2**62]
     for folder, name in places:
         try:
             text = (folder / name).read_text(encoding="ascii", errors="replace").strip()
         except OSError:
             continue
         if text.isdigit():
-            found.append(int(text))
-    return min(found)
+            limits.append(int(text))
+    return min(limits)

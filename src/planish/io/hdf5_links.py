@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import h5py  # pyright: ignore[reportMissingTypeStubs]
 
 from planish.core.errors import FileError, VolumeError
-from planish.io.formats import inside
+from planish.io.formats import referenced_file
 from planish.io.guard import reading, size_of_file
 from planish.io.tiff import size_words
 
@@ -62,23 +62,23 @@ def link_of(group: Any, name: str) -> Link | None:
 def find_dataset(path: Path, name: str) -> tuple[Path, str]:
     """Follow a path through groups and links."""
     folder, here, where = path.parent, path, ""
-    rest = [part for part in name.split("/") if part not in ("", ".")]
+    remaining = [part for part in name.split("/") if part not in ("", ".")]
     for _ in range(MOST_LINKS):
         with opened(here) as file:
-            while rest:
-                part = rest[0]
+            while remaining:
+                part = remaining[0]
                 link = link_of(file[where or "/"], part)
                 if link is None:
-                    raise VolumeError(f"{path.name} has no {name!r}: {part!r} is not there. {listed(path)}")
+                    raise VolumeError(f"{path.name} has no {name!r}: {part!r} is not there. {describe_volumes(path)}")
                 if link.hard:
-                    where, rest = f"{where}/{part}", rest[1:]
+                    where, remaining = f"{where}/{part}", remaining[1:]
                     continue
                 target = [p for p in link.target.split("/") if p not in ("", ".")]
                 relative = not link.file and not link.target.startswith("/")
-                rest = ([p for p in where.split("/") if p] if relative else []) + target + rest[1:]
+                remaining = ([p for p in where.split("/") if p] if relative else []) + target + remaining[1:]
                 where = ""
                 if link.file:
-                    here = inside(folder, link.file, path, base=here.parent)
+                    here = referenced_file(folder, link.file, path, base=here.parent)
                 break
             else:
                 return here, where
@@ -103,37 +103,37 @@ def check_storage(dataset: h5py.Dataset, path: Path, *, depth: int = 0) -> None:
             raise FileError(
                 f"{path.name}: {dataset.name} takes its parts from a pattern of files. Copy it into one file."
             )
-        file = path if source == "." else inside(path.parent, source, path)
-        place, found = find_dataset(file, name)
-        if place.resolve() != file.resolve() or found.strip("/") != name.strip("/"):
+        file = path if source == "." else referenced_file(path.parent, source, path)
+        target, target_name = find_dataset(file, name)
+        if target.resolve() != file.resolve() or target_name.strip("/") != name.strip("/"):
             raise FileError(f"{path.name}: {dataset.name} reaches its parts through links. Copy it into one file.")
-        with opened(file) as other:
-            part: Any = other[name]
+        with opened(file) as source_file:
+            part: Any = source_file[name]
             check_storage(part, file, depth=depth + 1)
 
 
 def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
     """Names, shapes and types of all data sets with three axes longer than 1, links left aside."""
-    found: list[tuple[str, tuple[int, ...], str]] = []
-    seen = count()
+    volumes: list[tuple[str, tuple[int, ...], str]] = []
+    visits = count()
 
-    def note(name: str, item: Any) -> bool | None:
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "buif":
-            shape = tuple(int(n) for n in item.shape or ())
+    def note(name: str, member: Any) -> bool | None:
+        if isinstance(member, h5py.Dataset) and member.dtype.kind in "buif":
+            shape = tuple(int(n) for n in member.shape or ())
             if sum(n > 1 for n in shape) == 3:
-                found.append((f"/{name}", shape, str(item.dtype)))
-        return True if next(seen) > MOST_OBJECTS else None
+                volumes.append((f"/{name}", shape, str(member.dtype)))
+        return True if next(visits) > MOST_OBJECTS else None
 
     with opened(path) as file:
         file.visititems(note)
-    return found
+    return volumes
 
 
-def listed(path: Path) -> str:
+def describe_volumes(path: Path) -> str:
     """Which volumes there are, and how to choose one."""
-    found = volumes_in(path)
-    if not found:
+    volumes = volumes_in(path)
+    if not volumes:
         return "It holds no data set with three axes."
-    names = ", ".join(f"{name} ({size_words(shape)} {dtype})" for name, shape, dtype in found[:8])
-    more = f" and {len(found) - 8} more" if len(found) > 8 else ""
-    return f"Its volumes are {names}{more}: choose one as {path.name}:{found[0][0]}."
+    names = ", ".join(f"{name} ({size_words(shape)} {dtype})" for name, shape, dtype in volumes[:8])
+    more = f" and {len(volumes) - 8} more" if len(volumes) > 8 else ""
+    return f"Its volumes are {names}{more}: choose one as {path.name}:{volumes[0][0]}."

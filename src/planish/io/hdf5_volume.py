@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks
-from planish.io.hdf5_links import check_storage, find_dataset, link_of, listed, opened, volumes_in
-from planish.io.lazy import FileArray, turned
+from planish.io.hdf5_links import check_storage, describe_volumes, find_dataset, link_of, opened, volumes_in
+from planish.io.lazy import FileArray, transposed
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import size_words
 
@@ -37,11 +37,11 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     with opened(file_path) as file:
         dataset: Any = file[name]
         if not isinstance(dataset, h5py.Dataset):
-            raise VolumeError(f"{path.name}: {place.part!r} is a group. {listed(path)}")
+            raise VolumeError(f"{path.name}: {place.part!r} is a group. {describe_volumes(path)}")
         long = [axis for axis, n in enumerate(dataset.shape or ()) if n > 1]
         if len(long) != 3:
-            what = size_words(dataset.shape or ()) or "one value"
-            raise VolumeError(f"{path.name}: {name} is no volume but {what}. {ADVICE}")
+            extent = size_words(dataset.shape or ()) or "one value"
+            raise VolumeError(f"{path.name}: {name} is no volume but {extent}. {ADVICE}")
         array, notes = lazy_dataset(dataset, file_path)
         axes = _axis_names(dataset)
         # As NeXus names them, otherwise as they stand.
@@ -49,7 +49,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         order = [long[letters.index(a)] for a in "zyx"] if sorted(letters) == ["x", "y", "z"] else long
         stated = [*_stated_by_nexus(dataset, axes, order), *_stated_by_attributes(dataset)]
     return LoadedVolume(
-        values=turned(array, order), stated=stated, files=[path, file_path], attrs={"dataset": name}, notes=notes
+        values=transposed(array, order), stated=stated, files=[path, file_path], attrs={"dataset": name}, notes=notes
     )
 
 
@@ -63,15 +63,15 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
         raise FileError(f"{name} has no values stored. It is cut off: copy or export it again.")
     if dataset.is_virtual or chunks is None:
         return array, ()
+    if dataset.id.get_num_chunks() == math.prod(-(-n // c) for n, c in zip(shape, chunks, strict=True)):
+        return array, ()
     present: list[tuple[int, ...]] = []
 
-    def note(info: Any) -> None:
-        present.append(tuple(o // c for o, c in zip(info.chunk_offset, chunks, strict=True)))
+    def note(chunk: Any) -> None:
+        present.append(tuple(o // c for o, c in zip(chunk.chunk_offset, chunks, strict=True)))
 
-    if dataset.id.get_num_chunks() != math.prod(-(-n // c) for n, c in zip(shape, chunks, strict=True)):
-        dataset.id.chunk_iter(note)
-        return array, check_chunks(present, shape, chunks, name=name)
-    return array, ()
+    dataset.id.chunk_iter(note)
+    return array, check_chunks(present, shape, chunks, name=name)
 
 
 class Hdf5Array(FileArray):
@@ -99,11 +99,11 @@ def _choose(path: Path) -> tuple[Path, str]:
         default = _default_dataset(file, path)
     if default is not None:
         return find_dataset(path, default)
-    found = volumes_in(path)
-    if len(found) != 1:
-        many = f"{len(found)} volumes" if found else "no volume"
-        raise VolumeError(f"{path.name} holds {many}. {listed(path)}")
-    return path, found[0][0]
+    volumes = volumes_in(path)
+    if len(volumes) != 1:
+        many = f"{len(volumes)} volumes" if volumes else "no volume"
+        raise VolumeError(f"{path.name} holds {many}. {describe_volumes(path)}")
+    return path, volumes[0][0]
 
 
 def _default_dataset(file: h5py.File, path: Path) -> str | None:
@@ -175,8 +175,8 @@ def _stated_by_nexus(dataset: Any, names: Sequence[str], order: Sequence[int]) -
             steps[axis], units[axis] = step, _attribute(values, "units")
     if not notes and steps == [None] * len(steps):
         return []
-    found = stated_in("the NeXus axes", steps, units, order)
-    return [Stated(source=found.source, um=found.um, note=", ".join([*notes, found.note] if found.note else notes))]
+    stated = stated_in("the NeXus axes", steps, units, order)
+    return [Stated(source=stated.source, um=stated.um, note=", ".join([*notes, stated.note] if stated.note else notes))]
 
 
 def _stated_by_attributes(dataset: Any) -> list[Stated]:
@@ -191,8 +191,8 @@ def _stated_by_attributes(dataset: Any) -> list[Stated]:
                 continue
             unit = "um" if folded == "voxel_um" else folded[len(base) + 1 :]
             if not unit:
-                beside = next((u for u in (f"{base}_units", f"{base}_unit", "units", "unit") if u in keys), "")
-                unit = _attribute(owner, keys.get(beside, ""))
+                unit_key = next((u for u in (f"{base}_units", f"{base}_unit", "units", "unit") if u in keys), "")
+                unit = _attribute(owner, keys.get(unit_key, ""))
             sizes = [float(v) for v in np.broadcast_to(values, 3)]
             stated.append(stated_in(f"the attribute {key}", sizes, [unit] * 3))
     return stated
@@ -202,8 +202,8 @@ def _attribute(owner: Any, name: str) -> str:
     return _word(owner.attrs[name]) if name in owner.attrs else ""
 
 
-def _word(value: Any) -> str:
+def _word(stored: Any) -> str:
     """Read a word that may be stored as bytes, or as an array of one."""
-    one = np.asarray(value).ravel()[:1]
-    found: Any = one[0] if one.size else ""
-    return found.decode("utf-8", errors="replace") if isinstance(found, bytes) else str(found)
+    entries = np.asarray(stored).ravel()[:1]
+    word: Any = entries[0] if entries.size else ""
+    return word.decode("utf-8", errors="replace") if isinstance(word, bytes) else str(word)

@@ -79,12 +79,13 @@ def raw_values(
 ) -> NDArray[Any] | FileArray:
     """Map values that lie in a file as they are and fill it from an offset to its end."""
     needed = math.prod(shape) * stored.itemsize
-    there = size_of_file(data) - offset
-    if there != needed:
-        fault = "It was cut off" if there < needed else "The header is wrong"
+    stored_bytes = size_of_file(data) - offset
+    if stored_bytes != needed:
+        fault = "It was cut off" if stored_bytes < needed else "The header is wrong"
         raise FileError(
             f"{path.name} declares {size_words(shape)} values of {stored.itemsize} bytes, {needed} bytes; {data.name} "
-            f"has {max(there, 0)} from byte {offset} on. {fault}: copy or export it again, or correct the header."
+            f"has {max(stored_bytes, 0)} from byte {offset} on. {fault}: copy or export it again, or correct the "
+            "header."
         )
     return mapped(data, shape, stored, offset=offset)
 
@@ -119,9 +120,9 @@ def unpacked_parts(path: Path, header: Header) -> Iterator[bytes]:
             if 0 < filled <= needed:
                 yield part[-filled:] if filled < len(part) else part
     if filled != needed or not unpacker.eof:
-        found = f"more than the {needed}" if filled > needed else f"{max(filled, 0)} of the {needed}"
+        amount = f"more than the {needed}" if filled > needed else f"{max(filled, 0)} of the {needed}"
         raise FileError(
-            f"{path.name}: the packed values in {header.data.name} hold {found} bytes declared. It is cut off or "
+            f"{path.name}: the packed values in {header.data.name} hold {amount} bytes declared. It is cut off or "
             "damaged, or its header is wrong: copy or export it again."
         )
 
@@ -130,8 +131,8 @@ def axes_of(sizes: tuple[int, ...], several: str, path: Path) -> tuple[int, ...]
     """Which axes are z, y, x: the three that are longer than 1, the slowest first."""
     long = tuple(axis for axis, n in enumerate(sizes) if n > 1)
     if several or len(long) != 3:
-        what = f"has {several}" if several else "is no volume"
-        raise VolumeError(f"{path.name} {what}: {size_words(sizes)} (fastest axis first). {ADVICE}")
+        fault = f"has {several}" if several else "is no volume"
+        raise VolumeError(f"{path.name} {fault}: {size_words(sizes)} (fastest axis first). {ADVICE}")
     return long[::-1]
 
 

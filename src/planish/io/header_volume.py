@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.formats import LoadedVolume, Place, extra, inside
+from planish.io.formats import LoadedVolume, Place, extra, referenced_file
 from planish.io.guard import default_memory_limit, reading
 from planish.io.headed import Header, axes_of, head_of, unpacked_parts, values_behind
 from planish.io.lazy import FileArray
@@ -46,7 +46,7 @@ def load(place: Place, _channel: str | None, memory_bytes: int | None) -> Loaded
     """Map the values, or leave them to be unpacked."""
     path = place.path
     head = head_of(path, LARGEST_HEADER)
-    header = (_nrrd if path.suffix.lower() in (".nrrd", ".nhdr") else _meta)(head, path)
+    header = (_nrrd_header if path.suffix.lower() in (".nrrd", ".nhdr") else _meta_header)(head, path)
     limit = default_memory_limit() if memory_bytes is None else memory_bytes
     values: NDArray[Any] | FileArray = values_behind(path, header)
     if header.packing and header.needed_bytes > limit and path.suffix.lower() in (".mha", ".mhd"):
@@ -67,23 +67,25 @@ def _type_of(word: str, path: Path) -> np.dtype[Any]:
 def _data_file(name: str, path: Path) -> Path:
     if name.split()[:1] == ["LIST"] or "%" in name:
         raise FileError(f"{path.name} takes its slices from several files. Save it as one file.")
-    return inside(path.parent, name, path)
+    return referenced_file(path.parent, name, path)
 
 
-def _nrrd(head: bytes, path: Path) -> Header:
+def _nrrd_header(head: bytes, path: Path) -> Header:
     import nrrd  # pyright: ignore[reportMissingTypeStubs]
 
     if not head.startswith(b"NRRD"):
         raise FileError(f"{path.name} is no NRRD file. Check its name, or export it again.")
-    taken: list[str] = []
+    header_lines: list[str] = []
     end = 0
     for line in BytesIO(head):
-        taken.append(line.decode("utf-8", errors="replace"))  # pynrrd would drop what is not ASCII, as in file names
+        header_lines.append(
+            line.decode("utf-8", errors="replace")
+        )  # pynrrd would drop what is not ASCII, as in file names
         end += len(line)
         if not line.strip():
             break
     with reading(path):
-        keys: Mapping[str, Any] = nrrd.read_header(taken)
+        keys: Mapping[str, Any] = nrrd.read_header(header_lines)
         sizes = tuple(int(n) for n in np.atleast_1d(keys.get("sizes", ())))
         line_skip, byte_skip = (int(keys.get(f"{word} skip", keys.get(f"{word}skip", 0))) for word in ("line", "byte"))
     kinds = keys.get("kinds") or [""] * len(sizes)
@@ -128,7 +130,7 @@ def _stated_by_nrrd(keys: Mapping[str, Any], order: tuple[int, ...]) -> list[Sta
     return stated
 
 
-def _meta(head: bytes, path: Path) -> Header:
+def _meta_header(head: bytes, path: Path) -> Header:
     keys: dict[str, str] = {}
     end = 0
     for line in BytesIO(head):

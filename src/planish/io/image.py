@@ -145,11 +145,11 @@ def channel_of(picture: Picture, channel: str, *, file_name: str) -> tuple[NDArr
     elif word == "luminance" and picture.colour == "grey":
         picked, long_name = _as_float32(values[..., 0]), GREY
     elif word == "luminance" or word in COLOURS:
-        what = (
+        content = (
             "is a grey image" if picture.colour == "grey" else f"has {samples} channels that are not red, green, blue"
         )
         choice = "luminance" if picture.colour == "grey" else f"a number from 0 to {samples - 1}"
-        raise InputError(f"{file_name} {what}, so it has no {word}. Choose {choice} with --channel.")
+        raise InputError(f"{file_name} {content}, so it has no {word}. Choose {choice} with --channel.")
     else:
         raise InputError(f"{channel!r} is no channel. Choose luminance, red, green, blue or a number with --channel.")
     return picked, long_name
@@ -158,7 +158,7 @@ def channel_of(picture: Picture, channel: str, *, file_name: str) -> tuple[NDArr
 def _as_float32(values: NDArray[Any]) -> NDArray[np.float32]:
     """Convert to a new float32 array in which everything that is no finite number is NaN."""
     with np.errstate(over="ignore"):
-        result = np.array(values, dtype=np.float32)
+        converted = np.array(values, dtype=np.float32)
     if values.dtype.kind == "f":
-        result[~np.isfinite(result)] = np.nan
-    return result
+        converted[~np.isfinite(converted)] = np.nan
+    return converted

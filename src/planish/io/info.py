@@ -19,7 +19,7 @@ from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
 from planish.io.lazy import FileArray, unmapped
-from planish.io.look import Values, inspect_values, unseen
+from planish.io.look import Values, facts_without_values, inspect_values
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import is_section_folder, open_sections
 from planish.io.sizes import PIXEL, VOXEL, agreed_size
@@ -91,35 +91,44 @@ def describe(
         As the reading functions; a size that is missing or wrong is reported, not raised.
     """
     place = find_place(path)
-    path = place.path
     memory_bytes = LOOK_BYTES if memory_bytes is None else memory_bytes
-    options: dict[str, Any] = {"file_name": path.name, "override": override_size, "unusual": True}
+    options: dict[str, Any] = {"file_name": place.path.name, "override": override_size, "unusual": True}
     if is_image(place):
-        return _image(path, partial(agreed_size, given=pixel_um, asked=PIXEL, **options), memory_bytes, look, values)
-    if is_section_folder(path):
-        return _sections(path, voxel_um, channel, override_size=override_size, memory_bytes=memory_bytes)
+        agreed = partial(agreed_size, user_um=pixel_um, asked=PIXEL, **options)
+        return _describe_image(place.path, agreed, memory_bytes, look, values)
+    if is_section_folder(place.path):
+        return _describe_sections(place.path, voxel_um, channel, override_size=override_size, memory_bytes=memory_bytes)
+    agreed = partial(agreed_size, user_um=voxel_um, asked=VOXEL, **options)
+    return _describe_volume(place, agreed, channel, memory_bytes, look, values)
+
+
+def _describe_volume(
+    place: Place, agreed: partial[Any], channel: str | None, memory_bytes: int, look: Callable[[Values], None] | None,
+    wanted: bool,
+) -> dict[str, Any]:  # fmt: skip
+    """Report what a volume holds; of its values, if they are wanted and can be read within the memory."""
     loaded = None
-    if values:
+    if wanted:
         with suppress(ResourceError):
             loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
-    seen = loaded is not None
+    is_read = loaded is not None
     loaded = loaded or declared_volume(place, channel=channel)
     grey, warnings = unmapped(loaded.values), list(loaded.notes)
-    found = format_of(place)
-    if found is SLICES and "nrecon" not in loaded.attrs:
-        step = slice_step(slice_numbers(list_slices(path), path))
+    file_format = format_of(place)
+    if file_format is SLICES and "nrecon" not in loaded.attrs:
+        step = slice_step(slice_numbers(list_slices(place.path), place.path))
         if step > 1:
             warnings.append(f"The slices are numbered in steps of {step}: the z size must be that of {step} slices.")
-    if seen:
+    if is_read:
         facts = inspect_values(grey, loaded.full_scale, warnings, dims=VOXEL.axes)
         if look is not None:
             look(grey)
     else:
-        facts = unseen(grey, warnings if values else [], dims=VOXEL.axes)
-    size = _size_facts(partial(agreed_size, loaded.stated, voxel_um, asked=VOXEL, **options), grey.shape, warnings)
+        facts = facts_without_values(grey, warnings if wanted else [], dims=VOXEL.axes)
+    size = _size_facts(partial(agreed, loaded.stated), grey.shape, warnings)
     warnings += _size_doubts(size["size_um"], "Voxels", USUAL_VOXEL_UM)
     window = loaded.attrs.get("attenuation_window")
-    if window is not None and seen and grey.dtype == np.uint8:
+    if window is not None and is_read and grey.dtype == np.uint8:
         warnings.append(
             f"NRecon wrote 8 bits: grey 0 to 255 is attenuation {window[0]:g} to {window[1]:g}, and what lies outside "
             f"was cut ({100 * facts['bottom_share']:.3g} % of the values are 0, {100 * facts['saturated_share']:.3g} % "
@@ -132,51 +141,52 @@ def describe(
         )
     return {
         "kind": "volume",
-        "file_name": path.name,
+        "file_name": place.path.name,
         "bytes": loaded.file_bytes,
-        "format": found.name,
+        "format": file_format.name,
         **facts,
         **size,
-        **_holding(loaded.values),
-        "through": likely_through(grey) if seen else None,
+        **_storage_facts(loaded.values),
+        "through": likely_through(grey) if is_read else None,
         "metadata": dict(loaded.attrs),
         "warnings": warnings,
     }
 
 
-def _holding(values: Values) -> dict[str, Any]:
-    """How a volume is held; memory and time of ``planish map`` for a sheet across the shortest axis."""
+def _storage_facts(values: Values) -> dict[str, Any]:
+    """Say how a volume is held; memory and time of ``planish map`` for a sheet across the shortest axis."""
     columns = math.prod(values.shape) // min(values.shape)
-    stored, held_bytes = "decoded in memory", values.nbytes
+    stored, kept_bytes = "decoded in memory", values.nbytes
     if isinstance(values, (np.memmap, FileArray)):
         stored = "mapped from its file" if isinstance(values, np.memmap) else "read in parts when they are needed"
-        held_bytes = values.nbytes if isinstance(values, FileArray) and values.whole_slices else 0
+        kept_bytes = values.nbytes if isinstance(values, FileArray) and values.whole_slices else 0
     return {
         "stored": stored,
-        "run_bytes": PROGRAM_BYTES + max(bytes_to_map(columns), bytes_to_hold(held_bytes)),
+        "run_bytes": PROGRAM_BYTES + max(bytes_to_map(columns), bytes_to_hold(kept_bytes)),
         "run_seconds": BASE_SECONDS + COLUMN_SECONDS * columns,
     }
 
 
-def _size_doubts(size_um: Sequence[float] | None, what: str, usual_um: tuple[float, float]) -> list[str]:
+def _size_doubts(size_um: Sequence[float] | None, elements: str, usual_um: tuple[float, float]) -> list[str]:
     """Sentences about sizes that are possible but unusual."""
-    found: list[str] = []
+    doubts: list[str] = []
     low, high = usual_um
     if size_um is not None and (min(size_um) < low or max(size_um) > high):
-        found.append(
-            f"{what} of {' x '.join(f'{v:g}' for v in size_um)} um are unusual for paper ({low:g} to {high:g} um). Is "
-            "the unit right?"
+        doubts.append(
+            f"{elements} of {' x '.join(f'{v:g}' for v in size_um)} um are unusual for paper ({low:g} to {high:g} um). "
+            "Is the unit right?"
         )
     if size_um is not None and max(size_um) > MOST_UNEQUAL * min(size_um):
-        edge = "z size" if what == "Voxels" else "size"
-        found.append(
-            f"The edges of {what.lower()} differ by a factor of {max(size_um) / min(size_um):.3g}. Is the {edge} right?"
+        edge = "z size" if elements == "Voxels" else "size"
+        doubts.append(
+            f"The edges of {elements.lower()} differ by a factor of {max(size_um) / min(size_um):.3g}. Is the {edge} "
+            "right?"
         )
-    return found
+    return doubts
 
 
-def _sections(
-    path: Path, given: float | Sequence[float] | None, channel: str | None, *, override_size: bool,
+def _describe_sections(
+    path: Path, voxel_um: float | Sequence[float] | None, channel: str | None, *, override_size: bool,
     memory_bytes: int | None,
 ) -> dict[str, Any]:  # fmt: skip
     """Report what a folder of sections with its counter holds, as photographed."""
@@ -186,7 +196,7 @@ def _sections(
     missing = np.rint(steps / step).astype(int) - 1
     warnings: list[str] = []
     shape = sections.values.shape
-    size = _size_facts(partial(sections.agreed_size, given, override=override_size, unusual=True), shape, warnings)
+    size = _size_facts(partial(sections.agreed_size, voxel_um, override=override_size, unusual=True), shape, warnings)
     if size["extent_um"] is not None:
         size["extent_um"][0] = float(np.ptp(sections.positions_um)) + step
     if missing.sum():
@@ -202,8 +212,8 @@ def _sections(
     }
 
 
-def _image(
-    path: Path, agreed: partial[Any], memory_bytes: int | None, look: Callable[[Values], None] | None, wanted: bool
+def _describe_image(
+    path: Path, agreed: partial[Any], memory_bytes: int, look: Callable[[Values], None] | None, wanted: bool
 ) -> dict[str, Any]:  # fmt: skip
     """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
     warnings: list[str] = []
@@ -211,7 +221,7 @@ def _image(
     if wanted:
         with suppress(ResourceError):
             picture = load_picture(path, memory_bytes=memory_bytes)
-    seen = picture is not None
+    is_decoded = picture is not None
     picture = picture or load_picture(path, decode=False)
     whole, shape = picture.values, picture.values.shape[:2]
     step = max(1, math.ceil(math.sqrt(math.prod(shape) / LOOK_PIXELS)))
@@ -227,13 +237,13 @@ def _image(
         warnings.append("JPEG loses detail and adds block edges. Use TIFF or PNG if there is one.")
     if picture.orientation != 1:
         warnings.append(f"An orientation tag ({picture.orientation}) asks viewers to turn the image; planish does not.")
-    if seen:
+    if is_decoded:
         facts = inspect_values(values, picture.full_scale, warnings, dims=PIXEL.axes)
         facts |= {"sampled": f"every {step} rows and columns"} if step > 1 else {}
         if look is not None:
             look(values)
     else:
-        facts = unseen(whole, warnings if wanted else [], dims=PIXEL.axes)
+        facts = facts_without_values(whole, warnings if wanted else [], dims=PIXEL.axes)
     size = _size_facts(partial(agreed, across(picture.stated)), shape, warnings)
     warnings += _size_doubts(size["size_um"], "Pixels", PIXEL.usual_um)
     return {

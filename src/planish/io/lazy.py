@@ -150,7 +150,7 @@ class ChangedArray(FileArray):
         return np.asarray(self.change(self.inner.read((*where, *samples))), self.dtype)
 
 
-class TurnedArray(FileArray):
+class TransposedArray(FileArray):
     """An array with its axes in another order, without those of length 1 that are left out of `order`."""
 
     def __init__(self, inner: FileArray, order: Sequence[int]) -> None:
@@ -171,9 +171,9 @@ class TurnedArray(FileArray):
         )
 
 
-def turned(inner: FileArray, order: Sequence[int]) -> FileArray:
+def transposed(inner: FileArray, order: Sequence[int]) -> FileArray:
     """Return the array itself where the order is its own."""
-    return inner if tuple(order) == tuple(range(len(inner.shape))) else TurnedArray(inner, order)
+    return inner if tuple(order) == tuple(range(len(inner.shape))) else TransposedArray(inner, order)
 
 
 def supported_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
@@ -181,7 +181,7 @@ def supported_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
     return np.dtype(np.float32) if dtype == np.float16 else dtype
 
 
-def settle(array: FileArray | NDArray[Any], *, memory_bytes: int | None) -> FileArray | NDArray[Any]:
+def read_if_small(array: FileArray | NDArray[Any], *, memory_bytes: int | None) -> FileArray | NDArray[Any]:
     """Read an array at once where it is small, and leave it in its file otherwise; float16 becomes float32."""
     wide = supported_type(array.dtype)
     limit = default_memory_limit() if memory_bytes is None else memory_bytes

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.io.lazy import EAGER_BYTES, FileArray
-from planish.io.slices import some
+from planish.io.slices import first_few
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
@@ -78,17 +78,17 @@ def inspect_values(
     total = values.shape[0]
     share = len(numbers) / total
     stride = max(1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim)))
-    found = Statistics(full_scale=full_scale, stride=stride)
+    statistics = Statistics(full_scale=full_scale, stride=stride)
     for index, number in enumerate(numbers):
-        found.add(number, np.asarray(values[number]), sampled=index % stride == 0)
-    saturated_share = found.saturated / found.count
-    nan_share = 1 - found.finite / found.count
-    low, high = (found.low, found.high) if found.finite else (None, None)
+        statistics.add(number, np.asarray(values[number]), sampled=index % stride == 0)
+    saturated_share = statistics.saturated / statistics.count
+    nan_share = 1 - statistics.finite / statistics.count
+    low, high = (statistics.low, statistics.high) if statistics.finite else (None, None)
     if low is None:
         warnings.append("There is no number in it, all values are missing.")
         percentiles: dict[str, float | None] = dict.fromkeys((str(p) for p in PERCENTILES), None)
     else:
-        sample = np.sort(np.concatenate(found.sample))
+        sample = np.sort(np.concatenate(statistics.sample))
         if not sample.size:  # the grid met no number
             planes = (np.asarray(values[number]) for number in numbers)
             sample = np.sort(np.concatenate([plane[np.isfinite(plane)] for plane in planes]))
@@ -105,15 +105,15 @@ def inspect_values(
             f"{100 * saturated_share:.3g} % of the values are at {full_scale}, the largest the file can store: "
             "grey levels were cut there."
         )
-    if found.constant and low != high:
+    if statistics.constant and low != high:
         warnings.append(
-            f"{len(found.constant)} slices have one grey value only (black or empty), z {some(found.constant)}: the "
-            "scan ended there, or files were damaged."
+            f"{len(statistics.constant)} slices have one grey value only (black or empty), z "
+            f"{first_few(statistics.constant)}: the scan ended there, or files were damaged."
         )
-    if found.copies and low != high:
+    if statistics.copies and low != high:
         warnings.append(
-            f"{len(found.copies)} slices hold the same values as a slice before them, z {some(found.copies)}: were "
-            "they copied to fill gaps?"
+            f"{len(statistics.copies)} slices hold the same values as a slice before them, z "
+            f"{first_few(statistics.copies)}: were they copied to fill gaps?"
         )
     return {
         "dims": list(dims),
@@ -124,20 +124,20 @@ def inspect_values(
         "percentiles": percentiles,
         "nan_share": nan_share,
         "saturated_share": saturated_share,
-        "bottom_share": found.bottom / found.count,
+        "bottom_share": statistics.bottom / statistics.count,
         "sampled": None if len(numbers) == total else f"{len(numbers)} of {total} slices",
     }
 
 
-def unseen(values: Values, warnings: list[str], *, dims: tuple[str, ...]) -> dict[str, Any]:
+def facts_without_values(values: Values, warnings: list[str], *, dims: tuple[str, ...]) -> dict[str, Any]:
     """The same facts of values that can only be decoded whole, which would take too much memory for a look."""
     warnings.append(
         f"Its {math.prod(values.shape) * values.dtype.itemsize / 1e9:.2g} GB can only be decoded whole, so no grey was "
         "looked at."
     )
     of_values = ("min", "max", "percentiles", "nan_share", "saturated_share", "bottom_share")
-    found: dict[str, Any] = {"dims": list(dims), "shape": list(values.shape), "dtype": str(values.dtype)}
-    return found | dict.fromkeys(of_values) | {"sampled": "none"}
+    facts: dict[str, Any] = {"dims": list(dims), "shape": list(values.shape), "dtype": str(values.dtype)}
+    return facts | dict.fromkeys(of_values) | {"sampled": "none"}
 
 
 def _planes_to_read(values: Values) -> list[int]:

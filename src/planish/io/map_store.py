@@ -49,12 +49,12 @@ class MapSink(ABC):
     def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
         """Add a tile of all maps of a group; the first one says which there are."""
         if name not in self._arrays:
-            self._arrays[name] = self._made(name, grid, maps)
+            self._arrays[name] = self._create_arrays(name, grid, maps)
         for key, data in maps.data_vars.items():
             self._arrays[name][str(key)][tile.rows, tile.cols] = data.values
 
     @abstractmethod
-    def _made(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
+    def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
         """Make the arrays of a group for maps like these."""
 
     @abstractmethod
@@ -73,7 +73,7 @@ class HeldMaps(MapSink):
         super().__init__()
         self._groups: dict[str, xr.Dataset] = {}
 
-    def _made(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
+    def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
         arrays = {str(k): np.empty(grid.shape, data.dtype) for k, data in maps.data_vars.items()}
         variables = {k: (maps[k].dims, values, maps[k].attrs) for k, values in arrays.items()}
         self._groups[name] = xr.Dataset(variables, coords=_coords(grid, maps), attrs=maps.attrs)
@@ -101,7 +101,7 @@ class StoredMaps(HeldMaps):
         super().__init__()
         self.path = path
         self.stored: list[str] = []  # names of the groups in the store, overviews among them
-        self._kept = _Kept(keep_bytes)
+        self._cache = _PartCache(keep_bytes)
 
     def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
         """Add a tile of all maps of a group, and of its overviews."""
@@ -114,34 +114,34 @@ class StoredMaps(HeldMaps):
                 maps = halved(maps)
                 part = Tile(tile.r0 >> k, (tile.r0 >> k) + maps.sizes["y"], tile.c0 >> k, 0)
                 part = part._replace(c1=part.c0 + maps.sizes["x"])
-                super().add(f"{OVERVIEWS}/{name}/{k}", _coarser(grid, k), part, maps)
+                super().add(f"{OVERVIEWS}/{name}/{k}", _coarser_grid(grid, k), part, maps)
 
-    def _made(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
+    def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
         size = sum(data.dtype.itemsize for data in maps.data_vars.values()) * grid.shape[0] * grid.shape[1]
         if size < LARGE and not name.startswith(f"{OVERVIEWS}/"):
-            return super()._made(name, grid, maps)
+            return super()._create_arrays(name, grid, maps)
         group = zarr.open_group(self.path, mode="a", attributes={COMPLETE: True}).require_group(name)
-        group.attrs.update(_plain(maps.attrs))
+        group.attrs.update(_json_attrs(maps.attrs))
         for axis, values, attrs in _coords(grid, maps).values():
-            made = group.create_array(
+            coordinate = group.create_array(
                 axis, shape=values.shape, dtype=values.dtype, dimension_names=(axis,), compressors=CODECS,
-                attributes=_plain(attrs),
+                attributes=_json_attrs(attrs),
             )  # fmt: skip
-            made[:] = values
+            coordinate[:] = values
         arrays: dict[str, Any] = {}
         for key, data in maps.data_vars.items():
             arrays[str(key)] = group.create_array(
                 str(key), shape=grid.shape, dtype=data.dtype, chunks=(min(grid.shape[0], CHUNK),
                 min(grid.shape[1], CHUNK)), compressors=CODECS,
                 fill_value=np.nan if data.dtype.kind == "f" else 0, dimension_names=[str(d) for d in data.dims],
-                attributes=_plain(data.attrs), config={"write_empty_chunks": True},
+                attributes=_json_attrs(data.attrs), config={"write_empty_chunks": True},
             )  # fmt: skip
         self.stored.append(name)
         return arrays
 
     def group(self, name: str) -> xr.Dataset:
         """A group of which all tiles were added."""
-        return _stored_group(self.path, name, self._kept) if name in self.stored else super().group(name)
+        return _stored_group(self.path, name, self._cache) if name in self.stored else super().group(name)
 
     def overviews(self) -> dict[str, xr.Dataset]:
         """Smaller copies of the groups in the store."""
@@ -156,23 +156,23 @@ def stored_group(path: Path, name: str) -> xr.Dataset:
     FileError
         If it is not there, or damaged; the latter also when a part is read.
     """
-    return _stored_group(path, name, _Kept(0))
+    return _stored_group(path, name, _PartCache(0))
 
 
-def _stored_group(path: Path, name: str, kept: _Kept) -> xr.Dataset:
+def _stored_group(path: Path, name: str, cache: _PartCache) -> xr.Dataset:
     with readable(path):
         group = zarr.open_group(path, path=name, mode="r")
         coords: dict[str, Any] = {}
         variables: dict[str, Any] = {}
-        beside: set[str] = set()  # coordinates that are no axis, as xarray notes them
+        other_coords: set[str] = set()  # coordinates that are no axis, as xarray notes them
         for key, array in sorted(_arrays(group)):
             dims = tuple(map(str, array.metadata.dimension_names or ()))
             attrs = {k: v for k, v in array.attrs.items() if k not in ("_FillValue", "coordinates")}
-            beside |= {*str(array.attrs.get("coordinates", "")).split()}
+            other_coords |= {*str(array.attrs.get("coordinates", "")).split()}
             (coords if dims == (key,) else variables)[key] = xr.Variable(
-                dims, held(_Stored(path, array, kept)) if array.ndim == 2 else array[...], attrs
+                dims, held(_StoredArray(path, array, cache)) if array.ndim == 2 else array[...], attrs
             )
-        coords |= {key: variables.pop(key) for key in beside & variables.keys()}
+        coords |= {key: variables.pop(key) for key in other_coords & variables.keys()}
         return xr.Dataset(variables, coords=coords, attrs=dict(group.attrs))
 
 
@@ -204,7 +204,7 @@ def _arrays(group: zarr.Group) -> list[tuple[str, Any]]:
     return [*group.arrays()]
 
 
-class _Kept:
+class _PartCache:
     """Parts of arrays of a store that were read, as long as there is room for them."""
 
     def __init__(self, room_bytes: int) -> None:
@@ -222,17 +222,17 @@ class _Kept:
         return part
 
 
-class _Stored(LazyArray):
+class _StoredArray(LazyArray):
     """An array of a store, of which parts are read."""
 
-    def __init__(self, path: Path, array: Any, kept: _Kept) -> None:
-        self._path, self._array, self._kept = path, array, kept
+    def __init__(self, path: Path, array: Any, cache: _PartCache) -> None:
+        self._path, self._array, self._cache = path, array, cache
         self.shape, self.dtype = array.shape, np.dtype(array.dtype)
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part."""
         with readable(self._path):
-            return self._kept.part(self._array, where)
+            return self._cache.part(self._array, where)
 
 
 @contextmanager
@@ -253,7 +253,7 @@ def _coords(grid: Grid, maps: xr.Dataset) -> dict[str, tuple[str, NDArray[np.flo
     return {axis: (axis, values, dict(maps[axis].attrs)) for axis, values in axes}
 
 
-def _coarser(grid: Grid, times: int) -> Grid:
+def _coarser_grid(grid: Grid, times: int) -> Grid:
     """A grid with pixels that are so many times twice as wide."""
     y, x = grid.y_um, grid.x_um
     for _ in range(times):
@@ -261,6 +261,6 @@ def _coarser(grid: Grid, times: int) -> Grid:
     return Grid(y_um=y, x_um=x)
 
 
-def _plain(attrs: Mapping[Any, Any]) -> dict[str, Any]:
+def _json_attrs(attrs: Mapping[Any, Any]) -> dict[str, Any]:
     """Attributes as JSON has them."""
     return {str(k): v.tolist() if isinstance(v, np.ndarray | np.generic) else v for k, v in attrs.items()}

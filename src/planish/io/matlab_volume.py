@@ -16,7 +16,7 @@ from planish.core import matlab
 from planish.core.errors import FileError, VolumeError
 from planish.io.formats import LoadedVolume, Place
 from planish.io.guard import check_blown_up, reading, size_of_file
-from planish.io.lazy import FileArray, WholeArray, turned
+from planish.io.lazy import FileArray, WholeArray, transposed
 from planish.io.sizes import stated_in
 from planish.io.tiff import size_words
 
@@ -59,7 +59,7 @@ def _values(path: Path, chosen: matlab.Variable, *, new: bool) -> tuple[FileArra
 
         with opened(path) as file:
             array, notes = lazy_dataset(file[chosen.name], path)
-        return turned(array, [len(chosen.shape) - 1 - axis for axis in order]), notes
+        return transposed(array, [len(chosen.shape) - 1 - axis for axis in order]), notes
     dtype = matlab.NUMBERS[chosen.kind]
     check_blown_up(path, decoded_bytes=chosen.count * dtype.itemsize, stored_bytes=size_of_file(path))
     shape = tuple(chosen.shape[axis] for axis in order)
@@ -81,16 +81,16 @@ def _damaged(path: Path, error: matlab.Damaged) -> FileError:
 def _choose(variables: list[matlab.Variable], place: Place) -> matlab.Variable:
     name, wanted = place.path.name, place.part.strip("/")
     volumes = [v for v in variables if sum(n > 1 for n in v.shape) == 3]
-    there = ", ".join(f"{v.name} ({size_words(v.shape)} {v.kind})" for v in volumes[:8])
-    there = there or "no variable with three axes"
+    listing = ", ".join(f"{v.name} ({size_words(v.shape)} {v.kind})" for v in volumes[:8])
+    listing = listing or "no variable with three axes"
     if wanted:
-        found = [v for v in volumes if v.name == wanted]
-        if not found:
-            raise VolumeError(f"{name} has no volume {wanted!r}. It holds {there}.")
-        return found[0]
+        matches = [v for v in volumes if v.name == wanted]
+        if not matches:
+            raise VolumeError(f"{name} has no volume {wanted!r}. It holds {listing}.")
+        return matches[0]
     if not volumes:
-        what = ", ".join(f"{v.name} ({size_words(v.shape)})" for v in variables[:8]) or "nothing"
-        raise VolumeError(f"{name} holds no volume, but {what}. Save the volume as one variable with three axes.")
+        content = ", ".join(f"{v.name} ({size_words(v.shape)})" for v in variables[:8]) or "nothing"
+        raise VolumeError(f"{name} holds no volume, but {content}. Save the volume as one variable with three axes.")
     if len(volumes) > 1:
-        raise VolumeError(f"{name} holds {len(volumes)} volumes: {there}. Choose one as {name}:{volumes[0].name}.")
+        raise VolumeError(f"{name} holds {len(volumes)} volumes: {listing}. Choose one as {name}:{volumes[0].name}.")
     return volumes[0]

@@ -36,8 +36,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         unit = {"meter": "m", "micron": "um", "unknown": ""}.get(word, word)
         lengths = [float(v) for v in keys.get_zooms()]
         # Without a code no affine was written, and nibabel would make one up.
-        told = any(int(keys[name]) > 0 for name in ("sform_code", "qform_code"))
-        mirrored = told and bool(np.linalg.det(keys.get_best_affine()[:3, :3]) < 0)
+        has_affine = any(int(keys[name]) > 0 for name in ("sform_code", "qform_code"))
+        mirrored = has_affine and bool(np.linalg.det(keys.get_best_affine()[:3, :3]) < 0)
     if min(sizes, default=0) < 0 or offset < LEAST_OFFSETS[version]:
         raise damaged(path, f"its sizes are {sizes}, its values begin at byte {offset}")
     order = axes_of(sizes, "", path)
@@ -61,14 +61,14 @@ def _header(head: bytes, path: Path) -> tuple[Any, int]:
     with quiet:
         import nibabel
     version = 2 if head[:4] in ((540).to_bytes(4, "little"), (540).to_bytes(4, "big")) else 1
-    of: Any = (nibabel.Nifti1Header, nibabel.Nifti2Header)[version - 1]
+    header_class: Any = (nibabel.Nifti1Header, nibabel.Nifti2Header)[version - 1]
     magic = head[344:348] if version == 1 else head[4:8]
     if magic[:3] in (b"ni1", b"ni2"):
         raise FileError(f"{path.name} has its values in another file (.img). Save it as one file, .nii or .nii.gz.")
     if len(head) < LEAST_OFFSETS[version] or magic[:3] not in (b"n+1", b"n+2"):
         raise FileError(f"{path.name} is no NIfTI file. Check its name, or export it again.")
     with reading(path):
-        return of(head[: LEAST_OFFSETS[version]], check=False), version
+        return header_class(head[: LEAST_OFFSETS[version]], check=False), version
 
 
 def _scaled(values: NDArray[Any], *, slope: float, intercept: float) -> NDArray[Any]:

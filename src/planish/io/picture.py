@@ -89,7 +89,7 @@ def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = 
         if decode:
             values = map_or_decode(series, path, memory_bytes=memory_bytes)
         else:
-            values = nothing(series.shape, series.dtype)
+            values = constant_zeros(series.shape, series.dtype)
         values = values.reshape([n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes])
         if axes[0] in "SC" and len(axes) == 3:
             values = np.moveaxis(values, 0, -1)
@@ -99,7 +99,7 @@ def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = 
         bits = int(page.bitspersample)
         with reading(path):
             if page.photometric == PHOTOMETRIC.PALETTE and len(axes) == 2:
-                values, bits, colour = _look_up(values, np.asarray(page.colormap))
+                values, bits, colour = _apply_palette(values, np.asarray(page.colormap))
             orientation = page.tags.valueof(274, default=1)
         stated = stated_by_tiff(tif, page, path)
     return _picture(values, colour, bits, stated, orientation)
@@ -120,7 +120,7 @@ def pixels_of(path: Path) -> tuple[int, int]:
     return int(rows), int(cols)
 
 
-def nothing(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
+def constant_zeros(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
     """An array of any size in no memory; all its values are the same 0."""
     return np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), tuple(shape))
 
@@ -149,7 +149,7 @@ def _sample_meaning(page: TiffPage, *, samples: int, axes: str) -> Colour:
     return "grey" if grey else "other"
 
 
-def _look_up(index: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any], int, Colour]:
+def _apply_palette(index: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any], int, Colour]:
     """Replace palette entries by their 16-bit colours, or 8-bit where nothing is lost; grey stays grey."""
     if np.all(colormap % 257 == 0):
         colormap, bits = (colormap // 257).astype(np.uint8), 8
@@ -186,7 +186,7 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Pictu
             image.load()
         if not decode:
             dtype = np.dtype(np.uint16) if deep else np.dtype(RASTER_TYPES.get(image.mode, np.uint8))
-            values = nothing((image.height, image.width, bands)[: 2 + (bands > 1)], dtype)
+            values = constant_zeros((image.height, image.width, bands)[: 2 + (bands > 1)], dtype)
         elif deep:  # Pillow cuts 16-bit colour to 8 bits
             values = np.asarray(imagecodecs.png_decode(data))
         elif image.mode in {"P", "PA"}:

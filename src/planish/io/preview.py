@@ -39,7 +39,8 @@ def middle_sections(values: Values) -> list[Section]:
         return [_section("y", "x", np.asarray(values), (1, 1))]
     depth, rows, cols = values.shape
     every = -(-depth // _SLICES)
-    along_x, along_y = zip(*(_middles(np.asarray(values[k]), rows, cols) for k in range(0, depth, every)), strict=True)
+    planes = (np.asarray(values[k]) for k in range(0, depth, every))
+    along_x, along_y = zip(*((p[rows // 2].copy(), p[:, cols // 2].copy()) for p in planes), strict=True)
     return [
         _section("z", "x", np.stack(along_x), (every, 1)),
         _section("z", "y", np.stack(along_y), (every, 1)),
@@ -47,15 +48,10 @@ def middle_sections(values: Values) -> list[Section]:
     ]
 
 
-def _middles(plane: NDArray[Any], rows: int, cols: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The middle row and the middle column of a slice, which is read once for both."""
-    return plane[rows // 2].copy(), plane[:, cols // 2].copy()
-
-
 def best_section(sections: list[Section], through: str | None) -> Section:
     """The section in which a sheet shows as a line: across its normal, and first the one that reads down the normal."""
-    found = [s for s in sections if through in (s.down, s.across)]
-    return next((s for s in found if s.down == through), (found or sections)[0])
+    candidates = [s for s in sections if through in (s.down, s.across)]
+    return next((s for s in candidates if s.down == through), (candidates or sections)[0])
 
 
 def write_picture(sections: list[Section], path: Path) -> None:
@@ -71,10 +67,10 @@ def write_picture(sections: list[Section], path: Path) -> None:
     scale = _SIDE / max(n * k for s in sections for n, k in zip(s.grey.shape, s.step, strict=True))
     shown = [_resized(s, scale) for s in sections]
     out = np.full((max(p.shape[0] for p in shown), sum(p.shape[1] + _GAP for p in shown) - _GAP), 255, np.uint8)
-    at = 0
+    col = 0
     for part in shown:
-        out[: part.shape[0], at : at + part.shape[1]] = part
-        at += part.shape[1] + _GAP
+        out[: part.shape[0], col : col + part.shape[1]] = part
+        col += part.shape[1] + _GAP
     write_whole(path, bytes(imagecodecs.png_encode(out)))
 
 
@@ -92,8 +88,8 @@ def _section(down: str, across: str, plane: NDArray[Any], step: tuple[int, int])
     """Thin a plane out, and spread its grey over 0 to 255."""
     thin = [max(1, -(-n * k // _SIDE) // k) for n, k in zip(plane.shape, step, strict=True)]
     plane = plane[:: thin[0], :: thin[1]].astype(np.float64)
-    known = plane[np.isfinite(plane)]
-    low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
+    finite = plane[np.isfinite(plane)]
+    low, high = np.percentile(finite, [1, 99]) if finite.size else (0.0, 1.0)
     grey = np.clip((plane - low) / max(high - low, 1e-300), 0.0, 1.0)
     step = (step[0] * thin[0], step[1] * thin[1])
     return Section(down, across, (255 * np.nan_to_num(grey)).astype(np.uint8), step)
@@ -101,8 +97,8 @@ def _section(down: str, across: str, plane: NDArray[Any], step: tuple[int, int])
 
 def _resized(section: Section, scale: float, *, squeeze: float = 1.0) -> Grey:
     """The nearest pixels, so many per voxel; rows are squeezed for letters, which are higher than wide."""
-    found: list[NDArray[np.intp]] = []
+    nearest: list[NDArray[np.intp]] = []
     for n, step, per in zip(section.grey.shape, section.step, (scale / squeeze, scale), strict=True):
         count = max(1, round(n * step * per))
-        found.append(np.minimum(((np.arange(count) + 0.5) * n / count).astype(np.intp), n - 1))
-    return section.grey[np.ix_(*found)]
+        nearest.append(np.minimum(((np.arange(count) + 0.5) * n / count).astype(np.intp), n - 1))
+    return section.grey[np.ix_(*nearest)]

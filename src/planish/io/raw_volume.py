@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from planish.core.errors import FileError
-from planish.io.formats import LoadedVolume, Place, inside
+from planish.io.formats import LoadedVolume, Place, referenced_file
 from planish.io.guard import reading, size_of_file
 from planish.io.headed import raw_values
 from planish.io.sizes import Stated
@@ -46,14 +46,14 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         )
     with reading(header), header.open("rb") as file:
         keys = tomllib.load(file)
-    data = inside(header.parent, str(keys.get("file", header.name[: -len(".toml")])), header)
-    shape, stored, offset, voxel = _checked(keys, header)
+    data = referenced_file(header.parent, str(keys.get("file", header.name[: -len(".toml")])), header)
+    shape, stored, offset, voxel = _parse_header(keys, header)
     values = raw_values(header, data, shape, stored, offset=offset)
     stated = Stated(source="the TOML header", um=voxel, note="" if None not in voxel else "it has no voxel_um")
     return LoadedVolume(values=values, stated=[stated], files=[header, data])
 
 
-def _checked(
+def _parse_header(
     keys: dict[str, Any], path: Path
 ) -> tuple[tuple[int, ...], np.dtype[Any], int, tuple[float | None, float | None, float | None]]:
     """Shape, stored type, offset and voxel size of a header; every fault is named at once."""

@@ -80,7 +80,7 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     with writing(path):
         claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
         _check_work_folder(work, path)
-        lock = locked(work / "lock", path)
+        lock = acquire_lock(work / "lock", path)
         try:
             (work / WORK_MARKER).write_text(_WORK_TEXT, encoding="utf-8", newline="\n")
             note = work / "key"
@@ -92,19 +92,19 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
             yield work
         finally:
             lock.release()
-            _remove_work(work)
+            _remove_work_folder(work)
 
 
-def locked(lock: Path, path: Path) -> FileLock:
+def acquire_lock(lock: Path, path: Path) -> FileLock:
     """Take the lock of a folder in which ``path`` is made; FileError where another process has it."""
-    taken = FileLock(lock)
+    file_lock = FileLock(lock)
     try:
-        taken.acquire(timeout=0)
+        file_lock.acquire(timeout=0)
     except Timeout as error:
         raise FileError(
             f"Another planish is writing {path} at this moment. Wait for it, or give another name."
         ) from error
-    return taken
+    return file_lock
 
 
 def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> None:
@@ -124,13 +124,13 @@ def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> Non
     if folder.exists():
         return
     folder.parent.mkdir(parents=True, exist_ok=True)
-    made = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}")
-    made.mkdir()
+    temporary = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}")
+    temporary.mkdir()
     try:
-        (made / marker).write_text(text, encoding="utf-8", newline="\n")
-        move(made, folder)
+        (temporary / marker).write_text(text, encoding="utf-8", newline="\n")
+        move(temporary, folder)
     except (OSError, FileError):
-        shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
         if not folder.is_dir():  # otherwise another process was faster
             raise
 
@@ -150,9 +150,9 @@ def _check_work_folder(work: Path, path: Path) -> None:
     # Versions before the marker wrote a key of 64 digits and a lock.
     marked = marker.read_text(encoding="utf-8") == _WORK_TEXT if marker.name in names else {"key", "lock"} <= names
     if foreign or not marked:
-        what = f"it holds {', '.join(foreign[:3])}" if foreign else f"it has no file {WORK_MARKER}"
+        reason = f"it holds {', '.join(foreign[:3])}" if foreign else f"it has no file {WORK_MARKER}"
         raise FileError(
-            f"{work} was not made by planish ({what}); planish needs that name for a folder of its own while it "
+            f"{work} was not made by planish ({reason}); planish needs that name for a folder of its own while it "
             f"writes {path.name}. Nothing was changed. Move that folder away or give another name with --out."
         )
 
@@ -161,7 +161,7 @@ def sweep(path: Path) -> None:
     """Remove the work folder that a process left which was killed when ``path`` was whole already."""
     work = path.with_name(f".{path.name}.work")
     if (work / WORK_MARKER).is_file():
-        _remove_work(work)
+        _remove_work_folder(work)
 
 
 def _is_work_name(name: str) -> bool:
@@ -169,7 +169,7 @@ def _is_work_name(name: str) -> bool:
     return name in (WORK_MARKER, "key", "lock", "tiles") or (name.startswith(".") and name.endswith(".partial"))
 
 
-def _remove_work(work: Path) -> None:
+def _remove_work_folder(work: Path) -> None:
     """Remove what :func:`work_folder` has written, the marker last, and the folder if nothing else is in it."""
     if is_link(work) or not work.is_dir():
         return
@@ -198,10 +198,10 @@ def remove(folder: Path) -> None:
 def refuse_inside(path: Path, inputs: Iterable[str | Path]) -> None:
     """Raise FileError if ``path`` lies in a folder that is an input."""
     place = path.absolute().resolve()
-    for given in (find_place(one).path for one in inputs):
-        if given.is_dir() and given.resolve() in (place, *place.parents):
+    for source in (find_place(name).path for name in inputs):
+        if source.is_dir() and source.resolve() in (place, *place.parents):
             raise FileError(
-                f"{path} lies in {given}, which is read; nothing is written there. Give another name with --out."
+                f"{path} lies in {source}, which is read; nothing is written there. Give another name with --out."
             )
 
 
@@ -258,10 +258,10 @@ def read_groups(path: Path, names: Iterable[str]) -> dict[str, xr.Dataset]:
     """Read those of some groups of a store that are there, as :func:`read_tree` does."""
     with readable(path):
         root = zarr.open_group(path, mode="r")
-        there = [name for name in names if name in root]
+        present = [name for name in names if name in root]
         if root.attrs.get(COMPLETE):
-            _check_chunks(path, there)
-        groups = {name: stored_group(path, name) for name in there}
+            _check_chunks(path, present)
+        groups = {name: stored_group(path, name) for name in present}
         return {name: group if is_large(group) else group.load() for name, group in groups.items()}
 
 
@@ -276,8 +276,7 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
     FileError
         If there is no store, or it is damaged.
     """
-    if not (path / "zarr.json").is_file():
-        raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
+    _check_store(path)
     with readable(path), xr.open_datatree(path, engine="zarr") as tree:
         if tree.attrs.get(COMPLETE):
             _check_chunks(path)
@@ -291,16 +290,13 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
 
 def group_names(path: Path) -> list[str]:
     """Names of the groups of a store that hold arrays, without the smaller copies of maps; FileError as `read_tree`."""
-    if not (path / "zarr.json").is_file():
-        raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
+    _check_store(path)
     with readable(path):
         root = zarr.open_group(path, mode="r")
         if root.attrs.get(COMPLETE):
             _check_chunks(path)
-        groups = [(name, found) for name, found in root.members(max_depth=None) if isinstance(found, zarr.Group)]
-        return sorted(
-            name for name, found in groups if any(found.arrays()) and not name.startswith(f"{OVERVIEWS}/")
-        )  # fmt: skip
+        groups = [(name, node) for name, node in root.members(max_depth=None) if isinstance(node, zarr.Group)]
+        return sorted(name for name, node in groups if any(node.arrays()) and not name.startswith(f"{OVERVIEWS}/"))
 
 
 def read_group(path: Path, name: str, variables: Iterable[str] | None = None) -> xr.Dataset:
@@ -313,19 +309,25 @@ def read_group(path: Path, name: str, variables: Iterable[str] | None = None) ->
     """
     with readable(path):
         if name in large_groups(path):
-            found = stored_group(path, name)
-            return found if variables is None else found[list(variables)]
+            group = stored_group(path, name)
+            return group if variables is None else group[list(variables)]
         with xr.open_dataset(path, engine="zarr", group=name, chunks=None) as data:
             return (data if variables is None else data[list(variables)]).load()
+
+
+def _check_store(path: Path) -> None:
+    """Raise FileError where a path is no store."""
+    if not (path / _METADATA).is_file():
+        raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
 
 
 def _check_chunks(path: Path, groups: Iterable[str] = ("",)) -> None:
     """Raise FileError where a chunk was lost: zarr takes it for missing values."""
     parts = (zarr.open_group(path, path=name, mode="r").members(max_depth=None) for name in groups)
-    for name, found in (one for part in parts for one in part):
-        if isinstance(found, zarr.Array) and found.nchunks_initialized < found.nchunks:
+    for name, node in (member for part in parts for member in part):
+        if isinstance(node, zarr.Array) and node.nchunks_initialized < node.nchunks:
             raise FileError(
-                f"{path} is damaged: {found.nchunks - found.nchunks_initialized} of {found.nchunks} chunks of {name} "
+                f"{path} is damaged: {node.nchunks - node.nchunks_initialized} of {node.nchunks} chunks of {name} "
                 "are not there. Copy it once more, or repeat the run."
             )
 

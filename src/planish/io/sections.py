@@ -22,9 +22,9 @@ from planish.io.formats import check_channel, colour_attrs, full_scale
 from planish.io.guard import size_of_file
 from planish.io.lazy import FileArray
 from planish.io.picture import Picture
-from planish.io.sizes import VOXEL, Stated, agreed_size, as_given
+from planish.io.sizes import VOXEL, Stated, agreed_size, size_per_axis
 from planish.io.slice_volume import load_pictures
-from planish.io.slices import is_slice_name, some
+from planish.io.slices import first_few, is_slice_name
 
 COUNTER = "sections.csv"
 COLUMNS = ("file", "position_um")
@@ -133,23 +133,23 @@ class Sections:
         return full_scale(self.values.dtype, self.first.bits)
 
     def agreed_size(
-        self, given: float | Sequence[float] | None, *, override: bool, unusual: bool
+        self, voxel_um: float | Sequence[float] | None, *, override: bool, unusual: bool
     ) -> tuple[tuple[float, ...], str]:
         """Join the median step of the counter with the pixel size of metadata and user."""
         name = self.folder.name
         pitch_um = float(np.median(np.diff(self.positions_um)))
         flat = [Stated(source=s.source, um=(None, *s.um[1:]), note=s.note) for s in self.first.stated]
-        if given is not None:
-            values = as_given(given, VOXEL)
-            single = isinstance(given, (int, float)) or len(given) == 1
-            if not single and not agree(values[0], pitch_um):
+        if voxel_um is not None:
+            sizes = size_per_axis(voxel_um, VOXEL)
+            single = isinstance(voxel_um, (int, float)) or len(voxel_um) == 1
+            if not single and not agree(sizes[0], pitch_um):
                 raise SizeError(
-                    f"{name}: {VOXEL.option} gives z {values[0]:g} um, but the median step of {COUNTER} is "
+                    f"{name}: {VOXEL.option} gives z {sizes[0]:g} um, but the median step of {COUNTER} is "
                     f"{pitch_um:g} um. Correct the counter, or give the pixel size alone."
                 )
-            given = (pitch_um, values[1], values[2])
+            voxel_um = (pitch_um, sizes[1], sizes[2])
         stated = [Stated(source="the cut counter", um=(pitch_um, None, None)), *flat]
-        return agreed_size(stated, given, file_name=name, asked=VOXEL, override=override, unusual=unusual)
+        return agreed_size(stated, voxel_um, file_name=name, asked=VOXEL, override=override, unusual=unusual)
 
 
 def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None) -> Sections:
@@ -161,13 +161,13 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
     table = parse_table(text, f"{COUNTER} in {folder.name}", needed=COLUMNS, error=VolumeError)
     names = [table.text(row, "file") for row in table.rows]
     positions = table.numbers(COLUMNS[1:])[:, 0]
-    known: set[str] = set()
+    earlier_names: set[str] = set()
     for row, name in zip(table.rows, names, strict=True):
         if not name or Path(name).name != name:
             table.fault(row, f"{name!r} is not the name of a file in this folder")
-        elif name in known:
+        elif name in earlier_names:
             table.fault(row, f"{name} for the second time")
-        known.add(name)
+        earlier_names.add(name)
     table.check()
     if len(names) < 2:
         raise VolumeError(f"{table.name} names {len(names)} sections, at least two are needed.")
@@ -207,12 +207,12 @@ def _check_pictures(folder: Path, names: list[str]) -> None:
     missing = [name for name in names if not (folder / name).is_file()]
     if missing:
         raise VolumeError(
-            f"{folder.name} lacks {len(missing)} of {len(names)} files named in {COUNTER}: {some(missing)}. Add "
+            f"{folder.name} lacks {len(missing)} of {len(names)} files named in {COUNTER}: {first_few(missing)}. Add "
             "them, or take their rows out: a gap in the positions is understood as a missing section."
         )
     odd = sorted(p.name for p in folder.iterdir() if is_slice_name(p.name) and p.is_file() and p.name not in set(names))
     if odd:
         raise VolumeError(
-            f"{folder.name} holds {len(odd)} pictures that {COUNTER} does not name: {some(odd)}. Add a row for "
+            f"{folder.name} holds {len(odd)} pictures that {COUNTER} does not name: {first_few(odd)}. Add a row for "
             "each with its position, or move them elsewhere."
         )

@@ -82,19 +82,19 @@ def stated_in(
     source: str, values: Sequence[float | None], units: Sequence[str], order: Sequence[int] = (0, 1, 2)
 ) -> Stated:
     """Turn lengths with their units into um along the axes in `order`; what is no length is noted."""
-    found: list[float | None] = []
+    lengths: list[float | None] = []
     notes: list[str] = []
     for axis in order:
         value = values[axis] if axis < len(values) else None
         unit = units[axis] if axis < len(units) else ""
         length = unit_um(unit)
         usable = value is not None and math.isfinite(value) and value > 0
-        found.append(value * length if usable and value is not None and length is not None else None)
+        lengths.append(value * length if usable and value is not None and length is not None else None)
         if value is not None and not usable:
             notes.append(f"{value:g} is no size")
         elif usable and length is None:
             notes.append(f"{unit!r} is no unit of length" if unit else f"{value:g} without a unit")
-    return Stated(source=source, um=tuple(found), note=", ".join(dict.fromkeys(notes)))
+    return Stated(source=source, um=tuple(lengths), note=", ".join(dict.fromkeys(notes)))
 
 
 def from_density(per_unit: float | None, unit: str) -> float | None:
@@ -113,7 +113,7 @@ def from_density(per_unit: float | None, unit: str) -> float | None:
 
 def agreed_size(
     stated: Sequence[Stated],
-    given: float | Sequence[float] | None,
+    user_um: float | Sequence[float] | None,
     *,
     file_name: str,
     asked: Asked,
@@ -122,7 +122,7 @@ def agreed_size(
 ) -> tuple[tuple[float, ...], str]:
     """Find the one size, in um along each axis, that metadata and user agree on, and where it comes from.
 
-    What is `given`, one value for all axes or one each, is taken with `override` whatever the metadata state. A size
+    `user_um`, one value for all axes or one each, is taken with `override` whatever the metadata state. A size
     that paper does not have is taken with `unusual` only.
 
     Raises
@@ -130,67 +130,72 @@ def agreed_size(
     SizeError
         If it is missing on an axis, contradictory, or outside the possible range.
     """
-    spoken = [s for s in stated if any(v is not None for v in s.um)]
-    sources = " and ".join(s.source for s in spoken)
-    if given is None:
-        found = _merged(spoken, file_name=file_name, asked=asked)
-        missing = [axis for axis, value in zip(asked.axes, found, strict=True) if value is None]
+    stating = [s for s in stated if any(v is not None for v in s.um)]
+    sources = " and ".join(s.source for s in stating)
+    if user_um is None:
+        merged = _merge_stated(stating, file_name=file_name, asked=asked)
+        missing = [axis for axis, value in zip(asked.axes, merged, strict=True) if value is None]
         if missing:
             notes = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
-            along = f" along {_and_join(missing)}: {_in_words(spoken, asked)} only" if spoken else ""
+            along = f" along {_and_join(missing)}: {_in_words(stating, asked)} only" if stating else ""
             raise SizeError(
                 f"{file_name} states no {asked.name} size{along}{f' ({notes})' if notes else ''}. Give it with "
                 f"{asked.option} SIZE (or {','.join(a.upper() for a in asked.axes)}), in um."
             )
-        size = tuple(value for value in found if value is not None)
+        size = tuple(value for value in merged if value is not None)
         _check_range(size, file_name=file_name, asked=asked, unusual=unusual, more=f", and add {OVERRIDE}")
         return size, sources
-    size = as_given(given, asked)
-    other = [s for s in spoken if any(v is not None and not agree(v, g) for v, g in zip(s.um, size, strict=True))]
-    if other and not override:
+    size = size_per_axis(user_um, asked)
+    contradicting = [
+        s for s in stating if any(v is not None and not agree(v, g) for v, g in zip(s.um, size, strict=True))
+    ]
+    if contradicting and not override:
         raise SizeError(
-            f"{file_name}: {asked.option} gives {_axes_words(size, asked)}, but {_in_words(other, asked)}. "
+            f"{file_name}: {asked.option} gives {_axes_words(size, asked)}, but {_in_words(contradicting, asked)}. "
             f"Correct one of them, or add {OVERRIDE} to take the given size."
         )
     _check_range(size, file_name=file_name, asked=asked, unusual=unusual)
-    if other:
-        return size, f"given, in place of {_and_join(f'{s.source} ({_axes_words(s.um, asked)})' for s in other)}"
+    if contradicting:
+        return (
+            size,
+            f"given, in place of {_and_join(f'{s.source} ({_axes_words(s.um, asked)})' for s in contradicting)}",
+        )
     # A repeated run gives the very size that the metadata stated the first time; it still comes from there.
-    return size, sources if _merged(spoken, file_name=file_name, asked=asked) == size else "given"
+    return size, sources if _merge_stated(stating, file_name=file_name, asked=asked) == size else "given"
 
 
-def as_given(given: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
+def size_per_axis(size_um: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
     """Spread a given size over the axes."""
-    listed: Any = given.tolist() if isinstance(given, np.ndarray) else given
-    values: tuple[Any, ...] = tuple(listed) if isinstance(listed, (list, tuple)) else (listed,)
-    if not all(not isinstance(v, bool) and isinstance(v, Real) for v in values):
-        raise SizeError(f"{asked.option}: {given!r} is not a size. Give numbers above 0, in um.")
-    if len(values) == 1:
-        values = values * len(asked.axes)
-    if len(values) != len(asked.axes):
+    listed: Any = size_um.tolist() if isinstance(size_um, np.ndarray) else size_um
+    sizes: tuple[Any, ...] = tuple(listed) if isinstance(listed, (list, tuple)) else (listed,)
+    if not all(not isinstance(v, bool) and isinstance(v, Real) for v in sizes):
+        raise SizeError(f"{asked.option}: {size_um!r} is not a size. Give numbers above 0, in um.")
+    if len(sizes) == 1:
+        sizes = sizes * len(asked.axes)
+    if len(sizes) != len(asked.axes):
         raise SizeError(
-            f"{asked.option} has {len(values)} values, it needs 1 or {len(asked.axes)} ({','.join(asked.axes)}), in um."
+            f"{asked.option} has {len(sizes)} values, it needs 1 or {len(asked.axes)} ({','.join(asked.axes)}), in um."
         )
-    if not all(math.isfinite(v) and v > 0 for v in values):
+    if not all(math.isfinite(v) and v > 0 for v in sizes):
         raise SizeError(
-            f"{asked.option}: {','.join(f'{v:g}' for v in values)} is not a size. Give numbers above 0, in um."
+            f"{asked.option}: {','.join(f'{v:g}' for v in sizes)} is not a size. Give numbers above 0, in um."
         )
-    return tuple(float(v) for v in values)
+    return tuple(float(v) for v in sizes)
 
 
-def _merged(spoken: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[float | None, ...]:
+def _merge_stated(stating: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[float | None, ...]:
     """Join what several kinds of metadata state; the first that states an axis gives its number."""
-    found: list[float | None] = [None] * len(asked.axes)
-    for one in spoken:
-        for i, (known, value) in enumerate(zip(found, one.um, strict=True)):
-            if known is None:
-                found[i] = value
-            elif value is not None and not agree(known, value):
+    sizes: list[float | None] = [None] * len(asked.axes)
+    for metadata in stating:
+        for i, (size, value) in enumerate(zip(sizes, metadata.um, strict=True)):
+            if size is None:
+                sizes[i] = value
+            elif value is not None and not agree(size, value):
                 raise SizeError(
-                    f"{file_name} contradicts itself: {_in_words(spoken, asked)}. Give the right {asked.name} size "
+                    f"{file_name} contradicts itself: {_in_words(stating, asked)}. Give the right {asked.name} size "
                     f"with {asked.option} and add {OVERRIDE}."
                 )
-    return tuple(found)
+    return tuple(sizes)
 
 
 def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, unusual: bool, more: str = "") -> None:
@@ -205,11 +210,11 @@ def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, unusual
             if low <= value * factor <= high:
                 guess = f"It looks like {unit} given as um ({value:g} {unit} is {value * factor:g} um)"
                 break
-        what = f"usual are {low:g} to {high:g} um" if possible else f"possible are {POSSIBLE_UM[0]:g} to 1000 um"
+        range_words = f"usual are {low:g} to {high:g} um" if possible else f"possible are {POSSIBLE_UM[0]:g} to 1000 um"
         meant = f" If it is meant, add {UNUSUAL}." if possible else ""
         raise SizeError(
-            f"{file_name}: the {asked.name} size along {axis} is {value:g} um, {what}. {guess}. Give the right one "
-            f"with {asked.option}, in um{more}.{meant}"
+            f"{file_name}: the {asked.name} size along {axis} is {value:g} um, {range_words}. {guess}. Give the right "
+            f"one with {asked.option}, in um{more}.{meant}"
         )
 
 
@@ -288,7 +293,7 @@ def _rational(page: TiffPage, code: int) -> float | None:
 def _number(value: Any) -> float | None:
     """Read a positive finite number, or None."""
     try:
-        result = float(value)
+        number = float(value)
     except (TypeError, ValueError):
         return None
-    return result if math.isfinite(result) and result > 0 else None
+    return number if math.isfinite(number) and number > 0 else None

@@ -32,7 +32,7 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
                 f"{files[0].name} is {size_words(values.shape[1:])} pixels, {scan.log.name} states {scan.extent[0]} x "
                 f"{scan.extent[1]}. If the slices were cropped, move the log elsewhere and give --voxel-um."
             )
-        attrs |= {"nrecon": scan.kept} | ({} if scan.window is None else {"attenuation_window": list(scan.window)})
+        attrs |= {"nrecon": scan.details} | ({} if scan.window is None else {"attenuation_window": list(scan.window)})
         stated = (scan.stated, *stated)
     return LoadedVolume(values=values, stated=stated, files=files, bits=first.bits, attrs=attrs)
 
@@ -64,7 +64,7 @@ def load_pictures(
     grey = _grey_values(first, files[0], channel)
     dtype = supported_type(grey.dtype)
     limit = default_memory_limit() if memory_bytes is None else memory_bytes
-    kind, stored, offset = _head(files[0])
+    kind, stored, offset = _slice_header(files[0])
     eager = limit if photographs or offset is None else min(limit, EAGER_BYTES)
     if len(files) * grey.size * dtype.itemsize <= eager:
         values = np.empty((len(files), *grey.shape), dtype)
@@ -78,7 +78,7 @@ def load_pictures(
     check_memory(folder, needed_bytes=4 * first.values.nbytes if photographs else 2 * grey.nbytes, limit_bytes=limit)
     offsets: list[int] = []
     for file in files:
-        its_kind, its_stored, its_offset = _head(file)
+        its_kind, its_stored, its_offset = _slice_header(file)
         if its_kind != kind:
             _check_same(load_picture(file, memory_bytes=limit), first, file=file, first_file=files[0])
         if its_offset is not None and its_stored == stored and grey.ndim == first.values.ndim:
@@ -122,7 +122,7 @@ class SliceFiles(PagedArray):
         return grey[start:stop]
 
 
-def _head(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | None]:
+def _slice_header(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | None]:
     """What is known of a slice before it is decoded.
 
     Format, size and type, which slices that decode alike share; the type in the file, and where in it the values lie
@@ -162,14 +162,14 @@ def _check_same(picture: Picture, first: Picture, *, file: Path, first_file: Pat
     facts = [
         (p.colour, f"{size_words(p.values.shape[:2])} pixels", f"{p.values.dtype} values") for p in (picture, first)
     ]
-    for verb, what, a, b in zip(("is", "is", "has"), ("colour", "size", "type"), *facts, strict=True):
+    for verb, feature, a, b in zip(("is", "is", "has"), ("colour", "size", "type"), *facts, strict=True):
         if a != b:
             raise VolumeError(
-                f"{file.name} {verb} {a}, {first_file.name} {verb} {b}. All slices need the same {what}: export them "
-                "again or remove the odd one."
+                f"{file.name} {verb} {a}, {first_file.name} {verb} {b}. All slices need the same {feature}: export "
+                "them again or remove the odd one."
             )
-    for one, other in zip(picture.stated, first.stated, strict=False):
-        for a, b in zip(one.um, other.um, strict=True):
+    for stated, first_stated in zip(picture.stated, first.stated, strict=False):
+        for a, b in zip(stated.um, first_stated.um, strict=True):
             if a is not None and b is not None and not agree(a, b):
                 raise SizeError(
                     f"{file.name} states a pixel size of {a:g} um, {first_file.name} one of {b:g} um. "

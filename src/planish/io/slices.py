@@ -26,7 +26,7 @@ EXTENSIONS = frozenset({".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg"})
 MOST_NAMES = 8  # names or numbers written out in a message
 LARGEST_LOG = 10_000_000
 
-KEPT = {
+DETAIL_KEYS = {
     "system": ("Scanner", "Software version", "Software", "Source Type", "Camera"),
     "acquisition": (
         "Source Voltage (kV)", "Source Current (uA)", "Filter", "Exposure (ms)", "Rotation Step (deg)",
@@ -100,7 +100,9 @@ def check_no_gap(numbers: list[int], folder: Path) -> None:
     ordered = sorted(numbers)
     repeated = sorted(n for n, times in Counter(ordered).items() if times > 1)
     if repeated:
-        raise VolumeError(f"{folder.name} has more than one slice with the number {some(repeated)}. Remove the copies.")
+        raise VolumeError(
+            f"{folder.name} has more than one slice with the number {first_few(repeated)}. Remove the copies."
+        )
     step = slice_step(ordered)
     wanted, present = range(ordered[0], ordered[-1] + 1, step), set(ordered)
     count = len(wanted) - len(ordered)
@@ -108,7 +110,7 @@ def check_no_gap(numbers: list[int], folder: Path) -> None:
         missing = list(islice((n for n in wanted if n not in present), MOST_NAMES + 1))
         raise VolumeError(
             f"{folder.name} has {len(ordered)} slices from {ordered[0]} to {ordered[-1]}, {count} missing: "
-            f"{some(missing)}. Add them, or move the slices before or after the gap elsewhere."
+            f"{first_few(missing)}. Add them, or move the slices before or after the gap elsewhere."
         )
 
 
@@ -118,7 +120,7 @@ def slice_step(numbers: list[int]) -> int:
     return math.gcd(*(b - a for a, b in pairwise(ordered)))
 
 
-def some(items: Sequence[object]) -> str:
+def first_few(items: Sequence[object]) -> str:
     """Write the first few names or numbers."""
     more = ", ..." if len(items) > MOST_NAMES else ""
     return ", ".join(map(str, items[:MOST_NAMES])) + more
@@ -137,7 +139,7 @@ class Scan:
     step: int  # from the number of a slice to the next
     extent: tuple[int | None, int | None]  # rows and columns of a slice
     window: tuple[float, float] | None  # attenuation at grey 0 and at the largest grey value, in NRecon's units
-    kept: dict[str, str]  # further keys, as written
+    details: dict[str, str]  # further keys, as written
 
 
 def _read_log(path: Path) -> dict[str, dict[str, str]]:
@@ -150,16 +152,16 @@ def _read_log(path: Path) -> dict[str, dict[str, str]]:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = raw.decode("cp1252", errors="replace")  # names of people and folders, never numbers
-    found: dict[str, dict[str, str]] = {}
+    sections: dict[str, dict[str, str]] = {}
     section: dict[str, str] = {}
     for line in text.splitlines():
         line = line.strip()
         if line.startswith("[") and line.endswith("]"):
-            section = found.setdefault(line[1:-1].strip().casefold(), {})
+            section = sections.setdefault(line[1:-1].strip().casefold(), {})
         elif "=" in line:
             key, value = line.split("=", 1)
             section.setdefault(key.strip().casefold(), value.strip())
-    return found
+    return sections
 
 
 def read_scan(folder: Path) -> Scan | None:
@@ -202,9 +204,9 @@ def read_scan(folder: Path) -> Scan | None:
         step=step,
         extent=(size_of("height"), size_of("width")),
         window=None if low is None or high is None or low >= high else (low, high),
-        kept={
+        details={
             name: sections[section][name.casefold()]
-            for section, names in KEPT.items()
+            for section, names in DETAIL_KEYS.items()
             for name in names
             if name.casefold() in sections.get(section, {})
         },
@@ -232,12 +234,12 @@ def named_slices(scan: Scan, folder: Path) -> list[Path]:
         if missing:
             raise VolumeError(
                 f"{scan.log.name} states {len(wanted)} sections, {folder.name} holds {len(numbers)}. Missing: "
-                f"{some(missing)}. Add the missing slices, or move the log elsewhere and give --voxel-um."
+                f"{first_few(missing)}. Add the missing slices, or move the log elsewhere and give --voxel-um."
             )
         odd = [n for n in numbers if n not in wanted]
         if odd:
             raise VolumeError(
-                f"{folder.name} holds slices that {scan.log.name} does not name: {some(odd)}. Move them elsewhere."
+                f"{folder.name} holds slices that {scan.log.name} does not name: {first_few(odd)}. Move them elsewhere."
             )
     if len(numbers) > 1 and scan.count in (None, len(numbers)):
         check_no_gap(numbers, folder)

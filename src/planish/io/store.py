@@ -31,7 +31,7 @@ from planish.core.files import delete, move, writing
 from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.core.threads import count_threads, limit_threads, thread_pool
 from planish.io.checksums import Array, Journal, Where
-from planish.io.run_folder import claim_folder, is_link, locked, refuse_existing, remove
+from planish.io.run_folder import acquire_lock, claim_folder, is_link, refuse_existing, remove
 
 CHUNK = (64, 96, 96)
 """Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to 4 voxels."""
@@ -96,16 +96,18 @@ def write_store(
     source = _identity(volume)
     with writing(path, needed=int(1.2 * volume.nbytes)):
         claim_folder(partial, _SOURCE, json.dumps(source), for_what=path)
-        _same_source(partial, source)
-        lock = locked(partial / _LOCK, path)
+        _check_source(partial, source)
+        lock = acquire_lock(partial / _LOCK, path)
         try:
             levels = _make_levels(partial, volume, ome)
             done = Journal(partial, ome)
             with limit_threads(threads):
-                _first_two(volume, levels, done, memory_bytes=memory_bytes, executor=executor, workers=workers,
-                           progress=progress)  # fmt: skip
+                _write_finest_levels(
+                    volume, levels, done, memory_bytes=memory_bytes, executor=executor, workers=workers,
+                    progress=progress,
+                )  # fmt: skip
                 for fine, coarse in pairwise(levels[1:]):
-                    _coarser(fine, coarse, done)
+                    _write_coarser_level(fine, coarse, done)
             done.settle()
         except Exception:  # only an import that was killed or interrupted is gone on with
             lock.release()
@@ -118,28 +120,15 @@ def write_store(
         move(partial, path)
 
 
-def _first_two(
+def _write_finest_levels(
     volume: xr.DataArray, levels: list[Array], done: Journal, *, memory_bytes: int, executor: Executor | None,
     workers: int, progress: Progress | None,
 ) -> None:  # fmt: skip
     """Write the volume and its half in one pass over the input."""
-    shape, size = levels[0].shape, volume.dtype.itemsize
-    edge = levels[0].shards or levels[0].chunks
-    units = [min(2 * s, -(-n // s) * s) for s, n in zip(edge, shape, strict=True)]
-    # A block and its means, and what is compressed of it.
-    one = 1.6 * size * math.prod(min(unit, n) for unit, n in zip(units, shape, strict=True))
-    at_once = max(min(int(memory_bytes / one), min(_AT_WORK, count_threads()) if executor is None else workers), 1)
-    room = memory_bytes / (at_once * one)
-    if room < 1:
-        needed = enough_gb(bytes_to_hold(one) + PROGRAM_BYTES)
-        raise ResourceError(
-            f"The import needs {one / 1e6:.0f} MB for a block of shards, {memory_bytes / 1e6:.0f} MB are "
-            f"allowed for it. Allow more: --memory {needed}GB will do."
-        )
-    wide = min(int(room), -(-shape[2] // units[2]))
-    high = min(max(int(room / wide), 1), -(-shape[1] // units[1]))
-    wheres = list(_blocks(shape, (units[0], high * units[1], wide * units[2])))
-    left = [where for where in wheres if not all(done.has(*part) for part in _parts(levels, where))]
+    most = min(_AT_WORK, count_threads()) if executor is None else workers
+    block, at_once = _plan_blocks(levels[0], memory_bytes, most)
+    wheres = list(_blocks(levels[0].shape, block))
+    pending = [where for where in wheres if not all(done.has(*part) for part in _parts(levels, where))]
     running: set[Future[list[dict[str, str]]]] = set()
 
     def finish(when: str) -> None:
@@ -155,18 +144,37 @@ def _first_two(
         if failed is not None:
             failed.result()
         if progress is not None:
-            progress("import", len(wheres) - len(left) - len(running), len(wheres))
+            progress("import", len(wheres) - len(pending) - len(running), len(wheres))
 
     with thread_pool(at_once) if executor is None else nullcontext(executor) as pool:
         try:
-            while left:
-                where = left.pop(0)
+            while pending:
+                where = pending.pop(0)
                 names = [done.names(*part) for part in _parts(levels, where)]
                 running.add(pool.submit(_write_block, volume, where, done.folder, names))
                 if len(running) == at_once:
                     finish(FIRST_COMPLETED)
         finally:
             finish(ALL_COMPLETED)
+
+
+def _plan_blocks(level: Array, memory_bytes: int, most: int) -> tuple[tuple[int, int, int], int]:
+    """Size the blocks as the memory allows, whole shards on two levels, and say how many are worked on at once."""
+    shape = level.shape
+    units = [min(2 * s, -(-n // s) * s) for s, n in zip(level.shards or level.chunks, shape, strict=True)]
+    # A block and its means, and what is compressed of it.
+    block_bytes = 1.6 * level.dtype.itemsize * math.prod(min(unit, n) for unit, n in zip(units, shape, strict=True))
+    at_once = max(min(int(memory_bytes / block_bytes), most), 1)
+    room = memory_bytes / (at_once * block_bytes)
+    if room < 1:
+        needed = enough_gb(bytes_to_hold(block_bytes) + PROGRAM_BYTES)
+        raise ResourceError(
+            f"The import needs {block_bytes / 1e6:.0f} MB for a block of shards, {memory_bytes / 1e6:.0f} MB are "
+            f"allowed for it. Allow more: --memory {needed}GB will do."
+        )
+    wide = min(int(room), -(-shape[2] // units[2]))
+    high = min(max(int(room / wide), 1), -(-shape[1] // units[1]))
+    return (units[0], high * units[1], wide * units[2]), at_once
 
 
 def _parts(levels: list[Array], where: Where) -> list[tuple[Array, Where]]:
@@ -181,27 +189,29 @@ def _write_block(volume: xr.DataArray, where: Where, folder: Path, names: list[l
     for k, of_level in enumerate(names):
         if k > 0:
             values = halve(values)
-        written.append(_write(_level(folder, k), _halved(where, k), values, folder / str(k), of_level))
+        written.append(_write_shards(_level(folder, k), _halved(where, k), values, folder / str(k), of_level))
     return written
 
 
-def _coarser(fine: Array, coarse: Array, done: Journal) -> None:
+def _write_coarser_level(fine: Array, coarse: Array, done: Journal) -> None:
     for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
         if not done.has(coarse, where):
             source = tuple(slice(2 * w.start, min(2 * w.stop, n)) for w, n in zip(where, fine.shape, strict=True))
             values = halve(np.asarray(fine[source]))
-            done.add(coarse, _write(coarse, where, values, done.folder / coarse.basename, done.names(coarse, where)))
+            done.add(
+                coarse, _write_shards(coarse, where, values, done.folder / coarse.basename, done.names(coarse, where))
+            )
 
 
-def _write(level: Array, where: Where, values: NDArray[Any], folder: Path, names: list[str]) -> dict[str, str]:
+def _write_shards(level: Array, where: Where, values: NDArray[Any], folder: Path, names: list[str]) -> dict[str, str]:
     """Write the shards of a block to the disk, and return their checksums."""
     level[where] = values
-    found: dict[str, str] = {}
+    checksums: dict[str, str] = {}
     for name in names:
         with (folder / name).open("rb+") as file:
             os.fsync(file.fileno())
-            found[name] = hashlib.file_digest(file, "sha256").hexdigest()
-    return found
+            checksums[name] = hashlib.file_digest(file, "sha256").hexdigest()
+    return checksums
 
 
 def halve(values: NDArray[Any]) -> NDArray[Any]:
@@ -250,8 +260,10 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     attributes: dict[str, Any] = {"ome": {"version": ome, "multiscales": scales}}
     if ome == "0.4":
         attributes = {"multiscales": [{"version": ome, **scales[0]}]}
-    kept = ("full_scale", "voxel_um_source", "stored_dtype", "channel", "sections", "corrections", "history")
-    attributes["planish"] = {"source": name} | {k: volume.attrs[k] for k in kept if volume.attrs.get(k) is not None}
+    attr_names = ("full_scale", "voxel_um_source", "stored_dtype", "channel", "sections", "corrections", "history")
+    attributes["planish"] = {"source": name} | {
+        k: volume.attrs[k] for k in attr_names if volume.attrs.get(k) is not None
+    }
     group = zarr.open_group(folder, mode="a", zarr_format=3 if ome == "0.5" else 2)
     group.attrs.update(attributes)
     levels: list[Array] = []
@@ -278,12 +290,12 @@ def _level(folder: Path, k: int) -> Array:
 def _identity(volume: xr.DataArray) -> dict[str, Any]:
     """What identifies an input without reading it whole."""
     keys = ("file_name", "file_bytes", "voxel_um")
-    found = {"shape": list(volume.shape), "dtype": str(volume.dtype), **{k: volume.attrs.get(k) for k in keys}}
+    identity = {"shape": list(volume.shape), "dtype": str(volume.dtype), **{k: volume.attrs.get(k) for k in keys}}
     corrections = volume.attrs.get("corrections")
-    return found if corrections is None else found | {"corrections": corrections}  # other options, other voxels
+    return identity if corrections is None else identity | {"corrections": corrections}  # other options, other voxels
 
 
-def _same_source(folder: Path, source: dict[str, Any]) -> None:
+def _check_source(folder: Path, source: dict[str, Any]) -> None:
     """Compare what is imported with what an import that stopped has noted."""
     note = folder / _SOURCE
     try:

@@ -50,9 +50,9 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
         tif = TiffFile(path, _multifile=False)
     try:
         with reading(path):
-            found = len(tif.pages)
-        if found != pages:
-            raise damaged(path, f"{pages} pages are chained, {found} can be read")
+            readable = len(tif.pages)
+        if readable != pages:
+            raise damaged(path, f"{pages} pages are chained, {readable} can be read")
         with reading(path):
             _check_declared_images(tif, path)
             every = list(tif.series)
@@ -60,14 +60,14 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
         if not full:
             raise damaged(path, "it holds no image")
         with reading(path):
-            series = _joined(full)
+            series = _join_series(full)
         if series is None:
-            other = next((s for s in full[1:] if s.shape != full[0].shape), full[1])
+            odd_series = next((s for s in full[1:] if s.shape != full[0].shape), full[1])
             with reading(path):
-                odd = next((page.index + 1 for page in other if page is not None), 0)
+                odd_page = next((page.index + 1 for page in odd_series if page is not None), 0)
             raise error(
                 f"{path.name} holds {len(full)} different images: {shape_words(full[0])} from page 1 on, "
-                f"{shape_words(other)} at page {odd}. {advice}"
+                f"{shape_words(odd_series)} at page {odd_page}. {advice}"
             )
         _check_data(series, path)
         yield tif, series
@@ -75,7 +75,7 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
         tif.close()
 
 
-def _joined(full: Sequence[TiffPageSeries]) -> TiffPageSeries | None:
+def _join_series(full: Sequence[TiffPageSeries]) -> TiffPageSeries | None:
     """Give the one series, or join slices that were written one by one, each as an image of its own."""
     first = full[0]
     if len(full) == 1:
@@ -93,7 +93,7 @@ def is_tiff(head: bytes) -> bool:
 
 def _count_pages(path: Path) -> int:
     size = size_of_file(path)
-    seen: set[int] = set()
+    offsets: set[int] = set()
     with reading(path), path.open("rb") as file:
         head = file.read(16)
         if not is_tiff(head):
@@ -102,32 +102,32 @@ def _count_pages(path: Path) -> int:
         widths, first = ("QHHQQ", 16) if head[2:4] in {b"+\0", b"\0+"} else ("HHHII", 8)
         if len(head) < first:
             raise damaged(path, "it ends within its header")
-        count, tag, at = (struct.Struct(order + part) for part in (widths[0], widths[1:4], widths[4]))
-        offset: int = at.unpack(head[first // 2 : first])[0]
+        count, tag, pointer = (struct.Struct(order + part) for part in (widths[0], widths[1:4], widths[4]))
+        offset: int = pointer.unpack(head[first // 2 : first])[0]
         while offset:
-            if offset in seen:
-                raise damaged(path, f"page {len(seen) + 1} of its chain is one of the pages before it")
-            if len(seen) == MOST_PAGES:
+            if offset in offsets:
+                raise damaged(path, f"page {len(offsets) + 1} of its chain is one of the pages before it")
+            if len(offsets) == MOST_PAGES:
                 raise damaged(path, f"it claims more than {MOST_PAGES} pages")
-            seen.add(offset)
+            offsets.add(offset)
             if not first <= offset <= size - count.size:
-                raise damaged(path, f"page {len(seen)} should begin at byte {offset}, the file has {size}")
+                raise damaged(path, f"page {len(offsets)} should begin at byte {offset}, the file has {size}")
             file.seek(offset)
             tags = count.unpack(file.read(count.size))[0]
             if not 0 < tags <= MOST_TAGS:
-                raise damaged(path, f"page {len(seen)} claims {tags} tags")
-            table = file.read(tags * (tag.size + at.size) + at.size)
-            if len(table) != tags * (tag.size + at.size) + at.size:
-                raise damaged(path, f"the file ends within the table of page {len(seen)}")
-            _check_table(table, tag, at, f"of page {len(seen)}", path, size)
-            offset = at.unpack_from(table, len(table) - at.size)[0]
-    if not seen:
+                raise damaged(path, f"page {len(offsets)} claims {tags} tags")
+            table = file.read(tags * (tag.size + pointer.size) + pointer.size)
+            if len(table) != tags * (tag.size + pointer.size) + pointer.size:
+                raise damaged(path, f"the file ends within the table of page {len(offsets)}")
+            _check_table(table, tag, pointer, f"of page {len(offsets)}", path, size)
+            offset = pointer.unpack_from(table, len(table) - pointer.size)[0]
+    if not offsets:
         raise damaged(path, "it holds no page")
-    return len(seen)
+    return len(offsets)
 
 
-def _check_table(table: bytes, tag: struct.Struct, at: struct.Struct, page: str, path: Path, size: int) -> None:
-    for start in range(0, len(table) - at.size, tag.size + at.size):
+def _check_table(table: bytes, tag: struct.Struct, pointer: struct.Struct, page: str, path: Path, size: int) -> None:
+    for start in range(0, len(table) - pointer.size, tag.size + pointer.size):
         code, kind, count = tag.unpack_from(table, start)
         if code not in NEEDED_TAGS:
             continue
@@ -135,13 +135,13 @@ def _check_table(table: bytes, tag: struct.Struct, at: struct.Struct, page: str,
         if length == 0:
             raise damaged(path, f"tag {code} {page} has no value")
         # Values that are short enough stand in the table itself.
-        if length > at.size and at.unpack_from(table, start + tag.size)[0] + length > size:
+        if length > pointer.size and pointer.unpack_from(table, start + tag.size)[0] + length > size:
             raise damaged(path, f"tag {code} {page} lies outside the file of {size} bytes")
 
 
-def damaged(path: Path, what: str) -> FileError:
+def damaged(path: Path, fault: str) -> FileError:
     """One message for all kinds of damage: found, and what to do."""
-    return FileError(f"{path.name} is cut off or damaged: {what}. Copy or export it again.")
+    return FileError(f"{path.name} is cut off or damaged: {fault}. Copy or export it again.")
 
 
 def _check_declared_images(tif: TiffFile, path: Path) -> None:
@@ -156,22 +156,18 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
         if planes > MOST_PAGES or any(
             sizes.get(k, 1) > 10 * n for k, n in (("Y", first.imagelength), ("X", first.imagewidth))
         ):
-            declared = " x ".join(str(n) for n in sizes.values())
-            raise damaged(path, f"its OME metadata declare {declared} values, the file has {_pages_words(tif)}")
+            pages = f"{len(tif.pages)} pages of {size_words(first.shape)}"
+            raise damaged(
+                path, f"its OME metadata declare {size_words([*sizes.values()])} values, the file has {pages}"
+            )
     meta: Any = tif.imagej_metadata
     images = meta.get("images", 1) if meta else 1
-    page = tif.pages.first
-    if not isinstance(images, int) or images <= max(1, len(tif.pages)) or not page.dataoffsets:
+    if not isinstance(images, int) or images <= max(1, len(tif.pages)) or not first.dataoffsets:
         return
-    if page.dataoffsets[0] + images * page.nbytes > tif.filehandle.size or not page.is_contiguous:
+    if first.dataoffsets[0] + images * first.nbytes > tif.filehandle.size or not first.is_contiguous:
         raise damaged(
             path, f"{images} images are declared, the file has {len(tif.pages)} pages and {tif.filehandle.size} bytes"
         )
-
-
-def _pages_words(tif: TiffFile) -> str:
-    """Pages of a file, in words."""
-    return f"{len(tif.pages)} pages of {' x '.join(map(str, tif.pages.first.shape))}"
 
 
 def _check_data(series: TiffPageSeries, path: Path) -> None:
@@ -183,7 +179,7 @@ def _check_data(series: TiffPageSeries, path: Path) -> None:
         if not isinstance(value, int):
             raise damaged(path, f"its {name} is {str(value)[:40]!r}, which is no number")
     if series.size == 0 or key.dtype is None or series.dtype.itemsize == 0:
-        raise damaged(path, f"its image is {' x '.join(map(str, series.shape)) or 'without extent'} pixels")
+        raise damaged(path, f"its image is {size_words(series.shape) or 'without extent'} pixels")
     if key.bitspersample not in range(1, 65):
         raise damaged(path, f"its pixels have {key.bitspersample} bits")
     with reading(path):

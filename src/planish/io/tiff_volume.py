@@ -18,7 +18,7 @@ from tifffile import PHOTOMETRIC, TiffFrame, TiffPage, TiffPageSeries
 from planish.core.errors import FileError, VolumeError
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, reading
-from planish.io.lazy import ChangedArray, FileArray, PagedArray, StoredArray, is_small, mapped, turned
+from planish.io.lazy import ChangedArray, FileArray, PagedArray, StoredArray, is_small, mapped, transposed
 from planish.io.picture import kind_of
 from planish.io.sizes import stated_by_tiff
 from planish.io.tiff import (
@@ -54,14 +54,14 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
             raise VolumeError(f"{path.name} has a colour palette. {ADVICE}")
         return LoadedVolume(
             attrs=colour_attrs(channel, path, in_colour="S" in axes),
-            values=_stack(series, path, axes, channel=channel, memory_bytes=memory_bytes),
+            values=_series_values(series, path, axes, channel=channel, memory_bytes=memory_bytes),
             stated=stated_by_tiff(tif, page, path),
             files=[path],
             bits=int(page.bitspersample),
         )
 
 
-def _stack(
+def _series_values(
     series: TiffPageSeries, path: Path, axes: str, *, channel: str | None, memory_bytes: int | None
 ) -> NDArray[Any] | FileArray:
     """Return the values of a checked series: mapped, left in its pages, or decoded."""
@@ -77,7 +77,7 @@ def _stack(
         return mapped(path, shape, stored, offset=offset)
     if offset is not None and colour is not None:
         order = (0, 2, 3, 1) if axes[1] == "S" else (0, 1, 2, 3)
-        inner = turned(StoredArray(path, shape, stored, offset=offset), order)
+        inner = transposed(StoredArray(path, shape, stored, offset=offset), order)
         return ChangedArray(inner, colour, inner.dtype)
     if offset is not None and series.dtype.kind == "u":
         inner = StoredArray(path, shape, stored, offset=offset)
@@ -105,13 +105,13 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> str:
         return axes
     further = {a: n for a, n in zip(series.axes, series.shape, strict=True) if n > 1 and a in MEANINGS}
     if further:
-        found = " and ".join(f"{n} {MEANINGS[a]}" for a, n in further.items())
+        content = " and ".join(f"{n} {MEANINGS[a]}" for a, n in further.items())
         hint = (
             ADVICE
             if any(a in SLICE_AXES for a in axes) or "S" in further
             else f"If these are the slices, say so in the file (ImageJ: Image > Properties). Otherwise: {ADVICE}"
         )
-        raise VolumeError(f"{path.name} has {found}: {shape_words(series)}. {hint}")
+        raise VolumeError(f"{path.name} has {content}: {shape_words(series)}. {hint}")
     if axes == "YX":
         raise VolumeError(
             f"{path.name} has one page, not a stack: {shape_words(series)}. Give all slices, in one file or one folder."
@@ -148,8 +148,8 @@ class TiffPages(PagedArray):
         self._segments = [(p.dataoffsets, p.databytecounts, t) for p, t in zip(pages, tables, strict=True)]
         self._decode: Any = key.decode
         self._change, self._samples, self._bits = change, key.samplesperpixel, key.bitspersample
-        own = np.dtype(key.dtype)
-        self._stored = own.newbyteorder(key.parent.byteorder)
+        dtype = np.dtype(key.dtype)
+        self._stored = dtype.newbyteorder(key.parent.byteorder)
         self._white = key.photometric == PHOTOMETRIC.MINISWHITE
         self._strip_rows = key.tilelength if key.is_tiled else min(key.rowsperstrip, key.imagelength)
         self._across = -(-key.imagewidth // key.tilewidth) if key.is_tiled else 1
@@ -158,11 +158,11 @@ class TiffPages(PagedArray):
             and not key.is_tiled
             and key.predictor == 1
             and key.fillorder == 1
-            and key.bitspersample == 8 * own.itemsize
+            and key.bitspersample == 8 * dtype.itemsize
             and not key.is_subsampled
         )
         shape = (len(pages), key.imagelength, key.imagewidth)
-        super().__init__(path, shape, own.newbyteorder("="), 1 if self._plain else self._strip_rows)
+        super().__init__(path, shape, dtype.newbyteorder("="), 1 if self._plain else self._strip_rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Open the file again in another process."""

@@ -14,7 +14,7 @@ from planish.core.errors import FileError, SizeError
 from planish.core.lazy import labelled
 from planish.io.formats import extra
 from planish.io.guard import check_memory, quiet, reading, size_of_file
-from planish.io.sizes import PIXEL, Stated, agreed_size, as_given, unit_um
+from planish.io.sizes import PIXEL, Stated, agreed_size, size_per_axis, unit_um
 from planish.io.tiff import size_words
 
 
@@ -72,26 +72,24 @@ def read_topography(
                 f"{path.name} holds a profile of {size_words(grid)} points, not a map. Give a map of heights."
             )
         check_memory(path, needed_bytes=3 * 8 * grid[0] * grid[1], limit_bytes=memory_bytes)
-        unit = str(channel.unit or "")
-        length = unit_um(unit)
-        if length is None:
-            raise SizeError(
-                f"{path.name} has heights {f'in {unit!r}, which is no unit of length' if unit else 'without a unit'}. "
-                "Export it in a format that states the unit, such as X3P or SUR."
-            )
+        length = _height_unit_um(str(channel.unit or ""), path)
         sizes: Any = channel.physical_sizes or (None, None)
-        known = all(v is not None for v in sizes)
-        across = tuple(float(v) / n * length for v, n in zip(sizes, grid, strict=True))[::-1] if known else (None, None)
+        has_size = all(v is not None for v in sizes)
+        across = (
+            tuple(float(v) / n * length for v, n in zip(sizes, grid, strict=True))[::-1] if has_size else (None, None)
+        )
         stated = Stated(source="the topography file", um=across)
         size, source = agreed_size(
             [stated], pixel_um, file_name=path.name, asked=PIXEL, override=override_size, unusual=unusual_size
         )
-        given: dict[str, Any] = {}
-        if not known:
-            y, x = as_given(size, PIXEL)
-            given = {"physical_sizes": (x * grid[0] / length, y * grid[1] / length)}
+        missing_sizes: dict[str, Any] = {}
+        if not has_size:
+            y, x = size_per_axis(size, PIXEL)
+            missing_sizes = {"physical_sizes": (x * grid[0] / length, y * grid[1] / length)}
         with reading(path):
-            heights = np.ma.filled(np.ma.asarray(reader.topography(**given).heights()).astype(np.float64), np.nan)
+            heights = np.ma.filled(
+                np.ma.asarray(reader.topography(**missing_sizes).heights()).astype(np.float64), np.nan
+            )
             file_format = str(reader.format() if callable(getattr(reader, "format", None)) else "")
     with quiet:
         # Some readers map the file and complain when they are thrown away, which would be at any time later.
@@ -112,3 +110,14 @@ def read_topography(
         "file_bytes": file_bytes,
     }
     return labelled(values, PIXEL.axes, size, name="topography", attrs=attrs)
+
+
+def _height_unit_um(unit: str, path: Path) -> float:
+    """Length of the unit of the heights in um; SizeError where it is none."""
+    length = unit_um(unit)
+    if length is None:
+        raise SizeError(
+            f"{path.name} has heights {f'in {unit!r}, which is no unit of length' if unit else 'without a unit'}. "
+            "Export it in a format that states the unit, such as X3P or SUR."
+        )
+    return length

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from planish.core.arrays import check_path
 from planish.core.frame import Axis, End, Frame
 from planish.core.lazy import labelled
-from planish.io.formats import LoadedVolume, Place, check_channel, find_place, format_of, loader, settled
+from planish.io.formats import LoadedVolume, Place, check_channel, checked_volume, find_place, format_of, loader
 from planish.io.lazy import FileArray
 from planish.io.sizes import VOXEL, agreed_size
 
@@ -107,4 +107,4 @@ def declared_volume(place: Place, *, channel: str | None = None) -> LoadedVolume
 def load_volume(place: Place, *, channel: str | None = None, memory_bytes: int | None = None) -> LoadedVolume:
     """Read the values of a volume, whatever its voxel size; errors as those of :func:`read_volume`."""
     load = loader(format_of(place))
-    return settled(load(place, check_channel(channel), memory_bytes), place.path, memory_bytes=memory_bytes)
+    return checked_volume(load(place, check_channel(channel), memory_bytes), place.path, memory_bytes=memory_bytes)

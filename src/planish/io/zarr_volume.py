@@ -19,7 +19,7 @@ from planish.core.lazy import Where
 from planish.io.checksums import missing_shards
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, check_type
 from planish.io.guard import reading
-from planish.io.lazy import FileArray, turned
+from planish.io.lazy import FileArray, transposed
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import size_words
 
@@ -55,7 +55,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         check_type(np.dtype(array.dtype), path)
         lazy = ZarrArray(path, name, shape, np.dtype(array.dtype), tuple(int(n) for n in array.chunks))
     return LoadedVolume(
-        values=turned(lazy, order),
+        values=transposed(lazy, order),
         stated=[] if multiscale is None else [_stated_by_scale(multiscale, level, units, order)],
         files=[file for file in (path / name).rglob("*") if file.is_file()],
         attrs={"dataset": name or "/"},
@@ -95,12 +95,12 @@ def _part_of(path: Path, part: str) -> str:
 
 def _open_node(path: Path, name: str) -> Any:
     place = path / name
-    there = [file for file in METADATA if (place / file).is_file()]
-    if not there:
+    metadata = [file for file in METADATA if (place / file).is_file()]
+    if not metadata:
         raise FileError(
             f"{path.name} has nothing at {name or 'its root'}: no zarr.json, .zarray or .zgroup. Check the name."
         )
-    if any((place / file).stat().st_size > LARGEST_METADATA for file in there):
+    if any((place / file).stat().st_size > LARGEST_METADATA for file in metadata):
         raise FileError(f"{path.name}: the metadata of {name or 'its root'} are larger than 50 MB. Export it again.")
     with reading(path):
         # Each node is opened by its own folder: neither parents nor consolidated metadata are read.
@@ -136,12 +136,12 @@ def _multiscale_of(group: Any, path: Path) -> Keys | None:
     with reading(path):
         attrs: Any = dict(group.attrs)
     ome = attrs.get("ome") if isinstance(attrs.get("ome"), dict) else attrs
-    found: Any = ome.get("multiscales")
-    if found is None:
+    images: Any = ome.get("multiscales")
+    if images is None:
         return None
-    if isinstance(found, list) and len(found) > 1:
-        raise VolumeError(f"{path.name} holds {len(found)} images in one group. {ADVICE}")
-    image: Any = found[0] if isinstance(found, list) and found else None
+    if isinstance(images, list) and len(images) > 1:
+        raise VolumeError(f"{path.name} holds {len(images)} images in one group. {ADVICE}")
+    image: Any = images[0] if isinstance(images, list) and images else None
     levels: Any = image.get("datasets") if isinstance(image, dict) else None
     if not isinstance(levels, list) or not levels or not all(isinstance(level, dict) for level in levels):
         raise FileError(f"{path.name}: its multiscales metadata name no data sets. Export it again as OME-Zarr.")
@@ -159,33 +159,37 @@ def _axes(multiscale: Keys | None, shape: tuple[int, ...], path: Path) -> tuple[
     if len(axes) != len(shape):
         raise FileError(f"{path.name} names {len(axes)} axes, its array has {len(shape)}. Export it again as OME-Zarr.")
     names = [str(axis.get("name", "")).casefold() for axis in axes]
-    found = f"{size_words(shape)} ({', '.join(names)}). {ADVICE}"
+    shape_words = f"{size_words(shape)} ({', '.join(names)}). {ADVICE}"
     for name, n in zip(names, shape, strict=True):
         if name not in ("z", "y", "x") and n > 1:
-            what = {"c": "channels", "t": "time points"}.get(name, f"places along {name!r}")
+            content = {"c": "channels", "t": "time points"}.get(name, f"places along {name!r}")
             omero: Any = multiscale.get("omero") if multiscale is not None and name == "c" else None
             channels: Any = omero.get("channels") if isinstance(omero, dict) else None
             labels = ", ".join(str(c.get("label")) for c in channels or () if isinstance(c, dict))
-            raise VolumeError(f"{path.name} has {n} {what}{f' ({labels})' if labels else ''}: {found}")
+            raise VolumeError(f"{path.name} has {n} {content}{f' ({labels})' if labels else ''}: {shape_words}")
     if any(names.count(letter) != 1 for letter in "zyx"):
-        raise VolumeError(f"{path.name} is no volume: its axes are {', '.join(names)}: {found}")
+        raise VolumeError(f"{path.name} is no volume: its axes are {', '.join(names)}: {shape_words}")
     return [str(axis.get("unit", "")) for axis in axes], [names.index(letter) for letter in "zyx"]
 
 
 def _stated_by_scale(multiscale: Keys, level: int, units: list[str], order: list[int]) -> Stated:
     """Voxel size along z, y, x from the scale transformations of the level and of the whole image."""
     source = "the OME-Zarr scale"
-    own, whole = _scale_of(multiscale["datasets"][level], len(units)), _scale_of(multiscale, len(units))
-    if own is None:
+    level_scale, image_scale = _scale_of(multiscale["datasets"][level], len(units)), _scale_of(multiscale, len(units))
+    if level_scale is None:
         return Stated(source=source, um=(None, None, None), note="the level has no scale transformation")
-    values = [a * b for a, b in zip(own, whole or [1.0] * len(units), strict=True)]
+    values = [a * b for a, b in zip(level_scale, image_scale or [1.0] * len(units), strict=True)]
     return stated_in(source, values, units, order)
 
 
 def _scale_of(owner: Keys, count: int) -> list[float] | None:
     transformations: Any = owner.get("coordinateTransformations")
-    for one in transformations if isinstance(transformations, list) else []:
-        values: Any = one.get("scale") if isinstance(one, dict) and one.get("type") == "scale" else None
+    for transformation in transformations if isinstance(transformations, list) else []:
+        values: Any = (
+            transformation.get("scale")
+            if isinstance(transformation, dict) and transformation.get("type") == "scale"
+            else None
+        )
         if isinstance(values, list) and len(values) == count and all(type(v) in (int, float) for v in values):
             return [float(v) for v in values]
     return None
@@ -212,11 +216,11 @@ def _check_blosc(array: Any, where: Where, folder: Path, path: Path) -> None:
             continue
         with chunk.open("rb") as file:
             head = file.read(16)
-        there = chunk.stat().st_size
+        stored_bytes = chunk.stat().st_size
         unpacked, packed = struct.unpack_from("<4xIxxxxI", head) if len(head) == 16 else (0, 0)
-        if (unpacked, packed) != (needed, there):
+        if (unpacked, packed) != (needed, stored_bytes):
             raise FileError(
                 f"{path.name}: its chunk {chunk.relative_to(path).as_posix()} is cut off or damaged: it has "
-                f"{there} bytes of {packed}, for {unpacked} bytes of values, where {needed} are needed. Copy it "
+                f"{stored_bytes} bytes of {packed}, for {unpacked} bytes of values, where {needed} are needed. Copy it "
                 "again."
             )

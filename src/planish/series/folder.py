@@ -8,7 +8,7 @@ from pathlib import Path
 
 from planish.core.errors import FileError
 from planish.core.files import writing
-from planish.io.run_folder import locked, refuse_existing
+from planish.io.run_folder import acquire_lock, refuse_existing
 from planish.series.jobs import NOTES
 
 
@@ -29,7 +29,7 @@ def series_folder(out: Path) -> Generator[None]:
         with writing(out):
             (out / NOTES).mkdir(parents=True)
     with writing(out):
-        lock = locked(out / NOTES / "lock", out)
+        lock = acquire_lock(out / NOTES / "lock", out)
     try:
         yield
     finally:
