@@ -204,8 +204,8 @@ def test_a_size_that_is_missing_along_one_axis_is_told(tmp_path: Path) -> None:
 def test_of_a_large_volume_some_slices_are_seen_and_that_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("planish.io.look.EAGER_BYTES", 100_000)
-    monkeypatch.setattr("planish.io.look.SAMPLE_BYTES", 20_000)
+    monkeypatch.setattr("planish.io.inspection.EAGER_BYTES", 100_000)
+    monkeypatch.setattr("planish.io.inspection.SAMPLE_BYTES", 20_000)
     told = describe(write_sized(tmp_path / "v.tif", noise((200, 40, 50))))
     assert told["sampled"] == "8 of 200 slices"
     assert (told["min"], told["max"]) == (0, 249)

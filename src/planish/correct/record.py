@@ -122,7 +122,7 @@ class Corrections:
 
     @property
     def changes(self) -> bool:
-        """Whether any voxel is changed."""
+        """True if any voxel is changed."""
         return bool(self.rings) or self.cupping is not None
 
     def to_json(self) -> dict[str, Any]:

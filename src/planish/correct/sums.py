@@ -45,7 +45,7 @@ _GROUP = 16  # slices that are worked on together
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sums:
-    """What one pass found; greys are in units of contrast / :data:`UNIT`."""
+    """Sums of one pass; greys are in units of contrast / :data:`UNIT`."""
 
     count: Counts  # (block, sector, material, bin): voxels on each part of a circle
     total: Counts  # and the sum of their grey, less the mean grey of their material and depth in the same slice

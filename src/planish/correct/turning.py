@@ -1,4 +1,4 @@
-"""Where the axis of rotation stands in the array, and how far from it every voxel lies."""
+"""The axis of rotation: its place in the array, and the distance of every voxel from it."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class Journal:
         return [f"{self.prefix}{a}/{b}/{c}" for a in z for b in y for c in x]
 
     def has(self, level: Array, where: Where) -> bool:
-        """Whether all shards of a block are listed."""
+        """True if all shards of a block are listed."""
         return self.listed.issuperset(f"{level.basename}/{name}" for name in self.names(level, where))
 
     def add(self, level: Array, checksums: dict[str, str]) -> None:

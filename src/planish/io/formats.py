@@ -1,4 +1,4 @@
-"""Which module reads which file: the one table, the part of a path that chooses inside a file, and what a reader gives.
+"""The table of formats: which module reads which file, the part of a path that chooses in a file, what a reader gives.
 
 A format is one line here and one module with the function
 ``load(place, channel, memory_bytes) -> LoadedVolume``. ``channel`` is None or one of
@@ -123,7 +123,7 @@ def find_place(path: str | Path) -> Place:
 
 
 def exists(path: Path) -> bool:
-    """Whether something has this name; names that no system allows have nothing."""
+    """True if something has this name; names that no system allows have nothing."""
     try:
         return path.exists()
     except (OSError, ValueError):

@@ -67,7 +67,7 @@ def files_of(place: Place) -> list[Path]:
     return [path] if kind is TIFF else list(dict.fromkeys(loader(kind)(place, None, sys.maxsize).files))
 
 
-_known: dict[tuple[Path, int, int, int], str] = {}
+_hashes_read: dict[tuple[Path, int, int, int], str] = {}
 """Hashes of files read before by this process, by path, size, time of change and inode."""
 
 
@@ -77,6 +77,6 @@ def hash_of_file(path: Path) -> str:
     with reading(path), path.open("rb") as file:
         status = os.fstat(file.fileno())
         key = (path.absolute(), status.st_size, status.st_mtime_ns, status.st_ino)
-        if key not in _known:
-            _known[key] = hashlib.file_digest(file, "sha256").hexdigest()
-        return _known[key]
+        if key not in _hashes_read:
+            _hashes_read[key] = hashlib.file_digest(file, "sha256").hexdigest()
+        return _hashes_read[key]

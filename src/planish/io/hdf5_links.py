@@ -130,7 +130,7 @@ def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
 
 
 def describe_volumes(path: Path) -> str:
-    """Which volumes there are, and how to choose one."""
+    """Name the volumes of a file, and how to choose one."""
     volumes = volumes_in(path)
     if not volumes:
         return "It holds no data set with three axes."

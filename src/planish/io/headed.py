@@ -27,7 +27,7 @@ UNPACKED_BYTES = 64 * 2**20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Header:
-    """What a header says."""
+    """Contents of a header."""
 
     shape: tuple[int, ...]  # z, y, x
     stored: np.dtype[Any]
@@ -60,7 +60,7 @@ def unpacked_head(path: Path, most: int) -> bytes:
 
 
 def packing_of(path: Path) -> str:
-    """How a whole file is packed by the end of its name."""
+    """Packing of a whole file by the end of its name."""
     return {".gz": "deflate", ".bz2": "bzip2"}.get(path.suffix.lower(), "")
 
 
@@ -128,7 +128,7 @@ def unpacked_parts(path: Path, header: Header) -> Iterator[bytes]:
 
 
 def axes_of(sizes: tuple[int, ...], several: str, path: Path) -> tuple[int, ...]:
-    """Which axes are z, y, x: the three that are longer than 1, the slowest first."""
+    """Find the axes z, y, x: the three that are longer than 1, the slowest first."""
     long = tuple(axis for axis, n in enumerate(sizes) if n > 1)
     if several or len(long) != 3:
         fault = f"has {several}" if several else "is no volume"

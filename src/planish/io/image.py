@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 GREY = "Relative grey"
-"""What the values of an image are as long as no reference says how dark and how white they are."""
+"""Long name of the values of an image without references for dark and white."""
 
 
 def read_image(

@@ -1,4 +1,4 @@
-"""What a file holds and what looks wrong: the facts behind ``planish info``."""
+"""Contents of a file and what looks wrong in it: the facts behind ``planish info``."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, bytes_to_map
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
+from planish.io.inspection import Values, facts_without_values, inspect_values
 from planish.io.lazy import FileArray, unmapped
-from planish.io.look import Values, facts_without_values, inspect_values
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import is_section_folder, open_sections
 from planish.io.sizes import PIXEL, VOXEL, agreed_size
@@ -263,7 +263,7 @@ def _describe_image(
 
 
 def is_image(place: Place) -> bool:
-    """Whether a path is to be read as one picture; everything else is to be read as a volume."""
+    """True if a path is to be read as one picture; everything else is to be read as a volume."""
     if format_of(place) is not TIFF:
         return False
     if kind_of(place.path) != "tiff":

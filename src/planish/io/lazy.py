@@ -201,6 +201,6 @@ def read_if_small(array: FileArray | NDArray[Any], *, memory_bytes: int | None) 
 
 
 def is_small(array: FileArray, *, memory_bytes: int | None) -> bool:
-    """Whether an array is read at once."""
+    """True if an array is read at once."""
     limit = default_memory_limit() if memory_bytes is None else memory_bytes
     return array.nbytes <= (limit if array.whole_slices else min(limit, EAGER_BYTES))

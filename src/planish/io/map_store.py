@@ -177,7 +177,7 @@ def _stored_group(path: Path, name: str, cache: _PartCache) -> xr.Dataset:
 
 
 def is_large(group: xr.Dataset) -> bool:
-    """Whether the maps of a group stay in their store."""
+    """True if the maps of a group stay in their store."""
     return sum(data.nbytes for data in group.data_vars.values() if data.ndim == 2) >= LARGE
 
 
@@ -194,7 +194,7 @@ def large_groups(path: Path) -> Iterator[str]:
 
 
 def _is_large(root: zarr.Group, overview: str) -> bool:
-    """Whether the maps are large of which ``GROUP/LEVEL`` is an overview."""
+    """True if the maps are large of which ``GROUP/LEVEL`` is an overview."""
     of = root[overview.rsplit("/", 1)[0]]
     assert isinstance(of, zarr.Group)
     return sum(array.nbytes for _, array in _arrays(of) if array.ndim == 2) >= LARGE

@@ -60,7 +60,7 @@ class Picture:
 
     @property
     def in_colour(self) -> bool:
-        """Whether it has red, green and blue."""
+        """True if it has red, green and blue."""
         return self.values.ndim == 3 and self.colour == "rgb"
 
 
@@ -106,7 +106,7 @@ def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = 
 
 
 def is_mapped(path: Path) -> bool:
-    """Whether windows of a picture are read from its file without decoding all of it."""
+    """True if windows of a picture are read from its file without decoding all of it."""
     if kind_of(path) != "tiff":
         return False
     with open_series(path, error=FileError, advice=ADVICE) as (_, series):
@@ -136,7 +136,7 @@ def _picture(values: NDArray[Any], colour: Colour, bits: int, stated: Sequence[S
 
 
 def is_picture(series: TiffPageSeries) -> bool:
-    """Whether a series is one picture, with up to four samples or channels a pixel."""
+    """True if a series is one picture, with up to four samples or channels a pixel."""
     axes = long_axes(series)
     plane = math.prod(n for a, n in zip(series.axes, series.shape, strict=True) if a in "YX")
     return axes in PICTURE_AXES and (len(axes) == 2 or series.size <= 4 * plane)

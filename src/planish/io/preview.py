@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.files import write_whole
-from planish.io.look import Values
+from planish.io.inspection import Values
 
 _SIDE = 480  # pixels along the longer side of a section
 _SLICES = 96  # that are read of a file for the two sections across them

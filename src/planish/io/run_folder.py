@@ -136,7 +136,7 @@ def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> Non
 
 
 def is_link(path: Path) -> bool:
-    """Whether a path is a symbolic link or, on Windows, a junction."""
+    """True if a path is a symbolic link or, on Windows, a junction."""
     isjunction: Callable[[Path], bool] = getattr(os.path, "isjunction", lambda _path: False)  # from Python 3.12 on
     return path.is_symlink() or isjunction(path)
 
@@ -165,7 +165,7 @@ def sweep(path: Path) -> None:
 
 
 def _is_work_name(name: str) -> bool:
-    """Whether a file or folder of this name may stand in a work folder."""
+    """True if a file or folder of this name may stand in a work folder."""
     return name in (WORK_MARKER, "key", "lock", "tiles") or (name.startswith(".") and name.endswith(".partial"))
 
 

@@ -49,7 +49,7 @@ class SectionStack:
 
 
 def is_section_folder(path: str | Path) -> bool:
-    """Whether a path is a folder with a cut counter in it."""
+    """True if a path is a folder with a cut counter in it."""
     return (Path(path) / COUNTER).is_file()
 
 
@@ -187,7 +187,7 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
 
 
 def _kind_of_sections(table: Table) -> str:
-    """What was photographed, as the comments say; empty where they do not. Two kinds are never mixed."""
+    """Read from the comments what was photographed; empty where they do not say it. Two kinds are never mixed."""
     split = [comment.partition(":") for comment in table.comments]
     kinds = sorted({value.strip().lower() for key, colon, value in split if colon and key.strip().lower() == "kind"})
     unknown = [kind for kind in kinds if kind not in KINDS]

@@ -45,7 +45,7 @@ UNKNOWN_NOTE = "missing, or a default such as 72 dpi"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stated:
-    """What one kind of metadata states about the size."""
+    """Size as one kind of metadata states it."""
 
     source: str  # for example "ImageJ metadata"
     um: tuple[float | None, ...]  # one entry an axis, slowest axis first; None where the metadata are silent
@@ -54,7 +54,7 @@ class Stated:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asked:
-    """What the sizes are for: names, option, and the usual range; outside of it the unit is probably wrong."""
+    """Kind of size that is needed: names, option, and the usual range; outside of it the unit is probably wrong."""
 
     name: str
     axes: tuple[str, ...]

@@ -123,7 +123,7 @@ class SliceFiles(PagedArray):
 
 
 def _slice_header(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | None]:
-    """What is known of a slice before it is decoded.
+    """Read the header of a slice, which is not decoded.
 
     Format, size and type, which slices that decode alike share; the type in the file, and where in it the values lie
     as they are, if they do.

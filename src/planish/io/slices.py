@@ -60,7 +60,7 @@ def list_slices(folder: Path) -> list[Path]:
 
 
 def is_slice_name(name: str) -> bool:
-    """Whether a file name is that of a visible image file."""
+    """True if a file name is that of a visible image file."""
     return not name.startswith(".") and Path(name).suffix.lower() in EXTENSIONS
 
 
@@ -128,7 +128,7 @@ def first_few(items: Sequence[object]) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """What a log states; None where it does not."""
+    """Statements of a log; None where it makes none."""
 
     log: Path
     stated: Stated  # voxel size (z, y, x)

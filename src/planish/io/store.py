@@ -288,7 +288,7 @@ def _level(folder: Path, k: int) -> Array:
 
 
 def _identity(volume: xr.DataArray) -> dict[str, Any]:
-    """What identifies an input without reading it whole."""
+    """Identify an input without reading it whole."""
     keys = ("file_name", "file_bytes", "voxel_um")
     identity = {"shape": list(volume.shape), "dtype": str(volume.dtype), **{k: volume.attrs.get(k) for k in keys}}
     corrections = volume.attrs.get("corrections")

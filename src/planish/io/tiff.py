@@ -87,7 +87,7 @@ def _join_series(full: Sequence[TiffPageSeries]) -> TiffPageSeries | None:
 
 
 def is_tiff(head: bytes) -> bool:
-    """Whether a file that begins with these bytes is a TIFF file."""
+    """True if a file that begins with these bytes is a TIFF file."""
     return head[:4] in {b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"}
 
 
@@ -277,7 +277,7 @@ def stored_rows(file: BinaryIO, path: Path, offset: int, shape: tuple[int, ...],
 
 
 def has_rgb(page: TiffPage) -> bool:
-    """Whether the first samples of a page are red, green and blue."""
+    """True if the first samples of a page are red, green and blue."""
     return page.photometric == PHOTOMETRIC.RGB or (
         page.photometric == PHOTOMETRIC.YCBCR and page.compression in JPEG_COMPRESSIONS
     )

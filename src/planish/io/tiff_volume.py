@@ -120,12 +120,12 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> str:
 
 
 def _is_rgb(series: TiffPageSeries, axes: str) -> bool:
-    """Whether the samples of a pixel are red, green and blue, with or without further ones."""
+    """True if the samples of a pixel are red, green and blue, with or without further ones."""
     return has_rgb(series.keyframe) and series.shape[series.axes.index("S")] in (3, 4) and axes.index("S") in (1, 3)
 
 
 def _is_grey_ramp(colormap: NDArray[Any] | None) -> bool:
-    """Whether a palette only spreads grey values over the range, in order."""
+    """True if a palette only spreads grey values over the range, in order."""
     if colormap is None:
         return False
     red, green, blue = np.asarray(colormap).astype(np.int64)
@@ -208,7 +208,7 @@ def _open_pages(path: Path, change: Callable[[NDArray[Any]], NDArray[Any]] | Non
 
 
 def _can_page(series: TiffPageSeries, pages: int) -> bool:
-    """Whether a series has one page for each slice, and one plane in each page."""
+    """True if a series has one page for each slice, and one plane in each page."""
     key = series.keyframe
     simple = key.imagedepth == 1 and not key.is_subsampled and (key.planarconfig == 1 or key.samplesperpixel == 1)
     return simple and len(series) == pages and all(type(p) in (TiffPage, TiffFrame) for p in series)

@@ -100,7 +100,7 @@ def read_volume(
 
 
 def declared_volume(place: Place, *, channel: str | None = None) -> LoadedVolume:
-    """What a volume declares, where its values do not fit into the memory; these are not read."""
+    """Read what a volume declares, where its values do not fit into the memory; these are not read."""
     return loader(format_of(place))(place, check_channel(channel), None)
 
 

@@ -28,7 +28,7 @@ _SURER = 0.5  # sigma of fine over that of coarse pairs of neighbours, above whi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alignment:
-    """Where each section lies against its neighbours.
+    """Places of the sections against their neighbours.
 
     What belongs at (row, col) of section i is found at (row, col) + ``shift_um[i]`` / pixel, turned about the middle
     of the section by ``rotation_rad[i]``: with x, y the distances from the middle along the columns and rows, in um,

@@ -1,4 +1,4 @@
-"""Where the sheet runs in a stack of sections: a smooth surface through its middle, and the grey levels on both sides.
+"""Course of the sheet in a stack of sections: a smooth surface through its middle, and the grey levels on both sides.
 
 The surface need not be exact. It straightens the band in which neighbours are compared, and it is smooth from section
 to section, so it lends neighbours no difference of its own.

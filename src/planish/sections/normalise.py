@@ -23,7 +23,7 @@ _LARGEST_DRIFT = 0.3  # a gain farther from 1 is no drift of colour but another 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gains:
-    """How to make the grey levels of all sections equal: gain x grey + offset.
+    """Corrections that make the grey levels of all sections equal: gain x grey + offset.
 
     Attributes
     ----------

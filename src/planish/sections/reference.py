@@ -118,7 +118,7 @@ def _shifted(profiles: Floats, off: Floats) -> Floats:
 
 
 def _match_template(moved: Floats, template: Floats) -> tuple[Floats, Floats]:
-    """How much further each profile lies than the template, in pixels, and its correlation with it.
+    """Match profiles with a template: how much further each lies, in pixels, and its correlation with it.
 
     A profile is gain x template + offset, moved a little: least squares for the three.
     """

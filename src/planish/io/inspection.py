@@ -1,4 +1,4 @@
-"""What the values of a volume or an image look like, plane by plane, and what looks wrong in them."""
+"""Inspection of the values of a volume or an image: their distribution, and what looks wrong."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def inspect_values(
 
 
 def facts_without_values(values: Values, warnings: list[str], *, dims: tuple[str, ...]) -> dict[str, Any]:
-    """The same facts of values that can only be decoded whole, which would take too much memory for a look."""
+    """Give the facts without those of the values, which can only be decoded whole and would take too much memory."""
     warnings.append(
         f"Its {math.prod(values.shape) * values.dtype.itemsize / 1e9:.2g} GB can only be decoded whole, so no grey was "
         "looked at."
