@@ -128,10 +128,9 @@ def _default_dataset(file: h5py.File, path: Path) -> str | None:
 
 def _default_group(group: Any, kind: str) -> Any:
     """Group of a NeXus class that ``default`` names, or the only one there is."""
-    named = _child(group, _attribute(group, "default"))
-    members = [named] if named is not None else []
-    for items in (members, [_child(group, key) for key in group]):
-        of_class = [i for i in items if isinstance(i, h5py.Group) and _attribute(i, "NX_class") == kind]
+    default = _child(group, _attribute(group, "default"))
+    for members in ([default], [_child(group, key) for key in group]):
+        of_class = [m for m in members if isinstance(m, h5py.Group) and _attribute(m, "NX_class") == kind]
         if len(of_class) == 1:
             return of_class[0]
     return None

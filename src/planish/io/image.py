@@ -134,25 +134,23 @@ def channel_of(picture: Picture, channel: str, *, file_name: str) -> tuple[NDArr
                 f"{file_name} has {samples} channel{'s' if samples > 1 else ''}, number {word} is not among them. "
                 f"Choose 0{f' to {samples - 1}' if samples > 1 else ''} with --channel."
             )
-        picked, long_name = _as_float32(values[..., int(word)]), f"{GREY}, channel {int(word)}"
-    elif word in COLOURS and picture.colour == "rgb":
-        picked, long_name = _as_float32(values[..., COLOURS[word]]), f"{GREY}, {word}"
-    elif word == "luminance" and picture.colour == "rgb":
-        picked = np.zeros(values.shape[:2], np.float32)
-        for sample, weight in enumerate(LUMINANCE):
-            picked += np.float32(weight) * _as_float32(values[..., sample])
-        long_name = f"{GREY}, luminance"
-    elif word == "luminance" and picture.colour == "grey":
-        picked, long_name = _as_float32(values[..., 0]), GREY
-    elif word == "luminance" or word in COLOURS:
-        content = (
-            "is a grey image" if picture.colour == "grey" else f"has {samples} channels that are not red, green, blue"
-        )
-        choice = "luminance" if picture.colour == "grey" else f"a number from 0 to {samples - 1}"
-        raise InputError(f"{file_name} {content}, so it has no {word}. Choose {choice} with --channel.")
-    else:
+        return _as_float32(values[..., int(word)]), f"{GREY}, channel {int(word)}"
+    if word != "luminance" and word not in COLOURS:
         raise InputError(f"{channel!r} is no channel. Choose luminance, red, green, blue or a number with --channel.")
-    return picked, long_name
+    if picture.colour == "rgb" and word in COLOURS:
+        return _as_float32(values[..., COLOURS[word]]), f"{GREY}, {word}"
+    if picture.colour == "rgb":
+        luminance = np.zeros(values.shape[:2], np.float32)
+        for sample, weight in enumerate(LUMINANCE):
+            luminance += np.float32(weight) * _as_float32(values[..., sample])
+        return luminance, f"{GREY}, luminance"
+    if picture.colour == "grey" and word == "luminance":
+        return _as_float32(values[..., 0]), GREY
+    content, choice = "is a grey image", "luminance"
+    if picture.colour != "grey":
+        content = f"has {samples} channels that are not red, green, blue"
+        choice = f"a number from 0 to {samples - 1}"
+    raise InputError(f"{file_name} {content}, so it has no {word}. Choose {choice} with --channel.")
 
 
 def _as_float32(values: NDArray[Any]) -> NDArray[np.float32]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -40,11 +39,12 @@ def map_tiles(shape: tuple[int, int]) -> list[Tile]:
     return tiles_of(shape, _TILE)
 
 
-class MapSink(ABC):
-    """Groups of maps (y, x) on one grid, of which tiles are added."""
+class HeldMaps:
+    """Groups of maps (y, x) on one grid, of which tiles are added; in memory."""
 
     def __init__(self) -> None:
         self._arrays: dict[str, dict[str, Any]] = {}
+        self._groups: dict[str, xr.Dataset] = {}
 
     def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
         """Add a tile of all maps of a group; the first one says which there are."""
@@ -53,35 +53,20 @@ class MapSink(ABC):
         for key, data in maps.data_vars.items():
             self._arrays[name][str(key)][tile.rows, tile.cols] = data.values
 
-    @abstractmethod
     def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
         """Make the arrays of a group for maps like these."""
-
-    @abstractmethod
-    def group(self, name: str) -> xr.Dataset:
-        """A group of which all tiles were added."""
-
-    def overviews(self) -> dict[str, xr.Dataset]:
-        """Smaller copies of groups that are too large to be drawn as they are, ``overviews/GROUP/1`` and so on."""
-        return {}
-
-
-class HeldMaps(MapSink):
-    """Maps in memory."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._groups: dict[str, xr.Dataset] = {}
-
-    def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
         arrays = {str(k): np.empty(grid.shape, data.dtype) for k, data in maps.data_vars.items()}
         variables = {k: (maps[k].dims, values, maps[k].attrs) for k, values in arrays.items()}
         self._groups[name] = xr.Dataset(variables, coords=_coords(grid, maps), attrs=maps.attrs)
         return {str(k): data.values for k, data in self._groups[name].data_vars.items()}
 
     def group(self, name: str) -> xr.Dataset:
-        """A group of which all tiles were added."""
+        """Give a group of which all tiles were added."""
         return self._groups[name]
+
+    def overviews(self) -> dict[str, xr.Dataset]:
+        """Smaller copies of groups that are too large to be drawn as they are, ``overviews/GROUP/1`` and so on."""
+        return {}
 
 
 class StoredMaps(HeldMaps):
@@ -101,7 +86,7 @@ class StoredMaps(HeldMaps):
         super().__init__()
         self.path = path
         self.stored: list[str] = []  # names of the groups in the store, overviews among them
-        self._cache = _PartCache(keep_bytes)
+        self._cache = PartCache(keep_bytes)
 
     def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
         """Add a tile of all maps of a group, and of its overviews."""
@@ -141,25 +126,24 @@ class StoredMaps(HeldMaps):
 
     def group(self, name: str) -> xr.Dataset:
         """A group of which all tiles were added."""
-        return _stored_group(self.path, name, self._cache) if name in self.stored else super().group(name)
+        return stored_group(self.path, name, self._cache) if name in self.stored else super().group(name)
 
     def overviews(self) -> dict[str, xr.Dataset]:
         """Smaller copies of the groups in the store."""
         return {name: self.group(name) for name in self.stored if name.startswith(f"{OVERVIEWS}/")}
 
 
-def stored_group(path: Path, name: str) -> xr.Dataset:
-    """A group of a store whose maps stay there: each part is read when it is asked for, and not kept.
+def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Dataset:
+    """Give a group of a store whose maps stay there: each part is read when it is asked for.
+
+    Parts that were read stay in memory as far as ``cache`` has room for them.
 
     Raises
     ------
     FileError
         If it is not there, or damaged; the latter also when a part is read.
     """
-    return _stored_group(path, name, _PartCache(0))
-
-
-def _stored_group(path: Path, name: str, cache: _PartCache) -> xr.Dataset:
+    cache = cache or PartCache(0)
     with readable(path):
         group = zarr.open_group(path, path=name, mode="r")
         coords: dict[str, Any] = {}
@@ -204,7 +188,7 @@ def _arrays(group: zarr.Group) -> list[tuple[str, Any]]:
     return [*group.arrays()]
 
 
-class _PartCache:
+class PartCache:
     """Parts of arrays of a store that were read, as long as there is room for them."""
 
     def __init__(self, room_bytes: int) -> None:
@@ -225,7 +209,7 @@ class _PartCache:
 class _StoredArray(LazyArray):
     """An array of a store, of which parts are read."""
 
-    def __init__(self, path: Path, array: Any, cache: _PartCache) -> None:
+    def __init__(self, path: Path, array: Any, cache: PartCache) -> None:
         self._path, self._array, self._cache = path, array, cache
         self.shape, self.dtype = array.shape, np.dtype(array.dtype)
 

@@ -241,19 +241,12 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
         shapes.append(tuple(-(-n // 2) for n in shapes[-1]))
     voxel = [float(v) for v in volume.attrs["voxel_um"]]
     first = [float(volume[axis].values[0]) for axis in "zyx"]
-    datasets = [
-        {
-            "path": str(k),
-            "coordinateTransformations": [
-                {"type": "scale", "scale": [v * 2**k for v in voxel]},
-                {
-                    "type": "translation",
-                    "translation": [f + v * (2**k - 1) / 2 for f, v in zip(first, voxel, strict=True)],
-                },
-            ],
-        }
-        for k in range(len(shapes))
-    ]
+    datasets: list[dict[str, Any]] = []
+    for k in range(len(shapes)):
+        scale = {"type": "scale", "scale": [v * 2**k for v in voxel]}
+        corner = [f + v * (2**k - 1) / 2 for f, v in zip(first, voxel, strict=True)]
+        translation = {"type": "translation", "translation": corner}
+        datasets.append({"path": str(k), "coordinateTransformations": [scale, translation]})
     axes = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "zyx"]
     name = str(volume.attrs.get("file_name", "volume"))
     scales = [{"name": name, "axes": axes, "datasets": datasets, "type": "mean of 2 x 2 x 2"}]

@@ -24,7 +24,7 @@ from planish.core.results import LayerFacts, Results, Side
 from planish.core.sources import hash_sources
 from planish.core.transform import Similarity
 from planish.io import read_image
-from planish.io.map_store import HeldMaps, MapSink, map_tiles
+from planish.io.map_store import HeldMaps, map_tiles
 from planish.io.params import HOW_IMAGES_ARE_READ
 from planish.marks import check_holes
 from planish.marks.regions import Regions
@@ -59,7 +59,7 @@ _RIM_UM = 100.0  # around holes of images, where no sheet says otherwise
 
 def link_study(
     study: Study, *, compute: Compute, progress: Progress, kept: Path | None = None,
-    mapped: dict[str, Layer] | None = None, near: Mapping[str, Layer] | None = None, sink: MapSink | None = None,
+    mapped: dict[str, Layer] | None = None, near: Mapping[str, Layer] | None = None, sink: HeldMaps | None = None,
 ) -> Run:  # fmt: skip
     """Register layers to the last one, bring all onto its pixels, and correlate them in pairs.
 
@@ -171,7 +171,7 @@ def _circles(layers: list[Layer], links: dict[str, Link]) -> list[Array]:
 
 
 def _gathered(
-    study: Study, layers: list[Layer], links: dict[str, Link], maps: dict[str, xr.Dataset], away: Away, sink: MapSink
+    study: Study, layers: list[Layer], links: dict[str, Link], maps: dict[str, xr.Dataset], away: Away, sink: HeldMaps
 ) -> Run:
     """Correlations, results, checks and groups of a link."""
     reference, point_um = layers[-1], study.correlate.point_um

@@ -13,7 +13,7 @@ from planish.core.arrays import check_dataset, check_image
 from planish.core.errors import CannotRegister, InputError, MarkError
 from planish.core.grid import Grid, check_same_grid
 from planish.core.tiles import Tile
-from planish.io.map_store import HeldMaps, MapSink, map_tiles
+from planish.io.map_store import HeldMaps, map_tiles
 from planish.marks import cut_holes, hole_mask
 from planish.marks.files import about_layer, holes_of
 from planish.marks.regions import Regions
@@ -103,7 +103,7 @@ def _moved(shown: Shown, chain: Chain) -> Callable[[Tile, Grid], xr.Dataset]:
 
 
 def bring(
-    parts: Mapping[str, tuple[Shown, Chain | None]], away: Away, grid: Grid, sink: MapSink, *,
+    parts: Mapping[str, tuple[Shown, Chain | None]], away: Away, grid: Grid, sink: HeldMaps, *,
     together: str | None = None,
 ) -> dict[str, xr.Dataset]:  # fmt: skip
     """Bring sheets and images onto a grid, tile by tile, and mark what is valid there.

@@ -20,7 +20,7 @@ from planish.core.sources import hash_sources
 from planish.core.text import quoted
 from planish.core.threads import limit_threads
 from planish.io import fingerprint
-from planish.io.map_store import OVERVIEWS, MapSink, StoredMaps, stored_group
+from planish.io.map_store import OVERVIEWS, HeldMaps, StoredMaps, stored_group
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, take_group, work_folder, write_tree
 from planish.marks import write_marks
 from planish.pipeline.checks import about, with_trust
@@ -157,7 +157,7 @@ def _view(maps: str, study: Study) -> str:
 
 def _done(
     study: Study, *, compute: Compute, progress: Progress, kept: Path | None, mapped: dict[str, Layer] | None = None,
-    near: Mapping[str, Layer] = _NONE, sink: MapSink | None = None,
+    near: Mapping[str, Layer] = _NONE, sink: HeldMaps | None = None,
 ) -> Run:  # fmt: skip
     first, *others = study.layers
     if others:
