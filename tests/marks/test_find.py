@@ -5,7 +5,7 @@ import xarray as xr
 from marks.holes import make_hole, place, scene
 from planish.core.errors import MarkError, SizeError
 from planish.marks import _measure_kernels, find_holes
-from planish.marks.judge import is_whole
+from planish.marks.hole_criteria import is_whole
 
 NAMES = {"x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter", "axis_ratio", "arc_coverage", "contrast"}
 

@@ -7,7 +7,7 @@ from scipy import ndimage
 from planish.marks import _measure_kernels as k
 from planish.marks import candidates, find_holes
 from planish.marks._edge_kernels import half_level_edges
-from planish.marks.judge import BETTER, DEEPER, joined, strongest_apart
+from planish.marks.hole_criteria import BETTER, DEEPER, deepest_disjoint, merge_floors
 
 
 def lit_from_one_side(across, pixel=10.0, pitch=300.0, noise=0.004):
@@ -67,7 +67,7 @@ def quality(rows):
     return rows[:, k.COVERAGE] - rough / rows[:, k.RADIUS]
 
 
-def naive_strongest_apart(rows):
+def naive_deepest_disjoint(rows):
     step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     deepest = [
         not np.any((row[k.INSIDE] - rows[:, k.INSIDE] > DEEPER * s) & (apart(rows, row) < 0))
@@ -92,9 +92,9 @@ def naive_joined(rows, floors):
 def test_overlaps_are_judged_as_pair_by_pair(count):
     rng = np.random.default_rng(count)
     rows, others = rows_of(rng, count, 2000.0), rows_of(rng, count // 2, 2000.0)
-    clear, floors = naive_strongest_apart(rows), naive_strongest_apart(others)
-    np.testing.assert_array_equal(strongest_apart(rows), clear)
-    both = joined(clear, floors)
+    clear, floors = naive_deepest_disjoint(rows), naive_deepest_disjoint(others)
+    np.testing.assert_array_equal(deepest_disjoint(rows), clear)
+    both = merge_floors(clear, floors)
     np.testing.assert_array_equal(both, naive_joined(clear, floors))
     if count == 300:
         assert len(clear) < len(both) < len(clear) + len(floors)

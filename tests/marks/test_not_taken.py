@@ -6,7 +6,7 @@ from benchmarks.holes import make_scene
 
 from marks.holes import make_hole, scene
 from planish.marks import candidates, check_holes, find_holes, holes_from_json, holes_to_json
-from planish.marks.not_taken import REASONS
+from planish.marks.rejected import REASONS
 
 
 def row_of_holes(change=None, **more):
@@ -77,7 +77,7 @@ def test_what_is_usual_around_a_place(shape, share):
     rng = np.random.default_rng(0)
     values = (rng.normal(size=shape) * (1 + 9 * (np.arange(shape[1]) > shape[1] / 2))).astype(np.float32)
     values[rng.random(shape) < 0.2] = np.nan
-    around = candidates.usual(values, (2.0, 3.0), 30.0, share)
+    around = candidates.local_spread(values, (2.0, 3.0), 30.0, share)
     down, across = min(15, shape[0]), min(10, shape[1])
     step = max(1, down // candidates.SAMPLES), max(1, across // candidates.SAMPLES)
     down, across = down // step[0] * step[0], across // step[1] * step[1]
@@ -87,7 +87,7 @@ def test_what_is_usual_around_a_place(shape, share):
         part = part[np.isfinite(part)]
         deviation = np.sort(np.abs(part - np.sort(part)[round(0.5 * (part.size - 1))]))
         expected = deviation[round(share * (part.size - 1))] / candidates.TO_SD[share]
-        assert around.at(np.array([[3.0 * j, 2.0 * i]]))[0] == pytest.approx(expected, rel=1e-5)
+        assert around.at_points(np.array([[3.0 * j, 2.0 * i]]))[0] == pytest.approx(expected, rel=1e-5)
 
 
 def test_texture_far_away_hides_no_hole():

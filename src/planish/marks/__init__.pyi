@@ -12,8 +12,8 @@ from .hole_files import read_holes as read_holes
 from .hole_files import write_holes as write_holes
 from .mask import cut_holes as cut_holes
 from .mask import hole_mask as hole_mask
-from .not_taken import check_holes as check_holes
 from .params import HoleParams as HoleParams
+from .rejected import check_holes as check_holes
 from .sheet_holes import Side as Side
 from .sheet_holes import find_sheet_holes as find_sheet_holes
 from .sheet_holes import hole_tilt as hole_tilt

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-Floats = NDArray[np.float64]
+from planish.core.typing import Bools, Floats
+
+Ints = NDArray[np.intp]
 Image = NDArray[np.float32]
 
 # Pixels across the smallest hole where candidates are searched, and where rims are measured.
@@ -30,6 +32,14 @@ TO_SD = {0.25: 0.3186, 0.5: 0.6745}
 FAINTEST = 0.25
 
 
+class Raster(NamedTuple):
+    """An image, its pixel size ``(y, x)`` and the ``(x, y)`` of its first pixel's centre, in um."""
+
+    image: Image
+    pixel_um: tuple[float, float]
+    origin_um: Floats
+
+
 class Response(NamedTuple):
     """Answer to discs of one radius: pixel size ``(y, x)`` and ``(x, y)`` of the first pixel, all in um."""
 
@@ -39,17 +49,12 @@ class Response(NamedTuple):
     origin_um: Floats
 
 
-def reduce_to(
-    image: Image, pixel_um: tuple[float, float], target_um: float
-) -> tuple[Image, tuple[float, float], Floats]:
-    """Area-mean an image until its pixels (y, x) are nearly as large as ``target_um``.
-
-    Returns the image, its pixel size (y, x) and the (x, y) of its first pixel's centre, in um.
-    """
+def reduce_to(image: Image, pixel_um: tuple[float, float], target_um: float) -> Raster:
+    """Area-mean an image, whose first pixel lies at 0, until its pixels are nearly as large as ``target_um``."""
     factors = [max(1, min(int(target_um / size + 1e-6), n // 4)) for size, n in zip(pixel_um, image.shape, strict=True)]
     small = image if factors == [1, 1] else _block_means(image, factors, least=0.5)[0]
     size = (pixel_um[0] * factors[0], pixel_um[1] * factors[1])
-    return (small, size, np.array([(factors[1] - 1) / 2 * pixel_um[1], (factors[0] - 1) / 2 * pixel_um[0]]))
+    return Raster(small, size, np.array([(factors[1] - 1) / 2 * pixel_um[1], (factors[0] - 1) / 2 * pixel_um[0]]))
 
 
 def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[float, float]) -> list[Response]:
@@ -58,10 +63,8 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
     Missing data are filled with the local mean of what is there, so that they raise no edge of their own. Radii grow;
     wide blobs come on coarser rasters.
     """
-    there = np.isfinite(image)
-    filled = image
-    if not np.all(there):
-        filled = np.where(there, image, _local_mean(image, pixel_um, 1.5 * radii_um[1]))
+    is_finite = np.isfinite(image)
+    filled = image if is_finite.all() else np.where(is_finite, image, _local_mean(image, pixel_um, 1.5 * radii_um[1]))
     count = max(2, int(np.ceil(np.log(radii_um[1] / radii_um[0]) / np.log(1.35))) + 1)
     radii = np.geomspace(radii_um[0], radii_um[1], count)
     ratio = float(radii[1] / radii[0])
@@ -70,7 +73,7 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
     widths = np.append(radii / np.sqrt(2 * ratio), radii[-1] * np.sqrt(ratio / 2))
     steps = np.sqrt(np.diff(widths**2, prepend=0.0))
     responses: list[Response] = []
-    before, size, origin = (np.ascontiguousarray(filled, dtype=np.float32), pixel_um, np.zeros(2))
+    before, size, origin = np.ascontiguousarray(filled, dtype=np.float32), pixel_um, np.zeros(2)
     for level, step in enumerate(steps):
         sigmas = float(step) / size[0], float(step) / size[1]
         after = ndimage.gaussian_filter(before, sigmas, mode="nearest", truncate=3.0)
@@ -90,21 +93,21 @@ def disc_response(radii: list[float], step: float) -> float:
     return step * float(np.exp(-1 / ratio) - np.exp(-ratio))
 
 
-class Around(NamedTuple):
+class LocalLevels(NamedTuple):
     """What is usual around each place of an image: values (rows, columns) of squares of a side ``(y, x)`` in um."""
 
     values: Floats
     side_um: tuple[float, float]
 
-    def at(self, places: Floats) -> Floats:
-        """Values at places (n, 2), ``x, y`` in um."""
+    def at_points(self, points: Floats) -> Floats:
+        """Values at points (n, 2), ``x, y`` in um."""
         rows, columns = self.values.shape
-        i = np.clip(places[:, 1] / self.side_um[0], 0, rows - 1).astype(np.intp)
-        j = np.clip(places[:, 0] / self.side_um[1], 0, columns - 1).astype(np.intp)
+        i = np.clip(points[:, 1] / self.side_um[0], 0, rows - 1).astype(np.intp)
+        j = np.clip(points[:, 0] / self.side_um[1], 0, columns - 1).astype(np.intp)
         return self.values[i, j]
 
 
-def usual(deviations: Image, pixel_um: tuple[float, float], side_um: float, share: float) -> Around:
+def local_spread(deviations: Image, pixel_um: tuple[float, float], side_um: float, share: float) -> LocalLevels:
     """Quantile of absolute deviations in each square of an image and the eight around it, as a standard deviation.
 
     Some hundred values are taken of each neighbourhood. Where less than a tenth of it is there, the quantile of all of
@@ -112,34 +115,35 @@ def usual(deviations: Image, pixel_um: tuple[float, float], side_um: float, shar
     """
     sides = [max(1, min(round(side_um / size), n)) for size, n in zip(pixel_um, deviations.shape, strict=True)]
     steps = [max(1, side // SAMPLES) for side in sides]
-    some = deviations[:: steps[0], :: steps[1]]
+    sample = deviations[:: steps[0], :: steps[1]]
     sides = [max(1, side // step) for side, step in zip(sides, steps, strict=True)]
-    counts = [-(-n // side) for n, side in zip(some.shape, sides, strict=True)]
-    room = [(side, (count + 1) * side - n) for n, side, count in zip(some.shape, sides, counts, strict=True)]
+    counts = [-(-n // side) for n, side in zip(sample.shape, sides, strict=True)]
+    padding = [(side, (count + 1) * side - n) for n, side, count in zip(sample.shape, sides, counts, strict=True)]
     windows = np.lib.stride_tricks.sliding_window_view(
-        np.pad(some, room, constant_values=np.nan), (3 * sides[0], 3 * sides[1])
+        np.pad(sample, padding, constant_values=np.nan), (3 * sides[0], 3 * sides[1])
     )[:: sides[0], :: sides[1]]
     windows = windows.reshape(*windows.shape[:2], -1)
-    there = np.count_nonzero(windows == windows, axis=2)
-    middle = _quantile(windows, there, 0.5)
-    local = _quantile(np.abs(windows - middle[..., None]), there, share)
-    every = some[some == some]
+    finite_counts = np.count_nonzero(windows == windows, axis=2)
+    middle = _quantile(windows, finite_counts, 0.5)
+    local = _quantile(np.abs(windows - middle[..., None]), finite_counts, share)
+    finite = sample[sample == sample]
     whole = 0.0
-    if every.size and 10 * every.size >= some.size:
-        whole = float(np.quantile(np.abs(every - np.median(every)), share))
-    local = np.where(10 * there >= _inside(some.shape, sides, counts), local, whole).astype(np.float64)
+    if finite.size and 10 * finite.size >= sample.size:
+        whole = float(np.quantile(np.abs(finite - np.median(finite)), share))
+    is_enough = 10 * finite_counts >= _counts_inside(sample.shape, sides, counts)
+    spread = np.where(is_enough, local, whole).astype(np.float64)
     side = (sides[0] * steps[0] * pixel_um[0], sides[1] * steps[1] * pixel_um[1])
-    return Around(local / TO_SD[share], side)
+    return LocalLevels(spread / TO_SD[share], side)
 
 
-def _quantile(values: Image, there: NDArray[np.intp], share: float) -> Image:
-    """Quantile along the last axis of the values that are there: NaN sorts last."""
-    rank = np.rint(share * np.maximum(there - 1, 0)).astype(np.intp)
+def _quantile(values: Image, finite_counts: Ints, share: float) -> Image:
+    """Quantile along the last axis of the finite values: NaN sorts last."""
+    rank = np.rint(share * np.maximum(finite_counts - 1, 0)).astype(np.intp)
     return np.take_along_axis(np.sort(values, axis=-1), rank[..., None], axis=-1)[..., 0]
 
 
-def _inside(shape: tuple[int, ...], sides: list[int], counts: list[int]) -> Floats:
-    """How many values of each neighbourhood lie inside the image."""
+def _counts_inside(shape: tuple[int, ...], sides: list[int], counts: list[int]) -> Floats:
+    """Count the values of each neighbourhood that lie inside the image."""
     spans: list[Floats] = []
     for n, side, count in zip(shape, sides, counts, strict=True):
         first = np.arange(count) * side - side
@@ -147,54 +151,49 @@ def _inside(shape: tuple[int, ...], sides: list[int], counts: list[int]) -> Floa
     return spans[0][:, None] * spans[1]
 
 
-def regular(responses: list[Response], side_um: float) -> list[Around]:
+def response_spreads(responses: list[Response], side_um: float) -> list[LocalLevels]:
     """Usual responses at each radius: what mottle, fibres or a printed screen make around each place.
 
     Nowhere less than a quarter of that of the whole image: there, blots would stand out from nothing.
     """
-    found: list[Around] = []
-    for response in responses:
-        around = usual(response.values, response.pixel_um, side_um, 0.5)
-        least = FAINTEST * float(np.median(around.values))
-        found.append(around._replace(values=np.maximum(around.values, least)))
-    return found
+    spreads = [local_spread(response.values, response.pixel_um, side_um, 0.5) for response in responses]
+    leasts = [FAINTEST * float(np.median(spread.values)) for spread in spreads]
+    return [s._replace(values=np.maximum(s.values, least)) for s, least in zip(spreads, leasts, strict=True)]
 
 
-def quiet_texture(image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float) -> Around:
+def quiet_texture(image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float) -> LocalLevels:
     """Texture of the quietest quarter around each place, about the mean over ``width_um``, as if it were Gaussian.
 
     Holes, dots and dirt have little influence; it is too small rather than too large, and nowhere above the median.
     """
-    around = _deviation(image, pixel_um, width_um, side_um, 0.25)
-    return around._replace(values=np.minimum(around.values, np.median(around.values)))
+    levels = _local_deviation(image, pixel_um, width_um, side_um, 0.25)
+    return levels._replace(values=np.minimum(levels.values, np.median(levels.values)))
 
 
-def texture(image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float, circles: Floats) -> Around:
+def texture(
+    image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float, circles: Floats
+) -> LocalLevels:
     """Texture around each place about the mean over ``width_um``, outside circles ``x, y, radius`` (um).
 
     The Gaussian mean is taken for uneven light. 0 where less than a tenth of the image is left.
     """
-    rest = image.copy()
+    masked = image.copy()
     for x, y, radius in circles:
         i0, i1 = (max(0, int((y + side * radius) / pixel_um[0]) + (side > 0)) for side in (-1, 1))
         j0, j1 = (max(0, int((x + side * radius) / pixel_um[1]) + (side > 0)) for side in (-1, 1))
-        part = rest[i0:i1, j0:j1]
-        down = (np.arange(i0, i0 + part.shape[0])[:, None] * pixel_um[0] - y) ** 2
-        part[down + (np.arange(j0, j0 + part.shape[1]) * pixel_um[1] - x) ** 2 <= radius**2] = np.nan
-    return _deviation(rest, pixel_um, width_um, side_um, 0.5)
+        window = masked[i0:i1, j0:j1]
+        down = (np.arange(i0, i0 + window.shape[0])[:, None] * pixel_um[0] - y) ** 2
+        window[down + (np.arange(j0, j0 + window.shape[1]) * pixel_um[1] - x) ** 2 <= radius**2] = np.nan
+    return _local_deviation(masked, pixel_um, width_um, side_um, 0.5)
 
 
-def _deviation(image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float, share: float) -> Around:
-    """What is usual of an image about its mean over ``width_um``; only what `usual` takes is computed."""
+def _local_deviation(
+    image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float, share: float
+) -> LocalLevels:
+    """What is usual of an image about its mean over ``width_um``; only what `local_spread` takes is computed."""
     down, across = (max(1, int(side_um / size / SAMPLES)) for size in pixel_um)
-    rest = image[::down, ::across] - _local_mean(image, pixel_um, width_um, (down, across))
-    return usual(rest, (down * pixel_um[0], across * pixel_um[1]), side_um, share)
-
-
-def _some(values: Image) -> Image:
-    """At most half a million of the values that are there, from all over the image."""
-    some = values.ravel()[:: 1 + values.size // 500_000]
-    return some[np.isfinite(some)]
+    deviations = image[::down, ::across] - _local_mean(image, pixel_um, width_um, (down, across))
+    return local_spread(deviations, (down * pixel_um[0], across * pixel_um[1]), side_um, share)
 
 
 def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
@@ -206,13 +205,15 @@ def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float, st
     factors = [max(1, int(width_um / 4 / size)) for size in pixel_um]
     sigmas = tuple(width_um / size / factor for size, factor in zip(pixel_um, factors, strict=True))
     means, share = _block_means(image, factors)
-    share, values = (ndimage.gaussian_filter(part, sigmas, truncate=3.0) for part in (share, means * share))
+    share, sums = (ndimage.gaussian_filter(array, sigmas, truncate=3.0) for array in (share, means * share))
     near = share > 1e-3
-    some = _some(image)
-    typical = np.float32(np.median(some)) if some.size else np.float32(0)
-    mean = np.where(near, values / np.where(near, share, np.float32(1)), typical)
+    # At most half a million of the values, from all over the image.
+    sample = image.ravel()[:: 1 + image.size // 500_000]
+    sample = sample[np.isfinite(sample)]
+    typical = np.float32(np.median(sample)) if sample.size else np.float32(0)
+    mean = np.where(near, sums / np.where(near, share, np.float32(1)), typical)
     for n, factor, step in zip(image.shape, factors, steps, strict=True):
-        mean = _stretched(mean, np.arange(0, n, step), factor).T
+        mean = _interpolate_blocks(mean, np.arange(0, n, step), factor).T
     return mean
 
 
@@ -227,20 +228,20 @@ def _block_means(image: Image, factors: list[int], least: float | None = None) -
         image = np.pad(image, beyond, constant_values=np.nan)
     rows, cols = (n // f for n, f in zip(image.shape, factors, strict=True))
     blocks = image[: rows * factors[0], : cols * factors[1]].reshape(rows, factors[0], cols, factors[1])
-    there = np.isfinite(blocks)
-    share = there.mean(axis=(1, 3), dtype=np.float32)
-    sums = np.where(there, blocks, 0).mean(axis=(1, 3), dtype=np.float64)
+    has_data = np.isfinite(blocks)
+    share = has_data.mean(axis=(1, 3), dtype=np.float32)
+    sums = np.where(has_data, blocks, 0).mean(axis=(1, 3), dtype=np.float64)
     means = (sums / np.maximum(share, 1e-12)).astype(np.float32)
     return means if least is None else np.where(share >= least, means, np.float32(np.nan)), share
 
 
-def _stretched(means: Image, rows: NDArray[np.intp], factor: int) -> Image:
+def _interpolate_blocks(means: Image, rows: Ints, factor: int) -> Image:
     """Values of blocks at some rows, linear between the middles of the blocks."""
     place = np.clip((rows + 0.5) / factor - 0.5, 0.0, len(means) - 1.0)
     low = np.minimum(place.astype(np.intp), max(0, len(means) - 2))
-    part = (place - low).astype(np.float32)[:, None]
+    fraction = (place - low).astype(np.float32)[:, None]
     above = means[np.minimum(low + 1, len(means) - 1)]
-    return np.asarray(means[low] + (above - means[low]) * part, dtype=np.float32)
+    return np.asarray(means[low] + (above - means[low]) * fraction, dtype=np.float32)
 
 
 class Candidates(NamedTuple):
@@ -256,34 +257,43 @@ class Candidates(NamedTuple):
     """How many more lie beyond the limit of their part of the image."""
 
 
-def peaks(responses: list[Response], sign: float, plain: Around, spreads: list[Around], worth: float) -> Candidates:
+def peaks(
+    responses: list[Response], sign: float, faintest: LocalLevels, spreads: list[LocalLevels], worth: float
+) -> Candidates:
     """Return the extremes over place and scale, strongest first.
 
-    ``sign`` is 1 for dark and -1 for bright discs; ``plain`` the response that the least contrast makes and ``spreads``
-    the usual response of each radius: what is searched is stronger than the first or ``worth`` times the second.
+    ``sign`` is 1 for dark and -1 for bright discs; ``faintest`` the response that the least contrast makes and
+    ``spreads`` the usual response of each radius: what is searched is stronger than the first or ``worth`` times the
+    second.
     """
-    found: list[Floats] = []
-    for (radius, values, pixel, origin), spread in zip(responses, spreads, strict=True):
-        signed = values if sign > 0 else -values
-        reach = [max(1, round(0.5 * radius / size)) for size in pixel]
-        weakest = max(0.0, min(float(plain.values.min()), worth * float(spread.values.min())))
-        row, column = _maxima(signed, weakest, reach)
-        place = np.stack([column * pixel[1], row * pixel[0]], axis=1) + origin
-        height, usually, contrast = signed[row, column].astype(np.float64), spread.at(place), plain.at(place)
-        least = np.minimum(contrast, worth * usually)
-        share = np.where(contrast > 0, least / np.maximum(contrast, 1e-30), 1.0)
-        rows = np.column_stack([place, height / np.maximum(usually, 1e-30), height, share])
-        found.append(rows[height > np.maximum(least, 0.0)])
-    every = np.concatenate(found)
-    order = np.argsort(-every[:, 3], kind="stable")
-    places = _thinned(every[order], 0.5 * responses[0].radius)
-    kept = _strongest_by_tile(places, responses[0].radius)
-    dropped = int(np.count_nonzero(~kept))
-    places = places[kept]
-    return Candidates(places[:, :2], places[:, 2], places[:, 4], dropped)
+    pairs = zip(responses, spreads, strict=True)
+    rows = np.concatenate([_peaks_of_radius(response, sign, faintest, spread, worth) for response, spread in pairs])
+    order = np.argsort(-rows[:, 3], kind="stable")
+    rows = _thin_by_cell(rows[order], 0.5 * responses[0].radius)
+    is_strong = _strongest_by_tile(rows, responses[0].radius)
+    dropped = int(np.count_nonzero(~is_strong))
+    rows = rows[is_strong]
+    return Candidates(rows[:, :2], rows[:, 2], rows[:, 4], dropped)
 
 
-def _maxima(values: Image, least: float, reach: list[int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _peaks_of_radius(
+    response: Response, sign: float, faintest: LocalLevels, spread: LocalLevels, worth: float
+) -> Floats:
+    """Peaks of one response: ``x, y`` (um), height in units of the usual one, height, share of the least contrast."""
+    signed = response.values if sign > 0 else -response.values
+    reach = [max(1, round(0.5 * response.radius / size)) for size in response.pixel_um]
+    weakest = max(0.0, min(float(faintest.values.min()), worth * float(spread.values.min())))
+    row, column = _maxima(signed, weakest, reach)
+    points = np.stack([column * response.pixel_um[1], row * response.pixel_um[0]], axis=1) + response.origin_um
+    height = signed[row, column].astype(np.float64)
+    usual, contrast = spread.at_points(points), faintest.at_points(points)
+    least = np.minimum(contrast, worth * usual)
+    share = np.where(contrast > 0, least / np.maximum(contrast, 1e-30), 1.0)
+    rows = np.column_stack([points, height / np.maximum(usual, 1e-30), height, share])
+    return rows[height > np.maximum(least, 0.0)]
+
+
+def _maxima(values: Image, least: float, reach: list[int]) -> tuple[Ints, Ints]:
     """Rows and columns of what is above ``least`` and nowhere surpassed within ``reach`` (rows, columns)."""
     row, column = np.nonzero(values > least)
     around = np.pad(values, [(n, n) for n in reach], constant_values=-np.inf)
@@ -295,7 +305,7 @@ def _maxima(values: Image, least: float, reach: list[int]) -> tuple[NDArray[np.i
     return row, column
 
 
-def _strongest_by_tile(places: Floats, radius: float) -> NDArray[np.bool_]:
+def _strongest_by_tile(places: Floats, radius: float) -> Bools:
     """Which places, strongest first, are among the strongest of their square of the image."""
     if len(places) <= ENOUGH_CANDIDATES:
         return np.ones(len(places), bool)
@@ -307,12 +317,12 @@ def _strongest_by_tile(places: Floats, radius: float) -> NDArray[np.bool_]:
     return rank < TILE**2 / np.pi
 
 
-def _thinned(points: Floats, least: float) -> Floats:
-    """Drop points that share a cell of size ``least`` with one before them; the largest third number is kept."""
+def _thin_by_cell(points: Floats, least: float) -> Floats:
+    """Drop points that share a cell of size ``least`` with one before them; the largest third number stays."""
     cells = np.floor(points[:, :2] / least).astype(np.int64)
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     largest = np.full(len(first), -np.inf)
     np.maximum.at(largest, cell.ravel(), points[:, 2])
-    kept = points[first]
-    kept[:, 2] = largest
-    return kept[np.argsort(first)]
+    thinned = points[first]
+    thinned[:, 2] = largest
+    return thinned[np.argsort(first)]

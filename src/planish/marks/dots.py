@@ -8,9 +8,9 @@ from scipy import ndimage
 
 from planish.marks.candidates import reduce_to
 
-_ACROSS = 40.0  # pixels over the smallest hole where dots are told from holes
-_BESIDE = 2  # such pixels around a dot that are not yet as bright as paper
-_BACK = 1.5  # such pixels by which a hole grows back beyond the discs in it: its rim stays as it is
+_ACROSS = 40.0  # pixels over the smallest hole where dots are distinguished from holes
+_EDGE = 2  # such pixels around a dot that are not yet as bright as paper
+_REGROWTH = 1.5  # such pixels by which a hole grows back beyond the discs in it: its rim stays as it is
 _BINS = 256
 
 
@@ -42,36 +42,36 @@ def without_dots(image: NDArray[np.floating], pixel_um: tuple[float, float], lea
     """
     whole = np.asarray(image, dtype=np.float32)
     small, size, _ = reduce_to(whole, pixel_um, least_um / _ACROSS)
-    known = np.isfinite(small)
-    if not known.any():
+    has_data = np.isfinite(small)
+    if not has_data.any():
         return whole
-    smooth = ndimage.gaussian_filter(np.where(known, small, np.median(small[known])), 1.0)
-    dark = known & (smooth < _level(smooth[known]))
-    if not dark.any() or not (known & ~dark).any():
+    smooth = ndimage.gaussian_filter(np.where(has_data, small, np.median(small[has_data])), 1.0)
+    dark = has_data & (smooth < _otsu_level(smooth[has_data]))
+    if not dark.any() or not (has_data & ~dark).any():
         return whole
     # Beyond the border may be more of a hole, or of a dot: a hole that it cuts stays one.
-    inside = np.asarray(ndimage.distance_transform_edt(np.pad(dark | ~known, 1, constant_values=True), sampling=size))
-    middle = dark & (inside[1:-1, 1:-1] >= least_um / 2 - 0.5 * max(size))
-    reach = least_um / 2 + _BACK * max(size)
-    hole = np.zeros_like(dark) if not middle.any() else (
-        np.asarray(ndimage.distance_transform_edt(~middle, sampling=size)) < reach
-    )  # fmt: skip
-    dots = ndimage.binary_dilation(dark & ~hole, iterations=_BESIDE) & ~hole
+    depth = np.asarray(ndimage.distance_transform_edt(np.pad(dark | ~has_data, 1, constant_values=True), sampling=size))
+    middle = dark & (depth[1:-1, 1:-1] >= least_um / 2 - 0.5 * max(size))
+    reach = least_um / 2 + _REGROWTH * max(size)
+    hole = np.zeros_like(dark)
+    if middle.any():
+        hole = np.asarray(ndimage.distance_transform_edt(~middle, sampling=size)) < reach
+    dots = ndimage.binary_dilation(dark & ~hole, iterations=_EDGE) & ~hole
     factors = [round(a / b) for a, b in zip(size, pixel_um, strict=True)]
     rows, cols = (
         np.minimum(np.arange(n) // k, m - 1) for n, k, m in zip(whole.shape, factors, dots.shape, strict=True)
     )
     out = whole.copy()
-    out[dots[np.ix_(rows, cols)] & np.isfinite(whole)] = np.median(small[known & ~dark])
+    out[dots[np.ix_(rows, cols)] & np.isfinite(whole)] = np.median(small[has_data & ~dark])
     return out
 
 
-def _level(values: NDArray[np.float32]) -> float:
+def _otsu_level(greys: NDArray[np.float32]) -> float:
     """Grey that parts two classes so that the variance between them is largest."""
-    count, edges = np.histogram(values, _BINS)
+    count, edges = np.histogram(greys, _BINS)
     middle = 0.5 * (edges[1:] + edges[:-1])
     below = np.cumsum(count)
     total = np.cumsum(count * middle)
-    both = below[:-1] * (below[-1] - below[:-1])
-    between = (total[-1] * below[:-1] / below[-1] - total[:-1]) ** 2 / np.maximum(both, 1)
-    return float(edges[1 + int(np.argmax(np.where(both > 0, between, -1.0)))])
+    weight = below[:-1] * (below[-1] - below[:-1])
+    between = (total[-1] * below[:-1] / below[-1] - total[:-1]) ** 2 / np.maximum(weight, 1)
+    return float(edges[1 + int(np.argmax(np.where(weight > 0, between, -1.0)))])

@@ -1,7 +1,8 @@
-"""Laser holes in an image or a presence map, with sub-pixel centres and what is known of their error."""
+"""Laser holes in an image or a presence map, with sub-pixel centres and their covariances."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -10,11 +11,13 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError, SizeError
+from planish.core.typing import Floats
 from planish.marks import _measure_kernels as k
-from planish.marks import candidates, judge
-from planish.marks.candidates import Floats, Image
-from planish.marks.judge import LEAST_CONTRAST
-from planish.marks.not_taken import REASONS, count_not_taken
+from planish.marks import candidates
+from planish.marks import hole_criteria as criteria
+from planish.marks.candidates import Image, Raster
+from planish.marks.hole_criteria import LEAST_CONTRAST
+from planish.marks.rejected import REASONS, count_rejected
 
 Polarity = Literal["auto", "dark", "bright"]
 """Whether holes are darker or brighter than the sheet."""
@@ -109,112 +112,123 @@ def find_holes(
     # picture.
     times = USUAL_UM / np.sqrt(low * high)
     times = 1.0 if 0.5 <= times <= 2.0 else float(times)
-    as_holes = (size[0] * times, size[1] * times)
     sign, rows, counts = signs[0], np.empty((0, k.COLUMNS)), dict.fromkeys(REASONS, 0)
-    # Whether a hole could lie in the image at all.
-    wide = min(n * step for n, step in zip(grey.shape, size, strict=True)) > low
-    if wide and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
-        sign, rows, counts = _holes(grey, as_holes, low / 2 * times, high / 2 * times, signs)
+    may_hold_hole = min(n * step for n, step in zip(grey.shape, size, strict=True)) > low
+    if may_hold_hole and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
+        magnified = size[0] * times, size[1] * times
+        sign, rows, counts = _holes(grey, magnified, low / 2 * times, high / 2 * times, signs)
     rows[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE, k.DOUBT_X, k.DOUBT_Y]] /= times
     rows[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= times**2
     return _dataset(rows, sign).assign_attrs(not_taken=counts)
 
 
+class _Detection(NamedTuple):
+    """Marks of one polarity: holes, all that was measured, the places searched, the texture around."""
+
+    sign: float
+    holes: Floats
+    measured: Floats
+    places: Floats
+    texture: candidates.LocalLevels
+    dropped: int
+
+
 def _holes(
     grey: Image, size: tuple[float, float], low: float, high: float, signs: tuple[float, ...]
 ) -> tuple[float, Floats, dict[str, int]]:
-    """Sign, rows of `measure` and counts of what was not taken of the polarity with the stronger holes; um."""
-    fine, fine_size, fine_origin = candidates.reduce_to(grey, size, 2 * low / candidates.ACROSS_FINE)
-    coarse, coarse_size, coarse_origin = candidates.reduce_to(fine, fine_size, 2 * low / candidates.ACROSS_COARSE)
+    """Sign, rows of `measure` and counts of rejected marks of the polarity with the stronger holes; um."""
+    fine = candidates.reduce_to(grey, size, 2 * low / candidates.ACROSS_FINE)
+    best = max(_detections(fine, low, high, signs), key=lambda detection: float(np.sum(detection.holes[:, k.STEP])))
+    rows = best.holes
+    if len(rows) >= criteria.LEAST_OTHERS:
+        floors = _floors(fine, best.sign, best.places, rows)
+        _raise_texture(floors, best.texture)
+        rows = criteria.merge_floors(rows, floors)
+    is_whole = criteria.is_whole(best.measured, fine.image.shape, fine.pixel_um)
+    met = criteria.criteria(best.measured, fine.pixel_um, low, high)
+    counts = count_rejected(best.measured, rows, met, is_whole, best.dropped)
+    criteria.set_covariance(rows, fine.pixel_um)
+    rows[:, k.X : k.Y + 1] += fine.origin_um
+    return best.sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))], counts
+
+
+def _detections(fine: Raster, low: float, high: float, signs: tuple[float, ...]) -> Iterator[_Detection]:
+    """Search candidates on a coarse raster and measure them on the fine one, for each sign."""
+    coarse, coarse_size, coarse_origin = candidates.reduce_to(*fine[:2], 2 * low / candidates.ACROSS_COARSE)
     responses = candidates.blob_responses(coarse, coarse_size, (low, high))
     square = candidates.SQUARE * 2 * high
     # Char, neighbours and a radius between two of the scale space weaken a response; a third is allowed for them.
     quiet = candidates.quiet_texture(coarse, coarse_size, 2 * high, square)
     disc = 0.67 * candidates.disc_response([r.radius for r in responses], LEAST_CONTRAST)
-    plain = quiet._replace(values=disc * quiet.values)
+    faintest = quiet._replace(values=disc * quiet.values)
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
-    spreads = candidates.regular(responses, square)
-    found: list[_OneSign] = []
+    spreads = candidates.response_spreads(responses, square)
     for sign in signs:
-        places, standing, share, dropped = candidates.peaks(responses, sign, plain, spreads, judge.WORTH_MEASURING)
+        points, standing, share, dropped = candidates.peaks(
+            responses, sign, faintest, spreads, criteria.WORTH_MEASURING
+        )
         # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
-        worth = SEEN * share * LEAST_CONTRAST * quiet.at(places), np.where(share < 1.0, 0.0, SEEN * LEAST_CONTRAST)
-        at = places + coarse_origin
-        rows = _measured(fine, fine_size, at, sign, (low, high), worth)
-        rows[:, k.STANDING] = standing
-        seen, rows = rows, rows[judge.is_hole(rows, fine_size, low, high)]
+        worth = (
+            SEEN * share * LEAST_CONTRAST * quiet.at_points(points),
+            np.where(share < 1.0, 0.0, SEEN * LEAST_CONTRAST),
+        )
+        places = points + coarse_origin
+        measured = _measured(fine, places, sign, (low, high), worth)
+        measured[:, k.STANDING] = standing
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
-        circles = np.stack([*(rows[:, k.X : k.Y + 1] - coarse_origin).T, rows[:, k.RADIUS] + CHAR_UM], axis=1)
+        holes = measured[criteria.is_hole(measured, fine.pixel_um, low, high)]
+        circles = np.stack([*(holes[:, k.X : k.Y + 1] - coarse_origin).T, holes[:, k.RADIUS] + CHAR_UM], axis=1)
         texture = candidates.texture(coarse, coarse_size, 2 * high, square, circles)
-        seen = seen[np.isfinite(seen[:, k.RADIUS])]
-        seen[:, k.TEXTURE] = np.maximum(seen[:, k.TEXTURE], texture.at(seen[:, k.X : k.Y + 1]))
-        rows = judge.strongest_apart(seen[judge.is_hole(seen, fine_size, low, high)])
-        rows = judge.unlike_removed(rows[judge.is_whole(rows, fine.shape, fine_size)], sign)
-        found.append(_OneSign(sign, rows, seen, at, texture, dropped))
-    best = max(found, key=lambda one: float(np.sum(one.rows[:, k.STEP])))
-    rows = best.rows
-    if len(rows) >= judge.LEAST_OTHERS:
-        floors = _floors(fine, fine_size, best.sign, best.places, rows)
-        floors[:, k.TEXTURE] = np.maximum(floors[:, k.TEXTURE], best.texture.at(floors[:, k.X : k.Y + 1]))
-        rows = judge.joined(rows, floors)
-    whole = judge.is_whole(best.seen, fine.shape, fine_size)
-    faults = judge.faults(best.seen, fine_size, low, high)
-    counts = count_not_taken(best.seen, rows, faults, whole, best.dropped)
-    judge.set_covariance(rows, fine_size)
-    rows[:, k.X] += fine_origin[0]
-    rows[:, k.Y] += fine_origin[1]
-    return best.sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))], counts
+        measured = measured[np.isfinite(measured[:, k.RADIUS])]
+        _raise_texture(measured, texture)
+        holes = criteria.deepest_disjoint(measured[criteria.is_hole(measured, fine.pixel_um, low, high)])
+        holes = criteria.drop_unlike(holes[criteria.is_whole(holes, fine.image.shape, fine.pixel_um)], sign)
+        yield _Detection(sign, holes, measured, places, texture, dropped)
 
 
-class _OneSign(NamedTuple):
-    """What was found of one polarity: holes, all that was measured, the places searched, their surroundings."""
-
-    sign: float
-    rows: Floats
-    seen: Floats
-    places: Floats
-    texture: candidates.Around
-    dropped: int
+def _raise_texture(rows: Floats, texture: candidates.LocalLevels) -> None:
+    """Raise the texture of rows to that around them, in place."""
+    rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], texture.at_points(rows[:, k.X : k.Y + 1]))
 
 
 def _measured(
-    image: Image, size: tuple[float, float], places: Floats, sign: float, radii: tuple[float, float],
-    worth: tuple[Floats, Floats],
-) -> Floats:  # fmt: skip
+    fine: Raster, places: Floats, sign: float, radii: tuple[float, float], worth: tuple[Floats, Floats]
+) -> Floats:
     """Measure places, strongest first; what lies well inside a hole that a stronger one led to is passed over."""
+    image, size, _ = fine
     rows = np.full((len(places), k.COLUMNS), np.nan)
-    first = judge.first_apart(np.arange(len(places)), *judge.neighbours(places, 2 * radii[0]))
-    rest = np.ones(len(places), bool)
-    rest[first] = False
-    for turn in (np.asarray(first, dtype=np.intp), np.flatnonzero(rest)):
-        if good := np.flatnonzero(judge.is_clear(rows, size)).tolist():
-            away, nearest = KDTree(rows[good][:, [k.X, k.Y]]).query(places[turn])
-            turn = turn[away > 0.5 * rows[good][nearest, k.RADIUS]]
+    pairs = criteria.neighbour_pairs(places, 2 * radii[0])
+    first = np.asarray(criteria.greedy_disjoint(np.arange(len(places)), *pairs), dtype=np.intp)
+    for turn in (first, np.setdiff1d(np.arange(len(places)), first)):
+        if clear := np.flatnonzero(criteria.is_clear(rows, size)).tolist():
+            away, nearest = KDTree(rows[clear][:, [k.X, k.Y]]).query(places[turn])
+            turn = turn[away > 0.5 * rows[clear][nearest, k.RADIUS]]
         x, y = np.ascontiguousarray(places[turn].T)
-        rows[turn] = k.measure(image, size[1], size[0], x, y, sign, *radii, *(some[turn] for some in worth))
+        rows[turn] = k.measure(image, size[1], size[0], x, y, sign, *radii, *(limit[turn] for limit in worth))
     return rows
 
 
-def _floors(image: Image, size: tuple[float, float], sign: float, places: Floats, rows: Floats) -> Floats:
+def _floors(fine: Raster, sign: float, places: Floats, holes: Floats) -> Floats:
     """Measure floors where no clear hole is."""
-    typical = judge.family(rows)
-    clear = rows[~judge.doubtful(rows)]
+    image, size, _ = fine
+    typical = criteria.typical_hole(holes)
+    clear = holes[~criteria.is_doubtful(holes)]
     if len(clear):
         away, nearest = KDTree(clear[:, [k.X, k.Y]]).query(places)
         places = places[away > clear[nearest, k.RADIUS]]
     x, y = np.ascontiguousarray(places.T)
     level = typical.floor + FLOOR_SHARES[0] * typical.depth
-    at = k.middles_of_floors(image, size[1], size[0], x, y, sign, typical.radius, level)
-    at = at[np.isfinite(at[:, 0])]
+    middles = k.middles_of_floors(image, size[1], size[0], x, y, sign, typical.radius, level)
+    middles = middles[np.isfinite(middles[:, 0])]
     # Places beside each other lead to one hole.
-    near = judge.neighbours(at, 0.1 * typical.radius)
-    x, y = np.ascontiguousarray(at[judge.first_apart(np.arange(len(at)), *near)].T)
+    pairs = criteria.neighbour_pairs(middles, 0.1 * typical.radius)
+    x, y = np.ascontiguousarray(middles[criteria.greedy_disjoint(np.arange(len(middles)), *pairs)].T)
     levels = (typical.radius, typical.floor, typical.depth, FLOOR_SHARES)
-    floors = judge.resembling(k.measure_floors(image, size[1], size[0], x, y, sign, *levels), rows, size)
+    floors = criteria.select_resembling(k.measure_floors(image, size[1], size[0], x, y, sign, *levels), holes, size)
     # A rim lies farther out than its floor.
     rims = floors.copy()
     rims[:, k.RADIUS] = np.maximum(rims[:, k.RADIUS], typical.radius)
-    return floors[judge.is_whole(rims, image.shape, size)]
+    return floors[criteria.is_whole(rims, image.shape, size)]
 
 
 def _dataset(rows: Floats, sign: float) -> xr.Dataset:
@@ -246,8 +260,8 @@ def _grey(image: ArrayLike) -> Image:
     if values.dtype.kind not in "biuf":
         raise MarkError(f"The image holds {values.dtype} values; holes are found in real grey values.")
     if values.dtype.kind == "f":
-        there = np.isfinite(values)
-        middle = float(np.median(values[there])) if np.any(there) else 0.0
+        is_finite = np.isfinite(values)
+        middle = float(np.median(values[is_finite])) if np.any(is_finite) else 0.0
         # Large offsets would cost float32 its digits.
-        return np.ascontiguousarray(np.where(there, values - middle, np.nan), dtype=np.float32)
+        return np.ascontiguousarray(np.where(is_finite, values - middle, np.nan), dtype=np.float32)
     return np.ascontiguousarray(values, dtype=np.float32)

@@ -20,11 +20,9 @@ from planish.marks.files.csv_marks import holes_text
 FORMAT, VERSION = "planish-holes", 1
 _REMEDY = "Find the holes again, or correct these parts."
 
-Types = Literal["float64", "int64", "uint8", "bool", "str"]
-
 
 class _Variable(Part):
-    type: Types
+    type: Literal["float64", "int64", "uint8", "bool", "str"]
     attributes: dict[str, Any]
     values: list[Any]
 
@@ -38,7 +36,7 @@ class _File(Part):
     variables: dict[str, _Variable]
 
 
-_VALUES: dict[str, Any] = {
+_COLUMN_TYPES: dict[str, Any] = {
     "float64": list[Annotated[float | None, Field(allow_inf_nan=False, strict=True)]],
     "int64": list[Annotated[int, Field(ge=-(2**63), lt=2**63, strict=True)]],
     "uint8": list[Annotated[int, Field(ge=0, le=255, strict=True)]],
@@ -70,7 +68,7 @@ def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
     variables: dict[str, Any] = {}
     for name, variable in holes.variables.items():
         kind = "str" if variable.dtype.kind == "U" else str(variable.dtype)
-        if variable.dims != ("mark",) or kind not in _VALUES:
+        if variable.dims != ("mark",) or kind not in _COLUMN_TYPES:
             faults.append(f"{name} has dims {variable.dims} and type {kind}")
         elif kind == "float64" and np.isinf(variable.values).any():
             faults.append(f"{name} holds infinite values")
@@ -78,7 +76,7 @@ def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
             attributes = _plain(variable.attrs, str(name), faults)
             variables[str(name)] = {"type": kind, "attributes": attributes, "values": _plain(variable.values)}
     attributes = _plain({k: v for k, v in holes.attrs.items() if k != "plane"}, "the holes", faults)
-    refuse("The holes cannot be written", faults, f"Types are {', '.join(_VALUES)}, along 'mark'.")
+    refuse("The holes cannot be written", faults, f"Types are {', '.join(_COLUMN_TYPES)}, along 'mark'.")
     head = {"format": FORMAT, "version": VERSION, "units": "um", "plane": holes.attrs.get("plane")}
     return head | {"attributes": attributes, "variables": variables}
 
@@ -110,7 +108,7 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
         file = _File.model_validate(dict(content))
         for key, variable in file.variables.items():
             where = ("variables", key, "values")
-            TypeAdapter(_VALUES[variable.type]).validate_python(variable.values)
+            TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(variable.values)
     except ValidationError as error:
         refuse(name, model_faults(error, where), _REMEDY)
         raise
@@ -119,12 +117,13 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
     if len(counts) > 1:
         faults.append(f"variables have {', '.join(map(str, counts))} values; as many of each are needed")
     refuse(name, faults, _REMEDY)
-    data: dict[str, Any] = {}
+    variables: dict[str, Any] = {}
     for key, variable in file.variables.items():
-        values = np.array(_missing_as_nan(variable.values), dtype=np.str_ if variable.type == "str" else variable.type)
-        data[key] = ("mark", values, _missing_as_nan(variable.attributes))
+        dtype = np.str_ if variable.type == "str" else variable.type
+        column = np.array(_missing_as_nan(variable.values), dtype=dtype)
+        variables[key] = ("mark", column, _missing_as_nan(variable.attributes))
     plane = {} if file.plane is None else {"plane": file.plane}
-    return xr.Dataset(data, attrs=_missing_as_nan(file.attributes) | plane)
+    return xr.Dataset(variables, attrs=_missing_as_nan(file.attributes) | plane)
 
 
 def write_holes(holes: xr.Dataset, path: str | Path) -> None:
@@ -144,7 +143,7 @@ def write_holes(holes: xr.Dataset, path: str | Path) -> None:
         If a variable or an attribute has no place in JSON.
     """
     place = Path(path)
-    if _suffix(place) == ".csv":
+    if _checked_suffix(place) == ".csv":
         text = holes_text(holes, [f"hole {k + 1}" for k in range(holes.sizes["mark"])])
     else:
         content = holes_to_json(holes)
@@ -172,19 +171,19 @@ def read_holes(path: str | Path) -> xr.Dataset:
         If something is missing or malformed; all faults are named.
     """
     place = Path(path)
-    if _suffix(place) == ".csv":
+    if _checked_suffix(place) == ".csv":
         text = read_text(place, what="table of holes")
         table = parse_table(text, place.name, needed=("x_um", "y_um"), error=MarkError)
         columns = [name for name in ("x", "y", "diameter") if f"{name}_um" in table.header]
-        data = table.numbers([f"{name}_um" for name in columns])
+        numbers = table.numbers([f"{name}_um" for name in columns])
         table.check()
-        if not len(data):
+        if not len(numbers):
             raise MarkError(f"{place.name} has a header and no hole. One row for each is needed.")
-        return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(columns, data.T, strict=True)})
+        return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(columns, numbers.T, strict=True)})
     return holes_from_json(read_object(read_text(place, what="file of holes"), place.name), place.name)
 
 
-def _suffix(place: Path) -> str:
+def _checked_suffix(place: Path) -> str:
     suffix = place.suffix.lower()
     if suffix not in (".json", ".csv"):
         raise FileError(f"{place.name} is no file of holes: .json keeps everything, .csv is the table to read.")

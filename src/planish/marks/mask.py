@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from planish.core.bands import band_of, bands, thinned
 from planish.core.grid import Grid
+from planish.core.typing import Bools, Floats
 
-Floats = NDArray[np.float64]
 
-
-def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> NDArray[np.bool_]:
+def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> Bools:
     """Mark the pixels of a grid that lie in a hole.
 
     Parameters
@@ -57,28 +56,27 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
     circles: list[tuple[float, float, float]] = []
     if holes.sizes["mark"]:
         grid = Grid.of(image)
-        at, radius = np.stack([holes["x"].values, holes["y"].values], axis=1), 0.5 * holes["diameter"].values
-        _, (values, inner, outer) = thinned(
-            image, hole_mask(grid, at, 0.6 * radius), hole_mask(grid, at, 1.5 * radius)
-        )  # fmt: skip
-        floor, sheet = (float(np.nanmedian(values[use])) if use.any() else np.nan for use in (inner, ~outer))
+        centres, radius = np.stack([holes["x"].values, holes["y"].values], axis=1), 0.5 * holes["diameter"].values
+        inner, outer = (hole_mask(grid, centres, factor * radius) for factor in (0.6, 1.5))
+        _, (greys, inner, outer) = thinned(image, inner, outer)
+        floor, sheet = (float(np.nanmedian(greys[use])) if use.any() else np.nan for use in (inner, ~outer))
         if np.isfinite(floor - sheet) and floor != sheet:
-            beyond = [_beyond(band_of(image, rows), floor, sheet) for rows in bands(grid.shape[0])]
-            circles = _touching(np.concatenate(beyond), grid, radius)
-    data = np.array(circles, dtype=np.float64).reshape(-1, 3).T
-    return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(("x", "y", "diameter"), data, strict=True)})
+            is_beyond = [_is_beyond(band_of(image, rows), floor, sheet) for rows in bands(grid.shape[0])]
+            circles = _border_circles(np.concatenate(is_beyond), grid, radius)
+    columns = np.array(circles, dtype=np.float64).reshape(-1, 3).T
+    return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(("x", "y", "diameter"), columns, strict=True)})
 
 
-def _beyond(values: NDArray[Any], floor: float, sheet: float) -> NDArray[np.bool_]:
-    """What is beyond half way from the sheet to the floor of the holes."""
-    return np.isfinite(values) & ((values.astype(np.float64) - sheet) / (floor - sheet) > 0.5)
+def _is_beyond(greys: NDArray[Any], floor: float, sheet: float) -> Bools:
+    """Return which greys are beyond half way from the sheet to the floor of the holes."""
+    return np.isfinite(greys) & ((greys.astype(np.float64) - sheet) / (floor - sheet) > 0.5)
 
 
-def _touching(beyond: NDArray[np.bool_], grid: Grid, radius: Floats) -> list[tuple[float, float, float]]:
+def _border_circles(is_beyond: Bools, grid: Grid, radius: Floats) -> list[tuple[float, float, float]]:
     """Circles around the regions that touch the border."""
     from scipy import ndimage
 
-    labels = np.asarray(ndimage.label(beyond)[0])
+    labels = np.asarray(ndimage.label(is_beyond)[0])
     border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     down, across = grid.pixel_um
     least = 0.1 * np.pi * float(np.median(radius)) ** 2 / (down * across)
@@ -86,11 +84,11 @@ def _touching(beyond: NDArray[np.bool_], grid: Grid, radius: Floats) -> list[tup
     boxes = ndimage.find_objects(labels)
     for label in border[border > 0]:
         box = boxes[label - 1]
-        rows, cols = (found + side.start for found, side in zip(np.nonzero(labels[box] == label), box, strict=True))
+        rows, cols = (index + side.start for index, side in zip(np.nonzero(labels[box] == label), box, strict=True))
         if rows.size >= least:
-            places = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
-            middle = places.mean(axis=0)
-            around = float(np.hypot(*(places - middle).T).max())
-            if around <= 2 * radius.max():  # the ground beside a sheet is no hole, and its circle covers the sheet
-                circles.append((float(middle[0]), float(middle[1]), 2 * around))
+            points = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
+            middle = points.mean(axis=0)
+            reach = float(np.hypot(*(points - middle).T).max())
+            if reach <= 2 * radius.max():  # the ground beside a sheet is no hole, and its circle covers the sheet
+                circles.append((float(middle[0]), float(middle[1]), 2 * reach))
     return circles

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,10 @@ from scipy.spatial import KDTree
 from planish.core.errors import MarkError
 from planish.core.grid import Grid
 from planish.core.results import HoleTiltFacts, Side
+from planish.core.typing import Floats
 from planish.marks.find import find_holes
 from planish.marks.params import HoleParams
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 MAPS = {"top": "presence", "centre": "presence_centre", "bottom": "presence_bottom"}
@@ -105,63 +106,88 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
         )
     low, high = (params or HoleParams()).hole_um
     grid = Grid.of(maps)
-    pixel, origin = grid.pixel_um, np.array(grid.origin_um)
     wider = low / OTHER_DIAMETER, high * OTHER_DIAMETER
-    found = {
-        layer: find_holes(share, pixel_um=pixel, diameter_um=(low, high) if layer == side else wider, polarity="dark")
+    holes = {
+        layer: find_holes(
+            share, pixel_um=grid.pixel_um, diameter_um=(low, high) if layer == side else wider, polarity="dark"
+        )
         for layer, share in layers.items()
     }
-    at, diameters = _xy(found[side]), found[side]["diameter"].values
-    rows = {layer: np.arange(len(at)) if layer == side else np.full(len(at), -1) for layer in MAPS}
+    centres, diameters = _xy(holes[side]), holes[side]["diameter"].values
+    rows = {layer: np.arange(len(centres)) if layer == side else np.full(len(centres), -1) for layer in MAPS}
     for layer in layers.keys() - {side}:
-        rows[layer] = _partners(at, _xy(found[layer]), REACH * diameters)
-    state = np.where(rows[other] >= 0, THROUGH, UNCLEAR).astype(np.uint8)
+        rows[layer] = _partners(centres, _xy(holes[layer]), REACH * diameters)
+    state, alone = np.full(len(centres), UNCLEAR, dtype=np.uint8), 0
     if other in layers:
-        partner = rows[other][state == THROUGH]
-        # Where the other side should show a hole: as far from this one as with the others.
-        moved = np.median(_xy(found[other])[partner] - at[state == THROUGH], axis=0) if len(partner) else np.zeros(2)
-        for k in np.flatnonzero(state == UNCLEAR).tolist():
-            inside = _middle(layers[other], pixel, at[k] + moved, MIDDLE * float(diameters[k]))
-            state[k] = CLOSED if inside.size and np.median(inside) > MATERIAL else UNCLEAR
-    found = {layer: _moved(holes, origin) for layer, holes in found.items()}
-    data = _at_layers(found, rows)
-    each = _xy(data, "_bottom") - _xy(data, "_top")
-    known = each[np.isfinite(each).all(axis=1)]
-    nothing = np.full(2, np.nan)
-    offset = np.median(known, axis=0) if len(known) else nothing
-    spread = MAD_TO_SD * np.median(np.abs(known - offset), axis=0) if len(known) > 1 else nothing
-    error = MEDIAN_TO_MEAN * spread / np.sqrt(max(len(known), 1))
-    to_face = np.zeros(2)
-    sure = len(known) >= ENOUGH_THROUGH and np.hypot(*offset) > STANDS_OUT * np.hypot(*error)
-    if sure and maps.attrs.get("layer_to_face"):
-        outward = float(maps.attrs["layer_to_face"])
-        to_face = (-outward if side == "top" else outward) * offset
-    out = _moved(found[side], to_face).merge(data, combine_attrs="override")
-    for k, (axis, along) in enumerate((("x", "along the columns"), ("y", "down the rows"))):
+        alone = holes[other].sizes["mark"] - int(np.count_nonzero(rows[other] >= 0))
+        state = _other_side(layers[other], grid.pixel_um, centres, diameters, _xy(holes[other]), rows[other])
+    holes = {layer: _shifted(dataset, grid.origin_um) for layer, dataset in holes.items()}
+    of_layers = _by_layer(holes, rows)
+    offsets = _xy(of_layers, "_bottom") - _xy(of_layers, "_top")
+    statistics, to_face = _offset_statistics(offsets, maps, side)
+    out = _shifted(holes[side], to_face).merge(of_layers, combine_attrs="override")
+    for axis, along, offset in zip("xy", ("along the columns", "down the rows"), offsets.T, strict=True):
         text = {"units": "um", "long_name": f"Offset from the top to the bottom {along}"}
-        out[f"offset_{axis}"] = ("mark", each[:, k], text)
+        out[f"offset_{axis}"] = ("mark", offset, text)
     flags = {"flag_values": list(OTHER_SIDE), "flag_meanings": " ".join(OTHER_SIDE.values())}
     out["other_side"] = ("mark", state, {"long_name": "What the other side shows of the hole"} | flags)
-    alone = found[other].sizes["mark"] - int(np.count_nonzero(rows[other] >= 0)) if other in found else 0
+    least_um = OPENING * float(np.median(diameters if len(centres) else [low]))
     out.attrs |= {
         "side": side,
         "layers": list(layers),
-        "openings": _openings(layers[side], pixel, at, OPENING * float(np.median(diameters if len(at) else [low]))),
+        "openings": _openings(layers[side], grid.pixel_um, centres, least_um),
         **{word: int(np.count_nonzero(state == k)) for k, word in OTHER_SIDE.items()},
         "other_side_only": alone,
-        "offset_count": len(known),
+        **statistics,
+    }
+    return out
+
+
+def _other_side(
+    share: NDArray[np.generic],
+    pixel: tuple[float, float],
+    centres: Floats,
+    diameters: Floats,
+    partners: Floats,
+    rows: Ints,
+) -> NDArray[np.uint8]:
+    """State of each hole on the other side, whose holes are ``partners`` and whose material is ``share``."""
+    is_through = rows >= 0
+    state = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
+    # Where the other side should show a hole: as far from this one as with the partners.
+    shift = np.median(partners[rows[is_through]] - centres[is_through], axis=0) if is_through.any() else np.zeros(2)
+    for k in np.flatnonzero(~is_through).tolist():
+        inside = _middle(share, pixel, centres[k] + shift, MIDDLE * float(diameters[k]))
+        state[k] = CLOSED if inside.size and np.median(inside) > MATERIAL else UNCLEAR
+    return state
+
+
+def _offset_statistics(offsets: Floats, maps: xr.Dataset, side: Side) -> tuple[dict[str, Any], Floats]:
+    """Summarise the offsets from top to bottom, as attributes, and give the move from the layer to its face."""
+    measured = offsets[np.isfinite(offsets).all(axis=1)]
+    nothing = np.full(2, np.nan)
+    offset = np.median(measured, axis=0) if len(measured) else nothing
+    spread = MAD_TO_SD * np.median(np.abs(measured - offset), axis=0) if len(measured) > 1 else nothing
+    error = MEDIAN_TO_MEAN * spread / np.sqrt(max(len(measured), 1))
+    to_face = np.zeros(2)
+    is_sure = len(measured) >= ENOUGH_THROUGH and np.hypot(*offset) > STANDS_OUT * np.hypot(*error)
+    if is_sure and maps.attrs.get("layer_to_face"):
+        outward = float(maps.attrs["layer_to_face"])
+        to_face = (-outward if side == "top" else outward) * offset
+    statistics = {
+        "offset_count": len(measured),
         "offset_um": offset.tolist(),
         "offset_spread_um": spread.tolist(),
         "offset_error_um": error.tolist(),
         "to_face_um": to_face.tolist(),
     }
-    if (apart_um := maps.attrs.get("layers_apart_um")) is not None:
-        out.attrs["tilt_deg"] = np.rad2deg(np.arctan2(offset, apart_um)).tolist()
-    return out
+    if (thickness_um := maps.attrs.get("layers_apart_um")) is not None:
+        statistics["tilt_deg"] = np.rad2deg(np.arctan2(offset, thickness_um)).tolist()
+    return statistics, to_face
 
 
 def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
-    """Say how the holes of :func:`find_sheet_holes` run through the sheet; None for holes that are not of a sheet."""
+    """Summarise how the holes of :func:`find_sheet_holes` run through the sheet; None for holes of no sheet."""
     if holes is None or "through" not in holes.attrs:
         return None
     count, closed = int(holes.attrs["offset_count"]), int(holes.attrs["closed"])
@@ -175,11 +201,11 @@ def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
         text += f" (± {np.sqrt(np.mean(error**2)):.1f} um)." if np.isfinite(error).all() else "."
     if closed:
         text += f" {closed} {'is' if closed == 1 else 'are'} closed on the other side."
-    known = {k: v for k, v in holes.attrs.items() if k in HoleTiltFacts.model_fields}
-    return HoleTiltFacts.model_validate({**known, "sentence": text})
+    facts = {k: v for k, v in holes.attrs.items() if k in HoleTiltFacts.model_fields}
+    return HoleTiltFacts.model_validate({**facts, "sentence": text})
 
 
-def _moved(holes: xr.Dataset, by: Floats) -> xr.Dataset:
+def _shifted(holes: xr.Dataset, by: Sequence[float] | Floats) -> xr.Dataset:
     return holes.assign({k: holes[k].copy(data=holes[k].values + d) for k, d in zip("xy", by, strict=True)})
 
 
@@ -187,53 +213,54 @@ def _xy(holes: xr.Dataset, suffix: str = "") -> Floats:
     return np.stack([holes[f"x{suffix}"].values, holes[f"y{suffix}"].values], axis=1).astype(np.float64)
 
 
-def _partners(holes: Floats, found: Floats, reach: Floats) -> Ints:
-    """Row in ``found`` of each hole, -1 where it has none: either is the other's nearest, and within reach."""
+def _partners(holes: Floats, candidates: Floats, reach: Floats) -> Ints:
+    """Row of the candidate of each hole, -1 where it has none: either is the other's nearest, and within reach."""
     rows = np.full(len(holes), -1)
-    if not len(holes) or not len(found):
+    if not len(holes) or not len(candidates):
         return rows
-    nearest = np.asarray(KDTree(found).query(holes)[1], dtype=np.intp)
-    back = np.asarray(KDTree(holes).query(found)[1], dtype=np.intp)
-    away = np.hypot(*(found[nearest] - holes).T)
-    agreed = (back[nearest] == np.arange(len(holes))) & (away <= reach)
-    rows[agreed] = nearest[agreed]
+    nearest = np.asarray(KDTree(candidates).query(holes)[1], dtype=np.intp)
+    back = np.asarray(KDTree(holes).query(candidates)[1], dtype=np.intp)
+    distance = np.hypot(*(candidates[nearest] - holes).T)
+    is_mutual = (back[nearest] == np.arange(len(holes))) & (distance <= reach)
+    rows[is_mutual] = nearest[is_mutual]
     return rows
 
 
-def _openings(share: NDArray[np.generic], pixel: tuple[float, float], at: Floats, least_um: float) -> int:
-    """Count openings away from the border, as large as a circle of a diameter or larger, in which no hole was found."""
+def _openings(share: NDArray[np.generic], pixel: tuple[float, float], centres: Floats, least_um: float) -> int:
+    """Count openings away from the border, as large as a circle of a diameter or larger, that hold no hole."""
     material = share.astype(np.float64)
-    known = np.isfinite(material)
-    labelled: Any = ndimage.label((material < MATERIAL) | ~known)
+    has_data = np.isfinite(material)
+    labelled: Any = ndimage.label((material < MATERIAL) | ~has_data)
     regions: Ints = labelled[0]
-    count = int(labelled[1])
-    sizes = np.bincount(regions.ravel(), minlength=count + 1) * pixel[0] * pixel[1]
-    sizes[np.unique(np.concatenate([regions[[0, -1]].ravel(), regions[:, [0, -1]].ravel(), regions[~known]]))] = 0.0
-    taken = tuple(np.clip(np.rint(at[:, k] / pixel[1 - k]).astype(int), 0, share.shape[1 - k] - 1) for k in (1, 0))
-    sizes[regions[taken]] = 0.0
+    sizes = np.bincount(regions.ravel(), minlength=int(labelled[1]) + 1) * pixel[0] * pixel[1]
+    sizes[np.unique(np.concatenate([regions[[0, -1]].ravel(), regions[:, [0, -1]].ravel(), regions[~has_data]]))] = 0.0
+    hole_pixels = tuple(
+        np.clip(np.rint(centres[:, k] / pixel[1 - k]).astype(int), 0, share.shape[1 - k] - 1) for k in (1, 0)
+    )
+    sizes[regions[hole_pixels]] = 0.0
     return int(np.count_nonzero(sizes[1:] > np.pi / 4 * least_um**2))
 
 
-def _middle(share: NDArray[np.generic], pixel: tuple[float, float], at: Floats, radius: float) -> Floats:
-    """Values of a map within ``radius`` of a place (x, y), without those that are missing."""
-    sizes = zip(share.shape, pixel, at[::-1], strict=True)
-    down, along = (np.arange(n) * step - place for n, step, place in sizes)
+def _middle(share: NDArray[np.generic], pixel: tuple[float, float], centre: Floats, radius: float) -> Floats:
+    """Shares of a map within ``radius`` of a point (x, y), without those that are missing."""
+    axes = zip(share.shape, pixel, centre[::-1], strict=True)
+    down, along = (np.arange(n) * step - place for n, step, place in axes)
     rows, cols = (np.flatnonzero(np.abs(d) <= radius) for d in (down, along))
-    away = np.hypot(down[rows][:, None], along[cols][None])
-    values = share[np.ix_(rows, cols)].astype(np.float64)[away <= radius]
-    return values[np.isfinite(values)]
+    distance = np.hypot(down[rows][:, None], along[cols][None])
+    shares = share[np.ix_(rows, cols)].astype(np.float64)[distance <= radius]
+    return shares[np.isfinite(shares)]
 
 
-def _at_layers(found: dict[str, xr.Dataset], rows: dict[str, Ints]) -> xr.Dataset:
-    """Each layer's values of the holes, NaN where they are missing."""
-    data: dict[str, tuple[str, Floats, dict[str, str]]] = {}
-    about = next(iter(found.values()))
+def _by_layer(holes: dict[str, xr.Dataset], rows: dict[str, Ints]) -> xr.Dataset:
+    """Each layer's variables of the holes, NaN where a hole is missing."""
+    variables: dict[str, tuple[str, Floats, dict[str, str]]] = {}
+    template = next(iter(holes.values()))
     for layer, place in PLACES.items():
-        known = rows[layer] >= 0
+        is_present = rows[layer] >= 0
         for name in OF_A_LAYER:
-            values = np.full(known.shape, np.nan)
-            if known.any():
-                values[known] = found[layer][name].values[rows[layer][known]]
-            units, text = about[name].attrs["units"], f"{about[name].attrs['long_name']}, {place}"
-            data[f"{name}_{layer}"] = ("mark", values, {"units": units, "long_name": text})
-    return xr.Dataset(data)
+            column = np.full(is_present.shape, np.nan)
+            if is_present.any():
+                column[is_present] = holes[layer][name].values[rows[layer][is_present]]
+            units, text = template[name].attrs["units"], f"{template[name].attrs['long_name']}, {place}"
+            variables[f"{name}_{layer}"] = ("mark", column, {"units": units, "long_name": text})
+    return xr.Dataset(variables)

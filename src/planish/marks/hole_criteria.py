@@ -1,4 +1,4 @@
-"""Which of the marks that were measured are laser holes: each by itself, and all of an image beside each other."""
+"""Criteria by which measured marks are laser holes: each by itself, and all of an image beside each other."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from planish.core.typing import Bools, Floats
 from planish.marks import _measure_kernels as k
-from planish.marks.candidates import Floats
 
 Ints = NDArray[np.intp]
 
@@ -60,27 +60,27 @@ BURNT = 0.15
 # This much more of the step at the rim itself means that nothing is burnt.
 MORE_OF_THE_STEP = 0.15
 
-# Of the variance of a centre, the part of a rim's own roughness; the rest is that of all rims.
 # What another edge adds across the line of the two centres, of what it adds along it.
 ACROSS = 0.35
+# Of the variance of a centre, the part of a rim's own roughness; the rest is that of all rims.
 OWN_WAVES = 0.5
 # Error that the raster adds, in pixels.
 PIXEL_ERROR = 0.02
 
 
-def is_whole(rows: Floats, shape: tuple[int, ...], size: tuple[float, float]) -> NDArray[np.bool_]:
+def is_whole(rows: Floats, shape: tuple[int, ...], size: tuple[float, float]) -> Bools:
     """Return which circles lie inside the image."""
     bottom, right = ((n - 1) * step for n, step in zip(shape, size, strict=True))
     x, y, radius = (rows[:, k.X], rows[:, k.Y], rows[:, k.RADIUS] + rows[:, k.HALF_DIFFERENCE])
     return (x >= radius) & (y >= radius) & (x <= right - radius) & (y <= bottom - radius)
 
 
-Faults = dict[str, NDArray[np.bool_]]
-"""For each thing that a hole has to be, by the name of the fault, which rows are."""
+Criteria = dict[str, Bools]
+"""Rows that meet each criterion of a hole, by the name of the fault of those that do not."""
 
 
-def faults(rows: Floats, size: tuple[float, float], low: float, high: float) -> Faults:
-    """Return what rows of `measure` have of a hole, each by itself; ``low, high`` the range of radii in um."""
+def criteria(rows: Floats, size: tuple[float, float], low: float, high: float) -> Criteria:
+    """Apply each criterion to rows of `measure`; ``low, high`` is the range of radii in um."""
     radius, step = rows[:, k.RADIUS], rows[:, k.STEP]
     total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     with np.errstate(invalid="ignore"):
@@ -98,12 +98,12 @@ def faults(rows: Floats, size: tuple[float, float], low: float, high: float) -> 
         }
 
 
-def is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -> NDArray[np.bool_]:
+def is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -> Bools:
     """Return which rows of `measure` look like a hole, each by itself; ``low, high`` the range of radii in um."""
-    return np.all(list(faults(rows, size, low, high).values()), axis=0)
+    return np.all(list(criteria(rows, size, low, high).values()), axis=0)
 
 
-def _is_round(rows: Floats, size: tuple[float, float]) -> NDArray[np.bool_]:
+def _is_round(rows: Floats, size: tuple[float, float]) -> Bools:
     """Return which rims are whole, smooth and nearly circles."""
     radius, half = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE]
     smooth = rows[:, k.ROUGHNESS] < LARGEST_ROUGHNESS * radius + 0.3 * max(size)
@@ -111,69 +111,69 @@ def _is_round(rows: Floats, size: tuple[float, float]) -> NDArray[np.bool_]:
     return smooth & circle & (rows[:, k.COVERAGE] >= LEAST_COVERAGE)
 
 
-def strongest_apart(rows: Floats) -> Floats:
+def deepest_disjoint(rows: Floats) -> Floats:
     """Of rows whose circles overlap keep the deepest, and of those as deep the one with the best rim."""
-    one, other = _overlapping(rows, rows).T
+    first, second = _overlapping(rows, rows).T
     step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
-    shallow = np.zeros(len(rows), bool)
-    shallow[one[rows[one, k.INSIDE] - rows[other, k.INSIDE] > DEEPER * step[one]]] = True
-    deep = np.flatnonzero(~shallow)
-    return rows[deep[best_apart(rows[deep])]]
+    is_shallow = np.zeros(len(rows), bool)
+    is_shallow[first[rows[first, k.INSIDE] - rows[second, k.INSIDE] > DEEPER * step[first]]] = True
+    deep = rows[~is_shallow]
+    return deep[best_rims(deep)]
 
 
-def best_apart(rows: Floats) -> list[int]:
-    """Of rows whose circles overlap, the one with the best rim."""
-    one, other = _overlapping(rows, rows).T
-    return first_apart(np.argsort(-_quality(rows), kind="stable"), one, other)
+def best_rims(rows: Floats) -> list[int]:
+    """Of rows whose circles overlap, give the one with the best rim."""
+    return greedy_disjoint(np.argsort(-_quality(rows), kind="stable"), *_overlapping(rows, rows).T)
 
 
-def on_any(rows: Floats, others: Floats) -> NDArray[np.bool_]:
-    """Return which circles overlap any of others; rows without a circle do not."""
-    found = np.zeros(len(rows), bool)
-    there = np.flatnonzero(np.isfinite(rows[:, k.RADIUS]))
-    found[there[_overlapping(rows[there], others)[:, 0]]] = True
-    return found
+def overlaps_any(rows: Floats, holes: Floats) -> Bools:
+    """Return which circles overlap any of the holes; rows without a circle do not."""
+    overlaps = np.zeros(len(rows), bool)
+    circles = np.flatnonzero(np.isfinite(rows[:, k.RADIUS]))
+    overlaps[circles[_overlapping(rows[circles], holes)[:, 0]]] = True
+    return overlaps
 
 
-def neighbours(points: Floats, reach: float) -> tuple[Ints, Ints]:
-    """Pairs of points (n, 2) that are within ``reach`` of each other, both ways round."""
+def neighbour_pairs(points: Floats, reach: float) -> tuple[Ints, Ints]:
+    """Pair points (n, 2) that are within ``reach`` of each other, both ways round."""
     near = KDTree(points).query_pairs(reach, output_type="ndarray") if len(points) else np.empty((0, 2), np.intp)
     return np.append(near[:, 0], near[:, 1]), np.append(near[:, 1], near[:, 0])
 
 
-def is_clear(rows: Floats, size: tuple[float, float]) -> NDArray[np.bool_]:
+def is_clear(rows: Floats, size: tuple[float, float]) -> Bools:
     """Return which rows have nearly all of a smooth round rim."""
     with np.errstate(invalid="ignore"):
-        return _is_round(rows, size) & ~doubtful(rows)
+        return _is_round(rows, size) & ~is_doubtful(rows)
 
 
-def first_apart(order: Ints, one: Ints, other: Ints) -> list[int]:
-    """Of points in order keep each that is no neighbour of one kept before; neighbours are ``one[i], other[i]``."""
-    by = np.argsort(one, kind="stable")
-    one, other = one[by], other[by]
-    taken: set[int] = set()
-    kept: list[int] = []
-    for row, start, stop in zip(order, np.searchsorted(one, order), np.searchsorted(one, order, "right"), strict=True):
-        if int(row) not in taken:
-            kept.append(int(row))
-            taken.update(other[start:stop].tolist())
-    return kept
+def greedy_disjoint(order: Ints, first: Ints, second: Ints) -> list[int]:
+    """Of points in order keep each that is no neighbour of an earlier one; neighbours are ``first[i], second[i]``."""
+    by_first = np.argsort(first, kind="stable")
+    first, second = first[by_first], second[by_first]
+    starts, stops = np.searchsorted(first, order), np.searchsorted(first, order, "right")
+    excluded: set[int] = set()
+    disjoint: list[int] = []
+    for row, start, stop in zip(order.tolist(), starts, stops, strict=True):
+        if row not in excluded:
+            disjoint.append(row)
+            excluded.update(second[start:stop].tolist())
+    return disjoint
 
 
-def _overlapping(rows: Floats, others: Floats) -> Ints:
-    """Pairs (n, 2) of circles of rows and of others that overlap."""
-    if not len(rows) or not len(others):
+def _overlapping(rows: Floats, holes: Floats) -> Ints:
+    """Pairs (n, 2) of circles of rows and of holes that overlap."""
+    if not len(rows) or not len(holes):
         return np.empty((0, 2), np.intp)
-    largest = float(others[:, k.RADIUS].max())
-    near = KDTree(others[:, [k.X, k.Y]]).query_ball_point(rows[:, [k.X, k.Y]], 1.001 * (rows[:, k.RADIUS] + largest))
-    one = np.repeat(np.arange(len(rows)), [len(found) for found in near])
-    other = np.concatenate([np.asarray(found, dtype=np.intp) for found in near])
-    away = np.hypot(rows[one, k.X] - others[other, k.X], rows[one, k.Y] - others[other, k.Y])
-    return np.stack([one, other], axis=1)[away - rows[one, k.RADIUS] - others[other, k.RADIUS] < 0]
+    largest = float(holes[:, k.RADIUS].max())
+    near = KDTree(holes[:, [k.X, k.Y]]).query_ball_point(rows[:, [k.X, k.Y]], 1.001 * (rows[:, k.RADIUS] + largest))
+    row = np.repeat(np.arange(len(rows)), [len(numbers) for numbers in near])
+    hole = np.concatenate([np.asarray(numbers, dtype=np.intp) for numbers in near])
+    distance = np.hypot(rows[row, k.X] - holes[hole, k.X], rows[row, k.Y] - holes[hole, k.Y])
+    return np.stack([row, hole], axis=1)[distance - rows[row, k.RADIUS] - holes[hole, k.RADIUS] < 0]
 
 
-class Family(NamedTuple):
-    """What the holes of one image have in common; levels times the sign of the holes."""
+class TypicalHole(NamedTuple):
+    """What the holes of one image have in common; levels are times the sign of the holes."""
 
     floor: float
     outside: float
@@ -196,7 +196,7 @@ class Family(NamedTuple):
         return self.floor + self.slope * (outside - self.outside)
 
 
-def family(rows: Floats) -> Family:
+def typical_hole(rows: Floats) -> TypicalHole:
     """Return what is typical of rows."""
     inside, outside = rows[:, k.INSIDE], rows[:, k.OUTSIDE]
     step = outside - inside
@@ -204,17 +204,19 @@ def family(rows: Floats) -> Family:
     deep = step >= np.median(step)
     sheet = float(np.median(outside[deep]))
     # Uneven light brightens floors with the sheet, and print does not: the slope counts if it explains the floors.
-    some = step >= 0.7 * np.median(step)
-    slope, scatter = 0.0, _scatter(inside[deep])
-    steeper = _slope(outside[some], inside[some])
-    if _scatter(inside[deep] - steeper * outside[deep]) < 0.5 * scatter:
-        slope, scatter = steeper, _scatter(inside[deep] - steeper * outside[deep])
+    deep_enough = step >= 0.7 * np.median(step)
+    slope, scatter = 0.0, _robust_sd(inside[deep])
+    steeper = _slope(outside[deep_enough], inside[deep_enough])
+    steeper_scatter = _robust_sd(inside[deep] - steeper * outside[deep])
+    if steeper_scatter < 0.5 * scatter:
+        slope, scatter = steeper, steeper_scatter
     floor = float(np.median(inside[deep] - slope * (outside[deep] - sheet)))
     burnt, rim = (float(np.nanmedian(rows[deep, column] / step[deep])) for column in (k.BURNT, k.STEP))
-    return Family(floor, sheet, slope, scatter / (sheet - floor), float(np.median(rows[deep, k.RADIUS])), burnt, rim)
+    radius = float(np.median(rows[deep, k.RADIUS]))
+    return TypicalHole(floor, sheet, slope, scatter / (sheet - floor), radius, burnt, rim)
 
 
-def _scatter(values: Floats) -> float:
+def _robust_sd(values: Floats) -> float:
     """Robust standard deviation."""
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
@@ -231,80 +233,84 @@ def _slope(x: Floats, y: Floats) -> float:
     return float(np.clip(rise / across, 0.0, 1.0)) if across > 0 else 0.0
 
 
-def unlike_removed(rows: Floats, sign: float) -> Floats:
+def drop_unlike(rows: Floats, sign: float) -> Floats:
     """Drop marks much fainter, smaller or larger than the rest, and those unlike them in two ways."""
     if len(rows) < LEAST_OTHERS:
         return rows
-    typical = family(rows)
+    typical = typical_hole(rows)
     outside, step = rows[:, k.OUTSIDE], rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     whole = np.maximum(outside - typical.floor_at(outside), step)
     depth = step / whole
     # Of a hole that is half closed farther down, the other half is as deep as all.
     uneven = np.maximum(rows[:, k.UNEVENNESS] - np.median(rows[:, k.UNEVENNESS]), 0.0)
-    fits = depth + uneven / whole >= 1 - np.clip(FAR * typical.scatter, *UNLIKE_FLOORS)
+    is_like = depth + uneven / whole >= 1 - np.clip(FAR * typical.scatter, *UNLIKE_FLOORS)
     if sign < 0:
         # In transmitted light floors fade with the lamp, and nothing but a hole shines.
-        fits |= step >= LEAST_SHARE_OF_MEDIAN * np.median(step)
-    if not np.any(fits):
-        return rows[fits]
-    size = np.log(rows[:, k.RADIUS])
-    away = np.abs(size - np.median(size[fits]))
-    fits &= away < np.log(LARGEST_FACTOR)
+        is_like |= step >= LEAST_SHARE_OF_MEDIAN * np.median(step)
+    if not np.any(is_like):
+        return rows[is_like]
+    log_radius = np.log(rows[:, k.RADIUS])
+    size_difference = np.abs(log_radius - np.median(log_radius[is_like]))
+    is_like &= size_difference < np.log(LARGEST_FACTOR)
     # Char takes a part of the step; what has none and is odd, taking together that it is less deep, less round and of
     # another size, is ink or dirt.
-    good = _quality(rows)
-    odd = (
+    quality = _quality(rows)
+    is_odd = (
         ((1 - depth) / np.clip(4 * typical.scatter, *LIKE_FLOORS)) ** 2
-        + (away / np.clip(3 * _scatter(size[fits]), *LIKE_SIZES)) ** 2
-        + (np.minimum(good - np.median(good[fits]), 0) / np.clip(3 * _scatter(good[fits]), *LIKE_OUTLINES)) ** 2
+        + (size_difference / np.clip(3 * _robust_sd(log_radius[is_like]), *LIKE_SIZES)) ** 2
+        + (
+            np.minimum(quality - np.median(quality[is_like]), 0)
+            / np.clip(3 * _robust_sd(quality[is_like]), *LIKE_OUTLINES)
+        )
+        ** 2
     ) > 1
-    bare = (rows[:, k.STEP] > (typical.rim + MORE_OF_THE_STEP) * step) | _bare(rows, typical)
-    return rows[fits & ~(odd & bare)]
+    is_bare = (rows[:, k.STEP] > (typical.rim + MORE_OF_THE_STEP) * step) | _is_unburnt(rows, typical)
+    return rows[is_like & ~(is_odd & is_bare)]
 
 
-def _bare(rows: Floats, typical: Family) -> NDArray[np.bool_]:
+def _is_unburnt(rows: Floats, typical: TypicalHole) -> Bools:
     """Return which marks are not burnt while the others are."""
     step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     # In transmitted light char is darker than the sheet and holes are brighter: its share is negative.
-    there = abs(typical.burnt) > BURNT
-    return there & (np.sign(typical.burnt) * rows[:, k.BURNT] < 0.5 * abs(typical.burnt) * step)
+    is_burnt = abs(typical.burnt) > BURNT
+    return is_burnt & (np.sign(typical.burnt) * rows[:, k.BURNT] < 0.5 * abs(typical.burnt) * step)
 
 
-def doubtful(rows: Floats) -> NDArray[np.bool_]:
+def is_doubtful(rows: Floats) -> Bools:
     """Return which outlines are so rough or so incomplete that what is printed may be a part of them."""
     return _quality(rows) < CLEAR
 
 
-def resembling(rows: Floats, others: Floats, size: tuple[float, float]) -> Floats:
-    """Of floors that were measured keep the round ones that are like those of the other holes."""
-    typical = family(others)
+def select_resembling(rows: Floats, holes: Floats, size: tuple[float, float]) -> Floats:
+    """Of floors that were measured keep the round ones that are like those of the holes."""
+    typical = typical_hole(holes)
     radius, step = rows[:, k.RADIUS], rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     with np.errstate(invalid="ignore"):
-        away = np.abs(rows[:, k.INSIDE] - typical.floor_at(rows[:, k.OUTSIDE]))
-        good = (
+        floor_difference = np.abs(rows[:, k.INSIDE] - typical.floor_at(rows[:, k.OUTSIDE]))
+        is_similar = (
             _is_round(rows, size)
             & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * typical.depth)
             & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * typical.depth)
-            & (away < np.clip(4 * typical.scatter, *LIKE_FLOORS) * typical.depth)
+            & (floor_difference < np.clip(4 * typical.scatter, *LIKE_FLOORS) * typical.depth)
             & (step > LEAST_SHARE_OF_MEDIAN * typical.depth)
             & (np.abs(np.log(radius / typical.radius)) < np.log(RESEMBLING_FACTOR))
-            & ~_bare(rows, typical)
+            & ~_is_unburnt(rows, typical)
         )
-    return strongest_apart(rows[good])
+    return deepest_disjoint(rows[is_similar])
 
 
-def joined(rows: Floats, floors: Floats) -> Floats:
+def merge_floors(rows: Floats, floors: Floats) -> Floats:
     """Add floors, which do not overlap, to rows; where one lies on a row, the clearly better of the two stays."""
-    stays, added = np.ones(len(rows), bool), np.zeros(len(floors), bool)
+    is_retained, is_added = np.ones(len(rows), bool), np.zeros(len(floors), bool)
     pairs = _overlapping(floors, rows)
     better = _quality(floors) - BETTER
     quality = _quality(rows)
     for floor in range(len(floors)):
-        on = pairs[slice(*np.searchsorted(pairs[:, 0], (floor, floor + 1))), 1]
-        on = on[stays[on]]
-        added[floor] = np.all(quality[on] < better[floor])
-        stays[on] &= not added[floor]
-    return np.concatenate([rows[stays], floors[added]])
+        overlapped = pairs[slice(*np.searchsorted(pairs[:, 0], (floor, floor + 1))), 1]
+        overlapped = overlapped[is_retained[overlapped]]
+        is_added[floor] = np.all(quality[overlapped] < better[floor])
+        is_retained[overlapped] &= not is_added[floor]
+    return np.concatenate([rows[is_retained], floors[is_added]])
 
 
 def _quality(rows: Floats) -> Floats:
@@ -322,12 +328,12 @@ def set_covariance(rows: Floats, size: tuple[float, float]) -> None:
     if not len(rows):
         return
     low, high = rows[:, k.LOW_WAVES], rows[:, k.HIGH_WAVES]
-    both = (low + 2 * high) / 3
+    mean_waves = (low + 2 * high) / 3
     fall = np.clip(np.mean(low) / max(float(np.mean(high)), 1e-30), 1.0, 8.0)
     # Mean squares of the orders: 1; 12.5 of the third and fourth; 43.5 of the fifth to eighth.
     first = np.mean(low) * fall ** (11.5 / 31.0)
-    own = first / max(float(np.mean(both)), 1e-30) * both
-    variance = OWN_WAVES * own + (1 - OWN_WAVES) * np.median(own)
+    rim_variance = first / max(float(np.mean(mean_waves)), 1e-30) * mean_waves
+    variance = OWN_WAVES * rim_variance + (1 - OWN_WAVES) * np.median(rim_variance)
     rows[:, k.COV_XX] = rows[:, k.COV_XX] * variance + (PIXEL_ERROR * size[1]) ** 2
     rows[:, k.COV_YY] = rows[:, k.COV_YY] * variance + (PIXEL_ERROR * size[0]) ** 2
     rows[:, k.COV_XY] *= variance

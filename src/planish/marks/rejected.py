@@ -1,14 +1,13 @@
-"""What was seen in an image and not taken for a hole: counted by reason, and said in a sentence."""
+"""Marks of an image that are rejected as holes: counted by reason, and reported in a sentence."""
 
 from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check
-from planish.marks import judge
-from planish.marks.candidates import Floats
+from planish.core.typing import Bools, Floats
+from planish.marks.hole_criteria import Criteria, best_rims, overlaps_any
 
 # Reasons in the order of a sentence, and their words.
 REASONS = {
@@ -23,31 +22,31 @@ REASONS = {
 }
 
 # Of all openings: so many that are not round are no single holes that are half closed.
-MANY = 0.25
+MANY_OPENINGS = 0.25
 
 
-def count_not_taken(
-    seen: Floats, taken: Floats, faults: judge.Faults, whole: NDArray[np.bool_], dropped: int
+def count_rejected(
+    measured: Floats, holes: Floats, criteria: Criteria, is_whole: Bools, dropped: int
 ) -> dict[str, int]:
-    """Count by reason what was measured (rows of `measure`, with its faults and whether the image holds all of it).
+    """Count by reason what was measured (rows of `measure`, with the criteria they meet; whether the image holds all).
 
-    Only what lies on no hole that was taken, and would be one but for a single fault: mottle has several. Of marks that
+    Only what lies on none of the holes, and would be one but for a single fault: mottle has several. Of marks that
     overlap the one with the best rim counts.
     """
     # A border that cuts a mark takes a part of its rim, too.
-    good = {name: good | ((name == "not_round") & ~whole) for name, good in faults.items()}
-    near = np.sum([whole, *good.values()], axis=0) >= len(faults)
-    rows = np.flatnonzero(near & ~judge.on_any(seen, taken))
-    rows = rows[judge.best_apart(seen[rows])]
+    met = {name: met | ((name == "not_round") & ~is_whole) for name, met in criteria.items()}
+    is_near = np.sum([is_whole, *met.values()], axis=0) >= len(criteria)
+    rows = np.flatnonzero(is_near & ~overlaps_any(measured, holes))
+    rows = rows[best_rims(measured[rows])]
     counts = dict.fromkeys(REASONS, 0) | {"not_measured": dropped}
     for row in rows.tolist():
-        reason = next((name for name, fine in good.items() if not fine[row]), "unlike")
-        counts[reason if whole[row] else "cut"] += 1
+        reason = next((name for name, is_met in met.items() if not is_met[row]), "unlike")
+        counts[reason if is_whole[row] else "cut"] += 1
     return counts
 
 
 def check_holes(holes: xr.Dataset) -> Check:
-    """Say how many holes were found, and what was seen and not taken; a look where places were not measured.
+    """Check how many holes were found and what was rejected; a look where places were not measured.
 
     Parameters
     ----------
@@ -61,10 +60,10 @@ def check_holes(holes: xr.Dataset) -> Check:
     sentence += f"; seen and not taken: {', '.join(listed)}." if listed else "."
     dropped, openings = counts.get("not_measured", 0), int(holes.attrs.get("openings", 0))
     advice = "More places look like holes than fit into the area. Give a closer range of diameters (--hole-um)."
-    many = openings if openings > max(1, MANY * (count + openings)) else 0
+    many = openings if openings > max(1, MANY_OPENINGS * (count + openings)) else 0
     if openings:
-        some = "1 opening as large as a hole is" if openings == 1 else f"{openings} openings as large as holes are"
-        sentence += f" {some} not round enough for one."
+        subject = "1 opening as large as a hole is" if openings == 1 else f"{openings} openings as large as holes are"
+        sentence += f" {subject} not round enough for one."
     if many:
         advice = "Look at the maps there: a stretched or torn hole says that slices or voxel sizes are wrong."
     figures = (POSITION, PROPERTIES, CORRELATION) if many else (POSITION,)
