@@ -14,23 +14,24 @@ import xarray as xr
 
 from planish.core.errors import MarkError
 from planish.core.tables import finite, table_text
+from planish.core.typing import Floats
 from planish.marks.files.content import Content, refuse
 from planish.marks.files.lists import PointList
-from planish.marks.files.model import Floats, labels_of, used_of
+from planish.marks.files.model import labels_of, used_of
 
 _NEEDED = "name, active, moving x, y, target x, y (6 columns), or with z (8 columns)"
 _AGAIN = "Save the landmarks in BigWarp again."
 
 
 def looks_like(content: Content) -> bool:
-    """Whether the second cell says true or false, or the JSON holds landmarks."""
+    """Return whether the second cell says true or false, or the JSON holds landmarks."""
     if content.json is not None:
         return "movingPoints" in content.json or "landmarks" in content.json
     return len(content.header) > 2 and content.header[1].lower() in ("true", "false")
 
 
 def read(content: Content) -> list[PointList]:
-    """Moving and target points."""
+    """Read the moving and target points."""
     name = content.name
     rows: list[tuple[int, list[Any]]] = [*content.rows.rows]
     if content.json is not None:
@@ -49,12 +50,12 @@ def read(content: Content) -> list[PointList]:
         active = str(row[1]).lower()
         if active not in ("true", "false"):
             faults.append(f"row {number}: active is {row[1]!r}, not true or false")
-        values = [np.inf if str(cell).lstrip("+-").lower() in ("infinity", "inf") else finite(cell) for cell in row[2:]]
-        if None in values:
-            faults.append(f"row {number}: {row[2 + values.index(None)]!r} is no number")
+        numbers = [np.inf if str(v).lstrip("+-").lower() in ("infinity", "inf") else finite(v) for v in row[2:]]
+        if None in numbers:
+            faults.append(f"row {number}: {row[2 + numbers.index(None)]!r} is no number")
         labels.append(str(row[0]) or f"row {number}")
         used.append(active == "true")
-        points.append([np.nan if value is None else value for value in values])
+        points.append([np.nan if value is None else value for value in numbers])
     refuse(name, faults, f"BigWarp writes {_NEEDED}.")
     # One coordinate that is not set leaves the point without a position.
     sides = np.array(points, dtype=np.float64).reshape(len(points), 2, -1)
@@ -72,31 +73,31 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     used = used_of(marks)
     rows: list[list[str]] = []
     for k, label in enumerate(labels_of(marks)):
-        there = [bool(np.isfinite(side[k]).all()) for side in sides]
-        cells = [repr(float(v)) if ok else "Infinity" for side, ok in zip(sides, there, strict=True) for v in side[k]]
-        rows.append([label, "true" if used[k] and all(there) else "false", *cells])
+        is_set = [bool(np.isfinite(side[k]).all()) for side in sides]
+        cells = [repr(float(v)) if ok else "Infinity" for side, ok in zip(sides, is_set, strict=True) for v in side[k]]
+        rows.append([label, "true" if used[k] and all(is_set) else "false", *cells])
     return {"": table_text([], rows, quote_all=True).encode()}
 
 
 def _json_rows(content: Mapping[str, Any], name: str) -> list[list[Any]]:
-    """Rows of the JSON, alone or in a project (``landmarks``), as those of the CSV."""
+    """Give the rows of the JSON, alone or in a project (``landmarks``), as those of the CSV."""
     inner: object = content.get("landmarks", content)
     marks: Mapping[str, Any] = inner if isinstance(inner, Mapping) else {}
     axes = marks.get("numDimensions")
-    found: list[list[Any]] = []
+    columns: list[list[Any]] = []
     for key in ("movingPoints", "fixedPoints", "names", "active"):
         column: Any = marks.get(key)
-        found.append(column if isinstance(column, list) else [])
-        good = isinstance(column, list) and all(isinstance(row, list) and len(row) == axes for row in column)
-        if key.endswith("Points") and not (good and axes in (2, 3)):
+        columns.append(column if isinstance(column, list) else [])
+        is_valid = isinstance(column, list) and all(isinstance(row, list) and len(row) == axes for row in column)
+        if key.endswith("Points") and not (is_valid and axes in (2, 3)):
             raise MarkError(
                 f"{name}: {key} is no list of positions with numDimensions ({axes!r}) numbers each; 2 or 3 are needed. "
                 f"{_AGAIN}"
             )
-    counts = [len(column) for column in found]
+    counts = [len(column) for column in columns]
     if len(set(counts)) > 1 or not counts[0]:
         raise MarkError(
             f"{name} holds {counts[0]} moving points, {counts[1]} fixed points, {counts[2]} names and {counts[3]} of "
             f"active; as many of each are needed. {_AGAIN}"
         )
-    return [[label, active, *moving, *fixed] for moving, fixed, label, active in zip(*found, strict=True)]
+    return [[label, active, *moving, *fixed] for moving, fixed, label, active in zip(*columns, strict=True)]

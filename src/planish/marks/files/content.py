@@ -21,7 +21,7 @@ _NO_ROWS = Rows([], [], ",", [])
 
 
 class Part(BaseModel):
-    """A part of a JSON file of marks or holes: types are not converted, and keys that are not known are faults."""
+    """A part of a JSON file of marks or holes: types are not converted, and unknown keys are faults."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -71,14 +71,14 @@ def refuse(name: str, faults: Sequence[str], remedy: str) -> None:
 
 
 def json_text(value: object) -> str:
-    """JSON in one line."""
+    """Write JSON in one line."""
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
 def read_object(text: str, name: str) -> Mapping[str, Any]:
-    """Object of a JSON file of marks or holes."""
+    """Read the object of a JSON file of marks or holes."""
     try:
-        content: object = json.loads(text, object_pairs_hook=_once)
+        content: object = json.loads(text, object_pairs_hook=_unique_keys)
     except RecursionError as error:
         raise FileError(f"{name} is nested too deeply for a file of marks. Give {known_formats()}.") from error
     except ValueError as error:
@@ -88,9 +88,9 @@ def read_object(text: str, name: str) -> Mapping[str, Any]:
     return cast("dict[str, Any]", content)
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
         key, count = Counter(key for key, _ in pairs).most_common(1)[0]
         raise ValueError(f"the key {key[:40]!r} stands {count} times in one object")
-    return found
+    return entries

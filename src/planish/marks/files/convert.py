@@ -10,11 +10,12 @@ import xarray as xr
 
 from planish.core.errors import FileError, MarkError, SizeError
 from planish.core.files import write_whole
+from planish.core.typing import Floats
 from planish.marks.files import model
 from planish.marks.files.content import Content, read_content
 from planish.marks.files.formats import FORMATS, MarkFormat, Unit, known_formats, module_of, target_of
 from planish.marks.files.lists import LayerPixels, PointList, join_lists
-from planish.marks.files.model import Floats, about_layer, layer_names
+from planish.marks.files.model import about_layer, layer_names
 from planish.marks.files.plausible import check_marks, check_plausible
 
 _NOTHING = LayerPixels()
@@ -62,8 +63,8 @@ def read_any(
     """
     places = [Path(path)] if second is None else [Path(path), Path(second)]
     name = " and ".join(place.name for place in places)
-    found = [_read(place) for place in places]
-    first = found[0][1]
+    contents = [_read(place) for place in places]
+    first = contents[0][1]
     if second is None and isinstance(first, xr.Dataset):
         if unit not in (None, "um"):
             raise SizeError(
@@ -72,7 +73,7 @@ def read_any(
         marks, stated = _with_facts(first, moving, fixed, swap), ("um", True)
     else:
         lists: list[PointList] = []
-        for place, (_, content) in zip(places, found, strict=True):
+        for place, (_, content) in zip(places, contents, strict=True):
             new = [_single_list(content, place.name)] if isinstance(content, xr.Dataset) else content
             if second is not None and len(new) != 1:
                 raise MarkError(
@@ -80,8 +81,8 @@ def read_any(
                 )
             lists += new
         marks = join_lists(lists, name=name, moving=moving, fixed=fixed, unit=unit, swap=swap)
-        stated = unit or lists[0].unit, all(one.stated for one in lists)
-    marks.attrs["read_from"] = {"format": found[0][0], "unit": stated[0], "stated": stated[1]}
+        stated = unit or lists[0].unit, all(point_list.stated for point_list in lists)
+    marks.attrs["read_from"] = {"format": contents[0][0], "unit": stated[0], "stated": stated[1]}
     check_marks(marks, name)
     if unit != "um":
         check_plausible(marks, name)
@@ -89,7 +90,7 @@ def read_any(
 
 
 def format_of(path: str | Path) -> str:
-    """Which of `FORMATS` a file has.
+    """Return which of `FORMATS` a file has.
 
     Raises
     ------
@@ -162,8 +163,8 @@ def write_any(
     for file in files:
         if file.exists():
             raise FileError(f"{file} is already there; nothing is overwritten. Choose another name.")
-    for file, data in files.items():
-        write_whole(file, data)
+    for file, content in files.items():
+        write_whole(file, content)
     return list(files)
 
 
@@ -188,9 +189,9 @@ def _recognised(content: Content) -> str:
             f"{content.name} is a point list of Slicer in the old format .fcsv. Save it in Slicer as .mrk.json."
         )
     if content.json is not None:
-        held = ", ".join(map(str, list(content.json)[:6])) or "nothing"
+        keys = ", ".join(map(str, list(content.json)[:6])) or "nothing"
         raise FileError(
-            f"{content.name} is JSON, but no file of marks: it holds {held[:80]}. These are read: {known_formats()}."
+            f"{content.name} is JSON, but no file of marks: it holds {keys[:80]}. These are read: {known_formats()}."
         )
     first = ",".join(content.header)[:60]
     raise FileError(
@@ -241,13 +242,13 @@ def _outgoing(
         marks = marks.isel(mark=np.flatnonzero(keep))
     if single:
         facts = [facts[0] if facts[0].pixel_um else facts[1]]
-    values: list[Floats] = []
-    for layer, known, role in zip(sides, facts, ("moving", "fixed"), strict=False):
+    sent: list[Floats] = []
+    for layer, pixels, role in zip(sides, facts, ("moving", "fixed"), strict=False):
         about, points = about_layer(marks, layer), model.points_of(marks, layer)
         pixel, first = about.get("pixel_um"), about.get("origin_um", {})
-        own = LayerPixels(
-            known.pixel_um or (pixel and (pixel["y"], pixel["x"])), (first.get("x", 0.0), first.get("y", 0.0))
+        pixels = LayerPixels(
+            pixels.pixel_um or (pixel and (pixel["y"], pixel["x"])), (first.get("x", 0.0), first.get("y", 0.0))
         )
-        origin, factor = own.frame(unit, points.shape[1], f"The file for {form.title}", role)
-        values.append((points - origin) / factor)
-    return marks, dict(zip(names if single else ("moving", "fixed"), values[::-1] if swap else values, strict=True))
+        origin, factor = pixels.frame(unit, points.shape[1], f"The file for {form.title}", role)
+        sent.append((points - origin) / factor)
+    return marks, dict(zip(names if single else ("moving", "fixed"), sent[::-1] if swap else sent, strict=True))

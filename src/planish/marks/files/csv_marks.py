@@ -16,9 +16,10 @@ import xarray as xr
 from planish.core.errors import MarkError
 from planish.core.files import write_whole
 from planish.core.tables import Table, parse_table, table_text
+from planish.core.typing import Floats
 from planish.marks.files.content import Content
 from planish.marks.files.lists import PointList
-from planish.marks.files.model import Floats, Places, holes_of, labels_of, layer_names, make_marks, used_pairs
+from planish.marks.files.model import Places, holes_of, labels_of, layer_names, make_marks, used_pairs
 
 _SIDES = {
     "moving": ("moving_x_um", "moving_y_um"),
@@ -30,22 +31,22 @@ _RESULTS = ("residual_um", "leave_one_out_um", "weight", "used")
 
 
 def looks_like(content: Content) -> bool:
-    """Whether the header names a column of pairs or of holes."""
+    """Return whether the header names a column of pairs or of holes."""
     return any(name.lower() in names for name in content.header for names in (*_SIDES.values(), _HOLE_COLUMNS))
 
 
 def read(content: Content) -> xr.Dataset | list[PointList]:
     """Read pairs as marks, or the holes of one layer."""
     names = [name.lower() for name in content.header]
-    there = [side for side, columns in _SIDES.items() if any(column in names for column in columns)]
-    if not there:
+    sides = [side for side, columns in _SIDES.items() if any(column in names for column in columns)]
+    if not sides:
         return [read_points(content, _HOLE_COLUMNS, stated=True, source="imported")]
-    first = "volume" if "volume" in there and "moving" not in there else "moving"
+    first = "volume" if "volume" in sides and "moving" not in sides else "moving"
     *choices, fixed = (", ".join(columns) for columns in _SIDES.values())
     advice = f"Needed: label, then {' or '.join(choices)}, then {fixed}, all in um."
     needed = (*_SIDES[first], *_SIDES["fixed"])
     table = parse_table(content.text, content.name, needed=needed, error=MarkError, advice=advice)
-    if {"moving", "volume"} <= set(there):
+    if {"moving", "volume"} <= set(sides):
         table.faults.append("both moving and volume columns are there; keep one kind")
     table.rows[:] = [row for row in table.rows if table.text(row, "used").lower() not in ("0", "0.0", "false", "no")]
     places = {side: Places(um=table.numbers(_SIDES[side])) for side in (first, "fixed")}
@@ -65,7 +66,7 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
 
 
 def holes_text(holes: xr.Dataset, labels: Sequence[str]) -> str:
-    """Text of the table of holes."""
+    """Write the table of holes."""
     columns = [name for name in ("x", "y", "diameter") if name in holes]
     rows = zip(labels, *(holes[name].values for name in columns), strict=True)
     return table_text(["label", *(f"{name}_um" for name in columns)], list(rows))
@@ -92,20 +93,21 @@ def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
 
 
 def pairs_text(dataset: xr.Dataset) -> str:
-    """Text of the table of pairs; see :func:`write_marks`."""
-    held = {str(name).removesuffix("_um"): variable for name, variable in dataset.variables.items()}
-    whole = [side for side, names in _SIDES.items() if all(name.removesuffix("_um") in held for name in names)]
-    if len(whole) < 2 or whole[-1] != "fixed":
+    """Write the table of pairs; see :func:`write_marks`."""
+    variables = {str(name).removesuffix("_um"): variable for name, variable in dataset.variables.items()}
+    sides = [side for side, names in _SIDES.items() if all(name.removesuffix("_um") in variables for name in names)]
+    if len(sides) < 2 or sides[-1] != "fixed":
         raise MarkError(
-            f"The marks hold {', '.join(sorted(held)) or 'nothing'}; fixed_x, fixed_y and either moving_x, moving_y or "
-            "volume_x, volume_y, volume_z are needed."
+            f"The marks hold {', '.join(sorted(variables)) or 'nothing'}; fixed_x, fixed_y and either moving_x, "
+            "moving_y or volume_x, volume_y, volume_z are needed."
         )
-    results = [name for name in _RESULTS if name.removesuffix("_um") in held]
-    names = ["label", *_SIDES[whole[0]], *_SIDES["fixed"], *results]
-    made = {"label": str, "used": int}
+    results = [name for name in _RESULTS if name.removesuffix("_um") in variables]
+    names = ["label", *_SIDES[sides[0]], *_SIDES["fixed"], *results]
+    types = {"label": str, "used": int}
     numbers = range(1, dataset.sizes.get("mark", 0) + 1)
     keys = [name.removesuffix("_um") for name in names]
-    rows = zip(*(map(made.get(key, float), held[key].values if key in held else numbers) for key in keys), strict=True)
+    columns = (variables[key].values if key in variables else numbers for key in keys)
+    rows = zip(*(map(types.get(key, float), column) for key, column in zip(keys, columns, strict=True)), strict=True)
     return table_text(names, list(rows))
 
 

@@ -14,23 +14,23 @@ import xarray as xr
 
 from planish.core.errors import MarkError
 from planish.core.tables import finite
+from planish.core.typing import Floats
 from planish.marks.files.content import Content, refuse
 from planish.marks.files.lists import PointList
-from planish.marks.files.model import Floats
 
 _HEAD = re.compile(r"\s*(?:(point|index)(?:\s+|$))?(\S*)\s*?(?:\n|$)")
 _NEEDED = "'point' or 'index', the number of points, and one point a line, two or three numbers with spaces between"
 
 
 def looks_like(content: Content) -> bool:
-    """Whether it begins with ``point`` or ``index``, or with a whole number alone in its line."""
+    """Return whether it begins with ``point`` or ``index``, or with a whole number alone in its line."""
     first = content.text.split(maxsplit=1)[:1]
     line = content.text.lstrip().splitlines()[:1]
     return content.json is None and (first in (["point"], ["index"]) or bool(line and _is_count(line[0].strip())))
 
 
 def read(content: Content) -> list[PointList]:
-    """Points of one file, as one list."""
+    """Read the points of one file, as one list."""
     name, text = content.name, content.text
     # Word and count may stand in one line or in two.
     head = _HEAD.match(text)
@@ -49,12 +49,12 @@ def read(content: Content) -> list[PointList]:
     faults: list[str] = []
     points: list[list[float]] = []
     for k, cells in enumerate(lines, 1):
-        values = [finite(cell) for cell in cells]
+        numbers = [finite(cell) for cell in cells]
         if axes not in (2, 3) or len(cells) != axes:
             faults.append(f"point {k} has {len(cells)} numbers")
-        elif None in values:
-            faults.append(f"point {k}: {cells[values.index(None)]!r} is no finite number")
-        points.append([v for v in values if v is not None])
+        elif None in numbers:
+            faults.append(f"point {k}: {cells[numbers.index(None)]!r} is no finite number")
+        points.append([v for v in numbers if v is not None])
     refuse(name, faults, f"elastix reads {_NEEDED}.")
     unit, stated = ("mm", False) if word == "point" else ("pixel", True)
     return [PointList(title=name, points=np.array(points, dtype=np.float64), unit=unit, stated=stated)]

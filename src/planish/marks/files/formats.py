@@ -111,7 +111,7 @@ def target_of(path: str | Path) -> str:
     asked = [(suffix, key) for key in TARGETS for suffix in FORMATS[key].suffixes if name.endswith(suffix)]
     if not asked:
         raise FileError(f"{Path(path).name} does not tell its format. Give --to {', '.join(TARGETS)}.")
-    return max(asked, key=lambda one: len(one[0]))[1]
+    return max(asked, key=lambda pair: len(pair[0]))[1]
 
 
 def known_formats() -> str:

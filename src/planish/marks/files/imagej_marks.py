@@ -8,7 +8,7 @@ from planish.marks.files.lists import PointList
 
 
 def looks_like(content: Content) -> bool:
-    """Whether the header has the columns ``X`` and ``Y``."""
+    """Return whether the header has the columns ``X`` and ``Y``."""
     return {"X", "Y"} <= set(content.header)
 
 

@@ -15,9 +15,10 @@ from pydantic import Field, ValidationError
 
 from planish.core.errors import MarkError
 from planish.core.tables import MOST_FAULTS, model_faults
+from planish.core.typing import Floats
 from planish.marks.files import model
 from planish.marks.files.content import MOST_MARKS, Content, Part, check_count, json_text, refuse
-from planish.marks.files.model import RESIDUAL, RESULTS, Floats, Places
+from planish.marks.files.model import RESIDUAL, RESULTS, Places
 from planish.marks.files.plausible import check_marks
 
 FORMAT = "planish-marks"
@@ -91,38 +92,38 @@ class _File(Part):
 
 
 def looks_like(content: Content) -> bool:
-    """Whether its ``format`` says so."""
+    """Return whether its ``format`` says so."""
     return content.json is not None and content.json.get("format") == FORMAT
 
 
-def read(file: Content) -> xr.Dataset:
-    """Marks of a JSON file, as `make_marks` makes them."""
-    name, content = file.name, file.json or {}
-    version = content.get("version")
+def read(content: Content) -> xr.Dataset:
+    """Read the marks of a JSON file, as `make_marks` makes them."""
+    name, entries = content.name, content.json or {}
+    version = entries.get("version")
     if type(version) is int and version > VERSION:
         raise MarkError(
             f"{name} has version {version} of the format; this planish reads up to version {VERSION}. Update planish, "
             "or write the marks again with the older one."
         )
-    marks: object = content.get("marks")
-    check_count(name, len(marks) if isinstance(marks, list) else 0)
+    listed: object = entries.get("marks")
+    check_count(name, len(listed) if isinstance(listed, list) else 0)
     try:
-        held = _File.model_validate(dict(content))
+        file = _File.model_validate(dict(entries))
     except ValidationError as error:
         refuse(name, model_faults(error), _PAGE)
         raise
-    names = [layer.name for layer in held.layers]
-    refuse(name, _own_faults(held, names), _PAGE)
-    results = {key: _column(held.marks, f"{key}_um") for key in RESULTS}
-    found = model.make_marks(
-        [mark.label for mark in held.marks],
-        {layer: _places([mark.at.get(layer) for mark in held.marks]) for layer in names},
-        used=[mark.used for mark in held.marks],
-        about={layer.name: layer.model_dump(exclude_none=True, exclude={"name"}) for layer in held.layers},
+    names = [layer.name for layer in file.layers]
+    refuse(name, _cross_field_faults(file, names), _PAGE)
+    results = {key: _column(file.marks, f"{key}_um") for key in RESULTS}
+    marks = model.make_marks(
+        [mark.label for mark in file.marks],
+        {layer: _places([mark.at.get(layer) for mark in file.marks]) for layer in names},
+        used=[mark.used for mark in file.marks],
+        about={layer.name: layer.model_dump(exclude_none=True, exclude={"name"}) for layer in file.layers},
         results={key: values for key, values in results.items() if np.isfinite(values).any()},
     )
-    check_marks(found, name)
-    return found if held.registration is None else found.assign_attrs(registration=held.registration)
+    check_marks(marks, name)
+    return marks if file.registration is None else marks.assign_attrs(registration=file.registration)
 
 
 def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
@@ -131,10 +132,10 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     places = {layer: model.places_of(marks, layer) for layer in layers}
     rows: list[dict[str, Any]] = []
     for k, (label, used) in enumerate(zip(model.labels_of(marks), model.used_of(marks).tolist(), strict=True)):
-        at = {layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()}
-        there = [key for key in RESULTS if key in marks and np.isfinite(marks[key].values[k])]
-        results = {f"{key}_um": float(marks[key].values[k]) for key in there}
-        rows.append({"label": label, "used": used, "at": at} | results)
+        positions = {layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()}
+        stated = [key for key in RESULTS if key in marks and np.isfinite(marks[key].values[k])]
+        results = {f"{key}_um": float(marks[key].values[k]) for key in stated}
+        rows.append({"label": label, "used": used, "at": positions} | results)
     head: dict[str, Any] = {"format": FORMAT, "version": VERSION, "units": "um", "axes": {"x": "right", "y": "down"}}
     head["layers"] = [_in_order({"name": layer, **model.about_layer(marks, layer)}) for layer in layers]
     if "registration" in marks.attrs:
@@ -150,25 +151,25 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
 
 
 def _in_order(about: dict[str, Any]) -> dict[str, Any]:
-    """What is known of a layer, in the same order whatever it came from."""
+    """Sort what is known of a layer into the same order whatever it came from."""
     return {key: about[key] for key in dict.fromkeys([*_Layer.model_fields, *about]) if key in about}
 
 
 def _column(parts: Sequence[Part | None], key: str) -> Floats:
-    """Numbers of one field; NaN where it is not there."""
-    values = [getattr(part, key, None) for part in parts]
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    """Give the numbers of one field; NaN where it is not there."""
+    numbers = [getattr(part, key, None) for part in parts]
+    return np.array([np.nan if number is None else number for number in numbers], dtype=np.float64)
 
 
-def _places(there: Sequence[_Place | None]) -> Places:
-    um = np.stack([_column(there, axis) for axis in "xyz"], axis=1)
+def _places(parts: Sequence[_Place | None]) -> Places:
+    um = np.stack([_column(parts, axis) for axis in "xyz"], axis=1)
     unknown = [[np.nan, np.nan], [np.nan, np.nan]]
-    spread = np.array([(place and place.covariance_um2) or unknown for place in there]).reshape(-1, 2, 2)
+    spread = np.array([(place and place.covariance_um2) or unknown for place in parts]).reshape(-1, 2, 2)
     return Places(
         um=um if np.isfinite(um[:, 2]).any() else um[:, :2],
-        source=["imported" if place is None else place.source for place in there],
+        source=["imported" if place is None else place.source for place in parts],
         extras={"cov_xx": spread[:, 0, 0], "cov_xy": spread[:, 0, 1], "cov_yy": spread[:, 1, 1]}
-        | {name: _column(there, key) for name, key in _POSITION.items()},
+        | {name: _column(parts, key) for name, key in _POSITION.items()},
     )
 
 
@@ -183,21 +184,21 @@ def _place(places: Places, k: int) -> dict[str, Any]:
     return row
 
 
-def _own_faults(file: _File, names: list[str]) -> list[str]:
-    """What the fields alone do not show."""
+def _cross_field_faults(file: _File, names: list[str]) -> list[str]:
+    """List the faults that the fields alone do not show."""
     faults = [f"the layer {n} is there {names.count(n)} times" for n in sorted(set(names)) if names.count(n) > 1]
     faults += [f"{n} cannot be the name of a layer" for n in names if n == RESIDUAL]
-    deep: dict[str, set[bool]] = {}
+    has_z: dict[str, set[bool]] = {}
     for k, mark in enumerate(file.marks):
         for layer, place in mark.at.items():
             where = f"marks[{k}] ({mark.label}) at {layer}"
             if layer not in names:
                 faults.append(f"{where}: there is no such layer")
-            deep.setdefault(layer, set()).add(place.z is not None)
+            has_z.setdefault(layer, set()).add(place.z is not None)
             cov = place.covariance_um2
             if cov is not None and not _is_covariance(cov):
                 faults.append(f"{where}: the covariance is not [[xx, xy], [xy, yy]] of a spread")
-    faults += [f"some positions in {n} have z and some have none" for n, kinds in deep.items() if len(kinds) > 1]
+    faults += [f"some positions in {n} have z and some have none" for n, kinds in has_z.items() if len(kinds) > 1]
     return faults
 
 

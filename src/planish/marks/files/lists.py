@@ -10,9 +10,10 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError, SizeError
+from planish.core.typing import Floats
 from planish.marks.files.content import check_count
 from planish.marks.files.formats import Unit
-from planish.marks.files.model import EXTRAS, Floats, Places, make_marks
+from planish.marks.files.model import EXTRAS, Places, make_marks
 
 UNITS: dict[str, float] = {"um": 1.0, "mm": 1000.0}
 
@@ -84,7 +85,7 @@ class LayerPixels:
             raise SizeError(f"The origin of a layer is {self.origin_um!r} um; two numbers (x, y) are needed.")
 
     def about(self) -> dict[str, Any]:
-        """As it is kept with the marks."""
+        """Give the facts as they are kept with the marks."""
         out: dict[str, Any] = {}
         if self.pixel_um is not None:
             out["pixel_um"] = {"x": self.pixel_um[-1], "y": self.pixel_um[-2:][0]}
@@ -95,7 +96,7 @@ class LayerPixels:
         return out
 
     def frame(self, unit: Unit, axes: int, name: str, side: str) -> tuple[Floats, Floats]:
-        """Place of the first pixel, and length of one unit, along x, y (and z) in um."""
+        """Give the place of the first pixel, and length of one unit, along x, y (and z) in um."""
         origin = np.zeros(axes)
         origin[:2] = self.origin_um or (0.0, 0.0)
         if unit != "pixel":
@@ -117,31 +118,32 @@ class LayerPixels:
 def join_lists(
     lists: Sequence[PointList], *, name: str, moving: LayerPixels, fixed: LayerPixels, unit: Unit | None, swap: bool
 ) -> xr.Dataset:  # fmt: skip
-    """Marks in um from one list, or from two whose points belong together in their order.
+    """Join marks in um from one list, or from two whose points belong together in their order.
 
     Two are moving and fixed, exchanged where they are named in the other order or ``swap`` says so; ``unit`` takes the
     place of one that the files do not state. The layers are ``moving`` (``volume`` where its z varies) and ``fixed``,
     or ``marks`` where there is one list only.
     """
-    for found in lists:
-        check_count(name, len(found.points))
-        if unit is not None and found.stated and unit != found.unit:
+    for point_list in lists:
+        check_count(name, len(point_list.points))
+        if unit is not None and point_list.stated and unit != point_list.unit:
             raise SizeError(
-                f"{name} states its unit, {found.unit}, and --unit says {unit}. Leave --unit out, or correct the file."
+                f"{name} states its unit, {point_list.unit}, and --unit says {unit}. Leave --unit out, or correct the "
+                "file."
             )
     if len(lists) > 2:
-        what = ", ".join(f"{found.title} ({len(found.points)})" for found in lists[:8])
-        raise MarkError(f"{name} holds {len(lists)} lists of points: {what}. Two are needed; save those two alone.")
+        titles = ", ".join(f"{point_list.title} ({len(point_list.points)})" for point_list in lists[:8])
+        raise MarkError(f"{name} holds {len(lists)} lists of points: {titles}. Two are needed; save those two alone.")
     first, last = lists[0], lists[-1]
     layers = {"marks": (first, moving if moving.pixel_um or moving.origin_um else fixed)}
     if len(lists) == 2:
-        named = [found.title.strip().lower() for found in lists]
-        if swap != (named[0] in _SECOND_NAMES and named[1] in _FIRST_NAMES):
+        titles = [point_list.title.strip().lower() for point_list in lists]
+        if swap != (titles[0] in _SECOND_NAMES and titles[1] in _FIRST_NAMES):
             first, last = last, first
         _check_together(first, last, name)
         layers = {"moving": (first, moving), "fixed": (last, fixed)}
-    places = {layer: _places(found, layer, facts, unit, name) for layer, (found, facts) in layers.items()}
-    about = {layer: dict(found.about) | facts.about() for layer, (found, facts) in layers.items()}
+    places = {layer: _places(point_list, layer, facts, unit, name) for layer, (point_list, facts) in layers.items()}
+    about = {layer: dict(point_list.about) | facts.about() for layer, (point_list, facts) in layers.items()}
     if "fixed" in places and places["fixed"].um.shape[1] == 3:
         raise MarkError(
             f"{name}: the points of the fixed side ({last.title}) differ in z. That side has to be a flat "
@@ -151,23 +153,24 @@ def join_lists(
         places = {"volume": places["moving"], "fixed": places["fixed"]}
         about = {"volume": about["moving"], "fixed": about["fixed"]}
     every = np.ones(len(first.points), bool)
-    used = (np.asarray(one.used, bool) if one.used else every for one in (first, last))
+    used = (np.asarray(point_list.used, bool) if point_list.used else every for point_list in (first, last))
     return make_marks(first.names, places, used=np.logical_and(*used).tolist(), about=about)
 
 
-def _places(found: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str) -> Places:
-    """Positions in um, shape (n, 2), or (n, 3) where z says something; and what else is known, in um too."""
-    values = np.asarray(found.points, dtype=np.float64)
-    if values.shape[1] == 3:
-        z = values[:, 2][np.isfinite(values[:, 2])]
+def _places(point_list: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str) -> Places:
+    """Convert points to um, shape (n, 2), or (n, 3) where z says something; and what else is known, in um too."""
+    coordinates = np.asarray(point_list.points, dtype=np.float64)
+    if coordinates.shape[1] == 3:
+        z = coordinates[:, 2][np.isfinite(coordinates[:, 2])]
         # A picture opened as a volume of one slice has z = 0; for the fixed side any one plane is a picture.
         if not z.any() or (side == "fixed" and np.ptp(z) == 0):
-            values = values[:, :2]
-    origin, factor = facts.frame(unit or found.unit, values.shape[1], name, side)
+            coordinates = coordinates[:, :2]
+    origin, factor = facts.frame(unit or point_list.unit, coordinates.shape[1], name, side)
     powers = {"um": 1, "um2": 2}
-    extras = {k: v * factor[0] ** powers.get(EXTRAS[k][0], 0) for k, v in found.extras.items()}
+    extras = {k: v * factor[0] ** powers.get(EXTRAS[k][0], 0) for k, v in point_list.extras.items()}
     with np.errstate(over="ignore", invalid="ignore"):  # check_marks refuses what is too far away
-        return Places(um=(0.0 if found.placed else origin) + values * factor, source=found.source, extras=extras)
+        um = (0.0 if point_list.placed else origin) + coordinates * factor
+        return Places(um=um, source=point_list.source, extras=extras)
 
 
 def _check_together(first: PointList, second: PointList, name: str) -> None:

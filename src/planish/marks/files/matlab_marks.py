@@ -14,9 +14,9 @@ import xarray as xr
 
 from planish.core import matlab
 from planish.core.errors import FileError, MarkError
+from planish.core.typing import Floats
 from planish.marks.files.content import Content
 from planish.marks.files.lists import PointList
-from planish.marks.files.model import Floats
 
 NAMES = (("movingPoints", "fixedPoints"), ("input_points", "base_points"))
 """Variables that hold pairs; the second two are those of MATLAB before 2013."""
@@ -28,24 +28,24 @@ _SAVE = "Export the moving and fixed points of valid pairs, then save('marks.mat
 
 
 def looks_like(content: Content) -> bool:
-    """Whether it begins as a file of MATLAB 5 to 7.3, or is called one; version 4 has no heading."""
+    """Return whether it begins as a file of MATLAB 5 to 7.3, or is called one; version 4 has no heading."""
     return not content.text
 
 
 def read(content: Content) -> list[PointList]:
-    """Moving and fixed points of a file."""
+    """Read the moving and fixed points of a file."""
     name, data = content.name, content.data
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = _arrays(data)
+            matrices = _matrices(data)
     except Exception as error:
         raise FileError(f"{name} cannot be read as a MATLAB file: {error or type(error).__name__}. {_SAVE}") from error
-    pair = next((p for p in NAMES if all(n in found for n in p)), None)
+    pair = next((p for p in NAMES if all(n in matrices for n in p)), None)
     if pair is None:
-        held = ", ".join(sorted(found)[:8])[:120] or "nothing"
-        raise MarkError(f"{name} holds {held}; {' and '.join(NAMES[0])} are needed. {_SAVE}")
-    points = [_checked(found[variable], variable, name) for variable in pair]
+        names = ", ".join(sorted(matrices)[:8])[:120] or "nothing"
+        raise MarkError(f"{name} holds {names}; {' and '.join(NAMES[0])} are needed. {_SAVE}")
+    points = [_checked(matrices[variable], variable, name) for variable in pair]
     if len(points[0]) != len(points[1]):
         raise MarkError(
             f"{name}: {len(points[0])} points in {pair[0]}, {len(points[1])} in {pair[1]}; as many are needed. {_SAVE}"
@@ -74,22 +74,22 @@ def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     return {"": heading.ljust(116) + file.getvalue()[116:]}
 
 
-def _arrays(data: bytes) -> dict[str, Floats | None]:
-    """Variables of a file; None for what is no small real matrix, or not asked for."""
+def _matrices(data: bytes) -> dict[str, Floats | None]:
+    """Read the variables of a file; None for what is no small real matrix, or not asked for."""
     file = io.BytesIO(data)
-    found: dict[str, Floats | None] = {}
+    matrices: dict[str, Floats | None] = {}
     for variable in matlab.variables(file):
-        small = variable.real and len(variable.shape) == 2 and variable.count <= LARGEST_MATRIX
-        wanted = any(variable.name in pair for pair in NAMES)
-        found[variable.name] = matlab.values(file, variable).astype(np.float64) if small and wanted else None
-    return found
+        is_small = variable.real and len(variable.shape) == 2 and variable.count <= LARGEST_MATRIX
+        is_wanted = any(variable.name in pair for pair in NAMES)
+        matrices[variable.name] = matlab.values(file, variable).astype(np.float64) if is_small and is_wanted else None
+    return matrices
 
 
-def _checked(values: Floats | None, variable: str, name: str) -> Floats:
-    if values is None or values.shape[1] != 2:
-        size = "no real matrix" if values is None else f"of the size {values.shape[0]} x {values.shape[1]}"
+def _checked(matrix: Floats | None, variable: str, name: str) -> Floats:
+    if matrix is None or matrix.shape[1] != 2:
+        size = "no real matrix" if matrix is None else f"of the size {matrix.shape[0]} x {matrix.shape[1]}"
         raise MarkError(f"{name}: {variable} is {size}; n x 2 real numbers are needed, x and y. {_SAVE}")
-    if not np.isfinite(values).all():
-        rows = ", ".join(str(k + 1) for k in np.flatnonzero(~np.isfinite(values).all(axis=1))[:8])
+    if not np.isfinite(matrix).all():
+        rows = ", ".join(str(k + 1) for k in np.flatnonzero(~np.isfinite(matrix).all(axis=1))[:8])
         raise MarkError(f"{name}: {variable} has no finite position in the rows {rows}. {_SAVE}")
-    return np.ascontiguousarray(values)
+    return np.ascontiguousarray(matrix)

@@ -16,8 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import MarkError
-
-Floats = NDArray[np.float64]
+from planish.core.typing import Bools, Floats
 
 SOURCES = ("detected", "clicked", "predicted", "imported")
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
@@ -97,10 +96,10 @@ def make_marks(
     MarkError
         If a layer's name cannot be used.
     """
-    kept = np.ones(len(labels), bool) if used is None else np.array(list(used), dtype=bool)
+    is_used = np.ones(len(labels), bool) if used is None else np.array(list(used), dtype=bool)
     variables: dict[str, Any] = {
         "label": ("mark", np.array(list(labels), dtype=np.str_), {"long_name": "Name of the mark"}),
-        "used": ("mark", kept, {"long_name": "Takes part in the fit"}),
+        "used": ("mark", is_used, {"long_name": "Takes part in the fit"}),
     }
     for layer, places in layers.items():
         if not NAME.fullmatch(layer) or layer == RESIDUAL:
@@ -123,13 +122,13 @@ def make_marks(
 def layer_names(marks: xr.Dataset) -> list[str]:
     """Names of the layers, in order; also of pairs and of a run's marks, which have no list of layers."""
     ends = [str(name)[:-2] for name in marks.variables if str(name).endswith("_x")]
-    there = [name for name in ends if f"{name}_y" in marks and name != RESIDUAL]
+    names = [name for name in ends if f"{name}_y" in marks and name != RESIDUAL]
     listed: Mapping[str, Any] = marks.attrs.get("layers", {})
-    return [name for name in listed if name in there] + [name for name in there if name not in listed]
+    return [name for name in listed if name in names] + [name for name in names if name not in listed]
 
 
 def about_layer(marks: xr.Dataset, layer: str) -> dict[str, Any]:
-    """What is known of a layer; empty where nothing is."""
+    """Give what is known of a layer; empty where nothing is."""
     listed: Mapping[str, Any] = marks.attrs.get("layers", {})
     return dict(listed.get(layer, {}))
 
@@ -154,8 +153,8 @@ def labels_of(marks: xr.Dataset) -> list[str]:
     return [str(k + 1) for k in range(marks.sizes.get("mark", 0))]
 
 
-def used_of(marks: xr.Dataset) -> NDArray[np.bool_]:
-    """Which marks take part in a fit; all where it is not stated."""
+def used_of(marks: xr.Dataset) -> Bools:
+    """Return which marks take part in a fit; all where it is not stated."""
     if "used" in marks:
         return np.asarray(marks["used"].values).astype(bool)
     return np.ones(marks.sizes.get("mark", 0), dtype=bool)
@@ -186,11 +185,11 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
         If there is no such layer.
     """
     _check_layer(marks, layer)
-    there = np.isfinite(points_of(marks, layer)).all(axis=1)
+    in_layer = np.isfinite(points_of(marks, layer)).all(axis=1)
     names: dict[Hashable, str] = {
         f"{layer}_{name}": name for name in ("x", "y", "z", *EXTRAS) if f"{layer}_{name}" in marks
     }
-    return marks[[*names, "label"]].rename(names).isel(mark=np.flatnonzero(there))
+    return marks[[*names, "label"]].rename(names).isel(mark=np.flatnonzero(in_layer))
 
 
 def used_pairs(
@@ -221,23 +220,23 @@ def used_pairs(
     """
     first, second = pair_of_layers(marks, moving=moving, fixed=fixed, name=name)
     a, b = points_of(marks, first), points_of(marks, second)[:, :2]
-    kept = used_of(marks) & np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
-    count = int(kept.sum())
+    in_use = used_of(marks) & np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    count = int(in_use.sum())
     if count < least:
         raise MarkError(
-            f"{name} holds {len(kept)} marks, of which {count} are used and lie in both {first} and {second}. "
+            f"{name} holds {len(in_use)} marks, of which {count} are used and lie in both {first} and {second}. "
             f"At least {least} are needed, far apart: add marks, or use those that are switched off."
         )
     side = "volume" if a.shape[1] == 3 else "moving"
-    labels = [label for label, keep in zip(labels_of(marks), kept, strict=True) if keep]
-    pairs = make_marks(labels, {side: Places(um=a[kept]), "fixed": Places(um=b[kept])})
+    labels = [label for label, keep in zip(labels_of(marks), in_use, strict=True) if keep]
+    pairs = make_marks(labels, {side: Places(um=a[in_use]), "fixed": Places(um=b[in_use])})
     return pairs.drop_vars(["used", f"{side}_source", "fixed_source"]).drop_attrs(deep=False)
 
 
 def pair_of_layers(
     marks: xr.Dataset, *, moving: str | None = None, fixed: str | None = None, name: str = "The file"
 ) -> tuple[str, str]:
-    """Which layers are the moving and the fixed one."""
+    """Return which layers are the moving and the fixed one."""
     names = layer_names(marks)
     for wanted in (moving, fixed):
         if wanted is not None:
@@ -255,9 +254,9 @@ def pair_of_layers(
         raise MarkError(
             f"{name} holds {len(names)} layers: {', '.join(names)}. Name the two that belong together moving and fixed."
         )
-    rest = [n for n in names if n not in (moving, fixed)]
-    first = moving or rest.pop(0)
-    return first, fixed or rest.pop(0)
+    unnamed = [n for n in names if n not in (moving, fixed)]
+    first = moving or unnamed.pop(0)
+    return first, fixed or unnamed.pop(0)
 
 
 def _check_layer(marks: xr.Dataset, layer: str) -> None:

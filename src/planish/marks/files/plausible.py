@@ -13,8 +13,9 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
+from planish.core.typing import Bools, Floats
 from planish.marks.files.content import refuse
-from planish.marks.files.model import Floats, about_layer, labels_of, layer_names, points_of, used_of
+from planish.marks.files.model import about_layer, labels_of, layer_names, points_of, used_of
 
 FARTHEST_UM = 1e9
 """Positions beyond are errors of unit or of writing; within, no arithmetic overflows."""
@@ -53,32 +54,32 @@ def check_plausible(marks: xr.Dataset, name: str) -> None:
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) < LEAST_MARKS or not {"pixel_um", "size_px"} <= about.keys():
             continue
-        what = _misfit(points, about, stated=stated)
-        if what:
-            raise MarkError(f"{name}: the marks in {layer} span {what}")
+        misfit = _misfit(points, about, stated=stated)
+        if misfit:
+            raise MarkError(f"{name}: the marks in {layer} span {misfit}")
 
 
 def _misfit(points: Floats, about: dict[str, Any], *, stated: bool) -> str:
-    """Say why marks cannot be um in their layer; empty where they can."""
-    known = {"origin_um": {"x": 0.0, "y": 0.0}} | about
+    """Describe why marks cannot be um in their layer; empty where they can."""
+    facts = {"origin_um": {"x": 0.0, "y": 0.0}} | about
     pixel, count, origin = (
-        np.array([known[key][axis] for axis in "xy"], dtype=np.float64) for key in ("pixel_um", "size_px", "origin_um")
+        np.array([facts[key][axis] for axis in "xy"], dtype=np.float64) for key in ("pixel_um", "size_px", "origin_um")
     )
     size = pixel * count
     placed = points - origin
     spans = f"{_size(np.ptp(points, axis=0))}, the layer {_size(size)}"
-    inside = _inside(placed, size).all()
-    halves = bool(np.all(points * 2 == np.round(points * 2)))
+    is_inside = _inside(placed, size).all()
+    are_halves = bool(np.all(points * 2 == np.round(points * 2)))
     # Places clicked on pixels and then turned into um are multiples of the pixel.
-    stepped = bool(np.all(np.abs(placed / pixel - np.round(placed / pixel)) < 1e-6))
-    if halves and not stepped and pixel.max() > _LEAST_FACTOR and _inside(points, count).all():
+    are_pixels = bool(np.all(np.abs(placed / pixel - np.round(placed / pixel)) < 1e-6))
+    if are_halves and not are_pixels and pixel.max() > _LEAST_FACTOR and _inside(points, count).all():
         return (
             f"{spans}, and all positions are whole or half numbers: they look like pixels. "
             f"{_remedy('pixel', stated)} If they are um, write them with decimals."
         )
-    if inside and (_inside(points * 1000, size).all() and np.ptp(points, axis=0).max() < _MM_SPAN * size.max()):
+    if is_inside and _inside(points * 1000, size).all() and np.ptp(points, axis=0).max() < _MM_SPAN * size.max():
         return f"{spans}: they look like mm. {_remedy('mm', stated)}"
-    if inside:
+    if is_inside:
         return ""
     spans += f" from ({origin[0]:g}, {origin[1]:g}) um"
     if _inside(points, count).all():
@@ -93,7 +94,7 @@ def _misfit(points: Floats, about: dict[str, Any], *, stated: bool) -> str:
 
 
 def _remedy(unit: str, stated: bool) -> str:
-    """What to do with positions in another unit than um."""
+    """Advise what to do with positions in another unit than um."""
     if stated:
         by = "the pixel size" if unit == "pixel" else "1000"
         return f"The file says um: multiply them by {by}."
@@ -101,12 +102,12 @@ def _remedy(unit: str, stated: bool) -> str:
     return f"Convert them by planish marks convert --unit {unit}{sizes}."
 
 
-def _inside(points: Floats, size: Floats) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _inside(points: Floats, size: Floats) -> Bools:
     return np.all((points >= -SLACK * size) & (points <= (1 + SLACK) * size), axis=1)
 
 
 def _size(um: Floats) -> str:
-    """Width and height: ``1.9 x 1.2 mm``."""
+    """Write width and height: ``1.9 x 1.2 mm``."""
     if max(um) < 100:
         return f"{um[0]:.3g} x {um[1]:.3g} um"
     return f"{um[0] / 1000:.3g} x {um[1] / 1000:.3g} mm"

@@ -16,9 +16,10 @@ import xarray as xr
 
 from planish.core.errors import MarkError
 from planish.core.tables import finite
+from planish.core.typing import Floats
 from planish.marks.files.content import Content, refuse
 from planish.marks.files.lists import PointList
-from planish.marks.files.model import Floats, labels_of, used_of
+from planish.marks.files.model import labels_of, used_of
 
 SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
@@ -30,12 +31,12 @@ _STATES = ("defined", "undefined", "preview")
 
 
 def looks_like(content: Content) -> bool:
-    """Whether it is JSON with markups."""
+    """Return whether it is JSON with markups."""
     return content.json is not None and "markups" in content.json
 
 
 def read(content: Content) -> list[PointList]:
-    """Point lists of a file; lines, curves, planes and empty lists are passed over."""
+    """Read the point lists of a file; lines, curves, planes and empty lists are passed over."""
     name = content.name
     markups: object = (content.json or {}).get("markups")
     entries: list[Mapping[str, Any]] = (
@@ -47,7 +48,7 @@ def read(content: Content) -> list[PointList]:
     if not points:
         kinds = ", ".join(sorted({str(m.get("type")) for m in entries})) or "nothing"
         raise MarkError(f"{name} holds no list of points, but {kinds}. Save a point list in Slicer as .mrk.json.")
-    return [_list(markup, k, name) for k, markup in enumerate(points)]
+    return [_point_list(markup, k, name) for k, markup in enumerate(points)]
 
 
 def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
@@ -57,13 +58,13 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     for role, places in points.items():
         controls: list[dict[str, Any]] = []
         for k, label in enumerate(labels):
-            there = bool(np.isfinite(places[k]).all())
-            position = [*places[k].tolist(), 0.0][:3] if there else [0.0, 0.0, 0.0]
+            is_set = bool(np.isfinite(places[k]).all())
+            position = [*places[k].tolist(), 0.0][:3] if is_set else [0.0, 0.0, 0.0]
             controls.append(
                 {
                     "id": str(k + 1), "label": label, "description": "", "associatedNodeID": "",
                     "position": position, "selected": used[k], "locked": False, "visibility": True,
-                    "positionStatus": "defined" if there else "undefined",
+                    "positionStatus": "defined" if is_set else "undefined",
                 }
             )  # fmt: skip
         markups.append(
@@ -78,7 +79,7 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     return {"": (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()}
 
 
-def _list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
+def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
     title = str(markup.get("name") or f"list {k + 1}")
     system: object = markup.get("coordinateSystem", "LPS")
     if not isinstance(system, str) or system not in SIGNS:
@@ -99,16 +100,16 @@ def _list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
             continue
         state: Any = control.get("positionStatus", "defined")
         position: Any = control.get("position")
-        good = isinstance(position, list) and len(position) == 3
-        values = [None if isinstance(v, str) else finite(v) for v in position] if good else [None]
+        is_valid = isinstance(position, list) and len(position) == 3
+        numbers = [None if isinstance(v, str) else finite(v) for v in position] if is_valid else [None]
         if state not in _STATES:
             faults.append(f"point {number} of {title} has the status {str(state)[:40]!r}")
-        if state == "defined" and None in values:
+        if state == "defined" and None in numbers:
             faults.append(f"point {number} of {title} has the position {str(position)[:40]}, not three finite numbers")
-        there = [v for v in values if v is not None] if state == "defined" and None not in values else [np.nan] * 3
+        point = [v for v in numbers if v is not None] if state == "defined" and None not in numbers else [np.nan] * 3
         labels.append(str(control.get("label") or f"{title} {number}"))
         used.append(control.get("selected", True) is not False)
-        points.append([sign * v for sign, v in zip(SIGNS[system], there, strict=True)])
+        points.append([sign * v for sign, v in zip(SIGNS[system], point, strict=True)])
     refuse(name, faults, "Save the list in Slicer again.")
     return PointList(
         title=title, labels=labels, points=np.array(points, dtype=np.float64), used=used, unit=unit, stated=True

@@ -31,17 +31,17 @@ def read_regions(path: str | Path) -> Regions:
         If the file cannot be read, is damaged, too large, or holds something else than polygons.
     """
     name = Path(path).name
-    data = read_bytes(path, what="file of regions", most=_LARGEST_FILE)
-    if data.startswith(ZIP):
-        found = read_roi_zip(data, name, most=_LARGEST_FILE)
+    content = read_bytes(path, what="file of regions", most=_LARGEST_FILE)
+    if content.startswith(ZIP):
+        regions = read_roi_zip(content, name, most=_LARGEST_FILE)
     else:
-        found = (read_roi if data.startswith(ROI) else read_geojson)(data, name)
-    points = sum(len(ring) for one in found.declared for rings in one.polygons for ring in rings)
-    if not found.declared:
+        regions = (read_roi if content.startswith(ROI) else read_geojson)(content, name)
+    points = sum(len(ring) for region in regions.declared for rings in region.polygons for ring in rings)
+    if not regions.declared:
         raise FileError(f"{name} holds no region. Draw one, or leave --regions out.")
-    if len(found.declared) > MOST_REGIONS or points > MOST_POINTS:
+    if len(regions.declared) > MOST_REGIONS or points > MOST_POINTS:
         raise FileError(
-            f"{name} holds {len(found.declared)} regions with {points} points; {MOST_REGIONS} regions with "
+            f"{name} holds {len(regions.declared)} regions with {points} points; {MOST_REGIONS} regions with "
             f"{MOST_POINTS} points are the most. Simplify them, or join them to MultiPolygons."
         )
-    return found
+    return regions

@@ -35,18 +35,18 @@ def read_geojson(data: bytes, name: str) -> Regions:
     except ValueError as error:
         raise FileError(f"{name} is neither GeoJSON nor a file of ImageJ: {error}. Save the regions again.") from error
     faults: list[str] = []
-    found: list[Region] = []
+    regions: list[Region] = []
     for k, feature in enumerate(_features(content, name, faults), 1):
         try:
-            found.append(_region(feature, f"region {k}"))
+            regions.append(_region(feature, f"region {k}"))
         except ValueError as error:
             faults.append(f"region {k}: {error}")
     raise_faults(name, faults, _REMEDY, error=FileError)
-    return Regions(declared=tuple(found))
+    return Regions(declared=tuple(regions))
 
 
 def _features(content: object, name: str, faults: list[str]) -> Iterator[dict[str, Any]]:
-    """All features of a file; a bare geometry becomes one."""
+    """Yield all features of a file; a bare geometry becomes one."""
     top = _object(content) or {}
     kind = top.get("type")
     if top.get("units", "um") != "um":
@@ -56,8 +56,7 @@ def _features(content: object, name: str, faults: list[str]) -> Iterator[dict[st
     elif kind == "Feature":
         yield top
     elif kind == "FeatureCollection" and isinstance(top.get("features"), list):
-        for one in cast("list[object]", top["features"]):
-            yield _object(one) or {}
+        yield from (_object(feature) or {} for feature in cast("list[object]", top["features"]))
     else:
         raise FileError(
             f"{name} is JSON, but no GeoJSON of regions: a FeatureCollection, a Feature, a Polygon or a MultiPolygon "
@@ -69,8 +68,8 @@ def _region(feature: dict[str, Any], usual: str) -> Region:
     geometry, properties = _object(feature.get("geometry")) or {}, feature.get("properties")
     kind, places = geometry.get("type"), geometry.get("coordinates")
     if kind not in ("Polygon", "MultiPolygon"):
-        what = repr(kind[:40]) if isinstance(kind, str) else "none"
-        raise ValueError(f"its geometry is {what}; a Polygon or MultiPolygon is needed")
+        described = repr(kind[:40]) if isinstance(kind, str) else "none"
+        raise ValueError(f"its geometry is {described}; a Polygon or MultiPolygon is needed")
     if properties is not None and _object(properties) is None:
         raise ValueError("its properties are no object")
     texts = {key: text_of((properties or {}).get(key), key) for key in _TEXTS}
@@ -85,7 +84,7 @@ def _ring(points: object) -> Ring:
     listed = _list(points, "a border")
     # A third number, which the format allows, is a height.
     for k, place in enumerate(listed, 1):
-        if not isinstance(place, list) or len(place) not in (2, 3) or not _numbers(place):
+        if not isinstance(place, list) or len(place) not in (2, 3) or any(type(v) not in (int, float) for v in place):
             raise ValueError(f"position {k} of a border is not [x, y]")
     try:
         return ring_of(np.array([p[:2] for p in listed], dtype=np.float64))
@@ -93,13 +92,9 @@ def _ring(points: object) -> Ring:
         raise ValueError("a coordinate is beyond all numbers") from error
 
 
-def _numbers(values: list[Any]) -> bool:
-    return all(type(v) in (int, float) for v in values)
-
-
-def _list(value: object, what: str) -> list[Any]:
+def _list(value: object, title: str) -> list[Any]:
     if not isinstance(value, list) or not value:
-        raise ValueError(f"{what} is no list, or empty")
+        raise ValueError(f"{title} is no list, or empty")
     return cast("list[Any]", value)
 
 
@@ -110,15 +105,14 @@ def _object(value: object) -> dict[str, Any] | None:
 def geojson_text(regions: Regions) -> str:
     """Write regions in um as a FeatureCollection, one feature a line; reading it gives the same numbers back."""
     assert not regions.in_pixels
-    rows = ",\n".join(f"  {json.dumps(_feature(one), ensure_ascii=False)}" for one in regions.declared)
+    rows = ",\n".join(f"  {json.dumps(_feature(region), ensure_ascii=False)}" for region in regions.declared)
     return f'{{\n "type": "FeatureCollection",\n "units": "um",\n "features": [\n{rows}\n ]\n}}\n'
 
 
 def _feature(region: Region) -> dict[str, Any]:
     polygons = [[[*ring.tolist(), ring[0].tolist()] for ring in rings] for rings in region.polygons]
-    single = len(polygons) == 1
-    geometry = {"type": "Polygon", "coordinates": polygons[0]} if single else {
-        "type": "MultiPolygon", "coordinates": polygons
-    }  # fmt: skip
+    geometry: dict[str, Any] = {"type": "MultiPolygon", "coordinates": polygons}
+    if len(polygons) == 1:
+        geometry = {"type": "Polygon", "coordinates": polygons[0]}
     texts = {key: text for key in _TEXTS if (text := getattr(region, key))}
     return {"type": "Feature", "properties": texts, "geometry": geometry}

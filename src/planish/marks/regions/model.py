@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 
 from planish.core.grid import Grid
 from planish.core.text import printable
+from planish.core.typing import Bools, Floats
 
-Ring = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Ring = Floats
 Window = tuple[slice, slice]
 
 MOST_REGIONS, MOST_POINTS = 1000, 1_000_000
 LONGEST_TEXT = 500
-_SOME = 5  # places of a border, by which it is told whether it lies within another
+_PROBES = 5  # places of a border that decide whether it lies within another
 _FARTHEST = 1e9  # um or pixels: nothing that is drawn on paper lies farther away
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Region:
-    """What was declared in one piece.
+    """One declared artefact.
 
     ``polygons`` are closed borders (n, 2: x, y) without a repeated point: the outer one of each, and those of its
     holes. ``reason`` and ``author`` are empty where they are not given.
@@ -34,8 +34,8 @@ class Region:
     author: str = ""
     polygons: tuple[tuple[Ring, ...], ...]
 
-    def inside(self, grid: Grid) -> tuple[Window, Mask]:
-        """Pixels of a grid whose centre lies in a polygon and in none of its holes, by the even-odd rule.
+    def inside(self, grid: Grid) -> tuple[Window, Bools]:
+        """Return the pixels of a grid whose centre lies in a polygon and in none of its holes, by the even-odd rule.
 
         Rows and columns of a window that holds all of them, and the mask within it. A centre on a border counts where
         the region lies right of or below it, so that regions side by side share no pixel and leave none out.
@@ -65,22 +65,23 @@ class Regions:
     in_pixels: bool = False
 
     def on(self, grid: Grid) -> Regions:
-        """The same in um of a grid, whose coordinates are those of the pixels' centres."""
+        """Give the same in um of a grid, whose coordinates are those of the pixels' centres."""
         if not self.in_pixels:
             return self
         down, across = grid.pixel_um
         size, origin = np.array([across, down]), np.array(grid.origin_um)
-        return Regions(declared=tuple(
-            replace(one, polygons=tuple(
-                tuple((ring - 0.5) * size + origin for ring in rings) for rings in one.polygons
-            )) for one in self.declared
-        ))  # fmt: skip
 
-    def inside(self, grid: Grid) -> Mask:
-        """Pixels of a grid whose centre lies in a region."""
+        def in_um(region: Region) -> Region:
+            polygons = (tuple((ring - 0.5) * size + origin for ring in rings) for rings in region.polygons)
+            return replace(region, polygons=tuple(polygons))
+
+        return Regions(declared=tuple(map(in_um, self.declared)))
+
+    def inside(self, grid: Grid) -> Bools:
+        """Return the pixels of a grid whose centre lies in a region."""
         inside = np.zeros(grid.shape, dtype=bool)
-        for one in self.declared:
-            window, mask = one.inside(grid)
+        for region in self.declared:
+            window, mask = region.inside(grid)
             inside[window] |= mask
         return inside
 
@@ -107,38 +108,33 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
     boxes = np.array([[*ring.min(axis=0), *ring.max(axis=0)] for ring in rings])
     around: list[list[int]] = []
     for k, ring in enumerate(rings):
-        # Borders may touch, so that single places of one may lie on another: most of some decide.
-        some = (0.5 * (ring + np.roll(ring, -1, axis=0)))[:: max(1, len(ring) // _SOME)]
+        # Borders may touch, so that single places of one may lie on another: most of a few decide.
+        probes = (0.5 * (ring + np.roll(ring, -1, axis=0)))[:: max(1, len(ring) // _PROBES)]
         within = (boxes[:, :2] <= boxes[k, :2]).all(axis=1) & (boxes[:, 2:] >= boxes[k, 2:]).all(axis=1)
-        around.append(
-            [
-                j
-                for j in np.flatnonzero(within).tolist()
-                if j != k and 2 * sum(_inside(rings[j], place) for place in some) > len(some)
-            ]
-        )
-    found: dict[int, list[Ring]] = {k: [ring] for k, ring in enumerate(rings) if len(around[k]) % 2 == 0}
+        candidates = [j for j in np.flatnonzero(within).tolist() if j != k]
+        around.append([j for j in candidates if 2 * sum(_inside(rings[j], place) for place in probes) > len(probes)])
+    polygons: dict[int, list[Ring]] = {k: [ring] for k, ring in enumerate(rings) if len(around[k]) % 2 == 0}
     for k, ring in enumerate(rings):
-        if k not in found:
-            found[max((j for j in around[k] if j in found), key=lambda j: len(around[j]))].append(ring)
-    return tuple(tuple(parts) for parts in found.values())
+        if k not in polygons:
+            polygons[max((j for j in around[k] if j in polygons), key=lambda j: len(around[j]))].append(ring)
+    return tuple(map(tuple, polygons.values()))
 
 
-def _inside(ring: Ring, place: NDArray[np.float64]) -> bool:
-    """Whether a place (x, y) lies within a border, by the even-odd rule."""
+def _inside(ring: Ring, place: Floats) -> bool:
+    """Return whether a place (x, y) lies within a border, by the even-odd rule."""
     (x, y), (xa, ya), (xb, yb) = place, ring.T, np.roll(ring, -1, axis=0).T
     crossed = (ya <= y) != (yb <= y)
-    at = xa[crossed] + (y - ya[crossed]) * (xb - xa)[crossed] / (yb - ya)[crossed]
-    return bool(np.count_nonzero(at > x) % 2)
+    crossing_x = xa[crossed] + (y - ya[crossed]) * (xb - xa)[crossed] / (yb - ya)[crossed]
+    return bool(np.count_nonzero(crossing_x > x) % 2)
 
 
-def text_of(value: object, what: str) -> str:
+def text_of(value: object, title: str) -> str:
     """Clean a text of a file into one line; ValueError where it is no text, or too long."""
     if value is None:
         return ""
     if not isinstance(value, str):
-        raise ValueError(f"{what} is no text")
+        raise ValueError(f"{title} is no text")
     text = printable(" ".join(value.split()))
     if len(text) > LONGEST_TEXT:
-        raise ValueError(f"{what} has {len(text)} letters; {LONGEST_TEXT} are the most")
+        raise ValueError(f"{title} has {len(text)} letters; {LONGEST_TEXT} are the most")
     return text
