@@ -161,7 +161,7 @@ def test_of_labels_no_map_but_those_of_the_faces_may_lead(specimen_files):
     parts = {"volume": {"path": volume}, "image": {"path": image}, "surface": {"labels": {}}}
     parts |= {"properties": {"coating_g_cm3": 1.6}}
     assert check_request(as_study(parts | {"correlate": {"headline": "thickness"}}), Compute()) is None
-    with pytest.raises(InputError, match='coat_weight_top"?: there will be no such map'):
+    with pytest.raises(InputError, match=r'coat_weight_top"?: there will be no such map'):
         check_request(as_study(parts | {"correlate": {"headline": "coat_weight_top"}}), Compute())
 
 

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from planish.core.errors import MarkError
 from planish.core.transform import Similarity
 from planish.marks.design import DesignParams, ImagingParams, check_pattern, design_pattern, hole_error_um, predict
-from planish.marks.design.plan import _blank, _drawn
+from planish.marks.design.plan import _blank, _draw_pattern
 from planish.marks.design.rules import code_rules, crops, simple_rules
 from planish.register import match_marks
 
@@ -59,7 +59,7 @@ def test_four_consecutive_holes_tell_where_they_are_over_fifty_seeds():
     for seed in range(50):
         rng = np.random.default_rng(seed)
         while True:
-            pattern = _drawn(blank, 24, rng)
+            pattern = _draw_pattern(blank, 24, rng)
             if pattern is not None and code_rules(pattern)[0].passed and all(r.passed for r in simple_rules(pattern)):
                 break
         z = pattern.points_um @ [1, 1j]

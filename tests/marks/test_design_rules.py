@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from planish.core.errors import MarkError
 from planish.marks.design import DesignParams, check_pattern, design_pattern, own_pattern
 from planish.marks.design.rules import CROP, crops, simple_rules
-from planish.marks.design.selfmatch import _Finder, around_order, code_misfit_um, self_motions
+from planish.marks.design.selfmatch import _HoleIndex, around_order, code_misfit_um, self_motions
 
 
 @pytest.fixture(scope="module")
@@ -175,14 +175,14 @@ def test_the_search_does_not_depend_on_where_the_pattern_lies(good, turn, shift,
 
 
 def test_table_and_tree_find_the_same_holes(good):
-    finder = _Finder(good.points_um)
-    assert finder.table is not None
+    index = _HoleIndex(good.points_um)
+    assert index.table is not None
     rng = np.random.default_rng(2)
     near = good.points_um[rng.integers(len(good.points_um), size=3000)] + rng.normal(0, 30, (3000, 2))
     z = np.concatenate([near, rng.uniform(-40_000, 60_000, (500, 2))]) @ [1, 1j]
-    fast = finder.at(z[:, None])
-    finder.table = None
-    np.testing.assert_array_equal(fast, finder.at(z[:, None]))
+    fast = index.holes_at(z[:, None])
+    index.table = None
+    np.testing.assert_array_equal(fast, index.holes_at(z[:, None]))
 
 
 def test_order_around_is_that_of_the_design(good):

@@ -11,16 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.patches import Circle, Rectangle
-from numpy.typing import NDArray
 
+from planish.core.typing import Floats
 from planish.marks.design.params import ImagingParams
 from planish.marks.design.pattern import Pattern
 from planish.marks.design.predict import P95, Predicted
 from planish.marks.design.rules import Rule
 from planish.marks.design.sheet import ACCENT, ASIDE, BURNT, FAINT, GROUND, INK, SOFT, Page
 from planish.marks.design.simulate import DryRun
-
-Array = NDArray[np.float64]
 
 _ARROW: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.1, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
 _FINE = 200  # pixels along the longer side of the map
@@ -34,9 +32,9 @@ def drawing_page(pattern: Pattern) -> Page:
     axes, mm = page.plan, 1000 / page.scale  # um of the sheet for one mm of paper
     _holes(axes, pattern, SOFT)
     _box(axes, (x, y), view, edgecolor=SOFT, ls=(0, (5, 3)))
-    (left, low), (width, height) = pattern.field_low_um, pattern.field_um
+    (field_x, field_y), (width, height) = pattern.field_low_um, pattern.field_um
     note = f"field {_size(pattern.field_um)} mm\nno hole reaches into it"
-    _write(axes, (left + width / 2, low + height / 2), note, color=SOFT, fontsize=9, linespacing=1.6)
+    _write(axes, (field_x + width / 2, field_y + height / 2), note, color=SOFT, fontsize=9, linespacing=1.6)
     _numbers(axes, pattern.points_um, pattern.labels, pattern.frame_low_um, pattern.frame_um)
     for dx, dy, name in ((11 * mm, 0, "x"), (0, 11 * mm, "y")):
         arrow = {**_ARROW, "color": ACCENT}
@@ -47,7 +45,7 @@ def drawing_page(pattern: Pattern) -> Page:
         corner = pattern.frame_low_um
         axes.plot(*[[value] for value in corner], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
         axes.annotate(
-            "no hole in this corner:\nit shows the orientation", corner, (left + 13 * mm, low + 13 * mm),
+            "no hole in this corner:\nit shows the orientation", corner, (field_x + 13 * mm, field_y + 13 * mm),
             color=ACCENT, fontsize=7.5, ha="left", va="bottom",
             arrowprops={"arrowstyle": "-", "color": ACCENT, "lw": 0.6, "shrinkB": 5},
         )  # fmt: skip
@@ -73,41 +71,22 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
     """Draw the predicted error over the field, with its numbers and the rules."""
     about = "rms distance between a point of one map and the same point of the other, by the marks alone; similarity"
     page = Page("Predicted error of the registration", about, pattern.origin_um, pattern.view_um)
-    axes, places = page.plan, predicted.field_um
-    field, at = np.array(pattern.field_um), np.array(pattern.field_low_um)
-    across, up = (np.linspace(0, side, max(20, round(_FINE * side / field.max()))) for side in field)
-    grid = np.stack(np.meshgrid(at[0] + across, at[1] + up), axis=-1)
-    error = predicted.at(grid)
-    norm = Normalize(float(error.min()), float(error.max()))
-    extent = (float(at[0]), float(at[0] + field[0]), float(at[1]), float(at[1] + field[1]))
-    limits = axes.axis()
-    axes.imshow(
-        error, extent=extent, origin="lower", norm=norm, cmap="cividis", aspect="auto", interpolation="bilinear"
-    )
-    axes.axis(limits)
-    levels = np.linspace(float(error.min()), float(error.max()), 7)[1:-1]
-    lines = axes.contour(grid[..., 0], grid[..., 1], error, levels=levels, colors="white", linewidths=0.6)
-    axes.clabel(lines, fmt="%.2f", fontsize=7)
-    _box(axes, pattern.field_low_um, pattern.field_um, edgecolor=SOFT)
-    _box(axes, pattern.origin_um, pattern.view_um, edgecolor=SOFT, ls=(0, (5, 3)))
-    axes.plot(*pattern.points_um.T, "o", ms=3.5, mfc="white", mec=INK, mew=0.8, clip_on=False)
+    _error_map(page, pattern, predicted)
+    _box(page.plan, pattern.field_low_um, pattern.field_um, edgecolor=SOFT)
+    _box(page.plan, pattern.origin_um, pattern.view_um, edgecolor=SOFT, ls=(0, (5, 3)))
+    page.plan.plot(*pattern.points_um.T, "o", ms=3.5, mfc="white", mec=INK, mew=0.8, clip_on=False)
+    places = predicted.field_um
     worst = places[1 + int(np.argmax(predicted.at(places[1:])))]
     pad = {"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": "none", "alpha": 0.9}
-    for place, value, name in (
+    for place, error, name in (
         (places[0], predicted.centre_um, "middle"),
         (worst, predicted.corner_um, "worst corner"),
     ):
-        axes.plot(*place[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
+        page.plan.plot(*place[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
         x, y = np.sign(places[0] - place)
         side = {1: "left", 0: "center", -1: "right"}[int(x)]
-        _write(axes, place, f"{name}: {value:.2f} µm", (10 * x, 12 * (y or -1)), ha=side, fontsize=8.5, bbox=pad)
-    box = axes.get_position()
-    bar = page.figure.colorbar(
-        ScalarMappable(norm=norm, cmap="cividis"),
-        cax=page.figure.add_axes((box.x1 + 4 / page.width, box.y0, 3.5 / page.width, box.height)),
-    )
-    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
-    bar.ax.set_title("µm", fontsize=8)
+        text = f"{name}: {error:.2f} µm"
+        _write(page.plan, place, text, (10 * x, 12 * (y or -1)), ha=side, fontsize=8.5, bbox=pad)
     rows = [
         ("one hole", f"{predicted.fle_um:.2f} µm rms"),
         ("holes N", f"{len(predicted.holes_um)}"),
@@ -120,8 +99,33 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
         ("varies over", f"{imaging.rim_length_um:g} µm"),
     ]
     page.aside("Error", rows, ("error² = hole² / N · (1 + r² / f²),", "r from the holes' centroid"))
-    page.aside("Rules", [(rule.name, _measured(rule)) for rule in rules])
+    page.aside("Rules", [(rule.name, _measured_and_limit(rule)) for rule in rules])
     return page
+
+
+def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
+    """Draw the predicted error over the field in colours and contours, with a bar of the colours."""
+    axes, low, field = page.plan, np.array(pattern.field_low_um), np.array(pattern.field_um)
+    across, up = (np.linspace(0, side, max(20, round(_FINE * side / field.max()))) for side in field)
+    grid = np.stack(np.meshgrid(low[0] + across, low[1] + up), axis=-1)
+    error = predicted.at(grid)
+    norm = Normalize(float(error.min()), float(error.max()))
+    extent = (float(low[0]), float(low[0] + field[0]), float(low[1]), float(low[1] + field[1]))
+    limits = axes.axis()
+    axes.imshow(
+        error, extent=extent, origin="lower", norm=norm, cmap="cividis", aspect="auto", interpolation="bilinear"
+    )
+    axes.axis(limits)
+    levels = np.linspace(float(error.min()), float(error.max()), 7)[1:-1]
+    lines = axes.contour(grid[..., 0], grid[..., 1], error, levels=levels, colors="white", linewidths=0.6)
+    axes.clabel(lines, fmt="%.2f", fontsize=7)
+    box = axes.get_position()
+    bar = page.figure.colorbar(
+        ScalarMappable(norm=norm, cmap="cividis"),
+        cax=page.figure.add_axes((box.x1 + 4 / page.width, box.y0, 3.5 / page.width, box.height)),
+    )
+    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
+    bar.ax.set_title("µm", fontsize=8)
 
 
 def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
@@ -167,7 +171,7 @@ def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
 
 
 def _numbers(
-    axes: Axes, points: Array, labels: Sequence[str], low: Sequence[float] | Array, size: Sequence[float] | Array
+    axes: Axes, points: Floats, labels: Sequence[str], low: Sequence[float] | Floats, size: Sequence[float] | Floats
 ) -> None:
     """Write a number at each point, on the side of the middle of the rectangle."""
     away = np.asarray(low) + np.asarray(size) / 2 - points
@@ -177,31 +181,31 @@ def _numbers(
         _write(axes, point, label, towards, fontsize=6.5)
 
 
-def _pitches(axes: Axes, pattern: Pattern, beside: float) -> None:
-    """Write the distance between neighbours on a line beside them, outside the frame."""
+def _pitches(axes: Axes, pattern: Pattern, distance: float) -> None:
+    """Write the distance between neighbours on a line ``distance`` outside the frame."""
     points, low, size = pattern.points_um, pattern.frame_low_um, pattern.frame_um
     for axis, end in ((0, 0), (1, 1), (0, 1), (1, 0)):
         level = low[1 - axis] + end * size[1 - axis]
-        on = np.sort(points[np.abs(points[:, 1 - axis] - level) < 1e-3][:, axis])
-        place = level + (beside if end else -beside)
-        for a, b in pairwise(on):
+        positions = np.sort(points[np.abs(points[:, 1 - axis] - level) < 1e-3][:, axis])
+        place = level + (distance if end else -distance)
+        for a, b in pairwise(positions):
             middle = ((a + b) / 2, place) if axis == 0 else (place, (a + b) / 2)
             _write(axes, middle, f"{(b - a) / 1000:.2f}", fontsize=6, color=SOFT, rotation=90 * axis)
 
 
 def _write(
-    axes: Axes, place: Sequence[float] | Array, text: str, away: Sequence[float] | Array = (0, 0), **options: Any
+    axes: Axes, place: Sequence[float] | Floats, text: str, away: Sequence[float] | Floats = (0, 0), **options: Any
 ) -> None:
     """Write beside a place, ``away`` in points of the paper."""
-    given: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, **options}
-    axes.annotate(text, (place[0], place[1]), (away[0], away[1]), textcoords="offset points", **given)
+    style: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, **options}
+    axes.annotate(text, (place[0], place[1]), (away[0], away[1]), textcoords="offset points", **style)
 
 
 def _box(axes: Axes, low: Sequence[float], size: Sequence[float], **options: Any) -> None:
     axes.add_patch(Rectangle((low[0], low[1]), *size, **{"fill": False, "clip_on": False, "lw": 0.5, **options}))
 
 
-def _measured(rule: Rule) -> str:
+def _measured_and_limit(rule: Rule) -> str:
     """Write what was measured, and the limit."""
     digits = f"{rule.value:.0f}" if rule.unit in ("um", "holes") else f"{rule.value:.2f}"
     return (

@@ -74,31 +74,31 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
 def short_route(points_um: ArrayLike, start_um: tuple[float, float]) -> Ints:
     """Order of the points (n, 2) on a short path that begins and ends at ``start_um``.
 
-    The path is built to the nearest point left each time, then stretches of it are turned round as long as that
+    The path is built to the nearest open point each time, then stretches of it are turned round as long as that
     shortens it (2-opt). Same points, same order.
     """
     places = np.vstack([start_um, np.asarray(points_um, dtype=np.float64).reshape(-1, 2)])
-    apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
-    left = apart.copy()
-    left[:, 0] = np.inf
+    distances = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
+    open_distances = distances.copy()
+    open_distances[:, 0] = np.inf
     tour = np.zeros(len(places), dtype=np.intp)
     for k in range(1, len(places)):
-        tour[k] = np.argmin(left[tour[k - 1]])
-        left[:, tour[k]] = np.inf
+        tour[k] = np.argmin(open_distances[tour[k - 1]])
+        open_distances[:, tour[k]] = np.inf
     n = len(tour)
-    shorter = n > 3
-    while shorter:
-        shorter = False
+    is_shorter = n > 3
+    while is_shorter:
+        is_shorter = False
         for i in range(n - 1):
             # Turn round what lies between i + 1 and j: two stretches are replaced.
             j = np.arange(i + 1, n)
             ends = tour[(j + 1) % n]
-            gain = apart[tour[i], tour[i + 1]] + apart[tour[j], ends]
-            gain = gain - apart[tour[i], tour[j]] - apart[tour[i + 1], ends]
+            gain = distances[tour[i], tour[i + 1]] + distances[tour[j], ends]
+            gain = gain - distances[tour[i], tour[j]] - distances[tour[i + 1], ends]
             best = int(np.argmax(gain))
             if gain[best] > 1e-6:
                 tour[i + 1 : i + 2 + best] = tour[i + 1 : i + 2 + best][::-1]
-                shorter = True
+                is_shorter = True
     return tour[1:] - 1
 
 
@@ -140,15 +140,15 @@ def pattern_dxf(pattern: Pattern) -> str:
         ("FIELD", pattern.field_low_um, pattern.field_um),
         ("VIEW", pattern.origin_um, pattern.view_um),
     ):
-        groups += _lines(layer, (x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y))
+        groups += _polyline(layer, (x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y))
     arm = 3 * diameter
-    groups += _lines("ORIGIN", (x0, y0), (x0 + arm, y0)) + _lines("ORIGIN", (x0, y0), (x0, y0 + arm))
+    groups += _polyline("ORIGIN", (x0, y0), (x0 + arm, y0)) + _polyline("ORIGIN", (x0, y0), (x0, y0 + arm))
     groups += _text("ORIGIN", x0 + arm, y0, diameter, "x") + _text("ORIGIN", x0, y0 + arm, diameter, "y")
     groups += [(0, "ENDSEC"), (0, "EOF")]
     return "".join(f"{code:3d}\n{value}\n" for code, value in groups)
 
 
-def _lines(layer: str, *corners: tuple[float, float]) -> Groups:
+def _polyline(layer: str, *corners: tuple[float, float]) -> Groups:
     groups: Groups = []
     for start, end in pairwise(corners):
         groups += [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]

@@ -18,8 +18,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.typing import Floats
+
 Ints = NDArray[np.int64]
-Array = NDArray[np.float64]
 
 STEP_UM = 50.0
 _BATCH = 4000
@@ -33,13 +34,13 @@ class Ruler:
     """One side of the frame in steps.
 
     ``start`` and ``end`` say whether there are holes in the corners, which lie ``length`` apart; two holes keep
-    ``apart``, and ``marker`` from an empty corner. ``view``, its ``border`` and a hole's ``radius`` are lengths, too.
+    ``spacing``, and ``marker`` from an empty corner. ``view``, its ``border`` and a hole's ``radius`` are lengths, too.
     """
 
     length: int
     start: bool
     end: bool
-    apart: int
+    spacing: int
     marker: int
     view: float
     border: float
@@ -48,12 +49,12 @@ class Ruler:
     @property
     def low(self) -> int:
         """Least position of a hole that is no corner."""
-        return self.apart if self.start else self.marker
+        return self.spacing if self.start else self.marker
 
     @property
     def high(self) -> int:
         """Largest position of a hole that is no corner."""
-        return self.length - (self.apart if self.end else self.marker)
+        return self.length - (self.spacing if self.end else self.marker)
 
     def with_corners(self, inner: Ints) -> Ints:
         """Add the holes in the corners to positions (..., n)."""
@@ -80,9 +81,9 @@ def coded_side(ruler: Ruler, count: int, used: set[int], rng: np.random.Generato
     ``used`` are the distances on the sides before.
     """
     for _ in range(_BATCHES):
-        drawn = _drawn(ruler, count, rng)
+        drawn = _draw_positions(ruler, count, rng)
         marks = ruler.with_corners(drawn)
-        fits = np.all(np.diff(marks, axis=1) >= ruler.apart, axis=1)
+        fits = np.all(np.diff(marks, axis=1) >= ruler.spacing, axis=1)
         fits &= (drawn[:, 0] >= ruler.low) & (drawn[:, -1] <= ruler.high)
         drawn, marks = drawn[fits], marks[fits]
         distances = _distances(marks)
@@ -100,15 +101,15 @@ def coded_distances(ruler: Ruler, inner: Ints) -> set[int]:
 
 
 def growing_side(ruler: Ruler, count: int, rate: float) -> Ints | None:
-    """Positions (count,) with a pitch that grows evenly, by ``rate`` in all; None if the pitch gets too small."""
+    """Give positions (count,) with a pitch that grows evenly, by ``rate`` in all; None if the pitch gets too small."""
     pitch = 1 + rate * np.arange(count + 1) / count
     marks = np.round(ruler.length * np.cumsum(pitch) / pitch.sum()).astype(np.int64)[:-1]
     whole = ruler.with_corners(marks)
-    fits = np.all(np.diff(whole) >= ruler.apart) and marks[0] >= ruler.low and marks[-1] <= ruler.high
+    fits = np.all(np.diff(whole) >= ruler.spacing) and marks[0] >= ruler.low and marks[-1] <= ruler.high
     return marks if fits else None
 
 
-def placed(sides: Sequence[Ints], width: int, height: int) -> tuple[Array, Ints]:
+def around_frame(sides: Sequence[Ints], width: int, height: int) -> tuple[Floats, Ints]:
     """Lay the sides around the frame: positions (n, 2) in um from its lower left corner, and the side of each."""
     corners = np.array([(0, 0), (width, 0), (width, height), (0, height)])
     direction = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
@@ -118,7 +119,7 @@ def placed(sides: Sequence[Ints], width: int, height: int) -> tuple[Array, Ints]
     return STEP_UM * points, np.repeat(np.arange(4), [len(steps) for steps in along])
 
 
-def _drawn(ruler: Ruler, count: int, rng: np.random.Generator) -> Ints:
+def _draw_positions(ruler: Ruler, count: int, rng: np.random.Generator) -> Ints:
     """Draw sorted positions (batch, count) of which at least four survive every crop that keeps the side.
 
     A window of 70 % of the view slides along the side. The holes in the middle 40 % are always in it; each other hole

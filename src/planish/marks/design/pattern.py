@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from planish.core.errors import MarkError
 from planish.core.tables import model_faults, parse_table, raise_faults, read_text, table_text
+from planish.core.typing import Floats
 from planish.marks.design.params import DesignParams
 
-Array = NDArray[np.float64]
 Pair = tuple[float, float]
 
 Positive = Annotated[float, Field(gt=0)]
@@ -88,14 +88,14 @@ class Pattern(BaseModel):
     seed: int
     holes: Annotated[tuple[Hole, ...], Field(min_length=3)] = ()
 
-    def with_holes(self, points_um: Array, lines: Sequence[str]) -> Pattern:
+    def with_holes(self, points_um: Floats, lines: Sequence[str]) -> Pattern:
         """Return the pattern with other holes, (n, 2) in stage coordinates, numbered from 1."""
         places = zip(points_um.tolist(), lines, strict=True)
         holes = tuple(Hole(label=str(k), x_um=x, y_um=y, line=line) for k, ((x, y), line) in enumerate(places, 1))
         return self.model_copy(update={"holes": holes})
 
     @property
-    def points_um(self) -> Array:
+    def points_um(self) -> Floats:
         """Centres as an array (n, 2), stage coordinates."""
         return np.array([(hole.x_um, hole.y_um) for hole in self.holes], dtype=np.float64).reshape(-1, 2)
 
@@ -131,7 +131,7 @@ class Pattern(BaseModel):
         return self.frame_um[0] + 2 * self.border_um, self.frame_um[1] + 2 * self.border_um
 
     @property
-    def imaged_um(self) -> Array:
+    def imaged_um(self) -> Floats:
         """Centres (n, 2) as an image of the laser's side shows them: from its upper left corner, y down."""
         points = self.points_um - self.origin_um
         return np.stack([points[:, 0], self.view_um[1] - points[:, 1]], axis=1)
@@ -145,18 +145,18 @@ class Pattern(BaseModel):
         """Read what :meth:`to_json` wrote; further keys are passed over."""
         advice = "Give the pattern.json of 'planish marks design'."
         try:
-            data: Any = json.loads(text)
+            content: Any = json.loads(text)
         except ValueError as error:
             raise MarkError(f"This is no JSON: {error}. {advice}") from error
-        if not isinstance(data, dict) or data.get("format") != FORMAT:
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise MarkError(f"This JSON holds no '{FORMAT}'. {advice}")
-        if data.get("version") != VERSION:
+        if content.get("version") != VERSION:
             raise MarkError(
-                f"The pattern has version {data.get('version')!r}; this planish reads version {VERSION}. Design it "
+                f"The pattern has version {content.get('version')!r}; this planish reads version {VERSION}. Design it "
                 "again, or use the planish that wrote it."
             )
         try:
-            return cls.model_validate({"holes": []} | data)
+            return cls.model_validate({"holes": []} | content)
         except ValidationError as error:
             raise_faults("The pattern", model_faults(error), "Design it again.", error=MarkError)
             raise

@@ -23,7 +23,7 @@ from planish.marks.design.rules import (
 
 LEAST_PITCH_UM = 500.0
 _COUNTS = {"coded": (24, 28, 32, 20), "line": (35, 31, 39, 43)}
-_ATTEMPTS = {"coded": 40, "line": 250}  # lines are quick to draw and seldom told apart
+_ATTEMPTS = {"coded": 40, "line": 250}  # lines are quick to draw and seldom distinct
 _LARGEST_SEARCH = 25  # patterns whose rivals are looked for
 _COMPARED = 6  # patterns that keep the rules; the one with the weakest rival is taken
 _LEAST_A_SIDE = 4
@@ -60,9 +60,9 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
     for blank in _blanks(params):
         reasons.clear()
         for count in (params.holes,) if params.holes is not None else _COUNTS[params.layout]:
-            found, reason = _search(blank, count, np.random.default_rng([params.seed, count]))
-            if found is not None:
-                return found
+            design, reason = _search(blank, count, np.random.default_rng([params.seed, count]))
+            if design is not None:
+                return design
             reasons[count] = reason
         if not any(rule in reason for rule in _NO_ROOM for reason in reasons.values()):
             break
@@ -110,11 +110,11 @@ def _search(
     area = area_rule(blank, count)
     if not area.passed:
         return None, f"With {count} holes, {area.sentence()}: {area.remedy}."
-    kept: list[tuple[tuple[float, float], Pattern, tuple[Rule, ...]]] = []
+    candidates: list[tuple[tuple[float, float], Pattern, tuple[Rule, ...]]] = []
     nearest: list[Rule] | None = None
     searched = 0
     for _ in range(_ATTEMPTS[blank.layout]):
-        pattern = _drawn(blank, count, rng)
+        pattern = _draw_pattern(blank, count, rng)
         if pattern is None:
             continue
         rules: tuple[Rule, ...] = ()
@@ -129,15 +129,15 @@ def _search(
         if not broken:
             rival = max(rule.value for rule in rules if rule.sense == "at most" and not rule.unit)
             code = next(rule.value for rule in rules if rule.name == "code")
-            kept.append(((round(rival, 6), -code), pattern, rules))
-            if len(kept) == _COMPARED:
+            candidates.append(((round(rival, 6), -code), pattern, rules))
+            if len(candidates) == _COMPARED:
                 break
         elif nearest is None or len(broken) < len(nearest):
             nearest = broken
         if searched == _LARGEST_SEARCH or (nearest is not None and any(rule.name in _HOPELESS for rule in nearest)):
             break
-    if kept:
-        _, pattern, rules = min(kept, key=lambda entry: entry[0])
+    if candidates:
+        _, pattern, rules = min(candidates, key=lambda entry: entry[0])
         return (pattern, rules), ""
     if nearest is None:
         return None, (
@@ -147,12 +147,12 @@ def _search(
     return None, f"With {count} holes, " + "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in nearest) + "."
 
 
-def _drawn(blank: Pattern, count: int, rng: np.random.Generator) -> Pattern | None:
+def _draw_pattern(blank: Pattern, count: int, rng: np.random.Generator) -> Pattern | None:
     """Draw one pattern; None where a side has no room."""
     width, height = (round(side / STEP_UM) for side in blank.frame_um)
     lengths = (width, height, width, height)
-    apart = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
-    marker = max(apart, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
+    spacing = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
+    marker = max(spacing, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
     # Three corners hold holes too.
     shares = layouts.share_out(count - 3, lengths, min(_LEAST_A_SIDE, max(1, (count - 3) // 4)))
     rates = rng.permutation(np.array(layouts.RATES)) + rng.uniform(-0.4, 0.4, 4)
@@ -160,7 +160,7 @@ def _drawn(blank: Pattern, count: int, rng: np.random.Generator) -> Pattern | No
     sides: list[layouts.Ints] = []
     for side, (length, share) in enumerate(zip(lengths, shares, strict=True)):
         ruler = layouts.Ruler(
-            length=length, start=side != 0, end=side != 3, apart=apart, marker=marker,
+            length=length, start=side != 0, end=side != 3, spacing=spacing, marker=marker,
             view=blank.view_um[side % 2] / STEP_UM, border=blank.border_um / STEP_UM,
             radius=0.5 * blank.diameter_um / STEP_UM,
         )  # fmt: skip
@@ -172,5 +172,5 @@ def _drawn(blank: Pattern, count: int, rng: np.random.Generator) -> Pattern | No
             return None
         used |= layouts.coded_distances(ruler, inner)
         sides.append(inner)
-    points, owner = layouts.placed(sides, width, height)
+    points, owner = layouts.around_frame(sides, width, height)
     return blank.with_holes(points + np.array(blank.frame_low_um), [SIDES[side] for side in owner])

@@ -20,12 +20,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from planish.core.typing import Floats
 from planish.marks.design.params import ImagingParams
 from planish.marks.design.pattern import Pattern
-
-Array = NDArray[np.float64]
 
 P95 = float(np.sqrt(-np.log(0.05)))
 """Ratio of the error that 95 % stay below to the rms, where both axes err alike and independently."""
@@ -45,8 +44,8 @@ class Predicted:
     """
 
     fle_um: float
-    holes_um: Array
-    field_um: Array
+    holes_um: Floats
+    field_um: Floats
 
     @property
     def radius_um(self) -> float:
@@ -63,7 +62,7 @@ class Predicted:
         """Error of the map, rms, in the field's worst corner."""
         return float(self.at(self.field_um[1:]).max())
 
-    def at(self, points_um: ArrayLike) -> Array:
+    def at(self, points_um: ArrayLike) -> Floats:
         """Predict the rms error, in um, at points (..., 2) in stage coordinates."""
         away = np.sum((np.asarray(points_um, dtype=np.float64) - self.holes_um.mean(axis=0)) ** 2, axis=-1)
         return np.asarray(self.fle_um / np.sqrt(len(self.holes_um)) * np.sqrt(1 + away / self.radius_um**2))

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import MarkError
+from planish.core.typing import Bools
 from planish.marks.design.pattern import Pattern
 from planish.marks.design.selfmatch import TOLERANCE_UM, code_misfit_um, self_motions
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 Sense = Literal["at least", "at most"]
 
@@ -90,7 +87,7 @@ class Rule:
 
     @property
     def passed(self) -> bool:
-        """Whether the rule is kept."""
+        """Return whether the rule is kept."""
         if not np.isfinite(self.value):
             return self.sense == "at least" and self.value > 0
         slack = 1e-9 * max(abs(self.limit), 1.0)
@@ -159,7 +156,7 @@ def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
 
 
 def crops(pattern: Pattern) -> Bools:
-    """Which holes survive each crop, (crops, n).
+    """Return which holes survive each crop, (crops, n).
 
     A crop is a window of 70 % of the view's width and 70 % of its height that keeps at least one side of the view: it
     cuts off 30 % at one side or shares them between two opposite sides, and that in both directions. A window that
@@ -168,23 +165,23 @@ def crops(pattern: Pattern) -> Bools:
     points = pattern.points_um - np.array(pattern.origin_um)
     view = np.array(pattern.view_um)
     radius = 0.5 * pattern.diameter_um
-    found: list[Bools] = []
-    for kept in (0, 1):  # the direction across the side that is kept
-        along = 1 - kept
-        length, depth = (1 - CROP) * view[along], (1 - CROP) * view[kept]
+    survivors: list[Bools] = []
+    for across in (0, 1):  # the direction across the side that the crop keeps
+        along = 1 - across
+        length, depth = (1 - CROP) * view[along], (1 - CROP) * view[across]
         steps = np.concatenate(
             [points[:, along] - radius + 1e-3, points[:, along] + radius - length - 1e-3, [0.0, CROP * view[along]]]
         )
         steps = np.unique(np.clip(steps, 0.0, CROP * view[along]))
         low, high = points[:, along] - radius, points[:, along] + radius
         inside = (low >= steps[:, None]) & (high <= steps[:, None] + length)
-        found.append(inside & (points[:, kept] + radius <= depth))
-        found.append(inside & (points[:, kept] - radius >= view[kept] - depth))
-    return np.unique(np.concatenate(found), axis=0)
+        survivors.append(inside & (points[:, across] + radius <= depth))
+        survivors.append(inside & (points[:, across] - radius >= view[across] - depth))
+    return np.unique(np.concatenate(survivors), axis=0)
 
 
 def _marker_um(pattern: Pattern) -> float:
-    """How much farther the emptiest corner of the frame is from its nearest hole than the next one."""
+    """Measure how much farther the emptiest corner of the frame is from its nearest hole than the next one."""
     low, size = np.array(pattern.frame_low_um), np.array(pattern.frame_um)
     corners = low + size * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     nearest = np.sort(np.hypot(*(corners[:, None] - pattern.points_um[None]).transpose(2, 0, 1)).min(axis=1))

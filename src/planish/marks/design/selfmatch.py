@@ -1,4 +1,4 @@
-"""How well a pattern can be laid on itself wrongly: turned, turned over, shifted or scaled.
+"""Wrong ways to lay a pattern on itself: turned, turned over, shifted or scaled.
 
 Every pair of holes is laid on every other pair of like length; the holes that then meet a hole are counted. A matcher
 that searches for the pattern meets the same wrong arrangements.
@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from planish.core.typing import Bools, Floats
 
 TOLERANCE_UM = 25.0  # within which two marks are taken for one
 SCALE = 0.03  # how far a map's scale may be off its calibration
@@ -45,7 +44,7 @@ class Motions:
         return np.max(hit @ masks.T.astype(np.float32), axis=0, initial=0).astype(np.intp)
 
 
-def self_motions(points_um: Array) -> Motions:
+def self_motions(points_um: Floats) -> Motions:
     """Lay the holes (n, 2) on themselves by every wrong motion that two pairs of holes propose."""
     z = points_um[:, 0] + 1j * points_um[:, 1]
     n = len(z)
@@ -58,21 +57,21 @@ def self_motions(points_um: Array) -> Motions:
     last = np.searchsorted(target_length, (1 + SCALE) * length, side="right")
     # Each target is taken in both directions and in both hands.
     step = max(1.0, 4.0 * float(np.sum(last - first)) / _MOST)
-    kept = np.unique(np.arange(0, len(base), step).astype(np.intp))
-    counts = (last - first)[kept]
-    which = np.repeat(kept, counts)
+    bases = np.unique(np.arange(0, len(base), step).astype(np.intp))
+    counts = (last - first)[bases]
+    which = np.repeat(bases, counts)
     offset = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
     goal = targets[first[which] + offset]
     goal, which = np.concatenate([goal, goal[:, ::-1]]), np.concatenate([which, which])
-    finder = _Finder(points_um)
-    parts = [_lay(z, base[which], goal, finder, mirrored) for mirrored in (False, True)]
+    index = _HoleIndex(points_um)
+    parts = [_motion_hits(z, base[which], goal, index, mirrored) for mirrored in (False, True)]
     return Motions(np.concatenate([hit for hit, _ in parts]), np.concatenate([kind for _, kind in parts]))
 
 
-class _Finder:
-    """Which hole lies within the tolerance of a point: a table of cells, or a tree where the table would be large."""
+class _HoleIndex:
+    """The hole within the tolerance of a point: a table of cells, or a tree where the table would be large."""
 
-    def __init__(self, points_um: Array) -> None:
+    def __init__(self, points_um: Floats) -> None:
         self.n, self.reach = len(points_um), _SLACK * TOLERANCE_UM
         self.z = np.append(points_um[:, 0] + 1j * points_um[:, 1], np.inf)
         self.tree = cKDTree(points_um)
@@ -91,47 +90,46 @@ class _Finder:
             first, last = (((point + d - self.low) / self.cell).astype(np.intp) for d in (-self.reach, self.reach))
             self.table[first[0] : last[0] + 1, first[1] : last[1] + 1] = k
 
-    def at(self, landed: NDArray[np.complex128]) -> NDArray[np.intp]:
+    def holes_at(self, landed: NDArray[np.complex128]) -> NDArray[np.intp]:
         """Return the number of the hole at each point, or n where there is none."""
         if self.table is None:
             flat = np.stack([landed.real.ravel(), landed.imag.ravel()], axis=1)
-            found = self.tree.query(flat, distance_upper_bound=self.reach)[1]
-            return np.asarray(found, dtype=np.intp).reshape(landed.shape)
+            nearest = self.tree.query(flat, distance_upper_bound=self.reach)[1]
+            return np.asarray(nearest, dtype=np.intp).reshape(landed.shape)
         last_x, last_y = self.table.shape[0] - 1, self.table.shape[1] - 1
         # Far outside is cut off to the table's border, which is empty.
         x = np.clip((landed.real - self.low[0]) / self.cell, 0, last_x).astype(np.intp)
         y = np.clip((landed.imag - self.low[1]) / self.cell, 0, last_y).astype(np.intp)
-        found = self.table[x, y].astype(np.intp)
-        near = np.flatnonzero(found.ravel() < self.n)
-        flat, held = landed.ravel()[near], found.ravel()
-        held[near[np.abs(flat - self.z[held[near]]) > self.reach]] = self.n
-        return held.reshape(landed.shape)
+        holes = self.table[x, y].astype(np.intp).ravel()
+        near = np.flatnonzero(holes < self.n)
+        holes[near[np.abs(landed.ravel()[near] - self.z[holes[near]]) > self.reach]] = self.n
+        return holes.reshape(landed.shape)
 
 
-def _lay(
-    z: NDArray[np.complex128], base: NDArray[np.intp], goal: NDArray[np.intp], finder: _Finder, mirrored: bool
+def _motion_hits(
+    z: NDArray[np.complex128], base: NDArray[np.intp], goal: NDArray[np.intp], index: _HoleIndex, mirrored: bool
 ) -> tuple[Bools, NDArray[np.str_]]:
-    """Which holes meet one under each motion, and the kind of each."""
+    """Return which holes meet one under each motion, and the kind of each."""
     if not mirrored:
         moved = np.any(base != goal, axis=1)
         base, goal = base[moved], goal[moved]
     source = np.conj(z) if mirrored else z
     span = source[base[:, 1]] - source[base[:, 0]]
-    apart = np.abs(span) > 0
-    base, goal, span = base[apart], goal[apart], span[apart]
+    is_distinct = np.abs(span) > 0
+    base, goal, span = base[is_distinct], goal[is_distinct], span[is_distinct]
     alpha = (z[goal[:, 1]] - z[goal[:, 0]]) / span
     landed = alpha[:, None] * source + (z[goal[:, 0]] - alpha * source[base[:, 0]])[:, None]
-    found = finder.at(landed)
-    hit = found < len(z)
+    holes = index.holes_at(landed)
+    hit = holes < len(z)
     if mirrored:
         return hit, np.full(len(hit), "mirror")
     turn = np.abs(np.degrees(np.angle(alpha)))
-    hit &= ~((turn < _TURN_DEG)[:, None] & (found == np.arange(len(z))))
+    hit &= ~((turn < _TURN_DEG)[:, None] & (holes == np.arange(len(z))))
     half, quarter = turn >= 180 - _TURN_DEG, np.abs(turn - 90) <= _TURN_DEG
     return hit, np.select([half, quarter], ["half turn", "quarter turn"], "shift")
 
 
-def around_order(points_um: Array) -> NDArray[np.intp]:
+def around_order(points_um: Floats) -> NDArray[np.intp]:
     """Order of the holes (n, 2) along the rectangle around them, counter-clockwise from its lower left corner."""
     low, size = points_um.min(axis=0), np.ptp(points_um, axis=0)
     x, y = (points_um - low).T
@@ -142,7 +140,7 @@ def around_order(points_um: Array) -> NDArray[np.intp]:
     return np.argsort(along[side, np.arange(len(x))], kind="stable")
 
 
-def code_misfit_um(points_um: Array) -> float:
+def code_misfit_um(points_um: Floats) -> float:
     """Smallest misfit, in um, of any four consecutive holes with any other four, or with themselves in reverse.
 
     The holes (n, 2) are taken in their order around the field, the last followed by the first; a turn, a shift and a

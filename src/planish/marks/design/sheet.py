@@ -1,4 +1,4 @@
-"""What every drawing is made of: a page in millimetres with a plan and a column, and files that repeat to the byte."""
+"""Parts of every drawing: a page in millimetres with a plan and a column, and files that repeat to the byte."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ class Page:
         self.text(12, 19.5, subtitle, color=SOFT, fontsize=9)
         most = min(1000 * room / side for room, side in zip(_ROOM, size_um, strict=True))
         self.scale = max((scale for scale in _SCALES if scale <= most), default=most)
-        left, top = (
+        x_mm, y_mm = (
             edge + (room - side * self.scale / 1000) / 2
             for edge, room, side in zip((_LEFT, _TOP), _ROOM, size_um, strict=True)
         )
-        self.plan = self.add_plan(left, top, low_um, size_um, self.scale)
+        self.plan = self.add_plan(x_mm, y_mm, low_um, size_um, self.scale)
         self.scale_bar(_LEFT, 199, self.scale, most=40)
         ratio = f"{self.scale:g}:1" if self.scale >= 1 else f"1:{1 / self.scale:.3g}"
         self.text(_LEFT + 66, 200.4, f"drawn {ratio} on A4{note}", color=SOFT)
@@ -69,20 +69,20 @@ class Page:
         self.bottom = 38.0
 
     def add_plan(
-        self, left: float, top: float, low_um: Sequence[float], size_um: Sequence[float], scale: float
+        self, x_mm: float, y_mm: float, low_um: Sequence[float], size_um: Sequence[float], scale: float
     ) -> Axes:
         """Add bare axes in um that show ``size_um`` from ``low_um`` on, magnified ``scale`` times."""
         across, down = (scale * side / 1000 for side in size_um)
-        box = (left / self.width, 1 - (top + down) / self.height, across / self.width, down / self.height)
+        box = (x_mm / self.width, 1 - (y_mm + down) / self.height, across / self.width, down / self.height)
         axes = self.figure.add_axes(box)
         axes.set_xlim(low_um[0], low_um[0] + size_um[0])
         axes.set_ylim(low_um[1], low_um[1] + size_um[1])
         axes.set_axis_off()
         return axes
 
-    def text(self, left: float, top: float, text: str, **options: Any) -> None:
+    def text(self, x_mm: float, y_mm: float, text: str, **options: Any) -> None:
         """Write, from the base line on."""
-        self.figure.text(left / self.width, 1 - top / self.height, text, va="baseline", **options)
+        self.figure.text(x_mm / self.width, 1 - y_mm / self.height, text, va="baseline", **options)
 
     def aside(self, title: str, rows: Sequence[tuple[str, str]] = (), notes: Sequence[str] = ()) -> None:
         """Write names with their values, and notes, under a title; the next part of the column stands below."""
@@ -97,26 +97,26 @@ class Page:
             self.bottom += 3.6
         self.bottom += 10
 
-    def scale_bar(self, left: float, top: float, scale: float, *, most: float) -> None:
+    def scale_bar(self, x_mm: float, y_mm: float, scale: float, *, most: float) -> None:
         """Draw a round length of at most ``most`` millimetres of paper."""
         power = 10.0 ** np.floor(np.log10(most / scale))
         length = float(power * max(k for k in (1, 2, 5) if k * power <= most / scale * (1 + 1e-9)))
-        axes = self.add_plan(left, top, (0, 0), (1000 * length, 1000 / scale), scale)
+        axes = self.add_plan(x_mm, y_mm, (0, 0), (1000 * length, 1000 / scale), scale)
         axes.plot([0, 1000 * length], [500 / scale] * 2, color=INK, lw=2, solid_capstyle="butt", clip_on=False)
-        self.text(left + length * scale + 2, top + 1.4, f"{length:g} mm", fontsize=8)
+        self.text(x_mm + length * scale + 2, y_mm + 1.4, f"{length:g} mm", fontsize=8)
 
 
 def encode(pages: Sequence[Page], kind: str, title: str = "") -> bytes:
     """Render a page as ``svg`` or ``png``, or pages as one ``pdf``."""
-    data = io.BytesIO()
+    file = io.BytesIO()
     if kind == "svg":
-        FigureCanvasSVG(pages[0].figure).print_svg(data, metadata={"Date": None, "Creator": "planish"})
+        FigureCanvasSVG(pages[0].figure).print_svg(file, metadata={"Date": None, "Creator": "planish"})
     elif kind == "png":
-        FigureCanvasAgg(pages[0].figure).print_png(data, metadata={"Software": "planish"})
+        FigureCanvasAgg(pages[0].figure).print_png(file, metadata={"Software": "planish"})
     else:
         facts = {"Title": title, "Creator": "planish", "Producer": "planish", "CreationDate": None}
-        with PdfPages(data, metadata=facts) as pdf:
+        with PdfPages(file, metadata=facts) as pdf:
             for page in pages:
                 FigureCanvasPdf(page.figure)
                 pdf.savefig(page.figure)
-    return data.getvalue()
+    return file.getvalue()

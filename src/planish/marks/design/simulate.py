@@ -11,12 +11,10 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import MarkError
+from planish.core.typing import Floats
 from planish.marks.design.params import StageParams
-
-Array = NDArray[np.float64]
 
 _WORD = re.compile(r"\s*([A-Z])\s*([+-]?(?:\d+\.?\d*|\.\d+))\s*")
 # Commands, and the words that may stand beside them.
@@ -47,9 +45,9 @@ class DryRun:
         Moves at the speed of the program and all waits; the stage's acceleration adds to it.
     """
 
-    fired_um: Array
-    pulse_s: Array
-    path_um: Array
+    fired_um: Floats
+    pulse_s: Floats
+    path_um: Floats
     least_pause_s: float
     time_s: float
 
@@ -87,22 +85,22 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
         If a word is not known, a move leaves the stage's range or is made with the laser on, the laser stays on at the
         end, a pulse is too long or has no length, or the program does not end; the message names the line.
     """
-    state = _State((stage or StageParams()).range_um, pulse_s)
+    machine = _Machine((stage or StageParams()).range_um, pulse_s)
     for number, line in enumerate(program.splitlines(), 1):
         text = re.sub(r"\([^()]*\)", " ", line.partition(";")[0]).strip().upper()
         if not text or text == "%":
             continue
         try:
-            state.take(text)
+            machine.run_line(text)
         except MarkError as error:
             raise MarkError(
                 f"Line {number} of the program ({line.strip()[:60]!r}) is refused: {error.text}."
             ) from error
-    return state.result()
+    return machine.dry_run()
 
 
 @dataclass
-class _State:
+class _Machine:
     range_um: tuple[float, float, float, float]
     longest_s: float
     place: dict[str, float] = field(default_factory=dict[str, float])
@@ -118,44 +116,44 @@ class _State:
     switched_s: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     pulses: list[float] = field(default_factory=list[float])
 
-    def take(self, text: str) -> None:
+    def run_line(self, text: str) -> None:
         """Carry out one line."""
         if self.done & {"M2", "M30"}:
             raise MarkError("the program goes on after its end; remove what follows M2")
         words = [word for word in _words(text) if word[0] != "N"]  # the number of a line
         commands = [f"{letter}{value:g}" for letter, value in words if letter in "GM"]
-        values = {letter: value for letter, value in words if letter not in "GM"}
+        numbers = {letter: value for letter, value in words if letter not in "GM"}
         unknown = [command for command in commands if command not in _COMMANDS]
         if unknown:
             raise MarkError(f"{unknown[0]} is not known; the dialect has {_KNOWN}")
-        if len(values) + len(commands) != len(words):
+        if len(numbers) + len(commands) != len(words):
             raise MarkError("a letter is given twice")
         if sum(command not in ("G21", "G90") for command in commands) > 1:
             raise MarkError("two commands stand in one line; give each a line of its own")
         allowed = "".join(_COMMANDS[command] for command in commands)
         if not commands:
             allowed = "XYF" if self.moves else "F"
-        foreign = [letter for letter in values if letter not in allowed]
+        foreign = [letter for letter in numbers if letter not in allowed]
         if foreign:
             raise MarkError(f"{foreign[0]} has no meaning here")
-        if "F" in values:
-            if values["F"] <= 0:
+        if "F" in numbers:
+            if numbers["F"] <= 0:
                 raise MarkError("the speed F is not positive")
-            self.speed = values["F"]
+            self.speed = numbers["F"]
         self.done |= set(commands)
         for command in commands or [""]:
-            self._command(command, values)
+            self._command(command, numbers)
 
-    def _command(self, command: str, values: dict[str, float]) -> None:
+    def _command(self, command: str, numbers: dict[str, float]) -> None:
         if command in ("", "G0", "G1"):
             self.moves |= bool(command)
-            if values.keys() & {"X", "Y"}:
-                self._move(values)
-            elif command and "F" not in values:
+            if numbers.keys() & {"X", "Y"}:
+                self._move(numbers)
+            elif command and "F" not in numbers:
                 raise MarkError("a move without a position")
         elif command == "G4":
-            self._wait(values.get("P", -1.0))
-        elif command in ("M64", "M65") and "P" not in values:
+            self._wait(numbers.get("P", -1.0))
+        elif command in ("M64", "M65") and "P" not in numbers:
             raise MarkError(f"{command} needs the number P of the output")
         elif command in _OFF:
             self._switch_on(command)
@@ -164,12 +162,12 @@ class _State:
         elif command in ("M2", "M30") and self.on:
             raise MarkError("the program ends with the laser on; switch it off before")
 
-    def _move(self, values: dict[str, float]) -> None:
+    def _move(self, numbers: dict[str, float]) -> None:
         if not {"G21", "G90"} <= self.done:
             raise MarkError("a move before G21 (millimetres) and G90 (absolute positions)")
         if self.on:
             raise MarkError("a move with the laser on; it would cut the sheet")
-        self.place |= {letter: 1000 * values[letter] for letter in "XY" if letter in values}
+        self.place |= {letter: 1000 * numbers[letter] for letter in "XY" if letter in numbers}
         for k, letter in enumerate("XY"):
             value, low, high = self.place.get(letter, math.nan), self.range_um[k], self.range_um[k + 2]
             if value < low - 1e-3 or value > high + 1e-3:
@@ -179,12 +177,12 @@ class _State:
                 )
         if len(self.place) < 2:
             return
-        there = self.place["X"], self.place["Y"]
+        target = self.place["X"], self.place["Y"]
         if self.path:
             if self.speed is None:
                 raise MarkError("a move before a speed F")
-            self.clock_s += 60 * math.dist(there, self.path[-1]) / 1000 / self.speed
-        self.path.append(there)
+            self.clock_s += 60 * math.dist(target, self.path[-1]) / 1000 / self.speed
+        self.path.append(target)
 
     def _wait(self, seconds: float) -> None:
         if seconds < 0:
@@ -220,8 +218,8 @@ class _State:
         self.switched_s.append((self.started_s, self.clock_s))
         self.pulses.append(self.lit_s)
 
-    def result(self) -> DryRun:
-        """Return what was done, if the program is whole."""
+    def dry_run(self) -> DryRun:
+        """Give the dry run, if the program is whole."""
         if self.on:
             raise MarkError("The program stops with the laser on. Add the command that switches it off, and M2.")
         if not self.done & {"M2", "M30"}:

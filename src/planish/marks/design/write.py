@@ -1,4 +1,4 @@
-"""Everything that a designed pattern is handed over in: text files as bytes, and pictures."""
+"""Files of a designed pattern: text files as bytes, and pictures."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def write_design(
         for name, page in zip(("drawing", "predicted_error", "path"), pages, strict=True):
             files[f"{name}.png"] = encode([page], "png")
         files["drawing.pdf"] = encode(pages, "pdf", f"Laser holes: {pattern.name}")
-    for name, data in files.items():
-        (Path(folder) / name).write_bytes(data)
+    for name, content in files.items():
+        (Path(folder) / name).write_bytes(content)
     return tuple(files), run, predicted
 
 
