@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from planish.core.errors import MarkError
 from planish.core.transform import Similarity
 from planish.marks.design import DesignParams, ImagingParams, check_pattern, design_pattern, hole_error_um, predict
-from planish.marks.design.plan import _blank, _draw_pattern
+from planish.marks.design.plan import _blank_pattern, _draw_pattern
 from planish.marks.design.rules import code_rules, crops, simple_rules
 from planish.register import match_marks
 
@@ -54,7 +54,7 @@ def test_coded_sides_are_golomb_rulers():
 
 def test_four_consecutive_holes_tell_where_they_are_over_fifty_seeds():
     """Any four holes in a row, turned, shifted, scaled by up to 3 % and 3 um off, fit nowhere else within 10 um."""
-    blank = _blank(DesignParams(field_um=(20_000.0, 15_000.0)))
+    blank = _blank_pattern(DesignParams(field_um=(20_000.0, 15_000.0)))
     tried = 0
     for seed in range(50):
         rng = np.random.default_rng(seed)

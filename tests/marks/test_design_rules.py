@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from planish.core.errors import MarkError
 from planish.marks.design import DesignParams, check_pattern, design_pattern, own_pattern
 from planish.marks.design.rules import CROP, crops, simple_rules
-from planish.marks.design.selfmatch import _HoleIndex, around_order, code_misfit_um, self_motions
+from planish.marks.design.selfmatch import _HoleIndex, code_misfit_um, perimeter_order, self_motions
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def test_the_search_does_not_depend_on_where_the_pattern_lies(good, turn, shift,
     z = np.conj(z) if flip else z
     here, there = self_motions(good.points_um), self_motions(np.stack([z.real, z.imag], 1))
     for kind in ("half turn", "quarter turn", "shift", "mirror"):
-        assert abs(here.most(kind) - there.most(kind)) <= 1
+        assert abs(here.best_count(kind) - there.best_count(kind)) <= 1
 
 
 def test_table_and_tree_find_the_same_holes(good):
@@ -186,7 +186,7 @@ def test_table_and_tree_find_the_same_holes(good):
 
 
 def test_order_around_is_that_of_the_design(good):
-    np.testing.assert_array_equal(around_order(good.points_um), np.arange(len(good.holes)))
+    np.testing.assert_array_equal(perimeter_order(good.points_um), np.arange(len(good.holes)))
 
 
 def test_hopeless_tables_are_refused_with_a_sentence():

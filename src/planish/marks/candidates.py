@@ -245,16 +245,17 @@ def _interpolate_blocks(means: Image, rows: Ints, factor: int) -> Image:
 
 
 class Candidates(NamedTuple):
-    """Places that may be holes, strongest first."""
+    """Places that may be holes, strongest first.
+
+    ``places`` are ``x, y`` in um, (n, 2); ``standing`` is the largest response over all radii, in units of the usual
+    one around; ``share`` the weakest response that was searched here over that of the least contrast; ``dropped`` how
+    many more lie beyond the limit of their part of the image.
+    """
 
     places: Floats
-    """``x, y`` in um, (n, 2)."""
     standing: Floats
-    """Largest response over all radii, in units of the usual one around."""
     share: Floats
-    """Weakest response that was searched here over that of the least contrast."""
     dropped: int
-    """How many more lie beyond the limit of their part of the image."""
 
 
 def peaks(

@@ -75,8 +75,8 @@ def is_whole(rows: Floats, shape: tuple[int, ...], size: tuple[float, float]) ->
     return (x >= radius) & (y >= radius) & (x <= right - radius) & (y <= bottom - radius)
 
 
+# Rows that meet each criterion of a hole, by the name of the fault of those that do not.
 Criteria = dict[str, Bools]
-"""Rows that meet each criterion of a hole, by the name of the fault of those that do not."""
 
 
 def criteria(rows: Floats, size: tuple[float, float], low: float, high: float) -> Criteria:
@@ -173,18 +173,20 @@ def _overlapping(rows: Floats, holes: Floats) -> Ints:
 
 
 class TypicalHole(NamedTuple):
-    """What the holes of one image have in common; levels are times the sign of the holes."""
+    """What the holes of one image have in common; levels are times the sign of the holes.
+
+    ``slope`` is by how much the floor brightens with the sheet around, where the light is uneven; ``scatter`` the
+    robust standard deviation of the floors, share of the depth; ``burnt`` and ``rim`` the shares of the step that the
+    burnt sheet takes, and that remains at the rim.
+    """
 
     floor: float
     outside: float
     slope: float
-    """By how much the floor brightens with the sheet around, where the light is uneven."""
     scatter: float
-    """Robust standard deviation of the floors, share of the depth."""
     radius: float
     burnt: float
     rim: float
-    """Share of the step that the burnt sheet takes, and that is left at the rim."""
 
     @property
     def depth(self) -> float:

@@ -65,7 +65,7 @@ class Ruler:
         return np.concatenate(parts, axis=-1)
 
 
-def share_out(count: int, lengths: Sequence[float], least: int) -> list[int]:
+def share_holes(count: int, lengths: Sequence[float], least: int) -> list[int]:
     """Share holes out to the four sides, each at least so many, by the sides' lengths."""
     shares = [least] * 4
     for _ in range(max(0, count - 4 * least)):

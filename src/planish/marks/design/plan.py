@@ -57,7 +57,7 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
     A small field has no room around it for so many holes: unless the margin is given, it widens until there is.
     """
     reasons: dict[int, str] = {}
-    for blank in _blanks(params):
+    for blank in _blank_patterns(params):
         reasons.clear()
         for count in (params.holes,) if params.holes is not None else _COUNTS[params.layout]:
             design, reason = _search(blank, count, np.random.default_rng([params.seed, count]))
@@ -71,16 +71,16 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
     raise MarkError(f"No {params.layout} pattern around {size} mm keeps the rules. {reasons[min(reasons)]}{more}")
 
 
-def _blanks(params: DesignParams) -> Iterator[Pattern]:
+def _blank_patterns(params: DesignParams) -> Iterator[Pattern]:
     """Patterns without holes, the margin as it is given, or wider and wider."""
-    blank = _blank(params)
+    blank = _blank_pattern(params)
     yield blank
     if params.margin_um is None:
         for more_um in np.arange(_WIDER_UM, _WIDEST_UM + 1, _WIDER_UM):
-            yield _blank(params.model_copy(update={"margin_um": min(blank.margin_um) + float(more_um)}))
+            yield _blank_pattern(params.model_copy(update={"margin_um": min(blank.margin_um) + float(more_um)}))
 
 
-def _blank(params: DesignParams) -> Pattern:
+def _blank_pattern(params: DesignParams) -> Pattern:
     """Return the pattern without its holes: field, frame and view."""
     burn = {name: getattr(params, name) for name in BURN}
     closest, inwards = SPACING_DIAMETERS * params.diameter_um, 0.5 * params.diameter_um + params.rim_um
@@ -154,7 +154,7 @@ def _draw_pattern(blank: Pattern, count: int, rng: np.random.Generator) -> Patte
     spacing = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
     marker = max(spacing, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
     # Three corners hold holes too.
-    shares = layouts.share_out(count - 3, lengths, min(_LEAST_A_SIDE, max(1, (count - 3) // 4)))
+    shares = layouts.share_holes(count - 3, lengths, min(_LEAST_A_SIDE, max(1, (count - 3) // 4)))
     rates = rng.permutation(np.array(layouts.RATES)) + rng.uniform(-0.4, 0.4, 4)
     used: set[int] = set()
     sides: list[layouts.Ints] = []

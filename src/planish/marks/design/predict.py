@@ -26,8 +26,8 @@ from planish.core.typing import Floats
 from planish.marks.design.params import ImagingParams
 from planish.marks.design.pattern import Pattern
 
+# Ratio of the error that 95 % stay below to the rms, where both axes err alike and independently.
 P95 = float(np.sqrt(-np.log(0.05)))
-"""Ratio of the error that 95 % stay below to the rms, where both axes err alike and independently."""
 _PIXEL_SHARE = 0.1
 
 

@@ -150,8 +150,8 @@ def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
     points, masks = pattern.points_um, crops(pattern)
     motions = self_motions(points)
     kinds = ("half turn", "quarter turn", "mirror", "shift")
-    worst = float(np.max(motions.most_of(masks) / np.maximum(masks.sum(axis=1), _FEW)))
-    rivals = [_rule(kind, motions.most(kind) / len(points), RIVAL_SHARE) for kind in kinds]
+    worst = float(np.max(motions.best_counts(masks) / np.maximum(masks.sum(axis=1), _FEW)))
+    rivals = [_rule(kind, motions.best_count(kind) / len(points), RIVAL_SHARE) for kind in kinds]
     return (*rivals, _rule("crop told apart", worst, RIVAL_SHARE))
 
 

@@ -34,11 +34,11 @@ class Motions:
     hit: Bools
     kind: NDArray[np.str_]
 
-    def most(self, kind: str) -> int:
+    def best_count(self, kind: str) -> int:
         """Count the holes that the best motion of a kind explains."""
         return int(np.sum(self.hit[self.kind == kind], axis=1).max(initial=0))
 
-    def most_of(self, masks: Bools) -> NDArray[np.intp]:
+    def best_counts(self, masks: Bools) -> NDArray[np.intp]:
         """Count, for each choice of holes (choices, n), those that the best motion without a mirror explains."""
         hit = self.hit[self.kind != "mirror"].astype(np.float32)
         return np.max(hit @ masks.T.astype(np.float32), axis=0, initial=0).astype(np.intp)
@@ -129,8 +129,8 @@ def _motion_hits(
     return hit, np.select([half, quarter], ["half turn", "quarter turn"], "shift")
 
 
-def around_order(points_um: Floats) -> NDArray[np.intp]:
-    """Order of the holes (n, 2) along the rectangle around them, counter-clockwise from its lower left corner."""
+def perimeter_order(points_um: Floats) -> NDArray[np.intp]:
+    """Sort the holes (n, 2) along the rectangle around them, counter-clockwise from its lower left corner."""
     low, size = points_um.min(axis=0), np.ptp(points_um, axis=0)
     x, y = (points_um - low).T
     width, height = size
@@ -146,7 +146,7 @@ def code_misfit_um(points_um: Floats) -> float:
     The holes (n, 2) are taken in their order around the field, the last followed by the first; a turn, a shift and a
     scale within 3 % are free, and the misfit is the largest distance left.
     """
-    points = points_um[around_order(points_um)]
+    points = points_um[perimeter_order(points_um)]
     z = points[:, 0] + 1j * points[:, 1]
     n = len(z)
     if n <= CODE:

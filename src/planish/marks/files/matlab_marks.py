@@ -18,11 +18,9 @@ from planish.core.typing import Floats
 from planish.marks.files.content import Content
 from planish.marks.files.lists import PointList
 
+# Variables that hold pairs; the second two are those of MATLAB before 2013.
 NAMES = (("movingPoints", "fixedPoints"), ("input_points", "base_points"))
-"""Variables that hold pairs; the second two are those of MATLAB before 2013."""
-
-LARGEST_MATRIX = 1_000_000
-"""Values; larger matrices are images."""
+LARGEST_MATRIX = 1_000_000  # numbers; larger matrices are images
 
 _SAVE = "Export the moving and fixed points of valid pairs, then save('marks.mat','movingPoints','fixedPoints')."
 

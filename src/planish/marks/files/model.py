@@ -31,8 +31,7 @@ EXTRAS: dict[str, tuple[str, str]] = {
 }
 RESULTS = {"residual": "Distance left by the fit", "leave_one_out": "Distance left by the fit to all other marks"}
 
-RESIDUAL = "residual"
-"""No layer: a run's marks hold ``residual_x`` and ``residual_y``."""
+RESIDUAL = "residual"  # no layer: a run's marks hold ``residual_x`` and ``residual_y``
 
 _TITLES = {"moving": "on the flattened map", "volume": "in the volume", "fixed": "in the image"}
 

@@ -17,10 +17,8 @@ from planish.core.typing import Bools, Floats
 from planish.marks.files.content import refuse
 from planish.marks.files.model import about_layer, labels_of, layer_names, points_of, used_of
 
-FARTHEST_UM = 1e9
-"""Positions beyond are errors of unit or of writing; within, no arithmetic overflows."""
-SLACK = 0.05
-"""Marks may lie outside their layer by this share of it: borders are cut in many ways."""
+FARTHEST_UM = 1e9  # positions beyond are errors of unit or of writing; within, no arithmetic overflows
+SLACK = 0.05  # marks may lie outside their layer by this share of it: borders are cut in many ways
 LEAST_MARKS = 3
 _LEAST_FACTOR = 1.5  # pixels of nearly 1 um cannot be distinguished from um
 _MM_SPAN = 0.01

@@ -64,7 +64,7 @@ def _features(content: object, name: str, faults: list[str]) -> Iterator[dict[st
         )
 
 
-def _region(feature: dict[str, Any], usual: str) -> Region:
+def _region(feature: dict[str, Any], default_name: str) -> Region:
     geometry, properties = _object(feature.get("geometry")) or {}, feature.get("properties")
     kind, places = geometry.get("type"), geometry.get("coordinates")
     if kind not in ("Polygon", "MultiPolygon"):
@@ -77,7 +77,7 @@ def _region(feature: dict[str, Any], usual: str) -> Region:
         tuple(_ring(ring) for ring in _list(rings, "a polygon"))
         for rings in (_list(places, "coordinates") if kind == "MultiPolygon" else [places])
     )
-    return Region(polygons=polygons, **(texts | {"name": texts["name"] or usual}))
+    return Region(polygons=polygons, **(texts | {"name": texts["name"] or default_name}))
 
 
 def _ring(points: object) -> Ring:

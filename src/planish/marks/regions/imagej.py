@@ -21,8 +21,7 @@ from planish.core.errors import FileError
 from planish.core.tables import raise_faults
 from planish.marks.regions.model import MOST_POINTS, MOST_REGIONS, Region, Regions, Ring, nested, ring_of, text_of
 
-ROI, ZIP = b"Iout", b"PK"
-"""How a selection and an archive begin."""
+ROI, ZIP = b"Iout", b"PK"  # first bytes of a selection and of an archive
 
 _ENTRY = b"PK\1\2"  # begins an entry of the table of contents of an archive
 _HEAD, _SECOND = 64, 52  # bytes of the two headers
@@ -81,7 +80,7 @@ def _read(parts: list[tuple[str, bytes]], name: str) -> Regions:
     return Regions(declared=tuple(regions), in_pixels=True)
 
 
-def _region(data: bytes, usual: str) -> Region:
+def _region(data: bytes, default_name: str) -> Region:
     """Make a region of a selection; ValueError or struct.error where it is none."""
     if not data.startswith(ROI):
         raise ValueError("it is no selection of ImageJ")
@@ -92,7 +91,7 @@ def _region(data: bytes, usual: str) -> Region:
         raise ValueError(f"it is {_OVERLAYS.get(subtype) or _NO_AREA.get(kind)}, which covers no area")
     subpixel_version = version if options & _SUBPIXEL else 0
     if composite > 0:
-        polygons = nested([ring_of(ring) for ring in _shape(data, composite)])
+        polygons = nested([ring_of(ring) for ring in _composite_rings(data, composite)])
     elif kind in (_RECTANGLE, _OVAL):
         if kind == _RECTANGLE and rounded > 0:
             raise ValueError("it is a rectangle with rounded corners")
@@ -104,7 +103,7 @@ def _region(data: bytes, usual: str) -> Region:
     else:
         raise ValueError(f"it is of the unknown type {kind}")
     label, properties = _name_and_properties(data, second_header)
-    texts = {key: text_of(value, key) for key, value in (("name", label or usual), *properties.items())}
+    texts = {key: text_of(value, key) for key, value in (("name", label or default_name), *properties.items())}
     return Region(polygons=polygons, **texts)
 
 
@@ -139,7 +138,7 @@ def _polygon(data: bytes, *, is_subpixel: bool) -> Ring:
     return places + _NUDGE
 
 
-def _shape(data: bytes, count: int) -> Iterator[Ring]:
+def _composite_rings(data: bytes, count: int) -> Iterator[Ring]:
     """Yield the borders of a composite selection: moves, lines and ends, each a code and its place."""
     if count > 3 * MOST_POINTS:
         raise ValueError(f"it has {count} numbers; {MOST_POINTS} points are possible")
