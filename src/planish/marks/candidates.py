@@ -58,7 +58,7 @@ def reduce_to(image: Image, pixel_um: tuple[float, float], target_um: float) -> 
 
 
 def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[float, float]) -> list[Response]:
-    """Laplacian-of-Gaussian responses at radii that cover a range; positive where a disc is darker than around it.
+    """Give Laplacian-of-Gaussian responses at radii that cover a range; positive where a disc is darker than around it.
 
     Missing data are filled with the local mean of what is there, so that they raise no edge of their own. Radii grow;
     wide blobs come on coarser rasters.
@@ -88,19 +88,19 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
 
 
 def disc_response(radii: list[float], step: float) -> float:
-    """Response at the centre of a disc that differs by ``step`` from its surroundings, at its own radius."""
+    """Give the response at the centre of a disc that differs by ``step`` from its surroundings, at its own radius."""
     ratio = radii[1] / radii[0]
     return step * float(np.exp(-1 / ratio) - np.exp(-ratio))
 
 
 class LocalLevels(NamedTuple):
-    """What is usual around each place of an image: values (rows, columns) of squares of a side ``(y, x)`` in um."""
+    """Usual values around each place of an image: values (rows, columns) of squares of a side ``(y, x)`` in um."""
 
     values: Floats
     side_um: tuple[float, float]
 
     def at_points(self, points: Floats) -> Floats:
-        """Values at points (n, 2), ``x, y`` in um."""
+        """Return the values at points (n, 2), ``x, y`` in um."""
         rows, columns = self.values.shape
         i = np.clip(points[:, 1] / self.side_um[0], 0, rows - 1).astype(np.intp)
         j = np.clip(points[:, 0] / self.side_um[1], 0, columns - 1).astype(np.intp)
@@ -108,10 +108,10 @@ class LocalLevels(NamedTuple):
 
 
 def local_spread(deviations: Image, pixel_um: tuple[float, float], side_um: float, share: float) -> LocalLevels:
-    """Quantile of absolute deviations in each square of an image and the eight around it, as a standard deviation.
+    """Give the spread in each square of an image and the eight around it: a quantile, as a standard deviation.
 
-    Some hundred values are taken of each neighbourhood. Where less than a tenth of it is there, the quantile of all of
-    the image stands, and 0 where less than a tenth of that is there.
+    The quantile is that of absolute deviations. Some hundred values are taken of each neighbourhood. Where less than a
+    tenth of it is there, the quantile of all of the image stands, and 0 where less than a tenth of that is there.
     """
     sides = [max(1, min(round(side_um / size), n)) for size, n in zip(pixel_um, deviations.shape, strict=True)]
     steps = [max(1, side // SAMPLES) for side in sides]
@@ -137,7 +137,7 @@ def local_spread(deviations: Image, pixel_um: tuple[float, float], side_um: floa
 
 
 def _quantile(values: Image, finite_counts: Ints, share: float) -> Image:
-    """Quantile along the last axis of the finite values: NaN sorts last."""
+    """Give the quantile along the last axis of the finite values: NaN sorts last."""
     rank = np.rint(share * np.maximum(finite_counts - 1, 0)).astype(np.intp)
     return np.take_along_axis(np.sort(values, axis=-1), rank[..., None], axis=-1)[..., 0]
 
@@ -152,7 +152,7 @@ def _counts_inside(shape: tuple[int, ...], sides: list[int], counts: list[int]) 
 
 
 def response_spreads(responses: list[Response], side_um: float) -> list[LocalLevels]:
-    """Usual responses at each radius: what mottle, fibres or a printed screen make around each place.
+    """Give the usual responses at each radius: what mottle, fibres or a printed screen make around each place.
 
     Nowhere less than a quarter of that of the whole image: there, blots would stand out from nothing.
     """
@@ -162,7 +162,7 @@ def response_spreads(responses: list[Response], side_um: float) -> list[LocalLev
 
 
 def quiet_texture(image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float) -> LocalLevels:
-    """Texture of the quietest quarter around each place, about the mean over ``width_um``, as if it were Gaussian.
+    """Give the texture of the quietest quarter around each place, about the mean over ``width_um``, as if Gaussian.
 
     Holes, dots and dirt have little influence; it is too small rather than too large, and nowhere above the median.
     """
@@ -173,7 +173,7 @@ def quiet_texture(image: Image, pixel_um: tuple[float, float], width_um: float, 
 def texture(
     image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float, circles: Floats
 ) -> LocalLevels:
-    """Texture around each place about the mean over ``width_um``, outside circles ``x, y, radius`` (um).
+    """Give the texture around each place about the mean over ``width_um``, outside circles ``x, y, radius`` (um).
 
     The Gaussian mean is taken for uneven light. 0 where less than a tenth of the image is left.
     """
@@ -190,14 +190,14 @@ def texture(
 def _local_deviation(
     image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float, share: float
 ) -> LocalLevels:
-    """What is usual of an image about its mean over ``width_um``; only what `local_spread` takes is computed."""
+    """Give the spread of an image about its mean over ``width_um``; only what `local_spread` takes is computed."""
     down, across = (max(1, int(side_um / size / SAMPLES)) for size in pixel_um)
     deviations = image[::down, ::across] - _local_mean(image, pixel_um, width_um, (down, across))
     return local_spread(deviations, (down * pixel_um[0], across * pixel_um[1]), side_um, share)
 
 
 def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
-    """Gaussian mean of what is there; the median of all of it where nothing is near.
+    """Give the Gaussian mean of what is there; the median of all of it where nothing is near.
 
     It is so smooth that a quarter of its width is fine enough a raster to compute it on. Every ``steps``-th row and
     column is given.
@@ -218,7 +218,7 @@ def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float, st
 
 
 def _block_means(image: Image, factors: list[int], least: float | None = None) -> tuple[Image, Image]:
-    """Means over blocks of pixels, and the share of each block that has data.
+    """Give the means over blocks of pixels, and the share of each block that has data.
 
     With ``least`` only whole blocks count, and means over less than that share are NaN; otherwise the last blocks may
     reach beyond the image, where there is no data, and means over nothing are 0.
@@ -236,7 +236,7 @@ def _block_means(image: Image, factors: list[int], least: float | None = None) -
 
 
 def _interpolate_blocks(means: Image, rows: Ints, factor: int) -> Image:
-    """Values of blocks at some rows, linear between the middles of the blocks."""
+    """Give the values of blocks at some rows, linear between the middles of the blocks."""
     place = np.clip((rows + 0.5) / factor - 0.5, 0.0, len(means) - 1.0)
     low = np.minimum(place.astype(np.intp), max(0, len(means) - 2))
     fraction = (place - low).astype(np.float32)[:, None]
@@ -280,7 +280,7 @@ def peaks(
 def _peaks_of_radius(
     response: Response, sign: float, faintest: LocalLevels, spread: LocalLevels, worth: float
 ) -> Floats:
-    """Peaks of one response: ``x, y`` (um), height in units of the usual one, height, share of the least contrast."""
+    """Find the peaks of one response: ``x, y`` (um), height over the usual one, height, share of the least contrast."""
     signed = response.values if sign > 0 else -response.values
     reach = [max(1, round(0.5 * response.radius / size)) for size in response.pixel_um]
     weakest = max(0.0, min(float(faintest.values.min()), worth * float(spread.values.min())))
@@ -295,7 +295,7 @@ def _peaks_of_radius(
 
 
 def _maxima(values: Image, least: float, reach: list[int]) -> tuple[Ints, Ints]:
-    """Rows and columns of what is above ``least`` and nowhere surpassed within ``reach`` (rows, columns)."""
+    """Find the rows and columns of what is above ``least`` and nowhere surpassed within ``reach`` (rows, columns)."""
     row, column = np.nonzero(values > least)
     around = np.pad(values, [(n, n) for n in reach], constant_values=-np.inf)
     offsets = [(i, j) for i in range(-reach[0], reach[0] + 1) for j in range(-reach[1], reach[1] + 1)]
@@ -307,7 +307,7 @@ def _maxima(values: Image, least: float, reach: list[int]) -> tuple[Ints, Ints]:
 
 
 def _strongest_by_tile(places: Floats, radius: float) -> Bools:
-    """Which places, strongest first, are among the strongest of their square of the image."""
+    """Return which places, strongest first, are among the strongest of their square of the image."""
     if len(places) <= ENOUGH_CANDIDATES:
         return np.ones(len(places), bool)
     tiles = np.floor(places[:, :2] / (TILE * radius)).astype(np.int64)

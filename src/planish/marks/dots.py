@@ -67,7 +67,7 @@ def without_dots(image: NDArray[np.floating], pixel_um: tuple[float, float], lea
 
 
 def _otsu_level(greys: NDArray[np.float32]) -> float:
-    """Grey that parts two classes so that the variance between them is largest."""
+    """Find the grey that parts two classes so that the variance between them is largest."""
     count, edges = np.histogram(greys, _BINS)
     middle = 0.5 * (edges[1:] + edges[:-1])
     below = np.cumsum(count)

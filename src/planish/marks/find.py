@@ -136,7 +136,7 @@ class _Detection(NamedTuple):
 def _holes(
     grey: Image, size: tuple[float, float], low: float, high: float, signs: tuple[float, ...]
 ) -> tuple[float, Floats, dict[str, int]]:
-    """Sign, rows of `measure` and counts of rejected marks of the polarity with the stronger holes; um."""
+    """Find the polarity with the stronger holes: its sign, rows of `measure` in um, and counts of rejected marks."""
     fine = candidates.reduce_to(grey, size, 2 * low / candidates.ACROSS_FINE)
     best = max(_detections(fine, low, high, signs), key=lambda detection: float(np.sum(detection.holes[:, k.STEP])))
     rows = best.holes

@@ -161,7 +161,7 @@ def greedy_disjoint(order: Ints, first: Ints, second: Ints) -> list[int]:
 
 
 def _overlapping(rows: Floats, holes: Floats) -> Ints:
-    """Pairs (n, 2) of circles of rows and of holes that overlap."""
+    """Return pairs (n, 2) of circles of rows and of holes that overlap."""
     if not len(rows) or not len(holes):
         return np.empty((0, 2), np.intp)
     largest = float(holes[:, k.RADIUS].max())
@@ -173,7 +173,7 @@ def _overlapping(rows: Floats, holes: Floats) -> Ints:
 
 
 class TypicalHole(NamedTuple):
-    """What the holes of one image have in common; levels are times the sign of the holes.
+    """Typical figures of the holes of one image; levels are times the sign of the holes.
 
     ``slope`` is by how much the floor brightens with the sheet around, where the light is uneven; ``scatter`` the
     robust standard deviation of the floors, share of the depth; ``burnt`` and ``rim`` the shares of the step that the
@@ -194,7 +194,7 @@ class TypicalHole(NamedTuple):
         return self.outside - self.floor
 
     def floor_at(self, outside: Floats) -> Floats:
-        """Level of a floor where the sheet around has a level."""
+        """Predict the level of a floor where the sheet around has a level."""
         return self.floor + self.slope * (outside - self.outside)
 
 
@@ -219,12 +219,12 @@ def typical_hole(rows: Floats) -> TypicalHole:
 
 
 def _robust_sd(values: Floats) -> float:
-    """Robust standard deviation."""
+    """Return the robust standard deviation."""
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 def _slope(x: Floats, y: Floats) -> float:
-    """Slope of the resistant line through the medians of the outer thirds (Tukey), from 0 to 1; 0 for a few points."""
+    """Fit the resistant line through the medians of the outer thirds (Tukey): a slope from 0 to 1, 0 for few points."""
     third = len(x) // 3
     if third < 3:
         return 0.0
@@ -316,7 +316,7 @@ def merge_floors(rows: Floats, floors: Floats) -> Floats:
 
 
 def _quality(rows: Floats) -> Floats:
-    """Share of the rim that is there less its rms about the circle over the radius."""
+    """Rate outlines: share of the rim that is there less its rms about the circle over the radius."""
     rough = np.sqrt(rows[:, k.ROUGHNESS] ** 2 + 0.5 * rows[:, k.HALF_DIFFERENCE] ** 2)
     return rows[:, k.COVERAGE] - rough / rows[:, k.RADIUS]
 

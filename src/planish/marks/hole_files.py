@@ -191,7 +191,7 @@ def _checked_suffix(place: Path) -> str:
 
 
 def _plain(value: Any, where: str = "", faults: list[str] | None = None) -> Any:
-    """Value as JSON has it; what has no place there is a fault."""
+    """Turn a value into what JSON has; what has no place there is a fault."""
     if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Where holes lie in a map or an image: also those that its border cuts."""
+"""Pixels of a map or an image that lie in holes, also in those that its border cuts."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _is_beyond(greys: NDArray[Any], floor: float, sheet: float) -> Bools:
 
 
 def _border_circles(is_beyond: Bools, grid: Grid, radius: Floats) -> list[tuple[float, float, float]]:
-    """Circles around the regions that touch the border."""
+    """Give circles around the regions that touch the border."""
     from scipy import ndimage
 
     labels = np.asarray(ndimage.label(is_beyond)[0])

@@ -151,7 +151,7 @@ def _other_side(
     partners: Floats,
     rows: Ints,
 ) -> NDArray[np.uint8]:
-    """State of each hole on the other side, whose holes are ``partners`` and whose material is ``share``."""
+    """Return the state of each hole on the other side, whose holes are ``partners`` and whose material is ``share``."""
     is_through = rows >= 0
     state = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
     # Where the other side should show a hole: as far from this one as with the partners.
@@ -214,7 +214,7 @@ def _xy(holes: xr.Dataset, suffix: str = "") -> Floats:
 
 
 def _partners(holes: Floats, candidates: Floats, reach: Floats) -> Ints:
-    """Row of the candidate of each hole, -1 where it has none: either is the other's nearest, and within reach."""
+    """Return the candidate's row of each hole, -1 for none: either is the other's nearest, and within reach."""
     rows = np.full(len(holes), -1)
     if not len(holes) or not len(candidates):
         return rows
@@ -242,7 +242,7 @@ def _openings(share: NDArray[np.generic], pixel: tuple[float, float], centres: F
 
 
 def _middle(share: NDArray[np.generic], pixel: tuple[float, float], centre: Floats, radius: float) -> Floats:
-    """Shares of a map within ``radius`` of a point (x, y), without those that are missing."""
+    """Return the shares of a map within ``radius`` of a point (x, y), without those that are missing."""
     axes = zip(share.shape, pixel, centre[::-1], strict=True)
     down, along = (np.arange(n) * step - place for n, step, place in axes)
     rows, cols = (np.flatnonzero(np.abs(d) <= radius) for d in (down, along))
@@ -252,7 +252,7 @@ def _middle(share: NDArray[np.generic], pixel: tuple[float, float], centre: Floa
 
 
 def _by_layer(holes: dict[str, xr.Dataset], rows: dict[str, Ints]) -> xr.Dataset:
-    """Each layer's variables of the holes, NaN where a hole is missing."""
+    """Collect each layer's variables of the holes, NaN where a hole is missing."""
     variables: dict[str, tuple[str, Floats, dict[str, str]]] = {}
     template = next(iter(holes.values()))
     for layer, place in PLACES.items():

@@ -72,7 +72,7 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
 
 
 def short_route(points_um: ArrayLike, start_um: tuple[float, float]) -> Ints:
-    """Order of the points (n, 2) on a short path that begins and ends at ``start_um``.
+    """Sort the points (n, 2) into a short path that begins and ends at ``start_um``.
 
     The path is built to the nearest open point each time, then stretches of it are turned round as long as that
     shortens it (2-opt). Same points, same order.
@@ -103,12 +103,12 @@ def short_route(points_um: ArrayLike, start_um: tuple[float, float]) -> Ints:
 
 
 def ascii_only(text: str) -> str:
-    """Text with a question mark for what programs and DXF cannot show."""
+    """Return the text with a question mark for what programs and DXF cannot show."""
     return "".join(c if c.isascii() and c.isprintable() else "?" for c in text)
 
 
 def _move(x_um: float, y_um: float) -> str:
-    """Position in millimetres with three to six decimals: exact to 0.0005 um."""
+    """Write a position in millimetres with three to six decimals: exact to 0.0005 um."""
     return f"G0 X{_mm(x_um, 3)} Y{_mm(y_um, 3)}"
 
 

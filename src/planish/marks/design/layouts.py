@@ -1,4 +1,4 @@
-"""Where the holes of a layout go: lines along the four sides of the frame, three corners filled and one left empty.
+"""Layouts of holes: lines along the four sides of the frame, three corners filled and one left empty.
 
 All positions are whole steps of 50 um, and the frame's sides are whole numbers of steps. The lines run
 counter-clockwise from the empty corner, which lies at the lower left; each other corner holds the first hole of a
@@ -138,7 +138,7 @@ def _draw_positions(ruler: Ruler, count: int, rng: np.random.Generator) -> Ints:
 
 
 def _distances(marks: Ints) -> Ints:
-    """All distances (batch, n (n - 1) / 2) between positions (batch, n) but that from corner to corner."""
+    """Return all distances (batch, n (n - 1) / 2) between positions (batch, n) but that from corner to corner."""
     n = marks.shape[1]
     pairs = [pair for pair in combinations(range(n), 2) if pair != (0, n - 1)]
     first, last = np.array(pairs, dtype=np.intp).reshape(-1, 2).T

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, ValidationError
 
 from planish.core.errors import MarkError
 from planish.core.tables import model_faults, parse_table, raise_faults, read_text, table_text
@@ -24,9 +24,6 @@ from planish.core.typing import Floats
 from planish.marks.design.params import DesignParams
 
 Pair = tuple[float, float]
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 
 FORMAT, VERSION = "planish hole pattern", 1
 SIDES = ("bottom", "right", "top", "left")
@@ -76,15 +73,15 @@ class Pattern(BaseModel):
     name: str
     layout: Literal["coded", "line", "own"]
     axes: str = "stage, as the laser sees the sheet: x to the right, y up"
-    field_um: tuple[Positive, Positive]
+    field_um: tuple[PositiveFloat, PositiveFloat]
     margin_um: Pair
     border_um: float
     origin_um: Pair
     spacing_um: float
-    diameter_um: Positive
-    rim_um: NotNegative
-    pulse_s: Positive
-    pause_s: NotNegative
+    diameter_um: PositiveFloat
+    rim_um: NonNegativeFloat
+    pulse_s: PositiveFloat
+    pause_s: NonNegativeFloat
     seed: int
     holes: Annotated[tuple[Hole, ...], Field(min_length=3)] = ()
 

@@ -72,7 +72,7 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
 
 
 def _blank_patterns(params: DesignParams) -> Iterator[Pattern]:
-    """Patterns without holes, the margin as it is given, or wider and wider."""
+    """Yield patterns without holes, the margin as it is given, or wider and wider."""
     blank = _blank_pattern(params)
     yield blank
     if params.margin_um is None:

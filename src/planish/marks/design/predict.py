@@ -1,4 +1,4 @@
-r"""How far maps will be off each other, predicted before a hole is burnt.
+r"""Error of a registration by the marks, predicted before a hole is burnt.
 
 The centre of a hole is found from its outline. A rim whose radius varies by :math:`\sigma` over a length
 :math:`\ell` has :math:`n = \pi d / \ell` independent arcs; a circle through them is off by :math:`2 \sigma / \sqrt{n}`
@@ -68,7 +68,7 @@ class Predicted:
         return np.asarray(self.fle_um / np.sqrt(len(self.holes_um)) * np.sqrt(1 + away / self.radius_um**2))
 
     def sentence(self) -> str:
-        """Say it in a line."""
+        """Write the error in a line."""
         return (
             f"predicted error: {self.centre_um:.2f} um rms in the middle of the field, {self.corner_um:.2f} um in its "
             f"worst corner (95 % below {P95 * self.corner_um:.2f} um), from {self.fle_um:.2f} um for a hole"

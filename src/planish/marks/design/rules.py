@@ -94,7 +94,7 @@ class Rule:
         return self.value >= self.limit - slack if self.sense == "at least" else self.value <= self.limit + slack
 
     def sentence(self) -> str:
-        """Say what was found and what is needed."""
+        """Write what was measured and what is needed."""
         unit = f" {self.unit}" if self.unit else ""
         return f"rule '{self.name}' ({self.meaning}): {self.value:.3g}{unit}, {self.sense} {self.limit:.3g}{unit}"
 

@@ -141,7 +141,7 @@ def perimeter_order(points_um: Floats) -> NDArray[np.intp]:
 
 
 def code_misfit_um(points_um: Floats) -> float:
-    """Smallest misfit, in um, of any four consecutive holes with any other four, or with themselves in reverse.
+    """Return the smallest misfit (um) of any four consecutive holes with any other four, or themselves in reverse.
 
     The holes (n, 2) are taken in their order around the field, the last followed by the first; a turn, a shift and a
     scale within 3 % are free, and the misfit is the largest distance left.

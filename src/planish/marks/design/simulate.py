@@ -29,7 +29,7 @@ _SAME_UM = 1.0  # two shots so close together go through one hole
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DryRun:
-    """What a program does.
+    """Shots, path and times of a program.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class DryRun:
         return float(np.sum(np.hypot(*np.diff(self.path_um, axis=0).T)))
 
     def sentence(self) -> str:
-        """Say it in a line."""
+        """Write the dry run in a line."""
         pulses = f"{1000 * self.pulse_s.min():g}"
         if np.ptp(self.pulse_s) > 1e-9:
             pulses += f" to {1000 * self.pulse_s.max():g}"

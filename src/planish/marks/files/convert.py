@@ -169,7 +169,7 @@ def write_any(
 
 
 def marks_text(marks: xr.Dataset) -> str:
-    """Marks in planish's own JSON, as :func:`write_any` writes them; MarkError where they cannot be read back."""
+    """Write marks as planish's own JSON, as :func:`write_any` does; MarkError where they cannot be read back."""
     check_marks(marks, "The marks")
     return module_of("json").write(marks, {})[""].decode()
 
@@ -200,7 +200,7 @@ def _recognised(content: Content) -> str:
 
 
 def _with_facts(marks: xr.Dataset, moving: LayerPixels, fixed: LayerPixels, swap: bool) -> xr.Dataset:
-    """Marks with what is known of their layers beside what the file states."""
+    """Return marks with what is known of their layers beside what the file states."""
     if swap:
         raise MarkError("A planish file says itself which layer is the moving one. Leave --swap out.")
     layers = {name: dict(about) for name, about in marks.attrs["layers"].items()}
@@ -213,7 +213,7 @@ def _with_facts(marks: xr.Dataset, moving: LayerPixels, fixed: LayerPixels, swap
 
 
 def _single_list(marks: xr.Dataset, name: str) -> PointList:
-    """Marks of one layer as a list, to be joined with another."""
+    """Give the marks of one layer as a list, to be joined with another."""
     names = layer_names(marks)
     if len(names) != 1:
         raise MarkError(
@@ -229,7 +229,7 @@ def _single_list(marks: xr.Dataset, name: str) -> PointList:
 def _outgoing(
     marks: xr.Dataset, form: MarkFormat, facts: Sequence[LayerPixels], unit: Unit, swap: bool
 ) -> tuple[xr.Dataset, dict[str, Floats]]:
-    """Marks as another program expects them, and their positions by role, or by the name of the only layer."""
+    """Give marks as another program expects them, and positions by role or by the name of the only layer."""
     names = layer_names(marks)
     single = len(names) == 1 and form.single
     sides = names if single else list(model.pair_of_layers(marks, name="This set of marks"))

@@ -100,7 +100,7 @@ def module_of(name: str) -> Any:
 
 
 def target_of(path: str | Path) -> str:
-    """Format that a name asks for by its suffix: ``.mrk.json`` Slicer, ``.json`` planish, ``.txt`` elastix ...
+    """Return the format that a suffix asks for: ``.mrk.json`` Slicer, ``.json`` planish, ``.txt`` elastix ...
 
     Raises
     ------

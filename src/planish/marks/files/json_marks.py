@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import Field, ValidationError
+from pydantic import Field, PositiveFloat, ValidationError
 
 from planish.core.errors import MarkError
 from planish.core.tables import MOST_FAULTS, model_faults
@@ -27,14 +27,13 @@ _PAGE = "docs/marks-files.md describes the format."
 
 _POSITION = {"diameter": "diameter_um", "axis_ratio": "axis_ratio", "arc_coverage": "arc_coverage"}
 
-Positive = Annotated[float, Field(gt=0)]
 Source = Literal["detected", "clicked", "predicted", "imported"]
 LayerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
 
 class _Sizes(Part):
-    x: Positive
-    y: Positive
+    x: PositiveFloat
+    y: PositiveFloat
 
 
 class _Point(Part):
@@ -67,7 +66,7 @@ class _Place(Part):
     y: float
     z: float | None = None
     covariance_um2: list[list[float]] | None = None
-    diameter_um: Positive | None = None
+    diameter_um: PositiveFloat | None = None
     axis_ratio: Annotated[float, Field(ge=1)] | None = None
     arc_coverage: Annotated[float, Field(ge=0, le=1)] | None = None
     source: Source

@@ -38,7 +38,7 @@ _TITLES = {"moving": "on the flattened map", "volume": "in the volume", "fixed":
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Places:
-    """Where the marks lie in one layer.
+    """Places of the marks in one layer.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Places:
 
     @classmethod
     def of_holes(cls, holes: xr.Dataset, rows: NDArray[np.intp], source: str = "detected") -> Places:
-        """Places of some holes of `find_holes`, ``x``, ``y`` and any of `EXTRAS`; NaN where the row is -1."""
+        """Give places of some holes of `find_holes`, ``x``, ``y`` and any of `EXTRAS`; NaN where the row is -1."""
         values = {name: np.append(holes[name].values, np.nan)[rows] for name in ("x", "y", *EXTRAS) if name in holes}
         return cls(um=np.stack([values.pop("x"), values.pop("y")], axis=1), source=source, extras=values)
 
@@ -119,7 +119,7 @@ def make_marks(
 
 
 def layer_names(marks: xr.Dataset) -> list[str]:
-    """Names of the layers, in order; also of pairs and of a run's marks, which have no list of layers."""
+    """Return the names of the layers, in order; also of pairs and of a run's marks, which have no list of layers."""
     ends = [str(name)[:-2] for name in marks.variables if str(name).endswith("_x")]
     names = [name for name in ends if f"{name}_y" in marks and name != RESIDUAL]
     listed: Mapping[str, Any] = marks.attrs.get("layers", {})
@@ -133,20 +133,20 @@ def about_layer(marks: xr.Dataset, layer: str) -> dict[str, Any]:
 
 
 def points_of(marks: xr.Dataset, layer: str) -> Floats:
-    """Positions in one layer, shape (n, 2) or (n, 3), in um; NaN where a mark is not in it."""
+    """Return positions in one layer, shape (n, 2) or (n, 3), in um; NaN where a mark is not in it."""
     axes = [f"{layer}_{axis}" for axis in "xyz" if f"{layer}_{axis}" in marks]
     return np.stack([np.asarray(marks[name].values, dtype=np.float64) for name in axes], axis=1)
 
 
 def places_of(marks: xr.Dataset, layer: str) -> Places:
-    """Positions in one layer with all that is known of them."""
+    """Return positions in one layer with all that is known of them."""
     extras = {name: np.asarray(marks[f"{layer}_{name}"].values) for name in EXTRAS if f"{layer}_{name}" in marks}
     source = [str(v) for v in marks[f"{layer}_source"].values] if f"{layer}_source" in marks else "imported"
     return Places(um=points_of(marks, layer), source=source, extras=extras)
 
 
 def labels_of(marks: xr.Dataset) -> list[str]:
-    """Names of the marks; their numbers where they have none."""
+    """Return the names of the marks; their numbers where they have none."""
     if "label" in marks:
         return [str(v) for v in marks["label"].values]
     return [str(k + 1) for k in range(marks.sizes.get("mark", 0))]
@@ -160,7 +160,7 @@ def used_of(marks: xr.Dataset) -> Bools:
 
 
 def marks_of_holes(holes: xr.Dataset, *, layer: str, about: Mapping[str, Any] | None = None) -> xr.Dataset:
-    """Marks with one layer from holes as :func:`planish.marks.find_holes` and `read_holes` give them.
+    """Make marks with one layer of holes as :func:`planish.marks.find_holes` and `read_holes` give them.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def marks_of_holes(holes: xr.Dataset, *, layer: str, about: Mapping[str, Any] | 
 
 
 def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
-    """Holes of one layer, ``x``, ``y`` (um), ``label`` and what else is known, without the marks that are not in it.
+    """Return the holes of one layer: ``x``, ``y`` (um), ``label`` and what else is known of the marks in it.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
 def used_pairs(
     marks: xr.Dataset, *, moving: str | None = None, fixed: str | None = None, least: int = 3, name: str = "The file"
 ) -> xr.Dataset:
-    """Marks that are used and lie in both layers.
+    """Return the marks that are used and lie in both layers.
 
     Parameters
     ----------
