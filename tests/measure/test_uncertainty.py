@@ -9,7 +9,7 @@ from planish.measure import measure_properties
 from planish.measure.greys import Greys
 from planish.measure.uncertainty import Shared, common_errors
 from planish.pipeline.facts import property_facts
-from planish.resample.maps import _of_mean
+from planish.resample.maps import _mean_se
 from planish.surface import find_surfaces
 
 FINE = 4  # sub-slices a voxel: partial volume, as a scanner shows it
@@ -84,9 +84,9 @@ def test_standard_error_of_a_pixel_beside_drawn_fields():
     drawn /= drawn.std()
     for wide in (3, 6, 12):
         means = drawn.reshape(1200 // wide, wide, 1200 // wide, wide).mean(axis=(1, 3))
-        stated = _of_mean(np.ones(1), {"patch_um2": 2 * np.pi * sigma**2 * 4.0, "common_um": 0.0}, wide * 2.0)
+        stated = _mean_se(np.ones(1), {"patch_um2": 2 * np.pi * sigma**2 * 4.0, "common_um": 0.0}, wide * 2.0)
         assert means.std() == pytest.approx(float(stated[0]), rel=0.06)
-    common = _of_mean(np.ones(1), {"patch_um2": 4.0, "common_um": 0.6}, 1e4)
+    common = _mean_se(np.ones(1), {"patch_um2": 4.0, "common_um": 0.6}, 1e4)
     assert float(common[0]) == pytest.approx(0.6, rel=1e-3)
 
 

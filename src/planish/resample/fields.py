@@ -10,14 +10,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import SurfaceError
+from planish.core.typing import Bools, Floats
 from planish.resample._kernels import sample
 from planish.resample.places import Places, each_band
 
-Array = NDArray[np.float64]
 Label = TypeVar("Label", bound=np.integer[Any] | np.bool_)
 
 
-def resample(field: NDArray[Any], places: Places) -> Array:
+def resample(field: NDArray[Any], places: Places) -> Floats:
     """Values of a mesh field on the grid: linear in each triangle, the mean over a pixel's sub-pixels.
 
     Parameters
@@ -40,7 +40,7 @@ def resample(field: NDArray[Any], places: Places) -> Array:
     return _sampled(field, places, np.empty((0, 0)))
 
 
-def support(known: NDArray[np.bool_], places: Places) -> Array:
+def support(known: Bools, places: Places) -> Floats:
     """Share of each pixel's area that is known on the mesh, from 0 to 1.
 
     ``support(np.isfinite(field), places) >= 0.5`` is where :func:`resample` of the same field has a value.
@@ -88,28 +88,28 @@ def resample_labels(labels: NDArray[Label], places: Places, *, fill: int = 0) ->
         raise SurfaceError(
             f"Labels of type {labels.dtype} given; whole numbers or truth values are needed. Use resample for values."
         )
-    info = None if labels.dtype.kind == "b" else np.iinfo(labels.dtype.str)
-    low, high = (info.min, info.max) if info else (0, 1)
+    limits = None if labels.dtype.kind == "b" else np.iinfo(labels.dtype.str)
+    low, high = (limits.min, limits.max) if limits else (0, 1)
     if not low <= fill <= high:
         raise SurfaceError(f"The fill value {fill} does not fit into {labels.dtype} labels. Choose another one.")
     _check_mesh(labels, places)
     fine, cells = places.fine, int(np.prod(places.shape))
     # Sub-pixels one pixel after the other.
-    known, node = (
+    is_inside, node = (
         a.reshape(places.shape[0], fine, places.shape[1], fine).swapaxes(1, 2).reshape(cells, -1)
         for a in (places.triangle >= 0, _nearest_nodes(places))
     )
-    pixel = np.repeat(np.arange(cells), known.sum(axis=1))
-    met = labels.reshape(-1)[node[known]]
-    order = np.lexsort((met, pixel))
-    changed = (np.diff(pixel[order], prepend=-1) != 0) | (met[order] != np.roll(met[order], 1))
+    pixel = np.repeat(np.arange(cells), is_inside.sum(axis=1))
+    sub_labels = labels.reshape(-1)[node[is_inside]]
+    order = np.lexsort((sub_labels, pixel))
+    changed = (np.diff(pixel[order], prepend=-1) != 0) | (sub_labels[order] != np.roll(sub_labels[order], 1))
     start = np.flatnonzero(changed)
     # Each pixel's labels, the most frequent first, then the one met first.
-    best = np.lexsort((order[start], -np.diff(start, append=met.size), pixel[order[start]]))
-    found, first = np.unique(pixel[order[start]][best], return_index=True)
+    best = np.lexsort((order[start], -np.diff(start, append=sub_labels.size), pixel[order[start]]))
+    labelled, first = np.unique(pixel[order[start]][best], return_index=True)
     out = np.full(cells, fill, dtype=labels.dtype)
-    out[found] = met[order[start]][best][first]
-    out[2 * known.sum(axis=1) < fine * fine] = fill
+    out[labelled] = sub_labels[order[start]][best][first]
+    out[2 * is_inside.sum(axis=1) < fine * fine] = fill
     return out.reshape(places.shape)
 
 
@@ -156,7 +156,7 @@ def _check_mesh(field: NDArray[Any], places: Places) -> None:
         )
 
 
-def _sampled(field: NDArray[Any], places: Places, share: Array) -> Array:
+def _sampled(field: NDArray[Any], places: Places, share: Floats) -> Floats:
     """Values; ``share`` is set to the share of each pixel that is known where it is not empty."""
     _check_mesh(field, places)
     nodes = np.ascontiguousarray(field, dtype=np.float64).reshape(-1)

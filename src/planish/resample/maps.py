@@ -6,20 +6,18 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import special
 
 from planish.core.errors import SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import Grid, pitch
 from planish.core.transform import Similarity, axial_angle
+from planish.core.typing import Bools, Floats
 from planish.resample.fields import resample_dataset
 from planish.resample.places import Mesh, covering_grid, find_places
 from planish.resample.warp import warp_image
 
-Array = NDArray[np.float64]
-
-_LATTICE = 200  # places a side at which the expected error is worked out; it varies over millimetres
+_LATTICE_SIDE = 200  # places a side at which the expected error is worked out; it varies over millimetres
 
 
 def resample_maps(
@@ -63,24 +61,24 @@ def resample_maps(
     """
     if onto is not None:
         return SheetOnto(surfaces, flat, transform=transform).on(onto)
-    uv, step = _uv(flat), pitch(surfaces)
-    properties, errors, layers = _measured(surfaces)
+    uv, step = _flat_coordinates(flat), pitch(surfaces)
+    properties, errors, layers = _variable_names(surfaces)
     data = surfaces[[*properties, *errors, *layers]].assign({k: flat[k] for k in ("projected_u", "projected_v")})
     data = data.assign(_in_volume(surfaces, np.isfinite(flat["u"].values)))
     pixel = map_um or float(np.sqrt(step[0] * step[1]))
     grid = covering_grid(uv, pixel)
-    found = find_places(uv, grid, least_um=min(step))
-    maps = resample_dataset(data, found, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
-    maps = _finished(maps, surfaces, (properties, errors, layers), pixel, Similarity())
-    known = np.isfinite(maps["thickness"].values)
-    maps["valid"] = (("v", "u"), known, {"long_name": "Measured"})
-    maps.attrs["overlaps"] = found.overlaps
+    places = find_places(uv, grid, least_um=min(step))
+    maps = resample_dataset(data, places, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
+    maps = _as_stored(maps, surfaces, (properties, errors, layers), pixel, Similarity())
+    is_measured = np.isfinite(maps["thickness"].values)
+    maps["valid"] = (("v", "u"), is_measured, {"long_name": "Measured"})
+    maps.attrs["overlaps"] = places.overlaps
     middles = [float(np.mean(surfaces[name].attrs["layer"])) for name in layers]
     if middles:
         # Where the layers lie that holes are found in: the face is half a thickness from the centre surface.
-        apart = max(middles) - min(middles)
-        maps.attrs["layers_apart_um"] = apart * float(surfaces.attrs["thickness_um"])
-        maps.attrs["layer_to_face"] = (0.5 - max(middles)) / apart
+        separation = max(middles) - min(middles)
+        maps.attrs["layers_apart_um"] = separation * float(surfaces.attrs["thickness_um"])
+        maps.attrs["layer_to_face"] = (0.5 - max(middles)) / separation
     return maps
 
 
@@ -91,8 +89,8 @@ class SheetOnto:
     """
 
     def __init__(self, surfaces: xr.Dataset, flat: xr.Dataset, *, transform: Any = None) -> None:
-        uv, self._surfaces, self._similarity = _uv(flat), surfaces, Similarity()
-        properties, errors, _ = self._names = (*_measured(surfaces)[:2], [])
+        uv, self._surfaces, self._similarity = _flat_coordinates(flat), surfaces, Similarity()
+        properties, errors, _ = self._names = (*_variable_names(surfaces)[:2], [])
         data = surfaces[[*properties, *errors]].assign({name: flat[name] for name in ("u", "v")})
         self._data = data.assign(_in_volume(surfaces, np.isfinite(flat["u"].values)))
         if transform is not None:
@@ -106,21 +104,21 @@ class SheetOnto:
             self._data.isel(y=rows, x=cols), places, dims=("y", "x"), coords={"y": part.y_um, "x": part.x_um}
         )
         pixel = float(np.sqrt(part.pixel_um[0] * part.pixel_um[1])) / self._similarity.scale
-        return _finished(maps, self._surfaces, self._names, pixel, self._similarity)
+        return _as_stored(maps, self._surfaces, self._names, pixel, self._similarity)
 
 
-def _uv(flat: xr.Dataset) -> Array:
+def _flat_coordinates(flat: xr.Dataset) -> Floats:
     return np.stack([flat[name].values for name in ("u", "v")], axis=-1)
 
 
-def _finished(
+def _as_stored(
     maps: xr.Dataset, surfaces: xr.Dataset, names: tuple[list[str], list[str], list[str]], pixel_um: float,
     similarity: Similarity,
 ) -> xr.Dataset:  # fmt: skip
-    """Angles turned, errors of means, and the types in which maps are stored."""
+    """Turn angles with the sheet, give the errors of means, and take the types in which maps are stored."""
     properties, errors, layers = names
     maps = _with_angles(maps, similarity).assign(
-        {name: maps[name].copy(data=_of_mean(maps[name].values, surfaces[name].attrs, pixel_um)) for name in errors}
+        {name: maps[name].copy(data=_mean_se(maps[name].values, surfaces[name].attrs, pixel_um)) for name in errors}
     )
     # Geometry stays double.
     stored = [name for name in [*properties, *errors] if "support_um" not in surfaces[name].attrs] + layers
@@ -170,33 +168,33 @@ class Lattice:
     """
 
     def __init__(self, grid: Grid) -> None:
-        self._at = [np.linspace(v[0], v[-1], min(v.size, _LATTICE)) for v in (grid.y_um, grid.x_um)]
-        self.places: Array = np.stack(np.meshgrid(self._at[1], self._at[0]), axis=-1)
+        self._nodes_um = [np.linspace(v[0], v[-1], min(v.size, _LATTICE_SIDE)) for v in (grid.y_um, grid.x_um)]
+        self.places: Floats = np.stack(np.meshgrid(self._nodes_um[1], self._nodes_um[0]), axis=-1)
 
-    def between(self, values: Array, part: Grid) -> Array:
+    def between(self, values: Floats, part: Grid) -> Floats:
         """Values (rows, cols) of the places on some pixels of the grid, by bilinear interpolation."""
-        for axis, (at, to) in enumerate(zip(self._at, (part.y_um, part.x_um), strict=True)):
-            low = np.clip(np.searchsorted(at, to, side="right") - 1, 0, max(at.size - 2, 0))
-            high = np.minimum(low + 1, at.size - 1)
-            share = (to - at[low]) / np.where(high > low, at[high] - at[low], 1.0)
+        for axis, (nodes_um, pixels_um) in enumerate(zip(self._nodes_um, (part.y_um, part.x_um), strict=True)):
+            low = np.clip(np.searchsorted(nodes_um, pixels_um, side="right") - 1, 0, max(nodes_um.size - 2, 0))
+            high = np.minimum(low + 1, nodes_um.size - 1)
+            share = (pixels_um - nodes_um[low]) / np.where(high > low, nodes_um[high] - nodes_um[low], 1.0)
             share = share[:, None] if axis == 0 else share
             values = values.take(low, axis) * (1.0 - share) + values.take(high, axis) * share
         return values
 
 
-def _measured(surfaces: xr.Dataset) -> tuple[list[str], list[str], list[str]]:
+def _variable_names(surfaces: xr.Dataset) -> tuple[list[str], list[str], list[str]]:
     """Names of the properties, of the standard errors that are known, and of the layers that holes are found in."""
-    attrs = {str(name): data.attrs for name, data in surfaces.data_vars.items()}
-    own = [name for name, of in attrs.items() if of.get("role") == "property"]
-    more = [name for name, of in attrs.items() if "support_um" in of and name not in own]
-    if not own + more:
+    attributes = {str(name): variable.attrs for name, variable in surfaces.data_vars.items()}
+    properties = [name for name, attrs in attributes.items() if attrs.get("role") == "property"]
+    supported = [name for name, attrs in attributes.items() if "support_um" in attrs and name not in properties]
+    if not properties + supported:
         raise SurfaceError("The surfaces hold no properties. Measure them first (planish measure).")
-    errors = [f"{name}_se" for name in [*own, *more] if f"{name}_se" in surfaces]
+    errors = [f"{name}_se" for name in [*properties, *supported] if f"{name}_se" in surfaces]
     errors = [name for name in errors if np.isfinite(surfaces[name].values).any()]
-    return own + more, errors, [name for name, of in attrs.items() if "layer" in of]
+    return properties + supported, errors, [name for name, attrs in attributes.items() if "layer" in attrs]
 
 
-def _of_mean(se: Array, attrs: dict[str, Any], pixel_um: float) -> Array:
+def _mean_se(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
     """Standard error of the mean over a pixel of columns whose errors have a Gaussian autocorrelation.
 
     Its integral is ``patch_um2`` = 2 pi s^2; a square of side L keeps the variance's share g(L / s)^2,
@@ -207,25 +205,25 @@ def _of_mean(se: Array, attrs: dict[str, Any], pixel_um: float) -> Array:
     x = pixel_um / np.sqrt(float(attrs["patch_um2"]) / (2 * np.pi))
     share = np.sqrt(2 * np.pi) / x * special.erf(x / np.sqrt(2)) - 2 * -np.expm1(-0.5 * x * x) / x**2
     common = float(attrs["common_um"])
-    found = se**2
-    found -= common**2
-    np.maximum(found, 0.0, out=found)
-    found *= share**2
-    found += common**2
-    return np.sqrt(found, out=found)
+    variance = se**2
+    variance -= common**2
+    np.maximum(variance, 0.0, out=variance)
+    variance *= share**2
+    variance += common**2
+    return np.sqrt(variance, out=variance)
 
 
-def _in_volume(surfaces: xr.Dataset, known: NDArray[np.bool_]) -> dict[str, Any]:
-    """Where in the volume each column of the centre surface lies."""
+def _in_volume(surfaces: xr.Dataset, is_flattened: Bools) -> dict[str, Any]:
+    """Place in the volume of each column of the centre surface."""
     frame = Frame.of(surfaces)
-    across = {
+    coordinates = {
         frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :],
         frame.through: surfaces["centre"].values,
     }  # fmt: skip
     return {
         f"volume_{axis}": (
             ("y", "x"),
-            np.where(known, across[axis], np.nan),
+            np.where(is_flattened, coordinates[axis], np.nan),
             {"units": "um", "long_name": f"Centre surface, {axis} in the volume"},
         )
         for axis in ("x", "y", "z")

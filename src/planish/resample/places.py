@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from planish.core.errors import SurfaceError
 from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
+from planish.core.typing import Floats
 from planish.resample._kernels import locate
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
 Method = Literal["quads", "delaunay"]
 Result = TypeVar("Result")
@@ -53,7 +53,7 @@ class Places:
     """
 
     triangle: Indices
-    weight: Array
+    weight: Floats
     corners: Indices
     mesh: tuple[int, int]
     fine: int
@@ -65,7 +65,7 @@ class Places:
         return self.triangle.shape[0] // self.fine, self.triangle.shape[1] // self.fine
 
 
-def find_places(uv: Array, grid: Grid, *, least_um: float | None = None, method: Method = "quads") -> Places:
+def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None, method: Method = "quads") -> Places:
     """Locate the pixels of a regular grid in a mesh with flat coordinates ``uv``.
 
     Parameters
@@ -118,17 +118,17 @@ def find_places(uv: Array, grid: Grid, *, least_um: float | None = None, method:
 class Mesh:
     """A quad mesh with flat coordinates ``uv`` (rows, cols, 2), in which parts of a grid are located one by one."""
 
-    uv: Array
+    uv: Floats
     least_um: float
     # First and last u, then v, that the quads of each segment of each row reach: (2, rows - 1, segments).
-    _low: Array
-    _high: Array
+    _low: Floats
+    _high: Floats
 
     @classmethod
-    def of(cls, uv: Array, *, least_um: float) -> Mesh:
+    def of(cls, uv: Floats, *, least_um: float) -> Mesh:
         """``least_um`` is the pitch of the mesh, as for :func:`find_places`."""
-        found = [_extents(uv[..., k], 0.0, 1.0) for k in range(2)]
-        low, high = (np.stack([ends[k] for ends in found]) for k in range(2))
+        extents = [_extents(uv[..., k], 0.0, 1.0) for k in range(2)]
+        low, high = (np.stack([ends[k] for ends in extents]) for k in range(2))
         return cls(
             uv=uv, least_um=least_um, _low=np.minimum(low[:, :-1], low[:, 1:]),
             _high=np.maximum(high[:, :-1], high[:, 1:]),
@@ -137,8 +137,8 @@ class Mesh:
     def under(self, grid: Grid) -> Under:
         """Locate the pixels of a grid."""
         touched = np.ones(self._low.shape[1:], dtype=bool)
-        for k, (at, pixel) in enumerate(((grid.x_um, grid.pixel_um[1]), (grid.y_um, grid.pixel_um[0]))):
-            touched &= (self._low[k] <= at[-1] + pixel) & (self._high[k] >= at[0] - pixel)
+        for k, (centres_um, pixel) in enumerate(((grid.x_um, grid.pixel_um[1]), (grid.y_um, grid.pixel_um[0]))):
+            touched &= (self._low[k] <= centres_um[-1] + pixel) & (self._high[k] >= centres_um[0] - pixel)
         rows, segments = (np.flatnonzero(touched.any(axis=axis)) for axis in (1, 0))
         if rows.size == 0:
             nodes = slice(0, 1), slice(0, 1)  # a single node covers nothing
@@ -155,7 +155,7 @@ class Under(NamedTuple):
     places: Places
 
 
-def covering_grid(uv: Array, pixel_um: float) -> Grid:
+def covering_grid(uv: Floats, pixel_um: float) -> Grid:
     """Return the grid that covers the mesh; its origin (u, v) is a multiple of the pixel.
 
     Raises
@@ -163,10 +163,10 @@ def covering_grid(uv: Array, pixel_um: float) -> Grid:
     SurfaceError
         No node is known.
     """
-    known = uv[np.isfinite(uv).all(axis=-1)]
-    if not known.size:
+    points = uv[np.isfinite(uv).all(axis=-1)]
+    if not points.size:
         raise SurfaceError("No node of the mesh has flat coordinates. Check the surface and how it was flattened.")
-    low, high = np.floor(known.min(axis=0) / pixel_um), np.ceil(known.max(axis=0) / pixel_um)
+    low, high = np.floor(points.min(axis=0) / pixel_um), np.ceil(points.max(axis=0) / pixel_um)
     size = (high - low).astype(int) + 1
     return Grid.regular((int(size[1]), int(size[0])), pixel_um, (float(low[0] * pixel_um), float(low[1] * pixel_um)))
 
@@ -180,9 +180,9 @@ def each_band(work: Callable[[int, int], Result], rows: int) -> list[Result]:
 
 
 def _in_quads(
-    uv: Array, first: tuple[float, float], step: tuple[float, float], size: tuple[int, int]
-) -> tuple[Indices, Array, Indices, int]:
-    """Triangles of the quads, weights, no table of corners, and how many sub-pixels lie in several quads."""
+    uv: Floats, first: tuple[float, float], step: tuple[float, float], size: tuple[int, int]
+) -> tuple[Indices, Floats, Indices, int]:
+    """Give the triangles of the quads, weights, no table of corners, and how many sub-pixels lie in several quads."""
     low, high = _extents(uv[..., 1], first[1], step[1])
     triangle, weight, twice = np.empty(size, np.int32), np.empty((2, *size)), np.zeros(size, np.uint8)
 
@@ -193,47 +193,47 @@ def _in_quads(
     return triangle, weight, np.empty((0, 3), dtype=np.int32), overlaps
 
 
-def _extents(v: Array, first: float, step: float) -> tuple[Array, Array]:
+def _extents(v: Floats, first: float, step: float) -> tuple[Floats, Floats]:
     """Extent of each row's segments of nodes, both ends included, in rows of the target; without the missing ones."""
     rows, cols = v.shape
     starts = np.arange(0, cols - 1, _SEGMENT)
     if not rows or not starts.size:
         return np.empty((rows, 0)), np.empty((rows, 0))
-    found: list[Array] = []
-    for reduced, none in ((np.fmin, np.inf), (np.fmax, -np.inf)):
+    bounds: list[Floats] = []
+    for reduced, empty in ((np.fmin, np.inf), (np.fmax, -np.inf)):
         ends = reduced.reduceat(v, starts, axis=1)
         ends[:, :-1] = reduced(ends[:, :-1], v[:, starts[1:]])
-        found.append((np.where(np.isnan(ends), none, ends) - first) * (1.0 / step))  # the same sums as in `locate`
-    return found[0], found[1]
+        bounds.append((np.where(np.isnan(ends), empty, ends) - first) * (1.0 / step))  # the same sums as in `locate`
+    return bounds[0], bounds[1]
 
 
 def _in_delaunay(
-    uv: Array, first: tuple[float, float], step: tuple[float, float], size: tuple[int, int]
-) -> tuple[Indices, Array, Indices, int]:
-    """The mode of the paper: its triangles know nothing of the mesh, bridge gaps and bays, and do not notice a fold."""
+    uv: Floats, first: tuple[float, float], step: tuple[float, float], size: tuple[int, int]
+) -> tuple[Indices, Floats, Indices, int]:
+    """Locate pixels in triangles made anew as in the paper: they bridge gaps and bays, and notice no fold."""
     from scipy.spatial import Delaunay, QhullError
 
     nodes = uv.reshape(-1, 2)
-    known = np.flatnonzero(np.isfinite(nodes).all(axis=1))
+    finite = np.flatnonzero(np.isfinite(nodes).all(axis=1))
     try:
-        found = Delaunay(nodes[known])
+        triangulation = Delaunay(nodes[finite])
     except (QhullError, ValueError) as error:
         raise SurfaceError(
-            f"The {known.size} known nodes cannot be triangulated; at least 3 are needed that do not lie in one line. "
+            f"The {finite.size} known nodes cannot be triangulated; at least 3 are needed that do not lie in one line. "
             "Check the flat coordinates."
         ) from error
-    corners = np.ascontiguousarray(known[found.simplices], dtype=np.int32)
+    corners = np.ascontiguousarray(finite[triangulation.simplices], dtype=np.int32)
     triangle, weight = np.empty(size, dtype=np.int32), np.empty((2, *size))
     u = first[0] + step[0] * np.arange(size[1])
     for begin in range(0, size[0], _LEAST_ROWS):
         v = first[1] + step[1] * np.arange(begin, min(begin + _LEAST_ROWS, size[0]))
         points = np.stack(np.broadcast_arrays(u[None, :], v[:, None]), axis=-1)
-        here = found.find_simplex(points)
+        simplex = triangulation.find_simplex(points)
         # Weights of the first two corners; without a triangle they are not used.
-        inverse = found.transform[here]
-        two = np.einsum("yxij,yxj->yxi", inverse[..., :2, :], points - inverse[..., 2, :])
+        inverse = triangulation.transform[simplex]
+        first_two = np.einsum("yxij,yxj->yxi", inverse[..., :2, :], points - inverse[..., 2, :])
         rows = slice(begin, begin + len(v))
-        triangle[rows] = here
-        weight[0, rows] = two[..., 1]
-        weight[1, rows] = 1.0 - two.sum(axis=-1)
+        triangle[rows] = simplex
+        weight[0, rows] = first_two[..., 1]
+        weight[1, rows] = 1.0 - first_two.sum(axis=-1)
     return triangle, weight, corners, 0

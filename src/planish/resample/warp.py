@@ -20,11 +20,10 @@ from planish.core.errors import CannotRegister, InputError, ResourceError, SizeE
 from planish.core.grid import Grid
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
+from planish.core.typing import Floats
 from planish.resample._kernels import integrals, interpolate
 
-Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+Integers = NDArray[np.int64]
 Pair = tuple[float, float]
 Mapping = Callable[[Floats], Floats]
 
@@ -116,13 +115,13 @@ def warp_image(
 
     def mapping(points: Floats) -> Floats:
         """Places in source pixels of points (..., 2) in target pixels."""
-        at = points * grid.pixel_um[::-1] + grid.origin_um
-        return np.asarray(to_source(at), dtype=np.float64) / pixel_um[::-1]
+        points_um = points * grid.pixel_um[::-1] + grid.origin_um
+        return np.asarray(to_source(points_um), dtype=np.float64) / pixel_um[::-1]
 
     out = np.full(shape, np.nan, dtype=image.dtype)
     map_threads(partial(_warp_tile, image, mapping, out), tiles_of(shape, _TILE))
     if must_meet and not np.isfinite(out).any():
-        raise _apart(mapping, shape, size, pixel_um)
+        raise _no_overlap(mapping, shape, size, pixel_um)
     return out
 
 
@@ -142,10 +141,10 @@ def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: T
             interpolate(image, nodes, down, across, 1.0 - _EDGE, out[y0:y1, x0:x1])
 
 
-def _part(image: NDArray[Any], at: Floats, more: int) -> tuple[NDArray[Any], Floats]:
+def _part(image: NDArray[Any], positions: Floats, margin: int) -> tuple[NDArray[Any], Floats]:
     """Part of an image under places (..., 2) and ``more`` pixels around, NaN beside it; and its first pixel (x, y)."""
-    low = np.floor(at.min(axis=(0, 1))).astype(np.int64) - more
-    high = np.floor(at.max(axis=(0, 1))).astype(np.int64) + 2 + more
+    low = np.floor(positions.min(axis=(0, 1))).astype(np.int64) - margin
+    high = np.floor(positions.max(axis=(0, 1))).astype(np.int64) + 2 + margin
     if np.prod((high - low).astype(np.float64)) > _MOST_UNDER:
         raise ResourceError(
             f"{np.prod((high - low).astype(np.float64)):.1e} pixels of the source lie under one pixel. Warp to smaller "
@@ -162,7 +161,7 @@ def _part(image: NDArray[Any], at: Floats, more: int) -> tuple[NDArray[Any], Flo
 def _averaged(image: NDArray[Any], nodes: Floats) -> Floats:
     """Means over the quadrilaterals between nodes (rows + 1, cols + 1, 2); NaN where less than half is known."""
     part, first = _part(image, nodes + 0.5, 1)
-    known = np.isfinite(part)
+    is_valid = np.isfinite(part)
     # From here on a pixel of the source begins at a whole number.
     x, y = np.moveaxis(nodes + 0.5 - first, -1, 0)
     along = 0.5 * (y[:, :-1] + y[:, 1:]) * np.diff(x, axis=1)
@@ -172,8 +171,8 @@ def _averaged(image: NDArray[Any], nodes: Floats) -> Floats:
         np.sum((nodes[1:, 1:] - nodes[:-1, :-1]) ** 2, axis=-1), np.sum((nodes[:-1, 1:] - nodes[1:, :-1]) ** 2, axis=-1)
     )
     area[2 * np.abs(area) <= _FLAT * longest] = np.nan
-    total = integrals(_sums(np.where(known, part, 0.0)), x, y)
-    weight = area if known.all() else integrals(_sums(known), x, y)
+    total = integrals(_sums(np.where(is_valid, part, 0.0)), x, y)
+    weight = area if is_valid.all() else integrals(_sums(is_valid), x, y)
     share = weight / area
     return np.where(share >= 0.5 - _EDGE, total / np.where(share > 0, weight, 1.0), np.nan)
 
@@ -185,7 +184,7 @@ def _sums(values: NDArray[Any]) -> Floats:
     return sums
 
 
-def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple[Whole, Floats]:
+def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple[Integers, Floats]:
     """Cut a tile of the target into patches; those that show nothing of the source (rows, cols) are left out.
 
     ``mapping`` goes from points (..., 2) of the target to the source, both (x, y) in pixels. Returns the bounds (n, 4)
@@ -196,28 +195,28 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
     rows, cols = (g.ravel() for g in np.meshgrid(r, c, indexing="ij"))
     ends = np.minimum(rows + _BLOCK, tile.r1), np.minimum(cols + _BLOCK, tile.c1)
     bounds = np.stack([rows, ends[0], cols, ends[1]], axis=1).astype(np.int64)
-    found: list[tuple[Whole, Floats]] = []
+    patches: list[tuple[Integers, Floats]] = []
 
-    def asked(at: Floats) -> Floats:
-        y = bounds[:, :1] + at * (bounds[:, 1:2] - bounds[:, :1]) - 0.5
-        x = bounds[:, 2:3] + at * (bounds[:, 3:] - bounds[:, 2:3]) - 0.5
+    def places_at(shares: Floats) -> Floats:
+        y = bounds[:, :1] + shares * (bounds[:, 1:2] - bounds[:, :1]) - 0.5
+        x = bounds[:, 2:3] + shares * (bounds[:, 3:] - bounds[:, 2:3]) - 0.5
         return mapping(np.stack(np.broadcast_arrays(x[:, None, :], y[:, :, None]), axis=-1))
 
     while len(bounds):
-        nodes, tests = asked(_NODES), asked(_TEST)
-        there = np.concatenate([np.isfinite(a).all(axis=-1).reshape(len(a), -1) for a in (nodes, tests)], axis=1)
-        finite = there.all(axis=1)
+        nodes, tests = places_at(_NODES), places_at(_TEST)
+        is_defined = np.concatenate([np.isfinite(a).all(axis=-1).reshape(len(a), -1) for a in (nodes, tests)], axis=1)
+        finite = is_defined.all(axis=1)
         error = np.where(finite, np.linalg.norm(places(nodes, _TEST, _TEST) - tests, axis=-1).max(axis=(1, 2)), np.inf)
         low, high = nodes.min(axis=(1, 2)), nodes.max(axis=(1, 2))
         margin = (2 * error + _NEAR)[:, None]
-        beside = np.any((high + margin < 0) | (low - margin > (source[1] - 1, source[0] - 1)), axis=1)
-        nowhere = (finite & beside) | ~there.any(axis=1)
+        is_outside = np.any((high + margin < 0) | (low - margin > (source[1] - 1, source[0] - 1)), axis=1)
+        is_empty = (finite & is_outside) | ~is_defined.any(axis=1)
         single = (bounds[:, 1] - bounds[:, 0] == 1) & (bounds[:, 3] - bounds[:, 2] == 1)
         small = (error <= _ERROR) & ((high - low).prod(axis=1) <= _MOST_PIXELS)
-        kept = finite & ~nowhere & (small | single)
-        found.append((bounds[kept], nodes[kept]))
-        bounds = _quarters(bounds[~(kept | nowhere | single)])
-    return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+        is_patch = finite & ~is_empty & (small | single)
+        patches.append((bounds[is_patch], nodes[is_patch]))
+        bounds = _quarters(bounds[~(is_patch | is_empty | single)])
+    return np.concatenate([f[0] for f in patches]), np.concatenate([f[1] for f in patches])
 
 
 def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
@@ -226,12 +225,12 @@ def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
     return np.moveaxis(down @ np.moveaxis(nodes, -1, -3) @ across.T, -3, -1)
 
 
-def _weights(at: Floats) -> Floats:
+def _weights(shares: Floats) -> Floats:
     """Weights (n, 4) of the nodes in the polynomial through them, at shares (n,) of the way."""
-    return np.stack([np.prod([(at - b) / (a - b) for b in _NODES if b != a], axis=0) for a in _NODES], axis=-1)
+    return np.stack([np.prod([(shares - b) / (a - b) for b in _NODES if b != a], axis=0) for a in _NODES], axis=-1)
 
 
-def _quarters(bounds: Whole) -> Whole:
+def _quarters(bounds: Integers) -> Integers:
     """Cut rectangles in the middle of both sides."""
     y, x = (bounds[:, 0] + bounds[:, 1] + 1) // 2, (bounds[:, 2] + bounds[:, 3] + 1) // 2
     y0, y1, x0, x1 = bounds.T
@@ -241,14 +240,14 @@ def _quarters(bounds: Whole) -> Whole:
     return parts[(parts[:, 1] > parts[:, 0]) & (parts[:, 3] > parts[:, 2])]
 
 
-def _apart(mapping: Mapping, shape: tuple[int, int], size: tuple[int, ...], pixel_um: Pair) -> CannotRegister:
+def _no_overlap(mapping: Mapping, shape: tuple[int, int], size: tuple[int, ...], pixel_um: Pair) -> CannotRegister:
     """The error for a target that does not meet the source."""
     x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1]))
-    at = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
-    at = at[np.isfinite(at).all(axis=-1)]
+    points_um = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
+    points_um = points_um[np.isfinite(points_um).all(axis=-1)]
     where = "nowhere"
-    if len(at):
-        (a, b), (c, d) = at.min(axis=0), at.max(axis=0)
+    if len(points_um):
+        (a, b), (c, d) = points_um.min(axis=0), points_um.max(axis=0)
         where = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
     height, width = size[0] * pixel_um[0], size[1] * pixel_um[1]
     return CannotRegister(
